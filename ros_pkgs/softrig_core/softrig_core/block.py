@@ -1,0 +1,128 @@
+"""Blocks: pure numerics with named ports, usable from a Python prompt and the same in every runner."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Mapping, Sequence
+from enum import IntEnum
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from .params import BlockParams, build
+from .port import Port, Sample
+
+if TYPE_CHECKING:
+    import numpy as np
+
+Values = Mapping[str, "Sequence[float] | Sample"]
+
+
+class Level(IntEnum):
+    """Severity, the numbers of diagnostic_msgs/DiagnosticStatus."""
+
+    OK = 0
+    WARN = 1
+    ERROR = 2
+
+
+class Block:
+    """A controller, reference, observer, delay or other block with `update`.
+
+    Parameters
+    ----------
+    params : BlockParams, optional
+        Validated parameters; the published values when absent.
+    name : str
+        Name of the node; together with the seed it fixes the random numbers.
+    **values
+        Instead of `params`: single parameters by name.
+
+    Raises
+    ------
+    softrig_core.params.ParameterError
+        A parameter is unknown or out of bounds.
+    """
+
+    Params: ClassVar[type[BlockParams]] = BlockParams
+    INPUTS: ClassVar[tuple[Port, ...]] = ()
+    OUTPUTS: ClassVar[tuple[Port, ...]] = ()
+
+    def __init__(self, params: BlockParams | None = None, name: str = "", **values: Any) -> None:
+        self.p: Any = build(self.Params, values) if params is None else params
+        self.name = name
+        self.reports: dict[str, tuple[Level, str, int]] = {}
+        self.setup()
+        self.reset(0)
+
+    @classmethod
+    def ports(cls, params: Any) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
+        """Give (inputs, outputs) for these parameters; override when channels depend on them. Must stay cheap."""
+        return cls.INPUTS, cls.OUTPUTS
+
+    def setup(self) -> None:
+        """Compute what depends on the parameters only; called once. Import heavy libraries here."""
+
+    def reset(self, seed: int) -> None:
+        """Go back to the initial state; override `start` for the block's own state."""
+        self._seed = seed
+        self.__dict__.pop("rng", None)
+        self.reports.clear()
+        self.start()
+
+    def start(self) -> None:
+        """Set the initial state."""
+
+    @cached_property
+    def rng(self) -> np.random.Generator:
+        """Random numbers seeded by (rig seed, block name)."""
+        import numpy as np
+
+        return np.random.default_rng([self._seed, zlib.crc32(self.name.encode())])
+
+    def report(self, level: Level, key: str, text: str) -> None:
+        """Note an event for /diagnostics: logged the first time a key appears, counted always."""
+        count = self.reports[key][2] if key in self.reports else 0
+        self.reports[key] = (level, text, count + 1)
+
+    def update(self, t: int, **inputs: Any) -> Values:
+        """Answer one tick.
+
+        Parameters
+        ----------
+        t : int
+            Time in ns, a multiple of the period.
+        **inputs
+            One keyword an input port: a tuple of floats; a `Sample` on a delayed port; None on a held
+            port that has no value yet.
+
+        Returns
+        -------
+        mapping of output port name to values (a `Sample` on a delayed port)
+        """
+        raise NotImplementedError
+
+
+class Plant(Block):
+    """A block with state that owns time: `outputs` at t_k, then `advance` to t_{k+1}.
+
+    The outputs at t_k never depend on the inputs of t_k.
+    """
+
+    def outputs(self, t: int) -> Values:
+        """Give the outputs at t (ns)."""
+        raise NotImplementedError
+
+    def advance(self, t: int, **inputs: Any) -> None:
+        """Move the state from t to t + period with the inputs held."""
+        raise NotImplementedError
+
+
+class Observer(Block):
+    """A block that only watches; `status` gives its figures, which the node publishes as a DiagnosticArray.
+
+    An observer also sees the last plant outputs, at the end time of a run.
+    """
+
+    def status(self) -> Mapping[str, tuple[float, str]]:
+        """Give name to (value, unit) of the figures so far."""
+        raise NotImplementedError

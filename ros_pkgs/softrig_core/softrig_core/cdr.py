@@ -1,0 +1,258 @@
+"""CDR bytes of the suite's messages: prepared layouts for speed, a general reader for everything else.
+
+A `Layout` is a message whose variable-size parts (frame, names, sequence lengths) are fixed; only the
+stamp and the float64 numbers change. Encoding patches a prepared buffer, decoding reads by offset after
+comparing the fixed bytes. A message of another layout goes through `parse`.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+SECOND = 1_000_000_000
+
+# One entry a field, in wire order. "stamp": builtin_interfaces/Time; "frame"/"names": string(s);
+# "seq:x": float64[] named x; "xyz:x": three float64; "f64:x", "bool:x": one value; "one": a sequence
+# length that must be 1; "duration": a Duration that is not a signal.
+SCHEMAS: dict[str, tuple[str, ...]] = {
+    "sensor_msgs/msg/JointState": ("stamp", "frame", "names", "seq:position", "seq:velocity", "seq:effort"),
+    "trajectory_msgs/msg/JointTrajectory": (
+        "stamp", "frame", "names", "one", "seq:position", "seq:velocity", "seq:acceleration", "seq:effort", "duration",
+    ),
+    "geometry_msgs/msg/Vector3Stamped": ("stamp", "frame", "xyz:vector"),
+    "geometry_msgs/msg/WrenchStamped": ("stamp", "frame", "xyz:force", "xyz:torque"),
+    "rosgraph_msgs/msg/Clock": ("stamp",),
+    "builtin_interfaces/msg/Time": ("stamp",),
+    "std_msgs/msg/Float64": ("f64:data",),
+    "std_msgs/msg/Bool": ("bool:data",),
+}  # fmt: skip
+
+
+class CdrError(ValueError):
+    """Bytes are not a well-formed message of the expected type."""
+
+
+@dataclass(frozen=True)
+class Message:
+    """A parsed message: stamp in ns (None without header), frame, channel names, numbers by field."""
+
+    stamp: int | None
+    frame_id: str
+    names: tuple[str, ...]
+    fields: dict[str, tuple[float, ...]]
+
+
+class Layout:
+    """Bytes of one message type with fixed frame, names and field lengths.
+
+    Parameters
+    ----------
+    msgtype : str
+        One of `SCHEMAS`.
+    frame_id : str
+    names : sequence of str
+        Channel names.
+    counts : mapping of str to int
+        Length of each ``seq`` field; a field that is absent is empty.
+    """
+
+    def __init__(
+        self, msgtype: str, frame_id: str = "", names: Sequence[str] = (), counts: Mapping[str, int] | None = None
+    ) -> None:
+        counts = counts or {}
+        out = bytearray(b"\x00\x01\x00\x00")  # little endian
+        fixed: list[tuple[int, int]] = []
+        slots: list[tuple[int, str]] = []
+        self.stamp_offset: int | None = None
+        self.fields: list[tuple[str, int]] = []
+
+        def align(size: int) -> None:
+            out.extend(bytes(-(len(out) - 4) % size))  # alignment counts after the encapsulation header
+
+        def const(data: bytes) -> None:
+            fixed.append((len(out), len(out) + len(data)))
+            out.extend(data)
+
+        def length(n: int) -> None:
+            align(4)
+            const(struct.pack("<I", n))
+
+        def string(text: str) -> None:
+            data = text.encode() + b"\0"
+            length(len(data))
+            const(data)
+
+        def numbers(name: str, n: int, code: str = "d") -> None:
+            self.fields.append((name, n))
+            if n:
+                align(struct.calcsize(code))
+                slots.append((len(out), f"{n}{code}"))
+                out.extend(bytes(n * struct.calcsize(code)))
+
+        for item in SCHEMAS[msgtype]:
+            kind, _, name = item.partition(":")
+            if kind == "stamp":
+                self.stamp_offset = len(out)
+                out.extend(bytes(8))
+            elif kind == "frame":
+                string(frame_id)
+            elif kind == "names":
+                length(len(names))
+                for text in names:
+                    string(text)
+            elif kind == "one":
+                length(1)
+            elif kind == "seq":
+                length(counts.get(name, 0))
+                numbers(name, counts.get(name, 0))
+            elif kind == "xyz":
+                numbers(name, 3)
+            elif kind == "f64":
+                numbers(name, 1)
+            elif kind == "bool":
+                numbers(name, 1, "?")
+            elif kind == "duration":
+                align(4)
+                out.extend(bytes(8))
+
+        self.msgtype = msgtype
+        self.template = out
+        self.size = sum(n for _, n in self.fields)
+        self.slots = slots
+        self._writers = [(offset, struct.Struct("<" + code)) for offset, code in slots]
+        reader, at = "<", 0
+        for offset, code in ([] if self.stamp_offset is None else [(self.stamp_offset, "iI")]) + slots:
+            reader += f"{offset - at}x{code}"
+            at = offset + struct.calcsize("<" + code)
+        self._reader = struct.Struct(f"{reader}{len(out) - at}x")
+        self._fixed = [(a, b, bytes(out[a:b])) for a, b in _merge(fixed)]
+        self._single = self._writers[0] if len(self._writers) == 1 else None
+
+    def encode(self, stamp: int, values: Sequence[float]) -> bytes:
+        """Give the message bytes for a stamp in ns and all numbers in wire order."""
+        out = self.template
+        if self.stamp_offset is not None:
+            _STAMP.pack_into(out, self.stamp_offset, stamp // SECOND, stamp % SECOND)
+        if self._single:
+            offset, writer = self._single
+            writer.pack_into(out, offset, *values)
+        else:
+            at = 0
+            for (offset, writer), (_, code) in zip(self._writers, self.slots, strict=True):
+                n = int(code[:-1])
+                writer.pack_into(out, offset, *values[at : at + n])
+                at += n
+        return bytes(out)
+
+    def decode(self, data: bytes) -> tuple[int, tuple[float, ...]] | None:
+        """Give (stamp in ns, numbers) or None when the bytes have another layout."""
+        if len(data) != self._reader.size or data[:2] != b"\x00\x01":
+            return None
+        for start, end, expected in self._fixed:
+            if data[start:end] != expected:
+                return None
+        found = self._reader.unpack(data)
+        if self.stamp_offset is None:
+            return 0, found
+        return found[0] * SECOND + found[1], found[2:]
+
+    def same_shape(self, block: NDArray[np.uint8]) -> bool:
+        """Whether all messages of a (n, length) byte array have this layout."""
+        rows = [(block[:, :2], b"\x00\x01")] + [(block[:, a:b], expected) for a, b, expected in self._fixed]
+        return all(bool((part == np.frombuffer(expected, dtype=np.uint8)).all()) for part, expected in rows)
+
+    def columns(self, block: NDArray[np.uint8]) -> list[NDArray[np.float64]]:
+        """Give the numbers of a (n, length) byte array of such messages as arrays of shape (n,)."""
+        found = []
+        for offset, code in self.slots:
+            n, kind = int(code[:-1]), np.dtype("<f8" if code[-1] == "d" else "u1")
+            part = np.ascontiguousarray(block[:, offset : offset + n * kind.itemsize]).view(kind)
+            found += [np.ascontiguousarray(part[:, i], dtype=np.float64) for i in range(n)]
+        return found
+
+
+_STAMP = struct.Struct("<iI")
+
+
+def _merge(spans: list[tuple[int, int]]) -> list[tuple[int, int]]:
+    merged: list[tuple[int, int]] = []
+    for start, end in spans:
+        if merged and merged[-1][1] == start:
+            merged[-1] = (merged[-1][0], end)
+        else:
+            merged.append((start, end))
+    return merged
+
+
+def parse(msgtype: str, data: bytes) -> Message:
+    """Read any well-formed message of a known type, either endianness.
+
+    Raises
+    ------
+    CdrError
+        The bytes are truncated or malformed; says where.
+    """
+    order = ">" if len(data) > 1 and data[1] == 0 else "<"
+    at = 4
+
+    def take(code: str, n: int = 1) -> tuple[float, ...]:
+        nonlocal at
+        size = struct.calcsize(code)
+        at += -(at - 4) % size
+        if at + n * size > len(data):
+            raise CdrError(f"{msgtype}: {len(data)} bytes end inside a field at byte {at}")
+        values = struct.unpack_from(f"{order}{n}{code}", data, at)
+        at += n * size
+        return values
+
+    def string() -> str:
+        nonlocal at
+        n = int(take("I")[0])
+        if n == 0 or at + n > len(data):
+            raise CdrError(f"{msgtype}: a string of {n} bytes at byte {at} does not fit in {len(data)}")
+        text = bytes(data[at : at + n - 1]).decode(errors="replace")
+        at += n
+        return text
+
+    def sequence(name: str) -> tuple[float, ...]:
+        n = int(take("I")[0])
+        if n * 8 > len(data):
+            raise CdrError(f"{msgtype}: {name} claims {n} values in {len(data)} bytes")
+        return take("d", n) if n else ()
+
+    stamp: int | None = None
+    frame_id = ""
+    names: tuple[str, ...] = ()
+    fields: dict[str, tuple[float, ...]] = {}
+    for item in SCHEMAS[msgtype]:
+        kind, _, name = item.partition(":")
+        if kind == "stamp":
+            stamp = int(take("i")[0]) * SECOND + int(take("I")[0])
+        elif kind == "frame":
+            frame_id = string()
+        elif kind == "names":
+            count = int(take("I")[0])
+            if count * 5 > len(data):
+                raise CdrError(f"{msgtype}: claims {count} names in {len(data)} bytes")
+            names = tuple(string() for _ in range(count))
+        elif kind == "one":
+            count = int(take("I")[0])
+            if count != 1:
+                raise CdrError(f"{msgtype}: {count} points, expected exactly one")
+        elif kind == "seq":
+            fields[name] = sequence(name)
+        elif kind == "xyz":
+            fields[name] = take("d", 3)
+        elif kind == "f64":
+            fields[name] = take("d")
+        elif kind == "bool":
+            fields[name] = take("B")
+        elif kind == "duration":
+            take("i")
+            take("I")
+    return Message(stamp, frame_id, names, fields)

@@ -1,0 +1,132 @@
+"""Immutable, validated block parameters: one declaration gives the Python model and the ROS parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, get_args
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+
+class ParameterError(ValueError):
+    """A parameter is unknown, of the wrong type or out of bounds; the message names it."""
+
+
+def param(default: Any, doc: str, unit: str = "", **bounds: Any) -> Any:
+    """Declare one field of a `Params` class.
+
+    Parameters
+    ----------
+    default : Any
+        Published value.
+    doc : str
+        What it is, with its symbol and source where there is one.
+    unit : str
+        SI unit, empty for a pure number.
+    **bounds
+        ``gt``, ``ge``, ``lt``, ``le``, ``min_length``, ``max_length`` as in pydantic.
+    """
+    return Field(default, description=doc, json_schema_extra={"unit": unit}, **bounds)
+
+
+class Params(BaseModel):
+    """Base of every parameter model: frozen, no unknown names, no NaN or infinity.
+
+    Nested models are written with dots outside (``rig.pwm_bits``).
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class BlockParams(Params):
+    """Parameters that every block has."""
+
+    period: float = param(0.01, "sampling period", "s", gt=0.0)
+
+
+@dataclass(frozen=True)
+class Declaration:
+    """What a ROS parameter declaration needs to know about one field."""
+
+    name: str
+    default: Any
+    type: type
+    doc: str
+    unit: str
+    lower: float | None
+    upper: float | None
+
+
+def declarations(model: type[Params], prefix: str = "") -> list[Declaration]:
+    """List the fields of a model with dotted names, nested models flattened."""
+    found = []
+    for name, field in model.model_fields.items():
+        kind = field.annotation
+        if isinstance(kind, type) and issubclass(kind, Params):
+            found += declarations(kind, f"{prefix}{name}.")
+            continue
+        bounds: dict[str, float] = {}
+        for rule in field.metadata:
+            bounds |= {key: getattr(rule, key) for key in ("gt", "ge", "lt", "le") if hasattr(rule, key)}
+        kinds = [k for k in get_args(kind) if k is not type(None)]
+        extra = field.json_schema_extra
+        found.append(
+            Declaration(
+                prefix + name,
+                field.get_default(call_default_factory=True),
+                kind if isinstance(kind, type) else (kinds[0] if kinds and isinstance(kinds[0], type) else str),
+                field.description or "",
+                str(extra.get("unit", "")) if isinstance(extra, dict) else "",
+                bounds.get("ge", bounds.get("gt")),
+                bounds.get("le", bounds.get("lt")),
+            )
+        )
+    return found
+
+
+def flatten(params: Params, prefix: str = "") -> dict[str, Any]:
+    """Give the values of a model under dotted names."""
+    flat: dict[str, Any] = {}
+    for name in type(params).model_fields:
+        value = getattr(params, name)
+        if isinstance(value, Params):
+            flat |= flatten(value, f"{prefix}{name}.")
+        else:
+            flat[prefix + name] = list(value) if isinstance(value, tuple) else value
+    return flat
+
+
+def build(model: type[Params], values: Mapping[str, Any]) -> Params:
+    """Make a parameter model from dotted (or nested) names.
+
+    Raises
+    ------
+    ParameterError
+        One line: which parameter, what was given, what is allowed.
+    """
+    nested: dict[str, Any] = {}
+    for name, value in values.items():
+        level = nested
+        *path, last = name.split(".")
+        for part in path:
+            level = level.setdefault(part, {})
+        if isinstance(value, Mapping) and isinstance(level.get(last), dict):
+            level[last] |= value
+        else:
+            level[last] = value
+    try:
+        return model(**nested)
+    except ValidationError as error:
+        raise ParameterError("; ".join(_explain(model, e) for e in error.errors())) from None
+
+
+def _explain(model: type[Params], error: Any) -> str:
+    name = ".".join(str(part) for part in error["loc"]) or model.__qualname__
+    if error["type"] == "extra_forbidden":
+        known = ", ".join(d.name for d in declarations(model))
+        return f"parameter {name} is unknown; this block has {known}"
+    message = error["msg"].removeprefix("Value error, ")
+    if error["type"] == "value_error" and not error["loc"]:
+        return f"parameters: {message}"
+    return f"parameter {name} = {error['input']!r}: {message[:1].lower()}{message[1:]}"

@@ -1,0 +1,266 @@
+"""Ports: what a block reads and writes, and their codecs between CDR bytes and tuples of float64."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from operator import itemgetter
+from typing import NamedTuple
+
+from .cdr import CdrError, Layout, Message, parse
+
+XYZ = ("x", "y", "z")
+
+
+class Refused(ValueError):
+    """A message that must not reach a block; the text says what was wrong and what was expected."""
+
+
+class Sample(NamedTuple):
+    """What a `delayed` port carries: the acquisition time in ns and the values."""
+
+    stamp: int
+    data: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Port:
+    """A named input or output of a block.
+
+    The values of a port are a flat tuple of floats, field after field: a JointState with channels (a, b) and
+    fields (position, velocity) is (pos_a, pos_b, vel_a, vel_b).
+
+    Parameters
+    ----------
+    name : str
+        Keyword under which the block gets or gives the values.
+    topic : str
+        Relative topic name.
+    msgtype : str
+        ROS message type, one of `softrig_core.cdr.SCHEMAS`.
+    channels : tuple of str
+        Names inside the message (JointState.name, joint_names; x, y, z of a vector).
+    fields : tuple of str
+        Which number fields of the message are used.
+    units : tuple of str
+        One unit a value.
+    frame_id : str
+        header.frame_id; an input with a frame refuses any other.
+    held : bool
+        Input only: optional, newest value, None until the first; for people and outside nodes.
+    delayed : bool
+        Carries `Sample` with an acquisition time of its own and is paired by order instead of by stamp.
+    safe : tuple of float
+        Value in the absence of a valid one: a plant's input under its watchdog, a controller's output when
+        its measurement is bad. Default zeros.
+    """
+
+    name: str
+    topic: str
+    msgtype: str
+    channels: tuple[str, ...] = ()
+    fields: tuple[str, ...] = ()
+    units: tuple[str, ...] = ()
+    frame_id: str = ""
+    held: bool = False
+    delayed: bool = False
+    safe: tuple[float, ...] = field(default=())
+
+    def __post_init__(self) -> None:
+        if len(self.units) != self.size:
+            raise ValueError(f"port {self.name}: {len(self.units)} units for {self.size} values")
+        if not self.safe:
+            object.__setattr__(self, "safe", (0.0,) * self.size)
+        if len(self.safe) != self.size:
+            raise ValueError(f"port {self.name}: {len(self.safe)} safe values for {self.size} values")
+
+    @property
+    def size(self) -> int:
+        """Number of float64 values."""
+        return len(self.labels)
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Name of each value below the topic, e.g. ``shaft/velocity``; ``x`` or ``data`` where one word says it."""
+        if self.msgtype.startswith("std_msgs"):
+            return ("data",)
+        if self.msgtype == "geometry_msgs/msg/Vector3Stamped":
+            return XYZ
+        if self.msgtype == "geometry_msgs/msg/WrenchStamped":
+            return tuple(f"{f}/{c}" for f in ("force", "torque") for c in XYZ)
+        return tuple(f"{c}/{f}" for f in self.fields for c in self.channels)
+
+    def layout(self) -> Layout:
+        """Wire layout of what this port publishes."""
+        names = self.channels if self.msgtype in _NAMED else ()
+        return Layout(self.msgtype, self.frame_id, names, {f: len(self.channels) for f in self.fields})
+
+    def renamed(self, topic: str) -> Port:
+        """Give the same port on another topic."""
+        return replace(self, topic=topic)
+
+
+_NAMED = ("sensor_msgs/msg/JointState", "trajectory_msgs/msg/JointTrajectory")
+
+
+def joint_state(name: str, topic: str, channels: Sequence[str], *, position: str = "", velocity: str = "",
+                effort: str = "", **options: object) -> Port:  # fmt: skip
+    """State of mechanical axes or named scalars; the fields are those whose unit is given ("1" for a pure number)."""
+    return _named(_NAMED[0], name, topic, channels, dict(position=position, velocity=velocity, effort=effort), options)
+
+
+def command(name: str, topic: str, channels: Sequence[str], unit: str, **options: object) -> Port:
+    """Actuator command: a JointState whose effort holds the commanded values (V, N m, N, duty)."""
+    return joint_state(name, topic, channels, effort=unit, **options)
+
+
+def scalars(name: str, topic: str, units: Mapping[str, str], **options: object) -> Port:
+    """Named scalars of different units (channel to unit), in JointState.position."""
+    return Port(name, topic, _NAMED[0], tuple(units), ("position",), tuple(units.values()), **options)  # type: ignore[arg-type]
+
+
+def reference(name: str, topic: str, channels: Sequence[str], *, position: str = "", velocity: str = "",
+              acceleration: str = "", **options: object) -> Port:  # fmt: skip
+    """Axis reference: a JointTrajectory of one point; the fields are those whose unit is given."""
+    units = dict(position=position, velocity=velocity, acceleration=acceleration)
+    return _named(_NAMED[1], name, topic, channels, units, options)
+
+
+def vector3(name: str, topic: str, frame_id: str, units: str | Sequence[str], **options: object) -> Port:
+    """Three-phase (abc) or rotating-frame (alpha_beta, dq) quantity."""
+    units = (units,) * 3 if isinstance(units, str) else tuple(units)
+    return Port(name, topic, "geometry_msgs/msg/Vector3Stamped", XYZ, ("vector",), units, frame_id, **options)  # type: ignore[arg-type]
+
+
+def wrench(name: str, topic: str, frame_id: str = "", **options: object) -> Port:
+    """Force (N) and torque (N m) of a person or a load."""
+    units = ("N",) * 3 + ("N m",) * 3
+    return Port(name, topic, "geometry_msgs/msg/WrenchStamped", XYZ, ("force", "torque"), units, frame_id, **options)  # type: ignore[arg-type]
+
+
+def number(name: str, topic: str, unit: str, **options: object) -> Port:
+    """A set point or other single number from a person or an outside node (std_msgs/Float64)."""
+    return Port(name, topic, "std_msgs/msg/Float64", (), ("data",), (unit,), **options)  # type: ignore[arg-type]
+
+
+def button(name: str, topic: str, **options: object) -> Port:
+    """A push button (std_msgs/Bool): 0.0 or 1.0."""
+    return Port(name, topic, "std_msgs/msg/Bool", (), ("data",), ("",), **options)  # type: ignore[arg-type]
+
+
+def _named(msgtype: str, name: str, topic: str, channels: Sequence[str], units: Mapping[str, str],
+           options: Mapping[str, object]) -> Port:  # fmt: skip
+    fields = tuple(f for f, unit in units.items() if unit)
+    flat = tuple("" if units[f] == "1" else units[f] for f in fields for _ in channels)
+    return Port(name, topic, msgtype, tuple(channels), fields, flat, **options)  # type: ignore[arg-type]
+
+
+class Decoder:
+    """Reads the values of an input port from message bytes of any layout, fast for the last layout seen."""
+
+    def __init__(self, port: Port) -> None:
+        self._port = port
+        self._layout = port.layout()
+        self._pick: itemgetter[int] | None = None
+
+    def __call__(self, data: bytes) -> tuple[int, tuple[float, ...]]:
+        """Give (stamp in ns, values).
+
+        Raises
+        ------
+        Refused
+            Malformed bytes, missing or unknown channels, wrong length, wrong frame, NaN or infinity.
+        """
+        found = self._layout.decode(data)
+        if found is None:
+            self._learn(data)
+            found = self._layout.decode(data)
+            if found is None:  # padding or endianness that no prepared layout has
+                return self._slow(data)
+        stamp, values = found
+        if self._pick is not None:
+            values = self._pick(values)
+        total = sum(values)
+        if total - total != 0.0:  # NaN or infinity somewhere, or a sum beyond the range of float64
+            self._check_finite(values)
+        return stamp, values
+
+    def _check_finite(self, values: tuple[float, ...]) -> None:
+        for label, value in zip(self._port.labels, values, strict=True):
+            if value - value != 0.0:
+                raise Refused(f"{label} is {value}, expected a finite number")
+
+    def _learn(self, data: bytes) -> None:
+        """Adopt the layout of `data` if it carries what the port needs."""
+        message = self._parse(data)
+        self._layout = Layout(
+            self._port.msgtype, message.frame_id, message.names, {f: len(v) for f, v in message.fields.items()}
+        )
+        order = self._order(message)
+        self._pick = None if order == tuple(range(self._layout.size)) else _getter(order)
+
+    def _slow(self, data: bytes) -> tuple[int, tuple[float, ...]]:
+        message = self._parse(data)
+        flat = [float(x) for values in message.fields.values() for x in values]
+        values = tuple(flat[i] for i in self._order(message))
+        self._check_finite(values)
+        return message.stamp or 0, values
+
+    def _parse(self, data: bytes) -> Message:
+        try:
+            return parse(self._port.msgtype, data)
+        except CdrError as error:
+            raise Refused(str(error)) from None
+
+    def _order(self, message: Message) -> tuple[int, ...]:
+        """Where each value of the port stands among all numbers of the message."""
+        port = self._port
+        if port.frame_id and message.frame_id != port.frame_id:
+            raise Refused(f"frame_id {message.frame_id!r}, expected {port.frame_id!r}")
+        named = port.msgtype in _NAMED
+        if named and sorted(message.names) != sorted(port.channels):
+            raise Refused(f"names {list(message.names)}, expected {list(port.channels)}")
+        order: list[int] = []
+        start = dict.fromkeys(message.fields, 0)
+        at = 0
+        for name, values in message.fields.items():
+            start[name] = at
+            at += len(values)
+        for name in port.fields:
+            n = len(message.fields[name])
+            if named and n != len(port.channels):
+                raise Refused(f"{name} has {n} values, expected {len(port.channels)} ({', '.join(port.channels)})")
+            places = [message.names.index(c) for c in port.channels] if named else range(n)
+            order += [start[name] + i for i in places]
+        return tuple(order)
+
+
+def _getter(order: tuple[int, ...]) -> itemgetter[int]:
+    """An itemgetter that always gives a tuple."""
+    if len(order) == 1:
+        only = order[0]
+        return lambda values: (values[only],)  # type: ignore[return-value]
+    return itemgetter(*order)
+
+
+def selection(source: Port, sink: Port) -> itemgetter[int] | None:
+    """Say how the values of `source` become those of `sink`; None when they are the same.
+
+    Raises
+    ------
+    Refused
+        The two ports do not fit: another type, frame, channel set, or a field that the source does not fill.
+    """
+    if source.msgtype != sink.msgtype:
+        raise Refused(f"type {source.msgtype}, expected {sink.msgtype}")
+    if sink.frame_id and source.frame_id != sink.frame_id:
+        raise Refused(f"frame_id {source.frame_id!r}, expected {sink.frame_id!r}")
+    if sorted(source.channels) != sorted(sink.channels):
+        raise Refused(f"channels {list(source.channels)}, expected {list(sink.channels)}")
+    missing = [f for f in sink.fields if f not in source.fields]
+    if missing:
+        raise Refused(f"fields {list(source.fields)} lack {missing[0]}")
+    order = tuple(source.labels.index(label) for label in sink.labels)
+    return None if order == tuple(range(source.size)) else _getter(order)
+
+

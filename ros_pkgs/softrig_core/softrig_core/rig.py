@@ -1,0 +1,213 @@
+"""A rig: the blocks of a scenario, wired by topic, checked before anything starts."""
+
+from __future__ import annotations
+
+import importlib.metadata
+from collections.abc import Callable
+from dataclasses import dataclass
+from operator import itemgetter
+from typing import Any
+
+from .block import Block, Observer, Plant
+from .errors import ScenarioError
+from .params import BlockParams, ParameterError, build
+from .port import Port, Refused, selection
+from .scenario import Scenario
+from .timebase import to_ns
+
+
+@dataclass(frozen=True)
+class Link:
+    """Where an input comes from: the publishing member, its port, and how to pick the values."""
+
+    source: Member
+    port: Port
+    pick: itemgetter[int] | None
+
+
+@dataclass(eq=False)
+class Member:
+    """A node of the rig."""
+
+    name: str
+    package: str
+    executable: str
+    block_class: type[Block]
+    params: BlockParams
+    inputs: tuple[Port, ...]
+    outputs: tuple[Port, ...]
+    external: bool
+    remap: dict[str, str]
+    links: dict[str, Link]
+
+    @property
+    def period(self) -> int:
+        """Period in ns."""
+        return to_ns(self.params.period)
+
+    @property
+    def is_plant(self) -> bool:
+        """Whether it owns time."""
+        return issubclass(self.block_class, Plant)
+
+    def block(self, seed: int) -> Block:
+        """Make the block at its initial state."""
+        block = self.block_class(self.params, self.name)
+        block.reset(seed)
+        return block
+
+
+@dataclass(frozen=True)
+class Rig:
+    """All members: plants first, then the others in the order in which they can answer a tick.
+
+    Raises (from `from_scenario`)
+    -----------------------------
+    ScenarioError
+        Names the node, port or cycle that cannot work.
+    """
+
+    scenario: Scenario
+    members: tuple[Member, ...]
+    clock: Member
+    end: int
+
+    @classmethod
+    def from_scenario(cls, scenario: Scenario) -> Rig:
+        """Build, wire and check."""
+        members = [_member(scenario, name) for name in scenario.nodes]
+        plants = [m for m in members if m.is_plant]
+        if not plants:
+            raise ScenarioError(f"{scenario.name}: no node is a plant, so nobody owns time")
+        clock = min(plants, key=lambda m: m.period)
+        end = to_ns(scenario.duration)
+        for member in members:
+            if member.period % clock.period:
+                raise ScenarioError(
+                    f"{scenario.name}: period {member.params.period} s of {member.name} is not a multiple of the "
+                    f"{clock.params.period} s of {clock.name}"
+                )
+        if end % clock.period:
+            raise ScenarioError(f"{scenario.name}: duration {scenario.duration} s is not a multiple of the period "
+                                f"{clock.params.period} s of {clock.name}")  # fmt: skip
+        _wire(scenario, members)
+        return cls(scenario, (*plants, *_sorted([m for m in members if not m.is_plant])), clock, end)
+
+    @property
+    def topics(self) -> dict[str, Port]:
+        """Every published topic in the order in which one tick's messages follow from each other."""
+        found = {"/clock": CLOCK} | {port.topic: port for m in self.members for port in m.outputs}
+        for m in self.members:
+            found |= {p.topic: p for p in m.inputs if p.topic not in found}
+        return found
+
+    def readers(self, member: Member, port: Port) -> list[tuple[Member, Port]]:
+        """Give the members that read an output."""
+        return [
+            (m, p) for m in self.members for p in m.inputs if (k := m.links.get(p.name)) and k.source is member
+            and k.port.name == port.name
+        ]  # fmt: skip
+
+    def leaves(self) -> list[Member]:
+        """Members whose answer nobody waits for; they acknowledge each tick so that nobody runs ahead of them."""
+        return [m for m in self.members if not m.is_plant and not any(self.readers(m, p) for p in m.outputs)]
+
+
+CLOCK = Port("clock", "/clock", "rosgraph_msgs/msg/Clock")
+
+
+def load_block(package: str, executable: str) -> type[Block]:
+    """Find the block class behind an installed executable.
+
+    Raises
+    ------
+    ScenarioError
+        The package or executable is not installed, or is not a softrig node.
+    """
+    try:
+        points = importlib.metadata.distribution(package).entry_points.select(group="console_scripts")
+    except importlib.metadata.PackageNotFoundError:
+        raise ScenarioError(f"package {package!r} is not installed in this environment") from None
+    names = sorted(points.names)
+    if executable not in names:
+        raise ScenarioError(f"package {package} has no executable {executable!r}; it has {', '.join(names)}")
+    main: Callable[[], int] = points[executable].load()
+    block: type[Block] | None = getattr(main, "block", None)
+    if block is None:
+        raise ScenarioError(f"{package}/{executable} is a tool, not the node of a block")
+    return block
+
+
+def _member(scenario: Scenario, name: str) -> Member:
+    entry = scenario.nodes[name]
+    where = f"{scenario.name}: node {name}"
+    block = load_block(entry.package, entry.executable)
+    try:
+        params: Any = build(block.Params, entry.parameters)
+        inputs, outputs = block.ports(params)
+    except ParameterError as error:
+        raise ScenarioError(f"{where}: {error}") from None
+    topics = [p.topic for p in (*inputs, *outputs)]
+    for topic in entry.remap:
+        if topic not in topics:
+            raise ScenarioError(f"{where}: remap of {topic!r}, but its topics are {', '.join(topics)}")
+    inputs = tuple(p.renamed(entry.remap.get(p.topic, p.topic)) for p in inputs)
+    outputs = tuple(p.renamed(entry.remap.get(p.topic, p.topic)) for p in outputs)
+    return Member(name, entry.package, entry.executable, block, params, inputs, outputs, entry.external,
+                  dict(entry.remap), {})  # fmt: skip
+
+
+def _wire(scenario: Scenario, members: list[Member]) -> None:
+    sources: dict[str, tuple[Member, Port]] = {}
+    for member in members:
+        for port in member.outputs:
+            if port.topic in sources:
+                other = sources[port.topic][0].name
+                raise ScenarioError(f"{scenario.name}: {other} and {member.name} both publish {port.topic}")
+            sources[port.topic] = (member, port)
+    for member in members:
+        for port in member.inputs:
+            if port.topic not in sources:
+                if port.held:
+                    continue
+                raise ScenarioError(
+                    f"{scenario.name}: nobody publishes {port.topic}, which {member.name} needs; "
+                    f"published are {', '.join(sources)}"
+                )
+            source, out = sources[port.topic]
+            try:
+                if out.delayed and not port.delayed:
+                    raise Refused("its stamps are acquisition times, but the input pairs by stamp")
+                member.links[port.name] = Link(source, out, selection(out, port))
+            except Refused as error:
+                raise ScenarioError(
+                    f"{scenario.name}: {port.topic} from {source.name} does not fit {member.name}: {error}"
+                ) from None
+
+
+def _sorted(members: list[Member]) -> list[Member]:
+    """Order members so that each follows its sources; a cycle without a plant has no order."""
+    done: list[Member] = []
+    path: list[Member] = []
+
+    def visit(member: Member) -> None:
+        if member in done:
+            return
+        if member in path:
+            cycle = [m.name for m in path[path.index(member) :]] + [member.name]
+            raise ScenarioError(f"cycle without a plant in it: {' -> '.join(cycle)}; no tick could ever be answered")
+        path.append(member)
+        for link in member.links.values():
+            if not link.source.is_plant:
+                visit(link.source)
+        path.pop()
+        done.append(member)
+
+    for member in members:
+        visit(member)
+    return done
+
+
+def is_observer(member: Member) -> bool:
+    """Whether the member also sees the outputs at the end time."""
+    return issubclass(member.block_class, Observer)

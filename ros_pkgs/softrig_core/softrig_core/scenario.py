@@ -1,0 +1,180 @@
+"""Scenario files: one experiment as YAML, validated, with inheritance and variants."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from .errors import ScenarioError
+
+
+class _Model(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class NodeEntry(_Model):
+    """One node: which executable, with which parameters and remapped topics."""
+
+    package: str
+    executable: str
+    parameters: dict[str, Any] = {}
+    remap: dict[str, str] = {}
+    external: bool = Field(False, description="somebody else starts it; our executable only tells its ports")
+
+
+class MetricEntry(_Model):
+    """One figure of merit and what it should be."""
+
+    name: str
+    function: str
+    arguments: dict[str, Any] = {}
+    unit: str = ""
+    published: float | None = None
+    expected: float | None = None
+    tolerance: float | None = Field(None, ge=0)
+    at_most: float | None = None
+    at_least: float | None = None
+
+
+class PlotEntry(_Model):
+    """One picture: signals as ``topic/channel/field`` with an optional label."""
+
+    title: str
+    signals: dict[str, str]
+    unit: str = ""
+
+
+class Scenario(_Model):
+    """A rig and its experiment."""
+
+    name: str
+    title: str
+    system: str
+    source: str
+    duration: float = Field(gt=0)
+    seed: int = Field(0, ge=0)
+    timeout: float = Field(10.0, gt=0, description="wall-clock s without progress before a lockstep run fails")
+    start_timeout: float = Field(30.0, gt=0, description="wall-clock s to wait for all nodes, 0 < external ones")
+    nodes: dict[str, NodeEntry] = Field(min_length=1)
+    metrics: tuple[MetricEntry, ...] = ()
+    plots: tuple[PlotEntry, ...] = ()
+
+
+def scenario_folders() -> list[Path]:
+    """Where scenario files are looked for: SOFTRIG_SCENARIOS, then the installed share folder."""
+    folders = [Path(p) for p in os.environ.get("SOFTRIG_SCENARIOS", "").split(os.pathsep) if p]
+    for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
+        if prefix:
+            folders.append(Path(prefix) / "share" / "softrig_bringup" / "scenarios")
+    return [f for f in folders if f.is_dir()]
+
+
+def list_scenarios() -> dict[str, Path]:
+    """Give every scenario name, variants included, and the file it is in."""
+    found: dict[str, Path] = {}
+    for folder in scenario_folders():
+        for path in sorted(folder.glob("*.yaml")):
+            for name in _names(path, _read(path)):
+                found.setdefault(name, path)
+    return found
+
+
+def load_scenario(name: str, overrides: Mapping[str, Any] | None = None) -> Scenario:
+    """Read a scenario by name or file.
+
+    Parameters
+    ----------
+    name : str
+        ``dc_motor_smc_b2``, a variant ``dc_motor_smc_b2_delta1``, or a path to a YAML file.
+    overrides : mapping, optional
+        ``node.parameter`` to value.
+
+    Raises
+    ------
+    ScenarioError
+        Unknown scenario, YAML error, unknown key or bad value; names file and key.
+    """
+    path = Path(name)
+    if path.suffix in (".yaml", ".yml") and path.is_file():
+        raw = _resolve(path.stem, path)
+    else:
+        known = list_scenarios()
+        if name not in known:
+            near = _closest(name, known)
+            raise ScenarioError(f"scenario {name!r} is unknown{near}; `softrig list` shows all {len(known)}")
+        path = known[name]
+        raw = _resolve(name, path)
+    for key, value in (overrides or {}).items():
+        node, _, parameter = key.partition(".")
+        nodes = raw.get("nodes", {})
+        if node not in nodes or not parameter:
+            raise ScenarioError(f"override {key!r}: expected node.parameter with node one of {', '.join(nodes)}")
+        nodes[node] = merge(nodes[node], {"parameters": {parameter: value}})
+    try:
+        return Scenario(name=path.stem if name.endswith((".yaml", ".yml")) else name, **raw)
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(p) for p in first["loc"])
+        more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
+        hint = "unknown key" if first["type"] == "extra_forbidden" else first["msg"]
+        given = "" if first["type"] == "missing" else f", got {first['input']!r}"
+        raise ScenarioError(f"{path.name}: {where}: {hint}{given}{more}") from None
+
+
+def merge(base: Mapping[str, Any], change: Mapping[str, Any]) -> dict[str, Any]:
+    """Lay one mapping over another, level by level; null removes a key."""
+    merged = dict(base)
+    for key, value in change.items():
+        if value is None:
+            merged.pop(key, None)
+        elif isinstance(value, Mapping) and isinstance(merged.get(key), Mapping):
+            merged[key] = merge(merged[key], value)
+        else:
+            merged[key] = value
+    return merged
+
+
+def _read(path: Path) -> dict[str, Any]:
+    from ruamel.yaml import YAML, YAMLError
+
+    try:
+        raw = YAML(typ="safe", pure=True).load(path.read_text())
+    except (YAMLError, UnicodeDecodeError) as error:
+        raise ScenarioError(f"{path.name}: not valid YAML: {' '.join(str(error).split())}") from None
+    if not isinstance(raw, dict):
+        raise ScenarioError(f"{path.name}: expected a mapping of keys, got {type(raw).__name__}")
+    return raw
+
+
+def _names(path: Path, raw: Mapping[str, Any]) -> Iterator[str]:
+    yield path.stem
+    for variant in raw.get("variants") or {}:
+        yield f"{path.stem}_{variant}"
+
+
+def _resolve(name: str, path: Path, seen: tuple[str, ...] = ()) -> dict[str, Any]:
+    """Apply `extends` and the variant that the name asks for."""
+    if name in seen:
+        raise ScenarioError(f"{path.name}: extends itself: {' -> '.join((*seen, name))}")
+    raw = _read(path)
+    variants = raw.pop("variants", None) or {}
+    parent = raw.pop("extends", None)
+    if parent is not None:
+        known = list_scenarios() | {p.stem: p for p in path.parent.glob("*.yaml")}
+        if parent not in known:
+            raise ScenarioError(f"{path.name}: extends {parent!r}, which is unknown{_closest(parent, known)}")
+        raw = merge(_resolve(parent, known[parent], (*seen, name)), raw)
+    if name != path.stem:
+        raw = merge(raw, variants[name.removeprefix(f"{path.stem}_")] or {})
+    return raw
+
+
+def _closest(name: str, known: Mapping[str, Any]) -> str:
+    import difflib
+
+    near = difflib.get_close_matches(name, list(known), 1)
+    return f" (did you mean {near[0]!r}?)" if near else ""

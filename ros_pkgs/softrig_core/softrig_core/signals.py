@@ -1,0 +1,118 @@
+"""Signals of a recording as named float64 arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .cdr import SCHEMAS, SECOND, Layout, Message, parse
+from .recording import Recording, Topic
+
+Array = NDArray[np.float64]
+
+
+class Signal(NamedTuple):
+    """Time (s) and values, both of shape (n,)."""
+
+    t: Array
+    x: Array
+
+
+class Table(NamedTuple):
+    """All signals of one topic: tick time and header stamp (s), columns by label (``shaft/velocity``)."""
+
+    t: Array
+    stamp: Array
+    columns: dict[str, Array]
+
+
+class Signals(Mapping[str, Signal]):
+    """Signals by name ``topic/channel/field``, decoded when first asked for.
+
+    Parameters
+    ----------
+    recording : Recording
+    epoch : int
+        Time in ns that becomes 0 s (realtime runs are stamped with the wall clock).
+
+    Raises
+    ------
+    KeyError
+        No such signal; the message lists those of the topic or the topics.
+    """
+
+    def __init__(self, recording: Recording, epoch: int = 0) -> None:
+        self.recording = recording
+        self._epoch = epoch
+        self._tables: dict[str, Table] = {}
+
+    def table(self, topic: str) -> Table:
+        """Give all columns of a topic."""
+        if topic not in self._tables:
+            if topic not in self.recording.topics:
+                raise KeyError(f"no topic {topic!r}; recorded are {', '.join(self.recording.topics)}")
+            self._tables[topic] = _decode(self.recording.topics[topic], self._epoch)
+        return self._tables[topic]
+
+    def __getitem__(self, name: str) -> Signal:
+        topic = max((t for t in self.recording.topics if name.startswith(t + "/")), key=len, default=None)
+        if topic is None:
+            raise KeyError(f"no topic for signal {name!r}; recorded are {', '.join(self.recording.topics)}")
+        table = self.table(topic)
+        label = name[len(topic) + 1 :]
+        if label not in table.columns:
+            raise KeyError(f"no signal {label!r} on {topic}; it has {', '.join(table.columns)}")
+        return Signal(table.t, table.columns[label])
+
+    def __iter__(self) -> Iterator[str]:
+        for topic in self.recording.topics.values():
+            if topic.msgtype in SCHEMAS:
+                yield from (f"{topic.name}/{label}" for label in self.table(topic.name).columns)
+
+    def __len__(self) -> int:
+        return sum(1 for _ in self)
+
+
+def _decode(topic: Topic, epoch: int) -> Table:
+    t = (np.array(topic.times, dtype=np.int64) - epoch) / SECOND
+    if not topic.data:
+        return Table(t, t, {})
+    first = parse(topic.msgtype, topic.data[0])
+    layout = Layout(topic.msgtype, first.frame_id, first.names, {f: len(v) for f, v in first.fields.items()})
+    labels = _labels(first)
+    size = len(topic.data[0])
+    if all(len(d) == size for d in topic.data) and layout.decode(topic.data[0]) is not None:
+        block = np.frombuffer(b"".join(topic.data), dtype=np.uint8).reshape(len(topic.data), size)
+        if layout.same_shape(block):
+            return Table(t, _stamps(layout, block, t, epoch), dict(zip(labels, layout.columns(block), strict=True)))
+    messages = [parse(topic.msgtype, d) for d in topic.data]
+    for message in messages:
+        if _labels(message) != labels:
+            raise ValueError(f"{topic.name}: channels change from {labels} to {_labels(message)}")
+    rows = np.array([[x for v in m.fields.values() for x in v] for m in messages], dtype=np.float64)
+    stamps = np.array([m.stamp or 0 for m in messages], dtype=np.int64)
+    return Table(t, (stamps - epoch) / SECOND, {label: rows[:, i] for i, label in enumerate(labels)})
+
+
+def _stamps(layout: Layout, block: NDArray[np.uint8], t: Array, epoch: int) -> Array:
+    if layout.stamp_offset is None:
+        return t
+    at = layout.stamp_offset
+    parts = np.ascontiguousarray(block[:, at : at + 8]).view("<u4").astype(np.int64)
+    return (parts[:, 0] * SECOND + parts[:, 1] - epoch) / SECOND
+
+
+def _labels(message: Message) -> list[str]:
+    named = len(message.names) > 0
+    labels = []
+    for name, values in message.fields.items():
+        if named:
+            labels += [f"{channel}/{name}" for channel in message.names[: len(values)]]
+        elif name == "data":
+            labels.append(name)
+        else:
+            labels += [axis if name == "vector" else f"{name}/{axis}" for axis in "xyz"]
+    return labels

@@ -1,0 +1,13 @@
+"""Integer time: nanoseconds, and periods that divide them exactly."""
+
+from .cdr import SECOND
+
+
+def to_ns(seconds: float) -> int:
+    """Round a time in s to whole nanoseconds."""
+    return round(seconds * SECOND)
+
+
+def to_s(ns: int) -> float:
+    """Give a time in ns as s."""
+    return ns / SECOND
