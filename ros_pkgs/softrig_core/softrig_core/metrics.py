@@ -1,0 +1,202 @@
+"""Figures of merit of a recording; a scenario names them and gives their arguments.
+
+Every function is called as ``f(signals, **arguments)`` and gives a float. `signals` maps a name
+``topic/channel/field`` to (t, x): `softrig_core.signals.Signals`, or a plain dict of array pairs.
+
+Arguments with the same meaning everywhere:
+
+signal : str
+    Name of the signal.
+start, end : float, optional
+    Time window in s, both ends included; the whole record when absent.
+final : float, optional
+    Value that counts as 100 % of a step; the last sample of the window when absent.
+initial : float
+    Value that counts as 0 % of a step.
+reference : float or str
+    Constant, or the name of a signal (its newest value at each sample of `signal`).
+
+Raises
+------
+KeyError
+    No such signal.
+ValueError
+    No (or not enough) samples in the window; a step of size zero.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+SignalMap = Mapping[str, tuple[Array, Array]]
+
+
+def rise_time(
+    signals: SignalMap, signal: str, *, final: float | None = None, initial: float = 0.0, low: float = 0.1,
+    high: float = 0.9, start: float | None = None, end: float | None = None,
+) -> float:  # fmt: skip
+    """Time in s from the first crossing of `low` to the first crossing of `high`, linear between samples.
+
+    Parameters
+    ----------
+    low, high : float
+        Levels as fractions of the step, 0 <= low < high.
+
+    Returns
+    -------
+    float
+        inf when the signal never reaches `high`.
+    """
+    if not 0.0 <= low < high:
+        raise ValueError(f"levels low = {low}, high = {high}: expected 0 <= low < high")
+    t, z = _step(signals, signal, final, initial, start, end)
+    return _first_crossing(t, z, high) - _first_crossing(t, z, low)
+
+
+def settling_time(
+    signals: SignalMap, signal: str, *, final: float | None = None, initial: float = 0.0, band: float = 0.02,
+    at: Literal["crossing", "sample"] = "crossing", start: float | None = None, end: float | None = None,
+) -> float:  # fmt: skip
+    """Time in s from the start of the window until the signal stays within `band` of the step around `final`.
+
+    Parameters
+    ----------
+    band : float
+        Half width as a fraction of the step size, > 0.
+    at : {"crossing", "sample"}
+        "crossing": where the last exit of the band ends, linear between samples. "sample": the first sample
+        inside for good.
+
+    Returns
+    -------
+    float
+        Counted from `start`, or from the first sample. inf when the last sample is outside.
+    """
+    if not band > 0.0:
+        raise ValueError(f"band = {band}: expected a positive fraction of the step")
+    if at not in ("crossing", "sample"):
+        raise ValueError(f"at = {at!r}: expected 'crossing' or 'sample'")
+    t, z = _step(signals, signal, final, initial, start, end)
+    zero = t[0] if start is None else start
+    error = z - 1.0
+    outside = np.flatnonzero(np.abs(error) > band)
+    if outside.size == 0:
+        return float(t[0] - zero)
+    k = int(outside[-1])
+    if k == t.size - 1:
+        return float("inf")
+    if at == "sample":
+        return float(t[k + 1] - zero)
+    edge = np.copysign(band, error[k])
+    return float(t[k] + (t[k + 1] - t[k]) * (error[k] - edge) / (error[k] - error[k + 1]) - zero)
+
+
+def overshoot(
+    signals: SignalMap, signal: str, *, final: float | None = None, initial: float = 0.0, start: float | None = None,
+    end: float | None = None,
+) -> float:  # fmt: skip
+    """Largest value beyond `final` in % of the step size; 0 when there is none."""
+    _, z = _step(signals, signal, final, initial, start, end)
+    return max(0.0, 100.0 * (float(z.max()) - 1.0))
+
+
+def total_variation(signals: SignalMap, signal: str, *, start: float | None = None, end: float | None = None) -> float:
+    """Chattering index: sum of |x_k - x_(k-1)| over the time from the first to the last sample; unit of x per s."""
+    t, x = _window(signals, signal, start, end, least=2)
+    return float(np.abs(np.diff(x)).sum() / (t[-1] - t[0]))
+
+
+def peak_to_peak(signals: SignalMap, signal: str, *, start: float | None = None, end: float | None = None) -> float:
+    """Largest less smallest value."""
+    return float(np.ptp(_window(signals, signal, start, end)[1]))
+
+
+def mean_error(
+    signals: SignalMap, signal: str, *, reference: float | str, start: float | None = None, end: float | None = None
+) -> float:
+    """Mean of reference - signal."""
+    return -float(_deviation(signals, signal, reference, start, end).mean())
+
+
+def rms(
+    signals: SignalMap, signal: str, *, reference: float | str = 0.0, start: float | None = None,
+    end: float | None = None,
+) -> float:  # fmt: skip
+    """Root of the mean square of signal - reference."""
+    return float(np.sqrt(np.mean(_deviation(signals, signal, reference, start, end) ** 2)))
+
+
+def peak(
+    signals: SignalMap, signal: str, *, reference: float | str = 0.0, start: float | None = None,
+    end: float | None = None,
+) -> float:  # fmt: skip
+    """Largest |signal - reference|."""
+    return float(np.abs(_deviation(signals, signal, reference, start, end)).max())
+
+
+def maximum(signals: SignalMap, signal: str, *, start: float | None = None, end: float | None = None) -> float:
+    """Largest value."""
+    return float(_window(signals, signal, start, end)[1].max())
+
+
+def minimum(signals: SignalMap, signal: str, *, start: float | None = None, end: float | None = None) -> float:
+    """Smallest value."""
+    return float(_window(signals, signal, start, end)[1].min())
+
+
+def final_value(signals: SignalMap, signal: str, *, start: float | None = None, end: float | None = None) -> float:
+    """Last value in the window; with `end`, the newest value at that time."""
+    return float(_window(signals, signal, start, end)[1][-1])
+
+
+def _window(
+    signals: SignalMap, signal: str, start: float | None, end: float | None, least: int = 1
+) -> tuple[Array, Array]:
+    """Cut (t, x) to the window, with a millionth of a second of room for times that are not binary fractions."""
+    t, x = signals[signal]
+    first = 0 if start is None else int(np.searchsorted(t, start - 1e-6))
+    last = t.size if end is None else int(np.searchsorted(t, end + 1e-6, side="right"))
+    if last - first < least:
+        asked = f"{'its begin' if start is None else f'{start:g} s'} to {'its end' if end is None else f'{end:g} s'}"
+        held = f"recorded from {t[0]:g} to {t[-1]:g} s" if t.size else "nothing is recorded"
+        raise ValueError(f"{signal} has {max(0, last - first)} samples from {asked}, needed {least}; {held}")
+    return t[first:last], x[first:last]
+
+
+def _step(
+    signals: SignalMap, signal: str, final: float | None, initial: float, start: float | None, end: float | None
+) -> tuple[Array, Array]:
+    """Give (t, x) with x normalised so that `initial` is 0 and `final` is 1."""
+    t, x = _window(signals, signal, start, end)
+    size = (float(x[-1]) if final is None else final) - initial
+    if size == 0.0:
+        raise ValueError(f"{signal}: the step from {initial:g} to the final value has size zero")
+    return t, (x - initial) / size
+
+
+def _first_crossing(t: Array, z: Array, level: float) -> float:
+    reached = z >= level
+    k = int(reached.argmax())
+    if not reached[k]:
+        return float("inf")
+    if k == 0:
+        return float(t[0])
+    return float(t[k - 1] + (t[k] - t[k - 1]) * (level - z[k - 1]) / (z[k] - z[k - 1]))
+
+
+def _deviation(
+    signals: SignalMap, signal: str, reference: float | str, start: float | None, end: float | None
+) -> Array:
+    t, x = _window(signals, signal, start, end)
+    if not isinstance(reference, str):
+        return x - reference
+    when, values = signals[reference]
+    held = np.searchsorted(when, t, side="right") - 1
+    if held.size and held[0] < 0:
+        raise ValueError(f"{reference} has no value yet at {t[0]:g} s, where {signal} begins")
+    return x - values[held]
