@@ -1,0 +1,70 @@
+import math
+import struct
+
+import casadi as ca
+import pytest
+from softrig_core import compiled
+from softrig_core.compiled import Compiled
+
+
+def pendulum(gain: float = 9.81) -> ca.Function:
+    x, u = ca.SX.sym("x", 2), ca.SX.sym("u")
+    return ca.Function("pendulum", [x, u], [ca.vertcat(x[1], -gain * ca.sin(x[0]) + u), x[0] * u])
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    return tmp_path / "softrig"
+
+
+def test_compiled_equals_formula_and_virtual_machine(folder, monkeypatch):
+    fast = Compiled(pendulum())
+    monkeypatch.setattr(compiled, "build", lambda function: None)
+    slow = Compiled(pendulum())
+    assert fast.native
+    assert not slow.native
+    for k in range(50):
+        x = (0.1 * k, 1.0 - 0.3 * k, 0.05 * k)
+        expected = (x[1], -9.81 * math.sin(x[0]) + x[2], x[0] * x[2])
+        assert fast(x) == slow(x)
+        assert fast(x) == pytest.approx(expected, abs=1e-14)
+
+
+def test_library_is_built_once_and_again_for_other_content(folder, monkeypatch):
+    Compiled(pendulum())
+    (library,) = folder.iterdir()
+    date = library.stat().st_mtime_ns
+    assert Compiled(pendulum()).native
+    assert [p.stat().st_mtime_ns for p in folder.iterdir()] == [date]
+    moon = Compiled(pendulum(1.62))
+    assert len(list(folder.iterdir())) == 2
+    assert moon((1.0, 0.0, 0.0))[1] == pytest.approx(-1.62 * math.sin(1.0))
+
+
+def test_without_compiler_it_warns_and_still_gives_the_numbers(monkeypatch):
+    monkeypatch.setenv("PATH", "/nonexistent")
+    monkeypatch.delenv("CC", raising=False)
+    with pytest.warns(UserWarning, match="no C compiler found: pendulum"):
+        f = Compiled(pendulum())
+    assert not f.native
+    assert f((0.0, 2.0, 3.0)) == (2.0, 3.0, 0.0)
+
+
+def test_failing_compiler_is_reported_with_its_message(folder, monkeypatch, tmp_path):
+    broken = tmp_path / "cc"
+    broken.write_text("#!/bin/sh\necho 'out of registers' >&2\nexit 1\n")
+    broken.chmod(0o755)
+    monkeypatch.setenv("CC", str(broken))
+    with pytest.warns(UserWarning, match="could not compile pendulum .out of registers."):
+        f = Compiled(pendulum())
+    assert f((0.0, 2.0, 3.0)) == (2.0, 3.0, 0.0)
+    assert list(folder.iterdir()) == []
+
+
+def test_wrong_use_is_refused():
+    with pytest.raises(struct.error):
+        Compiled(pendulum())((1.0, 2.0))
+    x = ca.SX.sym("x", ca.Sparsity.diag(2))
+    with pytest.raises(ValueError, match="input i0 of f is sparse"):
+        Compiled(ca.Function("f", [x], [ca.sum1(ca.diag(x))]))
