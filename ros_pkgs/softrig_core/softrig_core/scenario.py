@@ -41,11 +41,27 @@ class MetricEntry(_Model):
 
 
 class PlotEntry(_Model):
-    """One picture: signals as ``topic/channel/field`` with an optional label."""
+    """One picture: signals as ``topic/channel/field`` with an optional label.
+
+    Parameters
+    ----------
+    title : str
+    signals : dict of str to str
+        Signal name to label (empty: the signal's own name).
+    unit : str
+        Of the y axis; when empty, that of the ports, with one row a unit.
+    x : str
+        Instead of time, the label below each signal's own topic that gives the x axis: ``x`` draws ``flux/y``
+        against ``flux/x``, ``voltage/position`` a power against the voltage of the same topic.
+    window : (float, float)
+        First and last time (s) shown; None: the whole run.
+    """
 
     title: str
-    signals: dict[str, str]
+    signals: dict[str, str] = Field(min_length=1)
     unit: str = ""
+    x: str = ""
+    window: tuple[float, float] | None = None
 
 
 class Scenario(_Model):
