@@ -15,7 +15,7 @@ setup(
     zip_safe=False,
     maintainer="softrig maintainers",
     maintainer_email="softrig@users.noreply.github.com",
-    description="Bags of softrig runs: write, read",
+    description="Bags: record, replay in lockstep, read, compare, repair",
     license="Apache-2.0",
     extras_require={"test": ["pytest"]},
     entry_points={"console_scripts": []},

@@ -1,0 +1,128 @@
+"""What a bag must know of a topic: type, definition, type hash and the QoS its publishers offered."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from io import StringIO
+from pathlib import Path
+from typing import Any
+
+from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
+from ruamel.yaml import YAML
+
+FOREVER = QosTime(9223372036, 854775807)  # RMW_DURATION_INFINITE
+
+
+def qos(
+    reliability: QosReliability = QosReliability.RELIABLE,
+    durability: QosDurability = QosDurability.VOLATILE,
+    depth: int = 10,
+) -> Qos:
+    """Give an offered QoS profile: keep last, no deadline, no lifespan, automatic liveliness."""
+    return Qos(QosHistory.KEEP_LAST, depth, reliability, durability, FOREVER, FOREVER, QosLiveliness.AUTOMATIC,
+               FOREVER, False)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class BagTopic:
+    """A topic of a bag.
+
+    Parameters
+    ----------
+    name : str
+        Absolute topic name.
+    msgtype : str
+        ``package/msg/Type``.
+    definition : str
+        Text of the type and all types in it; empty when unknown.
+    digest : str
+        Type hash (``RIHS01_...``); empty when unknown.
+    offered : tuple of Qos
+        One profile a publisher.
+    encoding : str
+        Language of the definition: ros2msg or ros2idl.
+    """
+
+    name: str
+    msgtype: str
+    definition: str = ""
+    digest: str = ""
+    offered: tuple[Qos, ...] = ()
+    encoding: str = "ros2msg"
+
+    @classmethod
+    def known(cls, name: str, msgtype: str, offered: Sequence[Qos] = (), digest: str = "") -> BagTopic:
+        """Give a topic with the definition and hash of this ROS distribution, both empty for an unknown type."""
+        definition, computed = _definition(msgtype)
+        return cls(name, msgtype, definition, digest or computed, tuple(offered))
+
+
+def qos_dicts(offered: Sequence[Qos]) -> list[dict[str, Any]]:
+    """Give profiles as rosbag2's metadata version 9 writes them: policies by name."""
+    return [
+        {
+            "history": q.history.name.lower(),
+            "depth": q.depth,
+            "reliability": q.reliability.name.lower(),
+            "durability": q.durability.name.lower(),
+            "deadline": q.deadline._asdict() | {},
+            "lifespan": q.lifespan._asdict() | {},
+            "liveliness": q.liveliness.name.lower(),
+            "liveliness_lease_duration": q.liveliness_lease_duration._asdict() | {},
+            "avoid_ros_namespace_conventions": q.avoid_ros_namespace_conventions,
+        }
+        for q in offered
+    ]
+
+
+def to_yaml(content: Any) -> str:
+    """Write plain data as YAML in block style, keys in their order."""
+    yaml = YAML()
+    yaml.default_flow_style = False
+    yaml.width = 1 << 16
+    text = StringIO()
+    yaml.dump(content, text)
+    return text.getvalue()
+
+
+@cache
+def typestore() -> Typestore:
+    """Give the store of the Jazzy message types; `_definition` adds installed types that it lacks."""
+    return get_typestore(Stores.ROS2_JAZZY)
+
+
+@cache
+def _definition(msgtype: str) -> tuple[str, str]:
+    if not _register(msgtype):
+        return "", ""
+    return typestore().generate_msgdef(msgtype, ros_version=2)[0], typestore().hash_rihs01(msgtype)
+
+
+def _register(msgtype: str) -> bool:
+    """Make sure that a type and all types in it are in the store, from the .msg files of the ament prefixes."""
+    if msgtype in typestore().fielddefs:
+        return True
+    package, _, name = msgtype.partition("/msg/")
+    for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
+        path = Path(prefix) / "share" / package / "msg" / f"{name}.msg"
+        if path.is_file():
+            types = get_types_from_msg(path.read_text(), msgtype)
+            typestore().register(types)
+            return all(_register(t) for t in _nested(types[msgtype][1]))
+    return False
+
+
+def _nested(fields: Any) -> set[str]:
+    found = set()
+    for _, (_, detail) in fields:
+        while not isinstance(detail, str) and not isinstance(detail[0], str):  # an array of something
+            detail = detail[0][1]
+        name = detail if isinstance(detail, str) else detail[0]
+        if "/" in name:
+            found.add(name)
+    return found

@@ -1,0 +1,210 @@
+"""Bags: written, read back by independent libraries, compared, repaired."""
+
+import json
+import os
+import resource
+from pathlib import Path
+
+import pytest
+from mcap.reader import make_reader
+from rosbags.rosbag2 import Reader
+from ruamel.yaml import YAML
+from softrig_bags.errors import BagError
+from softrig_bags.topics import BagTopic, qos
+from softrig_bags.write import write_bag
+from softrig_core.cdr import Layout
+from softrig_core.errors import RunError
+from softrig_core.recording import Recording
+
+STATE = "sensor_msgs/msg/JointState"
+FORMATS = [("mcap", "none"), ("mcap", "zstd"), ("sqlite3", "none")]
+
+
+def recording(ticks=50, period=1_000_000, gain=1.0) -> Recording:
+    """Two topics and the clock; the second answers only every fourth tick."""
+    clock = Layout("rosgraph_msgs/msg/Clock")
+    state = Layout(STATE, "", ["a", "b"], {"position": 2, "velocity": 2})
+    command = Layout(STATE, "", ["a"], {"effort": 1})
+    found = Recording([("/clock", "rosgraph_msgs/msg/Clock"), ("plant/state", STATE), ("command", STATE)])
+    for k in range(ticks):
+        t = k * period
+        found.add(0, t, clock.encode(t, ()))
+        found.add(1, t, state.encode(t, (k * 0.1, -k * 0.1, k * 1.0, 1.0)))
+        if k % 4 == 0:
+            found.add(2, t, command.encode(t, (gain * k,)))
+    return found
+
+
+def expected(source: Recording) -> list[tuple[str, int, bytes]]:
+    return [("/" + topic.name.lstrip("/"), t, data) for t, topic, data in source.messages()]
+
+
+def size(directory: Path) -> int:
+    return sum(p.stat().st_size for p in directory.iterdir())
+
+
+@pytest.fixture
+def file_limit():
+    """Function that makes the kernel refuse writes beyond a file size, as a full disk does."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    yield lambda n: resource.setrlimit(resource.RLIMIT_FSIZE, (n, hard))
+    resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+@pytest.mark.parametrize(("storage", "compression"), FORMATS)
+def test_rosbags_reads_what_was_written_in_order(tmp_path, storage, compression):
+    source = recording()
+    write_bag(tmp_path / "bag", source, storage=storage, compression=compression, custom_data={"seed": "1"})
+    with Reader(tmp_path / "bag") as reader:
+        found = [(c.topic, t, bytes(data)) for c, t, data in reader.messages()]
+        assert reader.storage.metadata.custom == {"seed": "1"}
+        assert {c.topic: c.msgcount for c in reader.connections} == {"/clock": 50, "/plant/state": 50, "/command": 13}
+    assert found == expected(source)
+
+
+@pytest.mark.parametrize("compression", ["none", "zstd"])
+def test_mcap_reader_agrees_with_index_statistics_and_checksums(tmp_path, compression):
+    source = recording(ticks=6000)
+    write_bag(tmp_path / "bag", source, compression=compression)
+    with (tmp_path / "bag" / "bag_0.mcap").open("rb") as file:
+        reader = make_reader(file, validate_crcs=True)
+        summary = reader.get_summary()
+        assert len(summary.chunk_indexes) > 1
+        assert summary.statistics.message_count == 13500
+        assert summary.statistics.message_end_time == 5_999_000_000
+        found = [(c.topic, m.log_time, m.data) for _, c, m in reader.iter_messages(log_time_order=False)]
+        later = [m.log_time for _, _, m in reader.iter_messages(topics=["/command"], starting_at=5_990_000_000)]
+    assert found == expected(source)
+    assert later == [5_992_000_000, 5_996_000_000]
+
+
+@pytest.mark.parametrize(("storage", "compression"), FORMATS)
+def test_equal_recordings_give_equal_bytes(tmp_path, storage, compression):
+    for place in ("one", "two"):
+        write_bag(tmp_path / place / "bag", recording(), storage=storage, compression=compression)
+    names = sorted(p.name for p in (tmp_path / "one/bag").iterdir())
+    assert len(names) == 2
+    for name in names:
+        assert (tmp_path / "one/bag" / name).read_bytes() == (tmp_path / "two/bag" / name).read_bytes()
+
+
+# What rosbag2's metadata parser of version 9 reads without a default, and the type it reads it as.
+QOS_FIELDS = {
+    "history": str, "depth": int, "reliability": str, "durability": str, "deadline": dict, "lifespan": dict,
+    "liveliness": str, "liveliness_lease_duration": dict, "avoid_ros_namespace_conventions": bool,
+}  # fmt: skip
+POLICIES = {
+    "history": {"keep_last", "keep_all", "system_default", "unknown"},
+    "reliability": {"reliable", "best_effort", "system_default", "unknown"},
+    "durability": {"volatile", "transient_local", "system_default", "unknown"},
+    "liveliness": {"automatic", "manual_by_topic", "system_default", "unknown"},
+}
+
+
+@pytest.mark.parametrize(("storage", "suffix"), [("mcap", "mcap"), ("sqlite3", "db3")])
+def test_metadata_has_every_field_that_rosbag2_demands(tmp_path, storage, suffix):
+    write_bag(tmp_path / "bag", recording(), storage=storage)
+    top = YAML(typ="safe").load(tmp_path / "bag" / "metadata.yaml")
+    assert list(top) == ["rosbag2_bagfile_information"]
+    info = top["rosbag2_bagfile_information"]
+    assert info["version"] == 9
+    assert info["storage_identifier"] == storage
+    assert info["duration"] == {"nanoseconds": 49_000_000}
+    assert info["starting_time"] == {"nanoseconds_since_epoch": 0}
+    assert info["message_count"] == 113
+    assert info["compression_format"] == info["compression_mode"] == ""
+    assert info["relative_file_paths"] == [f"bag_0.{suffix}"]
+    assert info["files"] == [
+        {
+            "path": f"bag_0.{suffix}",
+            "starting_time": {"nanoseconds_since_epoch": 0},
+            "duration": {"nanoseconds": 49_000_000},
+            "message_count": 113,
+        }
+    ]
+    assert info["custom_data"] is None
+    assert isinstance(info["ros_distro"], str)
+    for entry in info["topics_with_message_count"]:
+        topic = entry["topic_metadata"]
+        assert isinstance(entry["message_count"], int)
+        assert topic["serialization_format"] == "cdr"
+        assert topic["type_description_hash"].startswith("RIHS01_")
+        for profile in topic["offered_qos_profiles"]:
+            assert {k: type(v) for k, v in profile.items()} == QOS_FIELDS
+            for policy, allowed in POLICIES.items():
+                assert profile[policy] in allowed
+            assert set(profile["deadline"]) == {"sec", "nsec"}
+
+
+def test_mcap_carries_what_rosbag2s_plugin_reads(tmp_path):
+    write_bag(tmp_path / "bag", recording())
+    with (tmp_path / "bag" / "bag_0.mcap").open("rb") as file:
+        reader = make_reader(file)
+        assert reader.get_header().profile == "ros2"
+        summary = reader.get_summary()
+        for channel in summary.channels.values():
+            assert channel.message_encoding == "cdr"
+            assert channel.metadata["topic_type_hash"].startswith("RIHS01_")
+            profiles = YAML(typ="safe").load(channel.metadata["offered_qos_profiles"])
+            assert profiles[0]["reliability"] == "reliable"
+        assert {s.encoding for s in summary.schemas.values()} == {"ros2msg"}
+        metadata = [YAML(typ="safe").load(m.metadata["serialized_metadata"]) for m in reader.iter_metadata()]
+    assert [m["message_count"] for m in metadata] == [0, 113]
+    assert metadata[-1]["version"] == 9
+
+
+@pytest.mark.parametrize(
+    "msgtype", [STATE, "trajectory_msgs/msg/JointTrajectory", "diagnostic_msgs/msg/DiagnosticArray"]
+)
+def test_type_hash_is_that_of_the_installed_messages(msgtype):
+    package, _, name = msgtype.split("/")
+    for prefix in os.environ["AMENT_PREFIX_PATH"].split(":"):
+        path = Path(prefix) / "share" / package / "msg" / f"{name}.json"
+        if path.is_file():
+            hashes = {h["type_name"]: h["hash_string"] for h in json.loads(path.read_text())["type_hashes"]}
+            break
+    assert BagTopic.known("/x", msgtype).digest == hashes[msgtype]
+
+
+def test_installed_type_outside_the_library_is_found_in_the_ament_prefix(tmp_path, monkeypatch):
+    folder = tmp_path / "share/strange_msgs/msg"
+    folder.mkdir(parents=True)
+    (folder / "Pair.msg").write_text("strange_msgs/One[2] pair\nstd_msgs/Header header\n")
+    (folder / "One.msg").write_text("float64[<=3] x\n")
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path))
+    topic = BagTopic.known("/pair", "strange_msgs/msg/Pair")
+    assert "MSG: strange_msgs/One" in topic.definition
+    assert topic.digest.startswith("RIHS01_")
+    assert BagTopic.known("/none", "absent_msgs/msg/None").definition == ""
+
+
+def test_offered_qos_is_kept(tmp_path):
+    profile = qos(depth=1)
+    write_bag(tmp_path / "bag", recording(), offered={"command": profile})
+    with Reader(tmp_path / "bag") as reader:
+        found = {c.topic: c.ext.offered_qos_profiles for c in reader.connections}
+    assert found["/command"] == [profile]
+
+
+def test_bad_arguments_are_refused_and_nothing_is_overwritten(tmp_path):
+    write_bag(tmp_path / "bag", recording())
+    before = size(tmp_path / "bag")
+    with pytest.raises(BagError, match="exists already"):
+        write_bag(tmp_path / "bag", recording())
+    assert size(tmp_path / "bag") == before
+    with pytest.raises(BagError, match="mcap or sqlite3"):
+        write_bag(tmp_path / "a", recording(), storage="sqlite")
+    with pytest.raises(BagError, match="none or zstd"):
+        write_bag(tmp_path / "b", recording(), compression="gzip")
+    with pytest.raises(BagError, match="mcap only"):
+        write_bag(tmp_path / "c", recording(), storage="sqlite3", compression="zstd")
+    assert [p.name for p in tmp_path.iterdir()] == ["bag"]
+
+
+@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
+def test_a_full_disk_leaves_no_bag_behind(tmp_path, file_limit, storage):
+    source = recording(ticks=20_000)
+    file_limit(1_000_000)
+    with pytest.raises(RunError, match=r"bag .* not written"):
+        write_bag(tmp_path / "bag", source, storage=storage)
+    assert list(tmp_path.iterdir()) == []
