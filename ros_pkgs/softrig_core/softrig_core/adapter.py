@@ -1,0 +1,355 @@
+"""What every node process does: parameters, endpoints, diagnostics, status file, spinning, ending.
+
+The two ways to drive a block are its subclasses: `lockstep.Lockstep` and `realtime.Realtime`.
+"""
+
+from __future__ import annotations
+
+import gc
+import json
+import math
+import os
+import resource
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+import rclpy
+from rclpy.clock import Clock, ClockType
+from rclpy.duration import Duration
+from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
+from rclpy.executors import ExternalShutdownException
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.task import Future
+
+from .block import Block, Level, Observer, Plant
+from .errors import RunError
+from .inprocess import check
+from .messages import message_class, range_descriptor
+from .options import Links, RunOptions
+from .params import Declaration, ParameterError, build, declarations, flatten
+from .port import Decoder, Port, Refused, Sample
+from .recording import ShardWriter
+from .timebase import to_ns
+
+# Depth 10: in lockstep at most two messages of a topic are ever under way; outside readers get some slack.
+QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
+WATCH_PERIOD = 0.25  # s: progress check, status file, flush of the shard
+
+
+class Input:
+    """A subscribed port: decoder, newest values and what was refused."""
+
+    def __init__(self, port: Port) -> None:
+        self.port = port
+        self.decode = Decoder(port)
+        self.publishers = 0
+        self.refused = 0
+        self.last_refusal = ""
+
+
+class Output:
+    """A published port."""
+
+    def __init__(self, port: Port, topic: str, number: int) -> None:
+        self.port = port
+        self.topic = topic
+        self.number = number
+        self.encode: Callable[[int, Sequence[float]], bytes] = port.layout().encode
+        self.publish: Callable[[bytes], None] = _unbound
+        self.readers = 0
+
+
+class Adapter:
+    """A block as a node.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+    block : Block
+    options : RunOptions
+    """
+
+    def __init__(self, node: Node, block: Block, options: RunOptions) -> None:
+        self.node = node
+        self.block = block
+        self.options = options
+        by_hand = Links(owns_clock=isinstance(block, Plant) and options.mode == "lockstep")
+        self.links = Links.model_validate_json(options.links) if options.links else by_hand
+        self.period = to_ns(block.p.period)
+        self.end = to_ns(options.duration) if options.duration else None
+        self.state: Literal["starting", "running", "done", "failed"] = "starting"
+        self.ticks = 0
+        self.t = 0
+        self.error: BaseException | None = None
+        self.finished: Future[None] = Future()
+        self._logged: dict[str, int] = {}
+        inputs, outputs = block.ports(block.p)
+        self.inputs = [Input(p) for p in inputs]
+        names = [node.resolve_topic_name(p.topic) for p in outputs]
+        self.outputs = [Output(p, name, i) for i, (p, name) in enumerate(zip(outputs, names, strict=True))]
+        recorded = [(_bag_name(o.topic), o.port.msgtype) for o in self.outputs]
+        # What an outside node sends is recorded by its reader, at the tick at which it takes effect.
+        self.foreign = {
+            i.port.name: len(recorded) + k
+            for k, i in enumerate(
+                i for i in self.inputs
+                if i.port.name not in self.links.inputs or self.links.inputs[i.port.name].external
+            )
+        }  # fmt: skip
+        recorded += [
+            (_bag_name(node.resolve_topic_name(i.port.topic)), i.port.msgtype)
+            for i in self.inputs if i.port.name in self.foreign
+        ]  # fmt: skip
+        self.extra_numbers = len(recorded)
+        if self.links.owns_clock:
+            recorded.append(("/clock", "rosgraph_msgs/msg/Clock"))
+        self.sink = ShardWriter(Path(options.shard), recorded) if options.shard else None
+        for item in self.inputs:
+            self.subscribe(item)
+        for output in self.outputs:
+            self.advertise(output)
+        self._diagnostics = node.create_publisher(message_class("diagnostic_msgs/msg/DiagnosticArray"),
+                                                  "/diagnostics", QOS)  # fmt: skip
+        self._figures = (
+            node.create_publisher(message_class("diagnostic_msgs/msg/DiagnosticArray"), "~/metrics", QOS)
+            if isinstance(block, Observer) else None
+        )  # fmt: skip
+        self._steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._seconds = 0
+        node.create_timer(WATCH_PERIOD, self._watch, clock=self._steady)
+
+    # endpoints -------------------------------------------------------------------------------------------------
+
+    def subscribe(self, item: Input) -> None:
+        """Subscribe raw bytes with matched and QoS events."""
+
+        def matched(status: Any) -> None:
+            item.publishers = status.current_count
+            self.on_matched(item)
+
+        self.node.create_subscription(
+            message_class(item.port.msgtype), item.port.topic, self.receiver(item), QOS, raw=True,
+            event_callbacks=SubscriptionEventCallbacks(matched=matched),
+        )  # fmt: skip
+
+    def advertise(self, output: Output) -> None:
+        """Create the publisher of an output."""
+
+        def matched(status: Any) -> None:
+            output.readers = status.current_count
+            self.on_matched(None)
+
+        publisher = self.node.create_publisher(
+            message_class(output.port.msgtype), output.port.topic, QOS,
+            event_callbacks=PublisherEventCallbacks(matched=matched),
+        )  # fmt: skip
+        output.publish = publisher.publish
+
+    def receiver(self, item: Input) -> Callable[[bytes], None]:
+        """Give the callback for the raw messages of an input."""
+        raise NotImplementedError
+
+    def on_matched(self, item: Input | None) -> None:
+        """React to a change of peers; `item` is the input whose publishers changed, if any."""
+
+    def publish(self, t: int, stamp: int, found: Mapping[str, Any]) -> None:
+        """Check, encode, publish and record a block's answer of tick `t`."""
+        sink = self.sink
+        for output in self.outputs:
+            values = check(found, output.port, self.node.get_name(), t)
+            data = output.encode(values.stamp, values.data) if isinstance(values, Sample) else output.encode(stamp, values)
+            output.publish(data)
+            if sink is not None:
+                sink.add(output.number, stamp, data)
+
+    def safe_outputs(self) -> dict[str, tuple[float, ...]]:
+        """Give what is sent when a measurement is bad."""
+        return {o.port.name: o.port.safe for o in self.outputs}
+
+    # health ----------------------------------------------------------------------------------------------------
+
+    def refuse(self, item: Input, reason: str) -> None:
+        """Count a bad message and log it once; it never reaches the block."""
+        item.refused += 1
+        if item.last_refusal != reason:
+            item.last_refusal = reason
+            self.log_once(f"{item.port.topic}: {reason[:40]}", Level.ERROR, f"refused on {item.port.topic}: {reason}")
+
+    def log_once(self, key: str, level: Level, text: str) -> None:
+        """Log a text the first time its key appears."""
+        if key not in self._logged:
+            self._logged[key] = 1
+            logger = self.node.get_logger()
+            (logger.error if level == Level.ERROR else logger.warning if level == Level.WARN else logger.info)(text)
+
+    def fail(self, text: str) -> None:
+        """End the run with an error."""
+        if self.error is None:
+            self.error = RunError(text)
+        self.finish("failed")
+
+    def finish(self, state: Literal["done", "failed"] = "done") -> None:
+        """Stop spinning."""
+        self.state = state
+        if not self.finished.done():
+            self.finished.set_result(None)
+
+    def progress(self) -> None:
+        """Check for stalls and missing peers; called every `WATCH_PERIOD`."""
+
+    def statistics(self) -> dict[str, Any]:
+        """Figures of the run for the status file."""
+        return {}
+
+    def _watch(self) -> None:
+        if self.sink is not None:
+            self.sink.flush()
+        for key, (level, text, _) in self.block.reports.items():
+            self.log_once(key, level, text)
+        self.progress()
+        self.write_status()
+        self._seconds += 1
+        if self._seconds % round(1 / WATCH_PERIOD) == 0:
+            self._publish_diagnostics()
+
+    def _publish_diagnostics(self) -> None:
+        from .messages import diagnostic_array
+
+        refused = sum(i.refused for i in self.inputs)
+        level = Level.ERROR if refused else max((r[0] for r in self.block.reports.values()), default=Level.OK)
+        text = next((i.last_refusal for i in self.inputs if i.refused), "") or self.state
+        values = {"ticks": str(self.ticks), **{f"refused {i.port.topic}": str(i.refused) for i in self.inputs}}
+        values |= {key: f"{count} x {text}" for key, (_, text, count) in self.block.reports.items()}
+        values |= {key: str(value) for key, value in self.statistics().items()}
+        now = time.time_ns()
+        self._diagnostics.publish(diagnostic_array(now, self.node.get_fully_qualified_name(), level, text, values))
+        if self._figures is not None and isinstance(self.block, Observer):
+            figures = {name: f"{value:.9g} {unit}".strip() for name, (value, unit) in self.block.status().items()}
+            self._figures.publish(diagnostic_array(self.t, self.node.get_name(), Level.OK, "", figures))
+
+    def write_status(self) -> None:
+        """Write the status file, if one is wanted."""
+        if not self.options.status:
+            return
+        status = {
+            "state": self.state, "t": self.t, "ticks": self.ticks,
+            "error": str(self.error) if self.error else "",
+            "refused": {i.port.topic: [i.refused, i.last_refusal] for i in self.inputs if i.refused},
+            "reports": {key: [int(level), text, n] for key, (level, text, n) in self.block.reports.items()},
+            "cpu_s": round(time.process_time(), 3),
+            "peak_memory_mb": round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, 1),
+            **self.statistics(),
+        }  # fmt: skip
+        if isinstance(self.block, Observer) and self.state == "done":
+            status["figures"] = {k: v for k, v in self.block.status().items() if math.isfinite(v[0])}
+        path = Path(self.options.status)
+        new = path.with_suffix(".new")
+        new.write_text(json.dumps(status))
+        new.replace(path)
+
+    def run(self) -> int:
+        """Spin until finished, failed or stopped; gives the exit status."""
+        from rclpy.experimental.events_executor import EventsExecutor
+
+        executor = EventsExecutor()
+        executor.add_node(self.node)
+        gc.collect()
+        gc.freeze()
+        stopped = False
+        try:
+            while rclpy.ok() and not self.finished.done():
+                # without a timeout this executor never delivers anything (rclpy 7.1)
+                executor.spin_until_future_complete(self.finished, 5.0)
+            if self.state == "done":
+                self.drain()
+        except (KeyboardInterrupt, ExternalShutdownException):
+            stopped = True
+        except (RunError, OSError) as error:
+            self.error, self.state = error, "failed"
+        if self.sink is not None:
+            try:
+                self.sink.close()
+            except OSError as error:
+                self.error, self.state = error, "failed"
+        if stopped and self.state != "failed":
+            self.state = "done" if self.end is None or isinstance(self, self.wall_clock()) else "failed"
+            self.error = None if self.state == "done" else RunError("stopped before the end of the run")
+        self.write_status()
+        if self.error is not None:
+            print(f"{self.node.get_name()}: {self.error}", file=sys.stderr, flush=True)
+        return 3 if self.state == "failed" else 0
+
+    @staticmethod
+    def wall_clock() -> type[Adapter]:
+        """The adapter for which being stopped is a normal end."""
+        from .realtime import Realtime
+
+        return Realtime
+
+    def drain(self) -> None:
+        """Wait until every reader has the last messages."""
+        for publisher in self.node.publishers:
+            publisher.wait_for_all_acked(Duration(seconds=2))
+
+
+def run_node(block_class: type[Block], argv: Sequence[str]) -> int:
+    """Run a block as a node until it ends; bad parameters give one line and exit status 2."""
+    from .lockstep import Lockstep
+    from .realtime import Realtime
+
+    name = Path(argv[0]).name
+    node = None
+    try:
+        rclpy.init(args=list(argv))
+        node = Node(name, automatically_declare_parameters_from_overrides=True, enable_rosout=False)
+        params, options = _parameters(node, block_class)
+        block = block_class(params, node.get_name())
+        block.reset(options.seed)
+        adapter = (Lockstep if options.mode == "lockstep" else Realtime)(node, block, options)
+    except KeyboardInterrupt:
+        return 0
+    except Exception as error:  # every start-up error ends in one line: what was wrong and where
+        where = node.get_name() if node is not None else name
+        print(f"{where}: {' '.join(str(error).split())}", file=sys.stderr, flush=True)
+        if not isinstance(error, (ParameterError, Refused)) and os.environ.get("SOFTRIG_DEBUG"):
+            raise
+        return 2
+    return adapter.run()
+
+
+def _parameters(node: Node, block_class: type[Block]) -> tuple[Any, RunOptions]:
+    """Declare all parameters with descriptions and ranges, and validate the values given."""
+    given = {name: p.value for name, p in node.get_parameters_by_prefix("").items()}
+    for name in ("use_sim_time", "start_type_description_service"):
+        given.pop(name, None)
+    given = {k: v for k, v in given.items() if not k.startswith("qos_overrides.")}
+    run = {k.removeprefix("run."): v for k, v in given.items() if k.startswith("run.")}
+    own = {k: v for k, v in given.items() if not k.startswith("run.")}
+    params: Any = build(block_class.Params, own)
+    options = build(RunOptions, run)
+    _declare(node, declarations(block_class.Params), flatten(params))
+    _declare(node, declarations(RunOptions, "run."), flatten(options, "run."))
+    return params, options  # type: ignore[return-value]
+
+
+def _declare(node: Node, wanted: list[Declaration], values: Mapping[str, Any]) -> None:
+    for declaration in wanted:
+        descriptor = range_descriptor(declaration)
+        value = values.get(declaration.name)
+        if node.has_parameter(declaration.name):
+            node.undeclare_parameter(declaration.name)  # it came undeclared and unchecked from the command line
+        if value is not None and value != []:
+            node.declare_parameter(declaration.name, value, descriptor, ignore_override=True)
+
+
+def _bag_name(topic: str) -> str:
+    """Topic name as scenarios write it: relative to the root namespace."""
+    return topic.removeprefix("/") if topic != "/clock" else topic
+
+
+def _unbound(data: bytes) -> None:
+    raise RuntimeError("output is not advertised yet")

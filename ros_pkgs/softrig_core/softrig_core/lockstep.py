@@ -1,0 +1,321 @@
+"""Lockstep: a node answers tick k when everything stamped t_k has arrived, at any speed of the host.
+
+Nothing here looks at a clock to decide a number; wall-clock time only ends a run that makes no progress.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+from rclpy.node import Node
+
+from .adapter import QOS, Adapter, Input
+from .block import Block, Observer, Plant
+from .cdr import SECOND, Layout
+from .errors import RunError
+from .messages import message_class
+from .options import RunOptions
+from .port import Decoder, Port, Refused, Sample
+
+GONE_AFTER = 0.5  # s without the awaited message after its only sender has vanished
+
+
+class Pairing:
+    """The awaited message of one paired topic.
+
+    Parameters
+    ----------
+    topic : str
+    period : int
+        Period of the sender, ns.
+    sender : str
+        Node name, for error messages.
+    item : Input or None
+        The port it feeds; None for a clock or an acknowledgement, which carry nothing but the stamp.
+    """
+
+    def __init__(self, topic: str, period: int, sender: str, item: Input | None) -> None:
+        self.topic = topic
+        self.period = period
+        self.sender = sender
+        self.item = item
+        self.want = 0
+        self.have = False
+        self.received = 0  # by order: number of messages so far
+        self.ahead: tuple[int, Any] | None = None
+
+
+class Lockstep(Adapter):
+    """A block driven tick by tick; see `Adapter` for the parameters."""
+
+    def __init__(self, node: Node, block: Block, options: RunOptions) -> None:
+        self.pairings: list[Pairing] = []
+        self.values: dict[str, Any] = {}
+        self.missing = 0
+        self.ready = False
+        self._publish_clock: Callable[[bytes], None] | None = None
+        self._publish_tick: Callable[[bytes], None] | None = None
+        self._clock_layout = Layout("rosgraph_msgs/msg/Clock")
+        self._tick_layout = Layout("builtin_interfaces/msg/Time")
+        self._is_plant = isinstance(block, Plant)
+        self._since = time.monotonic()
+        self._progress_t = -1
+        super().__init__(node, block, options)
+        links = self.links
+        name = node.get_fully_qualified_name()
+        if links.owns_clock:
+            self._clock_publisher = node.create_publisher(message_class("rosgraph_msgs/msg/Clock"), "/clock", QOS)
+            self._publish_clock = self._clock_publisher.publish
+        if links.acknowledges:
+            self._tick_publisher = node.create_publisher(message_class("builtin_interfaces/msg/Time"), "~/tick", QOS)
+            self._publish_tick = self._tick_publisher.publish
+        if links.clock:
+            self._pace("/clock", "rosgraph_msgs/msg/Clock", links.clock, "the plant")
+        for peer, period in links.acks.items():
+            self._pace(f"{name.rsplit('/', 1)[0]}/{peer}/tick", "builtin_interfaces/msg/Time", period, peer)
+        if self._is_plant:
+            self.last = None if self.end is None else self.end
+        elif self.end is not None:
+            past = self.end if isinstance(block, Observer) else self.end - 1
+            self.last = past - past % self.period
+        else:
+            self.last = None
+        self._await(0)
+        node.create_timer(0.02, self._start, clock=self._steady)
+
+    # peers -----------------------------------------------------------------------------------------------------
+
+    def receiver(self, item: Input) -> Callable[[bytes], None]:
+        """Paired inputs wait for their stamp; other held inputs take the newest value."""
+        link = self.links.inputs.get(item.port.name)
+        if link is None and item.port.held:
+            self.values[item.port.name] = None
+            return self._held(item)
+        self.values[item.port.name] = item.port.safe
+        pairing = Pairing(item.port.topic, link.period if link else self.period,
+                          link.node if link else "another node", item)  # fmt: skip
+        self.pairings.append(pairing)
+        return self._paired(pairing, item)
+
+    def _held(self, item: Input) -> Callable[[bytes], None]:
+        def receive(data: bytes) -> None:
+            try:
+                stamp, values = item.decode(data)
+            except Refused as error:
+                self.refuse(item, str(error))
+                return
+            self.values[item.port.name] = Sample(stamp, values) if item.port.delayed else values
+            if self.sink is not None:
+                self.sink.add(self.foreign[item.port.name], self.t, data)
+
+        return receive
+
+    def _paired(self, pairing: Pairing, item: Input) -> Callable[[bytes], None]:
+        name, decode, delayed = item.port.name, item.decode, item.port.delayed
+        by_order = delayed and bool(self.links.inputs.get(name))
+        record = self.foreign.get(name)
+
+        def receive(data: bytes) -> None:
+            if self.state in ("done", "failed"):
+                return
+            try:
+                stamp, values = decode(data)
+            except Refused as error:
+                self.refuse(item, str(error))
+                # A controller answers a bad measurement with its safe output; a plant waits for a good command.
+                if not self._is_plant and not pairing.have and _stamp(data) == pairing.want:
+                    self.values[name] = None
+                    self._arrived(pairing)
+                return
+            position = pairing.received * pairing.period if by_order else stamp
+            pairing.received += 1
+            if position == pairing.want and not pairing.have:
+                if record is not None and self.sink is not None:
+                    self.sink.add(record, self.t, data)
+                self.values[name] = Sample(stamp, values) if delayed else values
+                self._arrived(pairing)
+            elif pairing.want - self.period < position < pairing.want and pairing.period < self.period:
+                return  # a faster sender between two of our ticks
+            elif position == pairing.want + pairing.period and self.links.plants > 1 and pairing.ahead is None:
+                pairing.ahead = (position, Sample(stamp, values) if delayed else values)
+            else:
+                self.refuse(item, f"stamp {position / SECOND:.9g} s from {pairing.sender}, expected "
+                                  f"{pairing.want / SECOND:.9g} s{' (already there)' if pairing.have else ''}")  # fmt: skip
+
+        return receive
+
+    def _pace(self, topic: str, msgtype: str, period: int, sender: str) -> None:
+        pairing = Pairing(topic, period, sender, None)
+        self.pairings.append(pairing)
+        decode = Decoder(Port("stamp", topic, msgtype))
+
+        def receive(data: bytes) -> None:
+            stamp, _ = decode(data)
+            if stamp == pairing.want and not pairing.have:
+                self._arrived(pairing)
+            elif stamp == pairing.want + period and pairing.ahead is None:
+                pairing.ahead = (stamp, None)
+
+        self.node.create_subscription(message_class(msgtype), topic, receive, QOS, raw=True)
+
+    def on_matched(self, item: Input | None) -> None:
+        """A second publisher on a paired topic makes the run ambiguous: it ends, naming both."""
+        if item is not None and item.publishers > 1 and item.port.name in {p.item.port.name for p in self.pairings if p.item}:
+            infos = self.node.get_publishers_info_by_topic(item.port.topic)
+            names = sorted({f"{i.node_namespace.rstrip('/')}/{i.node_name}" for i in infos})
+            self.fail(f"{item.publishers} publishers on {item.port.topic} ({', '.join(names)}), expected exactly one")
+
+    def _start(self) -> None:
+        """Begin when every declared peer is matched, both ways."""
+        if self.ready or self.state != "starting":
+            return
+        if self._unmatched():
+            return
+        self.ready = True
+        self.state = "running"
+        self._since = time.monotonic()
+        if self._is_plant:
+            self._send(0)
+        if not self.missing:
+            self._step()
+
+    def _unmatched(self) -> list[str]:
+        """Describe the peers that are not there yet."""
+        node, links = self.node, self.links
+        absent = []
+        for pairing in self.pairings:
+            found = node.get_publishers_info_by_topic(pairing.topic)
+            if not found or (pairing.item is not None and not pairing.item.publishers):
+                absent.append(f"no publisher on {pairing.topic} (expected from {pairing.sender}{self._other_type(pairing)})")
+        wanted = {o.topic: links.readers.get(o.port.name, []) for o in self.outputs if o.port.name in links.readers}
+        if links.owns_clock:
+            wanted["/clock"] = links.clock_readers
+        if links.acknowledges:
+            wanted[f"{node.get_fully_qualified_name()}/tick"] = [""]
+        for topic, names in wanted.items():
+            there = {i.node_name for i in node.get_subscriptions_info_by_topic(topic)}
+            for name in names:
+                if name and name not in there:
+                    absent.append(f"{name} does not subscribe {topic}")
+            counted = next((o.readers for o in self.outputs if o.topic == topic), node.count_subscribers(topic))
+            if counted < len(names) and all(n in there for n in names):
+                absent.append(f"{topic} has {counted} readers of {len(names)}")
+        if not links.readers and not self.options.links:
+            absent += [f"nobody subscribes {o.topic}" for o in self.outputs if not o.readers and not self._is_plant]
+        return absent
+
+    def _other_type(self, pairing: Pairing) -> str:
+        types = dict(self.node.get_topic_names_and_types()).get(self.node.resolve_topic_name(pairing.topic), [])
+        other = [t for t in types if pairing.item is not None and t != pairing.item.port.msgtype]
+        return f"; the topic exists with type {', '.join(other)}" if other else ""
+
+    # ticks -----------------------------------------------------------------------------------------------------
+
+    def _await(self, t: int) -> None:
+        """Set what tick `t` needs."""
+        missing = 0
+        for pairing in self.pairings:
+            want = t - t % pairing.period
+            if want != pairing.want or t == 0:
+                pairing.want = want
+                if pairing.ahead is not None and pairing.ahead[0] == want:
+                    if pairing.item is not None:
+                        self.values[pairing.item.port.name] = pairing.ahead[1]
+                    pairing.ahead = None
+                    pairing.have = True
+                else:
+                    pairing.have = False
+                    missing += 1
+        self.missing = missing
+
+    def _arrived(self, pairing: Pairing) -> None:
+        pairing.have = True
+        self.missing -= 1
+        if not self.missing and self.ready:
+            self._step()
+
+    def _send(self, t: int) -> None:
+        """Publish the plant's outputs at `t` and the clock."""
+        if self._publish_clock is not None:
+            data = self._clock_layout.encode(t, ())
+            if self.sink is not None:
+                self.sink.add(self.extra_numbers, t, data)
+            self._publish_clock(data)
+        self.publish(t, t, self._guard(self.block.outputs, t))  # type: ignore[attr-defined]
+        if self._publish_tick is not None:
+            self._publish_tick(self._tick_layout.encode(t, ()))
+
+    def _step(self) -> None:
+        """Answer ticks as long as nothing is missing."""
+        while not self.missing and self.state == "running":
+            t = self.t
+            values = self.values
+            if self._is_plant:
+                if self.last is not None and t >= self.last:
+                    self.finish()
+                    return
+                self._guard(self.block.advance, t, **values)  # type: ignore[attr-defined]
+                self.t = t = t + self.period
+                self.ticks += 1
+                self._await(t)
+                self._send(t)
+                if self.last is not None and t >= self.last:
+                    self.finish()
+                    return
+                continue
+            bad = self._bad_input()
+            found = self.safe_outputs() if bad else self._guard(self.block.update, t, **values)
+            self.ticks += 1
+            self.t = t + self.period
+            self._await(self.t)
+            self.publish(t, t, found)
+            if self._publish_tick is not None:
+                self._publish_tick(self._tick_layout.encode(t, ()))
+            if self.last is not None and self.t > self.last:
+                self.finish()
+                return
+
+    def _bad_input(self) -> bool:
+        return any(p.item is not None and p.have and self.values[p.item.port.name] is None for p in self.pairings)
+
+    def _guard(self, function: Callable[..., Any], t: int, **values: Any) -> Any:
+        try:
+            return function(t, **values)
+        except Exception as error:
+            raise RunError(f"failed at t = {t / SECOND:.9g} s: {type(error).__name__}: {error}") from error
+
+    # stalls ----------------------------------------------------------------------------------------------------
+
+    def progress(self) -> None:
+        """End the run when a peer is gone, stalls or never came."""
+        now = time.monotonic()
+        if self.state == "starting":
+            limit = self.options.start_timeout
+            if limit and now - self._since > limit:
+                self.fail(f"not all peers after {limit:g} s: {'; '.join(self._unmatched())}")
+            return
+        if self.state != "running":
+            return
+        if self.t != self._progress_t:
+            self._progress_t, self._since = self.t, now
+            return
+        waited = now - self._since
+        lacking = [p for p in self.pairings if not p.have]
+        gone = [p for p in lacking if not self.node.count_publishers(p.topic) or (p.item and not p.item.publishers)]
+        if lacking and (waited > self.options.timeout or (gone and waited > GONE_AFTER)):
+            lacking = gone or lacking
+            what = ", ".join(
+                f"{p.topic} from {p.sender}{' (gone)' if p in gone else ''}"
+                f"{'; last refused: ' + p.item.last_refusal if p.item and p.item.last_refusal else ''}"
+                for p in lacking
+            )
+            self.fail(f"nothing stamped t = {self.t / SECOND:.9g} s within {waited:.1f} s on {what}")
+
+
+def _stamp(data: bytes) -> int:
+    """The stamp of a refused message, as far as it can be read."""
+    if len(data) < 12 or data[1] != 1:
+        return -1
+    return int.from_bytes(data[4:8], "little", signed=True) * SECOND + int.from_bytes(data[8:12], "little")

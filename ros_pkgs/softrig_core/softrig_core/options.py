@@ -1,0 +1,67 @@
+"""The ``run.*`` parameters that every node has besides those of its block, and the links a runner hands over."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict
+
+from .params import Params, param
+
+
+class RunOptions(Params):
+    """How a node runs; the defaults are those of ``ros2 run`` by hand."""
+
+    mode: Literal["realtime", "lockstep"] = param("realtime", "against the wall clock, or tick by tick with its peers")
+    seed: int = param(0, "rig seed of all random numbers", ge=0)
+    duration: float = param(0.0, "length of the run, 0 = until stopped", "s", ge=0)
+    timeout: float = param(10.0, "lockstep: wall-clock time without progress before the node gives up", "s", gt=0)
+    start_timeout: float = param(30.0, "lockstep: wall-clock time to wait for all peers, 0 = for ever", "s", ge=0)
+    watchdog: float = param(0.0, "realtime: age at which a command is stale, 0 = five periods of its sender", "s", ge=0)
+    shard: str = param("", "file to record published messages in")
+    status: str = param("", "file for the state of the node, as JSON")
+    epoch: int = param(0, "realtime: wall-clock time in ns that is t = 0, 0 = the first tick")
+    links: str = param("", "JSON of `Links`, written by the runner")
+
+
+class InputLink(BaseModel):
+    """An input that is paired with a sender of the rig."""
+
+    model_config = ConfigDict(extra="forbid")
+    period: int
+    node: str
+    external: bool = False
+
+
+class Links(BaseModel):
+    """What a node of a rig must know of its peers.
+
+    Parameters
+    ----------
+    inputs : by port name
+        Paired inputs; a held input that is not listed takes whatever comes.
+    readers : by port name
+        Nodes that must be matched before the first message.
+    clock : int
+        Period in ns of the node that publishes /clock when this node paces itself by it, else 0.
+    owns_clock : bool
+        Publishes /clock.
+    acknowledges : bool
+        Sends each tick's stamp on ``<node>/tick`` so that the plant never runs ahead of it.
+    acks : by node name
+        Nodes whose ticks the owner of the clock waits for, with their period in ns.
+    clock_readers : list of str
+        Nodes that pace themselves by /clock.
+    plants : int
+        Number of plants: with more than one, a sender may be one tick ahead.
+    """
+
+    model_config = ConfigDict(extra="forbid")
+    inputs: dict[str, InputLink] = {}
+    readers: dict[str, list[str]] = {}
+    clock: int = 0
+    owns_clock: bool = False
+    acknowledges: bool = False
+    acks: dict[str, int] = {}
+    clock_readers: list[str] = []
+    plants: int = 1

@@ -1,0 +1,323 @@
+"""The processes runner: every node of a rig in its own OS process, over DDS, watched until all have ended."""
+
+from __future__ import annotations
+
+import ctypes
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+from .domain import free_domain
+from .errors import ScenarioError
+from .options import InputLink, Links
+from .params import flatten
+from .recording import Recording
+from .rig import Member, Rig
+
+GRACE = 1.5  # s: after one node fails, how long the others may take to say what they saw
+STOP_STEPS = ((signal.SIGINT, 3.0), (signal.SIGTERM, 3.0), (signal.SIGKILL, 3.0))
+PROFILE = Path(__file__).with_name("fastdds_profile.xml")
+
+
+@dataclass
+class Outcome:
+    """What a run through processes left behind.
+
+    Parameters
+    ----------
+    recording : Recording
+    status : dict
+        Status file of each node (`adapter.Adapter.write_status`).
+    domain : int
+        ROS_DOMAIN_ID of the run.
+    epoch : int
+        Wall-clock ns of t = 0 (realtime), 0 in lockstep.
+    error : str
+        Why the run broke, naming the node; empty when it did not.
+    """
+
+    recording: Recording
+    status: dict[str, dict[str, Any]]
+    domain: int
+    epoch: int = 0
+    error: str = ""
+
+
+@dataclass
+class _Child:
+    member: Member
+    process: subprocess.Popen[bytes]
+    log: Path
+    status: Path
+    shard: Path
+    reported: bool = field(default=False)
+
+
+def links(rig: Rig, member: Member) -> Links:
+    """Work out what a node must know of its peers."""
+    paired = {
+        port: InputLink(period=link.source.period, node=link.source.name, external=link.source.external)
+        for port, link in member.links.items()
+    }
+    acks = {m.name: m.period for m in _acknowledging(rig)} if member is rig.clock else {}
+    return Links(
+        inputs=paired,
+        readers={p.name: [m.name for m, _ in rig.readers(member, p)] for p in member.outputs},
+        clock=rig.clock.period if member in _clocked(rig) else 0,
+        owns_clock=member is rig.clock,
+        acknowledges=member in _acknowledging(rig),
+        acks=acks,
+        clock_readers=[m.name for m in _clocked(rig)] if member is rig.clock else [],
+        plants=sum(m.is_plant for m in rig.members),
+    )
+
+
+def _clocked(rig: Rig) -> list[Member]:
+    """Members that pace themselves by /clock: sources, and plants that do not own it."""
+    return [m for m in rig.members if m is not rig.clock and (m.is_plant or not m.links)]
+
+
+def _acknowledging(rig: Rig) -> list[Member]:
+    """Members that would otherwise be left behind: those nobody waits for, and further plants."""
+    leaves = rig.leaves()
+    return [m for m in rig.members if m is not rig.clock and not m.external and (m.is_plant or m in leaves)]
+
+
+def run_processes(
+    rig: Rig,
+    seed: int,
+    directory: Path,
+    *,
+    mode: Literal["lockstep", "realtime"] = "lockstep",
+    domain: int | None = None,
+    progress: Callable[[int], object] | None = None,
+    announce: Callable[[str], object] | None = None,
+) -> Outcome:
+    """Start all nodes of a rig, wait for them, gather what they recorded.
+
+    Parameters
+    ----------
+    rig : Rig
+    seed : int
+    directory : Path
+        For logs, parameter files, shards and status files.
+    mode : {"lockstep", "realtime"}
+    domain : int, optional
+        ROS_DOMAIN_ID; a free one when absent.
+    progress : callable, optional
+        Called with the plant's time in ns.
+    announce : callable, optional
+        Called with a text when an external node is waited for.
+
+    Returns
+    -------
+    Outcome
+        With `error` set when a node failed; what was recorded up to there is in it.
+
+    Raises
+    ------
+    ScenarioError
+        A node refused its parameters.
+    KeyboardInterrupt
+        After all nodes were stopped.
+    """
+    directory.mkdir(parents=True, exist_ok=True)
+    children: list[_Child] = []
+    with ExitStack() as stack:
+        domain = stack.enter_context(free_domain()) if domain is None else domain
+        epoch = time.time_ns() + 3_000_000_000 if mode == "realtime" else 0
+        epoch -= epoch % max(m.period for m in rig.members)
+        environment = _environment(domain, directory)
+        external = [m for m in rig.members if m.external]
+        if external and announce is not None:
+            announce(_invitation(external, domain))
+        try:
+            for member in rig.members:
+                if not member.external:
+                    children.append(_start(rig, member, seed, directory, mode, epoch, environment))
+            error = _watch(rig, children, progress)
+        finally:
+            _stop(children)
+    status = {c.member.name: _read_status(c.status) for c in children}
+    recording = Recording((t, p.msgtype) for t, p in rig.topics.items())
+    for child in children:
+        if child.shard.exists():
+            recording.read_shard(child.shard)
+    refused = next((c for c in children if c.process.returncode == 2), None)
+    if refused is not None:
+        raise ScenarioError(_last_line(refused.log))
+    return Outcome(recording, status, domain, epoch, error)
+
+
+def _environment(domain: int, directory: Path) -> dict[str, str]:
+    environment = dict(os.environ)
+    environment |= {
+        "ROS_DOMAIN_ID": str(domain),
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+        "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp",
+        "ROS_LOG_DIR": str(directory / "log"),
+        "PYTHONUNBUFFERED": "1",
+        # one thread each: a BLAS that splits sums by the number of cores would change last bits
+        "OMP_NUM_THREADS": "1",
+        "OPENBLAS_NUM_THREADS": "1",
+    }
+    environment.pop("ROS_LOCALHOST_ONLY", None)  # deprecated, would override the discovery range
+    environment.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(PROFILE))
+    return environment
+
+
+def _invitation(external: list[Member], domain: int) -> str:
+    lines = [f"waiting for {', '.join(m.name for m in external)}; in another terminal:",
+             f"  export ROS_DOMAIN_ID={domain} ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST"]  # fmt: skip
+    for m in external:
+        lines += [f"  {m.name} must publish {p.topic} ({p.msgtype}, {', '.join(p.labels)})" for p in m.outputs]
+        lines += [f"  {m.name} can read {p.topic} ({p.msgtype})" for p in m.inputs]
+    return "\n".join(lines)
+
+
+def find_executable(package: str, executable: str) -> Path:
+    """Find ``lib/<package>/<executable>`` of a sourced workspace.
+
+    Raises
+    ------
+    ScenarioError
+        It is not there; lists what the package has.
+    """
+    prefixes = [Path(p) for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p]
+    for prefix in prefixes:
+        path = prefix / "lib" / package / executable
+        if path.is_file() and os.access(path, os.X_OK):
+            return path
+    there = sorted({p.name for prefix in prefixes for p in (prefix / "lib" / package).glob("*") if p.is_file()})
+    if not there:
+        raise ScenarioError(f"package {package!r} has no executables in AMENT_PREFIX_PATH; is the workspace built "
+                            "and sourced?")  # fmt: skip
+    raise ScenarioError(f"package {package} has no executable {executable!r}; it has {', '.join(there)}")
+
+
+def _start(rig: Rig, member: Member, seed: int, directory: Path, mode: str, epoch: int,
+           environment: dict[str, str]) -> _Child:  # fmt: skip
+    stem = directory / member.name
+    status, shard, log = stem.with_suffix(".status"), stem.with_suffix(".shard"), stem.with_suffix(".log")
+    for stale in (status, shard):
+        stale.unlink(missing_ok=True)
+    default = flatten(member.block_class.Params())
+    parameters = {k: v for k, v in flatten(member.params).items() if v != default.get(k)}
+    parameters |= {
+        "run.mode": mode,
+        "run.seed": seed,
+        "run.duration": rig.scenario.duration,
+        "run.timeout": rig.scenario.timeout,
+        "run.start_timeout": rig.scenario.start_timeout,
+        "run.links": links(rig, member).model_dump_json(),
+        "run.shard": str(shard),
+        "run.status": str(status),
+        "run.epoch": epoch,
+    }
+    file = stem.with_suffix(".params.yaml")
+    lines = [f"    {name}: {json.dumps(value)}" for name, value in parameters.items()]
+    file.write_text("/**:\n  ros__parameters:\n" + "\n".join(lines) + "\n")
+    command = [str(find_executable(member.package, member.executable)), "--ros-args", "-r", f"__node:={member.name}",
+               "--params-file", str(file)]  # fmt: skip
+    for old, new in member.remap.items():
+        command += ["-r", f"{old}:={new}"]
+    with log.open("wb") as output:
+        process = subprocess.Popen(
+            command, stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT, env=environment,
+            start_new_session=True, preexec_fn=_die_with_parent,
+        )  # fmt: skip
+    return _Child(member, process, log, status, shard)
+
+
+def _die_with_parent() -> None:
+    """Linux kills the node when the runner dies, whatever killed the runner."""
+    pr_set_pdeathsig = 1
+    ctypes.CDLL(None).prctl(pr_set_pdeathsig, signal.SIGKILL)
+
+
+def _watch(rig: Rig, children: list[_Child], progress: Callable[[int], object] | None) -> str:
+    """Wait until all have ended or one has failed; gives the reason of a failure."""
+    plant = next((c for c in children if c.member is rig.clock), children[0])
+    last = -1
+    while True:
+        running = [c for c in children if c.process.poll() is None]
+        failed = [c for c in children if c.process.poll() not in (None, 0)]
+        if failed:
+            return _reason(children, failed)
+        if not running:
+            return ""
+        if progress is not None:
+            t = _read_status(plant.status).get("t", 0)
+            if t != last:
+                progress(t)
+                last = t
+        # A child's end wakes the wait; otherwise look at the progress ten times a second.
+        try:
+            running[0].process.wait(0.1)
+        except subprocess.TimeoutExpired:
+            pass
+
+
+def _reason(children: list[_Child], failed: list[_Child]) -> str:
+    """Say which node failed first and why; peers that noticed are not the cause."""
+    killed = [c for c in failed if (c.process.returncode or 0) < 0]
+    if not killed:
+        deadline = time.monotonic() + GRACE
+        while time.monotonic() < deadline and any(c.process.poll() is None for c in children):
+            time.sleep(0.02)
+    texts = []
+    for child in killed or failed[:1]:
+        code = child.process.returncode or 0
+        t = _read_status(child.status).get("t", 0) / 1e9
+        if code < 0:
+            texts.append(f"node {child.member.name} was killed by {signal.Signals(-code).name} after t = {t:.9g} s")
+        else:
+            texts.append(f"node {_last_line(child.log) or f'{child.member.name} ended with status {code}'}")
+    return "; ".join(texts)
+
+
+def _stop(children: list[_Child]) -> None:
+    """Stop what still runs: SIGINT, then SIGTERM, then SIGKILL."""
+    for number, patience in STOP_STEPS:
+        running = [c for c in children if c.process.poll() is None]
+        if not running:
+            return
+        for child in running:
+            child.process.send_signal(signal.SIGCONT)  # a stopped process could not end otherwise
+            child.process.send_signal(number)
+        deadline = time.monotonic() + patience
+        for child in running:
+            try:
+                child.process.wait(max(0.0, deadline - time.monotonic()))
+            except subprocess.TimeoutExpired:
+                pass
+
+
+def _read_status(path: Path) -> dict[str, Any]:
+    try:
+        return json.loads(path.read_text())
+    except (FileNotFoundError, json.JSONDecodeError):
+        return {}
+
+
+def _last_line(log: Path) -> str:
+    lines = [line for line in log.read_text(errors="replace").splitlines() if line.strip()]
+    return lines[-1] if lines else ""
+
+
+def node_main(package: str, executable: str, arguments: list[str]) -> int:
+    """Replace this process by an executable: what ``ros2 run`` does, signals and exit status exact."""
+    path = find_executable(package, executable)
+    os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(PROFILE))
+    sys.stdout.flush()
+    os.execv(path, [str(path), *arguments])
+
+

@@ -1,0 +1,151 @@
+"""Blocks for tests: a first-order plant, a proportional controller, and their ill-behaved relatives."""
+
+import os
+import signal
+import time
+from typing import ClassVar
+
+from softrig_core.block import Block, Observer, Plant
+from softrig_core.node import executable
+from softrig_core.params import BlockParams, param
+from softrig_core.port import Sample, button, command, joint_state, number, reference
+
+STATE = joint_state("state", "lag/state", ["x"], position="m", velocity="m/s")
+COMMAND = command("command", "lag/command", ["u"], "N")
+REFERENCE = reference("reference", "lag/reference", ["x"], position="m")
+
+
+class LagParams(BlockParams):
+    gain: float = param(1.0, "gain", "1/s", gt=0.0, le=100.0)
+    limit: float = param(10.0, "command limit", "N", gt=0.0)
+
+
+class Lag(Plant):
+    """x' = gain (u - x), explicit Euler."""
+
+    Params = LagParams
+    INPUTS = (COMMAND, number("offset", "lag/offset", "N", held=True), button("kick", "lag/kick", held=True))
+    OUTPUTS = (STATE, joint_state("applied", "lag/applied", ["u"], effort="N"))
+
+    def start(self) -> None:
+        self.x, self.u = 0.0, 0.0
+
+    def outputs(self, t):
+        return {"state": (self.x, self.p.gain * (self.u - self.x)), "applied": (self.u,)}
+
+    def advance(self, t, command, offset, kick):
+        u = command[0] + (offset[0] if offset else 0.0) + (1.0 if kick and kick[0] else 0.0)
+        self.u = max(-self.p.limit, min(self.p.limit, u))
+        self.x += self.p.period * self.p.gain * (self.u - self.x)
+
+
+class Source(Block):
+    """A sine of the tick number."""
+
+    OUTPUTS = (REFERENCE,)
+
+    def update(self, t):
+        return {"reference": (0.001 * (t // 1_000_000 % 2000),)}
+
+
+class GainParams(BlockParams):
+    k: float = param(2.0, "gain")
+    noise: float = param(0.0, "amplitude of seeded noise", ge=0.0)
+
+
+class Gain(Block):
+    """u = k (r - x) + noise."""
+
+    Params = GainParams
+    INPUTS = (STATE, REFERENCE)
+    OUTPUTS = (COMMAND,)
+
+    def update(self, t, state, reference):
+        noise = self.p.noise * self.rng.standard_normal() if self.p.noise else 0.0
+        return {"command": (self.p.k * (reference[0] - state[0]) + noise,)}
+
+
+class Outer(Block):
+    """Slow outer loop: the reference of the inner one."""
+
+    INPUTS = (STATE, REFERENCE)
+    OUTPUTS = (reference("inner", "lag/inner_reference", ["x"], position="m"),)
+
+    def update(self, t, state, reference):
+        return {"inner": (reference[0] + 0.5 * (reference[0] - state[0]),)}
+
+
+class Watcher(Observer):
+    """Counts what it sees."""
+
+    INPUTS = (STATE, COMMAND)
+
+    def start(self) -> None:
+        self.seen = 0
+
+    def update(self, t, state, command):
+        self.seen += 1
+        return {}
+
+    def status(self):
+        return {"seen": (float(self.seen), "")}
+
+
+class FaultParams(BlockParams):
+    at: float = param(0.5, "time of the fault", "s", ge=0.0)
+
+
+class Killed(Gain):
+    class Params(FaultParams):
+        how: str = param("kill", "kill, stop, nan, raise or hang")
+
+    def update(self, t, state, reference):
+        if t >= self.p.at * 1e9:
+            if self.p.how == "kill":
+                os.kill(os.getpid(), signal.SIGKILL)
+            if self.p.how == "stop":
+                os.kill(os.getpid(), signal.SIGSTOP)
+            if self.p.how == "nan":
+                return {"command": (float("nan"),)}
+            if self.p.how == "hang":
+                time.sleep(3600)
+            raise ArithmeticError("deliberate")
+        return {"command": (2.0 * (reference[0] - state[0]),)}
+
+
+class LinkParams(BlockParams):
+    samples: int = param(3, "delay in samples", ge=0)
+
+
+class DelayedLink(Block):
+    """The state some samples late, with its acquisition stamp."""
+
+    Params = LinkParams
+    INPUTS = (STATE,)
+    OUTPUTS = (joint_state("late", "lag/late_state", ["x"], position="m", velocity="m/s", delayed=True),)
+
+    def start(self) -> None:
+        self.past: list[Sample] = []
+
+    def update(self, t, state):
+        self.past.append(Sample(t, state))
+        return {"late": self.past[max(0, len(self.past) - 1 - self.p.samples)]}
+
+
+class LateGain(Block):
+    INPUTS = (joint_state("state", "lag/late_state", ["x"], position="m", velocity="m/s", delayed=True), REFERENCE)
+    OUTPUTS = (COMMAND,)
+    ages: ClassVar[list[int]] = []
+
+    def update(self, t, state, reference):
+        return {"command": (reference[0] - state.data[0] - (t - state.stamp) * 1e-12,)}
+
+
+plant = executable(Lag)
+source = executable(Source)
+gain = executable(Gain)
+outer = executable(Outer)
+watcher = executable(Watcher)
+killed = executable(Killed)
+link = executable(DelayedLink)
+late_gain = executable(LateGain)

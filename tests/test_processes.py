@@ -1,0 +1,324 @@
+"""Lockstep through real processes over DDS: exact, bit-equal to in-process, and clear about every fault."""
+
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+from conftest import differences, in_process, make_scenario
+from softrig_core.domain import free_domain
+from softrig_core.errors import ScenarioError
+from softrig_core.processes import PROFILE, find_executable, run_processes
+from softrig_core.rig import Rig
+
+pytestmark = pytest.mark.processes
+
+BASIC = {"plant": "plant", "source": "source", "gain": "gain"}
+
+
+def rig(nodes, duration=1.0, **keys):
+    return Rig.from_scenario(make_scenario(nodes, duration, **keys))
+
+
+def params(executable, **parameters):
+    return {"executable": executable, "parameters": parameters}
+
+
+RIGS = {
+    "basic": (BASIC, 3.0),
+    "seeded noise": (BASIC | {"gain": params("gain", noise=0.3)}, 1.0),
+    "two loops at two rates, a chain and a leaf": (
+        {
+            "plant": params("plant", period=0.0005),
+            "source": params("source", period=0.1),
+            "outer": params("outer", period=0.01),
+            "gain": {"executable": "gain", "parameters": {"period": 0.001},
+                     "remap": {"lag/reference": "lag/inner_reference"}},
+            "watcher": params("watcher", period=0.0005),
+        },
+        1.0,
+    ),
+    "delayed link": ({"plant": "plant", "source": "source", "link": "link", "gain": "late_gain"}, 1.0),
+    "two plants": (
+        {
+            "plant": "plant", "source": "source", "gain": "gain",
+            "second": {"executable": "plant", "parameters": {"period": 0.02, "gain": 3.0},
+                       "remap": {"lag/state": "second/state", "lag/applied": "second/applied",
+                                 "lag/command": "lag/command"}},
+        },
+        1.0,
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", RIGS)
+def test_equal_to_in_process_bit_for_bit(name, tmp_path):
+    nodes, duration = RIGS[name]
+    wired = rig(nodes, duration)
+    outcome = run_processes(wired, 7, tmp_path)
+    assert outcome.error == ""
+    expected = in_process(wired, 7)
+    assert differences(expected, outcome.recording) == []
+    plant = wired.clock
+    ticks = wired.end // plant.period
+    assert len(outcome.recording.topics["lag/state"].times) == ticks + 1
+    assert len(outcome.recording.topics["lag/command"].times) == wired.end // wired_period(wired, "gain")
+    assert all(s["state"] == "done" and not s["refused"] for s in outcome.status.values())
+
+
+def wired_period(wired, name):
+    return next(m.period for m in wired.members if m.name == name)
+
+
+def test_a_different_seed_gives_different_noise(tmp_path):
+    wired = rig(BASIC | {"gain": params("gain", noise=0.3)}, 0.2)
+    outcome = run_processes(wired, 8, tmp_path)
+    assert "lag/command" in differences(in_process(wired, 7), outcome.recording)
+
+
+def test_an_observer_sees_every_sample_up_to_the_end(tmp_path):
+    nodes = BASIC | {"watcher": {"executable": "watcher"}}
+    outcome = run_processes(rig(nodes), 0, tmp_path)
+    assert outcome.status["watcher"]["figures"]["seen"] == [101.0, ""]
+
+
+def test_many_starts_are_identical_also_under_load(tmp_path):
+    """50 starts, two at a time on two cores with a spinning process beside them."""
+    wired = rig(BASIC, 0.3)
+    expected = in_process(wired)
+    load = subprocess.Popen([sys.executable, "-c", "while True: pass"])
+    try:
+        with ThreadPoolExecutor(2) as pool:
+            outcomes = list(pool.map(lambda i: run_processes(wired, 0, tmp_path / str(i)), range(50)))
+    finally:
+        load.kill()
+        load.wait()
+    assert [o.error for o in outcomes if o.error] == []
+    assert [i for i, o in enumerate(outcomes) if differences(expected, o.recording)] == []
+
+
+def fault(how, **keys):
+    return rig(BASIC | {"gain": params("killed", how=how, at=0.2)}, 1.0, timeout=1.5, **keys)
+
+
+@pytest.mark.parametrize(
+    ("how", "texts"),
+    [
+        ("kill", ["node gain was killed by SIGKILL"]),
+        ("stop", ["plant: nothing stamped t = 0.2 s within", "lag/command from gain"]),
+        ("hang", ["plant: nothing stamped t = 0.2 s within", "lag/command from gain"]),
+        ("nan", ["gain: command u/effort became nan at t = 0.2 s"]),
+        ("raise", ["gain: failed at t = 0.2 s: ArithmeticError: deliberate"]),
+    ],
+)
+def test_a_failing_controller_ends_the_run_with_its_name_and_a_readable_record(how, texts, tmp_path):
+    wired = fault(how)
+    outcome = run_processes(wired, 0, tmp_path)
+    for text in texts:
+        assert text in outcome.error
+    good = in_process(rig(BASIC, 0.2))
+    for topic, count in (("lag/state", 21), ("lag/command", 20)):
+        assert outcome.recording.topics[topic].data[:count] == good.topics[topic].data[:count]
+        if topic == "lag/state":
+            assert len(outcome.recording.topics[topic].data) == count
+    assert no_process_left(tmp_path)
+
+
+def no_process_left(directory):
+    """Whether no process of the run is alive: their command lines name the run's parameter files."""
+    for entry in Path("/proc").iterdir():
+        if entry.name.isdigit():
+            try:
+                if str(directory).encode() in (entry / "cmdline").read_bytes():
+                    return False
+            except OSError:
+                continue
+    return True
+
+
+def test_ctrl_c_stops_all_nodes(tmp_path):
+    code = textwrap.dedent(f"""
+        import sys; sys.path.insert(0, {str(Path(__file__).parent)!r})
+        from conftest import make_scenario
+        from softrig_core.rig import Rig
+        from softrig_core.processes import run_processes
+        from pathlib import Path
+        wired = Rig.from_scenario(make_scenario({BASIC!r}, 1e5))
+        run_processes(wired, 0, Path({str(tmp_path)!r}), progress=lambda t: print(t, flush=True))
+    """)
+    process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True, start_new_session=True)
+    while int(process.stdout.readline()) == 0:
+        pass
+    os.killpg(process.pid, signal.SIGINT)
+    process.communicate(timeout=15)
+    assert no_process_left(tmp_path)
+
+
+def test_nodes_die_with_a_killed_runner(tmp_path):
+    code = textwrap.dedent(f"""
+        import sys; sys.path.insert(0, {str(Path(__file__).parent)!r})
+        from conftest import make_scenario
+        from softrig_core.rig import Rig
+        from softrig_core.processes import run_processes
+        from pathlib import Path
+        wired = Rig.from_scenario(make_scenario({BASIC!r}, 1e5))
+        run_processes(wired, 0, Path({str(tmp_path)!r}), progress=lambda t: print(t, flush=True))
+    """)
+    process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
+    while int(process.stdout.readline()) == 0:
+        pass
+    process.kill()
+    process.wait()
+    deadline = time.monotonic() + 10
+    while not no_process_left(tmp_path):
+        assert time.monotonic() < deadline, "nodes outlive their runner"
+
+
+def test_bad_parameters_stop_a_node_with_one_line(tmp_path):
+    environment = os.environ | {"ROS_LOG_DIR": str(tmp_path)}
+    executable = str(find_executable("faultrig", "plant"))
+    for argument, text in [
+        ("gain:=-1.0", "parameter gain = -1.0: input should be greater than 0"),
+        ("gian:=1.0", "parameter gian is unknown; this block has period, gain, limit"),
+        ("gain:=high", "parameter gain = 'high': input should be a valid number"),
+        ("run.mode:=fast", "run.mode"),
+    ]:
+        done = subprocess.run([executable, "--ros-args", "-p", argument], capture_output=True, text=True,
+                              env=environment, timeout=30)  # fmt: skip
+        assert done.returncode == 2
+        assert text.removeprefix("run.") in done.stderr
+        assert len(done.stderr.strip().splitlines()) == 1
+
+
+def test_a_refused_parameter_is_a_scenario_error():
+    with pytest.raises(ScenarioError, match=r"test: node plant: parameter gain = -1"):
+        rig(BASIC | {"plant": params("plant", gain=-1.0)})
+
+
+OUTSIDE = """
+import sys
+import rclpy
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+from trajectory_msgs.msg import JointTrajectory
+
+rclpy.init()
+node = Node("gain")
+publisher = node.create_publisher(JointState, "lag/command", 10)
+latest = {}
+
+def reference(message):
+    latest[message.header.stamp.sec * 10**9 + message.header.stamp.nanosec] = message.points[0].positions[0]
+    answer()
+
+def state(message):
+    latest["state"] = message
+    answer()
+
+def answer():
+    message = latest.get("state")
+    if message is None:
+        return
+    stamp = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+    if stamp not in latest:
+        return
+    command = JointState()
+    command.header.stamp = message.header.stamp
+    command.name = ["u"]
+    command.effort = [2.0 * (latest[stamp] - message.position[0])]
+    EXTRA
+    publisher.publish(command)
+    latest.pop("state")
+
+node.create_subscription(JointState, "lag/state", state, 10)
+node.create_subscription(JointTrajectory, "lag/reference", reference, 10)
+rclpy.spin(node)
+"""
+
+
+def with_outside_controller(extra, directory, duration=1.0, before=None):
+    """Run the basic rig with a plain rclpy controller that imports nothing of softrig."""
+    wired = rig(BASIC | {"gain": {"executable": "gain", "external": True}}, duration, timeout=1.5)
+    with free_domain() as domain:
+        environment = os.environ | {
+            "ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+            "FASTRTPS_DEFAULT_PROFILES_FILE": str(PROFILE), "ROS_LOG_DIR": str(directory),
+        }  # fmt: skip
+        script = directory / "outside.py"
+        script.write_text(OUTSIDE.replace("EXTRA", extra))
+        outside = []
+
+        def announce(text):
+            assert f"ROS_DOMAIN_ID={domain}" in text
+            assert "lag/command" in text
+            outside.append(subprocess.Popen([sys.executable, str(script)], env=environment))
+
+        try:
+            return wired, run_processes(wired, 0, directory, domain=domain, announce=announce)
+        finally:
+            for process in outside:
+                process.kill()
+                process.wait()
+
+
+def test_an_outside_controller_takes_the_place_of_ours(tmp_path):
+    """A late joiner by construction: it is started only when the rig already waits for it."""
+    wired, outcome = with_outside_controller("", tmp_path)
+    assert outcome.error == ""
+    ours = in_process(rig(BASIC))
+    assert outcome.recording.topics["lag/state"].data == ours.topics["lag/state"].data
+    assert len(outcome.recording.topics["lag/command"].data) == 100
+
+
+@pytest.mark.parametrize(
+    ("extra", "reason"),
+    [
+        ("command.effort = [float('nan')]", "u/effort is nan, expected a finite number"),
+        ("command.name = ['w']", "names ['w'], expected ['u']"),
+        ("command.effort = [1.0, 2.0]", "effort has 2 values, expected 1 (u)"),
+        ("command.header.stamp.sec += 1", "stamp 1 s from gain, expected 0 s"),
+    ],
+)
+def test_a_bad_outside_command_never_reaches_the_plant(extra, reason, tmp_path):
+    _, outcome = with_outside_controller(extra, tmp_path)
+    assert "plant: nothing stamped t = 0 s within" in outcome.error
+    assert reason in outcome.error
+    assert outcome.status["plant"]["refused"]["lag/command"] == [1, reason]
+    assert len(outcome.recording.topics["lag/state"].times) == 1
+
+
+def test_a_second_publisher_ends_the_run_naming_both(tmp_path):
+    wired = rig(BASIC, 1e4)
+    with free_domain() as domain:
+        environment = os.environ | {"ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+        intruders = []
+
+        def progress(t):
+            if t and not intruders:
+                code = OUTSIDE.replace('Node("gain")', 'Node("intruder")').replace("EXTRA", "")
+                intruders.append(subprocess.Popen([sys.executable, "-c", code], env=environment))
+
+        outcome = run_processes(wired, 0, tmp_path, domain=domain, progress=progress)
+        intruders[0].kill()
+        intruders[0].wait()
+    assert "2 publishers on lag/command (/gain, /intruder), expected exactly one" in outcome.error
+
+
+def test_a_peer_that_never_comes_is_named(tmp_path):
+    wired = rig(BASIC | {"gain": {"executable": "gain", "external": True}}, start_timeout=1.0)
+    outcome = run_processes(wired, 0, tmp_path)
+    assert "not all peers after 1 s" in outcome.error
+    assert "gain" in outcome.error
+
+
+def test_two_runs_at_once_do_not_mix(tmp_path):
+    wired = rig(BASIC, 1.0)
+    with ThreadPoolExecutor(2) as pool:
+        outcomes = list(pool.map(lambda i: run_processes(wired, i, tmp_path / str(i)), range(2)))
+    assert len({o.domain for o in outcomes}) == 2
+    assert [o.error for o in outcomes] == ["", ""]
