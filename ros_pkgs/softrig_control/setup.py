@@ -18,5 +18,10 @@ setup(
     description="Reusable control laws, references and filters for softrig",
     license="Apache-2.0",
     extras_require={"test": ["pytest"]},
-    entry_points={"console_scripts": []},
+    entry_points={
+        "console_scripts": [
+            "command_source = softrig_control.command_source:main",
+            "reference_source = softrig_control.reference_source:main",
+        ]
+    },
 )

@@ -18,5 +18,13 @@ setup(
     description="Electric drives as rclpy nodes: DC motor",
     license="Apache-2.0",
     extras_require={"test": ["pytest"]},
-    entry_points={"console_scripts": []},
+    entry_points={
+        "console_scripts": [
+            "dc_motor_metrics = softrig_drives.dc_motor.metrics:main",
+            "dc_motor_pid = softrig_drives.dc_motor.pid:main",
+            "dc_motor_plant = softrig_drives.dc_motor.plant:main",
+            "dc_motor_smc = softrig_drives.dc_motor.sliding_mode:main",
+            "dc_motor_smc_kalman = softrig_drives.dc_motor.kalman_surface:main",
+        ]
+    },
 )

@@ -1,0 +1,81 @@
+"""Steady-state Kalman filter of a small linear system, in plain floats."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from .discretise import Matrix, matmul
+
+
+def steady_kalman_gain(
+    a: Sequence[Sequence[float]], c: Sequence[Sequence[float]], q: Sequence[float], r: Sequence[float]
+) -> Matrix:
+    """Gain K of the measurement update x = x- + K (y - C x-) once the covariance no longer changes.
+
+    Parameters
+    ----------
+    a : (n, n) nested sequence
+        Sampled system matrix.
+    c : (m, n) nested sequence
+        Measurement matrix.
+    q : sequence of n floats
+        Variances of the process noise of one step.
+    r : sequence of m floats
+        Variances of the measurement noise.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        No steady filter exists (a state that is neither measured nor stable).
+    """
+    import numpy as np
+    from scipy.linalg import solve_discrete_are
+
+    A, C = np.array(a), np.array(c)
+    P = solve_discrete_are(A.T, C.T, np.diag(q), np.diag(r))
+    K = np.linalg.solve(C @ P @ C.T + np.diag(r), C @ P).T
+    return tuple(tuple(map(float, row)) for row in K)
+
+
+class SteadyKalman:
+    """Kalman filter with the steady gain, one predict and update a sample.
+
+    x_k = (I - K C)(A x_(k-1) + B u_(k-1)) + K y_k
+
+    Parameters
+    ----------
+    a, b, c : nested sequences of shapes (n, n), (n, p), (m, n)
+        Sampled system.
+    q, r : sequences of n and m floats
+        Variances of process (per step) and measurement noise.
+    """
+
+    def __init__(
+        self, a: Sequence[Sequence[float]], b: Sequence[Sequence[float]], c: Sequence[Sequence[float]],
+        q: Sequence[float], r: Sequence[float],
+    ) -> None:  # fmt: skip
+        n = range(len(a))
+        gain = steady_kalman_gain(a, c, q, r)
+        kc = matmul(gain, c)
+        keep = [[float(i == j) - kc[i][j] for j in n] for i in n]
+        # one matrix for the whole step: x_k = M (x_(k-1), u_(k-1), y_k)
+        self._rows = [
+            (*row_a, *row_b, *row_k) for row_a, row_b, row_k in zip(matmul(keep, a), matmul(keep, b), gain, strict=True)
+        ]
+        self.reset()
+
+    def reset(self) -> None:
+        """Go back to the estimate zero."""
+        self.x = [0.0] * len(self._rows)
+
+    def __call__(self, u: Sequence[float], y: Sequence[float]) -> list[float]:
+        """Give the estimate of x_k from the input u_(k-1) held since the last sample and the measurement y_k."""
+        known = (*self.x, *u, *y)
+        x = []
+        for row in self._rows:
+            total = 0.0
+            for m, z in zip(row, known):  # noqa: B905 (hot; lengths are fixed above)
+                total += m * z
+            x.append(total)
+        self.x = x
+        return x

@@ -1,0 +1,56 @@
+"""PID law with filtered derivative and conditional anti-windup."""
+
+from __future__ import annotations
+
+from softrig_core.params import Params, param
+
+
+class PidParams(Params):
+    """Gains of `Pid`; inherit for a node's parameters and give the published values."""
+
+    kp: float = param(1.0, "proportional gain Kp")
+    ki: float = param(0.0, "integral gain Ki", "1/s")
+    kd: float = param(0.0, "derivative gain Kd", "s")
+    n_filter: float = param(100.0, "corner N of the derivative filter Kd N s/(s + N)", "1/s", gt=0.0)
+    anti_windup: bool = param(True, "stop the integral while the output is beyond u_max and the error drives it on")
+    u_max: float = param(1.0, "actuator limit that anti_windup assumes; the output itself is not clipped", gt=0.0)
+
+
+class Pid:
+    """Sampled PID law.
+
+    ::
+
+        d_k = (d_(k-1) + Kd N (e_k - e_(k-1)))/(1 + N Ts)     backward difference, e_(-1) = 0
+        u_k = Kp e_k + I_k + d_k
+        I_(k+1) = I_k + Ki e_k Ts                             unless |u_k| > u_max and u_k e_k > 0
+
+    Parameters
+    ----------
+    gains : PidParams
+    period : float
+        Ts in s.
+    """
+
+    def __init__(self, gains: PidParams, period: float) -> None:
+        self._kp = gains.kp
+        self._ki_ts = gains.ki * period
+        self._kd_n = gains.kd * gains.n_filter
+        self._decay = 1.0 + gains.n_filter * period
+        self._limit = gains.u_max if gains.anti_windup else float("inf")
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the past: no integral, no error before the next one."""
+        self._integral = 0.0
+        self._derivative = 0.0
+        self._error = 0.0
+
+    def __call__(self, error: float) -> float:
+        """Give u_k for the error e_k."""
+        self._derivative = d = (self._derivative + self._kd_n * (error - self._error)) / self._decay
+        self._error = error
+        u = self._kp * error + self._integral + d
+        if abs(u) <= self._limit or u * error <= 0.0:
+            self._integral += self._ki_ts * error
+        return u

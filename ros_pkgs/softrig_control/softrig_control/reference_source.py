@@ -1,0 +1,67 @@
+"""Reference of one or more axes: constants that step at given times."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Self
+
+from pydantic import model_validator
+from softrig_core.block import Block
+from softrig_core.node import executable
+from softrig_core.params import param
+from softrig_core.port import Port, reference
+
+from .profile import ProfileParams, StepProfile
+
+# parameter: (argument of `reference`, what follows the unit of a position)
+FIELDS = {"positions": ("position", ""), "velocities": ("velocity", "/s"), "accelerations": ("acceleration", "/s^2")}
+
+
+class ReferenceSourceParams(ProfileParams):
+    """Which axes, and their positions, velocities and accelerations from each time on.
+
+    A field is sent when values are given for it: all axes at the first time, then all axes at the next, and so on.
+    """
+
+    unit: str = param("rad", "unit of a position; velocities and accelerations are in this unit per s and s^2")
+    positions: tuple[float, ...] = param((), "position of every axis from each time on")
+    velocities: tuple[float, ...] = param((10.0,), "velocity of every axis from each time on")
+    accelerations: tuple[float, ...] = param((), "acceleration of every axis from each time on")
+
+    @property
+    def fields(self) -> list[str]:
+        """The fields that are sent."""
+        return [f for f in FIELDS if getattr(self, f)]
+
+    @model_validator(mode="after")
+    def _sizes(self) -> Self:
+        if not self.fields:
+            raise ValueError("none of positions, velocities, accelerations is given")
+        for field in self.fields:
+            self.rows(field)
+        return self
+
+
+class ReferenceSource(Block):
+    """Publishes the reference of the axes at every tick."""
+
+    Params = ReferenceSourceParams
+
+    @classmethod
+    def ports(cls, params: ReferenceSourceParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
+        """One output with the fields for which values are given."""
+        units = {FIELDS[field][0]: params.unit + FIELDS[field][1] for field in params.fields}
+        return (), (reference("reference", "reference", params.channels, **units),)
+
+    def setup(self) -> None:
+        """Prepare the answer for each time."""
+        fields = [self.p.rows(field) for field in self.p.fields]
+        answers = [{"reference": tuple(x for row in rows for x in row)} for rows in zip(*fields, strict=True)]
+        self._answers = StepProfile(self.p.times, answers)
+
+    def update(self, t: int, **inputs: Any) -> Mapping[str, tuple[float, ...]]:
+        """Give the reference at t."""
+        return self._answers.at(t)
+
+
+main = executable(ReferenceSource)

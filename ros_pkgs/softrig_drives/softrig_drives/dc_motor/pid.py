@@ -1,0 +1,50 @@
+"""PID speed controller, the paper's baseline."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from softrig_control.pid import Pid, PidParams
+from softrig_core.node import executable
+from softrig_core.params import param
+
+from .ports import COMMAND, REFERENCE, SPEED
+from .speed_control import SpeedControl, SpeedControlParams
+
+
+class DcMotorPidParams(PidParams, SpeedControlParams):
+    """Gains solved from rise time, settling time and overshoot of the paper's Table II."""
+
+    kp: float = param(4.45596543, "proportional gain Kp", "V s/rad")
+    ki: float = param(1.73184573, "integral gain Ki", "V/rad")
+    kd: float = param(0.12374157, "derivative gain Kd", "V s^2/rad")
+    u_max: float = param(12.0, "supply voltage that the anti-windup assumes", "V", gt=0.0)
+
+
+class DcMotorPid(SpeedControl):
+    """u = Kp e + Ki int e + Kd e' on the measured speed, e = wd - w; see `softrig_control.pid.Pid`."""
+
+    Params = DcMotorPidParams
+    INPUTS = (SPEED, REFERENCE)
+    OUTPUTS = (COMMAND,)
+
+    def setup(self) -> None:
+        """Make the law."""
+        self._pid = Pid(self.p, self.p.period)
+
+    def start(self) -> None:
+        """Forget integral, derivative and reference."""
+        super().start()
+        self._pid.reset()
+
+    def update(
+        self, t: int, *, state: tuple[float, ...], reference: tuple[float, ...] | None
+    ) -> Mapping[str, tuple[float, ...]]:
+        """Give the voltage."""
+        e = self.reference(reference) - state[0]
+        if e - e != 0.0:
+            return self.refuse()
+        return {"command": (self._pid(e),)}
+
+
+main = executable(DcMotorPid)

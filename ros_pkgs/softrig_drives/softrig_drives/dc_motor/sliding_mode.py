@@ -1,0 +1,135 @@
+"""Sliding mode speed controller, the paper's law."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Literal
+
+from softrig_control.sliding_mode import switching
+from softrig_core.node import executable
+from softrig_core.params import param
+from softrig_core.port import Port
+
+from .ports import COMMAND, REFERENCE, SENSORS, SPEED, SURFACE
+from .speed_control import SpeedControl, SpeedControlParams
+
+
+class SurfaceParams(SpeedControlParams):
+    """Surface, switching gain and the law's model of the motor.
+
+    c and K/r are solved from rise and settling time of the paper's Table II.
+    """
+
+    c: float = param(5.0320416, "slope c of the surface s = c e + e'", "1/s", gt=0.0)
+    k: float | None = param(
+        None, "switching gain K; absent: k_per_ref times the size of the reference", "rad/s^3", gt=0.0
+    )
+    k_per_ref: float = param(9.71170883, "switching gain per reference K/|r|", "1/s^2", gt=0.0)
+    delta: float = param(0.0, "softening of K s/(|s| + delta); 0 is K sgn(s)", "rad/s^2", ge=0.0)
+    model_gain: float = param(13.89, "gain of the law's model w'' = gain u - a1 w' - a0 w, eq. (16)", gt=0.0)
+    model_a1: float = param(5.648, "coefficient a1 of that model", "1/s")
+    model_a0: float = param(1.509, "coefficient a0 of that model", "1/s^2")
+    publish_surface: bool = param(False, "also publish s on motor/surface")
+
+
+class SurfaceControl(SpeedControl):
+    """The sliding mode law on a speed and its derivative, wherever they come from.
+
+    ::
+
+        e = wd - w,  s = c e + e'
+        u = (a0 w + a1 w' + wd'' + c e' + K sgn(s))/gain               paper eq. (33)
+        u = (a0 w + a1 w' + wd'' + c e' + K s/(|s| + delta))/gain      paper eq. (36)
+
+    with wd' = wd'' = 0, because the reference is a constant that may step. On the ideal motor s' = -K sgn(s). Where K
+    follows the reference, a reference of zero keeps the K of the one before, or nothing would brake the motor.
+    """
+
+    Params = SurfaceParams
+    OUTPUTS = (COMMAND,)
+
+    @classmethod
+    def ports(cls, params: SurfaceParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
+        """The surface is an output when asked for."""
+        return cls.INPUTS, (COMMAND, SURFACE) if params.publish_surface else cls.OUTPUTS
+
+    def setup(self) -> None:
+        """Divide the law by the gain of its model."""
+        p: SurfaceParams = self.p
+        self._w_gain = p.model_a0 / p.model_gain
+        self._wd_gain = (p.model_a1 - p.c) / p.model_gain
+        self._c, self._delta, self._surface = p.c, p.delta, p.publish_surface
+
+    def start(self) -> None:
+        """Begin with the set point and its switching gain."""
+        super().start()
+        self._rescale(self._r)
+
+    def _rescale(self, r: float) -> None:
+        p: SurfaceParams = self.p
+        self._scaled_to = r
+        if p.k is not None:
+            self._k_gain = p.k / p.model_gain
+        elif r:
+            self._k_gain = p.k_per_ref * abs(r) / p.model_gain
+
+    def law(self, r: float, w: float, wd: float) -> Mapping[str, tuple[float, ...]]:
+        """Answer for the reference r, the speed w and its derivative wd."""
+        if r != self._scaled_to:
+            self._rescale(r)
+        s = self._c * (r - w) - wd
+        u = self._w_gain * w + self._wd_gain * wd + self._k_gain * switching(s, self._delta)
+        return {"command": (u,), "surface": (s,)} if self._surface else {"command": (u,)}
+
+
+class DcMotorSmcParams(SurfaceParams):
+    """The law of the paper and its source of w'."""
+
+    wd_source: Literal["current", "diff"] = param(
+        "current", "w' from the measured current, w' = wd_i i - wd_w w, or from the difference of speeds"
+    )
+    wd_lp: float = param(0.0, "time constant of a first-order low-pass on w' of the difference; 0 is none", "s", ge=0.0)
+    wd_w: float = param(5.5, "b/J in w' of the current", "1/s")
+    wd_i: float = param(37.5, "Kt/J in w' of the current", "rad/s^2/A")
+
+
+class DcMotorSmc(SurfaceControl):
+    """Sliding mode on the measured speed and current; see `SurfaceControl` for the law."""
+
+    Params = DcMotorSmcParams
+    INPUTS = (SPEED, SENSORS, REFERENCE)
+
+    def setup(self) -> None:
+        """Prepare law and filter."""
+        super().setup()
+        p: DcMotorSmcParams = self.p
+        self._current = p.wd_source == "current"
+        self._wd_w, self._wd_i = p.wd_w, p.wd_i
+        self._rate = 1.0 / p.period
+        self._blend = -math.expm1(-p.period / p.wd_lp) if p.wd_lp else 1.0
+
+    def start(self) -> None:
+        """No speed before the first; a motor at rest."""
+        super().start()
+        self._w: float | None = None
+        self._wd = 0.0
+
+    def update(
+        self, t: int, *, state: tuple[float, ...], sensors: tuple[float, ...], reference: tuple[float, ...] | None
+    ) -> Mapping[str, tuple[float, ...]]:
+        """Give the voltage."""
+        w = state[0]
+        r = self.reference(reference)
+        known = r + w + sensors[1]
+        if known - known != 0.0:
+            return self.refuse()
+        if self._current:
+            return self.law(r, w, self._wd_i * sensors[1] - self._wd_w * w)
+        if self._w is not None:
+            self._wd += self._blend * ((w - self._w) * self._rate - self._wd)
+        self._w = w
+        return self.law(r, w, self._wd)
+
+
+main = executable(DcMotorSmc)

@@ -1,0 +1,59 @@
+"""What the motor's speed controllers share: ports, set point, checks."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Self
+
+from pydantic import model_validator
+from softrig_core.block import Block, Level
+from softrig_core.params import BlockParams, param
+
+
+class SpeedControlParams(BlockParams):
+    """Set point and its range."""
+
+    set_point: float = param(10.0, "speed reference until one arrives on motor/reference", "rad/s")
+    reference_limit: float = param(21.8, "largest speed whose current the rig's sensor can tell", "rad/s", gt=0.0)
+
+    @model_validator(mode="after")
+    def _set_point(self) -> Self:
+        if abs(self.set_point) > self.reference_limit:
+            raise ValueError(
+                f"set_point = {self.set_point:g} rad/s: beyond reference_limit = {self.reference_limit:g} rad/s"
+            )
+        return self
+
+
+class SpeedControl(Block):
+    """Base of the speed controllers.
+
+    A law calls `reference` for the reference that holds at this tick and, when a number that it is about to use is
+    not finite, answers `refuse` instead of touching its state.
+    """
+
+    def start(self) -> None:
+        """Begin with the set point of the parameters."""
+        self._r = self.p.set_point
+
+    def reference(self, message: tuple[float, ...] | None) -> float:
+        """Give the reference to follow: the newest in range; NaN for one that is not finite."""
+        if message is None or message[0] == self._r:
+            return self._r
+        r = message[0]
+        if not math.isfinite(r):
+            return math.nan
+        if abs(r) > self.p.reference_limit:
+            self.report(
+                Level.WARN, "reference_range",
+                f"reference {r:g} rad/s is beyond {self.p.reference_limit:g} rad/s; {self._r:g} rad/s is kept",
+            )  # fmt: skip
+            return self._r
+        self._r = r
+        return r
+
+    def refuse(self) -> Mapping[str, tuple[float, ...]]:
+        """Give 0 V and report the error."""
+        self.report(Level.ERROR, "not_finite", "measurement or reference is not finite; command 0 V")
+        return {"command": (0.0,)}
