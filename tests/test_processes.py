@@ -122,10 +122,10 @@ def test_a_failing_controller_ends_the_run_with_its_name_and_a_readable_record(h
     for text in texts:
         assert text in outcome.error
     good = in_process(rig(BASIC, 0.2))
-    for topic, count in (("lag/state", 21), ("lag/command", 20)):
-        assert outcome.recording.topics[topic].data[:count] == good.topics[topic].data[:count]
-        if topic == "lag/state":
-            assert len(outcome.recording.topics[topic].data) == count
+    assert outcome.recording.topics["lag/state"].data == good.topics["lag/state"].data
+    commands = outcome.recording.topics["lag/command"].data  # a node killed by force may lose its last 0.25 s
+    assert commands == good.topics["lag/command"].data[: len(commands)]
+    assert len(commands) == 20 or how in ("kill", "stop", "hang")
     assert no_process_left(tmp_path)
 
 

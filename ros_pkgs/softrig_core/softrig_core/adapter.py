@@ -85,6 +85,7 @@ class Adapter:
         self.ticks = 0
         self.t = 0
         self.error: BaseException | None = None
+        self.waits_for: list[str] = []  # the senders whose silence ended the run
         self.finished: Future[None] = Future()
         self._logged: dict[str, int] = {}
         inputs, outputs = block.ports(block.p)
@@ -237,7 +238,7 @@ class Adapter:
             return
         status = {
             "state": self.state, "t": self.t, "ticks": self.ticks,
-            "error": str(self.error) if self.error else "",
+            "error": str(self.error) if self.error else "", "waits_for": self.waits_for,
             "refused": {i.port.topic: [i.refused, i.last_refusal] for i in self.inputs if i.refused},
             "reports": {key: [int(level), text, n] for key, (level, text, n) in self.block.reports.items()},
             "cpu_s": round(time.process_time(), 3),

@@ -34,13 +34,16 @@ class Pairing:
         Node name, for error messages.
     item : Input or None
         The port it feeds; None for a clock or an acknowledgement, which carry nothing but the stamp.
+    last : bool
+        Whether the sender also sends at the end time of the run.
     """
 
-    def __init__(self, topic: str, period: int, sender: str, item: Input | None) -> None:
+    def __init__(self, topic: str, period: int, sender: str, item: Input | None, last: bool = True) -> None:
         self.topic = topic
         self.period = period
         self.sender = sender
         self.item = item
+        self.last = last
         self.want = 0
         self.have = False
         self.received = 0  # by order: number of messages so far
@@ -62,6 +65,7 @@ class Lockstep(Adapter):
         self._is_plant = isinstance(block, Plant)
         self._since = time.monotonic()
         self._progress_t = -1
+        self._rivals: Input | None = None
         super().__init__(node, block, options)
         links = self.links
         name = node.get_fully_qualified_name()
@@ -94,8 +98,10 @@ class Lockstep(Adapter):
             self.values[item.port.name] = None
             return self._held(item)
         self.values[item.port.name] = item.port.safe
-        pairing = Pairing(item.port.topic, link.period if link else self.period,
-                          link.node if link else "another node", item)  # fmt: skip
+        pairing = (
+            Pairing(item.port.topic, link.period, link.node, item, link.last)
+            if link else Pairing(item.port.topic, self.period, "another node", item)
+        )  # fmt: skip
         self.pairings.append(pairing)
         return self._paired(pairing, item)
 
@@ -162,10 +168,10 @@ class Lockstep(Adapter):
 
     def on_matched(self, item: Input | None) -> None:
         """A second publisher on a paired topic makes the run ambiguous: it ends, naming both."""
-        if item is not None and item.publishers > 1 and item.port.name in {p.item.port.name for p in self.pairings if p.item}:
-            infos = self.node.get_publishers_info_by_topic(item.port.topic)
-            names = sorted({f"{i.node_namespace.rstrip('/')}/{i.node_name}" for i in infos})
-            self.fail(f"{item.publishers} publishers on {item.port.topic} ({', '.join(names)}), expected exactly one")
+        paired = {p.item.port.name for p in self.pairings if p.item}
+        if item is not None and item.publishers > 1 and item.port.name in paired and self.state != "done":
+            self._rivals = item
+            self.state = "failed"  # from here on no message counts; `progress` ends the run when the names are known
 
     def _start(self) -> None:
         """Begin when every declared peer is matched, both ways."""
@@ -218,6 +224,8 @@ class Lockstep(Adapter):
         missing = 0
         for pairing in self.pairings:
             want = t - t % pairing.period
+            if want == self.end and not pairing.last:
+                continue  # an observer's last look: commands of the last tick are held
             if want != pairing.want or t == 0:
                 pairing.want = want
                 if pairing.ahead is not None and pairing.ahead[0] == want:
@@ -291,6 +299,13 @@ class Lockstep(Adapter):
     def progress(self) -> None:
         """End the run when a peer is gone, stalls or never came."""
         now = time.monotonic()
+        if self._rivals is not None:
+            topic = self._rivals.port.topic
+            infos = self.node.get_publishers_info_by_topic(topic)
+            names = sorted({f"{i.node_namespace.rstrip('/')}/{i.node_name}" for i in infos})
+            if not any("UNKNOWN" in n for n in names) or now - self._since > self.options.timeout:
+                self.fail(f"{len(infos)} publishers on {topic} ({', '.join(names)}), expected exactly one")
+            return
         if self.state == "starting":
             limit = self.options.start_timeout
             if limit and now - self._since > limit:
@@ -311,6 +326,7 @@ class Lockstep(Adapter):
                 f"{'; last refused: ' + p.item.last_refusal if p.item and p.item.last_refusal else ''}"
                 for p in lacking
             )
+            self.waits_for = [p.sender for p in lacking]
             self.fail(f"nothing stamped t = {self.t / SECOND:.9g} s within {waited:.1f} s on {what}")
 
 

@@ -31,6 +31,7 @@ class InputLink(BaseModel):
     period: int
     node: str
     external: bool = False
+    last: bool = True  # whether it also sends at the end time of the run, as plants do
 
 
 class Links(BaseModel):

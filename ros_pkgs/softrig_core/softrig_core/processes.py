@@ -11,7 +11,7 @@ import sys
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -58,15 +58,15 @@ class _Child:
     log: Path
     status: Path
     shard: Path
-    reported: bool = field(default=False)
 
 
 def links(rig: Rig, member: Member) -> Links:
     """Work out what a node must know of its peers."""
     paired = {
-        port: InputLink(period=link.source.period, node=link.source.name, external=link.source.external)
+        port: InputLink(period=link.source.period, node=link.source.name, external=link.source.external,
+                        last=link.source.is_plant)
         for port, link in member.links.items()
-    }
+    }  # fmt: skip
     acks = {m.name: m.period for m in _acknowledging(rig)} if member is rig.clock else {}
     return Links(
         inputs=paired,
@@ -267,20 +267,25 @@ def _watch(rig: Rig, children: list[_Child], progress: Callable[[int], object] |
 
 
 def _reason(children: list[_Child], failed: list[_Child]) -> str:
-    """Say which node failed first and why; peers that noticed are not the cause."""
-    killed = [c for c in failed if (c.process.returncode or 0) < 0]
-    if not killed:
+    """Say which node failed and why; a node that only waited for one that was itself waiting is not the cause."""
+    if not any((c.process.returncode or 0) < 0 for c in failed):
         deadline = time.monotonic() + GRACE
         while time.monotonic() < deadline and any(c.process.poll() is None for c in children):
             time.sleep(0.02)
+        failed = [c for c in children if c.process.poll() not in (None, 0)]
+    waits = {c.member.name: _read_status(c.status).get("waits_for", []) for c in failed}
+    causes = [c for c in failed if not waits[c.member.name]] or [
+        c for c in failed if not all(waits.get(sender) for sender in waits[c.member.name])
+    ]
     texts = []
-    for child in killed or failed[:1]:
+    for child in causes or failed:
         code = child.process.returncode or 0
-        t = _read_status(child.status).get("t", 0) / 1e9
+        name = child.member.name
         if code < 0:
-            texts.append(f"node {child.member.name} was killed by {signal.Signals(-code).name} after t = {t:.9g} s")
+            t = _read_status(child.status).get("t", 0) / 1e9
+            texts.append(f"node {name} was killed by {signal.Signals(-code).name} after t = {t:.9g} s")
         else:
-            texts.append(f"node {_last_line(child.log) or f'{child.member.name} ended with status {code}'}")
+            texts.append(f"node {_last_line(child.log) or f'{name} ended with status {code}'}")
     return "; ".join(texts)
 
 
