@@ -1,15 +1,24 @@
 """Bags: written, read back by independent libraries, compared, repaired."""
 
+import csv
 import json
 import os
 import resource
+import sqlite3
 from pathlib import Path
 
+import numpy as np
+import pyarrow.parquet
 import pytest
 from mcap.reader import make_reader
-from rosbags.rosbag2 import Reader
+from mcap.writer import CompressionType
+from mcap.writer import Writer as McapLibraryWriter
+from rosbags.rosbag2 import Reader, StoragePlugin, Writer
+from rosbags.rosbag2.enums import CompressionFormat, CompressionMode
+from rosbags.typesys import Stores, get_typestore
 from ruamel.yaml import YAML
 from softrig_bags.errors import BagError
+from softrig_bags.read import export, read_bag, signals
 from softrig_bags.topics import BagTopic, qos
 from softrig_bags.write import write_bag
 from softrig_core.cdr import Layout
@@ -208,3 +217,193 @@ def test_a_full_disk_leaves_no_bag_behind(tmp_path, file_limit, storage):
     with pytest.raises(RunError, match=r"bag .* not written"):
         write_bag(tmp_path / "bag", source, storage=storage)
     assert list(tmp_path.iterdir()) == []
+
+
+# Reading --------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("storage", "compression"), FORMATS)
+def test_read_gives_back_what_was_written(tmp_path, storage, compression):
+    source = recording(ticks=4000)
+    write_bag(tmp_path / "bag", source, storage=storage, compression=compression)
+    found = read_bag(tmp_path / "bag")
+    assert found.topics == source.topics
+    bare = next(p for p in (tmp_path / "bag").iterdir() if p.suffix in (".mcap", ".db3"))
+    assert read_bag(bare).topics == source.topics
+
+
+HUMBLE_SCHEMA = """
+CREATE TABLE schema(schema_version INTEGER PRIMARY KEY, ros_distro TEXT NOT NULL);
+CREATE TABLE metadata(id INTEGER PRIMARY KEY, metadata_version INTEGER NOT NULL, metadata TEXT NOT NULL);
+CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT NOT NULL, type TEXT NOT NULL, serialization_format TEXT NOT NULL,
+    offered_qos_profiles TEXT NOT NULL);
+CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER NOT NULL, timestamp INTEGER NOT NULL,
+    data BLOB NOT NULL);
+CREATE INDEX timestamp_idx ON messages (timestamp ASC);
+INSERT INTO schema VALUES (3, 'humble');
+"""
+HUMBLE_QOS = (
+    "- history: 3\n  depth: 0\n  reliability: 1\n  durability: 2\n  deadline:\n    sec: 9223372036\n"
+    "    nsec: 854775807\n  lifespan:\n    sec: 9223372036\n    nsec: 854775807\n  liveliness: 1\n"
+    "  liveliness_lease_duration:\n    sec: 9223372036\n    nsec: 854775807\n  avoid_ros_namespace_conventions: false"
+)
+
+
+def humble_metadata(directory: Path, storage: str, source: Recording) -> None:
+    """Metadata version 5 as `ros2 bag record` of Humble writes it."""
+    messages = list(source.messages())
+    topics = [
+        {
+            "topic_metadata": {
+                "name": "/" + t.name.lstrip("/"),
+                "type": t.msgtype,
+                "serialization_format": "cdr",
+                "offered_qos_profiles": HUMBLE_QOS,
+            },
+            "message_count": len(t.data),
+        }
+        for t in source.topics.values()
+    ]
+    times = {"starting_time": {"nanoseconds_since_epoch": 0}, "duration": {"nanoseconds": messages[-1][0]}}
+    file = f"bag_0.{'db3' if storage == 'sqlite3' else storage}"
+    info = {
+        "version": 5, "storage_identifier": storage, **times, "message_count": len(messages),
+        "topics_with_message_count": topics, "compression_format": "", "compression_mode": "",
+        "relative_file_paths": [file], "files": [{"path": file, **times, "message_count": len(messages)}],
+    }  # fmt: skip
+    with (directory / "metadata.yaml").open("w") as out:
+        YAML().dump({"rosbag2_bagfile_information": info}, out)
+
+
+def humble_sqlite3(directory: Path, source: Recording) -> None:
+    directory.mkdir()
+    database = sqlite3.connect(directory / "bag_0.db3")
+    database.executescript(HUMBLE_SCHEMA)
+    numbers = {}
+    for i, t in enumerate(source.topics.values(), 1):
+        numbers[t.name] = i
+        row = (i, "/" + t.name.lstrip("/"), t.msgtype, "cdr", HUMBLE_QOS)
+        database.execute("INSERT INTO topics VALUES (?, ?, ?, ?, ?)", row)
+    rows = [(numbers[topic.name], t, data) for t, topic, data in source.messages()]
+    database.executemany("INSERT INTO messages (topic_id, timestamp, data) VALUES (?, ?, ?)", rows)
+    database.commit()
+    database.close()
+    humble_metadata(directory, "sqlite3", source)
+
+
+def humble_mcap(directory: Path, source: Recording) -> None:
+    directory.mkdir()
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    with (directory / "bag_0.mcap").open("wb") as file:
+        writer = McapLibraryWriter(file, compression=CompressionType.LZ4, chunk_size=4096)
+        writer.start("ros2", "libmcap 0.8.0")
+        numbers = {}
+        for t in source.topics.values():
+            text = store.generate_msgdef(t.msgtype, ros_version=2)[0]
+            schema = writer.register_schema(t.msgtype, "ros2msg", text.encode())
+            details = {"offered_qos_profiles": HUMBLE_QOS}
+            numbers[t.name] = writer.register_channel("/" + t.name.lstrip("/"), "cdr", schema, details)
+        for t, topic, data in source.messages():
+            writer.add_message(numbers[topic.name], t, data, t)
+        writer.finish()
+    humble_metadata(directory, "mcap", source)
+
+
+def jazzy_message_compressed(directory: Path, source: Recording) -> None:
+    """A bag by the rosbags library, sqlite3 with each message compressed."""
+    store = get_typestore(Stores.ROS2_JAZZY)
+    writer = Writer(directory, version=9, storage_plugin=StoragePlugin.SQLITE3)
+    writer.set_compression(CompressionMode.MESSAGE, CompressionFormat.ZSTD)
+    with writer:
+        names = {
+            t.name: writer.add_connection("/" + t.name.lstrip("/"), t.msgtype, typestore=store)
+            for t in source.topics.values()
+        }
+        for t, topic, data in source.messages():
+            writer.write(names[topic.name], t, data)
+
+
+@pytest.mark.parametrize("make", [humble_sqlite3, humble_mcap, jazzy_message_compressed])
+def test_bags_of_other_recorders_are_read(tmp_path, make):
+    source = recording()
+    make(tmp_path / "bag", source)
+    assert read_bag(tmp_path / "bag").topics == source.topics
+    t, x = signals(tmp_path / "bag")["plant/state/b/position"]
+    np.testing.assert_array_equal(x, -0.1 * np.arange(50))
+    np.testing.assert_array_equal(t, np.arange(50) / 1000)
+
+
+def foreign_bag(directory: Path, start: int = 0) -> None:
+    """An Imu with a header, an array of varying length, text, and a type that nobody knows."""
+    store = get_typestore(Stores.ROS2_JAZZY)
+    types = store.types
+    time, header = types["builtin_interfaces/msg/Time"], types["std_msgs/msg/Header"]
+    vector, turn = types["geometry_msgs/msg/Vector3"], types["geometry_msgs/msg/Quaternion"]
+    found = Recording([("imu", "sensor_msgs/msg/Imu"), ("note", "std_msgs/msg/String"),
+                       ("list", "std_msgs/msg/Float64MultiArray"), ("odd", "odd_msgs/msg/Odd")])  # fmt: skip
+    for k in range(3):
+        stamp = start + k * 500_000_000
+        imu = types["sensor_msgs/msg/Imu"](
+            header(time(stamp // 10**9, stamp % 10**9), "imu"), turn(0.0, 0.0, 0.0, 1.0), np.arange(9.0),
+            vector(0.0, 0.0, k * 0.25), np.zeros(9), vector(0.0, 0.0, 9.81), np.zeros(9),
+        )  # fmt: skip
+        layout = types["std_msgs/msg/MultiArrayLayout"]([], 0)
+        numbers = types["std_msgs/msg/Float64MultiArray"](layout, np.arange(k + 1.0))
+        messages = [imu, types["std_msgs/msg/String"]("x"), numbers]
+        for i, (topic, message) in enumerate(zip(found.topics.values(), messages, strict=False)):
+            found.add(i, stamp, bytes(store.serialize_cdr(message, topic.msgtype)))
+        found.add(3, stamp, b"\x00\x01\x00\x00\x07")
+    write_bag(directory, found)
+
+
+def test_signals_of_foreign_types(tmp_path):
+    foreign_bag(tmp_path / "bag")
+    found = signals(tmp_path / "bag")
+    _, x = found["imu/angular_velocity/z"]
+    np.testing.assert_array_equal(x, [0, 0.25, 0.5])
+    np.testing.assert_array_equal(found.table("imu").stamp, [0, 0.5, 1])
+    np.testing.assert_array_equal(found["list/data/1"].x, [np.nan, 1, 1])
+    assert found["imu/orientation_covariance/8"].x[0] == 8
+    assert not [name for name in found if name.startswith(("note/", "odd/"))]
+    assert read_bag(tmp_path / "bag").topics["odd"].data == [b"\x00\x01\x00\x00\x07"] * 3
+    with pytest.raises(BagError, match="no definition of odd_msgs/msg/Odd"):
+        found.table("odd")
+
+
+def test_wall_clock_bags_start_at_zero_seconds(tmp_path):
+    foreign_bag(tmp_path / "bag", start=1_700_000_000_250_000_000)
+    found = signals(tmp_path / "bag")
+    np.testing.assert_array_equal(found["imu/angular_velocity/z"].t, [0, 0.5, 1])
+    np.testing.assert_array_equal(found.table("imu").stamp, [0, 0.5, 1])
+
+
+def test_export_as_tables(tmp_path):
+    write_bag(tmp_path / "bag", recording(ticks=9))
+    written = export(tmp_path / "bag", tmp_path / "out", "csv")
+    assert sorted(p.name for p in written) == ["clock.csv", "command.csv", "plant.state.csv"]
+    with (tmp_path / "out/plant.state.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [float(r["a/position"]) for r in rows] == [k * 0.1 for k in range(9)]
+    export(tmp_path / "bag", tmp_path / "out", "parquet")
+    table = pyarrow.parquet.read_table(tmp_path / "out/command.parquet")
+    assert table.column_names == ["time", "stamp", "a/effort"]
+    assert table["a/effort"].to_pylist() == [0.0, 4.0, 8.0]
+    with pytest.raises(BagError, match="csv or parquet"):
+        export(tmp_path / "bag", tmp_path / "out", "xlsx")
+
+
+def test_what_is_no_bag_is_named(tmp_path):
+    with pytest.raises(BagError, match="does not exist"):
+        read_bag(tmp_path / "none")
+    with pytest.raises(BagError, match="not a bag"):
+        read_bag(tmp_path)
+    write_bag(tmp_path / "bag", recording(ticks=9000))
+    file = tmp_path / "bag/bag_0.mcap"
+    content = bytearray(file.read_bytes())
+    content[2000] ^= 1
+    file.write_bytes(content)
+    with pytest.raises(BagError, match="damaged: Chunk checksum mismatch"):
+        read_bag(tmp_path / "bag")
+    (tmp_path / "bag/metadata.yaml").unlink()
+    with pytest.raises(BagError, match="softrig bag repair"):
+        read_bag(tmp_path / "bag")

@@ -13,7 +13,7 @@ from softrig_core.recording import Recording
 
 from .bag import BagWriter
 from .errors import BagError
-from .topics import BagTopic, qos
+from .topics import BagTopic, absolute, qos
 
 DEFAULT_QOS = qos()
 
@@ -63,9 +63,8 @@ def write_bag(
         try:
             numbers = {}
             for topic in recording.topics.values():
-                name = topic.name if topic.name.startswith("/") else "/" + topic.name
                 profile = (offered or {}).get(topic.name, DEFAULT_QOS)
-                numbers[topic.name] = writer.add_topic(BagTopic.known(name, topic.msgtype, [profile]))
+                numbers[topic.name] = writer.add_topic(BagTopic.known(absolute(topic.name), topic.msgtype, [profile]))
             write = writer.write
             for t, topic, data in recording.messages():
                 write(numbers[topic.name], t, data)

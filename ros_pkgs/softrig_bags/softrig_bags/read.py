@@ -1,0 +1,182 @@
+"""Bags for Python: recordings, named float64 signals, tables as CSV or Parquet."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from softrig_core.cdr import SCHEMAS, SECOND
+from softrig_core.recording import Recording
+from softrig_core.signals import Signals, Table
+
+from .errors import BagError
+from .reader import BagReader
+from .topics import relative
+
+WALL_CLOCK = 10**18  # ns; bag times after September 2001 are wall-clock times, simulated ones begin near zero
+
+
+def read_bag(path: Path | str) -> Recording:
+    """Read a bag into memory, messages as bytes, whatever their type.
+
+    Topics are named as in scenario files: relative to the root namespace (``plant/state``), but ``/clock``.
+
+    Parameters
+    ----------
+    path : Path or str
+        Directory of a rosbag2 bag (of any ROS distribution, MCAP or sqlite3), or a single .mcap or .db3 file.
+
+    Raises
+    ------
+    BagError
+        No bag there, or it is damaged.
+    """
+    with BagReader(path) as bag:
+        return _load(bag)
+
+
+def _load(bag: BagReader) -> Recording:
+    recording = Recording([(relative(t.name), t.msgtype) for t in bag.topics])
+    add = recording.add
+    for topic, t, data in bag.messages():
+        add(topic, t, data)
+    return recording
+
+
+class BagSignals(Signals):
+    """Signals of a bag by name ``topic/channel/field``; of foreign message types by the path of the field.
+
+    sensor_msgs/Imu on ``/imu`` gives ``imu/angular_velocity/x`` and ``imu/orientation_covariance/0``. Elements that
+    shorter arrays lack are NaN; strings and arrays of bytes are no signals.
+    """
+
+    def __init__(self, recording: Recording, epoch: int, stores: dict[str, Any]) -> None:
+        super().__init__(recording, epoch)
+        self._stores = stores
+
+    def table(self, topic: str) -> Table:
+        """Give all columns of a topic."""
+        found = self.recording.topics.get(topic)
+        if found is not None and found.msgtype not in SCHEMAS and topic not in self._tables:
+            self._tables[topic] = self._foreign(topic)
+        return super().table(topic)
+
+    def _foreign(self, topic: str) -> Table:
+        found = self.recording.topics[topic]
+        store = self._stores[found.msgtype]
+        if store is None:
+            raise BagError(f"{topic}: the bag has no definition of {found.msgtype} and none is installed")
+        t = (np.array(found.times, dtype=np.int64) - self._epoch) / SECOND
+        rows, stamps = [], t.copy()
+        for i, data in enumerate(found.data):
+            message = store.deserialize_cdr(data, found.msgtype)
+            row: dict[str, float] = {}
+            header = getattr(message, "header", None)
+            if header is not None:
+                stamps[i] = (header.stamp.sec * SECOND + header.stamp.nanosec - self._epoch) / SECOND
+            for field in fields(message):
+                if field.name != "header":
+                    _flatten(getattr(message, field.name), field.name, row)
+            rows.append(row)
+        labels = dict.fromkeys(label for row in rows for label in row)
+        return Table(t, stamps, {k: np.array([row.get(k, np.nan) for row in rows], dtype=np.float64) for k in labels})
+
+    @property
+    def decodable(self) -> list[str]:
+        """Topics whose message type is defined in the bag or here."""
+        topics = self.recording.topics.values()
+        return [t.name for t in topics if t.msgtype in SCHEMAS or self._stores[t.msgtype] is not None]
+
+    def __iter__(self) -> Iterator[str]:
+        for topic in self.decodable:
+            yield from (f"{topic}/{label}" for label in self.table(topic).columns)
+
+
+def _flatten(value: Any, path: str, row: dict[str, float]) -> None:
+    if isinstance(value, bool | int | float | np.number | np.bool_):
+        row[path] = float(value)
+    elif isinstance(value, np.ndarray):
+        if value.dtype.itemsize > 1 or value.dtype == np.bool_:
+            row.update((f"{path}/{i}", x) for i, x in enumerate(value.astype(np.float64).tolist()))
+    elif isinstance(value, list):
+        for i, item in enumerate(value):
+            _flatten(item, f"{path}/{i}", row)
+    elif is_dataclass(value):
+        for field in fields(value):
+            _flatten(getattr(value, field.name), f"{path}/{field.name}", row)
+
+
+def signals(path: Path | str) -> BagSignals:
+    """Give the signals of a bag as named float64 arrays with time.
+
+    Parameters
+    ----------
+    path : Path or str
+        Bag, as for `read_bag`.
+
+    Returns
+    -------
+    BagSignals
+        A mapping from ``topic/channel/field`` to ``(t, x)``, both of shape (n,), t in s: simulated time, or the time
+        since the first message in a bag of wall-clock times. `table` gives all columns of a topic with the header
+        stamps.
+
+    Raises
+    ------
+    BagError
+        No bag there, or it is damaged.
+
+    Examples
+    --------
+    >>> from softrig_bags.read import signals
+    >>> found = signals("run/bag")  # doctest: +SKIP
+    >>> t, omega = found["shaft/velocity"]  # doctest: +SKIP
+    >>> list(found)  # doctest: +SKIP
+    """
+    with BagReader(path) as bag:
+        epoch = bag.start if bag.start >= WALL_CLOCK else 0
+        return BagSignals(_load(bag), epoch, {t.msgtype: bag.typestore(t.msgtype) for t in bag.topics})
+
+
+def export(path: Path | str, directory: Path | str, file_format: str) -> list[Path]:
+    """Write each topic's signals as a table: columns time, stamp (s), then one a signal.
+
+    Parameters
+    ----------
+    path : Path or str
+        Bag.
+    directory : Path or str
+        Where the files go; is created.
+    file_format : str
+        ``csv`` or ``parquet``.
+
+    Returns
+    -------
+    list of Path
+        The files; a topic of an undefined message type has none.
+
+    Raises
+    ------
+    BagError
+        Bad bag or unknown format.
+    """
+    import pyarrow  # half a second, only here
+    import pyarrow.csv
+    import pyarrow.parquet
+
+    write = {"csv": pyarrow.csv.write_csv, "parquet": pyarrow.parquet.write_table}.get(file_format)
+    if write is None:
+        raise BagError(f"format {file_format!r}: expected csv or parquet")
+    found = signals(path)
+    Path(directory).mkdir(parents=True, exist_ok=True)
+    written = []
+    for topic in found.decodable:
+        table = found.table(topic)
+        columns = {"time": table.t, "stamp": table.stamp} | table.columns
+        file = Path(directory) / f"{topic.strip('/').replace('/', '.')}.{file_format}"
+        write(pyarrow.table(columns), str(file))
+        written.append(file)
+    return written

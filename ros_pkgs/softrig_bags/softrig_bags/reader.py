@@ -1,0 +1,133 @@
+"""A bag being read: its topics and its messages in the order in which they were written."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from rosbags.interfaces import Connection, ConnectionExtRosbag2, MessageDefinitionFormat
+from rosbags.rosbag2 import Reader, ReaderError
+from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
+
+from .errors import BagError
+from .topics import BagTopic, typestore
+
+
+class BagReader:
+    """Context manager around a rosbag2 bag: MCAP or sqlite3, split or not, compressed or not, metadata versions to 9.
+
+    Parameters
+    ----------
+    path : Path or str
+        Bag directory, or a single .mcap or .db3 file.
+
+    Raises
+    ------
+    BagError
+        On entering and on reading: no bag, damaged, or of an unknown format.
+    """
+
+    def __init__(self, path: Path | str) -> None:
+        self.path = Path(path)
+        self._reader: Any = None
+        self.topics: list[BagTopic] = []
+        self.counts: list[int] = []
+
+    def __enter__(self) -> BagReader:
+        if self.path.is_dir() and not (self.path / "metadata.yaml").exists():
+            if any(self.path.glob("*.mcap")) or any(self.path.glob("*.db3")):
+                raise BagError(f"{self.path} has no metadata.yaml: the recording was cut off; "
+                               f"`softrig bag repair {self.path}` restores it")  # fmt: skip
+            raise BagError(f"{self.path} is not a bag: no metadata.yaml, no .mcap and no .db3 file in it")
+        try:
+            self._reader = Reader(self.path)
+            self._reader.open()
+        except (FileNotFoundError, ReaderError) as error:
+            raise BagError(f"{self.path}: {error}") from None
+        self._connections: list[Connection] = list(self._reader.connections)
+        for connection in self._connections:
+            if any(t.name == connection.topic for t in self.topics):
+                raise BagError(f"{self.path}: two types on topic {connection.topic}")
+            self.topics.append(_topic(connection))
+            self.counts.append(connection.msgcount)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._reader.close()
+
+    @property
+    def start(self) -> int:
+        """Bag time of the first message in ns; 0 in an empty bag."""
+        return self._reader.start_time if self.count else 0
+
+    @property
+    def end(self) -> int:
+        """Bag time of the last message in ns; 0 in an empty bag."""
+        return self._reader.end_time - 1 if self.count else 0
+
+    @property
+    def count(self) -> int:
+        """Number of messages."""
+        return self._reader.message_count
+
+    @property
+    def custom_data(self) -> dict[str, str]:
+        """Give what the writer left in the metadata."""
+        return self._reader.storage.metadata.custom or {}
+
+    @property
+    def files(self) -> list[Path]:
+        """Storage files."""
+        if self.path.is_dir():
+            return [s.path for s in self._reader.storage.storages]
+        return [self.path]
+
+    def messages(self, topics: Collection[str] | None = None, start: int = 0) -> Iterator[tuple[int, int, bytes]]:
+        """Give (index into `topics`, bag time in ns, bytes) by time, equal times as written.
+
+        Parameters
+        ----------
+        topics : collection of str, optional
+            Absolute names; default all.
+        start : int
+            First bag time in ns.
+        """
+        index = {t.name: i for i, t in enumerate(self.topics)}
+        chosen = [c for c in self._connections if topics is None or c.topic in topics]
+        if not chosen:
+            return
+        try:
+            for connection, t, data in self._reader.messages(chosen, start=start or None):
+                yield index[connection.topic], t, data
+        except Exception as error:  # a damaged file makes the library raise whatever its bytes lead to
+            raise BagError(f"{self.path} is damaged: {error}; `softrig bag repair` saves what is readable") from error
+
+    def typestore(self, msgtype: str) -> Typestore | None:
+        """Give a store that can deserialise a type, from the bag's own definition if it has one."""
+        for connection in self._connections:
+            if connection.msgtype == msgtype and connection.msgdef.format != MessageDefinitionFormat.NONE:
+                store = get_typestore(Stores.EMPTY)
+                text = connection.msgdef.data
+                if connection.msgdef.format == MessageDefinitionFormat.MSG:
+                    store.register(get_types_from_msg(text, msgtype))
+                else:
+                    for part in text.split("=" * 80 + "\n"):
+                        store.register(
+                            get_types_from_idl(part.partition("\n")[2] if part.startswith("IDL: ") else part)
+                        )
+                return store
+        return typestore() if BagTopic.known("", msgtype).definition else None
+
+
+def _topic(connection: Connection) -> BagTopic:
+    assert isinstance(connection.ext, ConnectionExtRosbag2)
+    known = BagTopic.known(connection.topic, connection.msgtype, connection.ext.offered_qos_profiles, connection.digest)
+    if connection.msgdef.format == MessageDefinitionFormat.NONE:
+        return known
+    encoding = "ros2msg" if connection.msgdef.format == MessageDefinitionFormat.MSG else "ros2idl"
+    return BagTopic(known.name, known.msgtype, connection.msgdef.data, known.digest, known.offered, encoding)
