@@ -1,2 +1,255 @@
-def main() -> int:
+"""The command line: `softrig VERB ...`. Exit status 0 pass, 1 a metric misses, 2 bad input, 3 the run broke."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shlex
+import sys
+from collections.abc import Callable, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from softrig_core.scenario import Scenario
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # before numpy: sums must not depend on the number of cores
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run a verb and turn every failure into one line and its exit status."""
+    from softrig_core.errors import RunError, ScenarioError
+
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    if arguments and arguments[0] in _FOREIGN:
+        module, function = _FOREIGN[arguments[0]]
+        import importlib
+
+        return int(getattr(importlib.import_module(module), function)(arguments[1:]))
+    parser = _parser()
+    options = parser.parse_args(arguments)
+    try:
+        return int(options.verb(options))
+    except ScenarioError as error:
+        print(f"softrig: {error}", file=sys.stderr)
+        return 2
+    except (RunError, OSError) as error:
+        print(f"softrig: {error}", file=sys.stderr)
+        return 3
+    except KeyboardInterrupt:
+        print("softrig: stopped", file=sys.stderr)
+        return 130
+
+
+# verbs with their own command line
+_FOREIGN = {
+    "record": ("softrig_bags.cli", "main_record"),
+    "play": ("softrig_bags.cli", "main_play"),
+    "compare": ("softrig_bags.cli", "main_compare"),
+    "bag": ("softrig_bags.cli", "main_bag"),
+}
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="softrig", description="Closed loops over ROS 2 topics that come out the same every time.",
+        epilog="Further verbs: record, play, compare, bag (each with --help).",
+    )  # fmt: skip
+    verbs = parser.add_subparsers(required=True, metavar="VERB")
+
+    def verb(name: str, function: Callable[[argparse.Namespace], int], text: str) -> argparse.ArgumentParser:
+        sub = verbs.add_parser(name, help=text, description=text)
+        sub.set_defaults(verb=function)
+        return sub
+
+    verb("list", _list, "list scenarios with title, system and source").add_argument(
+        "filter", nargs="?", default="", help="only names that contain this"
+    )
+    run = verb("run", _run, "run a scenario: metrics, bag, plots, report")
+    run.add_argument("scenario", help="name or YAML file")
+    run.add_argument("--mode", choices=("processes", "inprocess", "realtime"), default="processes")
+    run.add_argument("--set", action="append", default=[], metavar="NODE.PARAM=VALUE", help="change a parameter")
+    run.add_argument("--duration", type=float, metavar="S", help="instead of the scenario's")
+    run.add_argument("--seed", type=int, metavar="N", help="instead of the scenario's")
+    run.add_argument("--external", action="append", default=[], metavar="NODE", help="somebody else starts this node")
+    run.add_argument("--domain", type=int, metavar="N", help="ROS_DOMAIN_ID (default: a free one)")
+    run.add_argument("--out", type=Path, metavar="DIR", help="results go here (default runs/SCENARIO)")
+    run.add_argument("--no-record", action="store_true", help="no bag")
+    run.add_argument("--no-plots", action="store_true", help="only metrics.json and the bag")
+    node = verb("node", _node, "start one executable, as `ros2 run` does")
+    node.add_argument("package")
+    node.add_argument("executable")
+    node.add_argument("arguments", nargs=argparse.REMAINDER, help="--ros-args ...")
+    report = verb("report", _report, "one self-contained HTML page from one or more runs")
+    report.add_argument("runs", nargs="+", type=Path, metavar="DIR")
+    report.add_argument("--out", type=Path, default=Path("report.html"))
+    bench = verb("bench", _bench, "measure: ratios against a raw ping-pong of the same run")
+    bench.add_argument("parts", nargs="*", metavar="PART", help="which parts (default all); `bench list` names them")
+    return parser
+
+
+def _list(options: argparse.Namespace) -> int:
+    from rich.console import Console
+    from rich.table import Table
+    from softrig_core.scenario import list_scenarios, load_scenario
+
+    table = Table("scenario", "system", "title", "source", box=None, pad_edge=False)
+    for name in sorted(list_scenarios()):
+        if options.filter in name:
+            scenario = load_scenario(name)
+            table.add_row(name, scenario.system, scenario.title, scenario.source)
+    Console(width=None if sys.stdout.isatty() else 240).print(table)
     return 0
+
+
+def _run(options: argparse.Namespace) -> int:
+    from softrig_core.scenario import load_scenario, merge
+
+    from .run import evaluate, execute, save, summary
+
+    scenario = load_scenario(options.scenario, dict(_assignment(text) for text in options.set))
+    changes: dict[str, Any] = {}
+    if options.duration is not None:
+        changes["duration"] = options.duration
+    for name in options.external:
+        changes = merge(changes, {"nodes": {name: {"external": True}}})
+    if changes:
+        scenario = _changed(scenario, changes)
+    out = (options.out or Path("runs") / scenario.name).absolute()
+    with _progress(scenario) as progress:
+        run = execute(scenario, options.mode, out / "log", seed=options.seed, domain=options.domain,
+                      progress=progress, announce=lambda text: print(f"softrig: {text}", file=sys.stderr))  # fmt: skip
+    metrics = [] if run.error else evaluate(scenario, run.signals)
+    command = shlex.join(["scripts/softrig", "run", *_repeat(options)])
+    save(run, summary(run, metrics, command), out, record=not options.no_record, plots=not options.no_plots)
+    if run.error:
+        print(f"softrig: the run broke: {run.error}", file=sys.stderr)
+        print(f"softrig: what was recorded up to there is in {out}", file=sys.stderr)
+        return 3
+    _print_metrics(scenario, run, metrics, out)
+    return 0 if all(m["pass"] for m in metrics) else 1
+
+
+def _repeat(options: argparse.Namespace) -> list[str]:
+    """Command-line arguments that repeat a run."""
+    arguments = [options.scenario, "--mode", options.mode]
+    for text in options.set:
+        arguments += ["--set", text]
+    for name in ("duration", "seed"):
+        if getattr(options, name) is not None:
+            arguments += [f"--{name}", str(getattr(options, name))]
+    return arguments
+
+
+def _assignment(text: str) -> tuple[str, Any]:
+    from ruamel.yaml import YAML
+    from softrig_core.errors import ScenarioError
+
+    key, separator, value = text.partition("=")
+    if not separator or "." not in key:
+        raise ScenarioError(f"--set {text!r}: expected node.parameter=value")
+    return key, YAML(typ="safe", pure=True).load(value)
+
+
+def _changed(scenario: Scenario, changes: dict[str, Any]) -> Scenario:
+    from pydantic import ValidationError
+    from softrig_core.errors import ScenarioError
+    from softrig_core.scenario import merge
+
+    unknown = [n for n in changes.get("nodes", {}) if n not in scenario.nodes]
+    if unknown:
+        raise ScenarioError(f"--external {unknown[0]}: the nodes are {', '.join(scenario.nodes)}")
+    try:
+        return type(scenario).model_validate(merge(scenario.model_dump(exclude_unset=True), changes))
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise ScenarioError(f"--{'.'.join(map(str, first['loc']))}: {first['msg']}, got {first['input']!r}") from None
+
+
+@contextmanager
+def _progress(scenario: Scenario) -> Iterator[Callable[[int], None] | None]:
+    """A progress bar on a terminal, nothing elsewhere."""
+    if not sys.stderr.isatty():
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+    columns = (TextColumn(scenario.name), BarColumn(), TextColumn("{task.completed:.3g} of {task.total:.3g} s"),
+               TimeElapsedColumn(), TimeRemainingColumn())  # fmt: skip
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("", total=scenario.duration)
+        yield lambda t: bar.update(task, completed=t / 1e9)
+
+
+def _print_metrics(scenario: Scenario, run: Any, metrics: list[dict[str, Any]], out: Path) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    console = Console(highlight=False, width=None if sys.stdout.isatty() else 140)
+    title = f"{scenario.name}: {scenario.title}"
+    table = Table("metric", title=title, title_justify="left", box=None, pad_edge=False)
+    for name in ("published", "measured", "expected", "unit", ""):
+        table.add_column(name, justify="left" if name in ("unit", "") else "right")
+    for m in metrics:
+        mark = "[green]pass[/]" if m["pass"] else f"[red]MISS[/] {m.get('error', '')}"
+        table.add_row(m["name"], _number(m["published"]), _number(m["value"]), expectation(m), m["unit"], mark)
+    console.print(table)
+    ticks = run.rig.end // run.rig.clock.period
+    speed = run.rig.scenario.duration / run.wall_s
+    console.print(f"{run.mode}: {ticks} ticks, {scenario.duration:g} s simulated in {run.wall_s:.2f} s "
+                  f"({speed:.3g} x real time)")  # fmt: skip
+    for name, status in run.status.items():
+        for _, text, count in status.get("reports", {}).values():
+            console.print(f"{name}: {text} ({count} x)")
+        for topic, (count, text) in status.get("refused", {}).items():
+            console.print(f"{name}: {count} messages refused on {topic}: {text}")
+        if "missed_deadlines" in status:
+            figures = {k: v for k, v in status.items() if k.endswith("_ms") or k == "missed_deadlines"}
+            console.print(f"{name}: " + ", ".join(f"{k} {v:.3g}" for k, v in figures.items()))
+    console.print(f"results in {os.path.relpath(out)}")
+
+
+def _number(value: float | None) -> str:
+    return "" if value is None else f"{value:.6g}"
+
+
+def expectation(metric: dict[str, Any]) -> str:
+    """What a metric should be, as text."""
+    parts = []
+    if metric.get("expected") is not None:
+        parts.append(f"{metric['expected']:.6g} ± {metric.get('tolerance') or 0:.2g}")
+    if metric.get("at_most") is not None:
+        parts.append(f"≤ {metric['at_most']:.6g}")
+    if metric.get("at_least") is not None:
+        parts.append(f"≥ {metric['at_least']:.6g}")
+    return ", ".join(parts)
+
+
+def _node(options: argparse.Namespace) -> int:
+    from softrig_core.processes import node_main
+
+    return node_main(options.package, options.executable, options.arguments)
+
+
+def _report(options: argparse.Namespace) -> int:
+    from softrig_core.errors import ScenarioError
+
+    from .report import write_report
+
+    for directory in options.runs:
+        if not (directory / "metrics.json").is_file():
+            raise ScenarioError(f"{directory} is not a run: it has no metrics.json")
+    write_report(options.runs, options.out)
+    print(f"wrote {options.out}")
+    return 0
+
+
+def _bench(options: argparse.Namespace) -> int:
+    from .bench import main as bench
+
+    return bench(options.parts)

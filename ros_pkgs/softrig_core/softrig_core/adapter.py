@@ -87,7 +87,7 @@ class Adapter:
         self.error: BaseException | None = None
         self.waits_for: list[str] = []  # the senders whose silence ended the run
         self.finished: Future[None] = Future()
-        self._logged: dict[str, int] = {}
+        self._logged: set[str] = set()
         inputs, outputs = block.ports(block.p)
         self.inputs = [Input(p) for p in inputs]
         names = [node.resolve_topic_name(p.topic) for p in outputs]
@@ -183,9 +183,14 @@ class Adapter:
     def log_once(self, key: str, level: Level, text: str) -> None:
         """Log a text the first time its key appears."""
         if key not in self._logged:
-            self._logged[key] = 1
+            self._logged.add(key)
             logger = self.node.get_logger()
-            (logger.error if level == Level.ERROR else logger.warning if level == Level.WARN else logger.info)(text)
+            if level == Level.ERROR:  # rclpy forbids one call site to log at two severities
+                logger.error(text)
+            elif level == Level.WARN:
+                logger.warning(text)
+            else:
+                logger.info(text)
 
     def fail(self, text: str) -> None:
         """End the run with an error."""

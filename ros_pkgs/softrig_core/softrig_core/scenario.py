@@ -116,14 +116,15 @@ def load_scenario(name: str, overrides: Mapping[str, Any] | None = None) -> Scen
     """
     path = Path(name)
     if path.suffix in (".yaml", ".yml") and path.is_file():
-        raw = _resolve(path.stem, path)
+        name = path.stem
     else:
-        known = list_scenarios()
-        if name not in known:
-            near = _closest(name, known)
-            raise ScenarioError(f"scenario {name!r} is unknown{near}; `softrig list` shows all {len(known)}")
-        path = known[name]
-        raw = _resolve(name, path)
+        found = _find(name)
+        if found is None:
+            known = list_scenarios()
+            raise ScenarioError(f"scenario {name!r} is unknown{_closest(name, known)}; `softrig list` shows all "
+                                f"{len(known)}")  # fmt: skip
+        path = found
+    raw = _resolve(name, path)
     for key, value in (overrides or {}).items():
         node, _, parameter = key.partition(".")
         nodes = raw.get("nodes", {})
@@ -131,7 +132,7 @@ def load_scenario(name: str, overrides: Mapping[str, Any] | None = None) -> Scen
             raise ScenarioError(f"override {key!r}: expected node.parameter with node one of {', '.join(nodes)}")
         nodes[node] = merge(nodes[node], {"parameters": {parameter: value}})
     try:
-        return Scenario(name=path.stem if name.endswith((".yaml", ".yml")) else name, **raw)
+        return Scenario(name=name, **raw)
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(str(p) for p in first["loc"])
@@ -152,6 +153,15 @@ def merge(base: Mapping[str, Any], change: Mapping[str, Any]) -> dict[str, Any]:
         else:
             merged[key] = value
     return merged
+
+
+def _find(name: str) -> Path | None:
+    """Find the file of a scenario, reading only those whose name could hold it."""
+    for folder in scenario_folders():
+        for path in sorted(folder.glob("*.yaml"), key=lambda p: -len(p.stem)):
+            if name == path.stem or (name.startswith(f"{path.stem}_") and name in _names(path, _read(path))):
+                return path
+    return None
 
 
 def _read(path: Path) -> dict[str, Any]:
@@ -180,10 +190,11 @@ def _resolve(name: str, path: Path, seen: tuple[str, ...] = ()) -> dict[str, Any
     variants = raw.pop("variants", None) or {}
     parent = raw.pop("extends", None)
     if parent is not None:
-        known = list_scenarios() | {p.stem: p for p in path.parent.glob("*.yaml")}
-        if parent not in known:
-            raise ScenarioError(f"{path.name}: extends {parent!r}, which is unknown{_closest(parent, known)}")
-        raw = merge(_resolve(parent, known[parent], (*seen, name)), raw)
+        beside = path.with_name(f"{parent}.yaml")
+        found = beside if beside.is_file() else _find(parent)
+        if found is None:
+            raise ScenarioError(f"{path.name}: extends {parent!r}, which is unknown{_closest(parent, list_scenarios())}")
+        raw = merge(_resolve(parent, found, (*seen, name)), raw)
     if name != path.stem:
         raw = merge(raw, variants[name.removeprefix(f"{path.stem}_")] or {})
     return raw

@@ -1,0 +1,241 @@
+"""One run from scenario to results: run it, check that nothing is missing, bag, metrics, plots, report."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.metadata
+import json
+import math
+import platform
+import shutil
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import softrig_core.metrics
+from softrig_core.errors import RunError, ScenarioError
+from softrig_core.inprocess import run_inprocess
+from softrig_core.params import flatten
+from softrig_core.recording import Recording
+from softrig_core.rig import CLOCK, Rig, is_observer
+from softrig_core.scenario import MetricEntry, Scenario
+from softrig_core.signals import Signals
+
+Mode = Literal["processes", "inprocess", "realtime"]
+
+
+@dataclass
+class Run:
+    """A finished run.
+
+    Parameters
+    ----------
+    rig : Rig
+    mode : str
+    seed : int
+    recording : Recording
+    wall_s : float
+        Wall-clock time from the start of the first process to the end of the last, s.
+    epoch : int
+        Wall-clock ns of t = 0 in realtime, else 0.
+    status : dict
+        What each node process said of itself.
+    """
+
+    rig: Rig
+    mode: Mode
+    seed: int
+    recording: Recording
+    wall_s: float
+    epoch: int = 0
+    status: dict[str, dict[str, Any]] = field(default_factory=dict)
+    error: str = ""
+
+    @property
+    def signals(self) -> Signals:
+        """Signals of the recording."""
+        return Signals(self.recording, self.epoch)
+
+
+def execute(
+    scenario: Scenario,
+    mode: Mode,
+    directory: Path,
+    *,
+    seed: int | None = None,
+    domain: int | None = None,
+    progress: Callable[[int], object] | None = None,
+    announce: Callable[[str], object] | None = None,
+) -> Run:
+    """Run a scenario; a run that broke comes back with `error` set and what was recorded.
+
+    Parameters
+    ----------
+    scenario : Scenario
+    mode : {"processes", "inprocess", "realtime"}
+    directory : Path
+        For the logs of node processes.
+    seed : int, optional
+        Instead of the scenario's.
+    domain : int, optional
+        ROS_DOMAIN_ID instead of a free one.
+    progress, announce : callable, optional
+        See `softrig_core.processes.run_processes`.
+    """
+    rig = Rig.from_scenario(scenario)
+    for entry in scenario.metrics:
+        _function(entry)  # a misspelt one is found before the run, not after it
+    seed = scenario.seed if seed is None else seed
+    started = time.perf_counter()
+    if mode == "inprocess":
+        recording = Recording((t, p.msgtype) for t, p in rig.topics.items())
+        error = ""
+        status: dict[str, dict[str, Any]] = {}
+        try:
+            blocks = run_inprocess(rig, seed, recording, progress)
+            status = {
+                name: {"reports": {k: [int(level), text, n] for k, (level, text, n) in block.reports.items()}}
+                for name, block in blocks.items()
+            }
+        except RunError as broken:
+            error = str(broken)
+        run = Run(rig, mode, seed, recording, time.perf_counter() - started, status=status, error=error)
+    else:
+        from softrig_core.processes import run_processes
+
+        outcome = run_processes(rig, seed, directory, mode="lockstep" if mode == "processes" else "realtime",
+                                domain=domain, progress=progress, announce=announce)  # fmt: skip
+        run = Run(rig, mode, seed, outcome.recording, time.perf_counter() - started, outcome.epoch, outcome.status,
+                  outcome.error)  # fmt: skip
+    if not run.error and mode != "realtime":
+        run.error = gaps(rig, run.recording)
+    return run
+
+
+def gaps(rig: Rig, recording: Recording) -> str:
+    """Say which topics of a lockstep run lack or double a tick; empty when none does."""
+    found = []
+    expected = {CLOCK.topic: (rig.clock.period, rig.end)}
+    for member in rig.members:
+        last = rig.end if member.is_plant or is_observer(member) else rig.end - 1
+        expected |= {p.topic: (member.period, last) for p in member.outputs}
+    for topic, (period, last) in expected.items():
+        times = recording.topics[topic].times
+        wanted = last // period + 1
+        if len(times) == wanted and times[0] == 0 and times[-1] == last - last % period:
+            continue
+        at = next((i for i, t in enumerate(times) if t != i * period), len(times))
+        found.append(f"{topic}: {len(times)} messages of {wanted}, first gap at t = {at * period / 1e9:.9g} s")
+    return "; ".join(found)
+
+
+def evaluate(scenario: Scenario, signals: Signals) -> list[dict[str, Any]]:
+    """Compute the metrics of a scenario.
+
+    Returns
+    -------
+    list of dict
+        name, value, unit, published, expected, tolerance, at_most, at_least, pass; a metric that cannot be
+        computed has value None, the reason as `error`, and does not pass.
+    """
+    results = []
+    for entry in scenario.metrics:
+        result: dict[str, Any] = entry.model_dump(exclude={"function", "arguments"})
+        try:
+            value = float(_function(entry)(signals, **entry.arguments))
+            result |= {"value": value if math.isfinite(value) else None, "pass": _passes(entry, value)}
+            if not math.isfinite(value):
+                result["error"] = f"the result is {value}"
+        except (ValueError, KeyError, TypeError) as error:
+            result |= {"value": None, "pass": False, "error": str(error)}
+        results.append(result)
+    return results
+
+
+def _function(entry: MetricEntry) -> Callable[..., float]:
+    module, _, name = entry.function.rpartition(":")
+    try:
+        return getattr(importlib.import_module(module) if module else softrig_core.metrics, name)
+    except (ImportError, AttributeError):
+        raise ScenarioError(f"metric {entry.name}: no function {entry.function!r}; expected a name in "
+                            "softrig_core.metrics or package.module:function") from None  # fmt: skip
+
+
+def _passes(entry: MetricEntry, value: float) -> bool:
+    return (
+        (entry.expected is None or abs(value - entry.expected) <= (entry.tolerance or 0.0))
+        and (entry.at_most is None or value <= entry.at_most)
+        and (entry.at_least is None or value >= entry.at_least)
+        and math.isfinite(value)
+    )
+
+
+def summary(run: Run, metrics: list[dict[str, Any]], command: str) -> dict[str, Any]:
+    """Make the content of metrics.json."""
+    scenario = run.rig.scenario
+    return {
+        "scenario": scenario.name,
+        "title": scenario.title,
+        "system": scenario.system,
+        "source": scenario.source,
+        "mode": run.mode,
+        "seed": run.seed,
+        "duration_s": scenario.duration,
+        "ticks": max(0, len(run.recording.topics[CLOCK.topic].times) - 1) or _plant_ticks(run),
+        "wall_s": round(run.wall_s, 3),
+        "error": run.error,
+        "command": command,
+        "versions": versions(),
+        "parameters": {m.name: flatten(m.params) for m in run.rig.members},
+        "metrics": metrics,
+        "nodes": run.status,
+        "plots": [p.model_dump() for p in scenario.plots],
+    }
+
+
+def _plant_ticks(run: Run) -> int:
+    return int(run.status.get(run.rig.clock.name, {}).get("ticks", 0))
+
+
+def versions() -> dict[str, str]:
+    """Give what a run depends on."""
+    found = {"python": platform.python_version(), "machine": platform.machine()}
+    for name in ("softrig_core", "numpy", "scipy", "casadi", "pin", "rosbags", "ros-jazzy-rclpy"):
+        try:
+            found[name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            continue
+    return found
+
+
+def save(run: Run, content: Mapping[str, Any], directory: Path, *, record: bool = True, plots: bool = True) -> None:
+    """Write bag/, metrics.json, plots and report.html into a directory, replacing those of an earlier run."""
+    clear(directory)
+    if record:
+        from softrig_bags.write import write_bag
+
+        write_bag(directory / "bag", run.recording, custom_data=_provenance(content))
+    (directory / "metrics.json").write_text(json.dumps(content, indent=1) + "\n")
+    if not plots:
+        return
+    from .plots import plot_run
+    from .report import write_report
+
+    if any(topic.times for topic in run.recording.topics.values()):
+        plot_run(run.signals, run.rig, directory)
+    write_report([directory], directory / "report.html")
+
+
+def clear(directory: Path) -> None:
+    """Remove the results of an earlier run, and nothing else."""
+    directory.mkdir(parents=True, exist_ok=True)
+    shutil.rmtree(directory / "bag", ignore_errors=True)
+    for file in (directory / "metrics.json", directory / "report.html", *directory.glob("*.png")):
+        file.unlink(missing_ok=True)
+
+
+def _provenance(content: Mapping[str, Any]) -> dict[str, str]:
+    keys = ("scenario", "mode", "seed", "versions")
+    return {k: v if isinstance(v := content[k], str) else json.dumps(v) for k in keys}

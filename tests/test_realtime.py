@@ -1,0 +1,176 @@
+"""Nodes against the wall clock, started one by one as a user does: watchdog, recovery, rivals, bad input."""
+
+import json
+import os
+import subprocess
+import sys
+import time
+
+import pytest
+from conftest import make_scenario
+from softrig_core.domain import free_domain
+from softrig_core.processes import PROFILE, find_executable, run_processes
+from softrig_core.recording import Recording
+from softrig_core.rig import Rig
+from softrig_core.signals import Signals
+
+pytestmark = pytest.mark.processes
+
+
+class Bench:
+    """Real nodes on a domain of their own, each with a status file and a shard."""
+
+    def __init__(self, directory, domain):
+        self.directory = directory
+        self.environment = os.environ | {
+            "ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+            "FASTRTPS_DEFAULT_PROFILES_FILE": str(PROFILE), "ROS_LOG_DIR": str(directory),
+        }  # fmt: skip
+        self.nodes = {}
+
+    def start(self, name, executable, *arguments):
+        command = [str(find_executable("faultrig", executable)), "--ros-args", "-r", f"__node:={name}",
+                   "-p", f"run.status:={self.directory / name}.status",
+                   "-p", f"run.shard:={self.directory / name}.shard", *arguments]  # fmt: skip
+        self.nodes[name] = subprocess.Popen(command, env=self.environment)
+        return self.nodes[name]
+
+    def python(self, name, code):
+        self.nodes[name] = subprocess.Popen([sys.executable, "-c", code], env=self.environment)
+
+    def kill(self, name):
+        process = self.nodes.pop(name)
+        process.kill()
+        process.wait()
+
+    def status(self, name):
+        try:
+            return json.loads((self.directory / f"{name}.status").read_text())
+        except (FileNotFoundError, json.JSONDecodeError):
+            return {}
+
+    def wait(self, condition, seconds=15.0):
+        deadline = time.monotonic() + seconds
+        while not condition():
+            assert time.monotonic() < deadline, {n: self.status(n) for n in self.nodes}
+            time.sleep(0.05)
+
+    def signal(self, name, signal):
+        recording = Recording([("lag/state", JOINT), ("lag/applied", JOINT), ("lag/command", JOINT),
+                               ("lag/offset", "std_msgs/msg/Float64"), ("lag/kick", "std_msgs/msg/Bool"),
+                               ("lag/reference", "trajectory_msgs/msg/JointTrajectory")])  # fmt: skip
+        recording.read_shard(self.directory / f"{name}.shard")
+        return Signals(recording)[signal]
+
+
+JOINT = "sensor_msgs/msg/JointState"
+
+
+@pytest.fixture
+def bench(tmp_path):
+    with free_domain() as domain:
+        bench = Bench(tmp_path, domain)
+        try:
+            yield bench
+        finally:
+            for name in list(bench.nodes):
+                bench.kill(name)
+
+
+def test_nodes_started_by_hand_close_the_loop_and_stop_on_ctrl_c(bench):
+    plant = bench.start("plant", "plant")
+    bench.start("source", "source")
+    gain = bench.start("gain", "gain")
+    bench.wait(lambda: bench.status("gain").get("ticks", 0) > 50)
+    for process in (gain, plant):
+        process.send_signal(2)
+        assert process.wait(10) == 0
+    t, x = bench.signal("plant", "lag/state/x/position")
+    assert abs(x).max() > 0.01
+    # the rate is the wall clock's: the n-th message is stamped n periods after the first
+    assert t[-1] - t[0] == pytest.approx(0.01 * (len(t) - 1 + bench.status("plant")["missed_deadlines"]), abs=1e-6)
+    assert bench.status("plant")["round_trip_p50_ms"] < 1000
+
+
+def test_a_lost_controller_brings_the_safe_input_and_a_new_one_takes_over(bench):
+    bench.start("plant", "plant")
+    bench.start("source", "source")
+    bench.start("gain", "gain")
+    bench.wait(lambda: bench.status("gain").get("ticks", 0) > 30)
+    bench.kill("gain")
+    bench.wait(lambda: "stale lag/command" in bench.status("plant").get("reports", {}))
+    ticks = bench.status("plant")["ticks"]
+    bench.wait(lambda: bench.status("plant")["ticks"] > ticks + 20)
+    assert bench.signal("plant", "lag/applied/u/effort").x[-1] == 0.0
+    bench.start("gain", "gain")
+    bench.wait(lambda: "recovered lag/command" in bench.status("plant")["reports"])
+    bench.wait(lambda: bench.signal("plant", "lag/applied/u/effort").x[-1] != 0.0)
+
+
+PUBLISHER = """
+import rclpy, sys
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+rclpy.init()
+node = Node("intruder")
+publisher = node.create_publisher(JointState, "lag/command", 10)
+def send():
+    message = JointState(name=["u"], effort=[VALUE])
+    publisher.publish(message)
+node.create_timer(0.01, send)
+rclpy.spin(node)
+"""
+
+
+def test_of_two_rivals_neither_is_believed(bench):
+    bench.start("plant", "plant")
+    bench.start("source", "source")
+    bench.start("gain", "gain")
+    bench.wait(lambda: bench.status("gain").get("ticks", 0) > 30)
+    bench.python("intruder", PUBLISHER.replace("VALUE", "5.0"))
+    bench.wait(lambda: bench.status("plant").get("refused", {}).get("lag/command", [0])[0] > 10)
+    ticks = bench.status("plant")["ticks"]
+    bench.wait(lambda: bench.status("plant")["ticks"] > ticks + 20)
+    applied = bench.signal("plant", "lag/applied/u/effort").x
+    assert applied[-1] == 0.0
+    assert applied.max() < 5.0
+    bench.kill("intruder")
+    bench.wait(lambda: bench.signal("plant", "lag/applied/u/effort").x[-1] != 0.0)
+
+
+def test_nan_from_outside_is_refused_and_counted(bench):
+    bench.start("plant", "plant")
+    bench.python("intruder", PUBLISHER.replace("VALUE", "float('nan')"))
+    bench.wait(lambda: bench.status("plant").get("refused", {}).get("lag/command", [0])[0] > 10)
+    assert bench.status("plant")["refused"]["lag/command"][1] == "u/effort is nan, expected a finite number"
+    assert (bench.signal("plant", "lag/state/x/position").x == 0.0).all()
+
+
+def test_a_person_moves_a_held_input(bench):
+    code = """
+import rclpy
+from rclpy.node import Node
+from std_msgs.msg import Float64
+rclpy.init()
+node = Node("person")
+publisher = node.create_publisher(Float64, "lag/offset", 10)
+node.create_timer(0.1, lambda: publisher.publish(Float64(data=3.0)))
+rclpy.spin(node)
+"""
+    bench.start("plant", "plant")
+    bench.python("person", code)
+    bench.wait(lambda: bench.status("plant").get("ticks", 0) > 10 and
+               bench.signal("plant", "lag/applied/u/effort").x[-1] == 3.0)  # fmt: skip
+    assert bench.signal("plant", "lag/offset/data").x[-1] == 3.0
+
+
+def test_a_realtime_rig_keeps_the_rate_of_the_wall_clock(tmp_path):
+    rig = Rig.from_scenario(make_scenario({"plant": "plant", "source": "source", "gain": "gain"}, 2.0))
+    outcome = run_processes(rig, 0, tmp_path, mode="realtime")
+    assert outcome.error == ""
+    t, x = Signals(outcome.recording, outcome.epoch)["lag/state/x/position"]
+    missed = outcome.status["plant"]["missed_deadlines"]
+    assert t[0] == 0.0
+    assert t[-1] == pytest.approx(2.0, abs=1e-9)
+    assert len(t) == 201 - missed
+    assert x.max() > 0.0
