@@ -17,6 +17,7 @@ from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from rosbags.rosbag2.enums import CompressionFormat, CompressionMode
 from rosbags.typesys import Stores, get_typestore
 from ruamel.yaml import YAML
+from softrig_bags.compare import Tolerance, compare
 from softrig_bags.errors import BagError
 from softrig_bags.read import export, read_bag, signals
 from softrig_bags.topics import BagTopic, qos
@@ -24,6 +25,7 @@ from softrig_bags.write import write_bag
 from softrig_core.cdr import Layout
 from softrig_core.errors import RunError
 from softrig_core.recording import Recording
+from softrig_core.signals import Signals
 
 STATE = "sensor_msgs/msg/JointState"
 FORMATS = [("mcap", "none"), ("mcap", "zstd"), ("sqlite3", "none")]
@@ -407,3 +409,112 @@ def test_what_is_no_bag_is_named(tmp_path):
     (tmp_path / "bag/metadata.yaml").unlink()
     with pytest.raises(BagError, match="softrig bag repair"):
         read_bag(tmp_path / "bag")
+
+
+# Comparing ------------------------------------------------------------------------------------------------------------
+
+
+def compared(a: Recording, b: Recording, **options):
+    return compare(Signals(a), Signals(b), **options)
+
+
+def test_equal_recordings_agree(tmp_path):
+    write_bag(tmp_path / "bag", recording(), storage="sqlite3")
+    result = compare(Signals(recording()), signals(tmp_path / "bag"), bitwise=True)
+    assert result.equal
+    assert result.first is None
+    assert {t.topic: t.count_b for t in result.topics} == {"/clock": 50, "plant/state": 50, "command": 13}
+
+
+def test_the_first_difference_is_named():
+    result = compared(recording(), recording(gain=1.01))
+    assert not result.equal
+    assert (result.first.stamp, result.first.topic, result.first.field) == (4_000_000, "command", "a/effort")
+    assert (result.first.a, result.first.b) == (4.0, 4.04)
+    assert str(result.first) == "t = 0.004 s, command a/effort: 4.0 against 4.04"
+    command = result.topics[2]
+    assert command.differing == 12  # of 13: the first command is zero
+    assert command.largest == {"a/effort": pytest.approx(0.48)}
+    assert [t.equal for t in result.topics] == [True, True, False]
+
+
+@pytest.mark.parametrize(
+    ("options", "equal"),
+    [
+        ({"default": Tolerance(relative=0.0101)}, True),
+        ({"default": Tolerance(relative=0.0099)}, False),
+        ({"default": Tolerance(absolute=0.481)}, True),
+        ({"default": Tolerance(absolute=0.479)}, False),
+        ({"tolerances": {"*/position": Tolerance(9.0), "command/*/effort": Tolerance(0.481)}}, True),
+        ({"tolerances": {"command/*": Tolerance(), "*": Tolerance(9.0)}}, False),
+        ({"default": Tolerance(absolute=0.481), "bitwise": True}, False),
+        ({"ignore": ["comm*"]}, True),
+    ],
+)
+def test_tolerances(options, equal):
+    assert compared(recording(), recording(gain=1.01), **options).equal is equal
+
+
+def test_missing_and_extra_messages_are_counted():
+    less = recording()
+    for values in (less.topics["plant/state"].times, less.topics["plant/state"].data):
+        del values[10:12]
+    result = compared(recording(), less)
+    state = result.topics[1]
+    assert (state.missing, state.extra, state.differing) == (2, 0, 0)
+    assert str(result.first) == "t = 0.01 s, plant/state message: present against missing"
+    assert compared(less, recording()).topics[1].extra == 2
+    longer = compared(recording(), recording(ticks=54))
+    assert [t.extra for t in longer.topics] == [4, 4, 1]
+    del less.topics["command"]
+    assert compared(recording(), less).topics[2].missing == 13
+
+
+def test_equal_stamps_are_paired_in_order():
+    """A delayed link repeats the acquisition time of the newest sample it has."""
+    layout = Layout(STATE, "", ["a"], {"position": 1})
+    one, two = Recording([("late", STATE)]), Recording([("late", STATE)])
+    for k, stamp in enumerate([0, 0, 0, 5, 5]):
+        one.add(0, k, layout.encode(stamp, (1.0 * k,)))
+        two.add(0, k, layout.encode(stamp, (1.0 * k if k != 2 else 7.0,)))
+    result = compared(one, two)
+    assert result.topics[0].differing == 1
+    assert (result.first.a, result.first.b) == (2.0, 7.0)
+
+
+def test_names_frames_types_and_nan():
+    def single(msgtype=STATE, frame="", name="a", value=1.0):
+        found = Recording([("x", msgtype)])
+        fields = {"effort": 1} if msgtype == STATE else {}
+        found.add(0, 0, Layout(msgtype, frame, [name], fields).encode(0, (value,) if fields else (value,) * 3))
+        return found
+
+    assert compared(single(), single(frame="map")).first.field == "frame_id"
+    assert compared(single(), single(name="b")).first.field == "a/effort"
+    assert compared(single(), single("geometry_msgs/msg/Vector3Stamped")).first.field == "type"
+    assert compared(single(value=np.nan), single(value=np.nan)).equal
+    loose = compared(single(), single(value=np.nan), default=Tolerance(9.0, 9.0))
+    assert not loose.equal
+    assert json.loads(loose.to_json())["first"]["b"] == "nan"
+
+
+def test_bitwise_sees_what_numbers_do_not_show():
+    other = recording()
+    other.topics["command"].times[1] += 1
+    assert compared(recording(), other).equal
+    result = compared(recording(), other, bitwise=True)
+    assert str(result.first) == "t = 0.004 s, command bag time: 4000000 against 4000001"
+
+
+def test_foreign_types_are_compared_by_field(tmp_path):
+    foreign_bag(tmp_path / "a")
+    foreign_bag(tmp_path / "b")
+    reference, changed = signals(tmp_path / "a"), signals(tmp_path / "b")
+    assert compare(reference, changed).equal
+    for topic, at in (("imu", -1), ("note", 8), ("odd", 4)):
+        data = bytearray(changed.recording.topics[topic].data[1])
+        data[at] ^= 1
+        changed.recording.topics[topic].data[1] = bytes(data)
+    found = {t.topic: t.first and t.first.field for t in compare(reference, changed).topics}
+    assert found == {"imu": "linear_acceleration_covariance/8", "note": "data", "list": None, "odd": "bytes"}
+    assert json.loads(compare(reference, changed).to_json())["topics"][0]["differing"] == 1

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rosbags.typesys.store import Typestore
 from softrig_core.cdr import SCHEMAS, SECOND
 from softrig_core.recording import Recording
 from softrig_core.signals import Signals, Table
@@ -53,9 +54,13 @@ class BagSignals(Signals):
     shorter arrays lack are NaN; strings and arrays of bytes are no signals.
     """
 
-    def __init__(self, recording: Recording, epoch: int, stores: dict[str, Any]) -> None:
+    def __init__(self, recording: Recording, epoch: int, stores: dict[str, Typestore | None]) -> None:
         super().__init__(recording, epoch)
         self._stores = stores
+
+    def store(self, msgtype: str) -> Typestore | None:
+        """Give what deserialises a message type, None if it is not defined in the bag nor here."""
+        return self._stores[msgtype]
 
     def table(self, topic: str) -> Table:
         """Give all columns of a topic."""
@@ -72,15 +77,11 @@ class BagSignals(Signals):
         t = (np.array(found.times, dtype=np.int64) - self._epoch) / SECOND
         rows, stamps = [], t.copy()
         for i, data in enumerate(found.data):
-            message = store.deserialize_cdr(data, found.msgtype)
-            row: dict[str, float] = {}
-            header = getattr(message, "header", None)
-            if header is not None:
-                stamps[i] = (header.stamp.sec * SECOND + header.stamp.nanosec - self._epoch) / SECOND
-            for field in fields(message):
-                if field.name != "header":
-                    _flatten(getattr(message, field.name), field.name, row)
-            rows.append(row)
+            message: Any = store.deserialize_cdr(data, found.msgtype)
+            if hasattr(message, "header"):
+                stamps[i] = (message.header.stamp.sec * SECOND + message.header.stamp.nanosec - self._epoch) / SECOND
+            values = flatten(message)
+            rows.append({k: float(v) for k, v in values if not isinstance(v, str | bytes) and k[:7] != "header/"})
         labels = dict.fromkeys(label for row in rows for label in row)
         return Table(t, stamps, {k: np.array([row.get(k, np.nan) for row in rows], dtype=np.float64) for k in labels})
 
@@ -95,18 +96,19 @@ class BagSignals(Signals):
             yield from (f"{topic}/{label}" for label in self.table(topic).columns)
 
 
-def _flatten(value: Any, path: str, row: dict[str, float]) -> None:
-    if isinstance(value, bool | int | float | np.number | np.bool_):
-        row[path] = float(value)
-    elif isinstance(value, np.ndarray):
-        if value.dtype.itemsize > 1 or value.dtype == np.bool_:
-            row.update((f"{path}/{i}", x) for i, x in enumerate(value.astype(np.float64).tolist()))
+def flatten(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
+    """Give the path and value of every number, text and byte array inside a deserialised message."""
+    if is_dataclass(value):
+        for field in fields(value):
+            yield from flatten(getattr(value, field.name), f"{path}/{field.name}" if path else field.name)
     elif isinstance(value, list):
         for i, item in enumerate(value):
-            _flatten(item, f"{path}/{i}", row)
-    elif is_dataclass(value):
-        for field in fields(value):
-            _flatten(getattr(value, field.name), f"{path}/{field.name}", row)
+            yield from flatten(item, f"{path}/{i}")
+    elif isinstance(value, np.ndarray) and value.dtype.itemsize > 1:
+        for i, item in enumerate(value.tolist()):
+            yield f"{path}/{i}", item
+    else:
+        yield path, value.tobytes() if isinstance(value, np.ndarray) else value
 
 
 def signals(path: Path | str) -> BagSignals:

@@ -1,0 +1,26 @@
+"""The header stamp of a message, read from its bytes without decoding the rest."""
+
+from __future__ import annotations
+
+from struct import Struct
+
+from softrig_core.cdr import SCHEMAS, SECOND
+
+from .topics import BagTopic
+
+_LITTLE, _BIG = Struct("<iI"), Struct(">iI")
+
+
+def is_stamped(topic: BagTopic) -> bool:
+    """Whether messages of a topic begin with a header or a time."""
+    if topic.msgtype in SCHEMAS:
+        return SCHEMAS[topic.msgtype][0] == "stamp"
+    lines = (line.partition("#")[0].split() for line in topic.definition.splitlines())
+    first = next((words[0] for words in lines if words), "")
+    return first in ("std_msgs/Header", "std_msgs/msg/Header", "Header", "builtin_interfaces/Time")
+
+
+def stamp(data: bytes) -> int:
+    """Give the stamp in ns of a message that begins with one."""
+    seconds, nanoseconds = (_LITTLE if data[1] & 1 else _BIG).unpack_from(data, 4)
+    return seconds * SECOND + nanoseconds
