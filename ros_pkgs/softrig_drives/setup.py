@@ -20,11 +20,15 @@ setup(
     extras_require={"test": ["pytest"]},
     entry_points={
         "console_scripts": [
+            "axis_metrics = softrig_drives.dc_axis.metrics:main",
+            "dc_axis_plant = softrig_drives.dc_axis.plant:main",
             "dc_motor_metrics = softrig_drives.dc_motor.metrics:main",
             "dc_motor_pid = softrig_drives.dc_motor.pid:main",
             "dc_motor_plant = softrig_drives.dc_motor.plant:main",
             "dc_motor_smc = softrig_drives.dc_motor.sliding_mode:main",
             "dc_motor_smc_kalman = softrig_drives.dc_motor.kalman_surface:main",
+            "fsfb_controller = softrig_drives.dc_axis.controller:main",
+            "step_buttons = softrig_drives.dc_axis.buttons:main",
         ]
     },
 )

@@ -74,7 +74,7 @@ class SteadyKalman:
         x = []
         for row in self._rows:
             total = 0.0
-            for m, z in zip(row, known):  # noqa: B905 (hot; lengths are fixed above)
+            for m, z in zip(row, known):
                 total += m * z
             x.append(total)
         self.x = x

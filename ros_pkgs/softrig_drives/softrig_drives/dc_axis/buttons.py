@@ -1,0 +1,51 @@
+"""Push buttons pressed by a script."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from softrig_core.block import Block
+from softrig_core.node import executable
+from softrig_core.params import BlockParams, param
+from softrig_core.timebase import to_ns
+
+from .ports import FORWARD, REVERSE
+
+
+class StepButtonsParams(BlockParams):
+    """When each button is pressed; times count from the first tick."""
+
+    forward: tuple[float, ...] = param((0.0,), "times at which the forward button goes down", "s")
+    reverse: tuple[float, ...] = param((), "times at which the reverse button goes down", "s")
+    hold: float = param(0.1, "how long a press lasts", "s", gt=0.0)
+
+
+class StepButtons(Block):
+    """Gives the state of both buttons at every tick: 1 while pressed."""
+
+    Params = StepButtonsParams
+    OUTPUTS = (FORWARD, REVERSE)
+
+    def setup(self) -> None:
+        """Turn the presses into intervals of ns."""
+        hold = to_ns(self.p.hold)
+        self._presses = {
+            name: [(to_ns(at), to_ns(at) + hold) for at in getattr(self.p, name)] for name in ("forward", "reverse")
+        }
+
+    def start(self) -> None:
+        """Wait for the first tick."""
+        self._zero: int | None = None
+
+    def update(self, t: int, **inputs: Any) -> Mapping[str, tuple[float]]:
+        """Give both buttons."""
+        if self._zero is None:
+            self._zero = t
+        since = t - self._zero
+        return {
+            name: (float(any(down <= since < up for down, up in presses)),) for name, presses in self._presses.items()
+        }
+
+
+main = executable(StepButtons)

@@ -1,0 +1,223 @@
+"""Full state feedback with integrator for the axis, with three ways to treat a late measurement."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Literal, Self
+
+from pydantic import model_validator
+from softrig_control.delay import whole_periods
+from softrig_control.discretise import zero_order_hold
+from softrig_control.predictor import CommandReplay
+from softrig_control.state_feedback import Gains, StateFeedback, closed_loop_poles, place, require_stable
+from softrig_core.block import Block, Level
+from softrig_core.node import executable
+from softrig_core.params import param
+from softrig_core.port import Sample
+from softrig_core.timebase import to_ns
+
+from .motor import MotorParams
+from .nominal import NominalAxis
+from .ports import COMMAND, CONTROLLER_STATE, FEEDBACK, FORWARD, MODEL, REFERENCE, REVERSE
+from .set_point import SetPoint
+
+LARGEST_STEP = 60.0  # mm: what the amplifier can do without anti-windup, and only just
+LARGEST_GAP = 5  # periods without an answer after which the drive's watchdog has taken the command to zero
+
+
+class FsfbControllerParams(MotorParams):
+    """Gains in the paper's unit (command in mm of set point), and the treatment of the delay."""
+
+    kv: float = param(5.810929, "gain of the velocity", "s")
+    kp: float = param(46.050266, "gain of the position, the unity position loop included")
+    ki: float = param(73.199977, "gain of the integrator", "1/s")
+    integral: bool = param(True, "integrator on; off: u = r - kv v - kp y")
+    compensation: Literal["none", "velocity", "predictor"] = param("predictor", "treatment of the feedback delay")
+    delay_from: Literal["stamps", "fixed"] = param("stamps", "delay of a sample: its age, or delay_ms")
+    delay_ms: float = param(80.0, "feedback delay where it is not taken from the stamps", "ms", ge=0.0)
+    max_age: float = param(0.5, "age from which feedback is refused", "s", gt=0.0)
+    count_mm: float = param(0.0, "encoder count: half of it is added to a reading that is rounded down; 0: as read",
+                            "mm", ge=0.0)  # fmt: skip
+    aw: bool = param(False, "anti-windup: no integration further into saturation")
+    step_mm: float = param(10.0, "what a press of a button adds to the set point", "mm", gt=0.0)
+
+    @model_validator(mode="after")
+    def _works(self) -> Self:
+        if self.delay_from == "fixed" and self.delay_ms > 1e3 * self.max_age:
+            raise ValueError(f"delay_ms = {self.delay_ms:g} ms is beyond max_age = {self.max_age:g} s")
+        k = self.kv / self.mm_per_volt, self.kp / self.mm_per_volt
+        ki = self.ki / self.mm_per_volt if self.integral else None
+        require_stable(closed_loop_poles(self.a, self.b, (0.0, 1.0), k, ki))
+        return self
+
+
+def design(poles: Sequence[complex], motor: MotorParams | None = None) -> tuple[float, float, float]:
+    """Gains (kv, kp, ki) of the controller for three wanted poles.
+
+    s^3 + (pole + gain kv) s^2 + gain kp s + gain ki = (s - p1)(s - p2)(s - p3)
+
+    Parameters
+    ----------
+    poles : three numbers
+        In 1/s, complex ones in conjugate pairs.
+    motor : MotorParams, optional
+        The published motor when absent.
+
+    Raises
+    ------
+    softrig_control.state_feedback.UnstableDesign
+        A pole is not in the open left half plane; names the poles.
+    """
+    motor = motor or MotorParams()
+    gains: Gains = place(motor.a, (motor.gain, 0.0), (0.0, 1.0), poles)
+    return gains.k[0], gains.k[1], gains.ki
+
+
+class FsfbController(Block):
+    """u = -kv v - kp y + ki xi, xi' = r - y, on the state that the compensation makes of a late measurement.
+
+    none
+        The late (v, y) as they are.
+    velocity
+        y + v tau for the delay tau, v as it is: what the drive vendor documents for its encoder.
+    predictor
+        The present (v, y) by replaying the commands issued since the measurement through the exact sampled motor.
+
+    Feedback from the future, older than `max_age` or not finite, or a prediction for which not all commands are
+    known: 0 V, the integrator holds, and a report says so. The controller starts without a bump: set point and
+    integrator fit the first measured position.
+
+    Notes
+    -----
+    Love, Kriger, Tshemese-Mvandaba (2024). The paper gives no gains; the defaults have the poles -2.649278 and twice
+    -7.947834 1/s, solved for the published rise time of 0.966 s. ``axis/model`` carries the loop as designed
+    (`NominalAxis`), ``axis/controller_state`` what the law saw: set point, compensated position and velocity,
+    integrator, age of the feedback.
+    """
+
+    Params = FsfbControllerParams
+    INPUTS = (FEEDBACK, REFERENCE, FORWARD, REVERSE)
+    OUTPUTS = (COMMAND, MODEL, CONTROLLER_STATE)
+
+    def setup(self) -> None:
+        """Gains in volts, the sampled motor, the predictor."""
+        p: FsfbControllerParams = self.p
+        self._period = to_ns(p.period)
+        self._max_age = to_ns(p.max_age)
+        phi, gamma = zero_order_hold(p.a, [[b] for b in p.b], p.period)
+        self._law = self._make_law()
+        self._nominal = NominalAxis(p, phi, gamma, self._make_law())
+        self._replay = CommandReplay(phi, gamma, math.ceil(p.max_age / p.period))
+        self._set_point = SetPoint(p.step_mm, self.report, math.inf if p.aw else LARGEST_STEP)
+        self._half_count = 0.5 * p.count_mm
+        self._fixed, self._rounded = whole_periods(p.delay_ms, p.period)
+
+    def _make_law(self) -> StateFeedback:
+        p, scale = self.p, self.p.mm_per_volt
+        return StateFeedback(
+            (p.kv / scale, p.kp / scale), p.ki / scale if p.integral else 0.0, p.period, p.u_limit_v,
+            kr=0.0 if p.integral else 1.0 / scale, anti_windup=p.aw,
+        )  # fmt: skip
+
+    def start(self) -> None:
+        """Wait for the first measurement."""
+        self._t: int | None = None
+        self._stamp: int | None = None
+        self._measured: tuple[float, float] = (0.0, 0.0)  # (v, y), late
+        self._state: tuple[float, ...] = (0.0, 0.0)  # (v, y), compensated
+        self._u = 0.0
+        self._law.settle(self._state)
+        self._nominal.start(0.0)
+        self._set_point.start(0.0)
+        self._replay.clear()
+        if self.p.delay_from == "fixed":
+            for _ in range(self._fixed):  # before the first command the drive holds 0 V
+                self._replay.record(0.0)
+            if self._rounded:
+                self.report(Level.WARN, "delay", f"delay_ms = {self.p.delay_ms:g} is not a whole number of periods: "
+                                                 f"rounded up to {self._fixed}")  # fmt: skip
+
+    def update(
+        self, t: int, *, feedback: Sample, reference: tuple[float] | None, forward: tuple[float] | None,
+        reverse: tuple[float] | None,
+    ) -> Mapping[str, tuple[float, ...]]:  # fmt: skip
+        """Answer one period."""
+        self._note_gap(t)
+        measured = self._measure(t, feedback)
+        asked = self._set_point.update(
+            None if reference is None else reference[0], forward == (1.0,), reverse == (1.0,)
+        )  # fmt: skip
+        r = self._set_point.value
+        u = 0.0
+        if measured and asked and self._compensate(t):
+            self._nominal.step(r)
+            u = self._law.step(r, self._state, self._state[1])
+        self._u = u
+        self._replay.record(u)
+        v, y = self._state
+        age = 0.0 if self._stamp is None else (t - self._stamp) * 1e-9
+        return {
+            "command": (u,),
+            "model": self._nominal.signals,
+            "controller_state": (r, y, v, self._law.xi, age),
+        }
+
+    def _note_gap(self, t: int) -> None:
+        """Keep the command history true when periods were left out."""
+        if self._t is not None:
+            gap = (t - self._t) // self._period - 1
+            if gap > LARGEST_GAP:
+                self._replay.clear()
+            else:
+                for _ in range(gap):  # the drive held the last command
+                    self._replay.record(self._u)
+        self._t = t
+
+    def _measure(self, t: int, feedback: Sample) -> bool:
+        """Take the measurement; False when there is none that may be used."""
+        stamp, (y, v) = feedback
+        if stamp > t:
+            self.report(Level.ERROR, "feedback time", f"feedback stamped {(stamp - t) * 1e-9:g} s in the future: 0 V")
+            return False
+        if not (math.isfinite(y) and math.isfinite(v)):
+            self.report(Level.ERROR, "feedback value", f"feedback is ({y}, {v}): the last good one holds, 0 V")
+            return False
+        if self._stamp is None:
+            self._set_point.start(y)
+        y += self._half_count
+        if self._stamp is None:
+            self._law.settle((0.0, y), y)
+            self._nominal.start(y)
+        if self._stamp is None or stamp > self._stamp:
+            self._stamp = stamp
+            self._measured = v, y
+        elif stamp < self._stamp:
+            self.report(Level.WARN, "feedback order", "feedback older than the one before it was dropped")
+        if t - self._stamp > self._max_age:
+            self.report(Level.ERROR, "feedback age", f"feedback is older than {self.p.max_age:g} s: 0 V")
+            return False
+        return True
+
+    def _compensate(self, t: int) -> bool:
+        """Make the state for the law of the late measurement; False when that cannot be done."""
+        p: FsfbControllerParams = self.p
+        assert self._stamp is not None
+        v, y = self._measured
+        late = self._fixed
+        if p.delay_from == "stamps":
+            late = -((self._stamp - t) // self._period)
+        if p.compensation == "none":
+            self._state = v, y
+        elif p.compensation == "velocity":
+            self._state = v, y + v * late * p.period
+        else:
+            state = self._replay.present((v, y), late)
+            if state is None:
+                self.report(Level.WARN, "predictor", f"the commands of the last {late} periods are not all known: 0 V")
+                return False
+            self._state = state
+        return True
+
+
+main = executable(FsfbController)

@@ -1,0 +1,113 @@
+"""Axis of a DC motor behind a limited amplifier, with an incremental encoder and optional dry friction."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Self
+
+from pydantic import model_validator
+from softrig_core.block import Plant
+from softrig_core.node import executable
+from softrig_core.params import param
+
+from .motor import Motion, MotorParams
+from .ports import COMMAND, STATE, TRUE_STATE
+
+SUBSTEP = 1e-3  # s, with friction: the longest step between two looks at stick and slip
+
+
+class DcAxisParams(MotorParams):
+    """Motor, encoder and friction."""
+
+    counts_per_rev: float = param(400.0, "encoder pulses per revolution", gt=0.0)
+    mm_per_rev: float = param(10.0, "travel per revolution", "mm", gt=0.0)
+    velocity_window: int = param(2, "periods between the two counts whose difference gives the speed", ge=1)
+    friction: bool = param(False, "dry friction on")
+    coulomb: float = param(40.0, "deceleration by Coulomb friction", "mm/s^2", ge=0.0)
+    stiction: float = param(60.0, "acceleration up to which the axis at rest sticks", "mm/s^2", ge=0.0)
+
+    @model_validator(mode="after")
+    def _break_away(self) -> Self:
+        if self.stiction < self.coulomb:
+            raise ValueError(f"stiction {self.stiction:g} mm/s^2 is below coulomb {self.coulomb:g} mm/s^2")
+        return self
+
+
+class DcAxisPlant(Plant):
+    """Axis with y' = v, v' = -pole v + gain u_m - friction, |u_V| <= u_limit_v, held over the period.
+
+    Without friction one exact step a period; with friction sub-steps of at most 1 ms, each exact between the events
+    (stop, stick, break-away). The encoder reads E = floor(y / q + 1e-9) counts of q = mm_per_rev / counts_per_rev
+    and its speed (E_k - E_(k-w)) q / (w dt); counts before the start are those at rest at y = 0.
+
+    Notes
+    -----
+    Love, Kriger, Tshemese-Mvandaba (2024), eqs (1) and (2). The printed matrix is the plant of the unity position
+    loop G/(1 + G), G = 2.2862 / (s (s + 5.26)); G itself is the motor.
+    """
+
+    Params = DcAxisParams
+    INPUTS = (COMMAND,)
+    OUTPUTS = (STATE, TRUE_STATE)
+
+    def setup(self) -> None:
+        """Prepare the exact steps."""
+        p: DcAxisParams = self.p
+        self._gain = p.gain * p.mm_per_volt
+        self._steps = math.ceil(p.period / SUBSTEP - 1e-9) if p.friction else 1
+        self._motion = Motion(p.pole, p.period / self._steps)
+        self._resolution = p.mm_per_rev / p.counts_per_rev
+        self._per_count = self._resolution / (p.velocity_window * p.period)
+
+    def start(self) -> None:
+        """Rest at y = 0."""
+        self._y = self._v = 0.0
+        self._past = [0] * self.p.velocity_window
+
+    def _counts(self) -> int:
+        return math.floor(self._y / self._resolution + 1e-9)
+
+    def outputs(self, t: int) -> Mapping[str, tuple[float, float]]:
+        """Give what the encoder reads, and the true state."""
+        counts = self._counts()
+        return {
+            "state": (counts * self._resolution, (counts - self._past[0]) * self._per_count),
+            "true_state": (self._y, self._v),
+        }
+
+    def advance(self, t: int, *, command: tuple[float]) -> None:
+        """Move one period with the voltage held."""
+        del self._past[0]
+        self._past.append(self._counts())
+        limit = self.p.u_limit_v
+        f = self._gain * min(max(command[0], -limit), limit)
+        if self.p.friction:
+            for _ in range(self._steps):
+                self._slide(f)
+        else:
+            self._move(f)
+
+    def _move(self, f: float) -> None:
+        """One step under the net force, up to the speed limit."""
+        y, v = self._motion.step(self._y, self._v, f)
+        top = math.copysign(self.p.vmax, v)
+        if abs(v) > self.p.vmax:
+            y, v = self._motion.stop(self._y, self._v, f, top), top
+        self._y, self._v = y, v
+
+    def _slide(self, f: float) -> None:
+        """One sub-step with dry friction: stuck, slipping, or coming to rest inside it."""
+        v = self._v
+        if v == 0.0:
+            if abs(f) > self.p.stiction:
+                self._move(f - math.copysign(self.p.coulomb, f))
+            return
+        net = f - math.copysign(self.p.coulomb, v)
+        if v * self._motion.step(self._y, v, net)[1] > 0.0:
+            self._move(net)
+        else:
+            self._y, self._v = self._motion.stop(self._y, v, net, 0.0), 0.0
+
+
+main = executable(DcAxisPlant)

@@ -1,0 +1,21 @@
+"""Signals that the nodes of the axis exchange."""
+
+from softrig_core.port import button, command, joint_state, reference, scalars
+
+_AXIS = ("axis",)
+
+STATE = joint_state("state", "axis/state", _AXIS, position="mm", velocity="mm/s")
+TRUE_STATE = joint_state("true_state", "axis/true_state", _AXIS, position="mm", velocity="mm/s")
+FEEDBACK = joint_state("feedback", "axis/feedback", _AXIS, position="mm", velocity="mm/s", delayed=True)
+REFERENCE = reference("reference", "axis/reference", _AXIS, position="mm", held=True)
+COMMAND = command("command", "axis/command", ("armature",), "V")
+MODEL = scalars(
+    "model", "axis/model",
+    {"position_set": "mm", "velocity": "mm/s", "acceleration": "mm/s^2", "deceleration": "mm/s^2", "jerk": "mm/s^3"},
+)  # fmt: skip
+CONTROLLER_STATE = scalars(
+    "controller_state", "axis/controller_state",
+    {"set_point": "mm", "position": "mm", "velocity": "mm/s", "integral": "mm s", "age": "s"},
+)  # fmt: skip
+FORWARD = button("forward", "forward", held=True)
+REVERSE = button("reverse", "reverse", held=True)

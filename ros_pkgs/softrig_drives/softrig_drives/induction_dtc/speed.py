@@ -1,0 +1,54 @@
+"""Speed loop around the torque control."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from softrig_control.pid import Pid, PidParams
+from softrig_core.block import Block
+from softrig_core.node import executable
+from softrig_core.params import BlockParams, param
+
+from .ports import SPEED, SPEED_REF, TORQUE_REF
+
+
+class SpeedControllerParams(PidParams, BlockParams):
+    """Gains of the speed loop."""
+
+    period: float = param(1e-3, "sampling period", "s", gt=0.0)
+    kp: float = param(1.5, "proportional gain K_p", "N m s/rad")
+    ki: float = param(15.0, "integral gain K_i", "N m/rad")
+    kd: float = param(0.0, "derivative gain K_d", "N m s^2/rad")
+    u_max: float = param(20.0, "largest torque reference", "N m", gt=0.0)
+    slew: float = param(500.0, "slew rate of the speed reference", "rad/s^2", gt=0.0)
+
+
+class SpeedController(Block):
+    """PID on the speed error, its reference slewed, its output clipped; see `softrig_control.pid.Pid`."""
+
+    Params = SpeedControllerParams
+    INPUTS = (SPEED, SPEED_REF)
+    OUTPUTS = (TORQUE_REF,)
+
+    def setup(self) -> None:
+        """Make the law."""
+        self._pid = Pid(self.p, self.p.period)
+        self._rise = self.p.slew * self.p.period
+
+    def start(self) -> None:
+        """Stand still."""
+        self._pid.reset()
+        self._reference = 0.0
+
+    def update(
+        self, t: int, *, joint_states: tuple[float, ...], speed_ref: tuple[float, ...] | None
+    ) -> Mapping[str, tuple[float, ...]]:
+        """Give the torque reference; without a speed reference hold the standstill."""
+        target = 0.0 if speed_ref is None else speed_ref[0]
+        missing = target - self._reference
+        self._reference += min(max(missing, -self._rise), self._rise)
+        u_max = self.p.u_max
+        return {"torque_ref": (min(max(self._pid(self._reference - joint_states[0]), -u_max), u_max),)}
+
+
+main = executable(SpeedController)
