@@ -21,6 +21,7 @@ setup(
     entry_points={
         "console_scripts": [
             "command_source = softrig_control.command_source:main",
+            "fieldbus_delay = softrig_control.delay:main",
             "reference_source = softrig_control.reference_source:main",
         ]
     },

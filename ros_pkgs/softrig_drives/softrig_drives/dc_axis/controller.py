@@ -183,20 +183,18 @@ class FsfbController(Block):
         if not (math.isfinite(y) and math.isfinite(v)):
             self.report(Level.ERROR, "feedback value", f"feedback is ({y}, {v}): the last good one holds, 0 V")
             return False
+        if t - stamp > self._max_age:
+            self.report(Level.ERROR, "feedback age", f"feedback is older than {self.p.max_age:g} s: 0 V")
+            return False
         if self._stamp is None:
             self._set_point.start(y)
-        y += self._half_count
-        if self._stamp is None:
-            self._law.settle((0.0, y), y)
+            self._law.settle((0.0, y + self._half_count), y)
             self._nominal.start(y)
         if self._stamp is None or stamp > self._stamp:
             self._stamp = stamp
-            self._measured = v, y
+            self._measured = v, y + self._half_count
         elif stamp < self._stamp:
             self.report(Level.WARN, "feedback order", "feedback older than the one before it was dropped")
-        if t - self._stamp > self._max_age:
-            self.report(Level.ERROR, "feedback age", f"feedback is older than {self.p.max_age:g} s: 0 V")
-            return False
         return True
 
     def _compensate(self, t: int) -> bool:

@@ -1,0 +1,156 @@
+"""A network link between two nodes: delay, jitter, loss and quantisation, with the original stamps."""
+
+from __future__ import annotations
+
+import heapq
+import math
+from collections.abc import Mapping
+from typing import Literal, Self
+
+from pydantic import model_validator
+from softrig_core.block import Block, Level
+from softrig_core.node import executable
+from softrig_core.params import BlockParams, param
+from softrig_core.port import Port, Sample, joint_state, reference, vector3, wrench
+from softrig_core.timebase import to_ns
+
+MessageType = Literal[
+    "sensor_msgs/msg/JointState",
+    "trajectory_msgs/msg/JointTrajectory",
+    "geometry_msgs/msg/Vector3Stamped",
+    "geometry_msgs/msg/WrenchStamped",
+]
+
+
+class FieldbusDelayParams(BlockParams):
+    """Which messages the link carries and what it does to them."""
+
+    topic_in: str = param("axis/state", "topic at the sender's end", min_length=1)
+    topic_out: str = param("axis/feedback", "topic at the receiver's end", min_length=1)
+    message: MessageType = param("sensor_msgs/msg/JointState", "type of the messages")
+    channels: tuple[str, ...] = param(("axis",), "names in a JointState or JointTrajectory")
+    fields: tuple[str, ...] = param(("position", "velocity"), "fields used of a JointState or JointTrajectory")
+    frame_id: str = param("", "frame of the messages")
+    delay_ms: float = param(80.0, "delay, rounded up to whole periods", "ms", ge=0.0)
+    jitter_ms: float = param(0.0, "largest additional delay; whole periods from 0 up to it are equally likely", "ms",
+                             ge=0.0)  # fmt: skip
+    loss: float = param(0.0, "probability that a message is lost", ge=0.0, lt=1.0)
+    quantum: tuple[float, ...] = param((), "step to which each value is rounded, 0 for none; empty: no rounding")
+    initial: tuple[float, ...] = param((), "values given before the first arrival; empty: the first ones sent")
+    restamp: bool = param(False, "stamp with the time of delivery, for a receiver that pairs messages by stamp")
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        if self.topic_in == self.topic_out:
+            raise ValueError(f"topic_in and topic_out are both {self.topic_in!r}")
+        known = {"position", "velocity", "effort" if self.message.endswith("JointState") else "acceleration"}
+        if not self.fields or not known.issuperset(self.fields):
+            raise ValueError(f"fields {list(self.fields)}, expected some of {sorted(known)} for {self.message}")
+        size = self.port("link", self.topic_in).size
+        for name in ("quantum", "initial"):
+            given = getattr(self, name)
+            if given and len(given) != size:
+                raise ValueError(f"{name} has {len(given)} values, expected {size}")
+        if any(q < 0.0 for q in self.quantum):
+            raise ValueError(f"quantum {list(self.quantum)}: expected no negative step")
+        return self
+
+    def port(self, name: str, topic: str, delayed: bool = True) -> Port:
+        """Give one end of the link."""
+        if self.message == "geometry_msgs/msg/Vector3Stamped":
+            return vector3(name, topic, self.frame_id, "", delayed=delayed)
+        if self.message == "geometry_msgs/msg/WrenchStamped":
+            return wrench(name, topic, self.frame_id, delayed=delayed)
+        make = joint_state if self.message == "sensor_msgs/msg/JointState" else reference
+        units = dict.fromkeys(self.fields, "1")
+        return make(name, topic, self.channels, frame_id=self.frame_id, delayed=delayed, **units)
+
+
+class FieldbusDelay(Block):
+    """A link that answers every tick with the newest message that has arrived, under its acquisition stamp.
+
+    A message sent at t arrives at t + d, d = ceil(delay / period) + a random whole number of periods up to the
+    jitter; a message overtaken by a newer one is dropped. Nothing arrived yet: the initial values, under the stamp
+    of the first message sent. The random numbers depend on the rig's seed and the node's name only.
+
+    Notes
+    -----
+    A port that reads the link must be declared `delayed`, unless `restamp` is set. On a command link give the
+    `initial` values: without them the first command takes effect at once and holds until the second arrives.
+    """
+
+    Params = FieldbusDelayParams
+
+    @classmethod
+    def ports(cls, params: FieldbusDelayParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
+        """Give both ends, of the same message type."""
+        return (params.port("sent", params.topic_in),), (
+            params.port("arrived", params.topic_out, delayed=not params.restamp),
+        )
+
+    def setup(self) -> None:
+        """Turn times into whole periods."""
+        p: FieldbusDelayParams = self.p
+        self._period = to_ns(p.period)
+        self._delay, self._rounded = whole_periods(p.delay_ms, p.period)
+        self._jitter, rounded = whole_periods(p.jitter_ms, p.period)
+        self._rounded |= rounded
+        self._random = self._jitter > 0 or p.loss > 0.0
+
+    def start(self) -> None:
+        """Empty the line."""
+        self._newest = -1
+        self._line: list[tuple[int, int, tuple[float, ...]]] = []
+        self._held: Sample | None = None
+        if self._rounded:
+            self.report(
+                Level.WARN, "delay", f"delay {self.p.delay_ms:g} ms and jitter {self.p.jitter_ms:g} ms are not whole "
+                f"periods of {self.p.period:g} s: rounded up to {self._delay} and {self._jitter} periods",
+            )  # fmt: skip
+
+    def update(self, t: int, *, sent: Sample) -> Mapping[str, Sample | tuple[float, ...]]:
+        """Take the newest message sent, give the newest that has arrived."""
+        if self._held is None:
+            self._held = Sample(sent.stamp, self.p.initial or sent.data)
+        if sent.stamp > self._newest:  # the same stamp again is the same message, held
+            self._newest = sent.stamp
+            self._send(t, sent)
+        elif sent.stamp < self._newest:
+            self.report(Level.WARN, "order", "a message older than the one before it was dropped")
+        line, held = self._line, self._held
+        while line and line[0][0] <= t:
+            _, stamp, data = heapq.heappop(line)
+            if stamp >= held.stamp:
+                held = Sample(stamp, data)
+        self._held = held
+        return {"arrived": held.data if self.p.restamp else held}
+
+    def _send(self, t: int, sample: Sample) -> None:
+        periods = self._delay
+        if self._random:  # always both numbers, so that switching one option leaves the other's sequence alone
+            draw, survive = self.rng.random(2).tolist()
+            periods += int(draw * (self._jitter + 1))
+            if survive < self.p.loss:
+                return
+        data = sample.data
+        if self.p.quantum:
+            data = tuple(
+                math.floor(x / q + 0.5) * q if q else x for x, q in zip(data, self.p.quantum, strict=True)
+            )  # fmt: skip
+        heapq.heappush(self._line, (t + periods * self._period, sample.stamp, data))
+
+
+def whole_periods(time_ms: float, period: float) -> tuple[int, bool]:
+    """Round a time in ms up to whole periods (s).
+
+    Returns
+    -------
+    (int, bool)
+        Number of periods, and whether the time was not a multiple.
+    """
+    exact = time_ms * 1e-3 / period
+    periods = math.ceil(exact - 1e-9)
+    return periods, abs(periods - exact) > 1e-9 * max(1.0, exact)
+
+
+main = executable(FieldbusDelay)

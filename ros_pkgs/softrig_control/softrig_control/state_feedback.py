@@ -1,0 +1,160 @@
+"""Full state feedback with an integrator: design by pole placement, and the sampled law with anti-windup."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+Matrix = Sequence[Sequence[float]]
+
+
+class UnstableDesign(ValueError):
+    """The nominal closed loop has poles that are not in the open left half plane; the text names them."""
+
+
+class Gains(NamedTuple):
+    """u = -k x + ki xi, xi' = r - y."""
+
+    k: tuple[float, ...]
+    ki: float
+
+
+def place(a: Matrix, b: Sequence[float], c: Sequence[float], poles: Sequence[complex]) -> Gains:
+    """Gains that give the loop of x' = A x + B u, y = C x, xi' = r - y the wanted poles.
+
+    Ackermann's formula on the augmented plant [[A, 0], [-C, 0]], [B; 0].
+
+    Parameters
+    ----------
+    a : (n, n) nested sequence
+    b, c : (n,) sequence
+        One input, one output.
+    poles : (n + 1,) sequence of complex
+        In 1/s; complex ones in conjugate pairs.
+
+    Raises
+    ------
+    UnstableDesign
+        A wanted pole has a real part >= 0.
+    ValueError
+        Wrong number of poles, a complex one without its conjugate, or the augmented plant is not controllable.
+
+    Examples
+    --------
+    >>> place([[-5.26, 0], [1, 0]], [2.2862, 0], [0, 1], [-3, -6, -9]).ki
+    70.8599...
+    """
+    import numpy as np
+
+    n = len(b)
+    if len(poles) != n + 1:
+        raise ValueError(f"{len(poles)} poles, expected {n + 1} for {n} states and the integrator")
+    require_stable(poles)
+    wanted = np.poly(np.asarray(poles, dtype=complex))
+    if np.abs(wanted.imag).max() > 1e-9 * np.abs(wanted).max():
+        raise ValueError(f"poles {_names(poles)}: complex ones must come in conjugate pairs")
+    augmented = np.zeros((n + 1, n + 1))
+    augmented[:n, :n] = a
+    augmented[n, :n] = -np.asarray(c, dtype=float)
+    column = np.append(np.asarray(b, dtype=float), 0.0)
+    reach = np.column_stack([np.linalg.matrix_power(augmented, j) @ column for j in range(n + 1)])
+    if np.linalg.matrix_rank(reach) <= n:
+        raise ValueError("the plant with its integrator is not controllable from this input")
+    character = np.zeros_like(augmented)
+    for coefficient in wanted.real:
+        character = character @ augmented + coefficient * np.eye(n + 1)
+    k = np.linalg.solve(reach, character)[-1]
+    return Gains(tuple(map(float, k[:n])), -float(k[n]))
+
+
+def closed_loop_poles(
+    a: Matrix, b: Sequence[float], c: Sequence[float], k: Sequence[float], ki: float | None
+) -> tuple[complex, ...]:
+    """Poles of the continuous loop, 1/s, by rising real part; `ki` None: without integrator."""
+    import numpy as np
+
+    loop = np.asarray(a, dtype=float) - np.outer(b, k)
+    if ki is not None:
+        below = np.append(-np.asarray(c, dtype=float), 0.0)
+        loop = np.vstack([np.column_stack([loop, ki * np.asarray(b, dtype=float)]), below])
+    found = np.linalg.eigvals(loop)
+    return tuple(sorted((complex(p) for p in found), key=lambda p: (p.real, p.imag)))
+
+
+def require_stable(poles: Sequence[complex]) -> None:
+    """Refuse poles on or right of the imaginary axis.
+
+    Raises
+    ------
+    UnstableDesign
+        Names all the poles, the unstable ones first.
+    """
+    # A pole at zero comes out of an eigenvalue routine as a few rounding errors of the largest pole.
+    edge = -1e-12 * max((abs(p) for p in poles), default=0.0)
+    if bad := [p for p in poles if not complex(p).real < edge]:
+        raise UnstableDesign(f"the closed loop is not stable: pole {_names(bad)} among {_names(poles)} 1/s")
+
+
+def _names(poles: Sequence[complex]) -> str:
+    return ", ".join(f"{p:.6g}" if p.imag else f"{p.real:.6g}" for p in map(complex, poles))
+
+
+class StateFeedback:
+    """The sampled law u = sat(kr r - K x + ki xi), then xi += (r - y) dt.
+
+    Parameters
+    ----------
+    k : (n,) sequence of float
+        State gains.
+    ki : float
+        Integrator gain; 0 without integrator.
+    dt : float
+        Period, s.
+    limit : float
+        Actuator limit: |u| <= limit.
+    kr : float
+        Gain of the reference, for a law without integrator.
+    anti_windup : bool
+        Conditional integration: xi holds while u is saturated and the error would drive it further into the limit,
+        (u_sat - u) (r - y) < 0.
+    """
+
+    def __init__(
+        self, k: Sequence[float], ki: float, dt: float, limit: float, *, kr: float = 0.0, anti_windup: bool = False
+    ) -> None:
+        self._k = tuple(k)
+        self._ki = ki
+        self._kr = kr
+        self._dt = dt
+        self._limit = limit
+        self._anti_windup = anti_windup
+        self.xi = 0.0
+
+    def settle(self, x: Sequence[float], r: float = 0.0) -> None:
+        """Set the integrator so that the command at state x is zero: a start without a bump."""
+        self.xi = 0.0
+        if self._ki:
+            self.xi = -self._unlimited(r, x) / self._ki
+
+    def step(self, r: float, x: Sequence[float], y: float) -> float:
+        """Give the saturated command of this period and integrate.
+
+        Parameters
+        ----------
+        r, y : float
+            Reference and output.
+        x : (n,) sequence of float
+            State.
+        """
+        u = self._unlimited(r, x)
+        limited = min(max(u, -self._limit), self._limit)
+        error = r - y
+        if not (self._anti_windup and (limited - u) * error < 0.0):
+            self.xi += error * self._dt
+        return limited
+
+    def _unlimited(self, r: float, x: Sequence[float]) -> float:
+        u = self._kr * r + self._ki * self.xi
+        for gain, state in zip(self._k, x, strict=True):
+            u -= gain * state
+        return u
