@@ -69,12 +69,12 @@ class Compiled:
         at = 0
         for i in range(function.n_in()):
             self._views.append(self._views[0][at : at + function.nnz_in(i)])
-            self._buffer.set_arg(i, self._views[-1])
+            self._buffer.set_arg(i, self._views[-1])  # type: ignore[call-arg, arg-type]
             at += function.nnz_in(i)
         at = 0
         for i in range(function.n_out()):
             self._views.append(self._views[1][at : at + function.nnz_out(i)])
-            self._buffer.set_res(i, self._views[-1])
+            self._buffer.set_res(i, self._views[-1])  # type: ignore[call-arg, arg-type]
             at += function.nnz_out(i)
 
     def __call__(self, values: Sequence[float]) -> tuple[float, ...]:

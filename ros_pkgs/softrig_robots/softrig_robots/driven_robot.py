@@ -1,0 +1,257 @@
+r"""A robot whose joints are driven through gears by DC motors: equations, compiled step, plant block.
+
+.. math::
+    (M(q) + J_m r^{-2}) \ddot q + H(q, \dot q) + B_m r^{-2} \dot q + F_f(\dot q) + J(q)^T F_e + \tau_d
+        &= K_m r^{-1} I \\
+    L \dot I + R I + K_b r^{-1} \dot q &= V - d
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any, Self
+
+from pydantic import model_validator
+from softrig_core.block import Level, Plant
+from softrig_core.compiled import Compiled
+from softrig_core.errors import RunError
+from softrig_core.params import BlockParams, Params, param
+from softrig_core.timebase import to_ns, to_s
+
+from .joints import PerJoint, require_positive, spread
+
+if TYPE_CHECKING:
+    import casadi as ca
+
+Vector = tuple[float, ...]
+
+
+class Motors(Params):
+    """DC motors and gears; one number for all joints or one a joint."""
+
+    resistance: PerJoint = param((1.26,), "armature resistance R", "Ohm")
+    inductance: PerJoint = param((0.001,), "armature inductance L", "H")
+    inertia: PerJoint = param((2e-4,), "rotor inertia J_m", "kg m^2")
+    damping: PerJoint = param((1e-3,), "rotor damping B_m", "N m s/rad")
+    torque_constant: PerJoint = param((0.26,), "torque constant K_m", "N m/A")
+    back_emf_constant: PerJoint = param((0.26,), "back-emf constant K_b", "V s/rad")
+    gear: PerJoint = param((0.01,), "gear coefficient r: joint speed over motor speed", "")
+
+    @model_validator(mode="after")
+    def _positive(self) -> Self:
+        for name in ("resistance", "inductance", "torque_constant", "back_emf_constant", "gear"):
+            require_positive(f"motors.{name}", getattr(self, name))
+        for name in ("inertia", "damping"):
+            require_positive(f"motors.{name}", getattr(self, name), or_zero=True)
+        return self
+
+    def table(self, joints: int) -> dict[str, Vector]:
+        """Give every parameter with one value a joint.
+
+        Raises
+        ------
+        ValueError
+            A parameter has neither one value nor one a joint.
+        """
+        return {name: spread(f"motors.{name}", getattr(self, name), joints) for name in type(self).model_fields}
+
+
+class DrivenRobotParams(BlockParams):
+    """What every voltage-driven robot has."""
+
+    period: float = param(0.001, "sampling period T", "s", gt=0.0)
+    substeps: int = param(2, "Runge-Kutta steps a period", ge=1)
+    v_max: float = param(40.0, "voltage limit V_max of each motor", "V", gt=0.0)
+    payload: float = param(0.0, "point mass at the tool frame", "kg", ge=0.0)
+    speed_limit: float = param(100.0, "joint speed beyond which the run is broken off", "rad/s", gt=0.0)
+    motors: Motors = Motors()
+
+
+class DrivenRobot(Plant):
+    """Rigid robot, gears and armature circuits, fourth-order Runge-Kutta with the inputs held.
+
+    A subclass says which robot, from where and with which loads.
+    """
+
+    p: DrivenRobotParams
+
+    def robot(self) -> str:
+        """Give the URDF text of the robot; its tool frame is called ``tool``."""
+        raise NotImplementedError
+
+    def initial(self) -> tuple[Vector, Vector]:
+        """Give positions (rad) and velocities (rad/s) at t = 0; currents start at zero."""
+        raise NotImplementedError
+
+    def friction(self) -> Vector:
+        """Give F_c and F_s (N m) of every joint, then v_s and v_0 (rad/s)."""
+        return (*(0.0,) * (2 * self.n), 1.0, 1.0)
+
+    def joint_damping(self) -> Vector:
+        """Give the viscous friction of every joint, N m s/rad."""
+        return (0.0,) * self.n
+
+    def loads(self, t: int) -> tuple[Vector, Vector]:
+        """Give voltage drops d (V) and load torques tau_d (N m) of the sub-step that begins at t (ns)."""
+        raise NotImplementedError
+
+    def setup(self) -> None:
+        """Compile the robot and bring the motors to the joint side of the gears."""
+        self._step, self._torque, self.n = compile_robot(self.robot())
+        table = self.p.motors.table(self.n)
+        self._gear = table["gear"]
+        self._inertia = tuple(J / r**2 for J, r in zip(table["inertia"], self._gear, strict=True))
+        self._damping = tuple(
+            B / r**2 + s for B, r, s in zip(table["damping"], self._gear, self.joint_damping(), strict=True)
+        )
+        self._friction = self.friction()
+        self.set_motors(1.0, 1.0)
+        self._h = self.p.period / self.p.substeps
+        period = to_ns(self.p.period)
+        self._begins = [k * period // self.p.substeps for k in range(self.p.substeps)]
+        self.nowhere = (0.0, 0.0, 0.0)
+
+    def set_motors(self, resistance: float, constants: float) -> None:
+        """Put R, and K_m and K_b, to these multiples of their parameters."""
+        table = self.p.motors.table(self.n)
+        r = self._gear
+        self.torque_per_ampere = tuple(constants * K / g for K, g in zip(table["torque_constant"], r, strict=True))
+        self._plant = (
+            *(resistance * R for R in table["resistance"]),
+            *table["inductance"],
+            *self.torque_per_ampere,
+            *(constants * K / g for K, g in zip(table["back_emf_constant"], r, strict=True)),
+            *self._inertia,
+            *self._damping,
+            *self._friction,
+            self.p.payload,
+        )
+
+    def start(self) -> None:
+        """Put the robot at its initial state with no current."""
+        q, v = self.initial()
+        self.x: Vector = (*q, *v, *(0.0,) * self.n)
+        self.saturated = [0] * self.n
+
+    def clip(self, command: Vector) -> Vector:
+        """Limit the voltages and keep count of the ticks on which each was limited."""
+        top = self.p.v_max
+        if max(command) <= top and min(command) >= -top:
+            return command
+        for i, v in enumerate(command):
+            self.saturated[i] += abs(v) > top
+        seconds = [round(k * self.p.period, 9) for k in self.saturated]
+        self.report(
+            Level.WARN, "saturation", f"motor voltages limited to {top:g} V for {seconds} s (motor after motor)"
+        )
+        return tuple(min(max(v, -top), top) for v in command)
+
+    def move(self, t: int, voltages: Vector, force: Vector) -> None:
+        """Integrate over one period.
+
+        Parameters
+        ----------
+        t : int
+            Begin, ns.
+        voltages : tuple of float
+            At the motors, V.
+        force : tuple of 3 floats
+            With which the tool pushes on its surroundings, base frame, N.
+
+        Raises
+        ------
+        RunError
+            The state is no longer finite, or a joint is faster than the speed limit. The state stays the last good.
+        """
+        x = self.x
+        for begin in self._begins:
+            drop, torque = self.loads(t + begin)
+            inputs = [v - d for v, d in zip(voltages, drop, strict=True)]
+            x = self._step((*x, *inputs, *torque, *force, *self._plant, self._h))
+        speeds = x[self.n : 2 * self.n]
+        limit = self.p.speed_limit
+        # written so that NaN fails it, wherever it is in the state
+        if not (max(speeds) <= limit and min(speeds) >= -limit and math.isfinite(sum(x))):
+            raise RunError(f"joint speeds {[float(f'{v:.6g}') for v in speeds]} rad/s, limit {limit:g}: integration "
+                           f"stopped at t = {to_s(t):.9g} s, last positions {list(self.x[: self.n])} rad")  # fmt: skip
+        self.x = x
+
+    def motor_torques(self) -> Vector:
+        """Give the motors' torques on the joint side, K_m I/r, N m."""
+        return tuple(k * i for k, i in zip(self.torque_per_ampere, self.x[2 * self.n :], strict=True))
+
+    def gear_torques(self, t: int, force: Vector) -> Vector:
+        """Give what the gears hand to the links, T_r = K_m I/r - (J_m q'' + B_m q')/r^2, N m."""
+        _, torque = self.loads(t)
+        return self._torque((*self.x, *torque, *force, *self._plant))
+
+    def advance(self, t: int, motor_command: Vector, **inputs: Any) -> None:
+        """Move with the clipped voltages and no force at the tool."""
+        self.move(t, self.clip(motor_command), self.nowhere)
+
+    def outputs(self, t: int) -> Mapping[str, Vector]:
+        """Give joint and motor states."""
+        n = self.n
+        x = self.x
+        gear = self._gear
+        motors = (*(q / r for q, r in zip(x[: 2 * n], gear * 2, strict=True)), *x[2 * n :])
+        return {"joint_states": (*x[: 2 * n], *self.motor_torques()), "motor_states": motors}
+
+
+@lru_cache(maxsize=16)
+def compile_robot(urdf: str) -> tuple[Compiled, Compiled, int]:
+    """Compile a robot.
+
+    Motor, friction and payload numbers are arguments of the compiled functions, so that only another URDF needs
+    another compilation.
+
+    Parameters
+    ----------
+    urdf : str
+        URDF text with a frame ``tool``.
+
+    Returns
+    -------
+    step : Compiled
+        (x, V - d, tau_d, F_e, motors, h) to the state x = (q, v, I) one Runge-Kutta step of h (s) later.
+    torque : Compiled
+        (x, tau_d, F_e, motors) to the torques T_r behind the gears.
+    joints : int
+    """
+    import casadi as ca
+
+    from .rigid_body import SymbolicRobot, load_model
+
+    robot = SymbolicRobot(load_model(urdf), "tool")
+    n = robot.n
+    x, inputs, load, force = ca.SX.sym("x", 3 * n), ca.SX.sym("V", n), ca.SX.sym("tau_d", n), ca.SX.sym("F_e", 3)
+    plant = ca.SX.sym("plant", 8 * n + 3)
+    derivative, transmitted = _equations(robot, x, inputs, load, force, plant)
+    ode = ca.Function("ode", [x, inputs, load, force, plant], [derivative])
+    held = [ca.MX.sym("V", n), ca.MX.sym("tau_d", n), ca.MX.sym("F_e", 3), ca.MX.sym("plant", 8 * n + 3)]
+    now, h = ca.MX.sym("x", 3 * n), ca.MX.sym("h")
+    k1 = ode(now, *held)
+    k2 = ode(now + h / 2 * k1, *held)
+    k3 = ode(now + h / 2 * k2, *held)
+    k4 = ode(now + h * k3, *held)
+    step = ca.Function("robot_step", [now, *held, h], [now + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)])
+    torque = ca.Function("gear_torque", [x, load, force, plant], [transmitted])
+    return Compiled(step), Compiled(torque), n
+
+
+def _equations(robot: Any, x: ca.SX, inputs: ca.SX, load: ca.SX, force: ca.SX, plant: ca.SX) -> tuple[ca.SX, ca.SX]:
+    """Right-hand side of the state equation, and the torques behind the gears."""
+    import casadi as ca
+
+    n = robot.n
+    q, v, current = x[:n], x[n : 2 * n], x[2 * n :]
+    R, L, torque_constant, back_emf, inertia, damping, coulomb, static = (plant[i * n : (i + 1) * n] for i in range(8))
+    stribeck, edge, payload = plant[8 * n], plant[8 * n + 1], plant[8 * n + 2]
+    rubbing = (coulomb + (static - coulomb) * ca.exp(-((v / stribeck) ** 2))) * ca.tanh(v / edge)
+    motor = torque_constant * current
+    pushed = ca.jacobian(robot.tool_position(q), q).T @ force
+    acceleration = robot.forward_dynamics(q, v, motor - damping * v - rubbing - pushed - load, inertia, payload)
+    transmitted = motor - inertia * acceleration - damping * v
+    return ca.vertcat(v, acceleration, (inputs - R * current - back_emf * v) / L), transmitted

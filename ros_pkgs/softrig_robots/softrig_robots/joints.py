@@ -1,0 +1,64 @@
+"""Parameters with one value a joint."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Annotated, Any, Self
+
+from pydantic import BeforeValidator, model_validator
+from softrig_core.params import Params
+
+
+def _as_sequence(value: Any) -> Any:
+    return (value,) if isinstance(value, (int, float)) and not isinstance(value, bool) else value
+
+
+#: One number for every joint, or one number a joint.
+PerJoint = Annotated[tuple[float, ...], BeforeValidator(_as_sequence)]
+
+
+def spread(name: str, values: Sequence[float], joints: int) -> tuple[float, ...]:
+    """Give one value a joint.
+
+    Raises
+    ------
+    ValueError
+        Neither one value nor as many as there are joints; names the parameter.
+    """
+    if len(values) == 1:
+        return (float(values[0]),) * joints
+    if len(values) != joints:
+        raise ValueError(f"{name} = {list(values)} has {len(values)} values, expected 1 or {joints} (one a joint)")
+    return tuple(map(float, values))
+
+
+def require_positive(name: str, values: Sequence[float], *, or_zero: bool = False) -> None:
+    """Refuse values that are not positive (or, with `or_zero`, negative).
+
+    Raises
+    ------
+    ValueError
+        Names the parameter and its values.
+    """
+    if any(value < 0.0 or (value == 0.0 and not or_zero) for value in values):
+        raise ValueError(f"{name} = {list(values)}: expected {'no negative' if or_zero else 'only positive'} values")
+
+
+class JointGains(Params):
+    """Gains of a law that runs once a joint: no negative ones, one number for all joints or one a joint."""
+
+    @model_validator(mode="after")
+    def _not_negative(self) -> Self:
+        for name in type(self).model_fields:
+            require_positive(name, getattr(self, name), or_zero=True)
+        return self
+
+    def of_joint(self, prefix: str, joint: int, joints: int) -> dict[str, Any]:
+        """Give the gains of one joint.
+
+        Raises
+        ------
+        ValueError
+            A gain has neither one value nor one a joint; names it with the prefix.
+        """
+        return {k: spread(f"{prefix}.{k}", getattr(self, k), joints)[joint] for k in type(self).model_fields}

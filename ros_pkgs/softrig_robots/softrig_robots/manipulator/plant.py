@@ -1,0 +1,101 @@
+"""The electrically driven 3-link arm, or any arm given as URDF.
+
+Paper: an articulated robot under voltage-level adaptive dynamic sliding mode control; equations (1)-(3).
+"""
+
+from __future__ import annotations
+
+from typing import Self
+
+from pydantic import model_validator
+from softrig_core.node import executable
+from softrig_core.params import Params, param
+from softrig_core.port import Port, command, joint_state
+from softrig_core.timebase import to_ns
+
+from ..driven_robot import DrivenRobot, DrivenRobotParams, Vector
+from ..joints import PerJoint, spread
+from ..urdf import read_urdf
+from .model import Links, manipulator_urdf
+
+JOINTS = ("joint1", "joint2", "joint3")
+
+
+class VoltageStep(Params):
+    """A step of the disturbance voltage d, a drop in front of the armature."""
+
+    amplitude: PerJoint = param((2.0,), "size; one number for all joints or one a joint", "V")
+    time: float = param(6.0, "when it begins", "s", ge=0.0)
+
+
+class ManipulatorParams(DrivenRobotParams):
+    """Published arm and experiment; `urdf` and `joints` bring another arm."""
+
+    joints: tuple[str, ...] = param(JOINTS, "joint names, from the base on", min_length=1)
+    urdf: str = param("", "file or package:// URI of another arm, with a frame `tool`; empty: built from `links`")
+    links: Links = Links()
+    position: PerJoint = param((0.0,), "q(0)", "rad")
+    velocity: PerJoint = param((0.0,), "velocity at t = 0", "rad/s")
+    disturbance: VoltageStep = VoltageStep()
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        n = len(self.joints)
+        self.motors.table(n)
+        for name, values in (("position", self.position), ("velocity", self.velocity),
+                             ("disturbance.amplitude", self.disturbance.amplitude)):  # fmt: skip
+            spread(name, values, n)
+        if self.urdf:
+            from ..rigid_body import frame_id, load_model
+
+            model = load_model(read_urdf(self.urdf))
+            frame_id(model, "tool")
+            if tuple(model.names)[1:] != self.joints:
+                raise ValueError(f"joints = {list(self.joints)}, but {self.urdf} has {list(model.names)[1:]}")
+        elif len(self.links.mass) != n:
+            raise ValueError(f"joints = {list(self.joints)} for {len(self.links.mass)} links, expected one a link")
+        return self
+
+
+class ManipulatorPlant(DrivenRobot):
+    """Motor voltages in, joint and motor states out."""
+
+    Params = ManipulatorParams
+    p: ManipulatorParams
+
+    @classmethod
+    def ports(cls, params: ManipulatorParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
+        """One motor a joint."""
+        motors = motor_names(params.joints)
+        return (command("motor_command", "motor_command", motors, "V"),), (
+            joint_state("joint_states", "joint_states", params.joints, position="rad", velocity="rad/s", effort="N m"),
+            joint_state("motor_states", "motor_states", motors, position="rad", velocity="rad/s", effort="A"),
+        )
+
+    def robot(self) -> str:
+        """Read or write the URDF."""
+        return read_urdf(self.p.urdf) if self.p.urdf else manipulator_urdf(self.p.links, self.p.joints)
+
+    def initial(self) -> tuple[Vector, Vector]:
+        """Give q(0) and its rate."""
+        return spread("position", self.p.position, self.n), spread("velocity", self.p.velocity, self.n)
+
+    def setup(self) -> None:
+        """Prepare the disturbance."""
+        super().setup()
+        none = (0.0,) * self.n
+        self._before = (none, none)
+        self._after = (spread("disturbance.amplitude", self.p.disturbance.amplitude, self.n), none)
+        self._time = to_ns(self.p.disturbance.time)
+
+    def loads(self, t: int) -> tuple[Vector, Vector]:
+        """Give the disturbance voltages; no load torque."""
+        return self._before if t < self._time else self._after
+
+
+def motor_names(joints: tuple[str, ...]) -> tuple[str, ...]:
+    """Give the channel names of the motors, motor1 on."""
+    return tuple(f"motor{i + 1}" for i in range(len(joints)))
+
+
+main = executable(ManipulatorPlant)

@@ -1,0 +1,63 @@
+"""Reference of the arm: every joint swings up and back, q_d = A (1 - cos(2 pi t / T_cycle))."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from math import cos, pi, sin
+from typing import Any, Self
+
+from pydantic import model_validator
+from softrig_core.block import Block
+from softrig_core.node import executable
+from softrig_core.params import BlockParams, param
+from softrig_core.port import Port, reference
+from softrig_core.timebase import to_ns, to_s
+
+from ..joints import PerJoint, spread
+from .plant import JOINTS
+
+
+class TrajectoryParams(BlockParams):
+    """Published trajectory, 1 - cos(pi t / 7) rad on every joint."""
+
+    period: float = param(0.001, "sampling period", "s", gt=0.0)
+    joints: tuple[str, ...] = param(JOINTS, "joint names", min_length=1)
+    amplitude: PerJoint = param((1.0,), "half the swing A", "rad")
+    cycle: float = param(14.0, "duration of one swing T_cycle", "s", gt=0.0)
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        spread("amplitude", self.amplitude, len(self.joints))
+        return self
+
+
+class TrajectorySource(Block):
+    """Publishes positions, velocities and accelerations at every tick."""
+
+    Params = TrajectoryParams
+    p: TrajectoryParams
+
+    @classmethod
+    def ports(cls, params: TrajectoryParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
+        """One output, no input."""
+        return (), (
+            reference("reference", "reference", params.joints, position="rad", velocity="rad/s",
+                      acceleration="rad/s^2"),
+        )  # fmt: skip
+
+    def setup(self) -> None:
+        """Spread the amplitudes."""
+        self._amplitude = spread("amplitude", self.p.amplitude, len(self.p.joints))
+        self._cycle = to_ns(self.p.cycle)
+        self._omega = 2.0 * pi / self.p.cycle
+
+    def update(self, t: int, **inputs: Any) -> Mapping[str, tuple[float, ...]]:
+        """Give the reference at t."""
+        w = self._omega
+        phase = w * to_s(t % self._cycle)  # whole cycles leave no rounding
+        c, s = cos(phase), sin(phase)
+        A = self._amplitude
+        return {"reference": (*[a * (1.0 - c) for a in A], *[a * w * s for a in A], *[a * w * w * c for a in A])}
+
+
+main = executable(TrajectorySource)

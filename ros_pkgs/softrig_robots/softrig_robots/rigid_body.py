@@ -1,0 +1,178 @@
+"""Rigid-body dynamics as casadi expressions, for any robot that pinocchio reads from URDF.
+
+The PyPI build of pinocchio has no casadi bindings. Articulated-body algorithm and notation: R. Featherstone,
+"Rigid Body Dynamics Algorithms", 2008, chapter 7; spatial vectors are (linear, angular) as in pinocchio.
+"""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pinocchio as pin
+
+from .urdf import check_inertia
+
+
+def load_model(urdf: str) -> pin.Model:
+    """Read a robot whose joints all have one degree of freedom.
+
+    Parameters
+    ----------
+    urdf : str
+        URDF text.
+
+    Raises
+    ------
+    ValueError
+        Not a URDF, no moving joint, a joint of another kind, or a link that cannot exist.
+    """
+    model = pin.buildModelFromXML(urdf)
+    names = list(model.names)
+    if model.njoints < 2:
+        raise ValueError("the URDF has no moving joint")
+    for i in range(1, model.njoints):
+        if model.nqs[i] != 1:
+            raise ValueError(f"joint {names[i]} has {model.nqs[i]} coordinates: expected revolute (with limits) or "
+                             "prismatic joints")  # fmt: skip
+        body = model.inertias[i]
+        moments = np.linalg.eigvalsh(body.inertia) if body.mass > 0.0 else np.zeros(3)
+        check_inertia(f"mass behind joint {names[i]}", body.mass, f"inertia behind joint {names[i]}",
+                      moments.tolist())  # fmt: skip
+    return model
+
+
+def frame_id(model: pin.Model, frame: str) -> int:
+    """Give pinocchio's number of a link frame.
+
+    Raises
+    ------
+    ValueError
+        There is none; lists the frames.
+    """
+    if not model.existFrame(frame):
+        raise ValueError(f"the robot has no frame {frame!r}; it has {', '.join(f.name for f in model.frames)}")
+    return int(model.getFrameId(frame))
+
+
+class SymbolicRobot:
+    """Joint-space dynamics of a robot with symbolic coordinates.
+
+    Parameters
+    ----------
+    model : pinocchio.Model
+        From `load_model`.
+    tool : str
+        Frame in which a payload sits and on which a force acts.
+    """
+
+    def __init__(self, model: pin.Model, tool: str) -> None:
+        self.n = model.nv
+        self._parents = [model.parents[i] for i in range(model.njoints)]
+        self._placements = [_pair(model.jointPlacements[i]) for i in range(model.njoints)]
+        self._bodies = [ca.DM(model.inertias[i].matrix()) for i in range(model.njoints)]
+        frame = model.frames[frame_id(model, tool)]
+        self._tool = (int(frame.parentJoint), *_pair(frame.placement))
+        self._gravity = ca.DM(model.gravity.linear)
+        data = model.createData()
+        pin.computeJointJacobians(model, data, pin.neutral(model))
+        self._axes = [ca.DM.zeros(6)]
+        for i in range(1, model.njoints):
+            column = pin.getJointJacobian(model, data, i, pin.ReferenceFrame.LOCAL)[:, i - 1]
+            self._axes.append(ca.DM(np.round(column, 12)))
+
+    def forward_dynamics(self, q: ca.SX, v: ca.SX, tau: ca.SX, armature: ca.SX, payload: ca.SX) -> ca.SX:
+        """Accelerations from torques.
+
+        Parameters
+        ----------
+        q, v, tau : SX of shape (n,)
+            Positions, velocities, joint torques.
+        armature : SX of shape (n,)
+            Rotor inertias as seen at the joints, kg m^2.
+        payload : SX
+            Point mass at the tool frame, kg.
+
+        Returns
+        -------
+        SX of shape (n,)
+        """
+        count = len(self._parents)
+        x: list[ca.SX] = [ca.SX.eye(6)] * count
+        twist: list[ca.SX] = [ca.SX.zeros(6)] * count
+        drift: list[ca.SX] = [ca.SX.zeros(6)] * count
+        inertia = [ca.SX(body) for body in self._bodies]
+        holder, _, at = self._tool
+        inertia[holder] = inertia[holder] + _point_inertia(payload, at)
+        bias: list[ca.SX] = [ca.SX.zeros(6)] * count
+        for i in range(1, count):
+            axis = self._axes[i]
+            x[i] = _motion_transform(*self._joint(i, q[i - 1]))
+            twist[i] = x[i] @ twist[self._parents[i]] + axis * v[i - 1]
+            drift[i] = _cross_motion(twist[i]) @ (axis * v[i - 1])
+            bias[i] = _cross_force(twist[i]) @ (inertia[i] @ twist[i])
+        force: list[ca.SX] = [ca.SX(6, 1)] * count
+        weight: list[ca.SX] = [ca.SX(1)] * count
+        torque: list[ca.SX] = [ca.SX(1)] * count
+        for i in reversed(range(1, count)):
+            axis = self._axes[i]
+            force[i] = inertia[i] @ axis
+            weight[i] = axis.T @ force[i] + armature[i - 1]
+            torque[i] = tau[i - 1] - axis.T @ bias[i]
+            seen = inertia[i] - force[i] @ force[i].T / weight[i]
+            pushed = bias[i] + seen @ drift[i] + force[i] * (torque[i] / weight[i])
+            parent = self._parents[i]
+            inertia[parent] = inertia[parent] + x[i].T @ seen @ x[i]
+            bias[parent] = bias[parent] + x[i].T @ pushed
+        acceleration: list[ca.SX] = [ca.SX(ca.vertcat(-self._gravity, ca.DM.zeros(3)))] * count
+        result: list[ca.SX] = []
+        for i in range(1, count):
+            carried = x[i] @ acceleration[self._parents[i]] + drift[i]
+            result.append((torque[i] - force[i].T @ carried) / weight[i])
+            acceleration[i] = carried + self._axes[i] * result[-1]
+        return ca.vertcat(*result)
+
+    def tool_position(self, q: ca.SX) -> ca.SX:
+        """Place of the tool frame in the base frame, m."""
+        holder, _, at = self._tool
+        point = ca.SX(at)
+        i = holder
+        while i > 0:
+            rotation, shift = self._joint(i, q[i - 1])
+            point = rotation @ point + shift
+            i = self._parents[i]
+        return point
+
+    def _joint(self, i: int, q: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """Rotation and translation from the frame of joint `i` to that of its parent."""
+        rotation, shift = self._placements[i]
+        axis = self._axes[i]
+        slide, turn = axis[:3], axis[3:]
+        cross = ca.skew(turn)
+        turned = ca.DM.eye(3) + ca.sin(q) * cross + (1 - ca.cos(q)) * (cross @ cross)  # Rodrigues
+        return rotation @ ca.SX(turned), shift + rotation @ (slide * q)
+
+
+def _pair(placement: pin.SE3) -> tuple[ca.DM, ca.DM]:
+    # rotations by multiples of a quarter turn get exact zeros, which casadi then leaves out
+    rotation = np.where(np.abs(placement.rotation) < 1e-15, 0.0, placement.rotation)
+    return ca.sparsify(ca.DM(rotation)), ca.DM(placement.translation)
+
+
+def _motion_transform(rotation: ca.SX, shift: ca.SX) -> ca.SX:
+    """Matrix that takes a twist of the parent to the child's frame; its transpose takes a wrench back."""
+    back = rotation.T
+    return ca.blockcat([[back, -back @ ca.skew(shift)], [ca.SX(3, 3), back]])
+
+
+def _cross_motion(twist: ca.SX) -> ca.SX:
+    linear, angular = ca.skew(twist[:3]), ca.skew(twist[3:])
+    return ca.blockcat([[angular, linear], [ca.SX(3, 3), angular]])
+
+
+def _cross_force(twist: ca.SX) -> ca.SX:
+    return -_cross_motion(twist).T
+
+
+def _point_inertia(mass: ca.SX, at: ca.DM) -> ca.SX:
+    cross = ca.skew(at)
+    return mass * ca.blockcat([[ca.DM.eye(3), -cross], [cross, -cross @ cross]])

@@ -1,0 +1,164 @@
+"""URDF text: written from a table of links, read from a file or a package."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+Vector = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Link:
+    """A moving link and the revolute joint that carries it.
+
+    Parameters
+    ----------
+    name, joint : str
+        Names of the link and of its joint.
+    origin, rotation : tuple of 3 floats
+        Joint frame in the parent link's frame: m, roll-pitch-yaw in rad.
+    axis : tuple of 3 floats
+        Joint axis in the joint frame.
+    limits : tuple of 2 floats
+        Range of the joint, rad.
+    mass : float
+        kg.
+    center, turn : tuple of 3 floats
+        Frame of the centre of mass in the link's frame: m, roll-pitch-yaw in rad.
+    inertia : tuple of 3 floats
+        Ixx, Iyy, Izz about the centre of mass in that frame, kg m^2; products of inertia are 0.
+    tip : tuple of 3 floats
+        Where the next joint or the tool sits; a viewer draws the link as a bar up to there.
+    """
+
+    name: str
+    joint: str
+    origin: Vector
+    rotation: Vector
+    axis: Vector
+    limits: tuple[float, float]
+    mass: float
+    center: Vector
+    turn: Vector
+    inertia: Vector
+    tip: Vector
+
+
+def check_inertia(mass_name: str, mass: float, inertia_name: str, inertia: Sequence[float]) -> None:
+    """Refuse a body that cannot exist.
+
+    Parameters
+    ----------
+    mass_name, inertia_name : str
+        What the message calls the two.
+    inertia : sequence of 3 floats
+        Principal moments about the centre of mass, kg m^2.
+
+    Raises
+    ------
+    ValueError
+        Mass not positive, moments not positive, or one larger than the sum of the other two.
+    """
+    if not mass > 0.0:
+        raise ValueError(f"{mass_name} = {mass:g} kg: expected a positive mass")
+    low, middle, high = sorted(map(float, inertia))
+    if not low > 0.0:
+        raise ValueError(f"{inertia_name} = {list(inertia)} kg m^2: expected a positive definite inertia")
+    if high > (low + middle) * (1.0 + 1e-9):
+        raise ValueError(f"{inertia_name} = {list(inertia)} kg m^2: no body has one moment larger than the sum of "
+                         "the other two (triangle inequality)")  # fmt: skip
+
+
+def robot_urdf(name: str, links: Sequence[Link], tool: Vector, tool_rotation: Vector = (0.0, 0.0, 0.0)) -> str:
+    """Write a serial robot as URDF; its last frame is called ``tool``.
+
+    Parameters
+    ----------
+    name : str
+    links : sequence of Link
+        From the base to the tip.
+    tool, tool_rotation : tuple of 3 floats
+        Tool frame in the last link's frame: m, roll-pitch-yaw in rad.
+    """
+    lines = ['<?xml version="1.0"?>', f'<robot name="{name}">', '  <link name="base_link"/>']
+    parent = "base_link"
+    for link in links:
+        ixx, iyy, izz = link.inertia
+        lines += [
+            f'  <joint name="{link.joint}" type="revolute">',
+            f'    <parent link="{parent}"/>',
+            f'    <child link="{link.name}"/>',
+            f"    {_origin(link.origin, link.rotation)}",
+            f'    <axis xyz="{_text(link.axis)}"/>',
+            f'    <limit lower="{link.limits[0]!r}" upper="{link.limits[1]!r}" effort="1000" velocity="100"/>',
+            "  </joint>",
+            f'  <link name="{link.name}">',
+            "    <inertial>",
+            f"      {_origin(link.center, link.turn)}",
+            f'      <mass value="{link.mass!r}"/>',
+            f'      <inertia ixx="{ixx!r}" ixy="0" ixz="0" iyy="{iyy!r}" iyz="0" izz="{izz!r}"/>',
+            "    </inertial>",
+            *_bar(link.tip),
+            "  </link>",
+        ]
+        parent = link.name
+    lines += [
+        '  <joint name="tool_mount" type="fixed">',
+        f'    <parent link="{parent}"/>',
+        '    <child link="tool"/>',
+        f"    {_origin(tool, tool_rotation)}",
+        "  </joint>",
+        '  <link name="tool"/>',
+        "</robot>",
+        "",
+    ]
+    return "\n".join(lines)
+
+
+def _bar(tip: Vector) -> list[str]:
+    """A thin box from the joint to the tip, stretched along the axes along which the tip lies."""
+    size = tuple(max(abs(x), 0.08) for x in tip)
+    middle: Vector = (tip[0] / 2.0, tip[1] / 2.0, tip[2] / 2.0)
+    return [
+        "    <visual>",
+        f"      {_origin(middle, (0.0, 0.0, 0.0))}",
+        f'      <geometry><box size="{_text(size)}"/></geometry>',
+        "    </visual>",
+    ]
+
+
+def _origin(xyz: Vector, rpy: Vector) -> str:
+    return f'<origin xyz="{_text(xyz)}" rpy="{_text(rpy)}"/>'
+
+
+def _text(values: Sequence[float]) -> str:
+    return " ".join(repr(round(float(v), 15) + 0.0) for v in values)  # + 0.0 turns -0.0 into 0.0
+
+
+def read_urdf(source: str) -> str:
+    """Read URDF text.
+
+    Parameters
+    ----------
+    source : str
+        A file name, or ``package://NAME/path/in/share``.
+
+    Raises
+    ------
+    ValueError
+        There is no such file or package; says where it was looked for.
+    """
+    if source.startswith("package://"):
+        package, _, rest = source.removeprefix("package://").partition("/")
+        places = [
+            Path(prefix, "share", package, rest) for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
+        ]
+    else:
+        places = [Path(source)]
+    for place in places:
+        if place.is_file():
+            return place.read_text()
+    raise ValueError(f"no URDF file {source!r}; looked for {', '.join(map(str, places))}")
