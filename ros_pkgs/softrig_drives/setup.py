@@ -28,6 +28,10 @@ setup(
             "dc_motor_smc = softrig_drives.dc_motor.sliding_mode:main",
             "dc_motor_smc_kalman = softrig_drives.dc_motor.kalman_surface:main",
             "fsfb_controller = softrig_drives.dc_axis.controller:main",
+            "dtc_controller = softrig_drives.induction_dtc.dtc:main",
+            "flux_monitor = softrig_drives.induction_dtc.monitor:main",
+            "im_plant = softrig_drives.induction_dtc.plant:main",
+            "speed_controller = softrig_drives.induction_dtc.speed:main",
             "step_buttons = softrig_drives.dc_axis.buttons:main",
         ]
     },

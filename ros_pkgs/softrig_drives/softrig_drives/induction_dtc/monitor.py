@@ -1,0 +1,92 @@
+"""Evaluation of a running drive; sees the truth, steers nothing."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from softrig_core.block import Observer
+from softrig_core.node import executable
+from softrig_core.params import BlockParams, param
+
+from .figures import circle, device_frequency, last_revolution, slope
+from .ports import CURRENTS_MEAS, CURRENTS_TRUE, FLUX_ESTIMATE, FLUX_TRUE, SWITCHES
+
+
+class FluxMonitorParams(BlockParams):
+    """Window of the figures."""
+
+    period: float = param(5e-5, "sampling period", "s", gt=0.0)
+    window: float = param(0.5, "time over which the figures are taken", "s", gt=0.0)
+    pole_pairs: int = param(2, "pole pairs p, for the torque", ge=1)
+
+
+class FluxMonitor(Observer):
+    """Flux error and its slope, circles of true and estimated flux, converter errors, switching, torque.
+
+    All over the last `window`, but the number of leg transitions, which counts from the start. The circles are those
+    of the last revolution; before there was one they are not reported.
+    """
+
+    Params = FluxMonitorParams
+    INPUTS = (FLUX_TRUE, FLUX_ESTIMATE, CURRENTS_TRUE, CURRENTS_MEAS, SWITCHES)
+
+    def start(self) -> None:
+        """Forget everything."""
+        self._samples: deque[tuple[Any, ...]] = deque(maxlen=max(2, round(self.p.window / self.p.period)))
+        self._newest: tuple[Any, ...] | None = None
+        self._switches: tuple[float, ...] | None = None
+        self._transitions = 0
+
+    def update(
+        self, t: int, *, flux_true: tuple[float, ...], flux_estimate: tuple[float, ...],
+        currents_true: tuple[float, ...], currents_meas: tuple[float, ...], switches: tuple[float, ...],
+    ) -> Mapping[str, tuple[float, ...]]:  # fmt: skip
+        """Note one sample."""
+        # An observer also gets the outputs at the end of the run, beside a flux estimate that is one period old:
+        # a sample counts only once the next one is here.
+        if self._newest is not None:
+            self._samples.append(self._newest)
+        self._newest = (t, flux_true, flux_estimate, currents_true, currents_meas, switches)
+        if switches != self._switches:
+            if self._switches is not None:
+                self._transitions += sum(a != b for a, b in zip(switches, self._switches, strict=True))
+            self._switches = switches
+        return {}
+
+    def status(self) -> Mapping[str, tuple[float, str]]:
+        """Give the figures; none before the third sample."""
+        if len(self._samples) < 2:
+            return {}
+        t = np.array([s[0] for s in self._samples]) * 1e-9
+        true, estimate, i_true, i_meas, switches = (np.array(c) for c in list(zip(*self._samples, strict=True))[1:])
+        psi, psi_hat = true[:, 0] + 1j * true[:, 1], estimate[:, 0] + 1j * estimate[:, 1]
+        i = i_true[:, 0] + 1j * (i_true[:, 0] + 2.0 * i_true[:, 1]) / np.sqrt(3.0)
+        torque = 1.5 * self.p.pole_pairs * (psi.conj() * i).imag
+        error = psi_hat - psi
+        rate = slope(t, error)
+        figures = {
+            "flux_error": (float(abs(error[-1])), "Wb"),
+            "flux_error_slope_alpha": (rate.real, "Wb/s"),
+            "flux_error_slope_beta": (rate.imag, "Wb/s"),
+            "torque_mean": (float(torque.mean()), "N m"),
+            "torque_std": (float(torque.std()), "N m"),
+            "leg_transitions": (float(self._transitions), ""),
+            "device_frequency": (device_frequency(switches, float(t[-1] - t[0])), "Hz"),
+        }
+        for phase, deviation in zip("ab", (i_meas - i_true).T, strict=False):
+            figures[f"adc_{phase}_mean"] = (float(deviation.mean()), "A")
+            figures[f"adc_{phase}_std"] = (float(deviation.std()), "A")
+        for name, flux in (("true", psi), ("estimated", psi_hat)):
+            turn = last_revolution(flux)
+            if turn is not None:
+                centre, radius = circle(turn)
+                figures[f"{name}_circle_alpha"] = (centre.real, "Wb")
+                figures[f"{name}_circle_beta"] = (centre.imag, "Wb")
+                figures[f"{name}_circle_radius"] = (radius, "Wb")
+        return figures
+
+
+main = executable(FluxMonitor)
