@@ -17,14 +17,16 @@ from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from rosbags.rosbag2.enums import CompressionFormat, CompressionMode
 from rosbags.typesys import Stores, get_typestore
 from ruamel.yaml import YAML
+from softrig_bags.bag import BagWriter
 from softrig_bags.compare import Tolerance, compare
 from softrig_bags.errors import BagError
 from softrig_bags.read import export, read_bag, signals
+from softrig_bags.repair import repair
 from softrig_bags.topics import BagTopic, qos
 from softrig_bags.write import write_bag
 from softrig_core.cdr import Layout
 from softrig_core.errors import RunError
-from softrig_core.recording import Recording
+from softrig_core.recording import Recording, ShardWriter
 from softrig_core.signals import Signals
 
 STATE = "sensor_msgs/msg/JointState"
@@ -518,3 +520,130 @@ def test_foreign_types_are_compared_by_field(tmp_path):
     found = {t.topic: t.first and t.first.field for t in compare(reference, changed).topics}
     assert found == {"imu": "linear_acceleration_covariance/8", "note": "data", "list": None, "odd": "bytes"}
     assert json.loads(compare(reference, changed).to_json())["topics"][0]["differing"] == 1
+
+
+# Repairing ------------------------------------------------------------------------------------------------------------
+
+
+def cut(directory: Path, share: float) -> None:
+    """Cut the storage file and take the metadata away, as a crash of recorder and machine may."""
+    (directory / "metadata.yaml").unlink()
+    file = next(directory.iterdir())
+    os.truncate(file, int(file.stat().st_size * share))
+
+
+@pytest.mark.parametrize(("storage", "compression"), FORMATS)
+def test_a_cut_bag_is_repaired(tmp_path, storage, compression):
+    source = recording(ticks=20_000)
+    write_bag(tmp_path / "bag", source, storage=storage, compression=compression, custom_data={"seed": "7"})
+    cut(tmp_path / "bag", 0.6)
+    done = repair(tmp_path / "bag")
+    whole, found = expected(source), expected(read_bag(tmp_path / "bag"))
+    assert 0.4 * len(whole) < len(found) < 0.7 * len(whole)
+    assert found == whole[: len(found)]
+    assert done.files[0].kept == len(found)
+    assert done.files[0].lost
+    assert (tmp_path / "bag.damaged").is_dir()
+    with Reader(tmp_path / "bag") as reader:
+        assert reader.storage.metadata.custom == {"seed": "7"}
+        assert all(c.msgdef.data and c.digest and c.ext.offered_qos_profiles for c in reader.connections)
+    again = repair(tmp_path / "bag")
+    assert again.bag is None
+    assert str(again) == "nothing to repair"
+
+
+def test_a_damaged_chunk_costs_only_itself(tmp_path):
+    source = recording(ticks=20_000)
+    write_bag(tmp_path / "bag", source)
+    file = tmp_path / "bag/bag_0.mcap"
+    content = bytearray(file.read_bytes())
+    content[900_000] ^= 1
+    file.write_bytes(content)
+    done = repair(tmp_path / "bag", tmp_path / "new")
+    assert done.files[0].lost == ["1 damaged chunks"]
+    whole, found = expected(source), set(expected(read_bag(tmp_path / "new")))
+    lost = [i for i, message in enumerate(whole) if message not in found]
+    assert lost == list(range(lost[0], lost[-1] + 1))
+    assert 0 < len(lost) < 8000
+
+
+@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
+def test_split_bags_are_read_and_repaired(tmp_path, storage):
+    source = recording(ticks=12_000)
+    writer = BagWriter(tmp_path / "bag", storage=storage, split_ns=5_000_000_000)
+    numbers = {t.name: writer.add_topic(BagTopic.known("/" + t.name.lstrip("/"), t.msgtype))
+               for t in source.topics.values()}  # fmt: skip
+    for t, topic, data in source.messages():
+        writer.write(numbers[topic.name], t, data)
+    writer.close()
+    assert read_bag(tmp_path / "bag").topics == source.topics
+    info = YAML(typ="safe").load(tmp_path / "bag/metadata.yaml")["rosbag2_bagfile_information"]
+    assert [f["starting_time"]["nanoseconds_since_epoch"] for f in info["files"]] == [0, 5 * 10**9, 10 * 10**9]
+    assert info["duration"] == {"nanoseconds": 11_999_000_000}
+    (tmp_path / "bag/metadata.yaml").unlink()
+    repair(tmp_path / "bag")
+    assert read_bag(tmp_path / "bag").topics == source.topics
+    assert len(list((tmp_path / "bag").iterdir())) == 4
+
+
+def test_bags_of_other_recorders_are_repaired(tmp_path):
+    for make in (humble_sqlite3, humble_mcap):
+        directory = tmp_path / make.__name__
+        make(directory, recording())
+        cut(directory, 1.0)
+        repair(directory)
+        assert read_bag(directory).topics == recording().topics
+
+
+def test_shards_of_a_killed_run_become_a_bag(tmp_path):
+    source = recording()
+    (tmp_path / "log").mkdir()
+    for name, wanted in (("plant", ["plant/state", "/clock"]), ("controller", ["command"])):
+        shard = ShardWriter(tmp_path / f"log/{name}.shard", [(t, source.topics[t].msgtype) for t in wanted])
+        for i, topic in enumerate(wanted):
+            for t, data in zip(source.topics[topic].times, source.topics[topic].data, strict=True):
+                shard.add(i, t, data)
+        shard.close()
+    os.truncate(tmp_path / "log/controller.shard", (tmp_path / "log/controller.shard").stat().st_size - 5)
+    done = repair(tmp_path / "log")
+    assert done.bag == tmp_path / "bag"
+    assert [f.kept for f in done.files] == [12, 100]
+    found = read_bag(tmp_path / "bag")
+    assert found.topics["plant/state"] == source.topics["plant/state"]
+    assert found.topics["command"].data == source.topics["command"].data[:-1]
+
+
+def test_repair_refuses_what_it_cannot_save(tmp_path):
+    with pytest.raises(BagError, match=r"no \.mcap"):
+        repair(tmp_path)
+    write_bag(tmp_path / "bag", recording())
+    cut(tmp_path / "bag", 0.01)
+    with pytest.raises(BagError, match="not one whole message"):
+        repair(tmp_path / "bag")
+    (tmp_path / "bag.damaged").mkdir()
+    with pytest.raises(BagError, match="exists already"):
+        repair(tmp_path / "bag")
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["bag", "bag.damaged"]
+
+
+@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
+def test_a_bag_is_closed_properly_on_a_full_disk(tmp_path, file_limit, storage):
+    """What a recorder does: everything before the disk was full stays, in a valid bag."""
+    writer = BagWriter(tmp_path / "bag", storage=storage)
+    number = writer.add_topic(BagTopic.known("/x", STATE))
+    layout, written = Layout(STATE, "", ["a"], {"position": 1}), 0
+    file_limit(1_400_000)
+
+    def fill() -> None:
+        nonlocal written
+        while True:
+            writer.write(number, written, layout.encode(written, (0.5,)))
+            written += 1
+
+    with pytest.raises(OSError, match=r"large|full|disk I/O"):
+        fill()
+    file_limit(1_500_000)
+    lost = writer.salvage()
+    found = read_bag(tmp_path / "bag").topics["x"]
+    assert found.times == list(range(written + 1 - lost))
+    assert 0 < lost < 10_000

@@ -136,9 +136,13 @@ class BagWriter:
             self._started = t
         due = self._split_ns and t - self._started >= self._split_ns
         if due or (self._split_bytes and self._file.size >= self._split_bytes):
-            self._close_file()
-            self._open_file()
+            self.next_file()
             self._started = t
+
+    def next_file(self) -> None:
+        """Close the file and go on in a new one."""
+        self._close_file()
+        self._open_file()
 
     def flush(self) -> None:
         """Make safe against a crash what was written so far."""

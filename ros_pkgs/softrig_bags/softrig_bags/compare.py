@@ -6,6 +6,7 @@ import json
 import math
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from fnmatch import fnmatchcase
 from typing import Any
@@ -272,12 +273,14 @@ def _keys(topic: Topic, stamped: bool) -> list[tuple[int, int]]:
 
 def _fields(signals: Signals, topic: Topic, rows: NDArray[np.intp]) -> dict[str, Any]:
     """Give chosen messages as columns: arrays for numbers, lists for names and texts, bytes if nothing is known."""
+    columns: dict[str, Any]
     if topic.msgtype in SCHEMAS:
-        columns: dict[str, Any] = {k: v[rows] for k, v in signals.table(topic.name).columns.items()}
-        heads = [parse(topic.msgtype, topic.data[i]) for i in rows]
-        columns["frame_id"] = [m.frame_id for m in heads]
-        columns["name"] = [", ".join(m.names) for m in heads]
-        return columns
+        with suppress(ValueError):  # of a known type, but used in another way than the suite does
+            heads = [parse(topic.msgtype, topic.data[i]) for i in rows]
+            columns = {k: v[rows] for k, v in signals.table(topic.name).columns.items()}
+            columns["frame_id"] = [m.frame_id for m in heads]
+            columns["name"] = [", ".join(m.names) for m in heads]
+            return columns
     store = signals.store(topic.msgtype) if isinstance(signals, BagSignals) else None
     if store is None:
         return {"bytes": [topic.data[i].hex() for i in rows]}

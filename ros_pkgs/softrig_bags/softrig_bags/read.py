@@ -67,7 +67,11 @@ class BagSignals(Signals):
         found = self.recording.topics.get(topic)
         if found is not None and found.msgtype not in SCHEMAS and topic not in self._tables:
             self._tables[topic] = self._foreign(topic)
-        return super().table(topic)
+        try:
+            return super().table(topic)
+        except ValueError:  # of a known type, but used in another way than the suite does
+            self._tables[topic] = self._foreign(topic)
+            return self._tables[topic]
 
     def _foreign(self, topic: str) -> Table:
         found = self.recording.topics[topic]

@@ -1,0 +1,313 @@
+"""Make a readable bag out of what a crash left: cut MCAP and SQLite files, shards of a run."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import sqlite3
+import struct
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass, field
+from io import BytesIO
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from mcap.exceptions import EndOfFile, McapError
+from mcap.records import Channel, Chunk, Footer, McapRecord, Message, Metadata, Schema
+from mcap.stream_reader import StreamReader
+from rosbags.rosbag2 import ReaderError
+from rosbags.rosbag2.metadata import parse_qos
+from rosbags.rosbag2.storage_mcap import decompress
+from ruamel.yaml import YAML
+from ruamel.yaml.error import YAMLError
+from softrig_core.recording import Recording
+
+from .bag import BagWriter
+from .errors import BagError
+from .reader import BagReader
+from .sqlite_pages import message_rows
+from .topics import BagTopic
+from .write import write_bag
+
+
+@dataclass
+class FileReport:
+    """What was found in one file: messages kept, what was lost in words, whether its index was there."""
+
+    name: str
+    kept: int = 0
+    lost: list[str] = field(default_factory=list)
+    indexed: bool = False
+    compression: str = "none"
+    topics: list[BagTopic] = field(default_factory=list)
+    custom_data: dict[str, str] = field(default_factory=dict)
+
+    def __str__(self) -> str:
+        text = f"{self.name}: {self.kept} messages kept"
+        if self.lost:
+            return f"{text}, lost: {', '.join(self.lost)}"
+        return text if self.indexed else f"{text}, no index; what was not yet flushed when the recorder died is lost"
+
+
+@dataclass
+class Repair:
+    """Result of `repair`: the new bag (None when nothing was wrong), what each file gave, where the old one is."""
+
+    bag: Path | None
+    files: list[FileReport]
+    original: Path | None = None
+
+    def __str__(self) -> str:
+        lines = [str(f) for f in self.files]
+        if self.bag is None:
+            lines.append("nothing to repair")
+        else:
+            lines.append(f"{sum(f.kept for f in self.files)} messages in {self.bag}")
+        if self.original is not None:
+            lines.append(f"the damaged files are in {self.original}")
+        return "\n".join(lines)
+
+
+def repair(path: Path | str, out: Path | str | None = None) -> Repair:
+    """Save every whole message of a damaged bag, write index and metadata anew.
+
+    Parameters
+    ----------
+    path : Path or str
+        Bag directory, a single .mcap or .db3 file, or a directory with the shards of a run that was killed.
+    out : Path or str, optional
+        Where the new bag goes. By default it takes the place of a damaged directory, which is renamed to
+        ``NAME.damaged``; a file gets ``NAME_repaired`` beside it, shards get ``bag`` beside their directory.
+
+    Raises
+    ------
+    BagError
+        There is nothing to save, or the target exists.
+    """
+    path = Path(path).absolute()
+    target = Path(out).absolute() if out is not None else None
+    if path.is_dir() and (shards := sorted(path.glob("*.shard"))):
+        return _repair_shards(shards, target or path.with_name("bag"))
+    sources = _storage_files(path)
+    if path.is_dir() and target is None and _is_sound(path):
+        return Repair(None, [])
+    original = None
+    if target is None:
+        target = path
+        if path.is_file():
+            target = path.with_name(path.stem + "_repaired")
+        else:
+            original = path.with_name(path.name + ".damaged")
+    for place in (target, original):
+        if place is not None and place != path and place.exists():
+            raise BagError(f"{place} exists already; move it away first")
+    temporary = target.with_name(f".{target.name}.part")
+    shutil.rmtree(temporary, ignore_errors=True)
+    try:
+        reports = _rewrite(sources, temporary, target.name)
+        if original is not None:
+            path.rename(original)
+        temporary.rename(target)
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+    return Repair(target, reports, original)
+
+
+def _storage_files(path: Path) -> list[Path]:
+    if path.is_file() and path.suffix in (".mcap", ".db3"):
+        return [path]
+    for suffix in (".mcap", ".db3"):
+        found = list(path.glob(f"*{suffix}"))
+        if found:
+            return sorted(found, key=lambda p: (len(p.name), p.name))
+    raise BagError(f"{path}: no .mcap, .db3 or .shard file there")
+
+
+def _is_sound(path: Path) -> bool:
+    try:
+        with BagReader(path) as bag:
+            return sum(1 for _ in bag.messages()) == bag.count
+    except BagError:
+        return False
+
+
+def _rewrite(sources: list[Path], directory: Path, name: str) -> list[FileReport]:
+    writer: BagWriter | None = None
+    numbers: dict[str, int] = {}
+    reports = []
+    for i, source in enumerate(sources):
+        report = FileReport(source.name)
+        reports.append(report)
+        messages = _recover_mcap(source, report) if source.suffix == ".mcap" else _recover_sqlite3(source, report)
+        for topic, t, data in messages:
+            if writer is None:
+                storage = "mcap" if source.suffix == ".mcap" else "sqlite3"
+                writer = BagWriter(directory, storage=storage, compression=report.compression, name=name,
+                                   custom_data=report.custom_data)  # fmt: skip
+            if i and not report.kept:
+                writer.next_file()
+            if topic.name not in numbers:
+                numbers[topic.name] = writer.add_topic(topic)
+            writer.write(numbers[topic.name], t, data)
+            report.kept += 1
+        if writer is not None:
+            for topic in report.topics:
+                if topic.name not in numbers:
+                    numbers[topic.name] = writer.add_topic(topic)
+    if writer is None:
+        raise BagError(f"{', '.join(s.name for s in sources)}: not one whole message in it")
+    writer.close()
+    return reports
+
+
+def _recover_mcap(path: Path, report: FileReport) -> Iterator[tuple[BagTopic, int, bytes]]:
+    schemas: dict[int, Schema] = {}
+    topics: dict[int, BagTopic] = {}
+    good, damaged = 0, 0
+    with path.open("rb") as file:
+        records = StreamReader(file, emit_chunks=True).records
+        while not report.indexed:
+            try:
+                record = next(records)
+            except (McapError, struct.error, UnicodeDecodeError, StopIteration, MemoryError):
+                break
+            good = file.tell()
+            items = [record]
+            if isinstance(record, Chunk):
+                report.compression = "zstd" if record.compression == "zstd" else report.compression
+                items = _chunk_records(record)
+                damaged += not items
+            for item in items:
+                if isinstance(item, Schema):
+                    schemas[item.id] = item
+                elif isinstance(item, Channel):
+                    if item.id not in topics:
+                        topics[item.id] = _mcap_topic(item, schemas.get(item.schema_id))
+                        report.topics.append(topics[item.id])
+                elif isinstance(item, Message) and item.channel_id in topics:
+                    yield topics[item.channel_id], item.log_time, item.data
+                elif isinstance(item, Metadata) and item.name == "rosbag2":
+                    report.custom_data = (
+                        _custom_data(item.metadata.get("serialized_metadata", "")) or report.custom_data
+                    )
+                elif isinstance(item, Footer):
+                    report.indexed = True
+    if damaged:
+        report.lost.append(f"{damaged} damaged chunks")
+    if not report.indexed and path.stat().st_size > good:
+        report.lost.append(f"the last {path.stat().st_size - good} bytes")
+
+
+def _chunk_records(chunk: Chunk) -> list[McapRecord]:
+    """Give the records of a whole chunk, none of a damaged one."""
+    try:
+        content = decompress(chunk.data, chunk.compression, chunk.uncompressed_size, chunk.uncompressed_crc)
+    except Exception:  # a decompressor's own kinds of error
+        return []
+    records: list[McapRecord] = []
+    with suppress(EndOfFile):  # there is no footer in a chunk
+        records.extend(StreamReader(BytesIO(content), skip_magic=True).records)
+    return records
+
+
+def _mcap_topic(channel: Channel, schema: Schema | None) -> BagTopic:
+    digest = channel.metadata.get("topic_type_hash", "")
+    name, text, encoding = (schema.name, schema.data.decode(), schema.encoding) if schema else ("", "", "")
+    return _topic(channel.topic, name, text, encoding, digest, channel.metadata.get("offered_qos_profiles", ""))
+
+
+def _topic(name: str, msgtype: str, text: str, encoding: str, digest: str, offered: str) -> BagTopic:
+    try:
+        profiles = parse_qos(offered)
+    except (ReaderError, KeyError, TypeError):
+        profiles = []
+    known = BagTopic.known(name, msgtype, profiles, digest)
+    return BagTopic(name, msgtype, text, known.digest, known.offered, encoding) if text else known
+
+
+def _custom_data(text: str) -> dict[str, str]:
+    try:
+        found = YAML(typ="safe").load(text) or {}
+    except YAMLError:
+        return {}
+    return found.get("custom_data") or {}
+
+
+def _recover_sqlite3(path: Path, report: FileReport) -> Iterator[tuple[BagTopic, int, bytes]]:
+    with TemporaryDirectory(dir=path.parent.parent, prefix=".repair-") as directory:
+        database = sqlite3.connect(_whole_copy(path, Path(directory)))  # undoes a commit that was cut off
+        with suppress(sqlite3.Error):  # older schemas have no such table
+            for (text,) in database.execute("SELECT metadata FROM metadata ORDER BY id"):
+                report.custom_data = _custom_data(text) or report.custom_data
+        try:
+            topics = _sqlite3_topics(database)
+            report.topics = list(topics.values())
+            last = 0
+            try:
+                for row, number, t, data in database.execute(_ROWS):
+                    last = row
+                    yield topics[number], t, data
+                report.indexed = (path.parent / "metadata.yaml").exists()
+            except sqlite3.DatabaseError as error:
+                report.lost.append(f"what stood on damaged pages ({error})")
+                for row, number, t, data in message_rows(path.read_bytes()):
+                    if row > last and number in topics:
+                        yield topics[number], t, data
+        except sqlite3.DatabaseError as error:
+            report.lost.append(f"the list of topics ({error})")
+        database.close()
+
+
+_ROWS = "SELECT id, topic_id, timestamp, data FROM messages ORDER BY id"
+
+
+def _whole_copy(path: Path, directory: Path) -> Path:
+    """Copy a database with its journal, with zeros for pages cut off: SQLite opens nothing that is shorter."""
+    copy = directory / path.name
+    shutil.copyfile(path, copy)
+    journal = path.with_name(path.name + "-journal")
+    if journal.exists():
+        shutil.copyfile(journal, directory / journal.name)
+    with copy.open("r+b") as file:
+        head = file.read(32)
+        if len(head) == 32:
+            page_size, pages = int.from_bytes(head[16:18], "big"), int.from_bytes(head[28:32], "big")
+            file.truncate(max(copy.stat().st_size, pages * (page_size if page_size != 1 else 65536)))
+    return copy
+
+
+def _sqlite3_topics(database: sqlite3.Connection) -> dict[int, BagTopic]:
+    columns = {row[1] for row in database.execute("PRAGMA table_info(topics)")}
+    offered = "offered_qos_profiles" if "offered_qos_profiles" in columns else "''"
+    digest = "type_description_hash" if "type_description_hash" in columns else "''"
+    texts: dict[str, tuple[str, str]] = {}
+    if database.execute("SELECT 1 FROM sqlite_master WHERE name = 'message_definitions'").fetchone():
+        rows = database.execute("SELECT topic_type, encoded_message_definition, encoding FROM message_definitions")
+        texts = {row[0]: (row[1], row[2]) for row in rows}
+    return {
+        number: _topic(name, msgtype, *texts.get(msgtype, ("", "")), hashed, profiles)
+        for number, name, msgtype, hashed, profiles in database.execute(
+            f"SELECT id, name, type, {digest}, {offered} FROM topics"
+        )
+    }
+
+
+def _repair_shards(shards: list[Path], target: Path) -> Repair:
+    topics = {}
+    for shard in shards:
+        lines = shard.read_bytes().split(b"\n", 2)
+        if len(lines) == 3 and lines[0] == b"softrig shard 1":
+            topics.update(dict(json.loads(lines[1])))
+    order = sorted(topics, key=lambda name: (name != "/clock", name))
+    recording = Recording([(name, topics[name]) for name in order])
+    reports = []
+    for shard in shards:
+        before = sum(len(t.data) for t in recording.topics.values())
+        lost = recording.read_shard(shard)
+        kept = sum(len(t.data) for t in recording.topics.values()) - before
+        reports.append(FileReport(shard.name, kept, [f"the last {lost} bytes"] if lost else [], indexed=True))
+    if not any(r.kept for r in reports):
+        raise BagError(f"{shards[0].parent}: not one whole message in its shards")
+    write_bag(target, recording)
+    return Repair(target, reports)
