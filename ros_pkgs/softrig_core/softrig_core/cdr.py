@@ -7,9 +7,11 @@ comparing the fixed bytes. A message of another layout goes through `parse`.
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +20,8 @@ SECOND = 1_000_000_000
 
 # One entry a field, in wire order. "stamp": builtin_interfaces/Time; "frame"/"names": string(s);
 # "seq:x": float64[] named x; "xyz:x": three float64; "f64:x", "bool:x": one value; "one": a sequence
-# length that must be 1; "duration": a Duration that is not a signal.
+# length that must be 1; "duration": a Duration that is not a signal; "quat:x": four float64; "dims": a
+# MultiArrayLayout.
 SCHEMAS: dict[str, tuple[str, ...]] = {
     "sensor_msgs/msg/JointState": ("stamp", "frame", "names", "seq:position", "seq:velocity", "seq:effort"),
     "trajectory_msgs/msg/JointTrajectory": (
@@ -26,11 +29,16 @@ SCHEMAS: dict[str, tuple[str, ...]] = {
     ),
     "geometry_msgs/msg/Vector3Stamped": ("stamp", "frame", "xyz:vector"),
     "geometry_msgs/msg/WrenchStamped": ("stamp", "frame", "xyz:force", "xyz:torque"),
+    "geometry_msgs/msg/PoseStamped": ("stamp", "frame", "xyz:position", "quat:orientation"),
     "rosgraph_msgs/msg/Clock": ("stamp",),
     "builtin_interfaces/msg/Time": ("stamp",),
     "std_msgs/msg/Float64": ("f64:data",),
     "std_msgs/msg/Bool": ("bool:data",),
+    "std_msgs/msg/Float64MultiArray": ("dims", "seq:data"),
 }  # fmt: skip
+
+
+Dims = tuple[tuple[str, int], ...]  # of an array: label and size of each dimension, the last one changing fastest
 
 
 class CdrError(ValueError):
@@ -39,12 +47,23 @@ class CdrError(ValueError):
 
 @dataclass(frozen=True)
 class Message:
-    """A parsed message: stamp in ns (None without header), frame, channel names, numbers by field."""
+    """A parsed message: stamp in ns (None without header), frame, channel names, numbers by field, shape of an array."""
 
     stamp: int | None
     frame_id: str
     names: tuple[str, ...]
     fields: dict[str, tuple[float, ...]]
+    dims: Dims | None = None
+
+    def layout(self, msgtype: str) -> Layout:
+        """Give the layout that messages of this form have."""
+        counts = {name: len(values) for name, values in self.fields.items()}
+        return Layout(msgtype, self.frame_id, self.names, counts, self.dims or ())
+
+
+def element_labels(dims: Dims) -> tuple[str, ...]:
+    """Name the elements of an array by their indices: ``0,0``, ``0,1``, ..."""
+    return tuple(",".join(map(str, index)) for index in product(*(range(size) for _, size in dims)))
 
 
 class Layout:
@@ -59,11 +78,14 @@ class Layout:
         Channel names.
     counts : mapping of str to int
         Length of each ``seq`` field; a field that is absent is empty.
+    dims : Dims
+        Shape of a Float64MultiArray.
     """
 
     def __init__(
-        self, msgtype: str, frame_id: str = "", names: Sequence[str] = (), counts: Mapping[str, int] | None = None
-    ) -> None:
+        self, msgtype: str, frame_id: str = "", names: Sequence[str] = (), counts: Mapping[str, int] | None = None,
+        dims: Dims = (),
+    ) -> None:  # fmt: skip
         counts = counts or {}
         out = bytearray(b"\x00\x01\x00\x00")  # little endian
         fixed: list[tuple[int, int]] = []
@@ -112,6 +134,15 @@ class Layout:
                 numbers(name, counts.get(name, 0))
             elif kind == "xyz":
                 numbers(name, 3)
+            elif kind == "quat":
+                numbers(name, 4)
+            elif kind == "dims":
+                length(len(dims))
+                for i, (label, size) in enumerate(dims):
+                    string(label)
+                    length(size)
+                    length(math.prod(size for _, size in dims[i:]))  # the stride
+                length(0)  # the offset of the data
             elif kind == "f64":
                 numbers(name, 1)
             elif kind == "bool":
@@ -229,6 +260,7 @@ def parse(msgtype: str, data: bytes) -> Message:
     frame_id = ""
     names: tuple[str, ...] = ()
     fields: dict[str, tuple[float, ...]] = {}
+    dims: Dims | None = None
     for item in SCHEMAS[msgtype]:
         kind, _, name = item.partition(":")
         if kind == "stamp":
@@ -248,6 +280,18 @@ def parse(msgtype: str, data: bytes) -> Message:
             fields[name] = sequence(name)
         elif kind == "xyz":
             fields[name] = take("d", 3)
+        elif kind == "quat":
+            fields[name] = take("d", 4)
+        elif kind == "dims":
+            count = int(take("I")[0])
+            if count * 13 > len(data):
+                raise CdrError(f"{msgtype}: claims {count} dimensions in {len(data)} bytes")
+            shape = []
+            for _ in range(count):
+                shape.append((string(), int(take("I")[0])))
+                take("I")
+            dims = tuple(shape)
+            take("I")
         elif kind == "f64":
             fields[name] = take("d")
         elif kind == "bool":
@@ -255,4 +299,6 @@ def parse(msgtype: str, data: bytes) -> Message:
         elif kind == "duration":
             take("i")
             take("I")
-    return Message(stamp, frame_id, names, fields)
+    if dims and math.prod(size for _, size in dims) != len(fields["data"]):
+        raise CdrError(f"{msgtype}: {len(fields['data'])} values for the shape {dict(dims)}")
+    return Message(stamp, frame_id, names, fields, dims)

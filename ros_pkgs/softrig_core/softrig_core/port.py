@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from operator import itemgetter
 from typing import NamedTuple
 
-from .cdr import CdrError, Layout, Message, parse
+from .cdr import CdrError, Dims, Layout, Message, element_labels, parse
 
 XYZ = ("x", "y", "z")
 
@@ -50,6 +50,8 @@ class Port:
         Input only: optional, newest value, None until the first; for people and outside nodes.
     delayed : bool
         Carries `Sample` with an acquisition time of its own and is paired by order instead of by stamp.
+    dims : Dims
+        Labels and sizes of the dimensions of a Float64MultiArray; the last one changes fastest.
     safe : tuple of float
         Value in the absence of a valid one: a plant's input under its watchdog, a controller's output when
         its measurement is bad. Default zeros.
@@ -64,6 +66,7 @@ class Port:
     frame_id: str = ""
     held: bool = False
     delayed: bool = False
+    dims: Dims = ()
     safe: tuple[float, ...] = field(default=())
 
     def __post_init__(self) -> None:
@@ -82,8 +85,12 @@ class Port:
     @property
     def labels(self) -> tuple[str, ...]:
         """Name of each value below the topic, e.g. ``shaft/velocity``; ``x`` or ``data`` where one word says it."""
+        if self.dims:
+            return element_labels(self.dims)
         if self.msgtype.startswith("std_msgs"):
             return ("data",)
+        if self.msgtype == "geometry_msgs/msg/PoseStamped":
+            return (*(f"position/{c}" for c in XYZ), *(f"orientation/{c}" for c in (*XYZ, "w")))
         if self.msgtype == "geometry_msgs/msg/Vector3Stamped":
             return XYZ
         if self.msgtype == "geometry_msgs/msg/WrenchStamped":
@@ -93,7 +100,8 @@ class Port:
     def layout(self) -> Layout:
         """Wire layout of what this port publishes."""
         names = self.channels if self.msgtype in _NAMED else ()
-        return Layout(self.msgtype, self.frame_id, names, {f: len(self.channels) for f in self.fields})
+        count = self.size if self.dims else len(self.channels)
+        return Layout(self.msgtype, self.frame_id, names, dict.fromkeys(self.fields, count), self.dims)
 
     def renamed(self, topic: str) -> Port:
         """Give the same port on another topic."""
@@ -136,6 +144,20 @@ def wrench(name: str, topic: str, frame_id: str = "", **options: object) -> Port
     """Force (N) and torque (N m) of a person or a load."""
     units = ("N",) * 3 + ("N m",) * 3
     return Port(name, topic, "geometry_msgs/msg/WrenchStamped", XYZ, ("force", "torque"), units, frame_id, **options)  # type: ignore[arg-type]
+
+
+def pose(name: str, topic: str, frame_id: str, **options: object) -> Port:
+    """Position (m) and orientation (unit quaternion x, y, z, w) in a frame."""
+    units = ("m",) * 3 + ("",) * 4
+    fields = ("position", "orientation")
+    return Port(name, topic, "geometry_msgs/msg/PoseStamped", (), fields, units, frame_id, **options)  # type: ignore[arg-type]
+
+
+def array(name: str, topic: str, dims: Mapping[str, int], units: str | Sequence[str], **options: object) -> Port:
+    """A vector or matrix (Float64MultiArray): label and size of each dimension, unit of all or of each value."""
+    shape = tuple(dims.items())
+    units = (units,) * len(element_labels(shape)) if isinstance(units, str) else tuple(units)
+    return Port(name, topic, "std_msgs/msg/Float64MultiArray", (), ("data",), units, dims=shape, **options)  # type: ignore[arg-type]
 
 
 def number(name: str, topic: str, unit: str, **options: object) -> Port:
@@ -193,9 +215,7 @@ class Decoder:
     def _learn(self, data: bytes) -> None:
         """Adopt the layout of `data` if it carries what the port needs."""
         message = self._parse(data)
-        self._layout = Layout(
-            self._port.msgtype, message.frame_id, message.names, {f: len(v) for f, v in message.fields.items()}
-        )
+        self._layout = message.layout(self._port.msgtype)
         order = self._order(message)
         self._pick = None if order == tuple(range(self._layout.size)) else _getter(order)
 
@@ -217,6 +237,8 @@ class Decoder:
         port = self._port
         if port.frame_id and message.frame_id != port.frame_id:
             raise Refused(f"frame_id {message.frame_id!r}, expected {port.frame_id!r}")
+        if (message.dims or ()) != port.dims:
+            raise Refused(f"shape {dict(message.dims or ())}, expected {dict(port.dims)}")
         named = port.msgtype in _NAMED
         if named and sorted(message.names) != sorted(port.channels):
             raise Refused(f"names {list(message.names)}, expected {list(port.channels)}")
@@ -255,6 +277,8 @@ def selection(source: Port, sink: Port) -> itemgetter[int] | None:
         raise Refused(f"type {source.msgtype}, expected {sink.msgtype}")
     if sink.frame_id and source.frame_id != sink.frame_id:
         raise Refused(f"frame_id {source.frame_id!r}, expected {sink.frame_id!r}")
+    if source.dims != sink.dims:
+        raise Refused(f"shape {dict(source.dims)}, expected {dict(sink.dims)}")
     if sorted(source.channels) != sorted(sink.channels):
         raise Refused(f"channels {list(source.channels)}, expected {list(sink.channels)}")
     missing = [f for f in sink.fields if f not in source.fields]
@@ -262,5 +286,3 @@ def selection(source: Port, sink: Port) -> itemgetter[int] | None:
         raise Refused(f"fields {list(source.fields)} lack {missing[0]}")
     order = tuple(source.labels.index(label) for label in sink.labels)
     return None if order == tuple(range(source.size)) else _getter(order)
-
-

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .cdr import SCHEMAS, SECOND, Layout, Message, parse
+from .cdr import SCHEMAS, SECOND, Layout, Message, element_labels, parse
 from .recording import Recording, Topic
 
 Array = NDArray[np.float64]
@@ -81,7 +81,7 @@ def _decode(topic: Topic, epoch: int) -> Table:
     if not topic.data:
         return Table(t, t, {})
     first = parse(topic.msgtype, topic.data[0])
-    layout = Layout(topic.msgtype, first.frame_id, first.names, {f: len(v) for f, v in first.fields.items()})
+    layout = first.layout(topic.msgtype)
     labels = _labels(first)
     size = len(topic.data[0])
     if all(len(d) == size for d in topic.data) and layout.decode(topic.data[0]) is not None:
@@ -89,12 +89,14 @@ def _decode(topic: Topic, epoch: int) -> Table:
         if layout.same_shape(block):
             return Table(t, _stamps(layout, block, t, epoch), dict(zip(labels, layout.columns(block), strict=True)))
     messages = [parse(topic.msgtype, d) for d in topic.data]
-    for message in messages:
-        if _labels(message) != labels:
-            raise ValueError(f"{topic.name}: channels change from {labels} to {_labels(message)}")
-    rows = np.array([[x for v in m.fields.values() for x in v] for m in messages], dtype=np.float64)
+    rows = [dict(zip(_labels(m), (x for v in m.fields.values() for x in v), strict=True)) for m in messages]
+    for row in rows:
+        if list(row) != labels and first.names:
+            raise ValueError(f"{topic.name}: channels change from {labels} to {list(row)}")
+    labels = list(dict.fromkeys(label for row in rows for label in row))  # arrays may change their shape
     stamps = np.array([m.stamp or 0 for m in messages], dtype=np.int64)
-    return Table(t, (stamps - epoch) / SECOND, {label: rows[:, i] for i, label in enumerate(labels)})
+    columns = {k: np.array([row.get(k, np.nan) for row in rows], dtype=np.float64) for k in labels}
+    return Table(t, (stamps - epoch) / SECOND, columns)
 
 
 def _stamps(layout: Layout, block: NDArray[np.uint8], t: Array, epoch: int) -> Array:
@@ -111,8 +113,10 @@ def _labels(message: Message) -> list[str]:
     for name, values in message.fields.items():
         if named:
             labels += [f"{channel}/{name}" for channel in message.names[: len(values)]]
+        elif message.dims:
+            labels += element_labels(message.dims)
         elif name == "data":
-            labels.append(name)
+            labels += ["data"] if message.dims is None else [f"data/{i}" for i in range(len(values))]
         else:
-            labels += [axis if name == "vector" else f"{name}/{axis}" for axis in "xyz"]
+            labels += [axis if name == "vector" else f"{name}/{axis}" for axis in "xyzw"[: len(values)]]
     return labels
