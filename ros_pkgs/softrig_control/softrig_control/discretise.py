@@ -24,16 +24,16 @@ def expm(a: Sequence[Sequence[float]]) -> Matrix:
     Parameters
     ----------
     a : (n, n) nested sequence
-        Scaled until its largest row sum is at most 1/4; the remainder of the series after 12 terms is then below
-        the rounding of a float64.
+        Scaled until its largest row sum is below 1; the remainder of the series after 18 terms is then below the
+        rounding of a float64.
     """
     n = range(len(a))
     norm = max(_dot(map(abs, row), (1.0,) * len(row)) for row in a)
-    squarings = max(0, math.frexp(norm)[1] + 2) if norm > 0.0 else 0
+    squarings = max(0, math.frexp(norm)[1])
     scaled = [[x / 2**squarings for x in row] for row in a]
     identity: Matrix = tuple(tuple(float(i == j) for j in n) for i in n)
     result = identity
-    for k in range(12, 0, -1):  # Horner's scheme: I + A/1 (I + A/2 (I + ...))
+    for k in range(18, 0, -1):  # Horner's scheme: I + A/1 (I + A/2 (I + ...))
         product = matmul(scaled, result)
         result = tuple(tuple(identity[i][j] + product[i][j] / k for j in n) for i in n)
     for _ in range(squarings):

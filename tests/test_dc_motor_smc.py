@@ -1,0 +1,501 @@
+"""DC motor rig: the sheet's acceptance numbers through the scenario files, the model, the laws, bad input."""
+
+import functools
+import math
+
+import numpy as np
+import pytest
+from conftest import in_process
+from scipy.linalg import expm as scipy_expm
+from softrig_bringup.run import evaluate
+from softrig_control.discretise import expm, zero_order_hold
+from softrig_control.kalman import SteadyKalman, steady_kalman_gain
+from softrig_control.pid import Pid, PidParams
+from softrig_control.sliding_mode import switching
+from softrig_core import metrics
+from softrig_core.block import Level
+from softrig_core.inprocess import run_inprocess
+from softrig_core.params import ParameterError
+from softrig_core.rig import Rig
+from softrig_core.scenario import list_scenarios, load_scenario
+from softrig_core.signals import Signals
+from softrig_drives.dc_motor.kalman_surface import DcMotorSmcKalman
+from softrig_drives.dc_motor.metrics import DcMotorMetrics
+from softrig_drives.dc_motor.model import MotorConstants, state_space
+from softrig_drives.dc_motor.pid import DcMotorPid
+from softrig_drives.dc_motor.plant import DcMotorPlant
+from softrig_drives.dc_motor.sliding_mode import DcMotorSmc
+
+K = 9.71170883  # K/r of the sheet, 1/s^2
+C = 5.0320416  # slope of the surface, 1/s
+
+# The sheet's numbers as name: (expected, tolerance) or (lowest, highest, None), apart from what the files say.
+IDEAL = {
+    "dc_motor_smc": {"rise_time": (0.6070, 0.001), "settling_time": (1.0899, 0.003), "overshoot": (0.01, 0.01),
+                         "total_variation": (13982, 0.03 * 13982)},
+    "dc_motor_smc_a1": {"rise_time": (0.6070, 0.002), "settling_time": (1.0899, 0.006), "overshoot": (0.05, 0.05),
+                            "total_variation": (1398, 0.03 * 1398)},
+    "dc_motor_smc_a2_delta0_01": {"rise_time": (0.6086, 0.002), "settling_time": (1.0917, 0.004)},
+    "dc_motor_smc_a2_delta0_1": {"rise_time": (0.6226, 0.002), "settling_time": (1.1077, 0.004)},
+    "dc_motor_smc_a2": {"rise_time": (0.694, 0.002), "settling_time": (1.188, 0.004)},
+    "dc_motor_smc_a2_delta1": {"rise_time": (0.795, 0.002), "settling_time": (1.3155, 0.004)},
+    "dc_motor_smc_a2_delta2": {"rise_time": (1.001, 0.002), "settling_time": (1.638, 0.004)},
+    "dc_motor_smc_a3": {"rise_time": (0.1829, 0.0006), "settling_time": (1.0015, 0.002), "overshoot": (22.50, 0.05)},
+    "dc_motor_smc_a3_1ms": {"rise_time": (0.1823, 0.0012), "settling_time": (1.0017, 0.004), "overshoot": (22.66, 0.1)},
+    "dc_motor_smc_a3_limited": {"rise_time": (0.1839, 0.0006), "settling_time": (1.0002, 0.002),
+                                "overshoot": (22.488, 0.05)},
+    "dc_motor_smc_c1": {"final_speed": (55.214, 0.01), "rise_time": (7.824, 0.01), "settling_time": (14.10, 0.02)},
+    "dc_motor_smc_stretch_a": {"rise_time": (0.154, 0.001), "settling_time": (0.276, 0.001), "overshoot": (0, 0),
+                                   "peak_voltage": (11.24, 0.01)},
+}  # fmt: skip
+for name in IDEAL:
+    if "_a2" in name:
+        IDEAL[name] |= {"overshoot": (0, 0), "total_variation": (0, 1e-3)}
+
+# rise s, settling s, their tolerance, overshoot %, mean e rad/s, TV V/s, its tolerance
+RIG = {
+    "dc_motor_smc_b1": (0.673, 1.176, 0.03, 0.15, 0.005, 1088, 0.10),
+    "dc_motor_smc_b2_delta1": (0.694, 1.205, 0.01, 0.0, 0.006, 67, 0.10),
+    "dc_motor_smc_b2_delta2": (0.718, 1.236, 0.01, 0.0, 0.014, 28, 0.10),
+    "dc_motor_smc_b2": (0.796, 1.342, 0.01, 0.0, 0.033, 10.3, 0.10),
+    "dc_motor_smc_b2_delta10": (0.935, 1.568, 0.01, 0.0, 0.065, 3.7, 0.10),
+    "dc_motor_smc_b2_delta20": (1.219, 2.200, 0.01, 0.0, 0.130, 2.8, 0.10),
+    "dc_motor_smc_b3": (1.216, 2.947, 0.03, 2.26, 0.136, 793, 0.10),
+    "dc_motor_smc_b3_delta5": (1.483, 1.995, 0.01, 0.11, 0.154, 647, 0.10),
+    "dc_motor_smc_b4": (0.419, 1.557, 0.01, 8.22, 0.063, 316, 0.05),
+    "dc_motor_smc_b4_no_aw": (0.411, 4.733, 0.01, 20.65, -0.233, 276, 0.05),
+}
+
+LOADED = {
+    "dc_motor_smc_b1_late": {"peak_to_peak": (0.044, 0.002), "total_variation": (1084, 108)},
+    "dc_motor_smc_b4_late": {"peak_to_peak": (0.010, 0.002), "total_variation": (196, 9.8)},
+    "dc_motor_smc_b5": {"mean_error": (2.484, 0.06)},
+    "dc_motor_smc_b5_sgn": {"mean_error": (2.484, 0.06)},
+    "dc_motor_smc_b5_diff": {"mean_error": (0.16, 0.01)},
+    "dc_motor_smc_b5_pid": {"mean_error": (0.0, 0.02)},
+    "dc_motor_smc_b6": {"rise_time": (0.812, 0.0081), "settling_time": (1.396, 0.014), "mean_error": (0.064, 0.01)},
+    "dc_motor_smc_b6_j_up": {"rise_time": (0.870, 0.0087), "settling_time": (1.537, 0.0153)},
+    "dc_motor_smc_b6_j_down": {"rise_time": (0.742, 0.0074), "settling_time": (1.175, 0.0117)},
+    "dc_motor_smc_b6_kt_down": {"mean_error": (2.13, 0.01)},
+    "dc_motor_smc_b6_pid": {},
+    "dc_motor_smc_b6_pid_j_up": {},
+    "dc_motor_smc_b6_pid_j_down": {},
+    "dc_motor_smc_b6_pid_kt_down": {},
+    "dc_motor_smc_stretch_b": {"rise_time": (0.797, 0.008), "overshoot": (0, 0), "mean_error": (0.03, 0.03),
+                                   "total_variation": (12.5, 12.5), "load_dip": (1.19, 0.01),
+                               "load_recovery": (0.37, 0.37)},
+    "dc_motor_smc_stretch_b_kt_down": {"rise_time": (0.98, 0.01), "overshoot": (0, 0), "mean_error": (0.03, 0.03),
+                                           "total_variation": (12.5, 12.5)},
+    "dc_motor_smc_stretch_b_delta2": {"mean_error": (0.025, 0.01), "total_variation": (59, 5.9)},
+}  # fmt: skip
+
+
+@functools.cache
+def run(name, **overrides):
+    rig = Rig.from_scenario(load_scenario(name, {k.replace("__", "."): v for k, v in overrides.items()}))
+    return rig, Signals(in_process(rig))
+
+
+@functools.cache
+def figures(name):
+    rig, signals = run(name)
+    results = evaluate(rig.scenario, signals)
+    assert [f"{r['name']} = {r['value']}" for r in results if not r["pass"]] == []
+    return {r["name"]: r["value"] for r in results}
+
+
+def speed(name):
+    """Time and true speed."""
+    rig, signals = run(name)
+    return signals[f"motor/{'true_' if 'motor/true_state' in rig.topics else ''}state/shaft/velocity"]
+
+
+@pytest.mark.parametrize(("name", "expected"), (IDEAL | LOADED).items(), ids=(IDEAL | LOADED).keys())
+def test_figures_of_the_sheet(name, expected):
+    found = figures(name)
+    for figure, (value, tolerance) in expected.items():
+        assert found[figure] == pytest.approx(value, rel=0, abs=tolerance), figure
+
+
+@pytest.mark.parametrize("name", RIG)
+def test_rig_table_of_the_sheet(name):
+    rise, settling, step_tolerance, over, mean_error, variation, variation_tolerance = RIG[name]
+    found = figures(name)
+    assert found["rise_time"] == pytest.approx(rise, rel=step_tolerance)
+    assert found["settling_time"] == pytest.approx(settling, rel=step_tolerance)
+    assert found["overshoot"] == pytest.approx(over, abs=0.3)
+    assert found["mean_error"] == pytest.approx(mean_error, abs=0.01)
+    assert found["total_variation"] == pytest.approx(variation, rel=variation_tolerance)
+
+
+def test_every_scenario_is_tested():
+    assert {n for n in list_scenarios() if n.startswith("dc_motor_smc")} == {*IDEAL, *RIG, *LOADED}
+
+
+def test_softening_takes_the_chattering_away():
+    soft = [
+        figures(f"dc_motor_smc_b2{d}")["total_variation"] for d in ("_delta1", "_delta2", "", "_delta10", "_delta20")
+    ]
+    assert soft == sorted(soft, reverse=True)
+    assert figures("dc_motor_smc_b1")["total_variation"] / soft[2] >= 50
+
+
+@pytest.mark.parametrize(("name", "period"), [("dc_motor_smc", 1e-4), ("dc_motor_smc_a1", 1e-3)])
+def test_chattering_switches_at_every_sample(name, period):
+    assert figures(name)["total_variation"] == pytest.approx(2 * K / (13.89 * period), rel=0.03)
+
+
+def test_sliding_mode_follows_its_closed_form():
+    t, w = speed("dc_motor_smc")
+    reach = C / K
+    reaching = K / C * (t - (1 - np.exp(-C * t)) / C)
+    at_reach = K / C * (reach - (1 - np.exp(-C * reach)) / C)
+    expected = np.where(t < reach, reaching, 1 - (1 - at_reach) * np.exp(-C * (t - reach)))
+    assert np.abs(w - expected).max() < 3e-4  # the rounded model and K Ts/c
+
+
+def test_open_loop_is_the_two_pole_response():
+    t, w = speed("dc_motor_smc_c1")
+    p = MotorConstants()
+    gain = p.Kt / (p.J * p.L)
+    fast, slow = np.roots([1, p.b / p.J + p.R / p.L, (p.b * p.R + p.Kt * p.Ke) / (p.J * p.L)])
+    final = 6.0 * gain / (fast * slow)
+    expected = final * (1 + (slow * np.exp(fast * t) - fast * np.exp(slow * t)) / (fast - slow))
+    assert np.abs(w - expected).max() < 1e-6 * final
+
+
+def rk4(v, load_at, period, sub_steps, p):
+    """Speed at every sample by an independent integrator; the load is looked up at each sub-step."""
+    x, h, found = np.zeros(2), period / sub_steps, [0.0]
+
+    def slope(x, u, load):
+        w, i = x
+        return np.array([(-p.b * w + p.Kt * i - load) / p.J, (u - p.R * i - p.Ke * w) / p.L])
+
+    for k, u in enumerate(v):
+        for j in range(sub_steps):
+            load = load_at(k * period + (j + 0.5) * h)
+            a = slope(x, u, load)
+            b = slope(x + h / 2 * a, u, load)
+            c = slope(x + h / 2 * b, u, load)
+            d = slope(x + h * c, u, load)
+            x = x + h / 6 * (a + 2 * b + 2 * c + d)
+        found.append(x[0])
+    return np.array(found)
+
+
+@pytest.mark.parametrize("name", ["dc_motor_smc_a1", "dc_motor_smc_b1", "dc_motor_smc_b4", "dc_motor_smc_b5"])
+def test_plant_agrees_with_a_second_integrator(name):
+    rig, signals = run(name)
+    params = rig.clock.params
+    if params.rig:
+        v = signals["motor/applied/armature/effort"].x[1:]
+    else:
+        v = signals["motor/command/armature/effort"].x
+    step = params.load_torques[-1]
+    expected = rk4(v, lambda t: step if t > 3.0 else 0.0, params.period, 4, params)
+    assert np.abs(speed(name).x - expected).max() <= 1e-6
+
+
+def test_load_step_inside_a_sample_is_exact():
+    loads = {"load_times": [0.0, 0.0137, 0.0161, 0.03], "load_torques": [0.001, 0.005, -0.002, 0.004]}
+    coarse, fine = DcMotorPlant(**loads), DcMotorPlant(period=1e-4, **loads)
+    for k in range(500):
+        fine.advance(k * 100_000, command=(3.0,))
+        if k % 100 == 0:
+            coarse.advance(k * 100_000, command=(3.0,))
+        if k % 100 == 99:
+            assert (coarse.theta, coarse.w, coarse.i) == pytest.approx((fine.theta, fine.w, fine.i), rel=1e-11)
+
+
+def test_matrix_exponential():
+    rng = np.random.default_rng(1)
+    for size, norm in [(2, 1e-3), (3, 1.0), (5, 40.0), (5, 0.0)]:
+        a = rng.normal(size=(size, size)) * norm
+        assert np.array(expm(a.tolist())) == pytest.approx(scipy_expm(a), rel=1e-10, abs=1e-12)
+    a, b = state_space(MotorConstants())
+    ad, bd = zero_order_hold(a, b, 0.01)
+    whole = scipy_expm(0.01 * np.block([[np.array(a), np.array(b)], [np.zeros((2, 5))]]))
+    assert np.hstack([ad, bd]) == pytest.approx(whole[:3], rel=1e-14)
+
+
+# The digital rig
+
+
+def test_encoder_counts_and_speed():
+    plant = DcMotorPlant(rig=True)
+    rad = math.tau / 1496
+    assert plant.outputs(0)["state"][:2] == (0.0, 0.0)
+    before = 0
+    for k in range(300):
+        plant.advance(k * 10**7, command=(-12.0 if k > 30 else 12.0,))
+        (position, w, _), (count, _) = plant.outputs(0)["state"], plant.outputs(0)["sensors"]
+        assert count == math.floor(plant.theta / rad)
+        assert (position, w) == pytest.approx((count * rad, (count - before) * rad / 0.01), rel=1e-12)
+        before = count
+    assert before < 0  # through zero, where truncation would differ from floor
+
+
+@pytest.mark.parametrize(("command", "level"), [(12.0, 255), (-12.0, -255), (6.0, 128), (2.5 * 12 / 255, 2), (0.02, 0)])
+def test_pwm_and_bridge(command, level):
+    plant = DcMotorPlant(rig=True)
+    plant.advance(0, command=(command,))
+    assert plant.outputs(0)["applied"] == pytest.approx((level / 255 * 10.0,), rel=1e-12)
+    assert not plant.reports
+
+
+def test_current_sensor_has_steps_and_a_range():
+    plant = DcMotorPlant(rig=True)
+    for k in range(30):
+        plant.advance(k * 10**7, command=(12.0,))
+    steps = plant.outputs(0)["sensors"][1] / 0.0008
+    assert steps == pytest.approx(round(steps), abs=1e-9)
+    assert abs(plant.outputs(0)["sensors"][1] - plant.i) <= 0.0004 + 1e-12
+    for k in range(200):
+        plant.advance(k * 10**7, command=(12.0,))
+    assert plant.i > 3.3
+    assert plant.outputs(0)["sensors"][1] == 3.2
+    assert plant.reports["current_range"][0] is Level.WARN
+
+
+def test_current_noise_is_seeded():
+    plant = DcMotorPlant(rig=True, current_noise=0.01)
+
+    def noise(seed):
+        plant.reset(seed)
+        found = []
+        for k in range(2000):
+            plant.advance(k * 10**7, command=(0.0,))
+            found.append(plant.outputs(0)["sensors"][1])
+        return found
+
+    first = noise(1)
+    assert first == noise(1)
+    assert first != noise(2)
+    assert np.std(first) == pytest.approx(0.01, rel=0.05)
+
+
+@pytest.mark.parametrize("rig", [False, True])
+def test_command_beyond_the_supply_is_clipped_and_flagged(rig):
+    plant, limit = DcMotorPlant(rig=rig), DcMotorPlant(rig=rig)
+    plant.advance(0, command=(-13.0,))
+    limit.advance(0, command=(-12.0,))
+    assert plant.w == limit.w < 0.0
+    assert plant.reports["clipped"][0] is Level.WARN
+    assert "-13 V" in plant.reports["clipped"][1]
+    assert not limit.reports
+
+
+# Laws
+
+
+def test_switching_term():
+    assert [switching(s) for s in (-3.0, -0.0, 0.0, 0.1)] == [-1.0, 0.0, 0.0, 1.0]
+    assert switching(-3.0, 1.0) == -0.75
+    assert switching(0.0, 1.0) == 0.0
+
+
+def test_smc_is_eq_33_and_36():
+    state, sensors, reference = (4.0,), (0.0, 0.7), (10.0,)
+    wd = -5.5 * 4.0 + 37.5 * 0.7
+    s = C * 6.0 - wd
+    equivalent = 1.509 * 4.0 + 5.648 * wd - C * wd
+    for delta, term in ((0.0, 1.0), (5.0, s / (s + 5.0))):
+        law = DcMotorSmc(delta=delta, publish_surface=True)
+        answer = law.update(0, state=state, sensors=sensors, reference=reference)
+        assert answer["command"][0] == pytest.approx((equivalent + 10 * K * term) / 13.89, rel=1e-12)
+        assert answer["surface"][0] == pytest.approx(s, rel=1e-12)
+
+
+def test_absolute_switching_gain():
+    law = DcMotorSmc(k=160.0)
+    answer = law.update(0, state=(0.0,), sensors=(0.0, 0.0), reference=(2.0,))
+    assert answer["command"][0] == pytest.approx(160.0 / 13.89, rel=1e-12)
+
+
+def test_wd_of_the_speed_difference_and_its_filter():
+    def answers(**p):
+        law = DcMotorSmc(wd_source="diff", publish_surface=True, **p)
+        ramp = [law.update(0, state=(0.02 * k,), sensors=(0.0, 9.0), reference=(1.0,))["surface"][0] for k in range(9)]
+        return [C * (1.0 - 0.02 * k) - s for k, s in enumerate(ramp)]  # w'
+
+    assert answers() == pytest.approx([0.0] + [2.0] * 8, rel=1e-9, abs=1e-12)
+    assert answers(wd_lp=0.03) == pytest.approx([2.0 * (1 - math.exp(-k / 3)) for k in range(9)], rel=1e-9, abs=1e-12)
+
+
+def test_motor_brakes_when_the_reference_becomes_zero():
+    _rig, signals = run("dc_motor_smc_b2", motor_reference__times=(0.0, 3.0), motor_reference__velocities=(10.0, 0.0))
+    w = signals["motor/true_state/shaft/velocity"]
+    assert w.x[299] == pytest.approx(10.0, abs=0.05)
+    assert w.x[-1] == pytest.approx(0.0, abs=0.05)
+
+
+def test_pid_difference_equations():
+    pid = Pid(PidParams(kp=2.0, ki=3.0, kd=0.5, n_filter=50.0, anti_windup=False), 0.01)
+    d0 = 0.5 * 50.0 * 1.0 / 1.5
+    assert pid(1.0) == pytest.approx(2.0 + d0)
+    d1 = (d0 + 0.5 * 50.0 * (0.4 - 1.0)) / 1.5
+    assert pid(0.4) == pytest.approx(0.8 + 0.03 * 1.0 + d1)
+    pid.reset()
+    assert pid(1.0) == pytest.approx(2.0 + d0)
+
+
+@pytest.mark.parametrize(("anti_windup", "integral"), [(True, 0.0), (False, 0.3)])
+def test_integral_stops_while_the_output_is_beyond_the_limit(anti_windup, integral):
+    pid = Pid(PidParams(kp=2.0, ki=3.0, u_max=1.5, anti_windup=anti_windup), 0.01)
+    for _ in range(10):
+        pid(1.0)
+    assert pid(0.0) == pytest.approx(integral, abs=1e-12)
+    assert pid(0.5) < pid(0.5)  # inside the limit it integrates in both cases
+
+
+def test_integral_winds_back_beyond_the_limit():
+    pid = Pid(PidParams(kp=0.1, ki=100.0, u_max=1.0), 0.01)
+    assert [pid(e) for e in (0.9, 0.9, 0.5, -0.1, -0.1)] == pytest.approx([0.09, 0.99, 1.85, 1.79, 1.69])
+
+
+def test_kalman_gain_is_where_the_riccati_recursion_ends():
+    a, c = np.array([[1.0, 0.1], [0.0, 0.9]]), np.array([[1.0, 0.0]])
+    q, r = (1e-3, 1e-2), (0.05,)
+    P = np.eye(2)
+    for _ in range(2000):
+        gain = P @ c.T @ np.linalg.inv(c @ P @ c.T + np.diag(r))
+        P = a @ (np.eye(2) - gain @ c) @ P @ a.T + np.diag(q)
+    assert np.array(steady_kalman_gain(a.tolist(), c.tolist(), q, r)) == pytest.approx(gain, rel=1e-9)
+
+    b = [[0.005], [0.1]]
+    kalman, x, rng = SteadyKalman(a.tolist(), b, c.tolist(), q, r), np.zeros(2), np.random.default_rng(3)
+    for y, u in rng.normal(size=(50, 2)):
+        x = a @ x + np.array(b)[:, 0] * u
+        x = x + gain[:, 0] * (y - x[0])
+        assert kalman((u,), (y,)) == pytest.approx(x, rel=1e-8, abs=1e-10)
+
+
+def test_observer_agrees_with_the_metric_functions():
+    rig, signals = run("dc_motor_smc_b1")
+    observer = run_inprocess(rig, 0)["dc_motor_metrics"]
+    assert isinstance(observer, DcMotorMetrics)
+    found = {name: value for name, (value, _) in observer.status().items()}
+    w, v = "motor/true_state/shaft/velocity", "motor/applied/armature/effort"
+    assert found == pytest.approx(
+        {
+            "rise_time": metrics.rise_time(signals, w, final=10.0),
+            "settling_time": metrics.settling_time(signals, w, final=10.0),
+            "overshoot": metrics.overshoot(signals, w, final=10.0),
+            "mean_error": metrics.mean_error(signals, w, reference=10.0, start=3.0),
+            "rms_error": metrics.rms(signals, w, reference=10.0, start=3.0),
+            "peak_to_peak": metrics.peak_to_peak(signals, w, start=3.0),
+            "total_variation": metrics.total_variation(signals, v, start=3.0),
+            "peak_current": metrics.peak(signals, "motor/sensors/current_a/position"),
+        },
+        rel=1e-9,
+    )
+
+
+# Bad input
+
+
+@pytest.mark.parametrize(
+    ("block", "values", "named"),
+    [
+        (DcMotorSmc, {"c": 0.0}, "c"),
+        (DcMotorSmc, {"delta": -1.0}, "delta"),
+        (DcMotorSmc, {"k": 0.0}, "k"),
+        (DcMotorSmc, {"k_per_ref": -9.7}, "k_per_ref"),
+        (DcMotorSmc, {"period": 0.0}, "period"),
+        (DcMotorSmc, {"wd_source": "guess"}, "wd_source"),
+        (DcMotorSmc, {"wd_lp": -0.1}, "wd_lp"),
+        (DcMotorSmc, {"c": math.nan}, "c"),
+        (DcMotorSmc, {"set_point": 25.0}, "set_point"),
+        (DcMotorSmcKalman, {"J": -1.0}, "J"),
+        (DcMotorSmcKalman, {"var_load": 0.0}, "var_load"),
+        (DcMotorPid, {"n_filter": 0.0}, "n_filter"),
+        (DcMotorPid, {"kp": math.inf}, "kp"),
+        (DcMotorPlant, {"R": 0.0}, "R"),
+        (DcMotorPlant, {"L": -2.7}, "L"),
+        (DcMotorPlant, {"J": 0.0}, "J"),
+        (DcMotorPlant, {"counts_per_rev": 0}, "counts_per_rev"),
+        (DcMotorPlant, {"pwm_bits": 0}, "pwm_bits"),
+        (DcMotorPlant, {"pwm_bits": 17}, "pwm_bits"),
+        (DcMotorPlant, {"period": -0.01}, "period"),
+        (DcMotorPlant, {"bridge_drop": 12.0}, "bridge_drop"),
+        (DcMotorPlant, {"load_times": [0.0, 1.0]}, "load_times"),
+        (DcMotorPlant, {"load_times": [1.0, 1.0], "load_torques": [0.0, 0.1]}, "load_times"),
+        (DcMotorPlant, {"inertia": 1.0}, "inertia"),
+    ],
+)
+def test_bad_parameters_are_named(block, values, named):
+    with pytest.raises(ParameterError, match=rf"\b{named}\b"):
+        block(**values)
+
+
+# how to make the law, its inputs beside the reference, and which of their numbers it uses
+MEASURED = [
+    (DcMotorSmc, {"state": (5.0,), "sensors": (100.0, 0.9)}, [("state", 0), ("sensors", 1)]),
+    (lambda: DcMotorSmc(wd_source="diff", wd_lp=0.02), {"state": (5.0,), "sensors": (100.0, 0.9)}, [("state", 0)]),
+    (DcMotorPid, {"state": (5.0,)}, [("state", 0)]),
+    (
+        DcMotorSmcKalman,
+        {"sensors": (100.0, 0.9), "applied": (1.0,)},
+        [("sensors", 0), ("sensors", 1), ("applied", 0)],
+    ),
+]
+
+
+@pytest.mark.parametrize(("make", "inputs", "used"), MEASURED)
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+def test_a_number_that_is_not_finite_gives_zero_volt_and_no_trace(make, inputs, used, bad):
+    inputs = inputs | {"reference": (10.0,)}
+    for port, place in [*used, ("reference", 0)]:
+        block, clean = make(), make()
+        for b in (block, clean):
+            b.update(0, **inputs)
+        spoiled = tuple(bad if i == place else x for i, x in enumerate(inputs[port]))
+        assert block.update(1, **(inputs | {port: spoiled}))["command"] == (0.0,), port
+        assert block.reports["not_finite"][0] is Level.ERROR
+        after = inputs | {"reference": (9.0,)}
+        assert block.update(2, **after) == clean.update(2, **after)
+
+
+@pytest.mark.parametrize(("make", "inputs", "used"), MEASURED)
+def test_reference_beyond_the_sensor_range_keeps_the_previous(make, inputs, used):
+    block, clean = make(), make()
+    assert block.update(0, **inputs, reference=(5.0,)) == clean.update(0, **inputs, reference=(5.0,))
+    assert not block.reports
+    for k, r in enumerate((21.9, -40.0), 1):
+        assert block.update(k, **inputs, reference=(r,)) == clean.update(k, **inputs, reference=(5.0,))
+        level, text, count = block.reports["reference_range"]
+        assert (level, count) == (Level.WARN, k)
+        assert f"{r:g} rad/s" in text
+    assert block.update(3, **inputs, reference=(-21.8,)) == clean.update(3, **inputs, reference=(-21.8,))
+
+
+@pytest.mark.parametrize(("make", "inputs", "used"), MEASURED)
+def test_without_a_reference_the_set_point_holds(make, inputs, used):
+    assert make().update(0, **inputs, reference=None) == make().update(0, **inputs, reference=(10.0,))
+
+
+@pytest.mark.parametrize(("make", "inputs", "used"), MEASURED)
+def test_reset_forgets_everything(make, inputs, used):
+    block, fresh = make(), make()
+    for k in range(5):
+        block.update(k, **inputs, reference=(-3.0,))
+    block.reset(0)
+    for k in range(5):
+        assert block.update(k, **inputs, reference=None) == fresh.update(k, **inputs, reference=None)
+
+
+@pytest.mark.parametrize("rig", [False, True])
+def test_reset_brings_the_motor_to_rest(rig):
+    plant = DcMotorPlant(rig=rig, load_times=[0.0, 0.02], load_torques=[0.0, 0.01])
+
+    def states():
+        found = [plant.outputs(0)]
+        for k in range(5):
+            plant.advance(k * 10**7, command=(5.0,))
+            found.append(plant.outputs(k * 10**7))
+        return found
+
+    first = states()
+    plant.reset(0)
+    assert states() == first
