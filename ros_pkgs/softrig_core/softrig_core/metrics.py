@@ -102,7 +102,7 @@ def overshoot(
 ) -> float:  # fmt: skip
     """Largest value beyond `final` in % of the step size; 0 when there is none."""
     _, z = _step(signals, signal, final, initial, start, end)
-    return max(0.0, 100.0 * (float(z.max()) - 1.0))
+    return max(0.0, 100.0 * (float(np.max(z)) - 1.0))
 
 
 def total_variation(signals: SignalMap, signal: str, *, start: float | None = None, end: float | None = None) -> float:
@@ -141,12 +141,12 @@ def peak(
 
 def maximum(signals: SignalMap, signal: str, *, start: float | None = None, end: float | None = None) -> float:
     """Largest value."""
-    return float(_window(signals, signal, start, end)[1].max())
+    return float(np.max(_window(signals, signal, start, end)[1]))
 
 
 def minimum(signals: SignalMap, signal: str, *, start: float | None = None, end: float | None = None) -> float:
     """Smallest value."""
-    return float(_window(signals, signal, start, end)[1].min())
+    return float(np.min(_window(signals, signal, start, end)[1]))
 
 
 def final_value(signals: SignalMap, signal: str, *, start: float | None = None, end: float | None = None) -> float:
@@ -181,7 +181,7 @@ def _step(
 
 def _first_crossing(t: Array, z: Array, level: float) -> float:
     reached = z >= level
-    k = int(reached.argmax())
+    k = int(np.argmax(reached))
     if not reached[k]:
         return float("inf")
     if k == 0:
