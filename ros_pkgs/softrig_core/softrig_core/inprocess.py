@@ -137,11 +137,15 @@ def check(found: Any, port: Port, node: str, t: int) -> tuple[float, ...] | Samp
         given: Any = found[port.name]
     except (KeyError, TypeError):
         raise RunError(f"{node} gave no {port.name} at t = {t / 1e9:.9g} s") from None
+    if type(given) is tuple and len(given) == port.size:  # what nearly every block gives, told in a fifth of the time
+        total = sum(given)
+        if type(total) is float and total - total == 0.0:
+            return given
     data: Sequence[float] = given.data if isinstance(given, Sample) else given
     values = tuple(map(float, data))
     if len(values) != port.size:
         raise RunError(f"{node}: {port.name} has {len(values)} values, expected {port.size}, at t = {t / 1e9:.9g} s")
-    if not math.isfinite(math.fsum(values) if len(values) < 2 else sum(values)):
+    if not math.isfinite(sum(values)):
         for label, value in zip(port.labels, values, strict=True):
             if not math.isfinite(value):
                 raise RunError(f"{node}: {port.name} {label} became {value} at t = {t / 1e9:.9g} s")

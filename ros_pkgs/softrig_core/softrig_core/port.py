@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from operator import itemgetter
 from typing import NamedTuple
 
@@ -77,12 +78,12 @@ class Port:
         if len(self.safe) != self.size:
             raise ValueError(f"port {self.name}: {len(self.safe)} safe values for {self.size} values")
 
-    @property
+    @cached_property
     def size(self) -> int:
         """Number of float64 values."""
         return len(self.labels)
 
-    @property
+    @cached_property
     def labels(self) -> tuple[str, ...]:
         """Name of each value below the topic, e.g. ``shaft/velocity``; ``x`` or ``data`` where one word says it."""
         if self.dims:
