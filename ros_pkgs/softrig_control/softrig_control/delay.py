@@ -99,7 +99,7 @@ class FieldbusDelay(Block):
 
     def start(self) -> None:
         """Empty the line."""
-        self._newest = -1
+        self._newest: int | None = None
         self._line: list[tuple[int, int, tuple[float, ...]]] = []
         self._held: Sample | None = None
         if self._rounded:
@@ -112,7 +112,7 @@ class FieldbusDelay(Block):
         """Take the newest message sent, give the newest that has arrived."""
         if self._held is None:
             self._held = Sample(sent.stamp, self.p.initial or sent.data)
-        if sent.stamp > self._newest:  # the same stamp again is the same message, held
+        if self._newest is None or sent.stamp > self._newest:  # the same stamp again is the same message, held
             self._newest = sent.stamp
             self._send(t, sent)
         elif sent.stamp < self._newest:

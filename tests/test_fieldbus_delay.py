@@ -1,0 +1,194 @@
+"""The link block: delay, jitter, loss and quantisation on any message of any rig, with the original stamps."""
+
+import pytest
+from conftest import in_process
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from softrig_control.delay import FieldbusDelay
+from softrig_core.block import Level
+from softrig_core.errors import ScenarioError
+from softrig_core.params import ParameterError
+from softrig_core.port import Sample
+from softrig_core.rig import Rig
+from softrig_core.scenario import Scenario, load_scenario
+from softrig_core.signals import Signals
+
+PERIOD = 10_000_000
+
+
+def pass_through(link, ticks=200, seed=0, data=lambda k: (float(k), -float(k))):
+    link.reset(seed)
+    return [link.update(k * PERIOD, sent=Sample(k * PERIOD, data(k)))["arrived"] for k in range(ticks)]
+
+
+@given(delay=st.integers(0, 30))
+@settings(max_examples=10, deadline=None)
+def test_a_sample_arrives_whole_periods_later_under_its_own_stamp(delay):
+    arrived = pass_through(FieldbusDelay(delay_ms=10.0 * delay), 60)
+    for k, sample in enumerate(arrived):
+        j = max(0, k - delay)  # before the first arrival: the initial sample, under its stamp
+        assert sample == Sample(j * PERIOD, (float(j), -float(j)))
+
+
+def test_a_delay_between_periods_is_rounded_up_and_reported():
+    link = FieldbusDelay(delay_ms=71.0)
+    assert pass_through(link) == pass_through(FieldbusDelay(delay_ms=80.0))
+    assert link.reports["delay"][0] == Level.WARN
+    assert "rounded up to 8 and 0 periods" in link.reports["delay"][1]
+
+
+def ages(link, seed=0, ticks=2000):
+    return [k - s.stamp // PERIOD for k, s in enumerate(pass_through(link, ticks, seed))][100:]
+
+
+def test_jitter_is_uniform_over_whole_periods_and_keeps_the_newest():
+    link = FieldbusDelay(name="link", delay_ms=60.0, jitter_ms=40.0)
+    found = ages(link, ticks=20_000)
+    assert min(found) == 6
+    # age 6 when the sample sent 6 periods ago had no extra delay; 7 when that of 7 had at most one; ...
+    expected = {6: 0.2, 7: 0.8 * 0.4, 8: 0.8 * 0.6 * 0.6, 9: 0.8 * 0.6 * 0.4 * 0.8, 10: 0.8 * 0.6 * 0.4 * 0.2}
+    for age, share in expected.items():
+        assert found.count(age) / len(found) == pytest.approx(share, abs=0.015)
+    assert sum(found.count(age) for age in expected) == len(found)
+
+
+def test_stamps_never_go_back():
+    stamps = [s.stamp for s in pass_through(FieldbusDelay(name="link", delay_ms=10.0, jitter_ms=200.0), 500)]
+    assert stamps == sorted(stamps)
+
+
+def test_a_lost_sample_leaves_the_one_before():
+    found = ages(FieldbusDelay(name="link", delay_ms=20.0, loss=0.3), ticks=20_000)
+    assert found.count(2) / len(found) == pytest.approx(0.7, abs=0.01)
+    assert found.count(3) / len(found) == pytest.approx(0.3 * 0.7, abs=0.01)
+
+
+def test_random_numbers_come_from_seed_and_name_only():
+    def make(name, **options):
+        return FieldbusDelay(name=name, delay_ms=20.0, **options)
+
+    same = [ages(make("link", jitter_ms=50.0), seed=3) for _ in range(2)]
+    assert same[0] == same[1]
+    assert ages(make("link", jitter_ms=50.0), seed=4) != same[0]
+    assert ages(make("other", jitter_ms=50.0), seed=3) != same[0]
+
+
+def test_values_are_rounded_to_their_steps():
+    link = FieldbusDelay(delay_ms=0.0, quantum=(0.5, 0.0))
+    arrived = pass_through(link, 4, data=lambda k: (0.3 * k - 0.5, 0.3 * k))
+    assert [s.data[0] for s in arrived] == [-0.5, 0.0, 0.0, 0.5]
+    assert [s.data[1] for s in arrived] == pytest.approx([0.0, 0.3, 0.6, 0.9])
+
+
+def test_a_slow_sender_is_not_sent_twice():
+    link = FieldbusDelay(name="link", delay_ms=30.0, loss=0.5)
+    link.reset(0)
+    stamps = []
+    for k in range(400):
+        j = k - k % 10
+        stamps.append(link.update(k * PERIOD, sent=Sample(j * PERIOD, (float(j), 0.0)))["arrived"].stamp // PERIOD)
+    changes = [k for k in range(1, 400) if stamps[k] != stamps[k - 1]]
+    assert all(k % 10 == 3 for k in changes)
+    assert 10 < len(changes) < 30  # half of the forty messages are lost, each as a whole
+
+
+def test_out_of_order_input_is_dropped_and_reported():
+    link = FieldbusDelay(delay_ms=0.0)
+    link.update(0, sent=Sample(5, (1.0, 0.0)))
+    assert link.update(PERIOD, sent=Sample(4, (2.0, 0.0)))["arrived"] == Sample(5, (1.0, 0.0))
+    assert link.reports["order"][0] == Level.WARN
+
+
+MESSAGES = {
+    "sensor_msgs/msg/JointState": {"channels": ("a", "b"), "fields": ("position", "effort")},
+    "trajectory_msgs/msg/JointTrajectory": {"channels": ("a",), "fields": ("position", "acceleration")},
+    "geometry_msgs/msg/Vector3Stamped": {"frame_id": "abc"},
+    "geometry_msgs/msg/WrenchStamped": {"frame_id": "tool"},
+}
+
+
+@pytest.mark.parametrize("message", MESSAGES)
+@pytest.mark.parametrize("restamp", [False, True])
+def test_ports_of_every_message_type(message, restamp):
+    link = FieldbusDelay(message=message, restamp=restamp, delay_ms=10.0, **MESSAGES[message])
+    (sent,), (arrived,) = FieldbusDelay.ports(link.p)
+    assert sent.layout().msgtype == arrived.layout().msgtype == message
+    assert (sent.topic, arrived.topic) == ("axis/state", "axis/feedback")
+    assert sent.labels == arrived.labels
+    assert sent.delayed
+    assert arrived.delayed != restamp
+    values = tuple(map(float, range(sent.size)))
+    encoded = arrived.layout().encode(7, values)
+    assert arrived.layout().decode(encoded) == (7, values)
+    answer = link.update(0, sent=Sample(0, values))["arrived"]
+    assert answer == (values if restamp else Sample(0, values))
+
+
+@pytest.mark.parametrize(
+    ("parameters", "text"),
+    [
+        ({"delay_ms": -1.0}, "delay_ms"),
+        ({"loss": 1.0}, "loss"),
+        ({"topic_out": "axis/state"}, "topic_in and topic_out are both 'axis/state'"),
+        ({"message": "std_msgs/msg/Bool"}, "message"),
+        ({"fields": ("position", "duty")}, "expected some of"),
+        ({"fields": ("acceleration",)}, "expected some of"),
+        ({"fields": ()}, "expected some of"),
+        ({"quantum": (1.0,)}, "quantum has 1 values, expected 2"),
+        ({"quantum": (1.0, -1.0)}, "no negative step"),
+        ({"initial": (0.0, 0.0, 0.0)}, "initial has 3 values, expected 2"),
+    ],
+)
+def test_bad_parameters_are_refused(parameters, text):
+    with pytest.raises(ParameterError, match=text):
+        FieldbusDelay(**parameters)
+
+
+def with_link(name, receiver, port_topic, duration, **parameters):
+    """The scenario with a link put before one input of a node, nothing else changed."""
+    base = load_scenario(name)
+    nodes = {n: e.model_dump() for n, e in base.nodes.items()}
+    late = f"{port_topic}_late"
+    nodes["link"] = {"package": "softrig_control", "executable": "fieldbus_delay",
+                     "parameters": {"topic_in": port_topic, "topic_out": late} | parameters}  # fmt: skip
+    nodes[receiver]["remap"] = nodes[receiver]["remap"] | {port_topic: late}
+    return Scenario.model_validate(base.model_dump() | {"nodes": nodes, "duration": duration})
+
+
+COMMAND = {"channels": ["armature"], "fields": ["effort"], "restamp": True, "initial": [0.0]}
+
+
+def test_a_link_before_a_plants_command():
+    late = with_link("dc_motor_fsfb", "dc_axis_plant", "axis/command", 1.0, delay_ms=30.0, **COMMAND)
+    signals = Signals(in_process(Rig.from_scenario(late)))
+    t, sent = signals["axis/command/armature/effort"]
+    arrived = signals["axis/command_late/armature/effort"].x
+    assert (arrived[3:] == sent[:-3]).all()
+    assert not arrived[:3].any()
+    assert (signals.table("axis/command_late").stamp == t).all()
+    y = signals["axis/true_state/axis/position"].x
+    first = int(sent.nonzero()[0][0])
+    assert not y[: first + 4].any()
+    assert y[first + 4] != 0.0
+
+
+def test_a_link_in_another_rig_whose_controller_knows_nothing_of_links():
+    name, topic = "dc_motor_smc_b2", "motor/state"
+    rig = Rig.from_scenario(load_scenario(name))
+    member = next(m for m in rig.members if m.name == "dc_motor_smc")
+    port = next(p for p in member.inputs if p.topic == topic)
+    options = {"channels": list(port.channels), "fields": list(port.fields), "period": member.params.period}
+    late = with_link(name, "dc_motor_smc", topic, 0.5, delay_ms=20.0, restamp=True, **options)
+    signals = Signals(in_process(Rig.from_scenario(late)))
+    label = f"{port.channels[0]}/{port.fields[0]}"
+    periods = round(0.02 / member.params.period)
+    arrived = signals[f"{topic}_late/{label}"].x
+    assert (arrived[periods:] == signals[f"{topic}/{label}"].x[: len(arrived) - periods]).all()
+    with pytest.raises(ScenarioError, match="its stamps are acquisition times, but the input pairs by stamp"):
+        Rig.from_scenario(with_link(name, "dc_motor_smc", topic, 0.5, **options))
+
+
+def test_two_links_in_a_row_add_up():
+    late = with_link("dc_motor_fsfb", "fsfb_controller", "axis/feedback", 1.0, delay_ms=30.0)
+    table = Signals(in_process(Rig.from_scenario(late))).table("axis/feedback_late")
+    assert table.t[11:] - table.stamp[11:] == pytest.approx(0.11)

@@ -1,0 +1,107 @@
+"""Pole placement, the sampled law with anti-windup, and prediction by command replay."""
+
+import numpy as np
+import pytest
+import scipy.signal
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from softrig_control.discretise import zero_order_hold
+from softrig_control.predictor import CommandReplay
+from softrig_control.state_feedback import StateFeedback, UnstableDesign, closed_loop_poles, place
+
+MOTOR = ([[-5.26, 0.0], [1.0, 0.0]], [2.2862, 0.0], [0.0, 1.0])
+MASSES = (  # two carts, a spring and a damper: four states
+    [[0, 1, 0, 0], [-3, -0.2, 3, 0.2], [0, 0, 0, 1], [6, 0.4, -6, -0.4]], [0, 1, 0, 0], [0, 0, 1, 0],
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("plant", "poles"),
+    [
+        (MOTOR, [-3, -6, -9]),
+        (MOTOR, [-4, -4, -4]),
+        (MOTOR, [-2 + 3j, -2 - 3j, -8]),
+        (MASSES, [-1, -2, -3, -4, -5]),
+        (MASSES, [-2 + 1j, -2 - 1j, -3, -1 - 4j, -1 + 4j]),
+    ],
+)
+def test_the_loop_has_the_wanted_poles(plant, poles):
+    gains = place(*plant, poles)
+    found = np.poly(closed_loop_poles(*plant, gains.k, gains.ki))
+    assert found == pytest.approx(np.poly(poles).real, rel=1e-9)
+
+
+def test_the_gains_are_those_of_scipy():
+    a, b, c = MOTOR
+    augmented = np.block([[np.array(a), np.zeros((2, 1))], [-np.array([c]), np.zeros((1, 1))]])
+    peer = scipy.signal.place_poles(augmented, np.append(b, 0.0)[:, None], [-3, -6, -9]).gain_matrix[0]
+    gains = place(*MOTOR, [-3, -6, -9])
+    assert (*gains.k, -gains.ki) == pytest.approx(tuple(peer), rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("plant", "poles", "error", "text"),
+    [
+        (MOTOR, [-3, 0.5, -9], UnstableDesign, r"pole 0\.5 among -3, 0\.5, -9 1/s"),
+        (MOTOR, [-3, 0, -9], UnstableDesign, "pole 0 among"),
+        (MOTOR, [1j, -1j, -9], UnstableDesign, r"pole 0\+1j, -?0-1j"),
+        (MOTOR, [-3, -6], ValueError, "2 poles, expected 3"),
+        (MOTOR, [-3, -6 + 1j, -6 + 1j], ValueError, "conjugate pairs"),
+        (([[-1.0, 0.0], [0.0, -2.0]], [1.0, 0.0], [1.0, 1.0]), [-3, -4, -5], ValueError, "not controllable"),
+    ],
+)
+def test_a_bad_design_is_refused(plant, poles, error, text):
+    with pytest.raises(error, match=text):
+        place(*plant, poles)
+
+
+def test_law_saturates_and_integrates_after_the_output():
+    law = StateFeedback((2.0, 3.0), 10.0, 0.1, 5.0)
+    assert law.step(1.0, (0.5, 0.0), 0.0) == -1.0
+    assert law.xi == pytest.approx(0.1)
+    assert law.step(1.0, (0.0, 0.0), -99.0) == pytest.approx(1.0)
+    assert law.step(0.0, (0.0, 0.0), 0.0) == 5.0
+
+
+@pytest.mark.parametrize(("error", "integrates"), [(1.0, False), (-1.0, True)])
+def test_anti_windup_holds_the_integrator_only_towards_the_limit(error, integrates):
+    law = StateFeedback((0.0,), 1.0, 0.1, 1.0, anti_windup=True)
+    law.xi = 3.0
+    assert law.step(error, (0.0,), 0.0) == 1.0
+    assert (law.xi != 3.0) == integrates
+
+
+def test_settle_starts_without_a_bump():
+    law = StateFeedback((2.0, 3.0), 10.0, 0.1, 5.0, kr=0.5)
+    law.settle((0.3, 4.0), 4.0)
+    assert law.step(4.0, (0.3, 4.0), 4.0) == pytest.approx(0.0, abs=1e-12)
+
+
+@given(
+    late=st.integers(0, 12),
+    commands=st.lists(st.floats(-100, 100), min_size=12, max_size=30),
+    start=st.tuples(*[st.floats(-10, 10)] * 4),
+)
+@settings(max_examples=60, deadline=None)
+def test_replay_is_the_plant_itself(late, commands, start):
+    phi, gamma = zero_order_hold(MASSES[0], [[b] for b in MASSES[1]], 0.05)
+    replay = CommandReplay(phi, gamma, 12)
+    x, past = np.array(start), [np.array(start)]
+    for u in commands:
+        replay.record(u)
+        x = np.array(phi) @ x + np.array(gamma)[:, 0] * u
+        past.append(x)
+    assert replay.present(past[-1 - late], late) == pytest.approx(tuple(x), rel=1e-9, abs=1e-9)
+
+
+def test_replay_knows_how_far_back_it_can_see():
+    phi, gamma = zero_order_hold(MOTOR[0], [[b] for b in MOTOR[1]], 0.01)
+    replay = CommandReplay(phi, gamma, 5)
+    assert replay.present((1.0, 2.0), 0) == (1.0, 2.0)
+    for k in range(9):
+        assert (replay.present((0.0, 0.0), 3) is None) == (k < 3)
+        replay.record(float(k))
+    assert len(replay) == 5
+    assert replay.present((0.0, 0.0), 6) is None
+    replay.clear()
+    assert replay.present((0.0, 0.0), 1) is None
