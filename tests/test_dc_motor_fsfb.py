@@ -1,4 +1,4 @@
-"""DC axis over a fieldbus: the sheet's acceptance numbers through the scenario files, model, law, buttons, bad input."""
+"""DC axis over a fieldbus: the sheet's acceptance numbers by the scenario files, model, law, buttons, bad input."""
 
 import functools
 import math
