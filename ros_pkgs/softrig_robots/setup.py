@@ -24,6 +24,8 @@ setup(
     entry_points={
         "console_scripts": [
             "manipulator_plant = softrig_robots.manipulator.plant:main",
+            "robot_dynamics = softrig_robots.dynamics:main",
+            "tracking_metrics = softrig_robots.tracking:main",
             "trajectory_source = softrig_robots.manipulator.trajectory:main",
             "vcs_controller = softrig_robots.manipulator.controller:main",
         ]

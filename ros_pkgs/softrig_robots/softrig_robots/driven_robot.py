@@ -187,7 +187,7 @@ class DrivenRobot(Plant):
         _, torque = self.loads(t)
         return self._torque((*self.x, *torque, *force, *self._plant))
 
-    def advance(self, t: int, motor_command: Vector, **inputs: Any) -> None:
+    def advance(self, t: int, *, motor_command: Vector) -> None:
         """Move with the clipped voltages and no force at the tool."""
         self.move(t, self.clip(motor_command), self.nowhere)
 

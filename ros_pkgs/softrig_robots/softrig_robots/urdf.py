@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -144,7 +145,7 @@ def read_urdf(source: str) -> str:
     Parameters
     ----------
     source : str
-        A file name, or ``package://NAME/path/in/share``.
+        A file name, or ``package://NAME/path/in/share`` of an installed package.
 
     Raises
     ------
@@ -153,9 +154,10 @@ def read_urdf(source: str) -> str:
     """
     if source.startswith("package://"):
         package, _, rest = source.removeprefix("package://").partition("/")
-        places = [
-            Path(prefix, "share", package, rest) for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
-        ]
+        prefixes = [p for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p]
+        places = [Path(prefix, "share", package, rest) for prefix in prefixes]
+        spec = importlib.util.find_spec(package) if package.isidentifier() else None
+        places += [Path(folder, rest) for folder in (spec and spec.submodule_search_locations) or ()]
     else:
         places = [Path(source)]
     for place in places:

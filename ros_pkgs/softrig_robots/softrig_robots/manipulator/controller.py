@@ -94,7 +94,7 @@ class VcsController(Block):
         for law in self.laws:
             law.start()
 
-    def update(self, t: int, joint_states: Vector, reference: Vector, **inputs: Any) -> Mapping[str, Vector]:
+    def update(self, t: int, *, joint_states: Vector, reference: Vector) -> Mapping[str, Vector]:
         """Give the voltages."""
         n, laws = self._n, self.laws
         e = [reference[i] - joint_states[i] for i in range(n)]
