@@ -1,0 +1,85 @@
+"""The general algorithms by name, as the parameters of a node ask for them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Literal, assert_never
+
+import numpy as np
+from softrig_core.params import Params, param
+
+from .de import DifferentialEvolution
+from .firefly import Firefly
+from .genetic import Genetic
+from .perturb import PerturbObserve
+from .pso import ParticleSwarm
+from .salp import ImprovedSalpSwarm, SalpSwarm
+from .scan import Scan
+from .search import Options, Search
+from .whale import Whale
+from .wolf import GreyWolf
+
+Algorithm = Literal[
+    "issa", "ssa", "pso", "de_rand1", "de_best1", "fa", "fa_all_pairs", "gwo", "woa", "ga", "perturb_observe", "scan"
+]
+
+
+class AlgorithmParams(Params):
+    """Settings of the algorithms; each reads only its own."""
+
+    n_pop: int = param(4, "population", ge=1)
+    n_iter: int | None = param(None, "iterations; the published number when absent: 10, of fa 6", ge=1)
+    c3_threshold: float = param(0.5, "issa, ssa: the leader goes up if c3 is not below; misprint 0", ge=0.0, le=1.0)
+    step: float = param(0.005, "perturb_observe: step of the command", gt=0.0)
+    initial: float | None = param(None, "perturb_observe: first command; the lower bound when absent")
+    n_grid: int = param(20, "scan: points of the grid", ge=3)
+    tolerance: float = param(1e-3, "scan: tolerance of the command after the grid; 0 = the grid only", ge=0.0)
+    budget: int | None = param(None, "most evaluations; the algorithm's own number when absent", ge=1)
+
+
+def make(
+    algorithm: Algorithm,
+    lower: Sequence[float],
+    upper: Sequence[float],
+    seed: int | np.random.Generator,
+    p: AlgorithmParams,
+    *,
+    maximise: bool,
+) -> Search:
+    """Make a search.
+
+    Raises
+    ------
+    ValueError
+        A setting that the algorithm cannot work with; the text names it.
+    """
+    options: Options = {"maximise": maximise, "budget": p.budget}
+    n_pop, n_iter = p.n_pop, 10 if p.n_iter is None else p.n_iter
+    match algorithm:
+        case "issa":
+            return ImprovedSalpSwarm(
+                lower, upper, seed, n_pop=n_pop, n_iter=n_iter, c3_threshold=p.c3_threshold, **options
+            )
+        case "ssa":
+            return SalpSwarm(lower, upper, seed, n_pop=n_pop, n_iter=n_iter, c3_threshold=p.c3_threshold, **options)
+        case "pso":
+            return ParticleSwarm(lower, upper, seed, n_pop=n_pop, n_iter=n_iter, **options)
+        case "de_rand1":
+            return DifferentialEvolution(lower, upper, seed, n_pop=n_pop, n_iter=n_iter, variant="rand1", **options)
+        case "de_best1":
+            return DifferentialEvolution(lower, upper, seed, n_pop=n_pop, n_iter=n_iter, variant="best1", **options)
+        case "fa" | "fa_all_pairs":
+            n_iter = 6 if p.n_iter is None else p.n_iter
+            pairs = algorithm == "fa_all_pairs"
+            return Firefly(lower, upper, seed, n_pop=n_pop, n_iter=n_iter, all_pairs=pairs, **options)
+        case "gwo":
+            return GreyWolf(lower, upper, seed, n_pop=n_pop, n_iter=n_iter, **options)
+        case "woa":
+            return Whale(lower, upper, seed, n_pop=n_pop, n_iter=n_iter, **options)
+        case "ga":
+            return Genetic(lower, upper, seed, n_pop=n_pop, n_iter=n_iter, **options)
+        case "perturb_observe":
+            return PerturbObserve(lower, upper, seed, step=p.step, initial=p.initial, **options)
+        case "scan":
+            return Scan(lower, upper, seed, n_grid=p.n_grid, tolerance=p.tolerance, **options)
+    assert_never(algorithm)

@@ -1,0 +1,70 @@
+"""Differential evolution."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Literal, Unpack
+
+import numpy as np
+
+from .search import Moves, Options, Population, points
+
+
+class DifferentialEvolution(Population):
+    r"""Differential evolution (DE), rand/1/bin or best/1/bin.
+
+    .. math::
+        v_i = x_a + F (x_b - x_c)
+
+    with x_a random or the best, b and c random, all different and none of them i; F uniform in [f_min, f_max] for
+    each mutant. Each variable is taken from v_i with probability CR and one of them always; the trial replaces x_i
+    if it is not worse, at once, so that the next mutant may already use it.
+
+    Parameters
+    ----------
+    variant : {"rand1", "best1"}
+        [1] does not say which it used. Both draw three others, so n_pop is at least 4.
+    f_min, f_max, cr : float
+        0.2, 0.8, 0.3 in [1]; CR has no effect on a single variable.
+    **options
+        Those of `Population` and `Search`.
+
+    References
+    ----------
+    [1] J. Farzaneh, A. Karsaz, 2020 (table II). R. Storn, K. Price, Differential evolution, 1997.
+    """
+
+    SMALLEST = 4
+
+    def __init__(
+        self,
+        lower: Sequence[float],
+        upper: Sequence[float],
+        seed: int | np.random.Generator = 0,
+        *,
+        n_pop: int = 4,
+        n_iter: int = 10,
+        variant: Literal["rand1", "best1"] = "rand1",
+        f_min: float = 0.2,
+        f_max: float = 0.8,
+        cr: float = 0.3,
+        **options: Unpack[Options],
+    ) -> None:
+        self.variant, self.f_min, self.f_max, self.cr = variant, f_min, f_max, cr
+        super().__init__(lower, upper, seed, n_pop=n_pop, n_iter=n_iter, **options)
+
+    def moves(self) -> Moves:  # noqa: D102
+        n, rng = self.lower.size, self.rng
+        x = self.spread()
+        costs = yield points(x)
+        for self.iteration in range(1, self.n_iter + 1):
+            for i in range(self.n_pop):
+                a, b, c = rng.choice([k for k in range(self.n_pop) if k != i], 3, replace=False)
+                base = x[a] if self.variant == "rand1" else x[np.argmin(costs)]
+                mutant = base + rng.uniform(self.f_min, self.f_max) * (x[b] - x[c])
+                take = rng.random(n) < self.cr
+                take[rng.integers(n)] = True
+                trial = self.clip(np.where(take, mutant, x[i]))
+                (cost,) = yield points(trial[None])
+                if cost <= costs[i]:
+                    x[i], costs[i] = trial, cost

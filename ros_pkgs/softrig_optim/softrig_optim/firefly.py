@@ -1,0 +1,69 @@
+"""Firefly algorithm."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Unpack
+
+import numpy as np
+
+from .search import Moves, Options, Population, points
+
+
+class Firefly(Population):
+    r"""Firefly algorithm (FA).
+
+    .. math::
+        x_i = x_i + \beta_0 e^{-\gamma r_{ij}^2} (x_j - x_i) + \alpha (\epsilon - \tfrac12)
+
+    for each brighter firefly j in turn, with r_ij the distance, epsilon uniform in [0, 1] for each variable; firefly
+    i is evaluated after each of its moves.
+
+    Parameters
+    ----------
+    all_pairs : bool
+        Evaluate firefly i for every j, also where it does not move: n_pop (n_pop - 1) evaluations an iteration.
+    beta0, alpha, gamma : float
+        2, 0.6, 1 in [1].
+    **options
+        Those of `Population` and `Search`.
+
+    References
+    ----------
+    [1] J. Farzaneh, A. Karsaz, 2020 (table II). X.-S. Yang, Firefly algorithms for multimodal optimization, 2009.
+    """
+
+    def __init__(
+        self,
+        lower: Sequence[float],
+        upper: Sequence[float],
+        seed: int | np.random.Generator = 0,
+        *,
+        n_pop: int = 4,
+        n_iter: int = 6,
+        all_pairs: bool = False,
+        beta0: float = 2.0,
+        alpha: float = 0.6,
+        gamma: float = 1.0,
+        **options: Unpack[Options],
+    ) -> None:
+        self.all_pairs, self.beta0, self.alpha, self.gamma = all_pairs, beta0, alpha, gamma
+        super().__init__(lower, upper, seed, n_pop=n_pop, n_iter=n_iter, **options)
+
+    def moves(self) -> Moves:  # noqa: D102
+        x = self.spread()
+        costs = yield points(x)
+        for self.iteration in range(1, self.n_iter + 1):
+            for i in range(self.n_pop):
+                for j in range(self.n_pop):
+                    if i == j:
+                        continue
+                    brighter = costs[j] < costs[i]
+                    if brighter:
+                        to = x[j] - x[i]
+                        beta = self.beta0 * math.exp(-self.gamma * float(to @ to))
+                        wander = self.alpha * (self.rng.random(to.size) - 0.5)
+                        x[i] = self.clip(x[i] + beta * to + wander)
+                    if brighter or self.all_pairs:
+                        (costs[i],) = yield points(x[i : i + 1])

@@ -1,0 +1,211 @@
+"""Searches for the largest power of a source through a matching converter, from its voltage and current alone.
+
+The source has a fixed characteristic on which the current never rises with the voltage (a photovoltaic string, a
+fuel cell, a thermoelectric generator). Every measured pair (v, i) lies on it, settled or not, and that is
+all these searches rely on; the load behind the converter is estimated on the way.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import insort
+from collections.abc import Generator, Sequence
+from typing import Protocol, Unpack
+
+from .search import Moves, Options, Point, Search
+
+Corrections = Generator[Sequence[Point], list[float], None]
+
+
+class Matching(Protocol):
+    """How a converter's command turns the load resistance into the one that the source sees."""
+
+    def load(self, command: float, seen: float) -> float:
+        """Give the load (ohm) that makes the source see `seen` ohm under this command."""
+
+    def command(self, seen: float, load: float) -> float:
+        """Give the command under which this load makes the source see `seen` ohm."""
+
+
+class LoadLineSearch(Search):
+    """What the searches along a source's characteristic share: the load estimate and the final corrections.
+
+    The sample told with each value is (voltage in V, current in A, ...), the value their product in W.
+
+    Parameters
+    ----------
+    matching : Matching
+        The converter's ideal law.
+    corrections : int
+        Periods at the end in which the command for the best point is corrected with the newest load estimate.
+    **options
+        Those of `Search`; always maximises.
+    """
+
+    def __init__(
+        self,
+        lower: Sequence[float],
+        upper: Sequence[float],
+        seed: int = 0,
+        *,
+        matching: Matching,
+        corrections: int,
+        **options: Unpack[Options],
+    ) -> None:
+        if len(lower) != 1:
+            raise ValueError(f"a search along the load line has one command, got bounds of {len(lower)}")
+        self.matching, self.corrections = matching, corrections
+        self._load = math.nan
+        self._final: float | None = None
+        self.peak = (0.0, 0.0)
+        super().__init__(lower, upper, seed, **{**options, "maximise": True})
+
+    @property
+    def result(self) -> Point:
+        """The command that the newest load estimate gives for the best point."""
+        return super().result if self._final is None else (self._final,)
+
+    @property
+    def expected(self) -> float:
+        """The power in W of the best point seen."""
+        return self.peak[0] * self.peak[1]
+
+    def learn(self, d: float) -> tuple[float, float]:
+        """Take the measurement made under the command d; give (v, i)."""
+        v, i = self.sample[:2]
+        if v > 0.0 and i > 0.0:
+            self._load = self.matching.load(d, v / i)
+            self._remember(v, i)
+        return v, i
+
+    def _remember(self, v: float, i: float) -> None:
+        if v * i > self.expected:
+            self.peak = (v, i)
+
+    def command(self, v: float, i: float) -> float:
+        """Give the command that brings the source to the load line through (v, i)."""
+        low, high = float(self.lower[0]), float(self.upper[0])
+        if math.isnan(self._load):  # no power yet in any steady measurement
+            return 0.5 * (low + high)
+        return min(max(self.matching.command(v / i, self._load), low), high)
+
+    def correct(self) -> Corrections:
+        """Approach the best point."""
+        v, i = self.peak
+        if v * i == 0.0:
+            return
+        for _ in range(self.corrections):
+            d = self.command(v, i)
+            yield [(d,)]
+            self.learn(d)
+        self._final = self.command(v, i)
+
+
+class CertifiedSearch(LoadLineSearch):
+    r"""Search that ends with a proof: nothing between the outermost samples gives more than (1 + eps) the best.
+
+    Between two samples neighbouring in voltage, v_a < v_b, the current is at most i_a and the voltage at most
+    v_b, so the power is at most v_b i_a. The pair with the largest such bound is split by the load line
+    through the upper right corner of its box, R = v_b / i_a, until no bound is left above (1 + eps) times the best.
+    The samples are ordered by voltage, never by command: those of a transient have another command. The first
+    commands are the middle and both bounds; the proof covers the voltages between the outermost samples.
+
+    Parameters
+    ----------
+    eps : float
+        Relative gap to prove.
+    n_iter : int
+        Splits after which it gives up the proof: noise, or a source that changes, may contradict itself.
+    transients : bool
+        Use every measurement on the way from one command to the next as well, not only those in steady state. Without
+        noise this halves the time; with noise, neighbours that are close in voltage spoil the bound.
+    **options
+        Those of `LoadLineSearch`.
+    """
+
+    def __init__(
+        self,
+        lower: Sequence[float],
+        upper: Sequence[float],
+        seed: int = 0,
+        *,
+        matching: Matching,
+        eps: float = 0.01,
+        n_iter: int = 60,
+        transients: bool = False,
+        corrections: int = 3,
+        **options: Unpack[Options],
+    ) -> None:
+        self.eps, self.n_iter, self.transients = eps, n_iter, transients
+        self._points: list[tuple[float, float]] = []
+        super().__init__(lower, upper, seed, matching=matching, corrections=corrections, **options)
+
+    @property
+    def bound(self) -> float | None:
+        """Power in W that no voltage between the outermost samples can exceed."""
+        if len(self._points) < 3:
+            return None
+        return max(self.expected, *self._bounds())
+
+    def watch(self, sample: Sequence[float]) -> None:
+        """Take a point of the characteristic passed on the way."""
+        if self.transients:
+            self._remember(sample[0], sample[1])
+            insort(self._points, (sample[0], sample[1]))
+
+    def _bounds(self) -> list[float]:
+        pairs = zip(self._points, self._points[1:], strict=False)
+        return [v_b * i_a if v_b > 0.0 and i_a > 0.0 else 0.0 for (_, i_a), (v_b, _) in pairs]
+
+    def moves(self) -> Moves:  # noqa: D102
+        low, high = float(self.lower[0]), float(self.upper[0])
+        for d in (0.5 * (low + high), low, high):
+            yield [(d,)]
+            insort(self._points, self.learn(d))
+        for self.iteration in range(1, self.n_iter + 1):
+            bounds = self._bounds()
+            k = max(range(len(bounds)), key=bounds.__getitem__)
+            if bounds[k] <= (1.0 + self.eps) * self.expected:
+                break
+            d = self.command(self._points[k + 1][0], self._points[k][1])
+            yield [(d,)]
+            insort(self._points, self.learn(d))
+        yield from self.correct()
+
+
+class RampScan(LoadLineSearch):
+    """Sweep of the command from bound to bound without waiting for steady state, then approach to the best point.
+
+    Parameters
+    ----------
+    n_ramp : int
+        Samples of the sweep, one a tick of the block.
+    **options
+        Those of `LoadLineSearch`.
+    """
+
+    def __init__(
+        self,
+        lower: Sequence[float],
+        upper: Sequence[float],
+        seed: int = 0,
+        *,
+        matching: Matching,
+        n_ramp: int = 120,
+        corrections: int = 4,
+        **options: Unpack[Options],
+    ) -> None:
+        if n_ramp < 2:
+            raise ValueError(f"n_ramp is {n_ramp}, expected at least 2")
+        self.n_ramp = n_ramp
+        super().__init__(lower, upper, seed, matching=matching, corrections=corrections, **options)
+
+    def moves(self) -> Moves:  # noqa: D102
+        low, high = float(self.lower[0]), float(self.upper[0])
+        self.settle = False
+        for k in range(self.n_ramp):
+            d = low + (high - low) * k / (self.n_ramp - 1)
+            yield [(d,)]
+            self.learn(d)
+        self.settle = True
+        yield from self.correct()

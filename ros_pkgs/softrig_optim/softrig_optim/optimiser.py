@@ -1,0 +1,296 @@
+"""Search of command channels over topics: send a candidate, wait, read the measured objective, tell the algorithm."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections import deque
+from collections.abc import Mapping
+from enum import IntEnum
+from typing import Any, Self
+
+import numpy as np
+from pydantic import model_validator
+from softrig_core.block import Block, Level
+from softrig_core.node import executable
+from softrig_core.params import BlockParams, param
+from softrig_core.port import Port, button, command, scalars
+from softrig_core.timebase import to_ns
+
+from .algorithms import Algorithm, AlgorithmParams, make
+from .search import Point, Search
+
+CONSECUTIVE = 2  # deviations of the held objective in a row that start a new search
+
+
+class Phase(IntEnum):
+    """What the block is doing."""
+
+    STOPPED = 0
+    SEARCH = 1
+    HOLD = 2
+
+
+class SearchParams(AlgorithmParams, BlockParams):
+    """How a search is run against a plant."""
+
+    period: float = param(0.001, "sampling period of the measurement", "s", gt=0.0)
+    hold_time: float = param(0.04, "how long a candidate is applied before its value counts", "s", gt=0.0)
+    measure_window: float = param(0.002, "the value is the mean of the last samples in this time", "s", gt=0.0)
+    settle_time: float = param(0.12, "the value held is the reference for changes only after this time", "s", gt=0.0)
+    restart_threshold: float = param(0.05, "relative change of the held value that starts a new search; 0 = none", ge=0.0)
+    rescan_period: float = param(60.0, "a new search starts this long after the last one did; 0 = never", "s", ge=0.0)
+    floor: float | None = param(None, "a value not above this is no signal: wait for it instead of searching")
+    autostart: bool = param(True, "search from the first tick instead of waiting for the start button")
+
+    @model_validator(mode="after")
+    def _times(self) -> Self:
+        if self.hold_time < self.period:
+            raise ValueError(f"hold_time = {self.hold_time:g} s is shorter than period = {self.period:g} s")
+        if self.measure_window > self.hold_time:
+            raise ValueError(
+                f"measure_window = {self.measure_window:g} s is longer than hold_time = {self.hold_time:g} s"
+            )
+        return self
+
+
+def buttons(prefix: str) -> tuple[Port, ...]:
+    """Give the held buttons of a search; each acts when it goes down."""
+    return tuple(button(name, f"{prefix}/{name}", held=True) for name in ("start", "stop", "restart"))
+
+
+def state_port(topic: str, channels: Mapping[str, str]) -> Port:
+    """Give the state output of a search over the channels (name to unit)."""
+    units = {"phase": "", "iteration": "", "evaluations": "", "restarts": "", "best_value": "", "bound": ""}
+    return scalars("state", topic, units | {f"best_{name}": unit for name, unit in channels.items()})
+
+
+class CommandSearch(Block, ABC):
+    """What the optimiser nodes share; a subclass says what is searched and what the objective is.
+
+    A candidate is applied, the command moving at most `slew` a second; `hold_time` after it has arrived its value is
+    told and the next one applied. When the search has ended its result is held, and a new search starts
+
+    - when the value at the end of `settle_time` differs by more than `restart_threshold` from what the search found:
+      the plant changed meanwhile (once, not again after that search);
+    - when two samples in a row, `hold_time` apart, differ so much from the value at the end of `settle_time`;
+    - `rescan_period` after the start of the last search: a change elsewhere in the range does not show in the value held.
+
+    The state output has the phase (0 stopped, 1 search, 2 hold), the iteration and evaluations of the newest search, the
+    number of new searches after the first, the best value and command so far, and the proven bound (0: none).
+    """
+
+    @abstractmethod
+    def new_search(self, rng: np.random.Generator) -> Search:
+        """Make a search."""
+
+    @abstractmethod
+    def objective(self, sample: Point) -> float:
+        """Give the objective of a measurement."""
+
+    @abstractmethod
+    def slew(self) -> float:
+        """Give the most change of a command in a second; 0: no limit."""
+
+    def setup(self) -> None:
+        """Times in ns."""
+        p: SearchParams = self.p
+        self._period, self._hold, self._settle, self._rescan = (
+            to_ns(t) for t in (p.period, p.hold_time, p.settle_time, p.rescan_period)
+        )
+        self._window_size = max(1, round(p.measure_window / p.period))
+        self._step = self.slew() * p.period or math.inf
+
+    def start(self) -> None:
+        """No candidate yet."""
+        self._pressed = (False, False, False)
+        self._window: deque[float] = deque(maxlen=self._window_size)
+        self._command: Point | None = None
+        self._restarts = -1
+        self._rechecked = False
+        self._begin(0)
+        if not self.p.autostart:
+            self._phase = Phase.STOPPED
+        self._note()
+
+    def update(
+        self, t: int, measurement: Point, start: Point | None, stop: Point | None, restart: Point | None
+    ) -> Mapping[str, Point]:
+        """Answer one tick."""
+        self._press(t, start == (1.0,), stop == (1.0,), restart == (1.0,))
+        value = self.objective(measurement)
+        if not math.isfinite(value):
+            self.report(Level.ERROR, "objective", f"the objective is {value}: the candidate is measured again")
+            self._window.clear()
+            if self._since is not None:
+                self._since = t
+        else:
+            self._window.append(value)
+            if self._phase is Phase.SEARCH:
+                self._search_tick(t, measurement)
+            elif self._phase is Phase.HOLD:
+                self._hold_tick(t)
+        return {"command": self._move(t), "state": self._state}
+
+    # the command -----------------------------------------------------------------------------------------------
+
+    def _aim(self, target: Point) -> None:
+        self._target = target
+        self._since: int | None = None  # when the command arrived at the target
+
+    def _move(self, t: int) -> Point:
+        """Go towards the target; note when it is there."""
+        limit = self._step
+        if self._command is None:
+            self._command = self._target
+        pairs = zip(self._command, self._target, strict=True)
+        self._command = tuple(
+            to if abs(to - x) <= limit else x + math.copysign(limit, to - x) for x, to in pairs
+        )  # fmt: skip
+        if self._since is None and self._command == self._target:
+            self._since = t
+            self._window.clear()
+        return self._command
+
+    # the search ------------------------------------------------------------------------------------------------
+
+    def _begin(self, t: int) -> None:
+        """Start a new search."""
+        self._phase = Phase.SEARCH
+        self._began = t
+        self._restarts += 1
+        self._search = self.new_search(self.rng)
+        self._aim(self._search.ask())
+
+    def _search_tick(self, t: int, sample: Point) -> None:
+        search = self._search
+        wait = self._hold if search.settle else self._period
+        if self._since is None or t - self._since < wait:
+            search.watch(sample)
+            return
+        search.tell(self._mean(), sample)
+        if not search.done:
+            self._aim(search.ask())
+        elif self.p.floor is not None and search.expected <= self.p.floor:
+            self.report(Level.WARN, "no signal", "no candidate gave a value above the floor: searching on")
+            self._begin(t)
+        else:
+            self._phase = Phase.HOLD
+            self._aim(search.result)
+            self._next_sample = self._hold
+            self._reference: float | None = None
+            self._deviations = 0
+            self._lost = False
+        self._note()
+
+    def _hold_tick(self, t: int) -> None:
+        if self._since is None or t - self._since < self._next_sample:
+            return
+        held, value = t - self._since, self._mean()
+        self._next_sample += self._hold
+        if self._changed(value, held) or (self._rescan and t - self._began >= self._rescan and not self._lost):
+            self._begin(t)
+            self._note()
+
+    def _changed(self, value: float, held: int) -> bool:
+        """Whether the value held calls for a new search."""
+        if self.p.floor is not None and value <= self.p.floor:
+            self._lost = True
+            self.report(Level.WARN, "no signal", "the value held fell to the floor: waiting for it")
+            return False
+        if self._lost:
+            return True
+        if self._reference is None:
+            if held < self._settle:
+                return False
+            self._rechecked = not self._rechecked and self._differs(value, self._search.expected)
+            self._reference = value
+            return self._rechecked
+        self._deviations = self._deviations + 1 if self._differs(value, self._reference) else 0
+        return self._deviations == CONSECUTIVE
+
+    def _differs(self, value: float, reference: float) -> bool:
+        threshold = self.p.restart_threshold
+        return threshold > 0.0 and abs(value - reference) > threshold * abs(reference)
+
+    def _mean(self) -> float:
+        return math.fsum(self._window) / len(self._window)
+
+    # people ----------------------------------------------------------------------------------------------------
+
+    def _press(self, t: int, *pressed: bool) -> None:
+        """Act on the buttons that went down: stop before restart before start."""
+        if pressed == self._pressed:
+            return
+        start, stop, restart = (now and not before for now, before in zip(pressed, self._pressed, strict=True))
+        self._pressed = pressed
+        if stop:
+            self._phase = Phase.STOPPED
+            if self._search.best is not None:
+                self._aim(self._search.result)
+        elif restart or (start and self._phase is Phase.STOPPED):
+            self._rechecked = False
+            self._begin(t)
+        self._note()
+
+    def _note(self) -> None:
+        """Prepare the state output; it changes only with a value told, a phase or a button."""
+        search = self._search
+        best, x = (0.0, self._target) if search.best is None else (search.expected, search.result)
+        self._state = (
+            float(self._phase), float(search.iteration), float(search.evaluations), float(max(self._restarts, 0)), best,
+            search.bound or 0.0, *x,
+        )  # fmt: skip
+
+
+class OptimiserParams(SearchParams):
+    """What to search and what to optimise."""
+
+    algorithm: Algorithm = param("pso", "name of the algorithm")
+    channels: tuple[str, ...] = param(("command",), "names of the command channels", min_length=1)
+    lower: tuple[float, ...] = param((0.0,), "lower bound of each channel, in its unit")
+    upper: tuple[float, ...] = param((1.0,), "upper bound of each channel, in its unit")
+    unit: str = param("1", "unit of the command")
+    max_slew: float = param(0.0, "most change of each channel in a second; 0: no limit", "1/s", ge=0.0)
+    objective: str = param("objective", "name of the measured objective")
+    maximise: bool = param(True, "whether a larger objective is better")
+
+    @model_validator(mode="after")
+    def _search(self) -> Self:
+        if len(self.lower) != len(self.channels):
+            raise ValueError(f"{len(self.lower)} values of lower for {len(self.channels)} channels")
+        make(self.algorithm, self.lower, self.upper, 0, self, maximise=self.maximise)
+        return self
+
+
+class Optimiser(CommandSearch):
+    """Optimiser of any plant with bounded commands and one measured objective.
+
+    The objective comes as a named scalar on ``objective``, the commands go out on ``command``; remap both.
+    """
+
+    Params = OptimiserParams
+
+    @classmethod
+    def ports(cls, params: OptimiserParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
+        """Channels as the parameters name them."""
+        measurement = scalars("measurement", "objective", {params.objective: ""})
+        to = command("command", "command", params.channels, params.unit, safe=params.lower)
+        state = state_port("optimiser/state", dict.fromkeys(params.channels, params.unit))
+        return (measurement, *buttons("optimiser")), (to, state)
+
+    def new_search(self, rng: np.random.Generator) -> Search:
+        """Make a search over the channels."""
+        p: OptimiserParams = self.p
+        return make(p.algorithm, p.lower, p.upper, rng, p, maximise=p.maximise)
+
+    def objective(self, sample: Point) -> float:
+        """The one measured scalar."""
+        return sample[0]
+
+    def slew(self) -> float:
+        """As the parameter says."""
+        return self.p.max_slew
+
+
+main = executable(Optimiser)

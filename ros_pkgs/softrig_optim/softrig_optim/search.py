@@ -1,0 +1,271 @@
+"""One ask/tell interface for every search: swarms, evolution, hill climbing, deterministic ones."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Generator, Iterable, Sequence
+from typing import NamedTuple, TypedDict, Unpack
+
+import numpy as np
+from numpy.typing import NDArray
+
+Point = tuple[float, ...]
+Array = NDArray[np.float64]
+Moves = Generator[Sequence[Point], list[float], None]
+
+
+class Evaluation(NamedTuple):
+    """A candidate and the value that was told for it."""
+
+    x: Point
+    value: float
+
+
+class Options(TypedDict, total=False):
+    """What every search takes beside its own parameters."""
+
+    maximise: bool
+    budget: int | None
+    stop: Callable[[Search], bool] | None
+
+
+class Search(ABC):
+    """A search over a box that asks for candidates and is told their values.
+
+    Parameters
+    ----------
+    lower, upper : sequence of float
+        Bounds of each variable.
+    seed : int or numpy.random.Generator
+        The only source of random numbers.
+    maximise : bool
+        Whether a larger value is better.
+    budget : int, optional
+        Most evaluations; the algorithm's own number when absent.
+    stop : callable, optional
+        Stop rule: called with the search after each value, ends it when true.
+
+    Attributes
+    ----------
+    lower, upper : ndarray, shape (n,)
+    history : list of Evaluation
+        Everything told so far, in order.
+    best : Evaluation or None
+        The best so far, the earliest of equals.
+    iteration : int
+        Iteration (generation) the pending candidates belong to; 0 is the initial one.
+    settle : bool
+        Whether the pending candidate is to be measured in steady state; a sweep is measured on the fly.
+
+    Raises
+    ------
+    ValueError
+        Empty or reversed bounds, budget below 1.
+
+    Examples
+    --------
+    >>> search = ParticleSwarm([0.0], [1.0], seed=1)
+    >>> while not search.done:
+    ...     search.tell((search.ask()[0] - 0.3) ** 2)
+    """
+
+    def __init__(
+        self,
+        lower: Sequence[float],
+        upper: Sequence[float],
+        seed: int | np.random.Generator = 0,
+        *,
+        maximise: bool = False,
+        budget: int | None = None,
+        stop: Callable[[Search], bool] | None = None,
+    ) -> None:
+        self.lower, self.upper = np.array(lower, dtype=float), np.array(upper, dtype=float)
+        if self.lower.ndim != 1 or self.lower.shape != self.upper.shape or self.lower.size == 0:
+            raise ValueError(f"lower = {lower}, upper = {upper}: expected as many of each, one or more")
+        if not (np.isfinite([*lower, *upper]).all() and (self.lower < self.upper).all()):
+            raise ValueError(f"lower = {lower}, upper = {upper}: expected lower < upper, both finite")
+        if budget is not None and budget < 1:
+            raise ValueError(f"budget is {budget}, expected at least 1")
+        self.rng = np.random.default_rng(seed)
+        self.maximise = maximise
+        self.history: list[Evaluation] = []
+        self.best: Evaluation | None = None
+        self.iteration = 0
+        self.settle = True
+        self.sample: Point = ()
+        self._budget = budget
+        self._stop = stop
+        self._done = False
+        self._costs: list[float] = []
+        self._moves = self.moves()
+        self._generation = next(self._moves)
+
+    @abstractmethod
+    def moves(self) -> Moves:
+        """Yield candidates that do not depend on each other; get back their costs, which are to be minimised.
+
+        The algorithm itself. After the yield `self.sample` is the measurement of the last candidate.
+        """
+
+    @property
+    def pending(self) -> Sequence[Point]:
+        """All candidates that can be evaluated now, also in parallel; tell their values in this order."""
+        return () if self._done else self._generation[len(self._costs) :]
+
+    @property
+    def done(self) -> bool:
+        """Whether the search has ended."""
+        return self._done
+
+    @property
+    def evaluations(self) -> int:
+        """Number of values told."""
+        return len(self.history)
+
+    @property
+    def result(self) -> Point:
+        """What to apply when the search has ended: the best candidate.
+
+        Raises
+        ------
+        ValueError
+            Nothing was told yet.
+        """
+        if self.best is None:
+            raise ValueError("no value was told yet")
+        return self.best.x
+
+    @property
+    def expected(self) -> float:
+        """The value that `result` should give if nothing has changed since it was found; see `result`."""
+        if self.best is None:
+            raise ValueError("no value was told yet")
+        return self.best.value
+
+    @property
+    def bound(self) -> float | None:
+        """Value that the objective cannot pass anywhere in the box; None where nothing is proven."""
+        return None
+
+    def watch(self, sample: Sequence[float]) -> None:
+        """See a measurement on the way to the pending candidate; only searches that can use a transient do."""
+
+    def ask(self) -> Point:
+        """Give the next candidate, the same one until its value is told.
+
+        Raises
+        ------
+        ValueError
+            The search has ended.
+        """
+        if self._done:
+            raise ValueError("the search has ended, there is no next candidate")
+        return self._generation[len(self._costs)]
+
+    def tell(self, value: float, sample: Sequence[float] = ()) -> None:
+        """Take the value of the candidate that `ask` gave.
+
+        Parameters
+        ----------
+        value : float
+            Objective; infinity of the bad sign for an infeasible candidate.
+        sample : sequence of float
+            The measurement behind the value, for searches that learn from more than the value.
+
+        Raises
+        ------
+        ValueError
+            The value is NaN, or the search has ended.
+        """
+        if math.isnan(value):
+            raise ValueError("the value of a candidate is NaN; measure it again")
+        told = Evaluation(self.ask(), value)
+        self.history.append(told)
+        if self.best is None or (value > self.best.value if self.maximise else value < self.best.value):
+            self.best = told
+        self.sample = tuple(sample)
+        self._costs.append(-value if self.maximise else value)
+        if len(self._costs) == len(self._generation):
+            costs, self._costs = self._costs, []
+            try:
+                self._generation = self._moves.send(costs)
+            except StopIteration:
+                self._done = True
+        if self.evaluations == self._budget or (self._stop is not None and self._stop(self)):
+            self._done = True
+
+
+class Population(Search):
+    """A search with a population that starts uniformly at random.
+
+    Parameters
+    ----------
+    n_pop : int
+        Population, at least the class's `SMALLEST`.
+    n_iter : int
+        Iterations after the initial population.
+    **options
+        Those of `Search`.
+    """
+
+    SMALLEST = 1
+
+    def __init__(
+        self,
+        lower: Sequence[float],
+        upper: Sequence[float],
+        seed: int | np.random.Generator = 0,
+        *,
+        n_pop: int = 4,
+        n_iter: int = 10,
+        **options: Unpack[Options],
+    ) -> None:
+        if n_pop < self.SMALLEST:
+            raise ValueError(f"n_pop is {n_pop}, {type(self).__name__} needs at least {self.SMALLEST}")
+        if n_iter < 1:
+            raise ValueError(f"n_iter is {n_iter}, expected at least 1")
+        self.n_pop, self.n_iter = n_pop, n_iter
+        super().__init__(lower, upper, seed, **options)  # last: it starts `moves`
+
+    def spread(self) -> Array:
+        """Draw the initial population, shape (n_pop, n)."""
+        return self.lower + (self.upper - self.lower) * self.rng.random((self.n_pop, self.lower.size))
+
+    def clip(self, x: Array) -> Array:
+        """Put positions back onto the box."""
+        return np.minimum(np.maximum(x, self.lower), self.upper)
+
+
+def points(x: Array) -> list[Point]:
+    """Give the rows of an array as candidates."""
+    return [tuple(row) for row in x.tolist()]
+
+
+def run(
+    search: Search,
+    objective: Callable[[Point], float],
+    mapper: Callable[[Callable[[Point], float], Sequence[Point]], Iterable[float]] = map,
+) -> Evaluation:
+    """Drive a search to its end with a function.
+
+    Parameters
+    ----------
+    search : Search
+    objective : callable
+        Value of a candidate.
+    mapper : callable
+        `map`, or the `map` of an executor to evaluate each generation in parallel.
+
+    Returns
+    -------
+    Evaluation
+        The best.
+    """
+    while not search.done:
+        for value in mapper(objective, search.pending):
+            search.tell(value)
+            if search.done:
+                break
+    assert search.best is not None
+    return search.best

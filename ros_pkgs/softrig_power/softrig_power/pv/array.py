@@ -1,0 +1,44 @@
+"""What the plant and its observers share: the modules of the string and the conditions they may be in."""
+
+from __future__ import annotations
+
+from typing import Self
+
+from pydantic import model_validator
+from softrig_core.params import Params, param
+
+from .module import ModuleParams
+
+IRRADIANCE = (0.0, 1500.0)  # W/m^2
+TEMPERATURE = (-40.0, 100.0)  # deg C
+
+
+class ArrayParams(Params):
+    """The string; pattern 1 of the paper."""
+
+    module: ModuleParams = ModuleParams()
+    irradiance: tuple[float, ...] = param(
+        (1000.0, 800.0, 600.0, 400.0), "irradiance of each module until pv/environment comes", "W/m^2", min_length=1
+    )
+    temperature: tuple[float, ...] = param(
+        (25.0, 25.0, 25.0, 25.0), "cell temperature of each module until pv/environment comes", "degC", min_length=1
+    )
+
+    @model_validator(mode="after")
+    def _conditions(self) -> Self:
+        if problem := refuse(self.irradiance, self.temperature):
+            raise ValueError(problem)
+        return self
+
+
+def refuse(irradiance: tuple[float, ...], temperature: tuple[float, ...]) -> str:
+    """Say why these conditions cannot be; empty when they can."""
+    if len(irradiance) != len(temperature):
+        return f"irradiance of {len(irradiance)} modules, temperature of {len(temperature)}"
+    for name, values, (low, high), unit in (
+        ("irradiance", irradiance, IRRADIANCE, "W/m^2"), ("temperature", temperature, TEMPERATURE, "deg C"),
+    ):  # fmt: skip
+        for k, value in enumerate(values, 1):
+            if not low <= value <= high:
+                return f"{name} of module {k} is {value:g} {unit}, expected {low:g} to {high:g}"
+    return ""

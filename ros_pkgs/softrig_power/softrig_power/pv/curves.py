@@ -1,0 +1,63 @@
+"""Characteristic of the string on request."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from softrig_core.block import Block
+from softrig_core.node import executable
+from softrig_core.params import BlockParams, param
+from softrig_core.port import Port, button, joint_state
+
+from .array import ArrayParams
+from .ports import environment
+from .string import characteristic
+
+
+class PvCurvesParams(ArrayParams, BlockParams):
+    """The string, and how many points of its characteristic are published."""
+
+    period: float = param(0.5, "how often a request is looked for", "s", gt=0.0)
+    n_points: int = param(201, "points from 0 V to open circuit", ge=2, le=1000)
+
+
+class PvCurves(Block):
+    """I-V curve (and so P-V curve) of the string in the conditions at the last press of ``pv/curves/request``.
+
+    Point k is channel pk of ``pv/curves``: voltage in position (V), current in effort (A). Before the first press the
+    curve is that of the conditions at the first tick.
+    """
+
+    Params = PvCurvesParams
+
+    @classmethod
+    def ports(cls, params: PvCurvesParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
+        """One channel a point."""
+        request = button("request", "pv/curves/request", held=True)
+        names = tuple(f"p{k}" for k in range(params.n_points))
+        curves = joint_state("curves", "pv/curves", names, position="V", effort="A")
+        return (environment(len(params.irradiance), held=True), request), (curves,)
+
+    def start(self) -> None:
+        """Nothing published yet."""
+        self._pressed = False
+        self._answer: tuple[float, ...] = ()
+
+    def update(
+        self, t: int, environment: tuple[float, ...] | None, request: tuple[float] | None
+    ) -> Mapping[str, tuple[float, ...]]:
+        """Give the newest curve asked for."""
+        pressed = request == (1.0,)
+        if (pressed and not self._pressed) or not self._answer:
+            p: PvCurvesParams = self.p
+            conditions = p.irradiance + p.temperature if environment is None else environment
+            n = len(conditions) // 2
+            curve = characteristic(p.module, conditions[:n], conditions[n:])
+            v = np.linspace(0.0, curve.open_circuit, p.n_points)
+            self._answer = (*v.tolist(), *np.interp(v, curve.v, curve.i).tolist())
+        self._pressed = pressed
+        return {"curves": self._answer}
+
+
+main = executable(PvCurves)

@@ -1,0 +1,84 @@
+"""Maximum power point tracking: the optimiser on the duty of the converter."""
+
+from __future__ import annotations
+
+from typing import Literal, Self
+
+import numpy as np
+from pydantic import model_validator
+from softrig_core.node import executable
+from softrig_core.params import param
+from softrig_core.port import Port, command
+from softrig_optim.algorithms import Algorithm, make
+from softrig_optim.load_line import CertifiedSearch, RampScan
+from softrig_optim.optimiser import CommandSearch, SearchParams, buttons, state_port
+from softrig_optim.search import Point, Search
+
+from .converter import BuckBoostMatching
+from .ports import array_port
+
+Tracker = Literal["certified", "certified_transients", "ramp"]
+
+
+class MpptParams(SearchParams):
+    """The tracker; nothing here is a parameter of the plant."""
+
+    algorithm: Algorithm | Tracker = param("issa", "name of the algorithm")
+    d_min: float = param(0.1, "lower limit of the duty", gt=0.0, lt=1.0)
+    d_max: float = param(0.9, "upper limit of the duty", gt=0.0, lt=1.0)
+    duty_slew: float = param(0.0, "most change of the duty in a second; 0: no limit", "1/s", ge=0.0)
+    eps: float = param(0.01, "certified: relative gap to prove", gt=0.0)
+    ramp_time: float = param(0.12, "ramp: duration of the sweep", "s", gt=0.0)
+    floor: float | None = param(0.1, "power not above this is darkness: wait for light instead of searching", "W")
+
+    @model_validator(mode="after")
+    def _tracker(self) -> Self:
+        if self.d_min >= self.d_max:
+            raise ValueError(f"d_min = {self.d_min:g} is not below d_max = {self.d_max:g}")
+        self.search(0)
+        return self
+
+    def search(self, seed: int | np.random.Generator) -> Search:
+        """Make a search."""
+        lower, upper, matching = (self.d_min,), (self.d_max,), BuckBoostMatching()
+        match self.algorithm:
+            case "certified" | "certified_transients":
+                transients = self.algorithm == "certified_transients"
+                return CertifiedSearch(
+                    lower, upper, matching=matching, eps=self.eps, transients=transients, budget=self.budget
+                )
+            case "ramp":
+                n_ramp = round(self.ramp_time / self.period)
+                return RampScan(lower, upper, matching=matching, n_ramp=n_ramp, budget=self.budget)
+            case algorithm:
+                return make(algorithm, lower, upper, seed, self, maximise=True)
+
+
+class MpptOptimizer(CommandSearch):
+    """Tracker of the maximum power point; sees only voltage and current of the string.
+
+    See `CommandSearch` for when it searches and restarts, `softrig_optim` for the algorithms.
+    """
+
+    Params = MpptParams
+
+    @classmethod
+    def ports(cls, params: MpptParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
+        """The duty; near open circuit without a measurement."""
+        duty = command("command", "converter/duty", ("duty",), "1", safe=(params.d_min,))
+        return (array_port("measurement"), *buttons("mppt")), (duty, state_port("mppt/status", {"duty": ""}))
+
+    def new_search(self, rng: np.random.Generator) -> Search:
+        """Make a search over the duty."""
+        return self.p.search(rng)
+
+    def objective(self, sample: Point) -> float:
+        """The power in W."""
+        return sample[0] * sample[1]
+
+    def slew(self) -> float:
+        """As the parameter says."""
+        return self.p.duty_slew
+
+
+main = executable(MpptOptimizer)

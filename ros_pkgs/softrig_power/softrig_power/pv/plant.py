@@ -1,0 +1,128 @@
+"""Photovoltaic string, buck-boost converter and load."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Literal, Self
+
+from pydantic import model_validator
+from softrig_core.block import Level, Plant
+from softrig_core.node import executable
+from softrig_core.params import BlockParams, param
+from softrig_core.port import Port, command, scalars
+
+from .array import ArrayParams, refuse
+from .converter import Converter, ConverterParams, State, steady_state
+from .ports import array_port, environment
+from .string import characteristic
+
+PHASE_STEPS = 8  # Runge-Kutta steps in each of the two circuits of a switching period
+
+
+class PvPlantParams(ArrayParams, BlockParams):
+    """String, converter, load, and how they are integrated."""
+
+    period: float = param(0.001, "sampling period of the voltage and current sensors", "s", gt=0.0)
+    converter: ConverterParams = ConverterParams()
+    d_min: float = param(0.1, "lower limit of the duty; the state starts steady there", gt=0.0, lt=1.0)
+    d_max: float = param(0.9, "upper limit of the duty", gt=0.0, lt=1.0)
+    model: Literal["averaged", "switched"] = param("averaged", "averaged over a switching period, or switch by switch")
+    step: float = param(2e-5, "averaged: step of the integration", "s", gt=0.0)
+    noise: float = param(0.0, "standard deviation of the measured voltage and current, relative", ge=0.0)
+
+    @model_validator(mode="after")
+    def _plant(self) -> Self:
+        if self.d_min >= self.d_max:
+            raise ValueError(f"d_min = {self.d_min:g} is not below d_max = {self.d_max:g}")
+        inner, name = (self.step, "step") if self.model == "averaged" else (1.0 / self.converter.f_sw, "1/f_sw")
+        if abs(self.period / inner - round(self.period / inner)) > 1e-6 or self.period < 0.5 * inner:
+            raise ValueError(f"period = {self.period:g} s is not a multiple of {name} = {inner:g} s")
+        return self
+
+
+class PvPlant(Plant):
+    """Modules in series, each with a bypass diode, feed a resistive load through a buck-boost converter.
+
+    See `module.cell`, `string.characteristic` and `converter.Converter` for the equations. ``pv/port`` carries what the
+    sensors tell, the current positive when the string generates and the mean cell temperature; ``converter/state`` the
+    true state and the string's power. The state starts steady at the duty `d_min`.
+
+    Notes
+    -----
+    Four MSX-60 modules of J. Farzaneh, A. Karsaz (2020).
+    """
+
+    Params = PvPlantParams
+
+    @classmethod
+    def ports(cls, params: PvPlantParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
+        """One irradiance and one temperature a module; near open circuit without a valid command."""
+        duty = command("duty", "converter/duty", ("duty",), "1", safe=(params.d_min,))
+        state = scalars("converter", "converter/state", {"v_in": "V", "i_L": "A", "v_out": "V", "p_in": "W"})
+        return (duty, environment(len(params.irradiance), held=True)), (array_port("port"), state)
+
+    def setup(self) -> None:
+        """Steps of a period."""
+        p: PvPlantParams = self.p
+        self._converter = Converter(p.converter)
+        self._switching = 1.0 / p.converter.f_sw
+        self._steps = round(p.period / (p.step if p.model == "averaged" else self._switching))
+
+    def start(self) -> None:
+        """Steady state at d_min under the conditions of the parameters."""
+        p: PvPlantParams = self.p
+        self._conditions = p.irradiance + p.temperature
+        self._adopt(p.irradiance, p.temperature)
+        self._duty = p.d_min
+        self.x = steady_state(p.converter, self.source, self._duty)
+
+    def _adopt(self, irradiance: tuple[float, ...], temperature: tuple[float, ...]) -> None:
+        self.source = characteristic(self.p.module, irradiance, temperature)
+        self._temperature = sum(temperature) / len(temperature)
+
+    def outputs(self, t: int) -> Mapping[str, tuple[float, ...]]:
+        """Give the sensors and the true converter state."""
+        v, i = self.x.v, self.source.current(self.x.v)
+        state = (*self.x, v * i)
+        if self.p.noise:
+            scale = 1.0 + self.p.noise * self.rng.standard_normal(2)
+            v, i = v * float(scale[0]), i * float(scale[1])
+        return {"port": (v, i, self._temperature), "converter": state}
+
+    def advance(self, t: int, duty: tuple[float], environment: tuple[float, ...] | None) -> None:
+        """Move by one period under the duty, in the newest conditions."""
+        if environment is not None and environment != self._conditions:
+            self._conditions = environment
+            n = len(environment) // 2
+            problem = refuse(environment[:n], environment[n:])
+            if problem:
+                self.report(Level.ERROR, "environment", f"pv/environment refused, the last one holds: {problem}")
+            else:
+                self._adopt(environment[:n], environment[n:])
+        d = self._limited(duty[0])
+        if self.p.model == "averaged":
+            self.x = self._converter.step(self.x, self.source, d, self.p.step, self._steps)
+        else:
+            self.x = self._switch(d)
+
+    def _limited(self, d: float) -> float:
+        p: PvPlantParams = self.p
+        if d != d:
+            self.report(Level.ERROR, "duty", f"the duty is NaN: {self._duty:g} holds")
+        elif p.d_min <= d <= p.d_max:
+            self._duty = d
+        else:
+            self._duty = min(max(d, p.d_min), p.d_max)
+            self.report(Level.WARN, "duty", f"the duty {d:g} is outside [{p.d_min:g}, {p.d_max:g}]: clipped")
+        return self._duty
+
+    def _switch(self, d: float) -> State:
+        """One circuit after the other, in every switching period."""
+        x, step, source = self.x, self._converter.step, self.source
+        on, off = d * self._switching / PHASE_STEPS, (1.0 - d) * self._switching / PHASE_STEPS
+        for _ in range(self._steps):
+            x = step(step(x, source, 1.0, on, PHASE_STEPS), source, 0.0, off, PHASE_STEPS)
+        return x
+
+
+main = executable(PvPlant)

@@ -1,0 +1,85 @@
+"""Timed shading patterns."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Self
+
+from pydantic import model_validator
+from softrig_control.profile import StepProfile
+from softrig_core.block import Block
+from softrig_core.node import executable
+from softrig_core.params import BlockParams, param
+from softrig_core.port import Port
+
+from .array import IRRADIANCE, TEMPERATURE, refuse
+from .ports import environment
+
+
+class ShadingSourceParams(BlockParams):
+    """Patterns one after the other; pattern 1 of the paper."""
+
+    period: float = param(0.001, "sampling period", "s", gt=0.0)
+    modules: int = param(4, "modules of the string", ge=1)
+    times: tuple[float, ...] = param((0.0,), "times at which a pattern begins, increasing", "s", min_length=1)
+    irradiance: tuple[float, ...] = param(
+        (1000.0, 800.0, 600.0, 400.0), "irradiance of each module, pattern after pattern", "W/m^2"
+    )
+    temperature: tuple[float, ...] = param(
+        (25.0, 25.0, 25.0, 25.0), "cell temperature of each module, one pattern for all times or one for each", "degC"
+    )
+    fluctuation: float = param(
+        0.0, "all values are multiplied by 1 + fluctuation u, u uniform in [-1, 1], drawn once for each", ge=0.0, lt=1.0
+    )
+
+    @model_validator(mode="after")
+    def _patterns(self) -> Self:
+        n, count = self.modules, len(self.times)
+        if len(self.irradiance) != n * count:
+            raise ValueError(f"irradiance has {len(self.irradiance)} values, expected {n} modules x {count} times")
+        if len(self.temperature) not in (n, n * count):
+            raise ValueError(f"temperature has {len(self.temperature)} values, expected {n} or {n * count}")
+        for k in range(count):
+            if problem := refuse(*self.pattern(k)):
+                raise ValueError(f"pattern {k + 1}: {problem}")
+        try:
+            StepProfile(self.times, self.times)
+        except ValueError as error:
+            raise ValueError(f"times: {error}") from None
+        return self
+
+    def pattern(self, k: int) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Give irradiance and temperature of pattern k, counted from 0."""
+        n = self.modules
+        first = k * n if len(self.temperature) > n else 0
+        return self.irradiance[k * n : (k + 1) * n], self.temperature[first : first + n]
+
+
+class ShadingSource(Block):
+    """Irradiance and cell temperature of every module, changing at given times."""
+
+    Params = ShadingSourceParams
+
+    @classmethod
+    def ports(cls, params: ShadingSourceParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
+        """One irradiance and one temperature a module."""
+        return (), (environment(params.modules),)
+
+    def start(self) -> None:
+        """Draw the fluctuation of this run."""
+        p: ShadingSourceParams = self.p
+        n, patterns = p.modules, [p.pattern(k) for k in range(len(p.times))]
+        factors = (1.0 + p.fluctuation * self.rng.uniform(-1.0, 1.0, 2 * n)).tolist() if p.fluctuation else [1.0] * 2 * n
+        limits = [IRRADIANCE] * n + [TEMPERATURE] * n
+        values = [
+            tuple(min(max(x * f, low), high) for x, f, (low, high) in zip(g + t, factors, limits, strict=True))
+            for g, t in patterns
+        ]
+        self._profile = StepProfile(p.times, values)
+
+    def update(self, t: int, **inputs: Any) -> Mapping[str, tuple[float, ...]]:
+        """Give the pattern that holds at t."""
+        return {"environment": self._profile.at(t)}
+
+
+main = executable(ShadingSource)
