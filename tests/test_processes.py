@@ -268,7 +268,7 @@ def with_outside_controller(extra, directory, duration=1.0, before=None):
 
 def test_an_outside_controller_takes_the_place_of_ours(tmp_path):
     """A late joiner by construction: it is started only when the rig already waits for it."""
-    wired, outcome = with_outside_controller("", tmp_path)
+    _, outcome = with_outside_controller("", tmp_path)
     assert outcome.error == ""
     ours = in_process(rig(BASIC))
     assert outcome.recording.topics["lag/state"].data == ours.topics["lag/state"].data

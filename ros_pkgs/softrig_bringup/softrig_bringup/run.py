@@ -17,7 +17,7 @@ from typing import Any, Literal
 import softrig_core.metrics
 from softrig_core.errors import RunError, ScenarioError
 from softrig_core.inprocess import run_inprocess
-from softrig_core.params import flatten
+from softrig_core.params import declarations, flatten
 from softrig_core.recording import Recording
 from softrig_core.rig import CLOCK, Rig, is_observer
 from softrig_core.scenario import MetricEntry, Scenario
@@ -189,6 +189,7 @@ def summary(run: Run, metrics: list[dict[str, Any]], command: str) -> dict[str, 
         "command": command,
         "versions": versions(),
         "parameters": {m.name: flatten(m.params) for m in run.rig.members},
+        "units": {m.name: {d.name: d.unit for d in declarations(type(m.params)) if d.unit} for m in run.rig.members},
         "metrics": metrics,
         "nodes": run.status,
         "plots": [p.model_dump() for p in scenario.plots],

@@ -155,29 +155,28 @@ class Layout:
         self.template = out
         self.size = sum(n for _, n in self.fields)
         self.slots = slots
-        self._writers = [(offset, struct.Struct("<" + code)) for offset, code in slots]
+        self._writers = []
+        start = 0
+        for offset, code in slots:
+            n = int(code[:-1])
+            self._writers.append((struct.Struct("<" + code).pack_into, offset, start, start + n))
+            start += n
         reader, at = "<", 0
         for offset, code in ([] if self.stamp_offset is None else [(self.stamp_offset, "iI")]) + slots:
             reader += f"{offset - at}x{code}"
             at = offset + struct.calcsize("<" + code)
         self._reader = struct.Struct(f"{reader}{len(out) - at}x")
         self._fixed = [(a, b, bytes(out[a:b])) for a, b in _merge(fixed)]
-        self._single = self._writers[0] if len(self._writers) == 1 else None
 
     def encode(self, stamp: int, values: Sequence[float]) -> bytes:
         """Give the message bytes for a stamp in ns and all numbers in wire order."""
         out = self.template
         if self.stamp_offset is not None:
             _STAMP.pack_into(out, self.stamp_offset, stamp // SECOND, stamp % SECOND)
-        if self._single:
-            offset, writer = self._single
-            writer.pack_into(out, offset, *values)
-        else:
-            at = 0
-            for (offset, writer), (_, code) in zip(self._writers, self.slots, strict=True):
-                n = int(code[:-1])
-                writer.pack_into(out, offset, *values[at : at + n])
-                at += n
+        if len(values) != self.size:
+            raise ValueError(f"{len(values)} values, expected {self.size}")
+        for pack_into, offset, start, end in self._writers:
+            pack_into(out, offset, *values[start:end])
         return bytes(out)
 
     def decode(self, data: bytes) -> tuple[int, tuple[float, ...]] | None:

@@ -115,7 +115,7 @@ _NAMED = ("sensor_msgs/msg/JointState", "trajectory_msgs/msg/JointTrajectory")
 def joint_state(name: str, topic: str, channels: Sequence[str], *, position: str = "", velocity: str = "",
                 effort: str = "", **options: object) -> Port:  # fmt: skip
     """State of mechanical axes or named scalars; the fields are those whose unit is given ("1" for a pure number)."""
-    return _named(_NAMED[0], name, topic, channels, dict(position=position, velocity=velocity, effort=effort), options)
+    return _named(_NAMED[0], name, topic, channels, {"position": position, "velocity": velocity, "effort": effort}, options)
 
 
 def command(name: str, topic: str, channels: Sequence[str], unit: str, **options: object) -> Port:
@@ -131,7 +131,7 @@ def scalars(name: str, topic: str, units: Mapping[str, str], **options: object) 
 def reference(name: str, topic: str, channels: Sequence[str], *, position: str = "", velocity: str = "",
               acceleration: str = "", **options: object) -> Port:  # fmt: skip
     """Axis reference: a JointTrajectory of one point; the fields are those whose unit is given."""
-    units = dict(position=position, velocity=velocity, acceleration=acceleration)
+    units = {"position": position, "velocity": velocity, "acceleration": acceleration}
     return _named(_NAMED[1], name, topic, channels, units, options)
 
 

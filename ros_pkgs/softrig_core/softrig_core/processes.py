@@ -10,7 +10,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -98,6 +98,7 @@ def run_processes(
     *,
     mode: Literal["lockstep", "realtime"] = "lockstep",
     domain: int | None = None,
+    record: bool = True,
     progress: Callable[[int], object] | None = None,
     announce: Callable[[str], object] | None = None,
 ) -> Outcome:
@@ -112,6 +113,8 @@ def run_processes(
     mode : {"lockstep", "realtime"}
     domain : int, optional
         ROS_DOMAIN_ID; a free one when absent.
+    record : bool
+        Whether nodes record what they publish; without, the recording is empty.
     progress : callable, optional
         Called with the plant's time in ns.
     announce : callable, optional
@@ -142,7 +145,7 @@ def run_processes(
         try:
             for member in rig.members:
                 if not member.external:
-                    children.append(_start(rig, member, seed, directory, mode, epoch, environment))
+                    children.append(_start(rig, member, seed, directory, mode, epoch, record, environment))
             error = _watch(rig, children, progress)
         finally:
             _stop(children)
@@ -204,7 +207,7 @@ def find_executable(package: str, executable: str) -> Path:
 
 
 def _start(rig: Rig, member: Member, seed: int, directory: Path, mode: str, epoch: int,
-           environment: dict[str, str]) -> _Child:  # fmt: skip
+           record: bool, environment: dict[str, str]) -> _Child:  # fmt: skip
     stem = directory / member.name
     status, shard, log = stem.with_suffix(".status"), stem.with_suffix(".shard"), stem.with_suffix(".log")
     for stale in (status, shard):
@@ -218,7 +221,7 @@ def _start(rig: Rig, member: Member, seed: int, directory: Path, mode: str, epoc
         "run.timeout": rig.scenario.timeout,
         "run.start_timeout": rig.scenario.start_timeout,
         "run.links": links(rig, member).model_dump_json(),
-        "run.shard": str(shard),
+        "run.shard": str(shard) if record else "",
         "run.status": str(status),
         "run.epoch": epoch,
     }
@@ -229,10 +232,12 @@ def _start(rig: Rig, member: Member, seed: int, directory: Path, mode: str, epoc
                "--params-file", str(file)]  # fmt: skip
     for old, new in member.remap.items():
         command += ["-r", f"{old}:={new}"]
+    # A process group of its own, so that Ctrl-C reaches the runner alone; not a session of its own, because Linux
+    # schedules sessions against each other and a loop across them runs a fifth slower.
     with log.open("wb") as output:
         process = subprocess.Popen(
             command, stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT, env=environment,
-            start_new_session=True, preexec_fn=_die_with_parent,
+            process_group=0, preexec_fn=_die_with_parent,
         )  # fmt: skip
     return _Child(member, process, log, status, shard)
 
@@ -260,10 +265,8 @@ def _watch(rig: Rig, children: list[_Child], progress: Callable[[int], object] |
                 progress(t)
                 last = t
         # A child's end wakes the wait; otherwise look at the progress ten times a second.
-        try:
+        with suppress(subprocess.TimeoutExpired):
             running[0].process.wait(0.1)
-        except subprocess.TimeoutExpired:
-            pass
 
 
 def _reason(children: list[_Child], failed: list[_Child]) -> str:
@@ -300,10 +303,8 @@ def _stop(children: list[_Child]) -> None:
             child.process.send_signal(number)
         deadline = time.monotonic() + patience
         for child in running:
-            try:
+            with suppress(subprocess.TimeoutExpired):
                 child.process.wait(max(0.0, deadline - time.monotonic()))
-            except subprocess.TimeoutExpired:
-                pass
 
 
 def _read_status(path: Path) -> dict[str, Any]:
@@ -324,5 +325,3 @@ def node_main(package: str, executable: str, arguments: list[str]) -> int:
     os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(PROFILE))
     sys.stdout.flush()
     os.execv(path, [str(path), *arguments])
-
-

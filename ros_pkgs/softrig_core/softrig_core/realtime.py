@@ -14,10 +14,9 @@ from typing import Any
 
 from rclpy.node import Node
 
-from .adapter import Adapter, Input
+from .adapter import Adapter, Input, percentiles
 from .block import Block, Level, Plant
 from .cdr import SECOND
-from .errors import RunError
 from .options import RunOptions
 from .port import Refused, Sample
 from .timebase import to_ns
@@ -33,7 +32,6 @@ class Realtime(Adapter):
         self.values: dict[str, Any] = {}
         self.arrived: dict[str, int] = {}
         self.stale: set[str] = set()
-        self.epoch = options.epoch
         self.tick_number: int | None = None
         self.missed = 0
         self.skipped = 0
@@ -42,6 +40,7 @@ class Realtime(Adapter):
         self._sent_at: dict[int, int] = {}
         self._last_due: int | None = None
         super().__init__(node, block, options)
+        self.epoch = options.epoch
         required = [i for i in self.inputs if not i.port.held]
         self._pacer = None if isinstance(block, Plant) or not required else required[0].port.name
         self._required = [i.port.name for i in required]
@@ -67,7 +66,7 @@ class Realtime(Adapter):
                     self._answer_safe()
                 return
             now = time.time_ns()
-            self.values[name] = Sample(stamp, values) if item.port.delayed else values
+            self.values[name] = Sample(stamp - self.epoch, values) if item.port.delayed else values
             self.arrived[name] = now
             if name in self.stale:
                 self.stale.discard(name)
@@ -107,12 +106,12 @@ class Realtime(Adapter):
             self.missed += due - self._last_due - 1
         self._last_due = due
         t = stamp - self.epoch
-        self.publish(t, stamp, self._guard(self.block.update, t))
+        self.publish(t, stamp, self.block.update(t, **self.values))
         self._advance_to(t)
 
     def _answer_safe(self) -> None:
         stamp = time.time_ns()
-        self.publish(self.t, stamp, self.safe_outputs())
+        self.publish(self.t, stamp, self.safe_outputs(stamp - self.epoch))
 
     def _advance_to(self, t: int) -> None:
         self.t = t
@@ -144,17 +143,17 @@ class Realtime(Adapter):
         if isinstance(self.block, Plant):
             inputs = self._fresh_inputs(now)
             for i in range(behind if self.tick_number >= 0 else 0):
-                self._guard(self.block.advance, self.t + i * self.period, inputs)
+                self.block.advance(self.t + i * self.period, **inputs)
         self.tick_number = number
         t = number * self.period
         stamp = self.epoch + t
         if isinstance(self.block, Plant):
-            self.publish(t, stamp, self._guard(self.block.outputs, t, {}))
+            self.publish(t, stamp, self.block.outputs(t))
             self._sent_at[stamp] = time.time_ns()
             while len(self._sent_at) > 2 * STALE_PERIODS:
                 del self._sent_at[next(iter(self._sent_at))]
         else:
-            self.publish(t, stamp, self._guard(self.block.update, t))
+            self.publish(t, stamp, self.block.update(t, **self.values))
         self._advance_to(t)
 
     def _fresh_inputs(self, now: int) -> dict[str, Any]:
@@ -174,23 +173,12 @@ class Realtime(Adapter):
                     self.block.report(Level.ERROR, f"stale {item.port.topic}", text)
         return inputs
 
-    def _guard(self, function: Callable[..., Any], t: int, inputs: dict[str, Any] | None = None) -> Any:
-        try:
-            return function(t, **(self.values if inputs is None else inputs))
-        except Exception as error:
-            raise RunError(f"failed at t = {t / SECOND:.9g} s: {type(error).__name__}: {error}") from error
-
     def statistics(self) -> dict[str, Any]:
         """Missed deadlines, lateness of the timer and round trip from output to command, in ms."""
         figures: dict[str, Any] = {"missed_deadlines": self.missed}
         if self.skipped:
             figures["skipped_periods"] = self.skipped
-        for name, samples in (("lateness", self._lateness), ("round_trip", self._round_trip)):
-            if samples:
-                ordered = sorted(samples)
-                p50, p99 = ordered[len(ordered) // 2], ordered[len(ordered) * 99 // 100]
-                figures |= {f"{name}_p50_ms": p50 / 1e6, f"{name}_p99_ms": p99 / 1e6,
-                            f"{name}_max_ms": ordered[-1] / 1e6}  # fmt: skip
+        figures |= percentiles("lateness", self._lateness) | percentiles("round_trip", self._round_trip)
         if self._lateness:
             figures["jitter_ms"] = figures["lateness_p99_ms"] - figures["lateness_p50_ms"]
         return figures

@@ -193,7 +193,9 @@ def _resolve(name: str, path: Path, seen: tuple[str, ...] = ()) -> dict[str, Any
         beside = path.with_name(f"{parent}.yaml")
         found = beside if beside.is_file() else _find(parent)
         if found is None:
-            raise ScenarioError(f"{path.name}: extends {parent!r}, which is unknown{_closest(parent, list_scenarios())}")
+            raise ScenarioError(
+                f"{path.name}: extends {parent!r}, which is unknown{_closest(parent, list_scenarios())}"
+            )
         raw = merge(_resolve(parent, found, (*seen, name)), raw)
     if name != path.stem:
         raw = merge(raw, variants[name.removeprefix(f"{path.stem}_")] or {})
