@@ -183,9 +183,9 @@ def test_symbolic_dynamics_equal_pinocchios(urdf):
 
 def free_swing(h, duration=2.0):
     """Trajectory of the arm without motors by the compiled step."""
-    step, _, n = compile_robot(manipulator_urdf())
+    step, _, n = compile_robot(manipulator_urdf(), "tool")
     circuit = (1.0,) * n + (1.0,) * n  # R, L; no torque constant, inertia, damping or friction
-    plant = (*circuit, *(0.0,) * (6 * n), 1.0, 1.0, 0.0)
+    plant = (*circuit, *(0.0,) * (7 * n), 1.0, 1.0, 0.0)
     x = (0.3, 0.5, -0.4, 0.5, -0.2, 0.3, 0.0, 0.0, 0.0)
     states = [x]
     for _ in range(round(duration / h)):

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self
 
 from pydantic import model_validator
 from softrig_core.block import Level, Plant
@@ -69,6 +69,20 @@ class DrivenRobotParams(BlockParams):
     motors: Motors = Motors()
 
 
+class Friction(NamedTuple):
+    r"""Friction at the joints, N m.
+
+    .. math::
+        F_f = [F_c + (F_s - F_c) e^{-(\dot q/v_s)^2}] \tanh(\dot q/v_0) + \sigma \dot q
+    """
+
+    coulomb: Vector
+    static: Vector
+    viscous: Vector
+    stribeck_speed: float
+    edge_speed: float
+
+
 class DrivenRobot(Plant):
     """Rigid robot, gears and armature circuits, fourth-order Runge-Kutta with the inputs held.
 
@@ -76,22 +90,20 @@ class DrivenRobot(Plant):
     """
 
     p: DrivenRobotParams
+    TIP: ClassVar[str] = "tool"  # frame of the payload and of the outside force
 
     def robot(self) -> str:
-        """Give the URDF text of the robot; its tool frame is called ``tool``."""
+        """Give the URDF text of the robot."""
         raise NotImplementedError
 
     def initial(self) -> tuple[Vector, Vector]:
         """Give positions (rad) and velocities (rad/s) at t = 0; currents start at zero."""
         raise NotImplementedError
 
-    def friction(self) -> Vector:
-        """Give F_c and F_s (N m) of every joint, then v_s and v_0 (rad/s)."""
-        return (*(0.0,) * (2 * self.n), 1.0, 1.0)
-
-    def joint_damping(self) -> Vector:
-        """Give the viscous friction of every joint, N m s/rad."""
-        return (0.0,) * self.n
+    def friction(self) -> Friction:
+        """Give the friction at the joints beside that of the rotors."""
+        none = (0.0,) * self.n
+        return Friction(none, none, none, 1.0, 1.0)
 
     def loads(self, t: int) -> tuple[Vector, Vector]:
         """Give voltage drops d (V) and load torques tau_d (N m) of the sub-step that begins at t (ns)."""
@@ -99,13 +111,11 @@ class DrivenRobot(Plant):
 
     def setup(self) -> None:
         """Compile the robot and bring the motors to the joint side of the gears."""
-        self._step, self._torque, self.n = compile_robot(self.robot())
+        self._step, self._torque, self.n = compile_robot(self.robot(), self.TIP)
         table = self.p.motors.table(self.n)
         self._gear = table["gear"]
         self._inertia = tuple(J / r**2 for J, r in zip(table["inertia"], self._gear, strict=True))
-        self._damping = tuple(
-            B / r**2 + s for B, r, s in zip(table["damping"], self._gear, self.joint_damping(), strict=True)
-        )
+        self._damping = tuple(B / r**2 for B, r in zip(table["damping"], self._gear, strict=True))
         self._friction = self.friction()
         self.set_motors(1.0, 1.0)
         self._h = self.p.period / self.p.substeps
@@ -125,7 +135,11 @@ class DrivenRobot(Plant):
             *(constants * K / g for K, g in zip(table["back_emf_constant"], r, strict=True)),
             *self._inertia,
             *self._damping,
-            *self._friction,
+            *self._friction.coulomb,
+            *self._friction.static,
+            *self._friction.viscous,
+            self._friction.stribeck_speed,
+            self._friction.edge_speed,
             self.p.payload,
         )
 
@@ -201,7 +215,7 @@ class DrivenRobot(Plant):
 
 
 @lru_cache(maxsize=16)
-def compile_robot(urdf: str) -> tuple[Compiled, Compiled, int]:
+def compile_robot(urdf: str, tip: str) -> tuple[Compiled, Compiled, int]:
     """Compile a robot.
 
     Motor, friction and payload numbers are arguments of the compiled functions, so that only another URDF needs
@@ -210,7 +224,9 @@ def compile_robot(urdf: str) -> tuple[Compiled, Compiled, int]:
     Parameters
     ----------
     urdf : str
-        URDF text with a frame ``tool``.
+        URDF text.
+    tip : str
+        Frame of the payload and of the force F_e.
 
     Returns
     -------
@@ -224,13 +240,13 @@ def compile_robot(urdf: str) -> tuple[Compiled, Compiled, int]:
 
     from .rigid_body import SymbolicRobot, load_model
 
-    robot = SymbolicRobot(load_model(urdf), "tool")
+    robot = SymbolicRobot(load_model(urdf), tip)
     n = robot.n
     x, inputs, load, force = ca.SX.sym("x", 3 * n), ca.SX.sym("V", n), ca.SX.sym("tau_d", n), ca.SX.sym("F_e", 3)
-    plant = ca.SX.sym("plant", 8 * n + 3)
+    plant = ca.SX.sym("plant", 9 * n + 3)
     derivative, transmitted = _equations(robot, x, inputs, load, force, plant)
     ode = ca.Function("ode", [x, inputs, load, force, plant], [derivative])
-    held = [ca.MX.sym("V", n), ca.MX.sym("tau_d", n), ca.MX.sym("F_e", 3), ca.MX.sym("plant", 8 * n + 3)]
+    held = [ca.MX.sym("V", n), ca.MX.sym("tau_d", n), ca.MX.sym("F_e", 3), ca.MX.sym("plant", 9 * n + 3)]
     now, h = ca.MX.sym("x", 3 * n), ca.MX.sym("h")
     k1 = ode(now, *held)
     k2 = ode(now + h / 2 * k1, *held)
@@ -247,9 +263,10 @@ def _equations(robot: Any, x: ca.SX, inputs: ca.SX, load: ca.SX, force: ca.SX, p
 
     n = robot.n
     q, v, current = x[:n], x[n : 2 * n], x[2 * n :]
-    R, L, torque_constant, back_emf, inertia, damping, coulomb, static = (plant[i * n : (i + 1) * n] for i in range(8))
-    stribeck, edge, payload = plant[8 * n], plant[8 * n + 1], plant[8 * n + 2]
-    rubbing = (coulomb + (static - coulomb) * ca.exp(-((v / stribeck) ** 2))) * ca.tanh(v / edge)
+    R, L, torque_constant, back_emf, inertia, damping, *joint = (plant[i * n : (i + 1) * n] for i in range(9))
+    coulomb, static, viscous = joint
+    stribeck, edge, payload = plant[9 * n], plant[9 * n + 1], plant[9 * n + 2]
+    rubbing = (coulomb + (static - coulomb) * ca.exp(-((v / stribeck) ** 2))) * ca.tanh(v / edge) + viscous * v
     motor = torque_constant * current
     pushed = ca.jacobian(robot.tool_position(q), q).T @ force
     acceleration = robot.forward_dynamics(q, v, motor - damping * v - rubbing - pushed - load, inertia, payload)

@@ -73,16 +73,18 @@ def check_inertia(mass_name: str, mass: float, inertia_name: str, inertia: Seque
                          "the other two (triangle inequality)")  # fmt: skip
 
 
-def robot_urdf(name: str, links: Sequence[Link], tool: Vector, tool_rotation: Vector = (0.0, 0.0, 0.0)) -> str:
-    """Write a serial robot as URDF; its last frame is called ``tool``.
+def robot_urdf(name: str, links: Sequence[Link], tip: str, origin: Vector, rotation: Vector = (0.0, 0.0, 0.0)) -> str:
+    """Write a serial robot as URDF.
 
     Parameters
     ----------
     name : str
     links : sequence of Link
         From the base to the tip.
-    tool, tool_rotation : tuple of 3 floats
-        Tool frame in the last link's frame: m, roll-pitch-yaw in rad.
+    tip : str
+        Name of the frame at the end (tool, foot).
+    origin, rotation : tuple of 3 floats
+        That frame in the last link's frame: m, roll-pitch-yaw in rad.
     """
     lines = ['<?xml version="1.0"?>', f'<robot name="{name}">', '  <link name="base_link"/>']
     parent = "base_link"
@@ -107,12 +109,12 @@ def robot_urdf(name: str, links: Sequence[Link], tool: Vector, tool_rotation: Ve
         ]
         parent = link.name
     lines += [
-        '  <joint name="tool_mount" type="fixed">',
+        f'  <joint name="{tip}_mount" type="fixed">',
         f'    <parent link="{parent}"/>',
-        '    <child link="tool"/>',
-        f"    {_origin(tool, tool_rotation)}",
+        f'    <child link="{tip}"/>',
+        f"    {_origin(origin, rotation)}",
         "  </joint>",
-        '  <link name="tool"/>',
+        f'  <link name="{tip}"/>',
         "</robot>",
         "",
     ]

@@ -81,4 +81,4 @@ def manipulator_urdf(table: Links | None = None, joints: tuple[str, ...] = ("joi
             )
         )
         origin, twist = tip, alpha
-    return robot_urdf("manipulator", links, origin, (twist, 0.0, 0.0))
+    return robot_urdf("manipulator", links, "tool", origin, (twist, 0.0, 0.0))
