@@ -1,0 +1,441 @@
+"""Plots and the HTML report, from a synthetic drive run in memory."""
+
+import math
+import platform
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from softrig_bringup import plots
+from softrig_bringup.plots import OVERVIEW, envelope, plot_name, plot_run, pretty_unit, units
+from softrig_bringup.report import write_report
+from softrig_bringup.run import Run, save, summary
+from softrig_core.block import Block, Plant
+from softrig_core.errors import ScenarioError
+from softrig_core.inprocess import run_inprocess
+from softrig_core.params import BlockParams, param
+from softrig_core.port import command, joint_state, number, reference, scalars, vector3
+from softrig_core.recording import Recording
+from softrig_core.rig import Rig
+from softrig_core.scenario import Scenario
+from softrig_core.signals import Signals
+
+
+class Drive(Plant):
+    """Machine whose flux turns while its speed follows the command; a bus with many channels."""
+
+    class Params(BlockParams):
+        period: float = param(1e-3, "sampling period", "s", gt=0)
+        J: float = param(0.02, "inertia", "kg m^2", gt=0)
+
+    INPUTS = (command("v", "drive/command", ["phase"], "V"), number("load", "drive/load", "N m", held=True))
+    OUTPUTS = (
+        joint_state("state", "drive/state", ["shaft"], position="rad", velocity="rad/s", effort="N m"),
+        vector3("flux", "drive/flux", "alpha_beta", "Wb"),
+        scalars("sensors", "drive/sensors", {"current": "A", "count": ""}),
+        joint_state("bus", "drive/bus", [f"cell_{i}" for i in range(12)], position="V"),
+    )
+
+    def start(self):
+        self.theta = self.w = 0.0
+
+    def outputs(self, t):
+        s, c = math.sin(self.theta), math.cos(self.theta)
+        return {
+            "state": (self.theta, self.w, 0.2 * s),
+            "flux": (0.9 * c, 0.9 * s, 0.0),
+            "sensors": (1.0 + 0.3 * s, math.floor(self.theta)),
+            "bus": [3.7 + 0.01 * i * c for i in range(12)],
+        }
+
+    def advance(self, t, v, load):
+        self.w += self.p.period * (v[0] - 0.05 * self.w) / self.p.J
+        self.theta += self.p.period * self.w
+
+
+class Law(Block):
+    class Params(BlockParams):
+        period: float = param(10e-3, "sampling period", "s", gt=0)
+
+    INPUTS = (
+        joint_state("state", "drive/state", ["shaft"], velocity="rad/s"),
+        reference("wanted", "drive/reference", ["shaft"], velocity="rad/s"),
+    )
+    OUTPUTS = (command("v", "drive/command", ["phase"], "V"), vector3("flux", "law/flux", "alpha_beta", "Wb"))
+
+    def update(self, t, state, wanted):
+        e = wanted[0] - state[0]
+        return {"v": (max(-8.0, min(8.0, 2.0 * e)),), "flux": (0.8 * math.cos(t / 2e7), 0.8 * math.sin(t / 2e7), 0.0)}
+
+
+class Steps(Block):
+    class Params(BlockParams):
+        period: float = param(10e-3, "sampling period", "s", gt=0)
+
+    OUTPUTS = (reference("wanted", "drive/reference", ["shaft"], velocity="rad/s"),)
+
+    def update(self, t):
+        return {"wanted": (50.0 if t < 1_000_000_000 else 80.0,)}
+
+
+PLOTS = [
+    {"title": "Speed follows its steps", "signals": {"drive/state/shaft/velocity": "measured",
+                                                    "drive/reference/shaft/velocity": "reference"}},
+    {"title": "Command, held 10 ms", "signals": {"drive/command/phase/effort": "phase voltage"}, "window": [0.9, 1.2]},
+    {"title": "Speed and command", "signals": {"drive/state/shaft/velocity": "speed",
+                                               "drive/reference/shaft/velocity": "reference",
+                                               "drive/command/phase/effort": "command"}},
+    {"title": "Flux circle", "signals": {"drive/flux/y": "machine", "law/flux/y": "estimate"}, "x": "x"},
+]  # fmt: skip
+BLOCKS = {"drive": Drive, "law": Law, "steps": Steps}
+
+
+@pytest.fixture
+def make_rig(monkeypatch):
+    """A rig of the blocks above, with changes to the scenario's keys."""
+    monkeypatch.setattr("softrig_core.rig.load_block", lambda package, executable: BLOCKS[executable])
+
+    def make(**keys):
+        nodes = {name: {"package": "here", "executable": name} for name in BLOCKS}
+        about = {"name": "flux_demo", "title": "Flux <b>& speed</b>", "system": "drive", "source": "Nobody 2020"}
+        return Rig.from_scenario(Scenario(**{**about, "duration": 2.0, "nodes": nodes, "plots": PLOTS, **keys}))
+
+    return make
+
+
+def record(rig):
+    recording = Recording((topic, port.msgtype) for topic, port in rig.topics.items())
+    run_inprocess(rig, 0, recording)
+    return recording
+
+
+def nothing(rig):
+    return Recording((topic, port.msgtype) for topic, port in rig.topics.items())
+
+
+@pytest.fixture
+def draw(monkeypatch, tmp_path):
+    """Draw the plots of a rig; gives title to figure, laid out as it was saved."""
+
+    def draw(rig, recording):
+        figures, save = {}, plots._save
+
+        def keep(figure, path, title, run):
+            figures[title] = figure
+            save(figure, path, title, run)
+
+        monkeypatch.setattr(plots, "_save", keep)
+        paths = plot_run(Signals(recording), rig, tmp_path)
+        assert [p.name for p in paths] == [
+            *(plot_name(i, p.title) for i, p in enumerate(rig.scenario.plots, 1)),
+            OVERVIEW,
+        ]
+        assert all(p.read_bytes().startswith(b"\x89PNG") for p in paths)
+        return figures
+
+    return draw
+
+
+def lines(axes):
+    return {line.get_label(): line for line in axes.lines}
+
+
+def test_every_recorded_signal_has_a_unit(make_rig):
+    rig = make_rig()
+    known = units(rig)
+    assert set(Signals(record(rig))) <= set(known)
+    assert known["drive/state/shaft/velocity"] == "rad/s"
+    assert known["drive/sensors/count/position"] == ""
+
+
+@pytest.mark.parametrize(
+    ("unit", "printed"),
+    [("kg m^2", "kg m²"), ("rad/s^2", "rad/s²"), ("m^-1", "m⁻¹"), ("ohm", "Ω"), ("kohms", "kohms"), ("%", "%")],
+)
+def test_units_are_set_as_printed(unit, printed):
+    assert pretty_unit(unit) == printed
+
+
+def test_commands_are_steps_and_states_are_lines(make_rig, draw):
+    rig = make_rig()
+    speed, volts = draw(rig, record(rig))["Speed and command"].axes
+    found = lines(speed)
+    assert found["speed"].get_drawstyle() == "default"
+    assert found["reference"].get_drawstyle() == "steps-post"
+    assert found["reference"].get_linestyle() == "--"
+    assert found["reference"].get_zorder() > found["speed"].get_zorder()
+    assert (speed.get_ylabel(), volts.get_ylabel()) == ("rad/s", "command (V)")
+    (command,) = volts.lines
+    assert command.get_drawstyle() == "steps-post"
+    assert command.get_xdata()[-1] == pytest.approx(2.0)  # held to the end of the run, past its last sample at 1.99 s
+
+
+def test_quantised_measurement_of_a_plant_is_drawn_as_steps(make_rig, draw):
+    title = "Count"
+    rig = make_rig(plots=[{"title": title, "signals": {"drive/sensors/count/position": "count"}}])
+    (count,) = draw(rig, record(rig))[title].axes[0].lines
+    assert count.get_drawstyle() == "steps-post"
+
+
+def test_legends_cover_no_data(make_rig, draw):
+    rig = make_rig()
+    for figure in draw(rig, record(rig)).values():
+        for ax in figure.axes:
+            if (legend := ax.get_legend()) is not None:
+                assert legend.get_window_extent().y0 >= ax.get_window_extent().y1 - 1
+
+
+def test_flux_circle_is_round_and_names_its_axes(make_rig, draw):
+    rig = make_rig()
+    (ax,) = draw(rig, record(rig))["Flux circle"].axes
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("α (Wb)", "β (Wb)")
+    assert ax.get_aspect() == 1.0
+    machine = lines(ax)["machine"]
+    assert np.hypot(machine.get_xdata(), machine.get_ydata()) == pytest.approx(0.9)
+
+
+def test_window_shows_only_its_time(make_rig, draw):
+    rig = make_rig()
+    (ax,) = draw(rig, record(rig))["Command, held 10 ms"].axes
+    assert ax.get_xlim() == (0.9, 1.2)
+    t = ax.lines[0].get_xdata()
+    assert t[0] <= 0.9
+    assert t[-1] >= 1.2
+    assert len(t) < 35  # of 200 samples
+
+
+def test_short_run_is_drawn_in_milliseconds(make_rig, draw):
+    rig = make_rig(duration=0.05, plots=PLOTS[:1])
+    (ax,) = draw(rig, record(rig))[PLOTS[0]["title"]].axes
+    assert ax.get_xlabel() == "time (ms)"
+    assert lines(ax)["measured"].get_xdata()[-1] == pytest.approx(50.0)
+
+
+def test_constant_signal_with_rounding_noise_stays_a_line(make_rig, draw):
+    rig = make_rig(duration=0.1, plots=[PLOTS[0]])
+    recording = nothing(rig)
+    topic = recording.topics["drive/state"]
+    layout = rig.topics["drive/state"].layout()
+    for k in range(100):
+        topic.times.append(k * 1_000_000)
+        topic.data.append(layout.encode(k * 1_000_000, (0.0, 100.0 + 1e-13 * (k % 2), 0.0)))
+    (ax,) = draw(rig, recording)[PLOTS[0]["title"]].axes
+    low, high = ax.get_ylim()
+    assert high - low > 0.01
+
+
+def test_overview_shows_every_signal_with_its_unit(make_rig, draw):
+    rig = make_rig()
+    figure = draw(rig, record(rig))["Every recorded signal"]
+    panels = [ax for ax in figure.axes if ax.get_visible()]
+    assert sum(len(ax.lines) for ax in panels) == len(units(rig))
+    assert {ax.get_ylabel() for ax in panels} == {"rad", "rad/s", "N m", "Wb", "A", "", "V"}
+    assert "nothing published" in [t.get_text() for ax in panels for t in ax.texts]
+    titles = [ax.get_title(loc="left") for ax in panels]
+    assert "drive/state/shaft/velocity" in titles
+    assert any(t.startswith("drive/bus/*/position: 12 signals") for t in titles)
+
+
+def test_switches_are_stacked(make_rig, draw):
+    title = "Legs"
+    rig = make_rig(plots=[{"title": title, "signals": {"drive/flux/x": "a", "drive/flux/y": "b"}}], duration=0.05)
+    recording = nothing(rig)
+    layout, topic = rig.topics["drive/flux"].layout(), recording.topics["drive/flux"]
+    for k in range(50):
+        topic.times.append(k * 1_000_000)
+        topic.data.append(layout.encode(k * 1_000_000, (k % 2, k // 5 % 2, 0.0)))
+    (ax,) = draw(rig, recording)[title].axes
+    a, b = (line.get_ydata() for line in ax.lines)
+    assert a.min() > b.max()
+    assert [t.get_text() for t in ax.get_yticklabels()] == ["a", "b"]
+
+
+@pytest.mark.parametrize("recorder", [nothing, record], ids=["nothing", "everything"])
+def test_run_that_broke_early_still_gives_pictures(make_rig, draw, recorder):
+    rig = make_rig(duration=0.001)
+    assert len(draw(rig, recorder(rig))) == len(PLOTS) + 1
+
+
+@pytest.mark.parametrize(
+    "entry",
+    [{"signals": {"drive/state/shaft/speed": ""}}, {"signals": {"drive/flux/y": ""}, "x": "alpha"},
+     {"signals": {"nowhere/y": ""}}],
+)  # fmt: skip
+def test_plot_of_an_unknown_signal_is_refused(make_rig, tmp_path, entry):
+    rig = make_rig(plots=[{"title": "Wrong", **entry}], duration=0.01)
+    with pytest.raises(ScenarioError, match=r"plot 'Wrong': no signal '(drive|nowhere)/.*drive/state/shaft/velocity"):
+        plot_run(Signals(record(rig)), rig, tmp_path)
+
+
+@given(st.lists(st.floats(-1e9, 1e9), min_size=9, max_size=300), st.integers(1, 12))
+def test_envelope_keeps_extremes_and_ends(values, columns):
+    x, y = np.arange(float(len(values))), np.array(values)
+    short_x, short_y = envelope(x, y, columns)
+    assert len(short_x) <= max(4 * columns + 4, 0) or len(short_x) == len(x)
+    assert (short_y.min(), short_y.max()) == (y.min(), y.max())
+    assert (short_y[0], short_y[-1]) == (y[0], y[-1])
+    assert np.all(np.diff(short_x) >= 0)
+
+
+def test_envelope_keeps_a_single_spike_where_it_is():
+    x, y = np.linspace(0.0, 2.0, 200_001), np.zeros(200_001)
+    y[123_456] = 1.0
+    short_x, short_y = envelope(x, y)
+    assert len(short_x) < 5000
+    assert short_x[short_y.argmax()] == pytest.approx(x[123_456], abs=2.0 / 1100)
+
+
+class Page(HTMLParser):
+    """What a page refers to, its tags, and the cells of its tables."""
+
+    def __init__(self, path):
+        super().__init__()
+        self.references, self.tags, self.rows, self.text = [], [], [], ""
+        self._cell = False
+        self.feed(path.read_text(encoding="utf-8"))
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append(tag)
+        self.references += [v for k, v in attrs if k in ("src", "href", "srcset", "data", "action")]
+        if tag == "tr":
+            self.rows.append([])
+        if tag in ("td", "th"):
+            self._cell = True
+            self.rows[-1].append("")
+
+    def handle_endtag(self, tag):
+        self._cell = self._cell and tag not in ("td", "th")
+
+    def handle_data(self, data):
+        self.text += data
+        if self._cell:
+            self.rows[-1][-1] += data
+
+    def row(self, name):
+        (found,) = [r for r in self.rows if r[0] == name]
+        return found
+
+
+METRICS = [
+    {"name": "rise_time", "function": "rise_time", "unit": "s", "published": 0.607, "expected": 0.607,
+     "tolerance": 0.001, "value": 0.60695, "pass": True},
+    {"name": "final_error", "function": "mean", "unit": "rad/s^2", "at_most": 0.5, "value": -1.25, "pass": True},
+    {"name": "cost", "function": "mean", "published": 15459.0012, "expected": 15459.0, "tolerance": 0.01,
+     "value": 15459.5, "pass": False},
+    {"name": "ripple", "function": "mean", "value": 0.25, "pass": True},
+    {"name": "settling", "function": "mean", "at_most": 1.0, "value": None, "pass": False, "error": "never <settles>"},
+]  # fmt: skip
+
+
+@pytest.fixture
+def make_run(make_rig, tmp_path):
+    """A run directory as the command line writes it."""
+
+    def make(name="flux_demo", metrics=METRICS, picture=False, **keys):
+        rig = make_rig(name=name, duration=0.2)
+        run = Run(rig, "inprocess", 3, record(rig), 0.05, **keys)
+        directory = tmp_path / name
+        content = summary(run, metrics, "scripts/softrig run flux_demo --set 'a.b=<c>'")
+        save(run, content, directory, record=False, plots=picture)
+        write_report([directory], directory / "report.html")
+        return directory
+
+    return make
+
+
+def test_report_is_self_contained_and_escaped(make_run):
+    page = Page(make_run(picture=True) / "report.html")
+    assert all(r.startswith(("data:image/png;base64,", "#")) for r in page.references)
+    assert not {"script", "link", "iframe", "b"} & set(page.tags)
+    assert page.tags.count("img") == len(PLOTS) + 1
+    for text in ("Flux <b>& speed</b>", "Nobody 2020", "--set 'a.b=<c>'", "never <settles>", "law/flux/y"):
+        assert text in page.text
+    assert "url(" not in page.text
+    assert "@import" not in page.text
+
+
+def test_report_shows_measured_against_published(make_run):
+    page = Page(make_run() / "report.html")
+    tolerance = "-5 % of the tolerance".replace("-", "−")
+    assert page.row("rise time") == [
+        "rise time",
+        "0.607",
+        "0.60695",
+        "s",
+        "−0.01 %",
+        "0.607 ± 0.001",
+        tolerance,
+        "✓ pass",
+    ]
+    assert page.row("final error") == ["final error", "–", "−1.25", "rad/s²", "–", "≤ 0.5", "", "✓ pass"]
+    cost = page.row("cost")
+    assert cost[1:3] == ["15459.0012", "15459.5000"]
+    assert cost[-1] == "✗ miss"
+    assert page.row("ripple")[-1] == "–"
+    assert page.row("settling")[-1] == "✗ missnever <settles>"
+    assert "✗ 2 of 4 pass" in page.text
+
+
+def test_report_shows_parameters_with_units_versions_and_command(make_run):
+    page = Page(make_run() / "report.html")
+    assert page.tags.count("details") == len(BLOCKS)
+    for text in ("J0.02 kg m²", "period0.001 s", platform.python_version(), "seed3", "ticks200"):
+        assert text in page.text
+
+
+STATUS = {
+    "drive": {"state": "done", "t": 7, "ticks": 200, "error": "", "waits_for": [], "cpu_s": 0.5,
+              "round_trip_p99_ms": 0.1234, "refused": {"drive/command": [2, "phase/effort is nan"]}, "reports": {}},
+    "law": {"state": "failed", "t": 7, "ticks": 199, "error": "no answer", "waits_for": [], "refused": {},
+            "reports": {"clip": [1, "command clipped to 8 V", 12]}},
+}  # fmt: skip
+
+
+def test_report_shows_what_nodes_refused_and_how_slow_they_were(make_run):
+    page = Page(make_run(status=STATUS, error="node law died") / "report.html")
+    assert page.row("Node") == ["Node", "refused", "ticks", "cpu (s)", "round trip p99 (ms)"]
+    assert page.row("drive") == ["drive", "2", "200", "0.5", "0.123"]
+    assert page.row("law") == ["law", "0", "199", "–", "–"]
+    for text in (
+        "2 messages refused on drive/command: phase/effort is nan",
+        "command clipped to 8 V (12 ×)",
+        "no answer",
+        "The run broke: node law died",
+        "✗ broke",
+    ):
+        assert text in page.text
+
+
+def test_several_runs_get_an_index_and_stand_side_by_side(make_run, tmp_path):
+    good = [m for m in METRICS if m["pass"]]
+    runs = [make_run("first"), make_run("second", good), make_run("broken", [], error="gone")]
+    write_report(runs, tmp_path / "all.html")
+    page = Page(tmp_path / "all.html")
+    index, compared = ([r for r in page.rows if r[0] == name] for name in ("first", "second"))
+    assert [r[-2:] for r in (index[0], compared[0])] == [["✗ 2 of 4 pass", "cost, settling"], ["✓ 2 of 2 pass", ""]]
+    assert [r for r in page.rows if r[0] == "broken"] == [
+        ["broken", "Flux <b>& speed</b>", "inprocess", "3", "0.2 s", "0.05 s", "✗ broke", "gone"]
+    ]
+    assert index[1] == ["first", "inprocess", "0.60695", "−1.25", "0.25"]
+    assert compared[1] == ["second", "inprocess", "0.60695", "−1.25", "0.25"]
+    assert page.references[:3] == ["#run-1", "#run-2", "#run-3"]
+    assert "This run has no pictures" in page.text
+    assert not list(tmp_path.glob("*.part"))
+
+
+def test_bad_run_directories_are_refused(make_run, tmp_path):
+    with pytest.raises(ScenarioError, match=r"nowhere: no metrics.json in it"):
+        write_report([tmp_path / "nowhere"], tmp_path / "r.html")
+    file = make_run() / "metrics.json"
+    content = file.read_text()
+    for changed, message in (
+        (content[:50], r"metrics\.json: not valid JSON"),
+        (content.replace('"seed"', '"sead"'), r"metrics\.json: seed: field required"),
+        (content.replace('"value": 0.25', '"value": "much"'), r"metrics\.json: metrics\.3\.value: input should be"),
+    ):
+        file.write_text(changed)
+        with pytest.raises(ScenarioError, match=message):
+            write_report([file.parent], tmp_path / "r.html")
+    assert not (tmp_path / "r.html").exists()
