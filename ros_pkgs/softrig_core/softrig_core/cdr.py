@@ -47,7 +47,7 @@ class CdrError(ValueError):
 
 @dataclass(frozen=True)
 class Message:
-    """A parsed message: stamp in ns (None without header), frame, channel names, numbers by field, shape of an array."""
+    """A parsed message: stamp in ns (None without header), frame, channel names, numbers by field, array shape."""
 
     stamp: int | None
     frame_id: str

@@ -150,8 +150,9 @@ class Lockstep(Adapter):
             elif position == pairing.want + pairing.period and self.links.plants > 1 and pairing.ahead is None:
                 pairing.ahead = (position, Sample(stamp, values) if delayed else values)
             else:
-                self.refuse(item, f"stamp {position / SECOND:.9g} s from {pairing.sender}, expected "
-                                  f"{pairing.want / SECOND:.9g} s{' (already there)' if pairing.have else ''}")  # fmt: skip
+                got, want = position / SECOND, pairing.want / SECOND
+                twice = " (already there)" if pairing.have else ""
+                self.refuse(item, f"stamp {got:.9g} s from {pairing.sender}, expected {want:.9g} s{twice}")
 
         return receive
 
@@ -267,8 +268,8 @@ class Lockstep(Adapter):
         self.block.advance(t, **self.values)  # type: ignore[attr-defined]
         self.t = t = t + self.period
         self.ticks += 1
-        self._await(t)
         self._send(t)
+        self._await(t)
         if self.last is not None and t >= self.last:
             self.finish()
 

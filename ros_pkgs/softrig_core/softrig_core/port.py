@@ -115,12 +115,14 @@ _NAMED = ("sensor_msgs/msg/JointState", "trajectory_msgs/msg/JointTrajectory")
 def joint_state(name: str, topic: str, channels: Sequence[str], *, position: str = "", velocity: str = "",
                 effort: str = "", **options: object) -> Port:  # fmt: skip
     """State of mechanical axes or named scalars; the fields are those whose unit is given ("1" for a pure number)."""
-    return _named(_NAMED[0], name, topic, channels, {"position": position, "velocity": velocity, "effort": effort}, options)
+    return _named(
+        _NAMED[0], name, topic, channels, {"position": position, "velocity": velocity, "effort": effort}, options
+    )
 
 
 def command(name: str, topic: str, channels: Sequence[str], unit: str, **options: object) -> Port:
     """Actuator command: a JointState whose effort holds the commanded values (V, N m, N, duty)."""
-    return joint_state(name, topic, channels, effort=unit, **options)
+    return joint_state(name, topic, channels, effort=unit, **options)  # type: ignore[arg-type]
 
 
 def scalars(name: str, topic: str, units: Mapping[str, str], **options: object) -> Port:
@@ -263,7 +265,7 @@ def _getter(order: tuple[int, ...]) -> itemgetter[int]:
     if len(order) == 1:
         only = order[0]
         return lambda values: (values[only],)  # type: ignore[return-value]
-    return itemgetter(*order)
+    return itemgetter(*order)  # type: ignore[return-value]
 
 
 def selection(source: Port, sink: Port) -> itemgetter[int] | None:

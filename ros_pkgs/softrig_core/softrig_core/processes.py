@@ -206,21 +206,27 @@ def find_executable(package: str, executable: str) -> Path:
     raise ScenarioError(f"package {package} has no executable {executable!r}; it has {', '.join(there)}")
 
 
-def _start(rig: Rig, member: Member, seed: int, directory: Path, mode: str, epoch: int,
-           record: bool, environment: dict[str, str]) -> _Child:  # fmt: skip
-    stem = directory / member.name
-    status, shard, log = stem.with_suffix(".status"), stem.with_suffix(".shard"), stem.with_suffix(".log")
-    for stale in (status, shard):
-        stale.unlink(missing_ok=True)
+def node_parameters(rig: Rig, member: Member, seed: int, mode: str) -> dict[str, Any]:
+    """Give the ROS parameters that start a member of a rig: those of its block that differ, and how it runs."""
     default = flatten(member.block_class.Params())
-    parameters = {k: v for k, v in flatten(member.params).items() if v != default.get(k)}
-    parameters |= {
+    own = {k: v for k, v in flatten(member.params).items() if v != default.get(k)}
+    return own | {
         "run.mode": mode,
         "run.seed": seed,
         "run.duration": rig.scenario.duration,
         "run.timeout": rig.scenario.timeout,
         "run.start_timeout": rig.scenario.start_timeout,
         "run.links": links(rig, member).model_dump_json(),
+    }
+
+
+def _start(rig: Rig, member: Member, seed: int, directory: Path, mode: str, epoch: int,
+           record: bool, environment: dict[str, str]) -> _Child:  # fmt: skip
+    stem = directory / member.name
+    status, shard, log = stem.with_suffix(".status"), stem.with_suffix(".shard"), stem.with_suffix(".log")
+    for stale in (status, shard):
+        stale.unlink(missing_ok=True)
+    parameters = node_parameters(rig, member, seed, mode) | {
         "run.shard": str(shard) if record else "",
         "run.status": str(status),
         "run.epoch": epoch,

@@ -1,0 +1,36 @@
+"""Start the nodes of a scenario: ``ros2 launch softrig_bringup rig.launch.py scenario:=dc_motor_smc``.
+
+The same scenario files as `softrig run`; here the nodes run for themselves, without bag and metrics.
+"""
+
+from launch import LaunchDescription
+from launch.actions import DeclareLaunchArgument, OpaqueFunction
+from launch.substitutions import LaunchConfiguration
+from launch_ros.actions import Node
+
+
+def generate_launch_description():
+    arguments = [
+        DeclareLaunchArgument("scenario", description="name of a scenario or path of its YAML file"),
+        DeclareLaunchArgument("mode", default_value="realtime", description="realtime or lockstep"),
+        DeclareLaunchArgument("seed", default_value="", description="instead of the scenario's"),
+    ]
+    return LaunchDescription([*arguments, OpaqueFunction(function=_nodes)])
+
+
+def _nodes(context):
+    from softrig_core.processes import node_parameters
+    from softrig_core.rig import Rig
+    from softrig_core.scenario import load_scenario
+
+    def value(name):
+        return LaunchConfiguration(name).perform(context)
+
+    scenario = load_scenario(value("scenario"))
+    rig = Rig.from_scenario(scenario)
+    seed = int(value("seed") or scenario.seed)
+    return [
+        Node(package=m.package, executable=m.executable, name=m.name, output="screen",
+             remappings=list(m.remap.items()), parameters=[node_parameters(rig, m, seed, value("mode"))])
+        for m in rig.members if not m.external
+    ]  # fmt: skip

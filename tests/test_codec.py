@@ -1,0 +1,176 @@
+"""CDR codecs: against rosbags' own serializer, by property, and against malformed bytes."""
+
+import math
+import struct
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from rosbags.typesys import Stores, get_typestore
+from softrig_core.cdr import Layout, parse
+from softrig_core.port import (
+    Decoder,
+    Refused,
+    button,
+    command,
+    joint_state,
+    number,
+    reference,
+    scalars,
+    selection,
+    vector3,
+    wrench,
+)
+
+STORE = get_typestore(Stores.ROS2_JAZZY)
+TYPES = STORE.types
+STAMPS = st.integers(0, 2**31 * 10**9 - 1)
+FLOATS = st.floats(allow_nan=False, allow_infinity=False)
+NAMES = st.lists(st.text(min_size=1, max_size=12).filter(lambda s: "\0" not in s), min_size=1, max_size=5, unique=True)
+
+PORTS = [
+    joint_state("a", "t", ["x", "y"], position="m", velocity="m/s", effort="N"),
+    joint_state("a", "t", ["x", "y", "zz"], velocity="m/s"),
+    command("a", "t", ["armature"], "V"),
+    scalars("a", "t", {"voltage": "V", "current": "A"}),
+    reference("a", "t", ["x"], position="m", acceleration="m/s^2"),
+    vector3("a", "t", "abc", "A"),
+    wrench("a", "t", "foot"),
+    number("a", "t", "V"),
+]
+
+
+def header(stamp, frame=""):
+    time = TYPES["builtin_interfaces/msg/Time"](stamp // 10**9, stamp % 10**9)
+    return TYPES["std_msgs/msg/Header"](time, frame)
+
+
+def joint_message(stamp, names, position=(), velocity=(), effort=(), frame=""):
+    arrays = [np.array(v, dtype=np.float64) for v in (position, velocity, effort)]
+    message = TYPES["sensor_msgs/msg/JointState"](header(stamp, frame), list(names), *arrays)
+    return bytes(STORE.serialize_cdr(message, "sensor_msgs/msg/JointState"))
+
+
+@pytest.mark.parametrize("port", PORTS, ids=lambda p: f"{p.msgtype}{p.fields}")
+@given(data=st.data(), stamp=STAMPS)
+def test_what_a_port_writes_it_reads_back_bit_for_bit(port, data, stamp):
+    values = tuple(data.draw(FLOATS) for _ in range(port.size))
+    found = Decoder(port)(port.layout().encode(stamp, values))
+    assert struct.pack(f"{port.size}d", *found[1]) == struct.pack(f"{port.size}d", *values)
+    assert found[0] == (0 if port.msgtype == "std_msgs/msg/Float64" else stamp)
+
+
+@given(stamp=STAMPS, names=NAMES, frame=st.text(max_size=9).filter(lambda s: "\0" not in s), data=st.data())
+def test_joint_state_bytes_are_those_of_rosbags(stamp, names, frame, data):
+    n = len(names)
+    fields = {f: tuple(data.draw(FLOATS) for _ in range(n)) for f in ("position", "velocity", "effort")
+              if data.draw(st.booleans())}  # fmt: skip
+    layout = Layout("sensor_msgs/msg/JointState", frame, names, dict.fromkeys(fields, n))
+    flat = [x for values in fields.values() for x in values]
+    expected = joint_message(stamp, names, frame=frame, **fields)
+    assert layout.encode(stamp, flat) == expected
+    message = parse("sensor_msgs/msg/JointState", expected)
+    assert (message.stamp, message.frame_id, message.names) == (stamp, frame, tuple(names))
+    assert [x for values in message.fields.values() for x in values] == flat
+
+
+def test_other_types_are_those_of_rosbags():
+    vector, pair = TYPES["geometry_msgs/msg/Vector3"], TYPES["geometry_msgs/msg/Wrench"]
+    cases = {
+        "geometry_msgs/msg/Vector3Stamped": (vector3("a", "t", "dq", "A"), (1.0, 2.0, 3.0),
+                                             lambda: (header(5, "dq"), vector(1.0, 2.0, 3.0))),
+        "geometry_msgs/msg/WrenchStamped": (
+            wrench("a", "t", "foot"), (1.0, 2.0, 3.0, 4.0, 5.0, 6.0),
+            lambda: (header(5, "foot"), pair(vector(1.0, 2.0, 3.0), vector(4.0, 5.0, 6.0)))),
+        "std_msgs/msg/Float64": (number("a", "t", "V"), (2.5,), lambda: (2.5,)),
+        "std_msgs/msg/Bool": (button("a", "t"), (1.0,), lambda: (True,)),
+    }  # fmt: skip
+    for name, (port, values, arguments) in cases.items():
+        assert port.layout().encode(5, values) == bytes(STORE.serialize_cdr(TYPES[name](*arguments()), name)), name
+
+
+def test_trajectory_point_bytes_are_those_of_rosbags():
+    point = TYPES["trajectory_msgs/msg/JointTrajectoryPoint"](
+        np.array([1.0, 2.0]), np.array([]), np.array([3.0, 4.0]), np.array([]),
+        TYPES["builtin_interfaces/msg/Duration"](0, 0),
+    )  # fmt: skip
+    message = TYPES["trajectory_msgs/msg/JointTrajectory"](header(7_000_000_001), ["x", "y"], [point])
+    expected = bytes(STORE.serialize_cdr(message, "trajectory_msgs/msg/JointTrajectory"))
+    port = reference("a", "t", ["x", "y"], position="m", acceleration="m/s^2")
+    assert port.layout().encode(7_000_000_001, (1.0, 2.0, 3.0, 4.0)) == expected
+
+
+def test_another_order_of_names_and_more_fields_are_understood():
+    decode = Decoder(joint_state("a", "t", ["x", "y"], velocity="m/s"))
+    for stamp in (1, 2):  # the second time through the layout that the first one taught
+        data = joint_message(stamp, ["y", "x"], position=(9.0, 9.0), velocity=(2.0, 1.0))
+        assert decode(data) == (stamp, (1.0, 2.0))
+
+
+def test_big_endian_is_understood():
+    words = struct.pack(">BBBB", 0, 0, 0, 0) + struct.pack(">iII", 1, 5, 1) + b"\0\0\0\0"
+    words += struct.pack(">II", 1, 2) + b"u\0" + b"\0\0" + struct.pack(">II", 0, 0) + struct.pack(">I", 1)
+    words += b"\0" * (-(len(words) - 4) % 8) + struct.pack(">d", 4.5)
+    assert Decoder(command("a", "t", ["u"], "V"))(words) == (10**9 + 5, (4.5,))
+
+
+@pytest.mark.parametrize(
+    ("data", "reason"),
+    [
+        (joint_message(0, ["v"], effort=[1.0]), "names ['v'], expected ['u']"),
+        (joint_message(0, ["u"], effort=[1.0, 2.0]), "effort has 2 values, expected 1 (u)"),
+        (joint_message(0, ["u"]), "effort has 0 values, expected 1 (u)"),
+        (joint_message(0, ["u"], effort=[math.nan]), "u/effort is nan"),
+        (joint_message(0, ["u"], effort=[-math.inf]), "u/effort is -inf"),
+        (joint_message(0, ["u"], effort=[1.0])[:-3], "end inside a field"),
+        (b"", "end inside a field"),
+        (b"\0\1\0\0" + b"\xff" * 60, "does not fit"),
+    ],
+)
+def test_a_bad_message_is_refused_with_the_reason(data, reason):
+    with pytest.raises(Refused, match=reason.replace("[", r"\[").replace("(", r"\(").replace(")", r"\)")):
+        Decoder(command("a", "t", ["u"], "V"))(data)
+
+
+@given(st.binary(max_size=200))
+def test_no_bytes_do_more_than_be_refused(data):
+    for port in PORTS:
+        decode = Decoder(port)
+        try:
+            _, values = decode(data)
+        except Refused:
+            continue
+        assert len(values) == port.size
+        assert all(math.isfinite(v) for v in values)
+
+
+@given(st.data())
+def test_a_damaged_message_is_refused_or_finite(data):
+    port = PORTS[0]
+    whole = bytearray(port.layout().encode(123, (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)))
+    for _ in range(data.draw(st.integers(1, 4))):
+        whole[data.draw(st.integers(0, len(whole) - 1))] = data.draw(st.integers(0, 255))
+    try:
+        _, values = Decoder(port)(bytes(whole[: data.draw(st.integers(0, len(whole)))]))
+    except Refused:
+        return
+    assert all(math.isfinite(v) for v in values)
+
+
+def test_large_finite_values_pass_although_their_sum_does_not_fit():
+    port = joint_state("a", "t", ["x", "y"], position="m")
+    assert Decoder(port)(port.layout().encode(0, (1.7e308, 1.7e308)))[1] == (1.7e308, 1.7e308)
+
+
+def test_a_wrong_frame_is_refused():
+    abc, dq = vector3("a", "t", "abc", "A"), vector3("a", "t", "dq", "A")
+    with pytest.raises(Refused, match="frame_id 'abc', expected 'dq'"):
+        Decoder(dq)(abc.layout().encode(0, (1.0, 2.0, 3.0)))
+    with pytest.raises(Refused, match="frame_id"):
+        selection(abc, dq)
+
+
+def test_encoding_another_number_of_values_is_an_error():
+    with pytest.raises(ValueError, match="2 values, expected 1"):
+        command("a", "t", ["u"], "V").layout().encode(0, (1.0, 2.0))

@@ -1,0 +1,257 @@
+"""Parameters, scenarios, wiring, the in-process runner, shards."""
+
+import math
+
+import pytest
+from conftest import in_process, make_scenario
+from faultrig import Gain, Lag
+from hypothesis import given
+from hypothesis import strategies as st
+from softrig_core.block import Block
+from softrig_core.errors import RunError, ScenarioError
+from softrig_core.inprocess import run_inprocess
+from softrig_core.params import BlockParams, ParameterError, Params, build, declarations, flatten, param
+from softrig_core.recording import Recording, ShardWriter
+from softrig_core.rig import Rig, load_block
+from softrig_core.scenario import load_scenario, merge
+from softrig_core.signals import Signals
+
+
+class Inner(Params):
+    bits: int = param(8, "resolution", ge=1, le=16)
+
+
+class Outer(BlockParams):
+    R: float = param(0.4, "resistance", "ohm", gt=0.0)
+    names: tuple[str, ...] = param(("a",), "channels", min_length=1)
+    rig: Inner = Inner()
+    k: float | None = param(None, "gain")
+
+
+def test_parameters_flatten_and_build_back():
+    params = build(Outer, {"R": 1, "rig.bits": 10, "names": ["x", "y"]})
+    assert flatten(params) == {"period": 0.01, "R": 1.0, "names": ["x", "y"], "rig.bits": 10, "k": None}
+    assert build(Outer, flatten(params)) == params
+    declared = {d.name: d for d in declarations(Outer)}
+    assert (declared["R"].lower, declared["R"].unit, declared["rig.bits"].upper) == (0.0, "ohm", 16)
+    with pytest.raises(Exception, match="frozen"):
+        params.R = 2.0
+
+
+@pytest.mark.parametrize(
+    ("values", "text"),
+    [
+        ({"R": 0.0}, "parameter R = 0.0: input should be greater than 0"),
+        ({"R": math.nan}, "parameter R = nan: input should be a finite number"),
+        ({"rig.bits": 17}, "parameter rig.bits = 17: input should be less than or equal to 16"),
+        ({"rr": 1.0}, "parameter rr is unknown; this block has period, R, names, rig.bits, k"),
+        ({"names": []}, "parameter names"),
+        ({"period": -1.0}, "parameter period = -1.0"),
+    ],
+)
+def test_a_bad_parameter_is_named(values, text):
+    with pytest.raises(ParameterError) as error:
+        build(Outer, values)
+    assert text in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.setenv("SOFTRIG_SCENARIOS", str(tmp_path))
+    monkeypatch.setenv("AMENT_PREFIX_PATH", "")
+    (tmp_path / "base.yaml").write_text(
+        "title: T\nsystem: lag\nsource: S\nduration: 1.0\nnodes:\n"
+        "  plant: {package: faultrig, executable: plant, parameters: {gain: 1e-1}}\n"
+        "variants:\n  fast:\n    nodes: {plant: {parameters: {gain: 5.0}}}\n"
+    )
+    (tmp_path / "child.yaml").write_text("extends: base_fast\ntitle: C\nnodes: {plant: {parameters: {limit: 3.0}}}\n")
+    return tmp_path
+
+
+def test_scenarios_extend_and_vary(folder):
+    assert load_scenario("base").nodes["plant"].parameters == {"gain": 0.1}
+    assert load_scenario("base_fast").nodes["plant"].parameters == {"gain": 5.0}
+    child = load_scenario("child", {"plant.period": 0.5})
+    assert child.nodes["plant"].parameters == {"gain": 5.0, "limit": 3.0, "period": 0.5}
+    assert (child.name, child.title) == ("child", "C")
+    assert load_scenario(str(folder / "base.yaml")).name == "base"
+
+
+@pytest.mark.parametrize(
+    ("text", "name", "expected"),
+    [
+        ("title: T\ntitel: x\nsystem: s\nsource: s\nduration: 1\nnodes: {p: {package: a, executable: b}}", "bad",
+         "bad.yaml: titel: unknown key, got 'x'"),
+        ("title: [", "bad", "bad.yaml: not valid YAML"),
+        ("a: 1\na: 2", "bad", "duplicate key"),
+        ("extends: nobody", "bad", "bad.yaml: extends 'nobody', which is unknown"),
+        ("extends: bad", "bad", "extends itself: bad -> bad"),
+        ("- 1", "bad", "expected a mapping"),
+        ("", "bas", "scenario 'bas' is unknown (did you mean 'base'?)"),
+        ("title: T\nsystem: s\nsource: s\nduration: -1\nnodes: {p: {package: a, executable: b}}", "bad",
+         "bad.yaml: duration"),
+    ],
+)  # fmt: skip
+def test_a_bad_scenario_is_explained(folder, text, name, expected):
+    if text:
+        (folder / "bad.yaml").write_text(text)
+    with pytest.raises(ScenarioError) as error:
+        load_scenario(name)
+    assert expected in str(error.value)
+
+
+def test_an_override_of_an_unknown_node_is_refused(folder):
+    with pytest.raises(ScenarioError, match=r"override 'pump.gain': expected node.parameter with node one of plant"):
+        load_scenario("base", {"pump.gain": 1.0})
+
+
+def test_merge_removes_with_null():
+    assert merge({"a": {"b": 1, "c": 2}, "d": 3}, {"a": {"b": None}, "d": 4}) == {"a": {"c": 2}, "d": 4}
+
+
+def node(executable, remap=None, **parameters):
+    return {"executable": executable, "parameters": parameters, "remap": remap or {}}
+
+
+BASIC = {"plant": "plant", "source": "source", "gain": "gain"}
+
+
+@pytest.mark.parametrize(
+    ("nodes", "text"),
+    [
+        ({"source": "source"}, "no node is a plant, so nobody owns time"),
+        ({"plant": "plant", "source": "source"}, "nobody publishes lag/command, which plant needs"),
+        (BASIC | {"second": "gain"}, "gain and second both publish lag/command"),
+        (BASIC | {"gain": node("gain", {"lag/sate": "x"})}, "node gain: remap of 'lag/sate', but its topics are"),
+        (BASIC | {"gain": node("gain", period=0.015)},
+         "period 0.015 s of gain is not a multiple of the 0.01 s of plant"),
+        (BASIC | {"gain": "gian"}, "package faultrig has no executable 'gian'"),
+        (BASIC | {"link": "link", "gain": node("gain", {"lag/state": "lag/late_state"})},
+         "lag/late_state from link does not fit gain: its stamps are acquisition times"),
+        (BASIC | {"one": node("outer", {"lag/reference": "lag/b", "lag/inner_reference": "lag/a"}),
+                  "two": node("outer", {"lag/reference": "lag/a", "lag/inner_reference": "lag/b"})},
+         "cycle without a plant in it: one -> two -> one"),
+    ],
+)  # fmt: skip
+def test_a_rig_that_cannot_work_is_refused_before_the_start(nodes, text):
+    with pytest.raises(ScenarioError) as error:
+        Rig.from_scenario(make_scenario(nodes))
+    assert text in str(error.value)
+
+
+def test_a_duration_between_two_ticks_is_refused():
+    with pytest.raises(ScenarioError, match="duration"):
+        Rig.from_scenario(make_scenario(BASIC, 0.123))
+
+
+def test_loading_a_package_that_is_not_there_or_a_tool():
+    with pytest.raises(ScenarioError, match="package 'nothing' is not installed"):
+        load_block("nothing", "x")
+
+
+def test_in_process_gives_one_message_a_tick_and_repeats_itself(lag_rig):
+    first, second = in_process(lag_rig, 3), in_process(lag_rig, 3)
+    assert {n: len(t.times) for n, t in first.topics.items() if t.times} == {
+        "/clock": 101, "lag/state": 101, "lag/applied": 101, "lag/reference": 100, "lag/command": 100,
+    }  # fmt: skip
+    assert all(first.topics[n].data == second.topics[n].data for n in first.topics)
+
+
+def test_in_process_follows_the_difference_equation():
+    rig = Rig.from_scenario(make_scenario({"plant": node("plant", gain=2.0), "source": "source", "gain": "gain"}))
+    t, x = Signals(in_process(rig))["lag/state/x/position"]
+    expected, state = [], 0.0
+    for k in range(101):
+        expected.append(state)
+        u = 2.0 * (0.001 * (10 * k % 2000) - state)
+        state += 0.01 * 2.0 * (u - state)
+    assert x == pytest.approx(expected, abs=1e-15)
+    assert t == pytest.approx([0.01 * k for k in range(101)], abs=1e-12)
+
+
+def test_a_delayed_link_carries_the_time_of_acquisition():
+    nodes = {"plant": "plant", "source": "source", "link": node("link", samples=3), "gain": "late_gain"}
+    recording = in_process(Rig.from_scenario(make_scenario(nodes)))
+    table = Signals(recording).table("lag/late_state")
+    assert list(table.stamp[:6]) == pytest.approx([0, 0, 0, 0, 0.01, 0.02])
+    assert list(table.t[:3]) == pytest.approx([0, 0.01, 0.02])
+
+
+def test_a_slow_block_is_due_on_its_own_ticks_only():
+    rig = Rig.from_scenario(make_scenario(BASIC | {"gain": node("gain", period=0.05)}))
+    recording = in_process(rig)
+    assert recording.topics["lag/command"].times == [k * 50_000_000 for k in range(20)]
+
+
+def test_a_block_that_fails_is_named_with_the_time():
+    for how, text in [("nan", "gain: command u/effort became nan at t = 0.2 s"),
+                      ("raise", "gain failed at t = 0.2 s: ArithmeticError: deliberate")]:  # fmt: skip
+        rig = Rig.from_scenario(make_scenario(BASIC | {"gain": node("killed", how=how, at=0.2)}))
+        with pytest.raises(RunError) as error:
+            run_inprocess(rig, 0)
+        assert text in str(error.value)
+
+
+def test_an_external_node_needs_processes():
+    rig = Rig.from_scenario(make_scenario(BASIC | {"gain": {"executable": "gain", "external": True}}))
+    with pytest.raises(ScenarioError, match="node gain is external"):
+        run_inprocess(rig, 0)
+
+
+def test_a_block_is_usable_from_a_prompt():
+    plant, gain = Lag(gain=2.0), Gain(k=3.0)
+    command = gain.update(0, state=plant.outputs(0)["state"], reference=(1.0,))["command"]
+    plant.advance(0, command=command, offset=None, kick=None)
+    assert plant.outputs(10_000_000)["state"][0] == pytest.approx(0.06)
+    plant.reset(0)
+    assert plant.outputs(0)["state"][0] == 0.0
+
+
+def test_random_numbers_depend_on_seed_and_name_only():
+    def draw(name, seed):
+        block = Block(name=name)
+        block.reset(seed)
+        return block.rng.standard_normal()
+
+    assert draw("a", 1) == draw("a", 1)
+    assert len({draw("a", 1), draw("a", 2), draw("b", 1)}) == 3
+
+
+MESSAGES = st.lists(st.tuples(st.integers(0, 1), st.integers(0, 2**40), st.binary(max_size=50)), max_size=30)
+
+
+@given(MESSAGES, st.integers(0, 60))
+def test_a_shard_cut_anywhere_gives_back_all_whole_messages(tmp_path_factory, messages, cut):
+    path = tmp_path_factory.mktemp("shard") / "x.shard"
+    topics = [("a", "std_msgs/msg/Float64"), ("b", "std_msgs/msg/Bool")]
+    writer = ShardWriter(path, topics)
+    for message in messages:
+        writer.add(*message)
+    writer.close()
+    whole = path.read_bytes()
+    head = len(whole) - sum(14 + len(d) for _, _, d in messages)
+    path.write_bytes(whole[: max(head, len(whole) - cut)])
+    recording = Recording(topics)
+    lost = recording.read_shard(path)
+    found = sum(len(t.times) for t in recording.topics.values())
+    size = sum(14 + len(d) for _, _, d in messages[:found])
+    assert size + lost == max(0, len(whole) - head - cut)
+    for index, (name, _) in enumerate(topics):
+        expected = [(t, d) for i, t, d in messages[:found] if i == index]
+        assert list(zip(recording.topics[name].times, recording.topics[name].data, strict=True)) == expected
+
+
+def test_messages_come_by_time_and_equal_times_in_topic_order():
+    recording = Recording([("a", "x"), ("b", "x")])
+    for topic, t in [(1, 0), (0, 0), (1, 5), (0, 3)]:
+        recording.add(topic, t, bytes([topic]))
+    assert [(t, topic.name) for t, topic, _ in recording.messages()] == [(0, "a"), (0, "b"), (3, "a"), (5, "b")]
+
+
+def test_an_unknown_signal_is_explained(lag_rig):
+    signals = Signals(in_process(lag_rig))
+    with pytest.raises(KeyError, match="no signal 'x/force' on lag/state; it has x/position, x/velocity"):
+        signals["lag/state/x/force"]
+    with pytest.raises(KeyError, match="no topic for signal"):
+        signals["nothing/x"]
