@@ -27,6 +27,11 @@ setup(
             "robot_dynamics = softrig_robots.dynamics:main",
             "tracking_metrics = softrig_robots.tracking:main",
             "trajectory_source = softrig_robots.manipulator.trajectory:main",
+            "rehab_plant = softrig_robots.rehab.plant:main",
+            "prom_reference = softrig_robots.rehab.prom:main",
+            "patient = softrig_robots.rehab.patient:main",
+            "impedance = softrig_robots.rehab.impedance:main",
+            "voltage_controller = softrig_robots.rehab.controller:main",
             "vcs_controller = softrig_robots.manipulator.controller:main",
         ]
     },

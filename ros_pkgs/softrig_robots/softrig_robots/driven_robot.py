@@ -109,10 +109,14 @@ class DrivenRobot(Plant):
         """Give voltage drops d (V) and load torques tau_d (N m) of the sub-step that begins at t (ns)."""
         raise NotImplementedError
 
+    def torque_constants(self, table: Mapping[str, Vector]) -> Vector:
+        """Give the torque constants on the joint side of the gears, K_m/r, N m/A."""
+        return tuple(K / r for K, r in zip(table["torque_constant"], table["gear"], strict=True))
+
     def setup(self) -> None:
         """Compile the robot and bring the motors to the joint side of the gears."""
         self._step, self._torque, self.n = compile_robot(self.robot(), self.TIP)
-        table = self.p.motors.table(self.n)
+        self._table = table = self.p.motors.table(self.n)
         self._gear = table["gear"]
         self._inertia = tuple(J / r**2 for J, r in zip(table["inertia"], self._gear, strict=True))
         self._damping = tuple(B / r**2 for B, r in zip(table["damping"], self._gear, strict=True))
@@ -125,14 +129,13 @@ class DrivenRobot(Plant):
 
     def set_motors(self, resistance: float, constants: float) -> None:
         """Put R, and K_m and K_b, to these multiples of their parameters."""
-        table = self.p.motors.table(self.n)
-        r = self._gear
-        self.torque_per_ampere = tuple(constants * K / g for K, g in zip(table["torque_constant"], r, strict=True))
+        table = self._table
+        self.torque_per_ampere = tuple(constants * K for K in self.torque_constants(table))
         self._plant = (
             *(resistance * R for R in table["resistance"]),
             *table["inductance"],
             *self.torque_per_ampere,
-            *(constants * K / g for K, g in zip(table["back_emf_constant"], r, strict=True)),
+            *(constants * K / g for K, g in zip(table["back_emf_constant"], self._gear, strict=True)),
             *self._inertia,
             *self._damping,
             *self._friction.coulomb,

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from math import degrees
+from typing import Any
+
 import numpy as np
+import softrig_core.metrics
 from softrig_core.metrics import SignalMap
 from softrig_core.signals import Array
 
@@ -44,3 +48,41 @@ def tracking_error(signals: SignalMap, signal: str, reference: str) -> tuple[Arr
     if not n or not np.array_equal(t[:n], when[:n]):
         raise ValueError(f"{signal} and {reference} have no common sample times")
     return t[:n], desired[:n] - x[:n]
+
+
+def in_degrees(signals: SignalMap, *, of: str, **arguments: Any) -> float:
+    """Value of the function `of` of `softrig_core.metrics` in degrees instead of rad."""
+    return degrees(getattr(softrig_core.metrics, of)(signals, **arguments))
+
+
+def mean_square_degrees(signals: SignalMap, signal: str) -> float:
+    """Mean of the squares (MSE) of an error in rad, in square degrees."""
+    return degrees(1.0) ** 2 * float(np.mean(signals[signal][1] ** 2))
+
+
+def sum_absolute_degrees(signals: SignalMap, signal: str) -> float:
+    """Sum of the absolute samples (SAE) of an error in rad, in degrees; grows with the number of samples."""
+    return degrees(float(np.abs(signals[signal][1]).sum()))
+
+
+def integral_absolute_degrees(signals: SignalMap, signal: str) -> float:
+    """Integral of the absolute value (IAE) of an error in rad, in degree seconds."""
+    t, _ = signals[signal]
+    return sum_absolute_degrees(signals, signal) * float(t[1] - t[0])
+
+
+def mean_absolute(signals: SignalMap, signal: str) -> float:
+    """Mean of the absolute value, in the unit of the signal (MAC of a current, MAV of a voltage)."""
+    return float(np.abs(signals[signal][1]).mean())
+
+
+def difference(signals: SignalMap, first: str, second: str) -> float:
+    """Largest distance of two signals with common sample times, in their unit."""
+    return float(np.abs(tracking_error(signals, first, second)[1]).max())
+
+
+def repeatability(first: SignalMap, second: SignalMap, signal: str) -> float:
+    """Squared change of an error from one run to another over its square, equation (25) of the rehabilitation paper."""
+    _, e = first[signal]
+    _, other = second[signal]
+    return float(((e - other) ** 2).sum() / (e**2).sum())

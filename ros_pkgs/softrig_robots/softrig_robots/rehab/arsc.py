@@ -1,0 +1,78 @@
+"""Adaptive robust control of one joint, a baseline.
+
+The paper cites this law; its text was not available. This is the standard form with a regressor of four terms.
+"""
+
+from __future__ import annotations
+
+from math import tanh
+
+from softrig_core.params import param
+
+from ..joints import JointGains, PerJoint
+
+
+class ArscGains(JointGains):
+    """Moderate preset; the stronger one is in the scenario files."""
+
+    k1: PerJoint = param((4.0,), "rate of the sliding variable", "1/s")
+    k2: PerJoint = param((5.0,), "gain of the sliding variable", "V s/rad")
+    h: PerJoint = param((0.2,), "size of the robust term", "V")
+    gamma1: PerJoint = param((0.4,), "adaptation gain of the inertia term")
+    gamma2: PerJoint = param((20.0,), "adaptation gain of the damping term")
+    gamma3: PerJoint = param((2.0,), "adaptation gain of the friction term")
+    gamma4: PerJoint = param((20.0,), "adaptation gain of the constant term")
+
+
+START = (0.1, 4.592, 0.0, 0.0)
+LOWEST = (0.02, 2.0, 0.0, -8.0)
+HIGHEST = (0.6, 8.0, 1.0, 8.0)
+EDGE = 0.05  # rad/s; smooths both signs
+
+
+class Arsc:
+    r"""Voltage of one motor.
+
+    .. math::
+        z = \dot q - \dot q_r + k_1 (q - q_r), \quad
+        \varphi = (\ddot q_r - k_1 (\dot q - \dot q_r), \dot q, \tanh(\dot q/0.05), 1), \\
+        V = \varphi^T \hat\theta - k_2 z - h \tanh(z/0.05), \quad
+        \dot{\hat\theta} = \mathrm{Proj}(-\Gamma \varphi z)
+
+    Parameters
+    ----------
+    k1, k2, h, gamma1, gamma2, gamma3, gamma4 : float
+        See `ArscGains`.
+    T : float
+        Sampling period, s.
+    v_max : float
+        Voltage limit, V.
+    """
+
+    STATE = {"theta1": "V s^2/rad", "theta2": "V s/rad", "theta3": "V", "theta4": "V"}
+
+    def __init__(self, *, k1: float, k2: float, h: float, gamma1: float, gamma2: float, gamma3: float, gamma4: float,
+                 T: float, v_max: float) -> None:  # fmt: skip
+        self._k1, self._k2, self._h = k1, k2, h
+        self._gamma = tuple(T * gamma for gamma in (gamma1, gamma2, gamma3, gamma4))
+        self._v_max = v_max
+        self.start()
+
+    def start(self) -> None:
+        """Begin with the first estimates."""
+        self.state: tuple[float, ...] = START
+
+    def __call__(self, q: float, qd: float, current: float, ref: float, ref_d: float, ref_dd: float, V: float) -> float:
+        """Give the voltage for joint state and reference."""
+        ed = qd - ref_d
+        z = ed + self._k1 * (q - ref)
+        phi = (ref_dd - self._k1 * ed, qd, tanh(qd / EDGE), 1.0)
+        theta = self.state
+        v = -self._k2 * z - self._h * tanh(z / EDGE)
+        for p, th in zip(phi, theta, strict=True):
+            v += p * th
+        self.state = tuple(
+            min(max(th - g * p * z, low), high)
+            for th, g, p, low, high in zip(theta, self._gamma, phi, LOWEST, HIGHEST, strict=True)
+        )
+        return min(max(v, -self._v_max), self._v_max)

@@ -1,0 +1,136 @@
+"""Voltage controllers of the rehabilitation robot: one law a joint, without a model of the robot."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, ClassVar, Literal, Protocol, Self
+
+from pydantic import model_validator
+from softrig_core.block import Block, Level
+from softrig_core.node import executable
+from softrig_core.params import BlockParams, param
+from softrig_core.port import Port, command, joint_state, reference, scalars
+
+from .arsc import Arsc, ArscGains
+from .emvc import Emvc, EmvcGains
+from .model import JOINTS
+from .tsarc import Tsarc, TsarcGains
+
+Vector = tuple[float, ...]
+
+
+class Law(Protocol):
+    """Voltage of one motor."""
+
+    STATE: ClassVar[dict[str, str]]  # names of what the law remembers, with units
+
+    @property
+    def state(self) -> Vector:
+        """Values of `STATE`."""
+
+    def start(self) -> None:
+        """Forget everything."""
+
+    def __call__(self, q: float, qd: float, current: float, ref: float, ref_d: float, ref_dd: float, V: float) -> float:
+        """Give the voltage for joint state, current and reference; V is the voltage of the last period."""
+
+
+LAWS: dict[str, Any] = {"emvc": Emvc, "tsarc": Tsarc, "arsc": Arsc}
+
+
+class VoltageControllerParams(BlockParams):
+    """Which law, with the preset of each."""
+
+    period: float = param(0.001, "sampling period T", "s", gt=0.0)
+    law: Literal["emvc", "tsarc", "arsc"] = param("emvc", "control law: emvc, tsarc or arsc")
+    v_max: float = param(24.0, "voltage limit", "V", gt=0.0)
+    emvc: EmvcGains = EmvcGains()
+    tsarc: TsarcGains = TsarcGains()
+    arsc: ArscGains = ArscGains()
+    use_applied: bool = param(True, "emvc goes on from the voltage that the plant says it applied, not from its own")
+    loop_delay: bool = param(False, "emvc: warn as if voltages take effect one period late")
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        self.laws()
+        return self
+
+    def laws(self) -> list[Law]:
+        """Make one law a joint."""
+        gains: EmvcGains | TsarcGains | ArscGains = getattr(self, self.law)
+        n = len(JOINTS)
+        common = {"T": self.period, "v_max": self.v_max}
+        return [LAWS[self.law](**gains.of_joint(self.law, i, n), **common) for i in range(n)]
+
+
+class VoltageController(Block):
+    """Joint and motor states and a reference in, motor voltages out.
+
+    Reads the topic ``reference``; remap it to ``regenerated`` behind an impedance law.
+    """
+
+    Params = VoltageControllerParams
+    p: VoltageControllerParams
+
+    @classmethod
+    def ports(cls, params: VoltageControllerParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
+        """The state has what the law remembers."""
+        units = {"e": "rad", **LAWS[params.law].STATE}
+        applied = (command("applied_voltage", "applied_voltage", JOINTS, "V"),)
+        return (
+            joint_state("joint_states", "joint_states", JOINTS, position="rad", velocity="rad/s"),
+            joint_state("motor_states", "motor_states", JOINTS, effort="A"),
+            reference("reference", "reference", JOINTS, position="rad", velocity="rad/s", acceleration="rad/s^2"),
+            *(applied if params.use_applied else ()),
+        ), (
+            command("motor_command", "motor_command", JOINTS, "V"),
+            scalars("controller_state", "controller_state",
+                    {f"{name}_{joint}": unit for name, unit in units.items() for joint in JOINTS}),
+        )  # fmt: skip
+
+    def setup(self) -> None:
+        """Make the laws."""
+        self._laws = self.p.laws()
+
+    def start(self) -> None:
+        """Start every law anew, and warn of an expected-model law that cannot be stable."""
+        for law in self._laws:
+            law.start()
+        self._sent: Vector = (0.0,) * len(JOINTS)
+        if self.p.law == "emvc":
+            self._check_stability()
+
+    def _check_stability(self) -> None:
+        from .stability import alpha_hat_limit
+
+        p = self.p
+        late = "one period of delay" if p.loop_delay else "no delay"
+        for i, joint in enumerate(JOINTS):
+            gains = p.emvc.of_joint("emvc", i, len(JOINTS))
+            lam, alpha_hat = gains["lam"], gains["alpha_hat"]
+            limit = alpha_hat_limit(p.period, lam, p.loop_delay, p.use_applied)
+            if alpha_hat > limit:
+                text = (
+                    f"alpha_hat = {alpha_hat:g} V s/rad of the {joint} is above the stability limit {limit:.3g} for "
+                    f"T = {p.period:g} s, lambda = {lam:g} 1/s and {late}"
+                )
+                self.report(Level.WARN, f"stability {joint}", text)
+
+    def update(
+        self, t: int, *, joint_states: Vector, motor_states: Vector, reference: Vector,
+        applied_voltage: Vector | None = None,
+    ) -> Mapping[str, Vector]:  # fmt: skip
+        """Give the voltages."""
+        q1, q2, v1, v2 = joint_states
+        r1, r2, rv1, rv2, ra1, ra2 = reference
+        last = self._sent if applied_voltage is None else applied_voltage
+        first, second = self._laws
+        self._sent = sent = (
+            first(q1, v1, motor_states[0], r1, rv1, ra1, last[0]),
+            second(q2, v2, motor_states[1], r2, rv2, ra2, last[1]),
+        )
+        state = (r1 - q1, r2 - q2, *[x for pair in zip(first.state, second.state, strict=True) for x in pair])
+        return {"motor_command": sent, "controller_state": state}
+
+
+main = executable(VoltageController)

@@ -1,0 +1,70 @@
+"""Expected-model voltage controller of one joint: equations (11) and (15) of the paper."""
+
+from __future__ import annotations
+
+from typing import Self
+
+from pydantic import model_validator
+from softrig_core.params import param
+
+from ..joints import JointGains, PerJoint, require_positive
+
+
+class EmvcGains(JointGains):
+    """Case 1, the motor is known: alpha_hat = K_b/r, resistance = R. Case 2: any other values."""
+
+    alpha_hat: PerJoint = param((4.592,), "expected K_b/r", "V s/rad")
+    lam: PerJoint = param((4.0,), "rate lambda at which the error decays", "1/s")
+    resistance: PerJoint = param((4.0,), "expected armature resistance", "Ohm")
+
+    @model_validator(mode="after")
+    def _positive(self) -> Self:
+        require_positive("alpha_hat", self.alpha_hat)
+        require_positive("lam", self.lam)
+        return self
+
+
+class Emvc:
+    r"""Voltage of one motor.
+
+    .. math::
+        \psi_k = (V_{k-1} - \hat R I_k)/\hat\alpha - \dot q_k, \qquad
+        V_k = \mathrm{sat}[\hat R I_k + \hat\alpha (\dot q_r + \lambda e + \psi_k)]
+
+    Parameters
+    ----------
+    alpha_hat, lam, resistance : float
+        See `EmvcGains`.
+    T : float
+        Sampling period, s. The law does not use it.
+    v_max : float
+        Voltage limit, V.
+
+    Notes
+    -----
+    The current cancels: :math:`V_k = V_{k-1} + \hat\alpha (\dot e_k + \lambda e_k)`. The law is an integrator, a
+    PI controller of the position with gain :math:`\hat\alpha/T`. V_{k-1} must be what the motor really got:
+    then nothing winds up when the voltage is limited.
+    """
+
+    STATE = {"psi": "rad/s"}
+
+    def __init__(self, *, alpha_hat: float, lam: float, resistance: float, T: float, v_max: float) -> None:
+        self._alpha, self._lam, self._R, self._v_max = alpha_hat, lam, resistance, v_max
+        self.start()
+
+    def start(self) -> None:
+        """No voltage yet."""
+        self._psi = 0.0
+
+    @property
+    def state(self) -> tuple[float, ...]:
+        """Values of `STATE`."""
+        return (self._psi,)
+
+    def __call__(self, q: float, qd: float, current: float, ref: float, ref_d: float, ref_dd: float, V: float) -> float:
+        """Give the voltage for joint state, current and reference; V is the voltage of the last period."""
+        ri = self._R * current
+        self._psi = psi = (V - ri) / self._alpha - qd
+        v = ri + self._alpha * (ref_d + self._lam * (ref - q) + psi)
+        return min(max(v, -self._v_max), self._v_max)

@@ -1,0 +1,102 @@
+r"""Impedance law: the patient's force bends the reference, equations (23) and (24) of the paper.
+
+.. math::
+    M_d (\ddot q_r - \ddot q_d) + B_d (\dot q_r - \dot q_d) + K_d (q_r - q_d) = -J(q)^T F_e
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Self
+
+from pydantic import model_validator
+from softrig_core.block import Block, Level
+from softrig_core.node import executable
+from softrig_core.params import BlockParams, param
+from softrig_core.port import Sample, joint_state, reference, wrench
+from softrig_core.timebase import to_ns
+
+from ..joints import PerJoint, require_positive, spread
+from .force import clip_force
+from .model import JOINTS, foot_jacobian
+from .patient import FOOT, PATIENT_FORCE
+
+Vector = tuple[float, ...]
+UNITS = {"position": "rad", "velocity": "rad/s", "acceleration": "rad/s^2"}
+
+
+class ImpedanceParams(BlockParams):
+    """Critically damped at 10 rad/s (the paper prints no values)."""
+
+    period: float = param(0.001, "sampling period T", "s", gt=0.0)
+    inertia: PerJoint = param((1.0,), "desired inertia M_d", "kg m^2")
+    damping: PerJoint = param((20.0,), "desired damping B_d", "N m s/rad")
+    stiffness: PerJoint = param((100.0,), "desired stiffness K_d", "N m/rad")
+    length: tuple[float, float] = param((0.5, 0.45), "lengths l_i of thigh and shank", "m")
+    force_limit: float = param(200.0, "a larger force at the foot is cut down to this", "N", gt=0.0)
+    stale_after: int = param(20, "periods without a new force after which the patient counts as lost", ge=1)
+
+    @model_validator(mode="after")
+    def _possible(self) -> Self:
+        n = len(JOINTS)
+        require_positive("inertia", spread("inertia", self.inertia, n))
+        require_positive("damping", spread("damping", self.damping, n), or_zero=True)
+        require_positive("stiffness", spread("stiffness", self.stiffness, n), or_zero=True)
+        require_positive("length", self.length)
+        return self
+
+
+class Impedance(Block):
+    """Reference, force and joint states in, regenerated reference out; semi-implicit Euler.
+
+    Starts on the reference. When the force stops coming, the regenerated reference stays where it is, and goes on
+    from there when the force comes again.
+    """
+
+    Params = ImpedanceParams
+    p: ImpedanceParams
+    INPUTS = (
+        reference("reference", "reference", JOINTS, **UNITS),
+        wrench(PATIENT_FORCE, PATIENT_FORCE, FOOT, held=True, delayed=True),
+        joint_state("joint_states", "joint_states", JOINTS, position="rad"),
+    )
+    OUTPUTS = (reference("regenerated", "regenerated", JOINTS, **UNITS),)
+
+    def setup(self) -> None:
+        """Spread the matrices' diagonals."""
+        n = len(JOINTS)
+        self._M = spread("inertia", self.p.inertia, n)
+        self._B = spread("damping", self.p.damping, n)
+        self._K = spread("stiffness", self.p.stiffness, n)
+        self._stale = self.p.stale_after * to_ns(self.p.period)
+
+    def start(self) -> None:
+        """Wait for the first reference."""
+        self._q: list[float] = []
+        self._v: list[float] = []
+
+    def update(
+        self, t: int, *, reference: Vector, patient_force: Sample | None, joint_states: Vector
+    ) -> Mapping[str, Vector]:
+        """Give q_r, its rate and acceleration at t."""
+        n, T = len(JOINTS), self.p.period
+        if not self._q:
+            self._q, self._v = list(reference[:n]), list(reference[n : 2 * n])
+        if patient_force is not None and t - patient_force.stamp > self._stale:
+            self.report(Level.ERROR, "patient", "the patient's force has stopped coming: the reference stands still")
+            self._v = [0.0] * n
+            return {"regenerated": (*self._q, *(0.0,) * (2 * n))}
+        fx, _, fz = clip_force(self, patient_force and patient_force.data, self.p.force_limit)
+        x1, x2, z1, z2 = foot_jacobian(joint_states[0], joint_states[1], *self.p.length)
+        torque = (x1 * fx + z1 * fz, x2 * fx + z2 * fz)  # J^T F_e
+        q, v = tuple(self._q), tuple(self._v)
+        a = []
+        for i in range(n):
+            pull = self._B[i] * (reference[n + i] - v[i]) + self._K[i] * (reference[i] - q[i])
+            a.append(reference[2 * n + i] + (pull - torque[i]) / self._M[i])
+            self._v[i] += T * a[i]
+            self._q[i] += T * self._v[i]
+        return {"regenerated": (*q, *v, *a)}
+
+
+main = executable(Impedance)

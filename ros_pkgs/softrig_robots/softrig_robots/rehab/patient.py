@@ -1,0 +1,56 @@
+"""The patient: pushes with the foot now and then, F = A sin^2(pi tau / T_push)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from math import pi, sin
+from typing import Any, Self
+
+from pydantic import model_validator
+from softrig_core.block import Block
+from softrig_core.node import executable
+from softrig_core.params import BlockParams, param
+from softrig_core.port import wrench
+from softrig_core.timebase import to_ns
+
+FOOT = "foot"
+PATIENT_FORCE = "patient_force"
+
+
+class PatientParams(BlockParams):
+    """A push of 20 N forward for 2 s every 10 s (the paper's figure has no numbers)."""
+
+    period: float = param(0.001, "sampling period", "s", gt=0.0)
+    force_x: float = param(20.0, "largest force, forward", "N")
+    force_z: float = param(0.0, "largest force, up", "N")
+    begin: float = param(5.0, "begin of the push in each cycle", "s", ge=0.0)
+    duration: float = param(2.0, "duration T_push of a push", "s", gt=0.0)
+    cycle: float = param(10.0, "time from push to push", "s", gt=0.0)
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        if self.begin + self.duration > self.cycle:
+            raise ValueError(f"begin = {self.begin:g} s and duration = {self.duration:g} s do not fit into "
+                             f"cycle = {self.cycle:g} s")  # fmt: skip
+        return self
+
+
+class Patient(Block):
+    """Publishes the force at the foot at every tick, in axes of the base."""
+
+    Params = PatientParams
+    p: PatientParams
+    OUTPUTS = (wrench(PATIENT_FORCE, PATIENT_FORCE, FOOT),)
+
+    def setup(self) -> None:
+        """Turn times into ns."""
+        self._begin, self._duration, self._cycle = map(to_ns, (self.p.begin, self.p.duration, self.p.cycle))
+
+    def update(self, t: int, **inputs: Any) -> Mapping[str, tuple[float, ...]]:
+        """Give the force at t."""
+        since = t % self._cycle - self._begin
+        share = sin(pi * since / self._duration) ** 2 if 0 <= since < self._duration else 0.0
+        return {PATIENT_FORCE: (self.p.force_x * share, 0.0, self.p.force_z * share, 0.0, 0.0, 0.0)}
+
+
+main = executable(Patient)

@@ -1,0 +1,206 @@
+"""The electrically driven hip and knee robot with the patient's leg in it: equations (1)-(4) of the paper."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from math import radians
+from typing import Literal, Self
+
+from pydantic import model_validator
+from softrig_core.block import Level
+from softrig_core.node import executable
+from softrig_core.params import Params, param
+from softrig_core.port import command, joint_state, wrench
+from softrig_core.timebase import to_ns, to_s
+
+from ..driven_robot import DrivenRobot, DrivenRobotParams, Friction, Vector
+from ..joints import PerJoint, require_positive, spread
+from .force import clip_force
+from .model import JOINTS, LOWER, UPPER, RehabMotors, Segments, rehab_urdf
+from .patient import FOOT, PATIENT_FORCE
+from .prom import PromReference
+
+START = tuple(q + radians(10.0) for q in PromReference().update(0)["reference"][:2])
+
+
+class JointFriction(Params):
+    """Stribeck friction of each joint; see `softrig_robots.driven_robot.Friction`."""
+
+    coulomb: PerJoint = param((0.8,), "Coulomb friction F_c", "N m")
+    static: PerJoint = param((0.9,), "static friction F_s", "N m")
+    viscous: PerJoint = param((1.2,), "viscous friction sigma", "N m s/rad")
+    stribeck_speed: float = param(0.1, "speed v_s at which static friction has gone", "rad/s", gt=0.0)
+    edge_speed: float = param(0.01, "speed v_0 that smooths the change of sign", "rad/s", gt=0.0)
+
+
+class TorqueWindow(Params):
+    """A constant disturbance torque d for some time."""
+
+    torque: PerJoint = param((2.0,), "size", "N m")
+    begin: float = param(35.0, "first instant", "s", ge=0.0)
+    end: float = param(45.0, "first instant without it", "s", ge=0.0)
+
+
+class Drift(Params):
+    """Motor parameters that change linearly over a run."""
+
+    resistance: float = param(0.0, "relative change of R at the end", "", gt=-1.0)
+    constants: float = param(0.0, "relative change of K_m and K_b at the end", "", gt=-1.0)
+    duration: float = param(60.0, "time of the change; constant afterwards", "s", gt=0.0)
+
+
+class RehabParams(DrivenRobotParams):
+    """Published robot in experiment R1; what the paper does not print is said in the README."""
+
+    v_max: float = param(24.0, "voltage limit V_max of each motor", "V", gt=0.0)
+    segments: Segments = Segments()
+    motors: RehabMotors = RehabMotors()
+    friction: JointFriction = JointFriction()
+    torque_constant_side: Literal["motor", "joint"] = param(
+        "motor",
+        "side of the gears on which K_m is meant: motor (as the paper's currents have it) or joint (consistent)",
+    )
+    position: PerJoint = param(START, "q(0); default 10 degrees above the reference", "rad")
+    velocity: PerJoint = param((0.0,), "velocity at t = 0", "rad/s")
+    disturbance: TorqueWindow = TorqueWindow()
+    drift: Drift = Drift()
+    lower: PerJoint = param(LOWER, "lower ends of the range of motion", "rad")
+    upper: PerJoint = param(UPPER, "upper ends of the range of motion", "rad")
+    rom_margin: float = param(radians(5.0), "a joint further outside its range stops the robot", "rad", ge=0.0)
+    rom_speed: float = param(radians(60.0), "a joint faster than this stops the robot", "rad/s", gt=0.0)
+    startup: float = param(3.0, "the speed is not watched before", "s", ge=0.0)
+    start_outside: bool = param(False, "allow q(0) outside the range of motion")
+    force_limit: float = param(200.0, "a larger force at the foot is cut down to this", "N", gt=0.0)
+
+    @model_validator(mode="after")
+    def _possible(self) -> Self:
+        n = len(JOINTS)
+        self.motors.table(n)
+        for name in ("coulomb", "static", "viscous"):
+            values = spread(f"friction.{name}", getattr(self.friction, name), n)
+            require_positive(f"friction.{name}", values, or_zero=True)
+        spread("disturbance.torque", self.disturbance.torque, n)
+        spread("velocity", self.velocity, n)
+        q = spread("position", self.position, n)
+        low, high = spread("lower", self.lower, n), spread("upper", self.upper, n)
+        for i, joint in enumerate(JOINTS):
+            if low[i] >= high[i]:
+                raise ValueError(f"lower = {list(self.lower)} and upper = {list(self.upper)}: expected lower < upper")
+            if not self.start_outside and not low[i] <= q[i] <= high[i]:
+                raise ValueError(f"position of the {joint} = {q[i]:g} rad is outside its range {low[i]:g} to "
+                                 f"{high[i]:g} rad (start_outside allows it)")  # fmt: skip
+        return self
+
+
+class RehabPlant(DrivenRobot):
+    """Motor voltages and the patient's force in; joints, motors and the voltages really applied out.
+
+    The force acts at the foot with the sign of the left side of (1): positive J^T F_e opposes positive motion.
+    A joint outside its range of motion or too fast stops the robot: 0 V until the next start.
+    """
+
+    Params = RehabParams
+    p: RehabParams
+    TIP = FOOT
+    INPUTS = (
+        command("motor_command", "motor_command", JOINTS, "V"),
+        wrench(PATIENT_FORCE, PATIENT_FORCE, FOOT, held=True),
+    )
+    OUTPUTS = (
+        joint_state("joint_states", "joint_states", JOINTS, position="rad", velocity="rad/s", effort="N m"),
+        joint_state("motor_states", "motor_states", JOINTS, effort="A"),
+        command("applied_voltage", "applied_voltage", JOINTS, "V"),
+    )
+
+    def robot(self) -> str:
+        """Write the URDF."""
+        return rehab_urdf(self.p.segments, spread("lower", self.p.lower, 2), spread("upper", self.p.upper, 2))
+
+    def initial(self) -> tuple[Vector, Vector]:
+        """Give q(0) and its rate."""
+        return spread("position", self.p.position, self.n), spread("velocity", self.p.velocity, self.n)
+
+    def friction(self) -> Friction:
+        """Give the friction at the joints."""
+        f = self.p.friction
+        coulomb, static, viscous = (
+            spread(f"friction.{k}", getattr(f, k), self.n) for k in ("coulomb", "static", "viscous")
+        )
+        return Friction(coulomb, static, viscous, f.stribeck_speed, f.edge_speed)
+
+    def setup(self) -> None:
+        """Prepare disturbance, drift and limits."""
+        super().setup()
+        p = self.p
+        none = (0.0,) * self.n
+        self._undisturbed, self._disturbed = (none, none), (none, spread("d", p.disturbance.torque, self.n))
+        self._begin, self._end = to_ns(p.disturbance.begin), to_ns(p.disturbance.end)
+        self._drifts = p.drift.resistance != 0.0 or p.drift.constants != 0.0
+        low, high = spread("lower", p.lower, self.n), spread("upper", p.upper, self.n)
+        self._low = tuple(q - p.rom_margin for q in low)
+        self._high = tuple(q + p.rom_margin for q in high)
+        self._startup = to_ns(p.startup)
+
+    def torque_constants(self, table: Mapping[str, Vector]) -> Vector:
+        """Give the torque constants on the joint side of the gears, N m/A."""
+        if self.p.torque_constant_side == "joint":
+            return table["torque_constant"]
+        return super().torque_constants(table)
+
+    def start(self) -> None:
+        """Put the leg at its initial state and say what is odd about the motor table."""
+        super().start()
+        self._force: Vector = self.nowhere
+        self.applied: Vector = (0.0,) * self.n
+        self.safe = False
+        if self._drifts:
+            self.set_motors(1.0, 1.0)
+        table = self._table
+        shaft = [k * r for k, r in zip(self.torque_constants(table), table["gear"], strict=True)]
+        ratios = [k / b for k, b in zip(shaft, table["back_emf_constant"], strict=True)]
+        if any(abs(ratio - 1.0) > 0.2 for ratio in ratios):
+            text = (
+                f"K_m/K_b = {[float(f'{x:.4g}') for x in ratios]} at the motor shaft, where SI units need 1: these "
+                "motors give more mechanical than electrical power"
+            )
+            self.report(Level.WARN, "torque_constant", text)
+
+    def loads(self, t: int) -> tuple[Vector, Vector]:
+        """Give the disturbance torques; no voltage drop."""
+        return self._disturbed if self._begin <= t < self._end else self._undisturbed
+
+    def advance(self, t: int, *, motor_command: Vector, patient_force: Vector | None = None) -> None:
+        """Move with the clipped voltages and the force held."""
+        self._watch(t)
+        if self._drifts:
+            done = min(1.0, to_s(t) / self.p.drift.duration)
+            self.set_motors(1.0 + done * self.p.drift.resistance, 1.0 + done * self.p.drift.constants)
+        self._force = clip_force(self, patient_force, self.p.force_limit)
+        self.applied = (0.0,) * self.n if self.safe else self.clip(motor_command)
+        self.move(t, self.applied, self._force)
+
+    def _watch(self, t: int) -> None:
+        """Stop the robot when a joint is where or as fast as it must not be."""
+        q, v = self.x[: self.n], self.x[self.n : 2 * self.n]
+        for i, joint in enumerate(JOINTS):
+            if not self._low[i] <= q[i] <= self._high[i]:
+                reason = f"{joint} at {q[i]:.4g} rad, range {self._low[i]:.4g} to {self._high[i]:.4g} rad"
+            elif t >= self._startup and abs(v[i]) > self.p.rom_speed:
+                reason = f"{joint} at {v[i]:.4g} rad/s, limit {self.p.rom_speed:.4g} rad/s"
+            else:
+                continue
+            if not self.safe:
+                self.safe = True
+                self.report(Level.ERROR, "safe", f"SAFE from t = {to_s(t):.9g} s, motors at 0 V: {reason}")
+
+    def outputs(self, t: int) -> Mapping[str, Vector]:
+        """Give joint states with the torques behind the gears, currents, and the voltages of the last period."""
+        n = self.n
+        return {
+            "joint_states": (*self.x[: 2 * n], *self.gear_torques(t, self._force)),
+            "motor_states": self.x[2 * n :],
+            "applied_voltage": self.applied,
+        }
+
+
+main = executable(RehabPlant)

@@ -1,0 +1,85 @@
+"""Passive range-of-motion exercise: sigmoids from the lower to the upper end of the range and back, equation (26)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from math import exp, radians
+from typing import Any, Self
+
+from pydantic import model_validator
+from softrig_core.block import Block
+from softrig_core.node import executable
+from softrig_core.params import BlockParams, param
+from softrig_core.port import reference
+from softrig_core.timebase import to_ns, to_s
+
+from ..joints import PerJoint, require_positive, spread
+from .model import JOINTS, LOWER, UPPER
+
+
+class PromReferenceParams(BlockParams):
+    """Published exercise; the centres of the sigmoids and the cycle are not printed in the paper."""
+
+    period: float = param(0.001, "sampling period", "s", gt=0.0)
+    lower: PerJoint = param(LOWER, "lower ends of the range of motion", "rad")
+    upper: PerJoint = param(UPPER, "upper ends of the range of motion", "rad")
+    speed: PerJoint = param((radians(30.0),), "largest speed; fixes the width a = range/(4 speed)", "rad/s")
+    cycle: float = param(30.0, "duration of one repetition T_prd", "s", gt=0.0)
+    eta1: float = param(8.0, "centre of the way up", "s", gt=0.0)
+    eta2: float = param(22.0, "centre of the way down", "s", gt=0.0)
+
+    @model_validator(mode="after")
+    def _possible(self) -> Self:
+        n = len(JOINTS)
+        for low, high in zip(spread("lower", self.lower, n), spread("upper", self.upper, n), strict=True):
+            if low >= high:
+                raise ValueError(f"lower = {list(self.lower)} and upper = {list(self.upper)}: expected lower < upper")
+        require_positive("speed", spread("speed", self.speed, n))
+        if not self.eta1 < self.eta2 < self.cycle:
+            raise ValueError(f"eta1 = {self.eta1:g} s, eta2 = {self.eta2:g} s, cycle = {self.cycle:g} s: expected "
+                             "eta1 < eta2 < cycle")  # fmt: skip
+        return self
+
+
+class PromReference(Block):
+    """Publishes positions, velocities and accelerations at every tick."""
+
+    Params = PromReferenceParams
+    p: PromReferenceParams
+    OUTPUTS = (
+        reference("reference", "reference", JOINTS, position="rad", velocity="rad/s", acceleration="rad/s^2"),
+    )  # fmt: skip
+
+    def setup(self) -> None:
+        """Derive range and width of each joint."""
+        n = len(JOINTS)
+        self._low = spread("lower", self.p.lower, n)
+        self._range = [high - low for low, high in zip(self._low, spread("upper", self.p.upper, n), strict=True)]
+        self._width = [r / (4.0 * v) for r, v in zip(self._range, spread("speed", self.p.speed, n), strict=True)]
+        self._cycle = to_ns(self.p.cycle)
+
+    def update(self, t: int, **inputs: Any) -> Mapping[str, tuple[float, ...]]:
+        """Give the reference at t."""
+        eta = to_s(t % self._cycle)
+        q, v, a = [], [], []
+        for low, span, width in zip(self._low, self._range, self._width, strict=True):
+            y, yd, ydd = _bump(eta, self.p.eta1, self.p.eta2, width)
+            q.append(span * y + low)
+            v.append(span * yd)
+            a.append(span * ydd)
+        return {"reference": (*q, *v, *a)}
+
+
+def _bump(eta: float, eta1: float, eta2: float, width: float) -> Sequence[float]:
+    """y(eta, eta1) - y(eta, eta2) and its first two derivatives, y = 1/(1 + exp(-(eta - eta_i)/width))."""
+    up = 1.0 / (1.0 + exp(-(eta - eta1) / width))
+    down = 1.0 / (1.0 + exp(-(eta - eta2) / width))
+    up_rate, down_rate = up * (1.0 - up) / width, down * (1.0 - down) / width
+    return (
+        up - down,
+        up_rate - down_rate,
+        (up_rate * (1.0 - 2.0 * up) - down_rate * (1.0 - 2.0 * down)) / width,
+    )
+
+
+main = executable(PromReference)
