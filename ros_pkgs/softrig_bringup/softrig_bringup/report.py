@@ -305,12 +305,15 @@ def _parameters(run: Run) -> Iterator[Element]:
         units = run.units.get(node, {})
         count = f"{len(values)} parameter{'' if len(values) == 1 else 's'}"
         summary = _e("summary", _e("code", node), _e("span", f" {count}", class_="note"))
-        shown = {name: f"{_value(value)} {pretty_unit(units.get(name, ''))}" for name, value in values.items()}
+        shown = {name: _value(value, units.get(name, "")) for name, value in values.items()}
         yield _e("details", summary, _pairs(shown))
 
 
-def _value(value: Any) -> str:
-    return value if isinstance(value, str) else NONE if value is None else json.dumps(value)
+def _value(value: Any, unit: str) -> str:
+    if value is None:
+        return NONE
+    text = value if isinstance(value, str) else json.dumps(value)
+    return f"{text} {pretty_unit(unit)}".rstrip()
 
 
 def _pairs(values: Mapping[str, str]) -> Element:
