@@ -31,6 +31,7 @@ setup(
             "prom_reference = softrig_robots.rehab.prom:main",
             "patient = softrig_robots.rehab.patient:main",
             "impedance = softrig_robots.rehab.impedance:main",
+            "rehab_metrics = softrig_robots.rehab.metrics:main",
             "voltage_controller = softrig_robots.rehab.controller:main",
             "vcs_controller = softrig_robots.manipulator.controller:main",
         ]

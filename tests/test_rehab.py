@@ -1,0 +1,459 @@
+"""Rehabilitation robot: dynamics against an independent Lagrangian, the sheet's acceptance numbers, bad input."""
+
+import functools
+import math
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+import softrig_robots
+from conftest import in_process
+from scipy.integrate import solve_ivp
+from softrig_bringup.run import evaluate
+from softrig_core import metrics
+from softrig_core.block import Level
+from softrig_core.inprocess import run_inprocess
+from softrig_core.params import ParameterError, build
+from softrig_core.port import Sample
+from softrig_core.rig import Rig
+from softrig_core.scenario import list_scenarios, load_scenario
+from softrig_core.signals import Signals
+from softrig_robots.driven_robot import compile_robot
+from softrig_robots.dynamics import RobotDynamics
+from softrig_robots.metrics import repeatability
+from softrig_robots.rehab.controller import VoltageController
+from softrig_robots.rehab.emvc import Emvc
+from softrig_robots.rehab.impedance import Impedance
+from softrig_robots.rehab.metrics import RehabMetrics
+from softrig_robots.rehab.model import JOINTS, foot_jacobian, rehab_urdf
+from softrig_robots.rehab.patient import Patient
+from softrig_robots.rehab.plant import RehabPlant
+from softrig_robots.rehab.prom import PromReference
+from softrig_robots.rehab.stability import alpha_hat_limit
+
+URDF = Path(softrig_robots.__file__).parent / "urdf"
+G = 9.81
+E_SIGNAL = [f"controller_state/e_{joint}/position" for joint in JOINTS]
+V_SIGNAL = [f"motor_command/{joint}/effort" for joint in JOINTS]
+DRIFT = {"rehab_plant.drift.resistance": 0.3, "rehab_plant.drift.constants": -0.09}
+
+
+# The sheet's closed form, no URDF and no pinocchio.
+
+
+@functools.cache
+def lagrangian():
+    q, v = ca.SX.sym("q", 2), ca.SX.sym("v", 2)
+    (m1, m2), (l1, _), (d1, d2), (i1, i2) = (5.5, 5.0), (0.5, 0.45), (0.45, 0.40), (0.25, 0.20)
+    coupling = m2 * l1 * d2 * ca.cos(q[1])
+    m22 = i2 + m2 * d2**2
+    m12 = m22 + coupling
+    M = ca.blockcat([[i1 + m1 * d1**2 + m2 * l1**2 + m22 + 2 * coupling, m12], [m12, m22]])
+    h = m2 * l1 * d2 * ca.sin(q[1])
+    shank = G * m2 * d2 * ca.sin(q[0] + q[1])
+    gravity = ca.vertcat(G * (m1 * d1 + m2 * l1) * ca.sin(q[0]) + shank, shank)
+    bias = ca.vertcat(-h * (2 * v[0] * v[1] + v[1] ** 2), h * v[0] ** 2) + gravity
+    height = -G * ((m1 * d1 + m2 * l1) * ca.cos(q[0]) + m2 * d2 * ca.cos(q[0] + q[1]))
+    return ca.Function("lagrangian", [q, v], [M, bias, gravity, 0.5 * v.T @ M @ v + height])
+
+
+def dynamics(q, v, tau):
+    block = RobotDynamics(urdf="package://softrig_robots/urdf/rehab_leg.urdf", joints=JOINTS, tool="foot")
+    return block.update(0, joint_query=(*q, *v, *tau), reference=None)
+
+
+@functools.cache
+def _run(name, duration, overrides):
+    scenario = load_scenario(name, dict(overrides))
+    if duration:
+        scenario = scenario.model_copy(update={"duration": duration})
+    return Signals(in_process(Rig.from_scenario(scenario)))
+
+
+def run(name, duration=None, **overrides):
+    return _run(name, duration, tuple(sorted({k.replace("__", "."): v for k, v in overrides.items()}.items())))
+
+
+# dynamics and plant, B1 ------------------------------------------------------------------------------------------
+
+
+def test_dynamics_node_gives_the_sheets_values():
+    found = dynamics((0.3 + math.pi / 2, -0.7), (0.4, -0.5), (0.0, 0.0))
+    assert found["mass_matrix"] == pytest.approx((5.143434, 1.764842, 1.764842, 1.0), abs=1e-5)
+    assert found["bias"] == pytest.approx((64.599543, 17.968142), abs=1e-5)
+    assert found["gravity"] == pytest.approx((64.696175, 18.071217), abs=1e-5)
+
+
+def test_dynamics_node_agrees_with_the_lagrangian():
+    rng = np.random.default_rng(0)
+    block = RobotDynamics(urdf="package://softrig_robots/urdf/rehab_leg.urdf", joints=JOINTS, tool="foot")
+    for q, v, tau in zip(rng.uniform(-3, 3, (200, 2)), rng.uniform(-5, 5, (200, 2)), rng.uniform(-50, 50, (200, 2)),
+                         strict=True):  # fmt: skip
+        M, bias, gravity, _ = (np.array(x) for x in lagrangian()(q, v))
+        found = block.update(0, joint_query=(*q, *v, *tau), reference=None)
+        np.testing.assert_allclose(found["mass_matrix"], M.ravel(), rtol=1e-9, atol=1e-10)
+        np.testing.assert_allclose(found["bias"], bias.ravel(), rtol=1e-9, atol=1e-8)
+        np.testing.assert_allclose(found["gravity"], gravity.ravel(), rtol=1e-9, atol=1e-8)
+        expected = np.linalg.solve(M, tau - bias.ravel())
+        np.testing.assert_allclose(found["forward_dynamics"], expected, rtol=1e-9, atol=1e-9)
+        jacobian = np.reshape(found["jacobian"], (6, 2))
+        np.testing.assert_allclose(foot_jacobian(*q, 0.5, 0.45), jacobian[[0, 0, 2, 2], [0, 1, 0, 1]], atol=1e-12)
+
+
+def test_committed_urdf_is_what_the_tables_give():
+    assert (URDF / "rehab_leg.urdf").read_text() == rehab_urdf()
+
+
+def test_free_fall_meets_the_sheet_and_keeps_its_energy():
+    step, _, n = compile_robot(rehab_urdf(), "foot")
+    plant = (*(1.0,) * (2 * n), *(0.0,) * (7 * n), 1.0, 1.0, 0.0)
+    x = (0.3 + math.pi / 2, 0.5, 0.5, -0.2, 0.0, 0.0)
+    energies = [float(lagrangian()(x[:2], x[2:4])[3])]
+    for _ in range(2000):
+        x = step((*x, *(0.0,) * (2 * n + 3), *plant, 1e-3))
+        energies.append(float(lagrangian()(x[:2], x[2:4])[3]))
+    assert x[:4] == pytest.approx((0.0608892 + math.pi / 2, -0.8232877, 0.0086585, 8.8828099), abs=1e-6)
+    assert np.ptp(energies) < 1e-7
+
+
+def test_plant_agrees_with_an_independent_integrator():
+    plant = RehabPlant(position=[0.4, -0.9], velocity=[0.3, -0.2], payload=2.0, substeps=8, startup=10.0,
+                       disturbance={"torque": [2.0, 1.0], "begin": 0.05, "end": 0.1})  # fmt: skip
+    force = np.array([10.0, -6.0])
+
+    def derivative(t, x, volts, disturbance):
+        q, v, i = x[:2], x[2:4], x[4:]
+        M, bias, _, _ = (np.array(a) for a in lagrangian()(q, v))
+        x1, x2, z1, z2 = foot_jacobian(*q, 0.5, 0.45)
+        J = np.array([[x1, x2], [z1, z2]])
+        h = 1e-7  # 2 kg at the foot: J^T m (J a + J' v + g)
+        J_ahead = np.reshape(foot_jacobian(*(q + h * v), 0.5, 0.45), (2, 2))
+        J_behind = np.reshape(foot_jacobian(*(q - h * v), 0.5, 0.45), (2, 2))
+        c = (J_ahead - J_behind) / (2 * h) @ v + np.array([0.0, G])
+        M = M + 2.0 * J.T @ J + np.eye(2) * 2e-4 * 256
+        bias = bias.ravel() + 2.0 * J.T @ c
+        friction = (0.8 + 0.1 * np.exp(-((v / 0.1) ** 2))) * np.tanh(v / 0.01) + 1.2 * v
+        motor = 4.32 * 16 * i - 1e-3 * 256 * v
+        a = np.linalg.solve(M, motor - friction - bias - J.T @ force - disturbance)
+        return np.concatenate([v, a, (volts - 4.0 * i - 4.592 * v) / 2.5e-3])
+
+    x = np.array([0.4, -0.9, 0.3, -0.2, 0.0, 0.0])
+    for begin, end, d in ((0.0, 0.05, 0.0), (0.05, 0.1, 1.0), (0.1, 0.15, 0.0)):
+        x = solve_ivp(derivative, (begin, end), x, args=(np.array([3.0, -1.0]), d * np.array([2.0, 1.0])),
+                      method="DOP853", rtol=1e-9, atol=1e-11).y[:, -1]  # fmt: skip
+    for k in range(150):
+        plant.advance(k * 1_000_000, motor_command=(3.0, -1.0), patient_force=(10.0, 0.0, -6.0, 0.0, 0.0, 0.0))
+    np.testing.assert_allclose(plant.x, x, atol=1e-6)
+
+
+def test_substeps_agree_to_four_digits():
+    two, eight = (run("rehab_impedance", 5.0, rehab_plant__substeps=n) for n in (2, 8))
+    for e in E_SIGNAL:
+        assert metrics.rms(two, e) == pytest.approx(metrics.rms(eight, e), rel=1e-4)
+
+
+def test_gear_torque_balances_the_leg():
+    plant = RehabPlant(
+        friction={"coulomb": 0.0, "static": 0.0, "viscous": 0.0}, motors={"inertia": 0.0, "damping": 0.0}
+    )
+    plant.x = (0.5, -0.6, 0.0, 0.0, 0.2, -0.1)
+    assert plant.outputs(0)["joint_states"][4:] == pytest.approx((0.2 * 69.12, -0.1 * 69.12))
+    geared = RehabPlant(friction={"coulomb": 0.0, "static": 0.0, "viscous": 0.0})
+    geared.x = plant.x
+    M, bias, _, _ = (np.array(a) for a in lagrangian()(plant.x[:2], plant.x[2:4]))
+    motor = np.array([0.2 * 69.12, -0.1 * 69.12])
+    a = np.linalg.solve(M + np.eye(2) * 0.0512, motor - bias.ravel())
+    assert geared.outputs(0)["joint_states"][4:] == pytest.approx(motor - 0.0512 * a)
+
+
+def test_reference_meets_the_sheet_and_its_derivatives_fit():
+    source = PromReference()
+
+    def at(t):
+        return np.degrees(source.update(round(t * 1e9))["reference"])
+
+    assert at(0.0)[:2] == pytest.approx((-29.751, -89.998), abs=1e-3)
+    assert at(8.0)[:2] == pytest.approx((44.998, -45.0), abs=1e-3)
+    assert at(8.0)[2:4] == pytest.approx((30.0, 30.0), abs=5e-3)  # the way down takes 0.0016 deg/s off the hip
+    assert at(15.0)[:2] == pytest.approx((118.895, -0.016), abs=1e-3)
+    assert at(30.0)[2] == pytest.approx(0.199, abs=1e-3)
+    assert at(30.0 - 1e-9)[2] == pytest.approx(-0.199, abs=1e-3)
+    for t in (3.0, 8.0, 12.3, 22.0, 40.0):
+        h = 1e-4
+        np.testing.assert_allclose(at(t)[2:4], (at(t + h) - at(t - h))[:2] / (2 * h), atol=1e-6)
+        np.testing.assert_allclose(at(t)[4:], (at(t + h) - at(t - h))[2:4] / (2 * h), atol=1e-6)
+
+
+# scenarios, B2, B4, B5, B7, B8, B9 and stretch -------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", sorted(n for n in list_scenarios() if n.startswith("rehab_impedance")))
+def test_scenario_meets_the_sheet(name):
+    found = evaluate(load_scenario(name), run(name))
+    assert found
+    assert [f"{m['name']} = {m['value']}" for m in found if not m["pass"]] == []
+
+
+def rms(signals):
+    return np.array([metrics.rms(signals, e, start=3.0) for e in E_SIGNAL])
+
+
+def test_only_the_ratio_of_alpha_hat_and_period_matters():
+    fine = {f"{n}__period": 0.00025 for n in ("rehab_plant", "prom_reference", "voltage_controller")}
+    finer = run("rehab_impedance", 12.0, voltage_controller__emvc__alpha_hat=1.148, rehab_plant__substeps=1, **fine)
+    nominal, coarse = (run(name, 12.0) for name in ("rehab_impedance", "rehab_impedance_3ms"))
+    np.testing.assert_allclose(rms(finer), rms(nominal), rtol=0.03)
+    np.testing.assert_allclose(rms(coarse), rms(nominal), rtol=0.03)
+
+
+def test_order_of_the_laws():
+    emvc = rms(run("rehab_impedance"))
+    assert (emvc < rms(run("rehab_impedance_r2")) / 20).all()
+    assert (emvc < rms(run("rehab_impedance_r3")) / 50).all()
+    assert (emvc < rms(run("rehab_impedance_r2_strong")) / 8).all()
+    assert (emvc < rms(run("rehab_impedance_r3_strong")) / 20).all()
+
+
+# B3: the identity behind the law
+
+
+@pytest.mark.parametrize("drift", [{}, DRIFT], ids=["steady", "drift"])
+@pytest.mark.parametrize("resistance", [1.0, 8.0])
+def test_law_is_an_integrator_whatever_the_resistance(resistance, drift):
+    signals = run("rehab_impedance", 8.0, voltage_controller__emvc__resistance=resistance, **drift)
+    nominal = run("rehab_impedance", 8.0, **drift)
+    for joint in JOINTS:
+        v = signals[f"motor_command/{joint}/effort"].x
+        e = signals[f"controller_state/e_{joint}/position"].x
+        n = v.size
+        rate = signals[f"reference/{joint}/velocity"].x - signals[f"joint_states/{joint}/velocity"].x[:n]
+        free = np.abs(v) < 24.0
+        residual = (v[1:] - v[:-1] - 4.592 * (rate + 4.0 * e)[1:])[free[1:]]
+        assert free.sum() > 7000
+        assert np.abs(residual).max() < 1e-9
+        q = [s[f"joint_states/{joint}/position"].x for s in (signals, nominal)]
+        assert np.abs(q[0] - q[1]).max() < 1e-9
+
+
+def test_law_goes_on_from_the_voltage_that_the_plant_applied():
+    tight = {"rehab_plant__v_max": 6.0, "rehab_plant__disturbance__torque": 0.0}
+    fed = run("rehab_impedance", 6.0, **tight)
+    blind = run("rehab_impedance", 6.0, voltage_controller__use_applied=False, **tight)
+    agreed = run("rehab_impedance", 6.0, voltage_controller__v_max=6.0, **tight)
+    for e, v in zip(E_SIGNAL, V_SIGNAL, strict=True):
+        assert metrics.peak(fed, e, start=3.0) < math.radians(0.02)
+        np.testing.assert_allclose(fed[e].x, agreed[e].x, atol=1e-12)
+        assert metrics.peak(fed, v) > 6.0
+    fed_limited, blind_limited = (np.abs(s[V_SIGNAL[0]].x) > 6.0 for s in (fed, blind))
+    assert blind_limited.sum() > 2 * fed_limited.sum()  # winds up and comes back late
+
+
+# B6: repeatability, equation (25)
+
+
+def test_errors_repeat_whatever_happens_to_the_plant():
+    plain = run("rehab_impedance_r7")
+    for other, expected, limit in (
+        (run("rehab_impedance"), (8e-8, 5e-8), 1e-6),
+        (run("rehab_impedance_r4"), None, 1e-5),
+        (run("rehab_impedance_r7_payload"), (1.5e-3, 2e-4), 5e-3),
+    ):
+        found = [repeatability(plain, other, e) for e in E_SIGNAL]
+        assert max(found) < limit
+        if expected:
+            assert found == pytest.approx(expected, rel=0.06)
+
+
+# B9: stability
+
+
+@pytest.mark.parametrize(
+    ("lam", "limit", "delayed"),
+    [(1.0, 6.89, 2.66), (2.0, 6.30, 2.43), (4.0, 5.11, 1.97), (6.0, 3.92, 1.50), (8.0, 2.73, 1.04), (16.0, 0.0, 0.0)],
+)
+def test_stability_limits_are_the_sheets(lam, limit, delayed):
+    assert alpha_hat_limit(1e-3, lam, False) == pytest.approx(limit, abs=0.01)
+    assert alpha_hat_limit(1e-3, lam, True) == pytest.approx(delayed, abs=0.01)
+
+
+@pytest.mark.parametrize(("T", "delayed"), [(2e-3, 2.43), (5e-4, 1.42), (2.5e-4, 0.91)])
+def test_stability_limit_over_the_period(T, delayed):
+    assert alpha_hat_limit(T, 4.0, False) == pytest.approx(5.11e3 * T, rel=0.002)
+    assert alpha_hat_limit(T, 4.0, True) == pytest.approx(delayed, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("values", "limit"),
+    [
+        ({"emvc.alpha_hat": 5.2}, "5.11"),
+        ({"loop_delay": True, "use_applied": False}, "1.97"),
+        ({"emvc.lam": 8.0}, "2.73"),
+    ],
+)
+def test_gain_above_the_limit_warns_with_the_limit(values, limit):
+    level, text, _ = VoltageController(build(VoltageController.Params, values)).reports["stability hip"]
+    assert level == Level.WARN
+    assert f"stability limit {limit}" in text
+    assert VoltageController().reports == {}
+
+
+def test_stretch_beats_the_default_gain():
+    default, edge = (rms(run(n, 12.0)) for n in ("rehab_impedance_r7", "rehab_impedance_stretch"))
+    np.testing.assert_allclose(np.degrees(default), (0.0040, 0.0025), atol=6e-5)
+    assert (edge < 0.85 * default).all()
+
+
+# impedance -------------------------------------------------------------------------------------------------------
+
+
+def impedance_run(force, ticks, block=None, start=0):
+    block = block or Impedance()
+    found = []
+    for k in range(start, start + ticks):
+        wrench = None if force is None else Sample(k * 1_000_000, (*force, 0.0, 0.0, 0.0))
+        found.append(block.update(k * 1_000_000, reference=(0.5, -0.5, 0.0, 0.0, 0.0, 0.0), patient_force=wrench,
+                                  joint_states=(0.5, -0.5))["regenerated"])  # fmt: skip
+    return block, np.array(found)
+
+
+def test_impedance_is_a_second_order_filter_of_the_force():
+    _, found = impedance_run((12.0, 0.0, 5.0), 1500)
+    x1, x2, z1, z2 = foot_jacobian(0.5, -0.5, 0.5, 0.45)
+    torque = np.array([12.0 * x1 + 5.0 * z1, 12.0 * x2 + 5.0 * z2])
+    t = np.arange(1500) * 1e-3
+    for i, rest in enumerate((0.5, -0.5)):
+        expected = rest - torque[i] / 100.0 * (1.0 - (1.0 + 10.0 * t) * np.exp(-10.0 * t))
+        np.testing.assert_allclose(found[:, i], expected, atol=2e-3 * abs(torque[i]) / 100.0 * 5)
+    assert np.array_equal(impedance_run(None, 10)[1][:, :2], np.tile([0.5, -0.5], (10, 1)))
+
+
+def test_lost_patient_freezes_the_reference_and_is_taken_up_again():
+    block, _ = impedance_run((12.0, 0.0, 0.0), 200)
+    last = Sample(199_000_000, (12.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+    still = [block.update(k * 1_000_000, reference=(0.5, -0.5, 0.0, 0.0, 0.0, 0.0), patient_force=last,
+                          joint_states=(0.5, -0.5))["regenerated"] for k in range(200, 300)]  # fmt: skip
+    frozen = still[-1]
+    assert [s == frozen for s in still].count(True) == 80  # 20 periods of patience
+    assert frozen[2:] == (0.0,) * 4
+    assert block.reports["patient"][0] == Level.ERROR
+    _, again = impedance_run((12.0, 0.0, 0.0), 3, block, start=300)
+    assert again[0][:2].tolist() == list(frozen[:2])
+    assert abs(again[2][0] - frozen[0]) < 1e-4
+
+
+def test_large_force_is_cut_down_with_a_warning():
+    for limited, same in (((500.0, 0.0, 0.0), (200.0, 0.0, 0.0)), ((300.0, 0.0, -400.0), (120.0, 0.0, -160.0))):
+        block, found = impedance_run(limited, 20)
+        np.testing.assert_allclose(found, impedance_run(same, 20)[1], atol=1e-15)
+        assert block.reports["force"][0] == Level.WARN
+    plants = [RehabPlant(), RehabPlant()]
+    for plant, force in zip(plants, (500.0, 200.0), strict=True):
+        plant.advance(0, motor_command=(0.0, 0.0), patient_force=(force, 0.0, 0.0, 0.0, 0.0, 0.0))
+    assert plants[0].x == plants[1].x
+    assert "force" in plants[0].reports
+    assert "force" not in plants[1].reports
+
+
+def test_patient_pushes_as_the_sheet_says():
+    patient = Patient()
+    for t, expected in ((4.9, 0.0), (5.0, 0.0), (5.5, 10.0), (6.0, 20.0), (7.0, 0.0), (16.0, 20.0)):
+        force = patient.update(round(t * 1e9))["patient_force"]
+        assert force == pytest.approx((expected, 0.0, 0.0, 0.0, 0.0, 0.0), abs=1e-12)
+
+
+# safety and bad input --------------------------------------------------------------------------------------------
+
+
+def test_joint_outside_its_range_stops_the_robot():
+    plant = RehabPlant(position=[0.0, -0.05], speed_limit=1000.0)
+    for k in range(400):
+        plant.advance(k * 1_000_000, motor_command=(0.0, 12.0))
+        if plant.safe:
+            break
+    assert plant.x[1] > math.radians(5.0)
+    level, text, _ = plant.reports["safe"]
+    assert level == Level.ERROR
+    assert text.startswith("SAFE from t = ")
+    assert "knee at " in text
+    plant.advance(k * 1_000_000, motor_command=(12.0, 12.0))
+    assert plant.outputs(0)["applied_voltage"] == (0.0, 0.0)
+    plant.reset(0)
+    assert not plant.safe
+
+
+def test_fast_joint_stops_the_robot_after_the_start():
+    plant = RehabPlant(startup=0.05, rom_speed=0.5, position=[0.0, -1.0])
+    stopped = None
+    for k in range(200):
+        plant.advance(k * 1_000_000, motor_command=(0.0, 6.0))
+        stopped = k if plant.safe and stopped is None else stopped
+    assert stopped is not None
+    assert stopped >= 50
+    assert "limit 0.5 rad/s" in plant.reports["safe"][1]
+
+
+@pytest.mark.parametrize(("side", "warns"), [("motor", True), ("joint", False)])
+def test_inconsistent_motor_table_is_said_at_the_start(side, warns):
+    plant = RehabPlant(torque_constant_side=side)
+    assert plant.torque_per_ampere == ((69.12,) * 2 if side == "motor" else (4.32,) * 2)
+    assert ("torque_constant" in plant.reports) == warns
+
+
+@pytest.mark.parametrize(
+    ("block", "values", "message"),
+    [
+        (VoltageController, {"emvc.alpha_hat": 0.0}, r"alpha_hat = \[0\.0\]: expected only positive"),
+        (VoltageController, {"emvc.lam": -1.0}, r"lam = \[-1\.0\]"),
+        (VoltageController, {"emvc.alpha_hat": [1.0, 2.0, 3.0]}, r"emvc\.alpha_hat .* has 3 values, expected 1 or 2"),
+        (VoltageController, {"law": "pid"}, "law = 'pid'"),
+        (VoltageController, {"v_max": 0.0}, "v_max = 0.0"),
+        (VoltageController, {"period": 0.0}, "period = 0.0"),
+        (Impedance, {"inertia": 0.0}, r"inertia = \[0\.0, 0\.0\]: expected only positive"),
+        (Impedance, {"damping": [-1.0, 20.0]}, r"damping = \[-1\.0, 20\.0\]: expected no negative"),
+        (Impedance, {"stiffness": -1.0}, r"stiffness = .*no negative"),
+        (PromReference, {"eta1": 23.0}, "eta1 = 23 s.*expected eta1 < eta2 < cycle"),
+        (PromReference, {"eta2": 31.0}, "eta2 = 31 s"),
+        (PromReference, {"lower": [2.5, -1.0]}, "expected lower < upper"),
+        (PromReference, {"speed": 0.0}, "speed = "),
+        (Patient, {"begin": 9.0}, "do not fit into cycle = 10 s"),
+        (RehabPlant, {"position": [-0.6, -1.0]}, "position of the hip = -0.6 rad is outside its range"),
+        (RehabPlant, {"segments.mass": [5.5, -5.0]}, r"segments\.mass\[1\] = -5 kg"),
+        (RehabPlant, {"segments.inertia": [0.0, 0.2]}, r"segments\.inertia\[0\]"),
+        (RehabPlant, {"friction.static": -0.1}, r"friction\.static"),
+        (RehabPlant, {"motors.gear": 0.0}, r"motors\.gear"),
+        (RehabPlant, {"v_max": -1.0}, "v_max = -1.0"),
+        (RehabPlant, {"upper": [2.0, -2.0]}, "expected lower < upper"),
+    ],
+)
+def test_bad_parameters_are_named(block, values, message):
+    with pytest.raises(ParameterError, match=message):
+        build(block.Params, values)
+
+
+def test_start_outside_the_range_can_be_allowed():
+    assert RehabPlant(position=[-0.6, -1.0], start_outside=True).x[0] == -0.6
+
+
+def test_figures_while_running_equal_those_of_the_recording():
+    scenario = load_scenario("rehab_impedance").model_copy(update={"duration": 6.0})
+    node = scenario.nodes["prom_reference"].model_copy(update={"executable": "rehab_metrics"})
+    rig = Rig.from_scenario(scenario.model_copy(update={"nodes": scenario.nodes | {"metrics": node}}))
+    block = run_inprocess(rig, 0)["metrics"]
+    assert isinstance(block, RehabMetrics)
+    figures = {k: v for k, (v, _) in block.status().items()}
+    signals = run("rehab_impedance", 6.0)
+    for joint, e in zip(JOINTS, E_SIGNAL, strict=True):
+        assert figures[f"late_rms_error {joint}"] == pytest.approx(math.degrees(metrics.rms(signals, e, start=3.0)))
+        for m in evaluate(scenario, signals):
+            name = m["name"].replace("_", " ")
+            if name in figures and name.startswith(("mse", "iae", "mav")):
+                assert figures[name] == pytest.approx(m["value"], rel=1e-9)
+
+
+def test_emvc_by_hand():
+    law = Emvc(alpha_hat=2.0, lam=3.0, resistance=5.0, T=1e-3, v_max=24.0)
+    # psi = (1 - 5*0.1)/2 - 0.4 = -0.15, V = 0.5 + 2*(0.6 + 3*0.2 - 0.15)
+    assert law(q=0.3, qd=0.4, current=0.1, ref=0.5, ref_d=0.6, ref_dd=0.0, V=1.0) == pytest.approx(2.6)
+    assert law.state == pytest.approx((-0.15,))
+    assert law(q=-9.0, qd=0.0, current=0.0, ref=0.0, ref_d=0.0, ref_dd=0.0, V=0.0) == 24.0
