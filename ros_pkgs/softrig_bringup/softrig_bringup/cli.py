@@ -87,6 +87,12 @@ def _parser() -> argparse.ArgumentParser:
     report = verb("report", _report, "one self-contained HTML page from one or more runs")
     report.add_argument("runs", nargs="+", type=Path, metavar="DIR")
     report.add_argument("--out", type=Path, default=Path("report.html"))
+    golden = verb("golden", _golden, "make golden bags anew and show the difference to the old, or check them")
+    golden.add_argument("names", nargs="*", metavar="SCENARIO", help="default: all that are there")
+    golden.add_argument("--check", action="store_true", help="only compare; exit status 1 when one differs")
+    golden.add_argument("--duration", type=float, metavar="S", help="length of a new golden run")
+    golden.add_argument("--seed", type=int, default=0, metavar="N")
+    golden.add_argument("--bags", type=Path, default=Path("bags"), metavar="DIR", help="where they are")
     bench = verb("bench", _bench, "measure: ratios against a raw ping-pong of the same run")
     bench.add_argument("parts", nargs="*", metavar="PART", help="which parts (default all); `bench list` names them")
     return parser
@@ -200,9 +206,9 @@ def _print_metrics(scenario: Scenario, run: Any, metrics: list[dict[str, Any]], 
         table.add_row(m["name"], _number(m["published"]), _number(m["value"]), expectation(m), m["unit"], mark)
     console.print(table)
     ticks = run.rig.end // run.rig.clock.period
-    speed = run.rig.scenario.duration / run.wall_s
-    console.print(f"{run.mode}: {ticks} ticks, {scenario.duration:g} s simulated in {run.wall_s:.2f} s "
-                  f"({speed:.3g} x real time)")  # fmt: skip
+    speed = "" if run.mode == "realtime" else f" ({scenario.duration / run.wall_s:.3g} x real time)"
+    console.print(f"{run.mode}: {ticks} ticks, {scenario.duration:g} s simulated in {run.wall_s:.2f} s with start-up"
+                  f"{speed}")  # fmt: skip
     for name, status in run.status.items():
         for _, text, count in status.get("reports", {}).values():
             console.print(f"{name}: {text} ({count} x)")
@@ -237,16 +243,17 @@ def _node(options: argparse.Namespace) -> int:
 
 
 def _report(options: argparse.Namespace) -> int:
-    from softrig_core.errors import ScenarioError
-
     from .report import write_report
 
-    for directory in options.runs:
-        if not (directory / "metrics.json").is_file():
-            raise ScenarioError(f"{directory} is not a run: it has no metrics.json")
     write_report(options.runs, options.out)
     print(f"wrote {options.out}")
     return 0
+
+
+def _golden(options: argparse.Namespace) -> int:
+    from .golden import main as golden
+
+    return golden(options.names, options.bags, duration=options.duration, seed=options.seed, check=options.check)
 
 
 def _bench(options: argparse.Namespace) -> int:

@@ -78,8 +78,8 @@ class Lockstep(Adapter):
         if links.acknowledges:
             self._tick_publisher = node.create_publisher(message_class("builtin_interfaces/msg/Time"), "~/tick", QOS)
             self._publish_tick = self._tick_publisher.publish
-        if links.clock:
-            self._pace("/clock", "rosgraph_msgs/msg/Clock", links.clock, "the plant")
+        if links.clock is not None:
+            self._pace("/clock", "rosgraph_msgs/msg/Clock", links.clock.period, links.clock.node)
         for peer, period in links.acks.items():
             self._pace(f"{name.rsplit('/', 1)[0]}/{peer}/tick", "builtin_interfaces/msg/Time", period, peer)
         if self._is_plant:
@@ -97,7 +97,7 @@ class Lockstep(Adapter):
     def receiver(self, item: Input) -> Callable[[bytes], None]:
         """Paired inputs wait for their stamp; other held inputs take the newest value."""
         link = self.links.inputs.get(item.port.name)
-        if link is None and item.port.held:
+        if link is None and item.port.held and item.port.name not in self.options.paired:
             self.values[item.port.name] = None
             return self._held(item)
         self.values[item.port.name] = item.port.safe
@@ -123,7 +123,8 @@ class Lockstep(Adapter):
 
     def _paired(self, pairing: Pairing, item: Input) -> Callable[[bytes], None]:
         name, decode, delayed = item.port.name, item.decode, item.port.delayed
-        by_order = delayed and bool(self.links.inputs.get(name))
+        # stamps that are acquisition times, and messages without one, are paired by counting
+        by_order = (delayed or not item.port.stamped) and bool(self.links.inputs.get(name))
         record = self.foreign.get(name)
 
         def receive(data: bytes) -> None:

@@ -17,6 +17,7 @@ class RunOptions(Params):
     duration: float = param(0.0, "length of the run, 0 = until stopped", "s", ge=0)
     timeout: float = param(10.0, "lockstep: wall-clock time without progress before the node gives up", "s", gt=0)
     start_timeout: float = param(30.0, "lockstep: wall-clock time to wait for all peers, 0 = for ever", "s", ge=0)
+    paired: tuple[str, ...] = param((), "lockstep by hand: held inputs that are to be paired by stamp like the others")
     watchdog: float = param(0.0, "realtime: age at which a command is stale, 0 = five periods of its sender", "s", ge=0)
     shard: str = param("", "file to record published messages in")
     status: str = param("", "file for the state of the node, as JSON")
@@ -43,8 +44,8 @@ class Links(BaseModel):
         Paired inputs; a held input that is not listed takes whatever comes.
     readers : by port name
         Nodes that must be matched before the first message.
-    clock : int
-        Period in ns of the node that publishes /clock when this node paces itself by it, else 0.
+    clock : InputLink, optional
+        The node that publishes /clock, when this node paces itself by it.
     owns_clock : bool
         Publishes /clock.
     acknowledges : bool
@@ -60,7 +61,7 @@ class Links(BaseModel):
     model_config = ConfigDict(extra="forbid")
     inputs: dict[str, InputLink] = {}
     readers: dict[str, list[str]] = {}
-    clock: int = 0
+    clock: InputLink | None = None
     owns_clock: bool = False
     acknowledges: bool = False
     acks: dict[str, int] = {}

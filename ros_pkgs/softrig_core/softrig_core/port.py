@@ -8,7 +8,7 @@ from functools import cached_property
 from operator import itemgetter
 from typing import NamedTuple
 
-from .cdr import CdrError, Dims, Layout, Message, element_labels, parse
+from .cdr import SCHEMAS, CdrError, Dims, Layout, Message, element_labels, parse
 
 XYZ = ("x", "y", "z")
 
@@ -97,6 +97,11 @@ class Port:
         if self.msgtype == "geometry_msgs/msg/WrenchStamped":
             return tuple(f"{f}/{c}" for f in ("force", "torque") for c in XYZ)
         return tuple(f"{c}/{f}" for f in self.fields for c in self.channels)
+
+    @property
+    def stamped(self) -> bool:
+        """Whether its messages have a header with a stamp."""
+        return "stamp" in SCHEMAS[self.msgtype]
 
     def layout(self) -> Layout:
         """Wire layout of what this port publishes."""

@@ -71,7 +71,7 @@ def links(rig: Rig, member: Member) -> Links:
     return Links(
         inputs=paired,
         readers={p.name: [m.name for m, _ in rig.readers(member, p)] for p in member.outputs},
-        clock=rig.clock.period if member in _clocked(rig) else 0,
+        clock=InputLink(period=rig.clock.period, node=rig.clock.name) if member in _clocked(rig) else None,
         owns_clock=member is rig.clock,
         acknowledges=member in _acknowledging(rig),
         acks=acks,
@@ -287,7 +287,7 @@ def _reason(children: list[_Child], failed: list[_Child]) -> str:
         c for c in failed if not all(waits.get(sender) for sender in waits[c.member.name])
     ]
     texts = []
-    for child in causes or failed:
+    for child in causes or failed[:1]:
         code = child.process.returncode or 0
         name = child.member.name
         if code < 0:

@@ -66,6 +66,7 @@ class Realtime(Adapter):
                     self._answer_safe()
                 return
             now = time.time_ns()
+            stamp = stamp if item.port.stamped else now
             self.values[name] = Sample(stamp - self.epoch, values) if item.port.delayed else values
             self.arrived[name] = now
             if name in self.stale:

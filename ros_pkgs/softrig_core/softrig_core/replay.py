@@ -1,0 +1,79 @@
+"""Open loop: feed one member of a rig with recorded inputs, tick by tick, and collect what it answers."""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from typing import Any
+
+from .block import Block, Plant
+from .errors import RunError
+from .inprocess import check
+from .port import Decoder, Sample
+from .recording import Recording
+from .rig import Member, Rig, is_observer
+
+
+def feed(rig: Rig, member: Member, seed: int, recording: Recording) -> Recording:
+    """Run one block of a rig in open loop.
+
+    Parameters
+    ----------
+    rig : Rig
+        Says which inputs are paired and how long the run is.
+    member : Member
+        The block under test.
+    seed : int
+        Rig seed of the recording.
+    recording : Recording
+        Must hold every topic that the member reads from the rig.
+
+    Returns
+    -------
+    Recording
+        The member's outputs, stamped as in a run.
+
+    Raises
+    ------
+    RunError
+        The recording lacks an input.
+    """
+    block = member.block(seed)
+    answers = Recording((p.topic, p.msgtype) for p in member.outputs)
+    inputs = [_Input(member, port_name, recording) for port_name in member.links]
+    idle = dict.fromkeys((p.name for p in member.inputs if p.name not in member.links), None)
+    layouts = [p.layout() for p in member.outputs]
+    last = rig.end if member.is_plant or is_observer(member) else rig.end - 1
+    for t in range(0, last + 1, member.period):
+        given: dict[str, Any] = {**idle, **{i.name: i.at(t) for i in inputs if not member.is_plant or t < rig.end}}
+        found = _answer(block, t, given)
+        for number, (port, layout) in enumerate(zip(member.outputs, layouts, strict=True)):
+            value = check(found, port, member.name, t)
+            stamp, data = value if isinstance(value, Sample) else (t, value)
+            answers.add(number, t, layout.encode(stamp, data))
+        if isinstance(block, Plant) and t < rig.end:
+            block.advance(t, **given)
+    return answers
+
+
+def _answer(block: Block, t: int, given: dict[str, Any]) -> Any:
+    return block.outputs(t) if isinstance(block, Plant) else block.update(t, **given)
+
+
+class _Input:
+    """A recorded input: the newest message of each tick, decoded from its bytes."""
+
+    def __init__(self, member: Member, name: str, recording: Recording) -> None:
+        self.name = name
+        self._port = next(p for p in member.inputs if p.name == name)
+        self._topic = recording.topics.get(self._port.topic)
+        if self._topic is None or not self._topic.times:
+            raise RunError(f"the recording has nothing on {self._port.topic}, which {member.name} reads")
+        self._decode = Decoder(self._port)
+
+    def at(self, t: int) -> Any:
+        assert self._topic is not None
+        index = bisect_right(self._topic.times, t) - 1
+        if index < 0:
+            raise RunError(f"the recording of {self._port.topic} begins after t = {t / 1e9:.9g} s")
+        stamp, values = self._decode(self._topic.data[index])
+        return Sample(stamp, values) if self._port.delayed else values

@@ -1,0 +1,118 @@
+"""Regression on golden bags: re-run the rig, and feed each node the golden inputs in open loop."""
+
+import json
+import os
+import subprocess
+from pathlib import Path
+
+import pytest
+from softrig_bags.compare import compare
+from softrig_bags.read import read_bag
+from softrig_bringup.golden import create, load, main
+from softrig_core.domain import free_domain
+from softrig_core.processes import PROFILE, find_executable, node_parameters, run_processes
+from softrig_core.rig import Rig
+from softrig_core.scenario import load_scenario
+from softrig_core.signals import Signals
+
+BAGS = Path(__file__).parents[1] / "bags"
+GOLDEN = sorted(p.parent.name for p in BAGS.glob("*/golden.yaml"))
+THROUGH_PROCESSES = ("dc_motor_smc_b1", "dc_motor_smc_b4", "dc_motor_fsfb")
+NODES = [(name, node) for name in GOLDEN for node in load_scenario(load(BAGS / name).recipe.scenario).nodes]
+
+
+@pytest.mark.parametrize("name", GOLDEN)
+def test_a_new_run_agrees_with_the_golden_bag(name):
+    golden = load(BAGS / name)
+    result = golden.compare(golden.rerun())
+    assert result.equal, str(result)
+
+
+@pytest.mark.parametrize(("name", "node"), NODES)
+def test_each_node_answers_the_golden_inputs_as_before(name, node):
+    result = load(BAGS / name).open_loop(node)
+    assert result.equal, str(result)
+
+
+@pytest.mark.processes
+@pytest.mark.parametrize("name", THROUGH_PROCESSES)
+def test_a_new_run_through_processes_agrees_with_the_golden_bag(name, tmp_path):
+    golden = load(BAGS / name)
+    outcome = run_processes(golden.rig, golden.recipe.seed, tmp_path)
+    assert outcome.error == ""
+    result = golden.compare(outcome.recording)
+    assert result.equal, str(result)
+
+
+@pytest.mark.processes
+@pytest.mark.parametrize(("name", "node"), [("dc_motor_smc_b1", "dc_motor_smc"), ("dc_motor_smc_b4", "dc_motor_pid"),
+                                            ("dc_motor_smc_b1", "dc_motor_plant")])  # fmt: skip
+def test_a_replay_in_lockstep_into_one_real_node_agrees(name, node, tmp_path):
+    golden = load(BAGS / name)
+    member = next(m for m in golden.rig.members if m.name == node)
+    parameters = node_parameters(golden.rig, member, golden.recipe.seed, "lockstep")
+    del parameters["run.links"]  # as a user starts it: no runner, no peers known
+    if "reference" in member.links:
+        parameters["run.paired"] = ["reference"]
+    file = tmp_path / "parameters.yaml"
+    lines = [f"    {key}: {json.dumps(value)}" for key, value in parameters.items()]
+    file.write_text("/**:\n  ros__parameters:\n" + "\n".join(lines) + "\n")
+    with free_domain() as domain:
+        environment = os.environ | {
+            "ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+            "FASTRTPS_DEFAULT_PROFILES_FILE": str(PROFILE), "ROS_LOG_DIR": str(tmp_path),
+        }  # fmt: skip
+        command = [str(find_executable(member.package, member.executable)), "--ros-args", "-r", f"__node:={node}",
+                   "--params-file", str(file)]  # fmt: skip
+        process = subprocess.Popen(command, env=environment)
+        try:
+            topics = [p.topic for p in member.outputs]
+            player = subprocess.run(
+                [str(find_executable("softrig_bags", "player")), str(golden.bag), "--lockstep", *topics,
+                 "--topics", *[p.topic for p in member.inputs if p.name in member.links],
+                 "--answers", str(tmp_path / "answers")],
+                env=environment, capture_output=True, text=True, timeout=120,
+            )  # fmt: skip
+        finally:
+            process.kill()
+            process.wait()
+    assert player.returncode == 0, player.stderr
+    result = golden.compare(read_bag(tmp_path / "answers"), topics)
+    assert result.equal, str(result)
+
+
+@pytest.mark.parametrize(
+    ("name", "node", "parameter"),
+    [
+        ("dc_motor_smc_b1", "dc_motor_smc", "k_per_ref"),
+        ("dc_motor_smc_b2", "dc_motor_smc", "c"),
+        ("dc_motor_smc_b4", "dc_motor_pid", "kp"),
+        ("dc_motor_smc_b1", "dc_motor_plant", "Kt"),
+    ],
+)
+def test_one_per_cent_of_a_gain_fails_both_regressions(name, node, parameter):
+    golden = load(BAGS / name)
+    value = getattr(next(m for m in golden.rig.members if m.name == node).params, parameter)
+    scenario = load_scenario(golden.recipe.scenario, {f"{node}.{parameter}": 1.01 * value})
+    rig = Rig.from_scenario(scenario.model_copy(update={"duration": golden.recipe.duration}))
+    changed = type(golden)(golden.folder, golden.recipe, rig)
+    assert not changed.compare(changed.rerun()).equal
+    assert not changed.open_loop(node).equal
+
+
+def test_making_one_anew_shows_the_difference_and_check_tells_it(tmp_path, capsys):
+    create(tmp_path / "dc_motor_smc_b2", "dc_motor_smc_b2", 0.2, 0).make()
+    assert main([], tmp_path, duration=None, seed=0, check=True) == 0
+    recipe = tmp_path / "dc_motor_smc_b2" / "golden.yaml"
+    recipe.write_text(recipe.read_text().replace("scenario: dc_motor_smc_b2", "scenario: dc_motor_smc_b2_delta2"))
+    assert main([], tmp_path, duration=None, seed=0, check=True) == 1
+    assert "motor/command" in capsys.readouterr().out
+    assert main([], tmp_path, duration=None, seed=0, check=False) == 0
+    assert "DIFFERS" in capsys.readouterr().out
+    assert main([], tmp_path, duration=None, seed=0, check=True) == 0
+
+
+def test_bags_of_equal_runs_are_equal_bit_for_bit(tmp_path):
+    golden = load(BAGS / "dc_motor_smc_b1")
+    a, b = golden.rerun(), golden.rerun()
+    assert compare(Signals(a), Signals(b), bitwise=True).equal
