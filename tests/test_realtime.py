@@ -164,6 +164,27 @@ rclpy.spin(node)
     assert bench.signal("plant", "lag/offset/data").x[-1] == 3.0
 
 
+def test_a_button_is_also_a_service_that_presses_it_for_one_tick(bench):
+    code = """
+import rclpy
+from rclpy.node import Node
+from std_srvs.srv import Trigger
+rclpy.init()
+node = Node("person")
+client = node.create_client(Trigger, "plant/kick")
+client.wait_for_service()
+rclpy.spin_until_future_complete(node, client.call_async(Trigger.Request()))
+"""
+    bench.start("plant", "plant")
+    bench.wait(lambda: bench.status("plant").get("ticks", 0) > 10)
+    bench.python("person", code)
+    assert bench.nodes["person"].wait(30) == 0
+    ticks = bench.status("plant")["ticks"]
+    bench.wait(lambda: bench.status("plant")["ticks"] > ticks + 100)
+    assert list(bench.signal("plant", "lag/kick/data").x) == [1.0, 0.0]
+    assert bench.signal("plant", "lag/applied/u/effort").x.sum() == 1.0
+
+
 def test_a_realtime_rig_keeps_the_rate_of_the_wall_clock(tmp_path):
     rig = Rig.from_scenario(make_scenario({"plant": "plant", "source": "source", "gain": "gain"}, 2.0))
     outcome = run_processes(rig, 0, tmp_path, mode="realtime")

@@ -89,6 +89,7 @@ class Adapter:
         self.state: Literal["starting", "running", "done", "failed"] = "starting"
         self.ticks = 0
         self.t = 0
+        self.values: dict[str, Any] = {}  # newest value of each input, as the block gets it
         self.epoch = 0  # ns added to a block's time for the stamp on the wire
         self.error: BaseException | None = None
         self.waits_for: list[str] = []  # the senders whose silence ended the run
@@ -125,6 +126,10 @@ class Adapter:
             node.create_publisher(message_class("diagnostic_msgs/msg/DiagnosticArray"), "~/metrics", QOS)
             if isinstance(block, Observer) else None
         )  # fmt: skip
+        self._pressed: list[Input] = []
+        for item in self.inputs:
+            if item.port.msgtype == "std_msgs/msg/Bool" and item.port.name not in self.links.inputs:
+                self._offer_press(item)
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._seconds = 0
         node.create_timer(WATCH_PERIOD, self._watch, clock=self._steady)
@@ -156,6 +161,31 @@ class Adapter:
         )  # fmt: skip
         # what publish(bytes) ends in, without its type checks: worth 5 % of a lockstep loop
         output.publish = publisher.handle.publish_raw
+
+    def _offer_press(self, item: Input) -> None:
+        """Offer a push button as a service too: ``~/NAME`` presses it for one tick."""
+
+        def press(request: Any, response: Any) -> Any:
+            self._push(item, True)
+            self._pressed.append(item)
+            response.success, response.message = True, f"{item.port.name} pressed"
+            return response
+
+        self.node.create_service(message_class("std_srvs/srv/Trigger"), f"~/{item.port.name}", press)
+
+    def _push(self, item: Input, down: bool) -> None:
+        self.values[item.port.name] = (float(down),)
+        if self.sink is not None:
+            self.sink.add(self.foreign[item.port.name], self.now(), item.port.layout().encode(0, (down,)))
+
+    def release(self) -> None:
+        """Let go of the buttons that a service pressed; called after each tick."""
+        while self._pressed:
+            self._push(self._pressed.pop(), False)
+
+    def now(self) -> int:
+        """Time in ns under which what comes from outside is recorded."""
+        raise NotImplementedError
 
     def receiver(self, item: Input) -> Callable[[bytes], None]:
         """Give the callback for the raw messages of an input."""

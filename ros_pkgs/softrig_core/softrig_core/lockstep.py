@@ -55,7 +55,6 @@ class Lockstep(Adapter):
 
     def __init__(self, node: Node, block: Block, options: RunOptions) -> None:
         self.pairings: list[Pairing] = []
-        self.values: dict[str, Any] = {}
         self.missing = 0
         self.ready = False
         self._publish_clock: Callable[[bytes], None] | None = None
@@ -156,6 +155,10 @@ class Lockstep(Adapter):
                 self.refuse(item, f"stamp {got:.9g} s from {pairing.sender}, expected {want:.9g} s{twice}")
 
         return receive
+
+    def now(self) -> int:
+        """Time of the tick under way."""
+        return self.t
 
     def _pace(self, topic: str, msgtype: str, period: int, sender: str) -> None:
         pairing = Pairing(topic, period, sender, None)
@@ -267,6 +270,7 @@ class Lockstep(Adapter):
             self.finish()
             return
         self.block.advance(t, **self.values)  # type: ignore[attr-defined]
+        self.release()
         self.t = t = t + self.period
         self.ticks += 1
         self._send(t)
@@ -302,6 +306,7 @@ class Lockstep(Adapter):
         self.publish(t, t, found)
         if self._publish_tick is not None:
             self._publish_tick(self._tick_layout.encode(t, ()))
+        self.release()
         self.ticks += 1
         self.t = t + self.period
         self._await(self.t)

@@ -29,7 +29,6 @@ class Realtime(Adapter):
     """A block driven by the wall clock; see `Adapter` for the parameters."""
 
     def __init__(self, node: Node, block: Block, options: RunOptions) -> None:
-        self.values: dict[str, Any] = {}
         self.arrived: dict[str, int] = {}
         self.stale: set[str] = set()
         self.tick_number: int | None = None
@@ -114,9 +113,14 @@ class Realtime(Adapter):
         stamp = time.time_ns()
         self.publish(self.t, stamp, self.safe_outputs(stamp - self.epoch))
 
+    def now(self) -> int:
+        """Wall-clock time."""
+        return time.time_ns()
+
     def _advance_to(self, t: int) -> None:
         self.t = t
         self.ticks += 1
+        self.release()
         if self.end is not None and t >= self.end:
             self.finish()
 
