@@ -120,7 +120,8 @@ def gaps(rig: Rig, recording: Recording) -> str:
     expected = {CLOCK.topic: (rig.clock.period, rig.end)}
     for member in rig.members:
         last = rig.end if member.is_plant or is_observer(member) else rig.end - 1
-        expected |= {p.topic: (member.period, last) for p in member.outputs}
+        read = [p for p in member.outputs if not member.external or rig.readers(member, p)]
+        expected |= {p.topic: (member.period, last) for p in read}
     for topic, (period, last) in expected.items():
         times = recording.topics[topic].times
         wanted = last // period + 1

@@ -100,14 +100,12 @@ class Adapter:
         names = [node.resolve_topic_name(p.topic) for p in outputs]
         self.outputs = [Output(p, name, i) for i, (p, name) in enumerate(zip(outputs, names, strict=True))]
         recorded = [(_bag_name(o.topic), o.port.msgtype) for o in self.outputs]
-        # What an outside node sends is recorded by its reader, at the tick at which it takes effect.
-        self.foreign = {
-            i.port.name: len(recorded) + k
-            for k, i in enumerate(
-                i for i in self.inputs
-                if i.port.name not in self.links.inputs or self.links.inputs[i.port.name].external
-            )
-        }  # fmt: skip
+        # What an outside node sends is recorded by its (first) reader, at the tick at which it takes effect.
+        records = self.links.records
+        outside = [
+            p.name for p in inputs if (p.name not in self.links.inputs if records is None else p.name in records)
+        ]
+        self.foreign = {name: len(recorded) + k for k, name in enumerate(outside)}
         recorded += [
             (_bag_name(node.resolve_topic_name(i.port.topic)), i.port.msgtype)
             for i in self.inputs if i.port.name in self.foreign
@@ -175,7 +173,7 @@ class Adapter:
 
     def _push(self, item: Input, down: bool) -> None:
         self.values[item.port.name] = (float(down),)
-        if self.sink is not None:
+        if self.sink is not None and item.port.name in self.foreign:
             self.sink.add(self.foreign[item.port.name], self.now(), item.port.layout().encode(0, (down,)))
 
     def release(self) -> None:

@@ -8,9 +8,11 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
-from rclpy.node import Node
+from rclpy._rclpy_pybind11 import RCLError
+from rclpy.node import Node, NodeNameNonExistentError
 
 from .adapter import QOS, Adapter, Input, percentiles
 from .block import Block, Observer, Plant
@@ -19,6 +21,7 @@ from .messages import message_class
 from .options import RunOptions
 from .port import Decoder, Port, Refused, Sample
 
+SETTLED = 10  # checks of 20 ms in a row in which the endpoints of external nodes have not changed
 GONE_AFTER = 0.5  # s without the awaited message after its only sender has vanished
 
 
@@ -65,6 +68,8 @@ class Lockstep(Adapter):
         self._since = time.monotonic()
         self._progress_t = -1
         self._rivals: Input | None = None
+        self._outside_found: list[tuple[str, str]] = []
+        self._settled = 0
         self._bad = False  # a measurement of this tick was refused
         self._durations: deque[int] = deque(maxlen=100_000)
         self._sent = self._first = 0
@@ -115,7 +120,7 @@ class Lockstep(Adapter):
                 self.refuse(item, str(error))
                 return
             self.values[item.port.name] = Sample(stamp, values) if item.port.delayed else values
-            if self.sink is not None:
+            if self.sink is not None and item.port.name in self.foreign:
                 self.sink.add(self.foreign[item.port.name], self.t, data)
 
         return receive
@@ -206,7 +211,9 @@ class Lockstep(Adapter):
                 absent.append(
                     f"no publisher on {pairing.topic} (expected from {pairing.sender}{self._other_type(pairing)})"
                 )
-        wanted = {o.topic: links.readers.get(o.port.name, []) for o in self.outputs if o.port.name in links.readers}
+        wanted = {o.topic: list(links.readers.get(o.name, [])) for o in self.outputs if o.name in links.readers}
+        if links.outside:
+            absent += self._outside_readers(wanted)
         if links.owns_clock:
             wanted["/clock"] = links.clock_readers
         if links.acknowledges:
@@ -221,6 +228,27 @@ class Lockstep(Adapter):
                 absent.append(f"{topic} has {counted} readers of {len(names)}")
         if not links.readers and not self.options.links:
             absent += [f"nobody subscribes {o.topic}" for o in self.outputs if not o.readers and not self._is_plant]
+        return absent
+
+    def _outside_readers(self, wanted: dict[str, list[str]]) -> list[str]:
+        """Add the external nodes that subscribe our outputs, once discovery has told all that they subscribe."""
+        node, absent, found = self.node, [], []
+        for topic in self.links.outside:
+            infos = node.get_publishers_info_by_topic(topic)
+            if not infos:
+                absent.append(f"no publisher on {topic} (expected from an external node)")
+                continue
+            with suppress(NodeNameNonExistentError, RCLError):  # discovery knows the topic before the node
+                inputs = node.get_subscriber_names_and_types_by_node(infos[0].node_name, infos[0].node_namespace)
+                found += [(o.topic, infos[0].node_name) for o in self.outputs if o.topic in dict(inputs)]
+        for topic, name in found:
+            if name not in wanted.get(topic, []):
+                wanted.setdefault(topic, []).append(name)
+        # A node announces its endpoints one by one: what it subscribes counts when it has not changed for a while.
+        self._settled = self._settled + 1 if found == self._outside_found else 0
+        self._outside_found = found
+        if not absent and self._settled < SETTLED:
+            absent.append("external nodes are still announcing what they subscribe")
         return absent
 
     def _other_type(self, pairing: Pairing) -> str:

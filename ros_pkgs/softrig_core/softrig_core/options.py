@@ -31,7 +31,6 @@ class InputLink(BaseModel):
     model_config = ConfigDict(extra="forbid")
     period: int
     node: str
-    external: bool = False
     last: bool = True  # whether it also sends at the end time of the run, as plants do
 
 
@@ -42,8 +41,12 @@ class Links(BaseModel):
     ----------
     inputs : by port name
         Paired inputs; a held input that is not listed takes whatever comes.
+    records : list of str, optional
+        Inputs from outside the rig that this node records, at the tick at which they take effect; absent: all.
     readers : by port name
         Nodes that must be matched before the first message.
+    outside : list of str
+        Topics of external nodes: what the nodes behind them subscribe must be matched too.
     clock : InputLink, optional
         The node that publishes /clock, when this node paces itself by it.
     owns_clock : bool
@@ -60,7 +63,9 @@ class Links(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
     inputs: dict[str, InputLink] = {}
+    records: list[str] | None = None
     readers: dict[str, list[str]] = {}
+    outside: list[str] = []
     clock: InputLink | None = None
     owns_clock: bool = False
     acknowledges: bool = False

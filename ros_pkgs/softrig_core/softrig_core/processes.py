@@ -63,14 +63,15 @@ class _Child:
 def links(rig: Rig, member: Member) -> Links:
     """Work out what a node must know of its peers."""
     paired = {
-        port: InputLink(period=link.source.period, node=link.source.name, external=link.source.external,
-                        last=link.source.is_plant)
+        port: InputLink(period=link.source.period, node=link.source.name, last=link.source.is_plant)
         for port, link in member.links.items()
     }  # fmt: skip
     acks = {m.name: m.period for m in _acknowledging(rig)} if member is rig.clock else {}
     return Links(
         inputs=paired,
-        readers={p.name: [m.name for m, _ in rig.readers(member, p)] for p in member.outputs},
+        records=_recorded_inputs(rig, member),
+        readers={p.name: [m.name for m, _ in rig.readers(member, p) if not m.external] for p in member.outputs},
+        outside=[p.topic for m in rig.members if m.external for p in m.outputs if rig.readers(m, p)],
         clock=InputLink(period=rig.clock.period, node=rig.clock.name) if member in _clocked(rig) else None,
         owns_clock=member is rig.clock,
         acknowledges=member in _acknowledging(rig),
@@ -78,6 +79,17 @@ def links(rig: Rig, member: Member) -> Links:
         clock_readers=[m.name for m in _clocked(rig)] if member is rig.clock else [],
         plants=sum(m.is_plant for m in rig.members),
     )
+
+
+def _recorded_inputs(rig: Rig, member: Member) -> list[str]:
+    """Inputs from outside the rig whose first reader this member is."""
+    first: dict[str, Member] = {}
+    for m in rig.members:
+        for port in m.inputs:
+            link = m.links.get(port.name)
+            if link is None or link.source.external:
+                first.setdefault(port.topic, m)
+    return [p.name for p in member.inputs if first.get(p.topic) is member]
 
 
 def _clocked(rig: Rig) -> list[Member]:
