@@ -1,6 +1,7 @@
 """Rehabilitation robot: dynamics against an independent Lagrangian, the sheet's acceptance numbers, bad input."""
 
 import functools
+import itertools
 import math
 from pathlib import Path
 
@@ -31,6 +32,7 @@ from softrig_robots.rehab.patient import Patient
 from softrig_robots.rehab.plant import RehabPlant
 from softrig_robots.rehab.prom import PromReference
 from softrig_robots.rehab.stability import alpha_hat_limit
+from softrig_robots.rehab.tuner import Tuner, cost, exercise, tune
 
 URDF = Path(softrig_robots.__file__).parent / "urdf"
 G = 9.81
@@ -304,6 +306,53 @@ def test_stretch_beats_the_default_gain():
     assert (edge < 0.85 * default).all()
 
 
+# B10: the tuner, with smaller populations than the published 20; an exercise is the same one that the rig runs
+
+
+def test_exercise_of_the_tuner_is_the_scenario():
+    found = exercise(4.592)
+    signals = run("rehab_impedance_r6")
+    mse = [math.degrees(1.0) ** 2 * np.mean(signals[e].x ** 2) for e in E_SIGNAL]
+    assert found.mse == pytest.approx(np.mean(mse), rel=1e-9)
+    assert found.variation == pytest.approx(np.mean([metrics.total_variation(signals, v) for v in V_SIGNAL]), rel=1e-9)
+
+
+@pytest.mark.parametrize(("alpha_hat", "mse"), [(1.0, 2.7e-4), (2.0, 7.3e-5), (4.0, 2.1e-5), (6.4, 1.02e-5)])
+def test_cost_falls_up_to_the_edge(alpha_hat, mse):
+    assert cost((alpha_hat,), guarded=False) == pytest.approx(mse, rel=0.02)
+
+
+def test_beyond_the_edge_the_cost_rises_steeply():
+    assert cost((6.8,), guarded=False) == pytest.approx(1.2e-3, rel=0.05)
+    assert math.isinf(cost((9.0,), guarded=False))
+
+
+def test_published_cost_tunes_to_the_edge():
+    found = tune(1, guarded=False, n_pop=8, n_iter=5)
+    assert 6.1 <= found.x[0] <= 6.6
+    assert found.value <= 1.1e-5
+
+
+def test_guarded_cost_keeps_a_margin():
+    found = tune(0, n_pop=6, n_iter=4)
+    assert 4.4 <= found.x[0] <= 4.6
+    assert exercise(found.x[0]).mse <= 1.8e-5
+
+
+def test_tuner_node_waits_for_its_trigger_and_repeats_itself():
+    def tuned(seed, ticks=9):
+        block = Tuner(duration=0.02, n_pop=3, n_iter=2, name="tuner")
+        block.reset(seed)
+        assert block.update(0, start=None) == {"result": (0.0, 0.0, 0.0)}
+        return [block.update(k, start=(1.0,) if k == 1 else (0.0,))["result"] for k in range(1, ticks)]
+
+    first = tuned(5)
+    assert [row[0] for row in first] == [0.0, 0.0, 1.0, 1.0, 2.0, 2.0, 2.0, 2.0]  # 3 + 2 + 2 candidates, then rest
+    assert all(b[2] <= a[2] for a, b in itertools.pairwise(first))
+    assert first == tuned(5)
+    assert first != tuned(6)
+
+
 # impedance -------------------------------------------------------------------------------------------------------
 
 
@@ -416,6 +465,7 @@ def test_inconsistent_motor_table_is_said_at_the_start(side, warns):
         (PromReference, {"eta2": 31.0}, "eta2 = 31 s"),
         (PromReference, {"lower": [2.5, -1.0]}, "expected lower < upper"),
         (PromReference, {"speed": 0.0}, "speed = "),
+        (Tuner, {"lower": 13.0}, "lower = 13 and upper = 12"),
         (Patient, {"begin": 9.0}, "do not fit into cycle = 10 s"),
         (RehabPlant, {"position": [-0.6, -1.0]}, "position of the hip = -0.6 rad is outside its range"),
         (RehabPlant, {"segments.mass": [5.5, -5.0]}, r"segments\.mass\[1\] = -5 kg"),

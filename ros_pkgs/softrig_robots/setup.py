@@ -32,6 +32,7 @@ setup(
             "patient = softrig_robots.rehab.patient:main",
             "impedance = softrig_robots.rehab.impedance:main",
             "rehab_metrics = softrig_robots.rehab.metrics:main",
+            "tuner = softrig_robots.rehab.tuner:main",
             "voltage_controller = softrig_robots.rehab.controller:main",
             "vcs_controller = softrig_robots.manipulator.controller:main",
         ]

@@ -1,0 +1,201 @@
+"""Genetic tuning of alpha_hat on the active assistive exercise: remarks 1 and 2 of the paper."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import lru_cache, partial
+from typing import NamedTuple, Self
+
+import numpy as np
+from pydantic import model_validator
+from softrig_core.block import Block
+from softrig_core.node import executable
+from softrig_core.params import BlockParams, param
+from softrig_core.port import Sample, array, button
+from softrig_core.timebase import to_ns
+from softrig_optim.genetic import Genetic
+from softrig_optim.search import Evaluation, Point, run
+
+from .controller import VoltageController
+from .impedance import Impedance
+from .patient import PATIENT_FORCE, Patient
+from .plant import RehabPlant
+from .prom import PromReference
+from .stability import alpha_hat_limit
+
+PERIOD = 0.001  # s
+LAMBDA = 4.0  # 1/s
+MARGIN = 0.9  # of the stability limit that the guarded search may use
+WEIGHT = 1e-7  # deg^2/(V/s)^2, of the squared total variation in the guarded cost
+Mapper = Callable[[Callable[[Point], float], Sequence[Point]], Iterable[float]]
+
+
+class Exercise(NamedTuple):
+    """Figures of one exercise, means of both joints."""
+
+    mse: float
+    """Of the error from the regenerated reference, deg^2; infinite when the robot had to be stopped."""
+
+    variation: float
+    """Total variation of the voltage, V/s."""
+
+
+def exercise(alpha_hat: float, duration: float = 15.0) -> Exercise:
+    """Run scenario R6 with one value of alpha_hat, without topics.
+
+    Parameters
+    ----------
+    alpha_hat : float
+        V s/rad.
+    duration : float
+        s.
+    """
+    references, forces = _inputs(duration)
+    q0 = references[0][:2]
+    plant = RehabPlant(position=q0, disturbance={"torque": 0.0})
+    impedance = Impedance()
+    controller = VoltageController(emvc={"alpha_hat": alpha_hat, "lam": LAMBDA})
+    period = to_ns(PERIOD)
+    squares = variation = 0.0
+    last: tuple[float, ...] | None = None
+    for k, (reference, force) in enumerate(zip(references, forces, strict=True)):
+        t = k * period
+        found = plant.outputs(t)
+        state = found["joint_states"]
+        bent = impedance.update(t, reference=reference, patient_force=Sample(t, force), joint_states=state[:2])
+        answer = controller.update(t, joint_states=state[:4], motor_states=found["motor_states"],
+                                   reference=bent["regenerated"], applied_voltage=found["applied_voltage"])  # fmt: skip
+        e1, e2, *_ = answer["controller_state"]
+        squares += e1 * e1 + e2 * e2
+        v = answer["motor_command"]
+        if last is not None:
+            variation += abs(v[0] - last[0]) + abs(v[1] - last[1])
+        last = v
+        plant.advance(t, motor_command=v, patient_force=force)
+        if plant.safe:
+            return Exercise(math.inf, math.inf)
+    n = len(references)
+    return Exercise(math.degrees(1.0) ** 2 * squares / (2 * n), variation / (2 * (n - 1) * PERIOD))
+
+
+@lru_cache(maxsize=4)
+def _inputs(duration: float) -> tuple[list[tuple[float, ...]], list[tuple[float, ...]]]:
+    """Reference and force at every tick."""
+    source, patient, period = PromReference(), Patient(), to_ns(PERIOD)
+    ticks = [k * period for k in range(to_ns(duration) // period)]
+    return [source.update(t)["reference"] for t in ticks], [patient.update(t)[PATIENT_FORCE] for t in ticks]
+
+
+def cost(candidate: Point, duration: float = 15.0, guarded: bool = True) -> float:
+    """Value of a candidate (alpha_hat,): its MSE, in the guarded search plus a price on chattering."""
+    mse, variation = exercise(candidate[0], duration)
+    return mse + WEIGHT * variation**2 if guarded else mse
+
+
+def search(
+    seed: int | np.random.Generator = 0, *, guarded: bool = True, lower: float = 0.05, upper: float = 12.0,
+    n_pop: int = 20, n_iter: int = 10,
+) -> Genetic:  # fmt: skip
+    """Make the search for alpha_hat.
+
+    Parameters
+    ----------
+    seed : int or numpy.random.Generator
+    guarded : bool
+        Keep alpha_hat below 0.9 of the stability limit. The published cost is the MSE alone; its minimum lies where
+        other exercises already oscillate.
+    lower, upper : float
+        Bounds, V s/rad.
+    n_pop, n_iter : int
+        Population and generations after the first.
+    """
+    if guarded:
+        upper = min(upper, MARGIN * alpha_hat_limit(PERIOD, LAMBDA, False))
+    return Genetic([lower], [upper], seed, n_pop=n_pop, n_iter=n_iter)
+
+
+def tune(seed: int = 0, *, guarded: bool = True, duration: float = 15.0, n_pop: int = 20, n_iter: int = 10,
+         mapper: Mapper = map) -> Evaluation:  # fmt: skip
+    """Tune alpha_hat.
+
+    Parameters
+    ----------
+    seed : int
+    guarded : bool
+        See `search`.
+    duration : float
+        Of each exercise, s.
+    n_pop, n_iter : int
+        Population and generations after the first.
+    mapper : callable
+        `map`, or that of an executor: the candidates of a generation are independent.
+
+    Returns
+    -------
+    Evaluation
+        ``x = (alpha_hat,)`` and its cost.
+    """
+    objective = partial(cost, duration=duration, guarded=guarded)
+    return run(search(seed, guarded=guarded, n_pop=n_pop, n_iter=n_iter), objective, mapper)
+
+
+class TunerParams(BlockParams):
+    """Published search: population 20, 10 generations."""
+
+    period: float = param(0.5, "one candidate is tried a period", "s", gt=0.0)
+    guarded: bool = param(True, "price on chattering and margin to the stability limit; false: as published")
+    duration: float = param(15.0, "duration of an exercise", "s", gt=0.0)
+    lower: float = param(0.05, "least alpha_hat", "V s/rad", gt=0.0)
+    upper: float = param(12.0, "largest alpha_hat", "V s/rad", gt=0.0)
+    n_pop: int = param(20, "population", ge=2)
+    n_iter: int = param(10, "generations after the first", ge=1)
+    autostart: bool = param(False, "start at once instead of waiting for the trigger")
+
+    @model_validator(mode="after")
+    def _bounds(self) -> Self:
+        if not self.lower < self.upper:
+            raise ValueError(f"lower = {self.lower:g} and upper = {self.upper:g} V s/rad: expected lower < upper")
+        return self
+
+
+class Tuner(Block):
+    """Tunes alpha_hat while nobody waits for it: one candidate a tick, the result so far after each.
+
+    The result is generation, best alpha_hat (V s/rad) and its cost (deg^2); zeros before the
+    first candidate that the robot endures.
+    """
+
+    Params = TunerParams
+    p: TunerParams
+    INPUTS = (button("start", "tuner/start", held=True),)
+    OUTPUTS = (array("result", "tuner/result", {"generation, alpha_hat, cost": 3}, ("", "V s/rad", "deg^2")),)
+
+    def start(self) -> None:
+        """Wait for the trigger."""
+        self._pressed = False
+        self._search: Genetic | None = None
+        if self.p.autostart:
+            self._begin()
+
+    def _begin(self) -> None:
+        p = self.p
+        self._search = search(self.rng, guarded=p.guarded, lower=p.lower, upper=p.upper, n_pop=p.n_pop, n_iter=p.n_iter)
+
+    def update(self, t: int, *, start: tuple[float, ...] | None) -> Mapping[str, tuple[float, ...]]:
+        """Try the next candidate."""
+        pressed = start == (1.0,)
+        if pressed and not self._pressed:
+            self._begin()
+        self._pressed = pressed
+        found = self._search
+        if found is None:
+            return {"result": (0.0, 0.0, 0.0)}
+        if not found.done:
+            found.tell(cost(found.ask(), self.p.duration, self.p.guarded))
+        if found.best is None or math.isinf(found.best.value):
+            return {"result": (float(found.iteration), 0.0, 0.0)}
+        return {"result": (float(found.iteration), found.best.x[0], found.best.value)}
+
+
+main = executable(Tuner)
