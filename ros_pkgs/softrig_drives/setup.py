@@ -15,7 +15,7 @@ setup(
     zip_safe=False,
     maintainer="softrig maintainers",
     maintainer_email="softrig@users.noreply.github.com",
-    description="Electric drives as rclpy nodes: DC motor",
+    description="Electric drives as rclpy nodes: DC motor, induction motor",
     license="Apache-2.0",
     extras_require={"test": ["pytest"]},
     entry_points={

@@ -49,7 +49,7 @@ class ImPlant(Plant):
         self._step = Compiled(step_function(p.substeps))
         self._constants = numbers(p, p.period / p.substeps)
         vectors = {v: voltage(v) * p.U_dc for v in VECTORS}
-        self._voltages = {v: (u.real, u.imag) for v, u in vectors.items()}
+        self._voltages: dict[tuple[float, ...], tuple[float, float]] = {v: (u.real, u.imag) for v, u in vectors.items()}
         self._converters = Converter(p), Converter(p)
         self._dc_link = (p.U_dc,)
 
@@ -75,9 +75,9 @@ class ImPlant(Plant):
 
     def _inverter(self, switches: tuple[float, ...]) -> tuple[float, float]:
         """Give u_alpha, u_beta (V)."""
-        u = self._voltages.get(switches)  # type: ignore[call-overload]
+        u = self._voltages.get(switches)
         if u is None:
-            u = self._voltages.get(tuple(map(_snap, switches)))  # type: ignore[call-overload]
+            u = self._voltages.get(tuple(map(_snap, switches)))
         if self.fault:
             return self._voltages[V0]
         if u is not None:

@@ -1,0 +1,132 @@
+"""CPU time of one simulated second of the drive, beside the same second in other simulators."""
+
+from __future__ import annotations
+
+import json
+import os
+import statistics
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import numpy as np
+from softrig_core.inprocess import run_inprocess
+from softrig_core.recording import Recording
+from softrig_core.rig import Rig
+from softrig_core.scenario import load_scenario
+from softrig_core.signals import Signals
+
+from .bench_peers import LEGS
+
+ROUNDS = 3
+_OURS = ("PYTHONPATH", "LD_LIBRARY_PATH", "VIRTUAL_ENV", "_ROS_WHEELS_BOOTSTRAP_COMPLETE")  # not for another Python
+PEERS = {
+    "motulator": "motulator, fed our switching, rtol 1e-3",
+    "motulator-tight": "motulator, fed our switching, rtol 1e-8",
+    "motulator-own": "motulator, its flux-vector control at 8 kHz",
+    "gym-electric-motor": "gym-electric-motor, fed our switching, Euler",
+}
+
+
+def drive(seconds: float) -> Rig:
+    """Give the headline scenario, its duration changed."""
+    return Rig.from_scenario(load_scenario("induction_dtc").model_copy(update={"duration": seconds}))
+
+
+def switching(seconds: float) -> tuple[list[int], Signals]:
+    """Run the headline scenario; give the number of the voltage vector of every period, and the signals."""
+    rig = drive(seconds)
+    recording = Recording((t, p.msgtype) for t, p in rig.topics.items())
+    run_inprocess(rig, 1, recording)
+    signals = Signals(recording)
+    legs = np.column_stack([signals[f"switches/{leg}/effort"].x for leg in ("Sa", "Sb", "Sc")]).astype(int)
+    return [LEGS.index(tuple(row)) for row in legs.tolist()], signals
+
+
+def peer(name: str, vectors: list[int], python: str = sys.executable) -> Mapping[str, float] | None:
+    """Run one case of `bench_peers` with the given Python.
+
+    Returns
+    -------
+    mapping or None
+        What it printed; None when that Python does not have the simulator.
+    """
+    clean = {k: v for k, v in os.environ.items() if k not in _OURS}
+    done = subprocess.run(
+        [python, str(Path(__file__).with_name("bench_peers.py")), name], input=json.dumps(vectors), text=True,
+        capture_output=True, env=clean, check=False,
+    )  # fmt: skip
+    if done.returncode and "ModuleNotFoundError" in done.stderr:
+        return None
+    if done.returncode:
+        raise RuntimeError(f"{name}: {done.stderr.strip().splitlines()[-1]}")
+    found: dict[str, float] = json.loads(done.stdout)
+    return found
+
+
+def agreement(python: str = sys.executable, seconds: float = 0.75) -> tuple[float, float] | None:
+    """Give how far motulator (rtol 1e-8) ends from ours under the same switching: stator flux (Wb), speed (rad/s)."""
+    vectors, signals = switching(seconds)
+    found = peer("motulator-tight", vectors, python)
+    if found is None:
+        return None
+    k = round(found["periods"])
+    psi = [signals[f"flux_true/{axis}"].x[k] for axis in "xy"]
+    speed = signals["joint_states/shaft/velocity"].x[k]
+    return float(np.hypot(psi[0] - found["psi_alpha"], psi[1] - found["psi_beta"])), abs(float(speed) - found["speed"])
+
+
+def simulated_second(python: str = sys.executable) -> dict[str, float | None]:
+    """Measure the CPU time (s) of one simulated second, start-up left out.
+
+    Parameters
+    ----------
+    python : str
+        Interpreter that may have motulator and gym-electric-motor; they are optional.
+
+    Returns
+    -------
+    dict of str to float or None
+        By case, ours first; None where a simulator is not installed.
+    """
+    rig = drive(1.0)
+    topics = [(t, p.msgtype) for t, p in rig.topics.items()]
+    results: dict[str, float | None] = {
+        "softrig in process": _cpu(lambda: run_inprocess(rig, 1)),
+        "softrig in process, everything recorded": _cpu(lambda: run_inprocess(rig, 1, Recording(topics))),
+    }
+    vectors, _ = switching(1.0)
+    for name, title in PEERS.items():
+        found = peer(name, vectors, python)
+        results[title] = None if found is None else found["cpu_s"]
+    return results
+
+
+def _cpu(function: Callable[[], object]) -> float:
+    """Give the median CPU time of a call in s."""
+    times = []
+    for _ in range(ROUNDS):
+        start = time.process_time()
+        function()
+        times.append(time.process_time() - start)
+    return statistics.median(times)
+
+
+def main() -> None:
+    """Print the table: ``python -m softrig_drives.induction_dtc.bench [PYTHON]``."""
+    python = sys.argv[1] if len(sys.argv) > 1 else sys.executable
+    results = simulated_second(python)
+    ours = next(iter(results.values())) or 0.0
+    for name, seconds in results.items():
+        print(f"{name:48} " + ("not installed" if seconds is None else f"{seconds:8.3f} s  {seconds / ours:6.1f} x"))
+    distance = agreement(python)
+    if distance is not None:
+        print(
+            "motulator ends {:.1e} Wb and {:.1e} rad/s from ours after 0.75 s of the same switching".format(*distance)
+        )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,103 @@
+"""The same motor in other people's simulators, run by whichever Python has them: ``python bench_peers.py NAME``.
+
+Reads the switching sequence as JSON from the standard input and prints the CPU time in s as JSON, with the final
+stator flux (Wb) and speed (rad/s) where the simulator was given the same machine. Imports nothing of softrig.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+T_S = 5e-5
+LEGS = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 1, 1), (0, 0, 1), (1, 0, 1), (1, 1, 1)]
+
+
+class Replay:
+    """A control system for motulator that knows its switching sequence beforehand."""
+
+    t = 0.0
+
+    def __init__(self, vectors: Sequence[int]) -> None:
+        self._vectors = iter(vectors)
+
+    def get_enable(self) -> bool:
+        """The gates are never blocked."""
+        return True
+
+    def __call__(self, model: Any) -> tuple[float, Sequence[float]]:
+        """Give the sampling period and the duty ratios; past the end, V0."""
+        return T_S, [float(s) for s in LEGS[next(self._vectors, 0)]]
+
+    def post_process(self) -> None:
+        """No signals of its own."""
+
+
+def motulator(vectors: Sequence[int], rtol: float = 1e-3) -> dict[str, float]:
+    """Feed motulator's drive model with the vectors, without PWM; its default solver RK45, or a tighter one."""
+    from motulator.common.model._simulation import SolverCfg
+    from motulator.drive import model
+
+    machine = model.InductionMachine(
+        model.InductionMachineInvGammaPars(n_p=2, R_s=3.7, R_R=2.1, L_sgm=0.021, L_M=0.224)
+    )
+    mechanics = model.MechanicalSystem(J=0.015)
+    load_from = 0.6 - 1e-9
+    mechanics.set_external_load_torque(lambda t: 10.0 * (t >= load_from))
+    drive = model.Drive(machine, mechanics, model.VoltageSourceConverter(u_dc=540.0), delay=0)
+    config = SolverCfg(rtol=rtol, atol=1e-3 * rtol)
+    simulation = model.Simulation(drive, Replay(vectors), show_progress=False, cfg=config)
+    start = time.process_time()
+    simulation.simulate(t_stop=len(vectors) * T_S - 1.5 * T_S)
+    found = time.process_time() - start
+    psi = machine.state.psi_s_ab
+    return {"cpu_s": found, "periods": round(drive.t0 / T_S), "psi_alpha": psi.real, "psi_beta": psi.imag,
+            "speed": mechanics.state.w_M.real}  # fmt: skip
+
+
+def motulator_own(vectors: Sequence[int]) -> dict[str, float]:
+    """Run motulator's own example: flux-vector control every 125 us, voltage averaged over the period."""
+    from math import pi
+
+    from motulator.drive import control, model
+
+    pars = model.InductionMachineInvGammaPars(n_p=2, R_s=3.7, R_R=2.1, L_sgm=0.021, L_M=0.224)
+    mechanics = model.MechanicalSystem(J=0.015)
+    mechanics.set_external_load_torque(lambda t: 10.0 * (t >= 0.6))
+    drive = model.Drive(model.InductionMachine(pars), mechanics, model.VoltageSourceConverter(u_dc=540.0))
+    config = control.im.FluxVectorControllerCfg(psi_s_nom=0.9, i_s_max=14.0, sensorless=False)
+    vector = control.im.FluxVectorController(pars, config)
+    system = control.im.VectorControlSystem(vector, control.im.SpeedController(J=0.015, alpha_s=2 * pi * 4))
+    system.set_speed_ref(lambda t: 100.0 * (t > 0.2))
+    simulation = model.Simulation(drive, system, show_progress=False)
+    start = time.process_time()
+    simulation.simulate(t_stop=len(vectors) * T_S)
+    return {"cpu_s": time.process_time() - start}
+
+
+def gym_electric_motor(vectors: Sequence[int]) -> dict[str, float]:
+    """Step the squirrel-cage motor of gym-electric-motor, finite switching set, 50 us, Euler's method."""
+    import gym_electric_motor as gem
+    from gym_electric_motor.physical_systems.solvers import EulerSolver
+
+    environment = gem.make("Finite-SC-SCIM-v0", tau=T_S, ode_solver=EulerSolver(), constraints=())
+    environment.reset()
+    start = time.process_time()
+    for vector in vectors:
+        environment.step(vector)
+    return {"cpu_s": time.process_time() - start}
+
+
+PEERS: dict[str, Callable[[Sequence[int]], dict[str, float]]] = {
+    "motulator": motulator,
+    "motulator-tight": lambda vectors: motulator(vectors, rtol=1e-8),
+    "motulator-own": motulator_own,
+    "gym-electric-motor": gym_electric_motor,
+}
+
+
+if __name__ == "__main__":
+    print(json.dumps(PEERS[sys.argv[1]](json.load(sys.stdin))))

@@ -1,0 +1,506 @@
+"""Induction motor under direct torque control: the sheet's acceptance, the model, the laws, bad input."""
+
+import math
+from itertools import groupby
+
+import numpy as np
+import pytest
+from conftest import differences, in_process
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+from scipy.linalg import expm
+from softrig_bringup.run import evaluate, execute
+from softrig_core import compiled
+from softrig_core.block import Level
+from softrig_core.cdr import Layout
+from softrig_core.errors import ScenarioError
+from softrig_core.inprocess import run_inprocess
+from softrig_core.params import ParameterError
+from softrig_core.port import Decoder, Refused
+from softrig_core.rig import Rig
+from softrig_core.scenario import Scenario, list_scenarios, load_scenario
+from softrig_core.signals import Signals
+from softrig_drives.induction_dtc import bench
+from softrig_drives.induction_dtc.adc import AdcParams, Converter
+from softrig_drives.induction_dtc.dtc import DtcController
+from softrig_drives.induction_dtc.estimator import EstimatorParams, make_estimator
+from softrig_drives.induction_dtc.figures import circle, last_revolution, leg_transitions, slope
+from softrig_drives.induction_dtc.machine import MachineConstants
+from softrig_drives.induction_dtc.monitor import FluxMonitor
+from softrig_drives.induction_dtc.plant import ImPlant
+from softrig_drives.induction_dtc.ports import SWITCHES
+from softrig_drives.induction_dtc.speed import SpeedController
+from softrig_drives.induction_dtc.switching import (
+    TABLES,
+    VECTORS,
+    FluxComparator,
+    TorqueComparator,
+    sector,
+    voltage,
+)
+
+T_S = 5e-5
+Q = 1 / 32  # A
+R_S = 3.7
+
+# The sheet's numbers as name: (expected, tolerance) or (None, largest), apart from what the files say.
+STEADY = {
+    "speed_error_mean": (0.0, 0.1), "torque_error_mean": (0.0, 0.05), "torque_std": (0.84, 0.08),
+    "flux_estimate_min": (0.899, 0.031), "flux_estimate_max": (0.899, 0.031), "current_peak": (8.1, 0.3),
+    "device_frequency": (3900, 150), "load_dip": (5.2, 0.5),
+}  # fmt: skip
+ACCEPTANCE = {
+    "induction_dtc_s0": {"flux_error_peak": (None, 5e-5), **STEADY},
+    "induction_dtc_s1": {"flux_error_peak": (None, 2.5e-3), "adc_error_mean": (0.0, 0.01),
+                         "adc_error_std": (0.289, 0.01), **STEADY},
+    "induction_dtc_s2": {"flux_error_slope_alpha": (0.05781, 0.015 * 0.05781),
+                         "flux_error_slope_beta": (0.10014, 0.015 * 0.10014),
+                         "flux_error_slope": (0.11563, 0.01 * 0.11563), "flux_error_direction": (60, 1),
+                         "flux_error_end": (0.231, 0.003), "true_circle_alpha": (-0.111, 0.008),
+                         "true_circle_beta": (-0.194, 0.008), "flux_true_min": (0.654, 0.02),
+                         "flux_true_max": (1.144, 0.02), "adc_error_mean": (-0.4998, 0.01)},
+    "induction_dtc": {"flux_error_peak": (None, 4.5e-3), "flux_error_slope": (None, 2.5e-3),
+                      "adc_error_mean": (0.0, 0.01), "adc_error_std": (0.577, 0.01), **STEADY},
+    "induction_dtc_s4": {"flux_error_end": (0.333, 0.01), "speed_min": (97.3, 0.5), "speed_max": (102.8, 0.5)},
+    "induction_dtc_s6_offset": {"flux_error_slope_alpha": (0.01445, 0.015 * 0.01445),
+                                "flux_error_slope_beta": (0.02503, 0.016 * 0.02503)},
+    "induction_dtc_s6_dither": {"flux_error_peak": (None, 4.5e-3 / 4)},
+    "induction_dtc_s8_half": {"flux_error_slope": (0.0694, 0.04 * 0.0694)},
+    "induction_dtc_s8_matched": {"flux_error_slope": (None, 2.5e-3)},
+    "induction_dtc_s9_minus": {"flux_error_end": (None, 0.010), "speed_error_mean": (0.0, 0.1)},
+    "induction_dtc_e2": {"flux_error_peak": (None, 0.016)},
+    "induction_dtc_e2_3_lsb": {"flux_error_peak": (None, 0.075)},
+    "induction_dtc_ts_25": {"torque_std": (None, 0.42)},
+}  # fmt: skip
+
+
+def recorded(scenario):
+    return Signals(in_process(Rig.from_scenario(scenario), scenario.seed))
+
+
+@pytest.mark.parametrize("name", sorted(n for n in list_scenarios() if n.startswith("induction_dtc")))
+def test_scenario_meets_the_sheet(name):
+    scenario = load_scenario(name)
+    rows = {row["name"]: row for row in evaluate(scenario, recorded(scenario))}
+    for metric, (expected, tolerance) in ACCEPTANCE.get(name, {}).items():
+        value = rows[metric]["value"]
+        if expected is None:
+            assert value <= tolerance, metric
+        else:
+            assert value == pytest.approx(expected, abs=tolerance), metric
+    assert [name for name, row in rows.items() if not row["pass"]] == []
+
+
+def end_errors(name, runs):
+    """|e| in Wb at the last control instant of 2 s runs; `runs` gives (seed, load torque)."""
+    scenario = load_scenario(name)
+    source = scenario.nodes["load_source"]
+    errors = []
+    for seed, load in runs:
+        loaded = source.model_copy(update={"parameters": source.parameters | {"values": [0.0, load]}})
+        rig = Rig.from_scenario(scenario.model_copy(update={"nodes": scenario.nodes | {"load_source": loaded}}))
+        errors.append(run_inprocess(rig, seed)["flux_monitor"].status()["flux_error"][0])
+    return np.array(errors)
+
+
+def random_walk(variance, t=2.0):
+    """rms |e| in Wb of a converter error of this variance in LSB^2: i_beta = (i_a + 2 i_b)/sqrt 3."""
+    return R_S * Q * math.sqrt(T_S * t * (1 + 5 / 3) * variance)
+
+
+def test_quantisation_is_a_random_walk_and_dither_doubles_it():
+    loads = np.linspace(6.0, 12.0, 30)
+    dithered = end_errors("induction_dtc", [(seed, 10.0) for seed in range(30)])
+    rounded = end_errors("induction_dtc_s1", [(0, load) for load in loads])
+    corrected = end_errors("induction_dtc_e1", [(0, load) for load in loads[::3]])
+    rms = {k: math.sqrt((e**2).mean()) for k, e in (("d", dithered), ("r", rounded), ("c", corrected))}
+    assert random_walk(1 / 3) == pytest.approx(1.09e-3, rel=1e-2)
+    assert random_walk(1 / 12) == pytest.approx(5.45e-4, rel=1e-2)
+    assert rms["d"] == pytest.approx(1.09e-3, rel=0.25)
+    assert rms["r"] == pytest.approx(5.45e-4, rel=0.25)
+    assert rms["d"] / rms["r"] == pytest.approx(2.0, abs=0.4)
+    assert rms["c"] <= 6.5e-4
+    assert dithered.max() <= 4.5e-3
+
+
+def test_tables_give_the_same_states_with_fewer_transitions():
+    printed, minimal = (recorded(load_scenario(n)) for n in ("induction_dtc_s0", "induction_dtc_s7"))
+    for topic in ("joint_states", "flux_true", "flux_estimate", "currents_true", "torque_ref"):
+        assert printed.recording.topics[topic].data == minimal.recording.topics[topic].data
+    transitions = [leg_transitions(legs(s)) for s in (printed, minimal)]
+    assert transitions[0] / transitions[1] == pytest.approx(1.27, abs=0.03)
+
+
+def legs(signals):
+    return np.column_stack([signals[f"switches/{leg}/effort"].x for leg in ("Sa", "Sb", "Sc")])
+
+
+def independent(x, u, load, h, m):
+    """The equations again, as space vectors, by an adaptive solver over one interval of constant voltage."""
+
+    def derivative(_, x):
+        psi_s, psi_R = complex(x[0], x[1]), complex(x[2], x[3])
+        i = (psi_s - psi_R) / m.L_sigma
+        d_s = u - m.R_s * i
+        d_R = m.R_R * i - (m.R_R / m.L_M - 1j * m.pole_pairs * x[4]) * psi_R
+        torque = 1.5 * m.pole_pairs * (psi_s.conjugate() * i).imag
+        return d_s.real, d_s.imag, d_R.real, d_R.imag, (torque - load - m.B * x[4]) / m.J, x[4]
+
+    return solve_ivp(derivative, (0.0, h), x, method="DOP853", rtol=1e-10, atol=1e-12).y[:, -1]
+
+
+def test_recorded_switching_agrees_with_finer_steps_and_an_independent_solver():
+    scenario = load_scenario("induction_dtc_s0")
+    scenario = scenario.model_copy(update={"duration": 0.75})
+    signals = recorded(scenario)
+    switches = [tuple(row) for row in legs(signals).tolist()]
+    loads = [0.0 if k * T_S < 0.6 - 1e-9 else 10.0 for k in range(len(switches))]
+    states = []
+    for substeps in (1, 10):
+        plant = ImPlant(substeps=substeps, adc_mode="none")
+        for k, (vector, load) in enumerate(zip(switches, loads, strict=True)):
+            plant.advance(k, switches=vector, load_torque=(load,))
+        states.append(np.array(plant.state))
+    x = np.zeros(6)
+    m = MachineConstants()
+    for (vector, load), same in groupby(zip(switches, loads, strict=True)):
+        x = independent(x, 540.0 * voltage(vector), load, T_S * len(list(same)), m)
+    assert states[0][0] == signals["flux_true/x"].x[-1]
+    for state in states:
+        assert np.abs(state - x)[:2].max() < 1e-7
+        assert abs(state - x)[4] < 1e-5
+    assert np.abs(x[:4]).max() > 0.5
+    assert x[4] == pytest.approx(100, abs=7)
+
+
+def test_halving_the_step_divides_the_error_by_sixteen():
+    ends = {}
+    for substeps in (1, 2, 16):
+        plant = ImPlant(substeps=substeps, period=1e-3, adc_mode="none", trip_current=1e3)
+        for k in range(20):
+            plant.advance(k, switches=VECTORS[1 + k // 3 % 6], load_torque=None)
+        ends[substeps] = np.array(plant.state)
+    coarse, fine = (np.abs(ends[n] - ends[16]).max() for n in (1, 2))
+    assert coarse / fine == pytest.approx(16, rel=0.2)
+
+
+def test_electrical_part_at_standstill_is_the_matrix_exponential():
+    m = MachineConstants(J=1e12)
+    plant = ImPlant(adc_mode="none", trip_current=1e3, **m.model_dump())
+    for k in range(400):
+        plant.advance(k, switches=VECTORS[2], load_torque=None)
+    a = np.array([[-m.R_s, m.R_s], [m.R_R, -m.R_R - m.R_R * m.L_sigma / m.L_M]]) / m.L_sigma
+    u = 540.0 * voltage(VECTORS[2])
+    psi = np.linalg.solve(a, (expm(a * 400 * T_S) - np.eye(2)) @ [1.0, 0.0]) * u
+    found = np.array(plant.state)
+    np.testing.assert_allclose(found[0:4:2] + 1j * found[1:4:2], psi, rtol=1e-9)
+    i = (psi[0] - psi[1]) / m.L_sigma
+    currents = plant.outputs(0)["currents_true"]
+    np.testing.assert_allclose(currents, [(i * np.exp(-2j * np.pi * n / 3)).real for n in range(3)], rtol=1e-8)
+
+
+def test_virtual_machine_gives_the_same_bits_as_compiled_code(monkeypatch):
+    native = run_inprocess(bench.drive(0.3), 1)["im_plant"]
+    monkeypatch.setattr(compiled, "build", lambda function: None)
+    assert run_inprocess(bench.drive(0.3), 1)["im_plant"].state == native.state
+
+
+@given(st.floats(-15.9, 15.9), st.sampled_from([8, 10, 16]))
+def test_converters_round_and_truncate(x, bits):
+    ideal, floor = (Converter(AdcParams(adc_mode=mode, bits=bits)) for mode in ("ideal", "offset"))
+    q = 16.0 / 2 ** (bits - 1)
+    assert abs(ideal(x) - x) <= q / 2
+    assert 0.0 <= x - floor(x) <= q
+    assert ideal(x) / q == round(ideal(x) / q)
+    assert Converter(AdcParams(adc_mode="none"))(x) == x
+
+
+def test_converter_clips_to_its_codes_and_counts():
+    ideal = Converter(AdcParams(adc_mode="ideal"))
+    assert [ideal(x) for x in (15.98, 16.1, 99.0, -15.99, -16.1)] == [511 * Q, 511 * Q, 511 * Q, -512 * Q, -512 * Q]
+    assert ideal.clipped == 1
+    assert ideal(0.0) == ideal.clipped == 0
+
+
+@pytest.mark.parametrize(("p_d", "offset"), [(0.0, 0.5), (0.5, 0.5), (1.0, 0.5), (0.8, 0.8)])
+def test_dither_moves_the_mean_by_its_probability(p_d, offset):
+    converter = Converter(AdcParams(adc_mode="dither", dither_p=p_d, offset_lsb=offset))
+    converter.start(np.random.default_rng(3))
+    x = np.random.default_rng(4).uniform(-10, 10, 40000)
+    error = (np.array([converter(v) for v in x]) - x) / Q
+    assert error.mean() == pytest.approx(p_d - offset, abs=0.01)
+    assert error.std() == pytest.approx(math.sqrt(1 / 12 + p_d * (1 - p_d)), abs=0.01)
+    assert converter(20.0) - 511 * Q in (0.0, Q)  # added after clipping
+
+
+def test_dither_is_a_matter_of_the_seed():
+    runs = []
+    for seed in (1, 1, 2):
+        plant = ImPlant(name="im_plant")
+        plant.reset(seed)
+        runs.append([])
+        for k in range(50):
+            runs[-1].append(plant.outputs(k)["currents_meas"])
+            plant.advance(k, switches=VECTORS[1], load_torque=None)
+    assert runs[0] == runs[1] != runs[2]
+    assert all(sum(abs_) == 0.0 for abs_ in runs[0])
+
+
+def test_voltage_vectors_are_sixty_degrees_apart():
+    for n, vector in enumerate(VECTORS[1:7]):
+        assert voltage(vector) == pytest.approx(2 / 3 * np.exp(1j * np.pi / 3 * n), abs=1e-15)
+    assert voltage(VECTORS[0]) == voltage(VECTORS[7]) == 0
+
+
+@pytest.mark.parametrize("n", range(1, 7))
+def test_sectors_include_their_lower_bound(n):
+    middle = 60 * (n - 1)
+    for degrees in (-30 + 1e-9, -29, 0, 29, 30 - 1e-9):
+        assert sector(0.9 * np.exp(1j * np.radians(middle + degrees))) == n
+    assert sector(0.9j) == 3
+    assert sector(-0.9j) == 6
+
+
+@pytest.mark.parametrize("name", list(TABLES))
+@pytest.mark.parametrize("n", range(1, 7))
+def test_table_moves_flux_and_torque_the_right_way(name, n):
+    direction = np.exp(1j * np.pi / 3 * (n - 1))
+    for flux, torque in ((f, t) for f in (0, 1) for t in (-1, 0, 1)):
+        vector = TABLES[name][flux][torque][n - 1]
+        along, across = (z := voltage(VECTORS[vector]) / direction).real, z.imag
+        if torque == 0:
+            assert vector in (0, 7)
+        else:
+            assert np.sign(along) == (1 if flux else -1)
+            assert np.sign(across) == torque
+            zero = TABLES[name][flux][0][n - 1]
+            toggled = sum(a != b for a, b in zip(VECTORS[vector], VECTORS[zero], strict=True))
+            assert toggled == {"printed": 2, "minimal_switching": 1}[name]
+
+
+def test_tables_are_those_of_the_sheet():
+    increase, decrease = TABLES["printed"][1], TABLES["printed"][0]
+    assert increase == ((0, 7, 0, 7, 0, 7), (2, 3, 4, 5, 6, 1), (6, 1, 2, 3, 4, 5))
+    assert decrease == ((7, 0, 7, 0, 7, 0), (3, 4, 5, 6, 1, 2), (5, 6, 1, 2, 3, 4))
+
+
+def test_comparators_remember():
+    flux = FluxComparator(0.01)
+    assert [flux(e) for e in (0.0, -0.01, -0.011, 0.005, 0.011, -0.005)] == [1, 1, 0, 0, 1, 1]
+    torque = TorqueComparator(0.5)
+    errors = (0.4, 0.6, 0.1, 0.0, -0.4, -0.6, -0.1, 0.6, -0.6, 0.0, 0.5)
+    assert [torque(e) for e in errors] == [0, 1, 1, 0, 0, -1, -1, 1, -1, 0, 0]
+
+
+def test_voltage_model_is_the_trapezoidal_rule():
+    model = make_estimator(EstimatorParams(), T_S)
+    assert model.update(99.0, 1 + 1j, 0.0) == 0  # the first sample is the start
+    assert model.update(100j, 3 + 1j, 0.0) == pytest.approx(T_S * (100j - R_S * (2 + 1j)))
+    assert model.torque() == pytest.approx(3.0 * (model.psi.conjugate() * (3 + 1j)).imag)
+
+
+def test_observer_stays_near_the_current_model():
+    offset, g, omega = 0.05, 10.0, 50.0
+    observer = make_estimator(EstimatorParams(estimator="observer", observer_gain=g), T_S)
+    for _ in range(60000):
+        observer.update(R_S * (5.0 + 0j), 5.0 + offset, omega)
+    current_model = 0.021 * 5.05 + 2.1 * 5.05 / (2.1 / 0.224 - 2j * omega)
+    assert observer.psi - current_model == pytest.approx(-R_S * offset * (1 / g - T_S), rel=1e-6)
+
+
+def test_controller_starts_by_magnetising():
+    controller = DtcController(magnetising_time=0.2)
+    zero = {"currents_meas": (0.0, 0.0, 0.0), "dc_link": (540.0,), "torque_ref": (15.0,)}
+    found = [controller.update(k * 50_000, **zero)["switches"] for k in range(3999)]
+    assert set(found) == {VECTORS[0], VECTORS[1]}
+    assert found[0] == VECTORS[1]
+    later = [controller.update(200_000_000 + k * 50_000, **zero)["switches"] for k in range(3)]
+    assert later[0] in (VECTORS[2], VECTORS[3])  # sector 1, more torque
+
+
+def test_controller_reproduces_its_record():
+    scenario = load_scenario("induction_dtc_short")
+    signals = recorded(scenario)
+    params = next(m.params for m in Rig.from_scenario(scenario).members if m.name == "dtc_controller")
+    controller = DtcController(params, "another name")
+    currents = np.column_stack([signals[f"currents_meas/{c}"].x for c in "xyz"]).tolist()
+    torque_ref = signals["torque_ref/shaft/effort"].x.tolist()
+    for k, row in enumerate(legs(signals).tolist()):
+        found = controller.update(
+            k * 50_000, currents_meas=tuple(currents[k]), dc_link=(540.0,), torque_ref=(torque_ref[k // 20],)
+        )
+        assert found["switches"] == tuple(row)
+        assert found["flux_estimate"][0] == signals["flux_estimate/x"].x[k]
+
+
+def test_computation_delay_is_known_to_the_estimator():
+    scenario = load_scenario("induction_dtc_short", {"dtc_controller.delay_steps": 2, "im_plant.adc_mode": "none"})
+    signals = recorded(scenario)
+    assert legs(signals)[:3].tolist() == [[0, 0, 0], [0, 0, 0], [1, 0, 0]]
+    error = signals["flux_estimate/x"].x - signals["flux_true/x"].x[:-1]
+    assert np.abs(error).max() < 5e-5
+
+
+def test_speed_controller_slews_and_limits():
+    controller = SpeedController()
+    first = controller.update(0, joint_states=(0.0,), speed_ref=(100.0,))["torque_ref"][0]
+    assert first == pytest.approx(1.5 * 0.5)
+    found = [controller.update(k, joint_states=(0.0,), speed_ref=(100.0,))["torque_ref"][0] for k in range(400)]
+    assert max(found) == found[-1] == 20.0
+    controller.reset(0)
+    assert controller.update(0, joint_states=(0.0,), speed_ref=None)["torque_ref"] == (0.0,)
+    assert controller.update(0, joint_states=(-40.0,), speed_ref=(-1.0,))["torque_ref"][0] == 20.0
+    controller.reset(0)
+    assert controller.update(0, joint_states=(0.0,), speed_ref=(-100.0,))["torque_ref"][0] == pytest.approx(-1.5 * 0.5)
+
+
+def test_figures_find_line_circle_and_revolution():
+    t = np.linspace(0.0, 2.0, 2001)
+    assert slope(t, (3 - 2j) * t + 5) == pytest.approx(3 - 2j)
+    psi = 0.2 - 0.1j + 0.9 * np.exp(50j * t)
+    turn = last_revolution(psi)
+    assert turn.size == pytest.approx(2 * np.pi / 50 * 1000, abs=2)
+    centre, radius = circle(turn)
+    assert centre == pytest.approx(0.2 - 0.1j)
+    assert radius == pytest.approx(0.9)
+    assert last_revolution(psi[:100]) is None
+
+
+def test_monitor_agrees_with_the_recording():
+    scenario = load_scenario("induction_dtc_s2", {"flux_monitor.window": 1.7})
+    rig = Rig.from_scenario(scenario)
+    status = run_inprocess(rig, scenario.seed)["flux_monitor"].status()
+    signals = recorded(scenario)
+    rows = {row["name"]: row["value"] for row in evaluate(scenario, signals)}
+    assert status["flux_error"][0] == pytest.approx(rows["flux_error_end"])
+    assert status["flux_error_slope_alpha"][0] == pytest.approx(rows["flux_error_slope_alpha"], rel=1e-3)
+    assert status["true_circle_beta"][0] == pytest.approx(rows["true_circle_beta"], abs=1e-3)
+    assert status["adc_a_mean"][0] == pytest.approx(rows["adc_error_mean"] * Q, rel=1e-3)
+    assert status["leg_transitions"][0] == leg_transitions(legs(signals))
+    torque = signals["joint_states/shaft/effort"]
+    assert status["torque_std"][0] == pytest.approx(torque.x[(torque.t >= 0.3) & (torque.t < 2.0)].std(), rel=1e-3)
+    assert FluxMonitor().status() == {}
+
+
+def test_bench_tells_when_a_peer_is_missing():
+    assert [tuple(map(int, v)) for v in VECTORS] == bench.LEGS
+    found = bench.peer("motulator", [1] * 20)
+    assert found is None or found["psi_alpha"] == pytest.approx(540 * 2 / 3 * T_S * found["periods"], rel=0.01)
+
+
+# bad input
+
+
+@pytest.mark.parametrize(
+    ("block", "values", "text"),
+    [
+        (ImPlant, {"R_s": 0.0}, "R_s = 0"),
+        (ImPlant, {"R_R": -1.0}, "R_R"),
+        (ImPlant, {"L_sigma": 0.0}, "L_sigma"),
+        (ImPlant, {"L_M": 0.0}, "L_M"),
+        (ImPlant, {"J": 0.0}, "J = 0"),
+        (ImPlant, {"U_dc": 0.0}, "U_dc"),
+        (ImPlant, {"period": 0.0}, "period"),
+        (ImPlant, {"full_scale": 0.0}, "full_scale"),
+        (ImPlant, {"bits": 1}, "bits"),
+        (ImPlant, {"bits": 25}, "bits"),
+        (ImPlant, {"dither_p": 1.01}, "dither_p"),
+        (ImPlant, {"dither_p": float("nan")}, "dither_p"),
+        (ImPlant, {"adc_mode": "round"}, "adc_mode"),
+        (DtcController, {"flux_band": -0.01}, "flux_band"),
+        (DtcController, {"torque_band": -0.5}, "torque_band"),
+        (DtcController, {"table": "takahashi"}, "table"),
+        (DtcController, {"flux_ramp": 0.3}, "does not end within magnetising_time"),
+        (SpeedController, {"slew": 0.0}, "slew"),
+    ],
+)
+def test_bad_parameter_is_named(block, values, text):
+    with pytest.raises(ParameterError, match=text):
+        block(**values)
+
+
+def test_periods_that_do_not_fit_are_refused():
+    with pytest.raises(ScenarioError, match=r"0\.00103 s of speed_controller is not a multiple"):
+        Rig.from_scenario(load_scenario("induction_dtc", {"speed_controller.period": 0.00103}))
+
+
+def test_seed_is_a_whole_number():
+    raw = load_scenario("induction_dtc").model_dump() | {"seed": 1.5}
+    with pytest.raises(ValueError, match="seed"):
+        Scenario(**raw)
+
+
+@pytest.mark.parametrize(
+    ("names", "values", "text"),
+    [
+        (("Sa", "Sb"), (1.0, 0.0), "names"),
+        (("Sa", "Sb", "Sb"), (1.0, 0.0, 0.0), "names"),
+        (("Sa", "Sb", "Sc"), (1.0, math.nan, 0.0), "Sb/effort is nan"),
+    ],
+)
+def test_malformed_switches_never_reach_the_plant(names, values, text):
+    data = Layout(SWITCHES.msgtype, "", names, {"effort": len(values)}).encode(0, values)
+    with pytest.raises(Refused, match=text):
+        Decoder(SWITCHES)(data)
+
+
+def test_switch_that_is_neither_0_nor_1_is_held_once_then_a_fault():
+    plant = ImPlant(adc_mode="none")
+    good, near, bad = VECTORS[1], (1.0 - 5e-10, 5e-10, 0.0), (1.0, 0.5, 0.0)
+    twin = ImPlant(adc_mode="none")
+
+    def advance(switches, same):
+        plant.advance(0, switches=switches, load_torque=None)
+        twin.advance(0, switches=same, load_torque=None)
+        assert plant.state == twin.state
+
+    for switches in (good, near, bad, good, bad):
+        advance(switches, good)
+    assert plant.reports["bad_switches"][0] == Level.ERROR
+    assert not plant.fault
+    advance(bad, VECTORS[0])
+    assert plant.reports["switch_fault"][0] == Level.ERROR
+    advance(good, VECTORS[0])  # latched
+    plant.reset(0)
+    assert not plant.fault
+    assert plant.reports == {}
+
+
+def test_overcurrent_trips_for_good():
+    plant = ImPlant()
+    while not plant.fault:
+        plant.advance(0, switches=VECTORS[1], load_torque=None)
+    assert 28.0 < plant.outputs(0)["currents_true"][0] < 30.0
+    for _ in range(4000):
+        plant.advance(0, switches=VECTORS[1], load_torque=None)
+    assert abs(plant.outputs(0)["currents_true"][0]) < 5.0
+    assert plant.reports["overcurrent"][0] == Level.ERROR
+    assert plant.reports["overcurrent"][2] == 1
+
+
+def test_saturated_converter_warns_after_ten_samples():
+    plant = ImPlant(full_scale=4.0, trip_current=100.0)
+    beyond = 0
+    while beyond <= 10:
+        assert "adc_saturated" not in plant.reports
+        plant.advance(0, switches=VECTORS[1], load_torque=None)
+        beyond += plant.outputs(0)["currents_true"][0] > 4.0
+    assert plant.reports["adc_saturated"][0] == Level.WARN
+
+
+def test_lost_flux_warns():
+    signals_of = load_scenario(
+        "induction_dtc_s0", {"speed_source.velocities": [0.0, 0.0], "load_source.values": [0, 0]}
+    )
+    blocks = run_inprocess(Rig.from_scenario(signals_of), 0)
+    assert blocks["dtc_controller"].reports["flux_lost"][0] == Level.WARN
+    assert abs(complex(*blocks["im_plant"].state[:2])) < 0.09
+
+
+@pytest.mark.processes
+def test_the_same_bits_over_topics(tmp_path):
+    scenario = load_scenario("induction_dtc_short")
+    run = execute(scenario, "processes", tmp_path)
+    assert run.error == ""
+    assert differences(in_process(Rig.from_scenario(scenario), scenario.seed), run.recording) == []
