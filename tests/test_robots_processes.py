@@ -1,0 +1,48 @@
+"""The robots through real node processes: the same bytes as in-process, and their safety behaviour."""
+
+import pytest
+from conftest import differences, in_process
+from softrig_core.processes import run_processes
+from softrig_core.rig import Rig
+from softrig_core.scenario import load_scenario
+from softrig_core.signals import Signals
+
+pytestmark = pytest.mark.processes
+
+
+def rig(name, duration, overrides=None):
+    return Rig.from_scenario(load_scenario(name, overrides).model_copy(update={"duration": duration}))
+
+
+@pytest.mark.parametrize(
+    ("name", "duration"),
+    [("manipulator_adsmc_s2", 1.0), ("manipulator_adsmc_two_link", 0.3), ("rehab_impedance_r5", 0.5)],
+)
+def test_equal_to_in_process_bit_for_bit(name, duration, tmp_path):
+    wired = rig(name, duration)
+    outcome = run_processes(wired, 0, tmp_path)
+    assert outcome.error == ""
+    assert differences(in_process(wired), outcome.recording) == []
+
+
+def test_overspeed_ends_the_run_naming_plant_and_limit(tmp_path):
+    wired = rig("manipulator_adsmc_s2", 2.0, {"manipulator_plant.speed_limit": 0.3})
+    outcome = run_processes(wired, 0, tmp_path)
+    assert "manipulator_plant" in outcome.error
+    assert "limit 0.3: integration stopped" in outcome.error
+    signals = Signals(outcome.recording)
+    speeds = [signals[f"joint_states/joint{i}/velocity"].x for i in (1, 2, 3)]
+    assert 10 < speeds[0].size < 2000
+    assert max(abs(x).max() for x in speeds) <= 0.3
+
+
+def test_leg_outside_its_range_is_stopped_and_said(tmp_path):
+    wired = rig("rehab_impedance", 0.6, {"rehab_plant.lower": [0.0, -1.5], "rehab_plant.position": [0.1, -1.0]})
+    outcome = run_processes(wired, 0, tmp_path)
+    assert outcome.error == ""
+    level, text, _ = outcome.status["rehab_plant"]["reports"]["safe"]
+    assert level == 2
+    assert text.startswith("SAFE from t = ")
+    signals = Signals(outcome.recording)
+    assert signals["applied_voltage/hip/effort"].x[-1] == 0.0
+    assert signals["motor_command/hip/effort"].x[-1] != 0.0
