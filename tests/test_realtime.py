@@ -195,3 +195,33 @@ def test_a_realtime_rig_keeps_the_rate_of_the_wall_clock(tmp_path):
     assert t[-1] == pytest.approx(2.0, abs=1e-9)
     assert len(t) == 201 - missed
     assert x.max() > 0.0
+
+
+WATCHER = """
+import rclpy
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+from visualization_msgs.msg import MarkerArray
+rclpy.init()
+node = Node("viewer")
+latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+seen = {}
+node.create_subscription(String, "robot_description", lambda m: seen.setdefault("urdf", m.data), latched)
+node.create_subscription(MarkerArray, "robot_dynamics/markers", lambda m: seen.setdefault("markers", m.markers), 10)
+while len(seen) < 2:
+    rclpy.spin_once(node)
+assert seen["urdf"].startswith("<"), seen["urdf"][:20]
+assert any(len(m.points) > 2 for m in seen["markers"])
+"""
+
+
+def test_a_viewer_that_comes_late_gets_the_robot_description_and_markers(bench):
+    path = find_executable("softrig_robots", "robot_dynamics")
+    status = bench.directory / "robot.status"
+    bench.nodes["robot"] = subprocess.Popen([str(path), "--ros-args", "-p", f"run.status:={status}"],
+                                            env=bench.environment)  # fmt: skip
+    bench.wait(lambda: bench.status("robot").get("state") == "running", 30)
+    bench.python("viewer", WATCHER)
+    assert bench.nodes["viewer"].wait(30) == 0

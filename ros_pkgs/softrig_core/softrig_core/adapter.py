@@ -23,13 +23,14 @@ from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
-from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.task import Future
 
 from .block import Block, Level, Observer, Plant
 from .cdr import SECOND
 from .errors import RunError
 from .inprocess import check
+from .marker import marker_array
 from .messages import message_class, range_descriptor
 from .options import Links, RunOptions
 from .params import Declaration, ParameterError, build, declarations, flatten
@@ -124,6 +125,10 @@ class Adapter:
             node.create_publisher(message_class("diagnostic_msgs/msg/DiagnosticArray"), "~/metrics", QOS)
             if isinstance(block, Observer) else None
         )  # fmt: skip
+        self._publish_latched()
+        shows = type(block).markers is not Block.markers
+        marker_array_class = message_class("visualization_msgs/msg/MarkerArray") if shows else None
+        self._markers = node.create_publisher(marker_array_class, "~/markers", QOS) if shows else None
         self._pressed: list[Input] = []
         for item in self.inputs:
             if item.port.msgtype == "std_msgs/msg/Bool" and item.port.name not in self.links.inputs:
@@ -159,6 +164,13 @@ class Adapter:
         )  # fmt: skip
         # what publish(bytes) ends in, without its type checks: worth 5 % of a lockstep loop
         output.publish = publisher.handle.publish_raw
+
+    def _publish_latched(self) -> None:
+        """Publish the block's texts for whoever comes, now or later."""
+        profile = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        string = message_class("std_msgs/msg/String")
+        for topic, text in self.block.latched().items():
+            self.node.create_publisher(string, topic, profile).publish(string(data=text))
 
     def _offer_press(self, item: Input) -> None:
         """Offer a push button as a service too: ``~/NAME`` presses it for one tick."""
@@ -269,6 +281,8 @@ class Adapter:
             self.log_once(key, level, text)
         self.progress()
         self.write_status()
+        if self._markers is not None and self.state == "running":
+            self._markers.publish(marker_array(self.now(), self.block.markers()))
         self._seconds += 1
         if self._seconds % round(1 / WATCH_PERIOD) == 0:
             self._publish_diagnostics()

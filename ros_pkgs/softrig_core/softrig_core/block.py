@@ -14,6 +14,8 @@ from .port import Port, Sample
 if TYPE_CHECKING:
     import numpy as np
 
+    from .marker import Marker
+
 Values = Mapping[str, "Sequence[float] | Sample"]
 
 
@@ -83,6 +85,14 @@ class Block:
         """Note an event for /diagnostics: logged the first time a key appears, counted always."""
         count = self.reports[key][2] if key in self.reports else 0
         self.reports[key] = (level, text, count + 1)
+
+    def latched(self) -> Mapping[str, str]:
+        """Give topic to text (such as ``robot_description``) that a node publishes once, also for late joiners."""
+        return {}
+
+    def markers(self) -> Sequence[Marker]:
+        """Give something to look at, drawn from the newest state; a node asks a few times a second."""
+        return ()
 
     def update(self, t: int, **inputs: Any) -> Values:
         """Answer one tick.

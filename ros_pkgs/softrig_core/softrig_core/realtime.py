@@ -65,7 +65,10 @@ class Realtime(Adapter):
                     self._answer_safe()
                 return
             now = time.time_ns()
-            stamp = stamp if item.port.stamped else now
+            # A delayed message tells when it was measured, one without a stamp nothing: the answer is due now.
+            due = stamp if item.port.stamped and not item.port.delayed else now - now % self.period
+            if not plant:
+                self.epoch = self.epoch or due
             self.values[name] = Sample(stamp - self.epoch, values) if item.port.delayed else values
             self.arrived[name] = now
             if name in self.stale:
@@ -78,7 +81,7 @@ class Realtime(Adapter):
                 if sent is not None:
                     self._round_trip.append(now - sent)
             elif name == self._pacer:
-                self._answer(stamp)
+                self._answer(due)
 
         return receive
 
@@ -98,7 +101,6 @@ class Realtime(Adapter):
     def _answer(self, stamp: int) -> None:
         if any(name not in self.arrived for name in self._required):
             return
-        self.epoch = self.epoch or stamp
         due = stamp // self.period
         if due == self._last_due or stamp < self.epoch:
             return

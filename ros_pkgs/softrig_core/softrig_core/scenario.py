@@ -47,7 +47,8 @@ class PlotEntry(_Model):
     ----------
     title : str
     signals : dict of str to str
-        Signal name to label (empty: the signal's own name).
+        Signal name to label (empty: the signal's own name). Over time also ``one - other``: a signal less the newest
+        value of another.
     unit : str
         Of the y axis; when empty, that of the ports, with one row a unit.
     x : str
