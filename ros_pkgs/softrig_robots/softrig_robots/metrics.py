@@ -17,7 +17,7 @@ def error_settling_time(signals: SignalMap, signal: str, *, reference: str, band
     Parameters
     ----------
     signal, reference : str
-        Names of signals with common sample times.
+        Names of signals.
     band : float
         In the unit of the signal.
 
@@ -41,13 +41,12 @@ def error_overshoot(signals: SignalMap, signal: str, *, reference: str) -> float
 
 
 def tracking_error(signals: SignalMap, signal: str, reference: str) -> tuple[Array, Array]:
-    """Give (t, reference - signal) at the samples that both have; a plant's last sample has no reference."""
-    t, x = signals[signal]
-    when, desired = signals[reference]
-    n = min(t.size, when.size)
-    if not n or not np.array_equal(t[:n], when[:n]):
+    """Give (t, reference - signal) at the sample times that both have; a plant's last sample has no reference."""
+    (t, x), (when, desired) = signals[signal], signals[reference]
+    common, here, there = np.intersect1d(t, when, assume_unique=True, return_indices=True)
+    if not common.size:
         raise ValueError(f"{signal} and {reference} have no common sample times")
-    return t[:n], desired[:n] - x[:n]
+    return common, desired[there] - x[here]
 
 
 def in_degrees(signals: SignalMap, *, of: str, **arguments: Any) -> float:
@@ -74,11 +73,6 @@ def integral_absolute_degrees(signals: SignalMap, signal: str) -> float:
 def mean_absolute(signals: SignalMap, signal: str) -> float:
     """Mean of the absolute value, in the unit of the signal (MAC of a current, MAV of a voltage)."""
     return float(np.abs(signals[signal][1]).mean())
-
-
-def difference(signals: SignalMap, first: str, second: str) -> float:
-    """Largest distance of two signals with common sample times, in their unit."""
-    return float(np.abs(tracking_error(signals, first, second)[1]).max())
 
 
 def repeatability(first: SignalMap, second: SignalMap, signal: str) -> float:
