@@ -18,5 +18,10 @@ setup(
     description="Bags: record, replay in lockstep, read, compare, repair",
     license="Apache-2.0",
     extras_require={"test": ["pytest"]},
-    entry_points={"console_scripts": []},
+    entry_points={
+        "console_scripts": [
+            "recorder = softrig_bags.cli:main_record",
+            "player = softrig_bags.cli:main_play",
+        ]
+    },
 )

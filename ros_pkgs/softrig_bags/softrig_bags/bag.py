@@ -100,7 +100,7 @@ class BagWriter:
             raise BagError(f"{directory} exists already; a bag is never overwritten") from None
         self.directory = directory
         self._storage_id, self._compression = storage, compression
-        self._custom_data = dict(custom_data or {})
+        self.custom_data = dict(custom_data or {})
         self._name = name or directory.name
         self._split_bytes, self._split_ns = split_bytes, split_ns
         self.topics: list[BagTopic] = []
@@ -218,6 +218,6 @@ class BagWriter:
             "compression_mode": "",
             "relative_file_paths": [f.path.name for f in self._files],
             "files": files,
-            "custom_data": self._custom_data or None,
+            "custom_data": self.custom_data or None,
             "ros_distro": "jazzy",
         }

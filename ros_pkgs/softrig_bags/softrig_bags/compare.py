@@ -17,6 +17,7 @@ from softrig_core.cdr import SCHEMAS, SECOND, parse
 from softrig_core.recording import Topic
 from softrig_core.signals import Signals
 
+from .errors import BagError
 from .read import BagSignals, flatten
 from .stamps import is_stamped, stamp
 from .topics import BagTopic
@@ -131,6 +132,7 @@ def compare(
     default: Tolerance = Tolerance(),
     tolerances: Mapping[str, Tolerance] | None = None,
     bitwise: bool = False,
+    topics: Sequence[str] | None = None,
     ignore: Sequence[str] = (),
 ) -> Comparison:
     """Compare recording b with its reference a.
@@ -147,6 +149,8 @@ def compare(
         By pattern (``plant/*``, ``*/velocity``) of the signal name ``topic/channel/field``; the first that fits counts.
     bitwise : bool
         Demand equal bytes and equal bag times instead.
+    topics : sequence of str, optional
+        Topics to compare; default all of both.
     ignore : sequence of str
         Patterns of topics left out.
 
@@ -155,7 +159,11 @@ def compare(
     Comparison
     """
     topics_a, topics_b = a.recording.topics, b.recording.topics
-    names = [n for n in dict.fromkeys([*topics_a, *topics_b]) if not any(fnmatchcase(n, p) for p in ignore)]
+    for name in topics or ():
+        if name not in topics_a and name not in topics_b:
+            raise BagError(f"no topic {name} to compare; there are {', '.join({**topics_a, **topics_b})}")
+    chosen = dict.fromkeys([*topics_a, *topics_b]) if topics is None else topics
+    names = [n for n in chosen if not any(fnmatchcase(n, p) for p in ignore)]
     results = []
     for name in names:
         one, two = topics_a.get(name), topics_b.get(name)

@@ -1,0 +1,210 @@
+"""The command lines of recorder, player, compare and bag; also the executables `recorder` and `player`."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import time
+from collections.abc import Callable, Sequence
+from functools import wraps
+from pathlib import Path
+
+from softrig_core.errors import RunError
+
+from .errors import BagError
+
+Main = Callable[[Sequence[str] | None], int]
+
+
+def _command(function: Callable[[list[str]], int]) -> Main:
+    """Make a main function: errors become one line and an exit status (2 bad input, 3 it broke)."""
+
+    @wraps(function)
+    def main(argv: Sequence[str] | None = None) -> int:
+        try:
+            return function(list(sys.argv[1:] if argv is None else argv))
+        except ValueError as error:  # BagError among them
+            print(f"softrig: {error}", file=sys.stderr)
+            return 2
+        except (RunError, OSError) as error:
+            print(f"softrig: {error}", file=sys.stderr)
+            return 3
+        except KeyboardInterrupt:
+            return 130
+
+    return main
+
+
+def _ros_arguments(argv: list[str]) -> tuple[list[str], list[str]]:
+    """Part the tool's own arguments from ``--ros-args ... --``."""
+    own: list[str] = []
+    ros: list[str] = []
+    target = own
+    for item in argv:
+        if item == "--ros-args":
+            target = ros
+        target.append(item)
+        if item == "--" and target is ros:
+            target = own
+    return own, ros
+
+
+def _selection_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--regex", "-e", default="", metavar="RE", help="topics with a name in which RE is found")
+    parser.add_argument("--exclude", "-x", default="", metavar="RE", help="but not these")
+
+
+@_command
+def main_record(argv: list[str]) -> int:
+    """Record topics into a bag until SIGINT or SIGTERM; exit status 1 when messages were lost on the way."""
+    parser = argparse.ArgumentParser(
+        prog="softrig record",
+        description="Record topics into a rosbag2 bag until Ctrl-C. Topics are picked up as they appear.",
+    )
+    parser.add_argument("topics", nargs="*", metavar="TOPIC", help="names (default: all but hidden ones)")
+    _selection_arguments(parser)
+    parser.add_argument("--output", "-o", type=Path, metavar="DIR", help="the bag (default rosbag2_DATE-TIME)")
+    parser.add_argument("--storage", "-s", choices=("mcap", "sqlite3"), default="mcap")
+    parser.add_argument("--compression", choices=("none", "zstd"), default="none", help="zstd: mcap only")
+    parser.add_argument("--max-size", type=float, default=0.0, metavar="MB", help="begin a new file after so much")
+    parser.add_argument("--max-duration", type=float, default=0.0, metavar="S", help="begin a new file after so long")
+    parser.add_argument("--use-sim-time", action="store_true",
+                        help="bag time is the header stamp instead of the time of arrival")  # fmt: skip
+    own, ros = _ros_arguments(argv)
+    options = parser.parse_args(own)
+
+    from .bag import BagWriter
+    from .recorder import RESERVE, Recorder
+    from .ros import Session
+    from .selection import Selection
+
+    selection = Selection.of(options.topics, options.regex, options.exclude)
+    directory = (options.output or Path(time.strftime("rosbag2_%Y_%m_%d-%H_%M_%S"))).absolute()
+    writer = BagWriter(
+        directory, storage=options.storage, compression=options.compression, reserve=RESERVE,
+        custom_data={"bag_time": "stamp" if options.use_sim_time else "received"},
+        split_bytes=round(options.max_size * 1e6), split_ns=round(options.max_duration * 1e9),
+    )  # fmt: skip
+    session = Session("recorder", ros)
+    recorder = Recorder(session, writer, selection, options.use_sim_time)
+    print(f"recording into {directory}", flush=True)
+    try:
+        recorder.run()
+    finally:
+        session.close()
+    lost = recorder.lost
+    print(f"{writer.count} messages of {len(writer.topics)} topics in {directory}, "
+          + (f"LOST {sum(lost.values())}: {writer.custom_data['lost']}" if lost else "none lost"))  # fmt: skip
+    return 1 if lost else 0
+
+
+@_command
+def main_play(argv: list[str]) -> int:
+    """Play a bag against the wall clock, or in lockstep with a node."""
+    parser = argparse.ArgumentParser(
+        prog="softrig play",
+        description="Play a rosbag2 bag: against the wall clock, or in lockstep with a node that answers.",
+        epilog="Services while playing: ~/pause, ~/resume, ~/step (std_srvs/Trigger).",
+    )
+    parser.add_argument("bag", type=Path)
+    parser.add_argument("--topics", nargs="+", default=[], metavar="TOPIC", help="only these (default: all)")
+    _selection_arguments(parser)
+    parser.add_argument("--remap", nargs="+", default=[], metavar="OLD:=NEW", help="publish under another name")
+    parser.add_argument("--start-offset", type=float, default=0.0, metavar="S", help="bag time to skip")
+    parser.add_argument("--duration", type=float, metavar="S", help="bag time to play")
+    parser.add_argument("--paused", action="store_true", help="wait for ~/resume or ~/step")
+    clocked = parser.add_argument_group("against the wall clock")
+    clocked.add_argument("--rate", type=float, default=1.0, metavar="R", help="bag seconds a second")
+    clocked.add_argument("--loop", action="store_true", help="begin again at the end")
+    clocked.add_argument("--clock", action="store_true", help="publish bag time on /clock")
+    clocked.add_argument("--wait", action="store_true", help="do not start before every topic has a subscriber")
+    lockstep = parser.add_argument_group("in lockstep, as fast as the node answers")
+    lockstep.add_argument("--lockstep", nargs="+", default=[], metavar="NODE_TOPIC",
+                          help="topics that the node under test publishes; the next tick waits for them")  # fmt: skip
+    lockstep.add_argument("--answers", type=Path, metavar="DIR", help="write what the node answered as a bag")
+    lockstep.add_argument("--timeout", type=float, default=30.0, metavar="S", help="wall-clock time without an answer")
+    own, ros = _ros_arguments(argv)
+    options = parser.parse_args(own)
+    if not (options.rate > 0 and options.start_offset >= 0 and (options.duration is None or options.duration > 0)):
+        raise BagError("--rate and --duration must be positive, --start-offset not negative")
+    if options.lockstep and (options.loop or options.clock or options.rate != 1.0):
+        raise BagError("--rate, --loop and --clock have no meaning with --lockstep: the node sets the pace")
+    if options.answers and not options.lockstep:
+        raise BagError("--answers needs --lockstep")
+    if options.answers and options.answers.exists():
+        raise BagError(f"{options.answers} exists already; a bag is never overwritten")
+
+    from .play import play
+
+    return play(options, ros)
+
+
+@_command
+def main_compare(argv: list[str]) -> int:
+    """Compare two bags; exit status 0 when they agree, 1 when not."""
+    parser = argparse.ArgumentParser(
+        prog="softrig compare",
+        description="Compare bag B with its reference A, messages paired by stamp. Exit status 0: they agree, 1: not.",
+    )
+    parser.add_argument("a", type=Path, metavar="A")
+    parser.add_argument("b", type=Path, metavar="B")
+    parser.add_argument("--abs", type=float, default=0.0, metavar="TOL", help="|b - a| may be up to this")
+    parser.add_argument("--rel", type=float, default=0.0, metavar="TOL", help="or up to this times |a|")
+    parser.add_argument("--field", action="append", default=[], metavar="PATTERN=ABS[,REL]",
+                        help="tolerance of the signals topic/channel/field that fit; the first counts")  # fmt: skip
+    parser.add_argument("--topics", nargs="+", metavar="TOPIC", help="only these (default: all)")
+    parser.add_argument("--ignore", nargs="+", default=[], metavar="PATTERN", help="topics to leave out")
+    parser.add_argument("--bitwise", action="store_true", help="demand equal bytes and bag times")
+    parser.add_argument("--json", action="store_true", help="print everything as JSON")
+    options = parser.parse_args(argv)
+
+    from .compare import Tolerance, compare
+    from .read import signals
+    from .topics import relative
+
+    tolerances = {}
+    for text in options.field:
+        pattern, _, numbers = text.rpartition("=")
+        try:
+            tolerances[pattern] = Tolerance(*map(float, numbers.split(",")))
+        except (ValueError, TypeError):
+            raise BagError(f"--field {text!r}: expected PATTERN=ABS or PATTERN=ABS,REL") from None
+    result = compare(
+        signals(options.a), signals(options.b), default=Tolerance(options.abs, options.rel), tolerances=tolerances,
+        bitwise=options.bitwise, ignore=options.ignore,
+        topics=None if options.topics is None else [relative(t) for t in options.topics],
+    )  # fmt: skip
+    print(result.to_json() if options.json else result)
+    return 0 if result.equal else 1
+
+
+@_command
+def main_bag(argv: list[str]) -> int:
+    """Tools for a bag: info, repair, export."""
+    parser = argparse.ArgumentParser(prog="softrig bag", description="Look into, repair or export a rosbag2 bag.")
+    verbs = parser.add_subparsers(required=True, metavar="VERB", dest="verb")
+    info = verbs.add_parser("info", help="what is in a bag")
+    info.add_argument("bag", type=Path)
+    mend = verbs.add_parser("repair", help="save what a crash left, restore index and metadata")
+    mend.add_argument("bag", type=Path, help="bag directory, single file, or directory with shards of a killed run")
+    mend.add_argument("--out", type=Path, metavar="DIR", help="new bag (default: in place, the old one is kept beside)")
+    table = verbs.add_parser("export", help="signals as tables, one file a topic")
+    table.add_argument("bag", type=Path)
+    table.add_argument("--format", choices=("csv", "parquet"), default="csv")
+    table.add_argument("--out", type=Path, default=Path("."), metavar="DIR")
+    options = parser.parse_args(argv)
+    if options.verb == "info":
+        from .info import describe
+
+        print(describe(options.bag))
+    elif options.verb == "repair":
+        from .repair import repair
+
+        print(repair(options.bag, options.out))
+    else:
+        from .read import export
+
+        for path in export(options.bag, options.out, options.format):
+            print(os.path.relpath(path))
+    return 0

@@ -1,0 +1,35 @@
+"""What is in a bag, as text."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from pathlib import Path
+
+from softrig_core.cdr import SECOND
+
+from .read import WALL_CLOCK
+from .reader import BagReader
+
+
+def describe(path: Path | str) -> str:
+    """Give files, times, topics and the writer's notes of a bag.
+
+    Raises
+    ------
+    BagError
+        No bag there, or it is damaged.
+    """
+    with BagReader(path) as bag:
+        size = sum(f.stat().st_size for f in bag.files)
+        lines = [f"{bag.path}: {', '.join(f.name for f in bag.files)}, {size / 1e6:.3g} MB"]
+        start = f"{bag.start / SECOND:.9g} s"
+        if bag.start >= WALL_CLOCK:
+            start = datetime.fromtimestamp(bag.start / SECOND, UTC).isoformat(" ", "milliseconds")
+        lines.append(f"{bag.count} messages in {(bag.end - bag.start) / SECOND:.9g} s from {start}")
+        width = max((len(t.name) for t in bag.topics), default=0)
+        for topic, count in zip(bag.topics, bag.counts, strict=True):
+            profiles = {(q.reliability.name.lower(), q.durability.name.lower()) for q in topic.offered}
+            offered = "; ".join(" ".join(p) for p in sorted(profiles)) or "QoS unknown"
+            lines.append(f"  {topic.name:{width}}  {count:8}  {topic.msgtype}  ({offered})")
+        lines += [f"  {key}: {value}" for key, value in bag.custom_data.items()]
+        return "\n".join(lines)

@@ -1,0 +1,55 @@
+"""From the player's command line to a finished replay."""
+
+from __future__ import annotations
+
+import argparse
+
+from .errors import BagError
+from .player import CLOCK, LockstepPlayer, Player, Sender, span
+from .reader import BagReader
+from .ros import Session
+from .selection import Selection
+from .topics import absolute
+from .write import write_bag
+
+
+def play(options: argparse.Namespace, ros_arguments: list[str]) -> int:
+    """Play as the options of `cli.main_play` say; give the exit status."""
+    selection = Selection.of(options.topics, options.regex, options.exclude)
+    answers = [absolute(name) for name in options.lockstep]
+    remap = dict(_remapping(text) for text in options.remap)
+    with BagReader(options.bag) as bag:
+        part = span(bag, options.start_offset, options.duration)
+        chosen = [t for t in bag.topics if t.name in selection and t.name not in answers]
+        chosen = [t for t in chosen if not (options.clock and t.name == CLOCK)]
+        for name in [*selection.names, *remap]:
+            if name not in [t.name for t in bag.topics]:
+                raise BagError(f"no topic {name} in {options.bag}; it has {', '.join(t.name for t in bag.topics)}")
+        if not chosen:
+            raise BagError(f"none of the topics of {options.bag} is to be played")
+        session = Session("player", ros_arguments)
+        try:
+            sender = Sender(session, bag, chosen, remap)
+            if answers:
+                lockstep = LockstepPlayer(session, bag, sender, answers, remap, part, timeout=options.timeout,
+                                          paused=options.paused)  # fmt: skip
+                found = lockstep.run()
+                counts = ", ".join(f"{len(t.data)} on {t.name}" for t in found.topics.values())
+                print(f"{lockstep.sent} messages played, answered by {counts}")
+                if options.answers:
+                    write_bag(options.answers, found)
+                return 0
+            player = Player(session, bag, sender, part, rate=options.rate, loop=options.loop, clock=options.clock,
+                            paused=options.paused)  # fmt: skip
+            player.run(options.wait)
+            print(f"{player.sent} messages played")
+            return 0
+        finally:
+            session.close()
+
+
+def _remapping(text: str) -> tuple[str, str]:
+    old, sign, new = text.partition(":=")
+    if not (old and sign and new):
+        raise BagError(f"--remap {text!r}: expected OLD:=NEW")
+    return absolute(old), absolute(new)

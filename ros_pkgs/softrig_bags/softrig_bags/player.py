@@ -1,0 +1,444 @@
+"""Play a bag: against the wall clock, or tick by tick with a node that answers."""
+
+from __future__ import annotations
+
+import gc
+import math
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import groupby
+from operator import itemgetter
+from typing import Any
+
+from rclpy._rclpy_pybind11 import RCLError
+from rclpy.clock import Clock, ClockType
+from rclpy.duration import Duration
+from rclpy.node import NodeNameNonExistentError
+from rclpy.qos import HistoryPolicy, QoSProfile
+from rclpy.subscription import Subscription
+from softrig_core.cdr import SECOND, Layout
+from softrig_core.errors import RunError
+from softrig_core.messages import message_class
+from softrig_core.recording import Recording
+from std_srvs.srv import Trigger
+
+from .errors import BagError
+from .reader import BagReader
+from .ros import Session, publisher_profile
+from .stamps import is_stamped, stamp
+from .topics import BagTopic, relative
+
+CLOCK = "/clock"
+CLOCK_STEP = 0.025  # s: longest wall-clock time between two /clock messages
+WATCH_PERIOD = 0.25  # s
+
+
+class Sender:
+    """The publishers of the topics that are played, and who listens.
+
+    Parameters
+    ----------
+    session : Session
+    bag : BagReader
+    topics : sequence of BagTopic
+    remap : mapping of str to str
+        Recorded name to name to publish.
+    """
+
+    def __init__(self, session: Session, bag: BagReader, topics: Sequence[BagTopic], remap: Mapping[str, str]) -> None:
+        self._node = session.node
+        self.names = {t.name: remap.get(t.name, t.name) for t in topics}
+        self._publishers: dict[int, Any] = {}
+        for i, topic in enumerate(bag.topics):
+            if topic.name in self.names:
+                kind = _class(topic)
+                name = self.names[topic.name]
+                self._publishers[i] = self._node.create_publisher(kind, name, publisher_profile(topic))
+        self.publish: dict[int, Callable[[bytes], None]] = {i: p.publish for i, p in self._publishers.items()}
+
+    def unheard(self, names: Sequence[str]) -> list[str]:
+        """Which of the published topics have no subscriber."""
+        heard = {p.topic_name for p in self._publishers.values() if p.get_subscription_count()}
+        return [n for n in names if n not in heard]
+
+    def finish(self) -> None:
+        """Wait until every subscriber has the last messages."""
+        for publisher in self._publishers.values():
+            publisher.wait_for_all_acked(Duration(seconds=2))
+
+
+def _class(topic: BagTopic) -> Any:
+    try:
+        return message_class(topic.msgtype)
+    except (ImportError, AttributeError):
+        raise BagError(f"{topic.name} is of type {topic.msgtype}, which is not installed here; leave it out with "
+                       "--exclude") from None  # fmt: skip
+
+
+class Pauser:
+    """The services ``~/pause``, ``~/resume`` and ``~/step``; a step is all messages of the next bag time."""
+
+    def __init__(self, session: Session, paused: bool, on_change: Callable[[], None] = lambda: None) -> None:
+        self.paused = paused
+        self.steps = 0
+        self._on_change = on_change
+        for name in ("pause", "resume", "step"):
+            session.node.create_service(Trigger, f"~/{name}", getattr(self, f"_{name}"))
+
+    def _pause(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self.paused = True
+        return self._done(response)
+
+    def _resume(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self.paused, self.steps = False, 0
+        return self._done(response)
+
+    def _step(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self.paused = True
+        self.steps += 1
+        return self._done(response)
+
+    def _done(self, response: Trigger.Response) -> Trigger.Response:
+        response.success = True
+        self._on_change()
+        return response
+
+
+@dataclass
+class Span:
+    """The part of a bag that is played: bag times in ns, the end included."""
+
+    start: int
+    end: int
+
+
+def span(bag: BagReader, offset: float, duration: float | None) -> Span:
+    """Give the span that begins `offset` s after the first message and lasts `duration` s.
+
+    Raises
+    ------
+    BagError
+        The bag is empty, or the offset lies behind its end.
+    """
+    if not bag.count:
+        raise BagError(f"{bag.path} is empty")
+    start = bag.start + round(offset * SECOND)
+    if start > bag.end:
+        raise BagError(f"start offset {offset:g} s: the bag is only {(bag.end - bag.start) / SECOND:g} s long")
+    return Span(start, bag.end if duration is None else start + round(duration * SECOND))
+
+
+class Player:
+    """Plays against the wall clock, at any rate; messages of equal times in their recorded order.
+
+    Parameters
+    ----------
+    session : Session
+    bag : BagReader
+    sender : Sender
+    part : Span
+    rate : float
+        Bag seconds a wall-clock second.
+    loop : bool
+        Begin again at the end.
+    clock : bool
+        Publish bag time on /clock before the messages of each bag time, and in between.
+    paused : bool
+        Wait for ``~/resume`` or ``~/step``.
+    """
+
+    def __init__(
+        self, session: Session, bag: BagReader, sender: Sender, part: Span, *,
+        rate: float = 1.0, loop: bool = False, clock: bool = False, paused: bool = False,
+    ) -> None:  # fmt: skip
+        self._session, self._bag, self._sender, self._part = session, bag, sender, part
+        self._rate, self._loop = rate, loop
+        self._pauser = Pauser(session, paused)
+        self._clock: Callable[[bytes], None] | None = None
+        if clock:
+            profile = QoSProfile(depth=10)
+            self._clock = session.node.create_publisher(
+                message_class("rosgraph_msgs/msg/Clock"), CLOCK, profile
+            ).publish
+        self._layout = Layout("rosgraph_msgs/msg/Clock")
+        self._wall, self._served, self._now = 0.0, 0.0, 0
+        self.sent = 0
+
+    def run(self, wait: bool = False) -> None:
+        """Play until the end or until stopped.
+
+        Parameters
+        ----------
+        wait : bool
+            Do not start before every topic has a subscriber.
+        """
+        while wait and not self._session.stopped and self._sender.unheard(list(self._sender.names.values())):
+            self._session.spin(0.02)
+        gc.collect()
+        gc.freeze()
+        while not self._session.stopped:
+            self._once()
+            if not self._loop:
+                break
+        self._sender.finish()
+
+    def _once(self) -> None:
+        self._wall, self._now = time.monotonic(), self._part.start
+        publish, now = self._sender.publish, -1
+        for i, t, data in self._bag.messages(self._sender.names, self._part.start):
+            if t > self._part.end:
+                break
+            if t != now:
+                self._wait(t)
+                now = t
+            if self._session.stopped:
+                return
+            publish[i](data)
+            self.sent += 1
+
+    def _wait(self, t: int) -> None:
+        """Return when bag time `t` is due."""
+        session, pauser = self._session, self._pauser
+        while not session.stopped:
+            wall = time.monotonic()
+            if not pauser.paused:
+                self._now += round((wall - self._wall) * self._rate * SECOND)
+            self._wall = wall
+            if wall - self._served > CLOCK_STEP:  # late, but services must be answered
+                self._served = wall
+                session.spin(0)
+            if pauser.paused and pauser.steps:
+                pauser.steps -= 1
+                self._now = t
+                break
+            if self._now >= t and not pauser.paused:
+                break
+            left = math.inf if pauser.paused else (t - self._now) / SECOND / self._rate
+            session.spin(min(left, CLOCK_STEP))
+            self._served = time.monotonic()
+            if self._clock is not None and not pauser.paused and left > CLOCK_STEP:
+                self._clock(self._layout.encode(self._now, ()))
+        if self._clock is not None:
+            self._clock(self._layout.encode(t, ()))
+
+
+@dataclass
+class Answers:
+    """What the node under test has published on one topic, and what is expected of it.
+
+    Parameters
+    ----------
+    name : str
+        Recorded topic name.
+    recorded : bool
+        Whether the bag says which ticks are answered; otherwise every tick is.
+    """
+
+    name: str
+    msgtype: str
+    recorded: bool
+    stamped: bool
+    ticks: list[int] = field(default_factory=list)
+    stamps: list[int] = field(default_factory=list)
+    data: list[bytes] = field(default_factory=list)
+
+    def expect(self, tick: int, header: int) -> None:
+        """Await one more answer, of a tick and with a header stamp."""
+        self.ticks.append(tick)
+        self.stamps.append(header)
+
+    @property
+    def missing(self) -> bool:
+        """Whether an answer is awaited."""
+        return len(self.data) < len(self.ticks)
+
+    def check(self, i: int) -> str:
+        """Say what is wrong with answer `i`, if it is there and awaited."""
+        if not self.stamped or i >= min(len(self.data), len(self.ticks)):
+            return ""
+        found = stamp(self.data[i])
+        if found == self.stamps[i]:
+            return ""
+        return f"{self.name}: answer stamped {found / SECOND:.9g} s, expected {self.stamps[i] / SECOND:.9g} s"
+
+
+class LockstepPlayer:
+    """Plays tick by tick: the next tick is sent when the node under test has answered the last one.
+
+    The tick of a message is its bag time if the bag's times are stamps (bags of a run, `recorder` with
+    ``--use-sim-time``), else its header stamp; a message without header belongs to the tick before it. The ticks to be
+    answered are those of the answers in the bag, or every tick if the bag has none.
+
+    Parameters
+    ----------
+    session : Session
+    bag : BagReader
+    sender : Sender
+        Of the topics that are played: none of the answers.
+    answers : sequence of str
+        Recorded names of the topics that the node under test publishes.
+    remap : mapping of str to str
+        Recorded name to the name on which the node publishes.
+    part : Span
+    timeout : float
+        Wall-clock seconds without progress that end the replay.
+    """
+
+    def __init__(
+        self, session: Session, bag: BagReader, sender: Sender, answers: Sequence[str], remap: Mapping[str, str],
+        part: Span, *, timeout: float = 10.0, paused: bool = False,
+    ) -> None:  # fmt: skip
+        self._session, self._bag, self._sender, self._part = session, bag, sender, part
+        self._names, self._remap = answers, remap
+        self._timeout = timeout
+        self._pauser = Pauser(session, paused, self._step)
+        self._answers: dict[str, Answers] = {}
+        self._heard: list[Subscription] = []
+        self._groups = self._ticks()
+        self._ready = self._finished = False
+        self._tick = part.start
+        self._progress = (-1, time.monotonic())
+        self.sent = 0
+
+    def run(self) -> Recording:
+        """Wait for the node, play all ticks, give its answers; their times are the ticks.
+
+        Raises
+        ------
+        RunError
+            The node did not come, did not answer in time, or answered another tick; or a signal came.
+        """
+        session = self._session
+        session.node.create_timer(WATCH_PERIOD, self._watch, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        while not session.stopped and not self._listening():
+            session.spin(0.02)
+        while not session.stopped and self._absent():
+            session.spin(0.02)
+        gc.collect()
+        gc.freeze()
+        self._ready = True
+        self._step()
+        while not session.stopped:
+            session.spin(1.0)
+        self._sender.finish()
+        if not self._finished:
+            raise RunError(f"stopped at t = {self._tick / SECOND:.9g} s")
+        found = Recording((relative(a.name), a.msgtype) for a in self._answers.values())
+        for i, answer in enumerate(self._answers.values()):
+            for tick, data in zip(answer.ticks, answer.data, strict=False):
+                found.add(i, tick, data)
+        return found
+
+    def _listening(self) -> bool:
+        """Subscribe the answers, as soon as their types are known."""
+        recorded = {t.name: t for t in self._bag.topics}
+        types = dict(self._session.node.get_topic_names_and_types())
+        for name in self._names:
+            live = self._remap.get(name, name)
+            if name in self._answers or (name not in recorded and live not in types):
+                continue
+            topic = recorded.get(name) or BagTopic.known(name, types[live][0])
+            answer = self._answers[name] = Answers(name, topic.msgtype, name in recorded, is_stamped(topic))
+            profile = QoSProfile(history=HistoryPolicy.KEEP_ALL)
+            self._heard.append(
+                self._session.node.create_subscription(_class(topic), live, self._receiver(answer), profile, raw=True)
+            )
+        return len(self._answers) == len(self._names)
+
+    def _absent(self) -> list[str]:
+        """Describe what is not matched yet: the answers' publishers, and the node's own subscriptions."""
+        node, absent, wanted = self._session.node, [], set()
+        played = set(self._sender.names.values())
+        for subscription in self._heard:
+            topic = subscription.topic_name
+            publishers = node.get_publishers_info_by_topic(topic)
+            if len(publishers) > 1:
+                raise RunError(f"{len(publishers)} publishers on {topic}, expected exactly one")
+            if not publishers or not subscription.get_publisher_count():
+                absent.append(f"nobody publishes {topic}")
+                continue
+            there = publishers[0]
+            try:
+                inputs = node.get_subscriber_names_and_types_by_node(there.node_name, there.node_namespace)
+            except (NodeNameNonExistentError, RCLError):  # before discovery has its name
+                absent.append(f"the node behind {topic} is not known yet")
+                continue
+            wanted |= played.intersection(name for name, _ in inputs)
+        if not absent and not wanted:
+            absent.append(f"the node subscribes none of {', '.join(sorted(played))}")
+        return absent + [f"{name} is not matched" for name in self._sender.unheard(sorted(wanted))]
+
+    def _receiver(self, answer: Answers) -> Callable[[bytes], None]:
+        def receive(data: bytes) -> None:
+            answer.data.append(data)
+            self._check(answer, len(answer.data) - 1)
+            if not answer.missing:
+                self._step()
+
+        return receive
+
+    def _check(self, answer: Answers, i: int) -> None:
+        wrong = answer.check(i)
+        if wrong:
+            raise RunError(wrong)
+
+    def _step(self) -> None:
+        """Send ticks until one is to be answered."""
+        pauser = self._pauser
+        while self._ready and not self._finished and not any(a.missing for a in self._answers.values()):
+            if pauser.paused:
+                if not pauser.steps:
+                    return
+                pauser.steps -= 1
+            group = next(self._groups, None)
+            if group is None:
+                self._finished = True
+                self._session.stop()
+                return
+            self._send(*group)
+
+    def _send(self, tick: int, messages: Sequence[tuple[int, bytes]]) -> None:
+        self._tick = tick
+        publish, sent = self._sender.publish, self.sent
+        for i, data in messages:
+            if i in publish:
+                publish[i](data)
+                self.sent += 1
+            else:
+                answer = self._answers[self._bag.topics[i].name]
+                answer.expect(tick, stamp(data) if answer.stamped else 0)
+                self._check(answer, len(answer.ticks) - 1)
+        if self.sent > sent:
+            for answer in self._answers.values():
+                if not answer.recorded:
+                    answer.expect(tick, tick)
+                    self._check(answer, len(answer.ticks) - 1)
+
+    def _ticks(self) -> Iterator[tuple[int, list[tuple[int, bytes]]]]:
+        """Give the messages of each tick, played and answers, in their recorded order."""
+        part, wanted = self._part, {*self._sender.names, *self._names}
+        messages: Iterator[tuple[int, int, bytes]]
+        messages = ((t, i, d) for i, t, d in self._bag.messages(wanted, part.start) if t <= part.end)
+        if self._bag.custom_data.get("bag_time") != "stamp":
+            stamped = [is_stamped(t) for t in self._bag.topics]
+            tick = 0
+            found: list[tuple[int, int, bytes]] = []
+            for _, i, data in messages:
+                tick = stamp(data) if stamped[i] else tick
+                found.append((tick, i, data))
+            messages = iter(sorted(found, key=itemgetter(0)))
+        for tick, group in groupby(messages, key=itemgetter(0)):
+            yield tick, [(i, data) for _, i, data in group]
+
+    def _watch(self) -> None:
+        """End a replay that makes no progress."""
+        now, received = time.monotonic(), sum(len(a.data) for a in self._answers.values()) + self.sent
+        if received != self._progress[0] or self._pauser.paused:
+            self._progress = (received, now)
+        elif now - self._progress[1] > self._timeout:
+            if self._ready:
+                lacking = ", ".join(a.name for a in self._answers.values() if a.missing)
+                raise RunError(f"no answer to t = {self._tick / SECOND:.9g} s on {lacking} within {self._timeout:g} s")
+            absent = self._absent() if self._listening() else [f"nobody publishes {', '.join(self._names)}"]
+            raise RunError(f"no node to play to within {self._timeout:g} s: {'; '.join(absent)}")

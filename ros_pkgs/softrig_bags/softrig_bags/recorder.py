@@ -1,0 +1,153 @@
+"""Record topics into a bag: bytes as they come from the wire, nothing lost without being counted."""
+
+from __future__ import annotations
+
+import gc
+import time
+from collections.abc import Callable
+from typing import Any
+
+from rclpy.clock import Clock, ClockType
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.subscription import Subscription
+from softrig_core.errors import RunError
+from softrig_core.messages import message_class
+
+from .bag import BagWriter
+from .ros import Session, offered, subscription_profile
+from .selection import Selection
+from .stamps import is_stamped, stamp
+from .topics import BagTopic
+
+FLUSH_PERIOD = 0.5  # s: with the 0.5 MB of a chunk, the most that a kill -9 can cost
+DISCOVERY_PERIOD = 0.1  # s
+RESERVE = 1 << 20  # bytes kept free for index and metadata when the disk fills up
+
+
+class Recorder:
+    """Subscribes what is selected as it appears, writes every message.
+
+    Parameters
+    ----------
+    session : Session
+    writer : BagWriter
+    selection : Selection
+    stamped : bool
+        Bag time is the header stamp (topics without header: the newest stamp seen) instead of the time of arrival.
+    """
+
+    def __init__(self, session: Session, writer: BagWriter, selection: Selection, stamped: bool = False) -> None:
+        self._session = session
+        self._node = session.node
+        self._writer = writer
+        self._selection = selection
+        self._stamped = stamped
+        self._newest = 0
+        self._subscriptions: dict[str, Subscription] = {}
+        self._numbers: dict[str, int] = {}
+        self._refused: set[str] = set()
+        self._lost: dict[str, int] = {}
+        self._lost_before: dict[str, int] = {}
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._node.create_timer(DISCOVERY_PERIOD, self._discover, clock=steady)
+        self._node.create_timer(FLUSH_PERIOD, self._flush, clock=steady)
+
+    @property
+    def lost(self) -> dict[str, int]:
+        """Number of messages lost by topic."""
+        return {t: n for t in self._numbers if (n := self._lost.get(t, 0) + self._lost_before.get(t, 0))}
+
+    def run(self) -> None:
+        """Record until a signal comes, then take what has arrived and close the bag.
+
+        Raises
+        ------
+        RunError
+            The disk is full or broken; the bag is closed and holds everything written before.
+        """
+        self._discover()
+        gc.collect()
+        gc.freeze()
+        try:
+            while not self._session.stopped:
+                self._session.spin(1.0)
+            self._session.settle()
+            self._drain()
+            self._note_losses()
+            self._writer.close()
+        except OSError as error:
+            unwritten = self._writer.salvage()
+            raise RunError(
+                f"recording stopped: {error.strerror}; the last {unwritten} messages are lost, "
+                f"{self._writer.directory} holds {self._writer.count}"
+            ) from error
+
+    def _discover(self) -> None:
+        for name, types in self._node.get_topic_names_and_types():
+            if name in self._subscriptions or name in self._refused or name not in self._selection:
+                continue
+            if len(types) > 1:
+                self._refuse(name, f"is published with {len(types)} types: {', '.join(types)}")
+            else:
+                self._subscribe(name, types[0])
+
+    def _refuse(self, name: str, reason: str) -> None:
+        self._refused.add(name)
+        self._node.get_logger().error(f"{name} is not recorded: it {reason}")
+
+    def _subscribe(self, name: str, msgtype: str) -> None:
+        own = self._node.get_name()
+        publishers = [p for p in self._node.get_publishers_info_by_topic(name) if p.node_name != own]
+        if not publishers:
+            return
+        try:
+            kind = message_class(msgtype)
+        except (ImportError, AttributeError):
+            self._refuse(name, f"is of type {msgtype}, which is not installed here")
+            return
+        topic = BagTopic.known(name, msgtype, [offered(p.qos_profile) for p in publishers])
+        if name not in self._numbers:
+            self._numbers[name] = self._writer.add_topic(topic)
+            self._node.get_logger().info(f"recording {name} [{msgtype}]")
+
+        def lost(event: Any) -> None:
+            self._lost[name] = event.total_count
+
+        self._subscriptions[name] = self._node.create_subscription(
+            kind, name, self._receiver(topic), subscription_profile([p.qos_profile for p in publishers]), raw=True,
+            event_callbacks=SubscriptionEventCallbacks(message_lost=lost, incompatible_qos=lambda _: self._adapt(name)),
+        )  # fmt: skip
+
+    def _adapt(self, name: str) -> None:
+        """Subscribe anew, because a publisher came that offers less than those before."""
+        self._node.destroy_subscription(self._subscriptions.pop(name))
+        self._lost_before[name] = self._lost_before.get(name, 0) + self._lost.pop(name, 0)
+
+    def _receiver(self, topic: BagTopic) -> Callable[[bytes], None]:
+        write, number, now = self._writer.write, self._numbers[topic.name], time.time_ns
+        if not self._stamped:
+            return lambda data: write(number, now(), data)
+
+        def by_stamp(data: bytes) -> None:
+            self._newest = max(stamp(data), 0)
+            write(number, self._newest, data)
+
+        return by_stamp if is_stamped(topic) else lambda data: write(number, self._newest, data)
+
+    def _flush(self) -> None:
+        self._writer.flush()
+        self._note_losses()
+
+    def _note_losses(self) -> None:
+        found = self.lost
+        text = ", ".join(f"{topic}: {n}" for topic, n in found.items())
+        if text != self._writer.custom_data.get("lost", ""):
+            self._writer.custom_data["lost"] = text
+            self._node.get_logger().error(f"messages lost so far: {text}")
+
+    def _drain(self) -> None:
+        """Take what had arrived before the signal."""
+        for subscription in self._subscriptions.values():
+            with subscription.handle:
+                while (taken := subscription.handle.take_message(subscription.msg_type, True)) is not None:
+                    subscription.callback(taken[0])

@@ -1,0 +1,113 @@
+"""What recorder and player share of ROS: one node, an executor that ends on a signal, QoS profiles."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Sequence
+from types import FrameType
+from typing import Any
+
+import rclpy
+from rclpy.duration import Duration
+from rclpy.experimental.events_executor import EventsExecutor
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
+from rclpy.task import Future
+from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
+from softrig_core.cdr import SECOND
+from softrig_core.processes import PROFILE
+
+from .topics import BagTopic
+
+SLICE = 0.1  # s: longest wait before a signal is noticed
+
+
+class Session:
+    """A node of a tool, spun in slices; SIGINT and SIGTERM only set `stopped`, so that the tool ends in order.
+
+    Parameters
+    ----------
+    name : str
+        Node name.
+    argv : sequence of str
+        Command line with the ROS arguments.
+    """
+
+    def __init__(self, name: str, argv: Sequence[str]) -> None:
+        os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(PROFILE))
+        self.stopped = False
+        self._stop: Future[None] = Future()
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, self._signalled)
+        rclpy.init(args=list(argv), signal_handler_options=SignalHandlerOptions.NO)
+        self.node = Node(name, enable_rosout=False, start_parameter_services=False)
+        self._executor: Any = EventsExecutor()
+        self._executor.add_node(self.node)
+
+    def _signalled(self, number: int, frame: FrameType | None) -> None:
+        self.stop()
+
+    def stop(self) -> None:
+        """End the current and every further `spin`."""
+        self.stopped = True
+        if not self._stop.done():
+            self._stop.set_result(None)
+
+    def spin(self, seconds: float) -> None:
+        """Handle events for a while; returns early when stopped. A callback's exception comes out of here."""
+        while seconds >= 0 and not self.stopped:
+            # Python sees a signal only between two calls, hence the slices
+            self._executor.spin_until_future_complete(self._stop, min(seconds, SLICE))
+            seconds -= SLICE
+
+    def settle(self) -> None:
+        """Handle what had arrived when `spin` was stopped."""
+        self._executor.spin_until_future_complete(Future(), 0.0)
+
+    def close(self) -> None:
+        """Leave the graph."""
+        self.node.destroy_node()
+        rclpy.shutdown()
+
+
+def offered(profile: QoSProfile) -> Qos:
+    """Give a publisher's profile as a bag stores it."""
+
+    def time(duration: Duration) -> QosTime:
+        return QosTime(*divmod(duration.nanoseconds, SECOND))
+
+    return Qos(
+        QosHistory(profile.history.value), profile.depth, QosReliability(profile.reliability.value),
+        QosDurability(profile.durability.value), time(profile.deadline), time(profile.lifespan),
+        QosLiveliness(profile.liveliness.value), time(profile.liveliness_lease_duration),
+        profile.avoid_ros_namespace_conventions,
+    )  # fmt: skip
+
+
+def subscription_profile(publishers: Sequence[QoSProfile]) -> QoSProfile:
+    """Give the strongest profile that all publishers satisfy.
+
+    History is keep all: with keep last, a message that comes while the reader's queue is full replaces another
+    without a trace; with keep all it is refused, the publisher repeats it, and a loss is reported.
+    """
+    reliable = all(p.reliability == ReliabilityPolicy.RELIABLE for p in publishers)
+    latched = all(p.durability == DurabilityPolicy.TRANSIENT_LOCAL for p in publishers)
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_ALL,
+        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+    )
+
+
+def publisher_profile(topic: BagTopic) -> QoSProfile:
+    """Give the strongest profile that the recorded publishers offered: it serves everyone whom they served."""
+    unreliable = topic.offered and all(q.reliability == QosReliability.BEST_EFFORT for q in topic.offered)
+    latched = [q for q in topic.offered if q.durability == QosDurability.TRANSIENT_LOCAL]
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_LAST,
+        depth=max([q.depth for q in latched] + [1]) if latched else 1000,
+        reliability=ReliabilityPolicy.BEST_EFFORT if unreliable else ReliabilityPolicy.RELIABLE,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+    )

@@ -1,0 +1,53 @@
+"""Which topics are meant: names, regular expressions, hidden ones."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from .errors import BagError
+from .topics import absolute
+
+
+@dataclass(frozen=True)
+class Selection:
+    """A choice of topics.
+
+    Parameters
+    ----------
+    names : tuple of str
+        Absolute names.
+    regex, exclude : re.Pattern, optional
+        Searched for in the absolute name.
+    """
+
+    names: tuple[str, ...] = ()
+    regex: re.Pattern[str] | None = None
+    exclude: re.Pattern[str] | None = None
+
+    @classmethod
+    def of(cls, names: Sequence[str], regex: str = "", exclude: str = "") -> Selection:
+        """Make a selection of what the command line gives.
+
+        Raises
+        ------
+        BagError
+            Not a regular expression.
+        """
+        patterns = []
+        for text in (regex, exclude):
+            try:
+                patterns.append(re.compile(text) if text else None)
+            except re.error as error:
+                raise BagError(f"regular expression {text!r}: {error}") from None
+        return cls(tuple(absolute(n) for n in names), *patterns)
+
+    def __contains__(self, topic: str) -> bool:
+        if topic in self.names:
+            return True
+        if self.exclude and self.exclude.search(topic):
+            return False
+        if self.regex:
+            return bool(self.regex.search(topic))
+        return not self.names and "/_" not in topic

@@ -1,0 +1,333 @@
+"""Recorder and player as real processes over DDS."""
+
+import os
+import re
+import resource
+import signal
+import subprocess
+import sys
+import time
+from contextlib import ExitStack
+from pathlib import Path
+
+import pytest
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from softrig_bags.bag import BagWriter
+from softrig_bags.cli import main_bag, main_compare, main_play
+from softrig_bags.compare import compare
+from softrig_bags.read import read_bag, signals
+from softrig_bags.reader import BagReader
+from softrig_bags.repair import repair
+from softrig_bags.topics import BagTopic
+from softrig_bags.write import write_bag
+from softrig_core.cdr import Layout
+from softrig_core.domain import free_domain
+from softrig_core.messages import message_class
+from softrig_core.processes import PROFILE, find_executable
+from softrig_core.recording import Recording
+from std_srvs.srv import Trigger
+
+pytestmark = pytest.mark.processes
+STATE, CLOCK = "sensor_msgs/msg/JointState", "rosgraph_msgs/msg/Clock"
+NODES = Path(__file__).with_name("bag_nodes.py")
+LIMIT = 30.0  # s: a test whose condition has not come by then has failed
+
+
+class Rig:
+    """Processes of one test, in a domain of their own."""
+
+    def __init__(self, stack: ExitStack, folder: Path) -> None:
+        self.stack, self.folder = stack, folder
+        self.domain = stack.enter_context(free_domain())
+        self.environment = os.environ | {
+            "ROS_DOMAIN_ID": str(self.domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+            "FASTRTPS_DEFAULT_PROFILES_FILE": str(PROFILE), "ROS_LOG_DIR": str(folder / "log"),
+        }  # fmt: skip
+        self.environment.pop("ROS_LOCALHOST_ONLY", None)
+
+    def start(self, command: list[str], **options) -> subprocess.Popen:
+        process = subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+            env=self.environment, cwd=self.folder, **options,
+        )  # fmt: skip
+        self.stack.callback(end, process)
+        return process
+
+    def recorder(self, *arguments, **options) -> subprocess.Popen:
+        return self.start([str(find_executable("softrig_bags", "recorder")), *map(str, arguments)], **options)
+
+    def player(self, *arguments) -> subprocess.Popen:
+        return self.start([str(find_executable("softrig_bags", "player")), *map(str, arguments)])
+
+    def node(self, *arguments) -> subprocess.Popen:
+        return self.start([sys.executable, str(NODES), *map(str, arguments)])
+
+
+def end(process: subprocess.Popen) -> None:
+    if process.poll() is None:
+        process.kill()
+    process.communicate()
+
+
+def finish(process: subprocess.Popen, number: int | None = None) -> tuple[int, str]:
+    """Send a signal, if any; give exit status and output."""
+    if number is not None:
+        process.send_signal(number)
+    output = process.communicate(timeout=LIMIT)[0]
+    return process.returncode, output
+
+
+def until(condition, what: str):
+    """Wait for something that another process does."""
+    limit = time.monotonic() + LIMIT
+    while not (found := condition()):
+        assert time.monotonic() < limit, f"never happened: {what}"
+        time.sleep(0.01)
+    return found
+
+
+@pytest.fixture
+def rig(tmp_path):
+    with ExitStack() as stack:
+        yield Rig(stack, tmp_path)
+
+
+def small(ticks=200, every=4) -> Recording:
+    """A clock and a plant's state each ms, twice the position as command every few ms."""
+    found = Recording([("/clock", CLOCK), ("plant/state", STATE), ("command", STATE)])
+    layouts = [Layout(CLOCK), Layout(STATE, "", ["a"], {"position": 1}), Layout(STATE, "", ["a"], {"effort": 1})]
+    for k in range(ticks):
+        t = k * 1_000_000
+        found.add(0, t, layouts[0].encode(t, ()))
+        found.add(1, t, layouts[1].encode(t, (0.5 * k,)))
+        if k % every == 0:
+            found.add(2, t, layouts[2].encode(t, (1.0 * k,)))
+    return found
+
+
+def large(count=500, channels=1200) -> Recording:
+    """Messages of about 10 kB, 1 ms apart."""
+    layout = Layout(STATE, "", [], {"position": channels})
+    found = Recording([("big", STATE)])
+    for k in range(count):
+        found.add(0, k * 1_000_000, layout.encode(k * 1_000_000, (float(k),) * channels))
+    return found
+
+
+@pytest.mark.parametrize(
+    "options",
+    [("--compression", "zstd", "--max-duration", "0.05"), ("--storage", "sqlite3", "--regex", "clock|plant|comm")],
+)
+def test_record_and_replay_round_trip(rig, tmp_path, capsys, options):
+    write_bag(tmp_path / "source", small())
+    recorder = rig.recorder("--output", "copy", "--use-sim-time", *options)
+    player = rig.player("source", "--wait", "--rate", "2")
+    assert finish(player) == (0, "450 messages played\n")
+    status, output = finish(recorder, signal.SIGTERM)
+    assert status == 0, output
+    assert re.search(r"450 messages of . topics in .*/copy, none lost", output)
+    copy = read_bag(tmp_path / "copy")
+    for name, topic in small().topics.items():
+        assert copy.topics[name] == topic
+    files = len(list((tmp_path / "copy").iterdir())) - 1
+    assert files == (4 if "--max-duration" in options else 1)
+    with BagReader(tmp_path / "copy") as bag:
+        assert all(t.offered for t in bag.topics)
+    assert main_compare([str(tmp_path / "source"), str(tmp_path / "copy")]) == 0
+    assert main_bag(["info", str(tmp_path / "copy")]) == 0
+    assert "450 messages in 0.199 s" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(("storage", "source"), [("mcap", large()), ("sqlite3", large()), ("mcap", small(8))])
+def test_kill_9_costs_at_most_a_megabyte(rig, tmp_path, storage, source):
+    write_bag(tmp_path / "source", source)
+    size = sum(len(d) for t in source.topics.values() for d in t.data)
+    recorder = rig.recorder("--output", "cut", "--storage", storage, "--use-sim-time")
+    assert finish(rig.player("source", "--wait"))[0] == 0
+    file = next((tmp_path / "cut").glob("cut_0.*"))
+    until(lambda: file.stat().st_size > max(size - 1_000_000, 4 * size // 5), "the flush")
+    recorder.kill()
+    recorder.wait()
+    with pytest.raises(ValueError, match="softrig bag repair"):
+        read_bag(tmp_path / "cut")
+    done = repair(tmp_path / "cut")
+    assert "no index" in str(done) or "lost" in str(done)
+    found = read_bag(tmp_path / "cut")
+    for name, topic in source.topics.items():
+        kept = len(found.topics[name].data)
+        assert kept >= len(topic.data) - 1_000_000 // len(topic.data[0])
+        assert found.topics[name].data == topic.data[:kept]
+    if len(source.topics) == 3:
+        assert sum(f.kept for f in done.files) == 18  # less than a chunk, but older than the flush period
+
+
+def small_disk(command: list[str]) -> tuple[list[str], dict]:
+    """Let a command see a disk of 3 MB in ``disk``, kept as ``saved``; or no file above 3 MB without that right."""
+    script = 'mkdir disk && mount -t tmpfs -o size=3m none disk && "$@"; status=$?; cp -r disk saved; exit $status'
+    if subprocess.run(["unshare", "-rm", "true"], check=False, capture_output=True).returncode == 0:
+        return ["unshare", "-rm", "sh", "-c", script, "sh", *command], {}
+    script = 'mkdir disk && "$@"; status=$?; cp -r disk saved; exit $status'
+    limit = (3_000_000, resource.RLIM_INFINITY)
+    return ["sh", "-c", script, "sh", *command], {
+        "preexec_fn": lambda: resource.setrlimit(resource.RLIMIT_FSIZE, limit)
+    }
+
+
+@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
+def test_a_full_disk_ends_the_recording_with_a_whole_bag(rig, tmp_path, storage):
+    source = large()
+    write_bag(tmp_path / "source", source)
+    executable = str(find_executable("softrig_bags", "recorder"))
+    command, options = small_disk([executable, "-o", "disk/bag", "-s", storage, "--use-sim-time"])
+    recorder = rig.start(command, **options)
+    rig.player("source", "--wait")
+    status, output = finish(recorder)
+    assert status == 3, output
+    assert re.search(r"recording stopped: .*(full|No space|too large|disk I/O)", output)
+    found = read_bag(tmp_path / "saved/bag").topics["big"]
+    assert 100 < len(found.data) < 320
+    assert found.data == source.topics["big"].data[: len(found.data)]
+    assert sorted(p.suffix for p in (tmp_path / "saved/bag").iterdir()) == sorted(
+        [".yaml", ".mcap" if storage == "mcap" else ".db3"]
+    )
+
+
+def test_losses_are_counted_and_reported(rig, tmp_path):
+    publisher = rig.node("publish", 30_000)
+    recorder = rig.recorder("burst", "--output", "bag", "--use-sim-time")
+    assert publisher.stdout.readline() == "matched\n"
+    recorder.send_signal(signal.SIGSTOP)  # it sees nothing of the burst but what fits into its queue
+    publisher.stdin.write("go\n")
+    publisher.stdin.flush()
+    assert publisher.stdout.readline() == "sent\n"
+    recorder.send_signal(signal.SIGCONT)
+    assert publisher.stdout.readline() == "acknowledged\n"
+    status, output = finish(recorder, signal.SIGINT)
+    assert status == 1
+    assert "messages lost so far: /burst" in output
+    count, lost = map(int, re.search(r"(\d+) messages of 1 topics in .*, LOST (\d+): /burst", output).groups())
+    assert lost > 0
+    assert count + lost == 30_000
+    with BagReader(tmp_path / "bag") as bag:
+        assert bag.count == count
+        assert bag.custom_data["lost"] == f"/burst: {lost}"
+
+
+def received(directory: Path, source: Recording) -> None:
+    """A bag as `ros2 bag record` makes it: times of arrival on the wall clock, out of step with the stamps."""
+    writer = BagWriter(directory)
+    numbers = [writer.add_topic(BagTopic.known("/" + t.name.lstrip("/"), t.msgtype)) for t in source.topics.values()]
+    for i, (number, topic) in enumerate(zip(numbers, source.topics.values(), strict=True)):
+        for t, data in zip(topic.times, topic.data, strict=True):
+            writer.write(number, 1_700_000_000 * 10**9 + t + (2 - i) * 1_500_000, data)
+    writer.close()
+
+
+def test_lockstep_replay_is_complete_and_identical_at_any_speed(rig, tmp_path):
+    source = small(every=1)
+    write_bag(tmp_path / "golden", source)
+    write_bag(tmp_path / "sparse", small(every=4))
+    del source.topics["command"]
+    received(tmp_path / "received", source)
+
+    def play(bag, *options):
+        return finish(rig.player(bag, "--lockstep", "/command", "--exclude", "clock", *options))
+
+    echo = rig.node("echo", 2.0, 0.0, 10_000)
+    assert play("golden", "--answers", "fast") == (0, "200 messages played, answered by 200 on command\n")
+    status, output = play("sparse")
+    assert status == 3
+    assert "/command: answer stamped 0.001 s, expected 0.004 s" in output
+    assert play("received", "--answers", "free")[0] == 0
+    finish(echo, signal.SIGINT)
+    echo = rig.node("echo", 2.0, 0.002, 210)
+    assert play("golden", "--answers", "slow")[0] == 0
+    status, output = play("golden", "--timeout", "1")
+    assert status == 3
+    assert "no answer to t = 0.01 s on /command within 1 s" in output
+    finish(echo, signal.SIGINT)
+
+    answers = [read_bag(tmp_path / name).topics for name in ("fast", "slow", "free")]
+    assert answers[0] == answers[1] == answers[2]
+    golden = signals(tmp_path / "golden")
+    assert compare(golden, signals(tmp_path / "fast"), topics=["command"]).equal
+    changed = rig.node("echo", 2.02, 0.0, 10_000)
+    assert play("golden", "--answers", "changed")[0] == 0
+    finish(changed, signal.SIGINT)
+    result = compare(golden, signals(tmp_path / "changed"), topics=["command"])
+    assert (result.topics[0].differing, result.first.stamp, result.first.a) == (199, 1_000_000, 1.0)
+
+
+@pytest.fixture
+def listener(rig, monkeypatch):
+    """A node in this process, in the domain of the rig, with what it received."""
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    monkeypatch.setenv("FASTRTPS_DEFAULT_PROFILES_FILE", str(PROFILE))
+    context = rclpy.Context()
+    context.init(domain_id=rig.domain)
+    node = Node("listener", context=context)
+    node.heard = []
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+    for name, msgtype in (("/clock", CLOCK), ("/state", STATE)):
+        node.create_subscription(message_class(msgtype), name, lambda m, name=name: node.heard.append((name, m)), 1000)
+    node.turn = lambda: executor.spin_once(timeout_sec=0.05)
+    yield node
+    context.shutdown()
+
+
+def call(node, service: str) -> None:
+    client = node.create_client(Trigger, service)
+    until(lambda: node.turn() or client.service_is_ready(), service)
+    future = client.call_async(Trigger.Request())
+    until(lambda: node.turn() or future.done(), f"answer of {service}")
+    assert future.result().success
+
+
+def test_pause_step_resume_span_remap_and_clock(rig, listener, tmp_path):
+    write_bag(tmp_path / "bag", small())
+    player = rig.player("bag", "--paused", "--clock", "--wait", "--start-offset", "0.05", "--duration", "0.099",
+                        "--topics", "/plant/state", "--remap", "/plant/state:=/state")  # fmt: skip
+
+    def states():
+        return [m.header.stamp.nanosec // 1_000_000 for name, m in listener.heard if name == "/state"]
+
+    def clock():
+        return [m.clock.nanosec for name, m in listener.heard if name == "/clock"]
+
+    call(listener, "/player/step")
+    call(listener, "/player/step")
+    until(lambda: listener.turn() or len(states()) == 2, "two steps")
+    call(listener, "/player/pause")
+    assert states() == [50, 51]
+    call(listener, "/player/resume")
+    status, output = finish(player)
+    assert (status, output) == (0, "100 messages played\n")
+    until(lambda: listener.turn() or (len(states()) == 100 and clock()[-1] == 149_000_000), "the rest")
+    assert states() == list(range(50, 150))
+    assert clock() == sorted(clock())
+    assert {k * 1_000_000 for k in range(50, 150)} <= set(clock())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        (["none"], "does not exist"),
+        (["bag", "--topics", "/absent"], "no topic /absent in"),
+        (["bag", "--rate", "0"], "must be positive"),
+        (["bag", "--start-offset", "5"], "only 0.199 s long"),
+        (["bag", "--lockstep", "/command", "--loop"], "the node sets the pace"),
+        (["bag", "--remap", "a=b"], "expected OLD:=NEW"),
+        (["bag", "--regex", "("], "regular expression"),
+        (["bag", "--exclude", "."], "none of the topics"),
+    ],
+)
+def test_bad_arguments_of_play(tmp_path, monkeypatch, capsys, arguments, text):
+    monkeypatch.chdir(tmp_path)
+    write_bag(tmp_path / "bag", small())
+    assert main_play(arguments) == 2
+    error = capsys.readouterr().err
+    assert text in error
+    assert error.count("\n") == 1
