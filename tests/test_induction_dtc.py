@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
+from softrig_bringup import plots
 from softrig_bringup.run import evaluate, execute
 from softrig_core import compiled
 from softrig_core.block import Level
@@ -381,6 +382,22 @@ def test_monitor_agrees_with_the_recording():
     torque = signals["joint_states/shaft/effort"]
     assert status["torque_std"][0] == pytest.approx(torque.x[(torque.t >= 0.3) & (torque.t < 2.0)].std(), rel=1e-3)
     assert FluxMonitor().status() == {}
+
+
+def test_flux_error_is_drawn_as_a_difference(monkeypatch, tmp_path):
+    scenario = load_scenario("induction_dtc_short", {"im_plant.adc_mode": "offset"})
+    entry = next(p for p in load_scenario("induction_dtc").plots if p.title == "Flux error")
+    rig = Rig.from_scenario(scenario.model_copy(update={"plots": (entry,)}))
+    signals = Signals(in_process(rig, 1))
+    figures = []
+    monkeypatch.setattr(plots, "_save", lambda figure, *_: figures.append(figure))
+    plots.plot_run(signals, rig, tmp_path)
+    (axes,) = figures[0].axes
+    assert axes.get_ylabel() == "Wb"
+    for line, axis in zip(axes.lines, "xy", strict=True):
+        expected = signals[f"flux_estimate/{axis}"].x - signals[f"flux_true/{axis}"].x[:-1]
+        np.testing.assert_array_equal(line.get_ydata(), expected)
+        assert expected[-1] > 0.004
 
 
 def test_bench_tells_when_a_peer_is_missing():

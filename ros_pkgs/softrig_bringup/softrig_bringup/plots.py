@@ -198,6 +198,14 @@ class _Source:
         unit = pretty_unit(self.units[name])
         return Curve(label or name, unit, x, y, held, self.topics[topic].msgtype.startswith("trajectory_msgs"))
 
+    def difference(self, first: str, second: str, label: str = "") -> Curve:
+        """Give a signal less the newest value of another, at the samples of the first."""
+        a, b = self.curve(first), self.curve(second)
+        n = len(self.signals.table(self.topic(first)).t)  # without the end to which a held signal is drawn
+        newest = np.searchsorted(b.x, a.x[:n], side="right") - 1
+        both = newest >= 0
+        return Curve(label or f"{first} - {second}", a.unit, a.x[:n][both], a.y[:n][both] - b.y[newest[both]])
+
     def topic(self, name: str) -> str:
         return max((t for t in self.topics if name.startswith(f"{t}/")), key=len)
 
@@ -213,8 +221,13 @@ class _Source:
 
     def shown(self, entry: PlotEntry, name: str) -> Curve:
         """Give a signal of a plot entry inside the entry's window."""
-        self._check(entry, name)
-        curve = self.curve(name, entry.signals[name])
+        first, minus, second = name.partition(" - ")
+        self._check(entry, first)
+        if minus:
+            self._check(entry, second)
+            curve = self.difference(first, second, entry.signals[name])
+        else:
+            curve = self.curve(name, entry.signals[name])
         inside = self._inside(entry, curve.x)
         return replace(curve, x=curve.x[inside], y=curve.y[inside])
 

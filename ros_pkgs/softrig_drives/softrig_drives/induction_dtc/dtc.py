@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping
+from math import sqrt
 from typing import Self
 
 from pydantic import model_validator
@@ -88,7 +89,8 @@ class DtcController(Block):
         i_a, i_b = currents_meas[0] + correction, currents_meas[1] + correction
         psi = estimator.update(self._u, complex(i_a, (i_a + 2.0 * i_b) / SQRT3), joint_states[0])
         torque = estimator.torque()
-        size = abs(psi)
+        # abs() would call hypot, whose last digit depends on the C library; a digit is enough to change the switching
+        size = sqrt(psi.real * psi.real + psi.imag * psi.imag)
         if t < self._magnetised:
             vector = self._flux(min(1.0, to_s(t) / self.p.flux_ramp) * self.p.flux_ref - size)
         else:
