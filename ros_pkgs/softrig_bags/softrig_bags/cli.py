@@ -83,7 +83,6 @@ def main_record(argv: list[str]) -> int:
     directory = (options.output or Path(time.strftime("rosbag2_%Y_%m_%d-%H_%M_%S"))).absolute()
     writer = BagWriter(
         directory, storage=options.storage, compression=options.compression, reserve=RESERVE,
-        custom_data={"bag_time": "stamp" if options.use_sim_time else "received"},
         split_bytes=round(options.max_size * 1e6), split_ns=round(options.max_duration * 1e9),
     )  # fmt: skip
     session = Session("recorder", ros)

@@ -7,7 +7,7 @@ import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import groupby
+from itertools import chain, groupby, islice
 from operator import itemgetter
 from typing import Any
 
@@ -266,9 +266,9 @@ class Answers:
 class LockstepPlayer:
     """Plays tick by tick: the next tick is sent when the node under test has answered the last one.
 
-    The tick of a message is its bag time if the bag's times are stamps (bags of a run, `recorder` with
-    ``--use-sim-time``), else its header stamp; a message without header belongs to the tick before it. The ticks to be
-    answered are those of the answers in the bag, or every tick if the bag has none.
+    The tick of a message is its bag time if that is simulated time (bags of a run, `recorder` with
+    ``--use-sim-time``: some message has its stamp as bag time), else its header stamp; a message without header belongs
+    to the tick before it. The ticks to be answered are those of the answers in the bag, or every tick if it has none.
 
     Parameters
     ----------
@@ -418,10 +418,12 @@ class LockstepPlayer:
     def _ticks(self) -> Iterator[tuple[int, list[tuple[int, bytes]]]]:
         """Give the messages of each tick, played and answers, in their recorded order."""
         part, wanted = self._part, {*self._sender.names, *self._names}
+        stamped = [is_stamped(t) for t in self._bag.topics]
         messages: Iterator[tuple[int, int, bytes]]
         messages = ((t, i, d) for i, t, d in self._bag.messages(wanted, part.start) if t <= part.end)
-        if self._bag.custom_data.get("bag_time") != "stamp":
-            stamped = [is_stamped(t) for t in self._bag.topics]
+        head = list(islice(messages, 200))
+        messages = chain(head, messages)
+        if not any(stamped[i] and stamp(data) == t for t, i, data in head):
             tick = 0
             found: list[tuple[int, int, bytes]] = []
             for _, i, data in messages:

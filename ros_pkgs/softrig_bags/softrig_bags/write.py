@@ -42,7 +42,7 @@ def write_bag(
     compression : str
         ``none`` or ``zstd`` (MCAP only).
     custom_data : mapping of str to str, optional
-        Kept in the metadata, e.g. scenario, seed, versions; ``bag_time: stamp`` is added: bag times are ticks.
+        Kept in the metadata, e.g. scenario, seed, versions.
     offered : mapping of str to Qos, optional
         QoS that the publishers of a topic offered; default reliable, volatile, keep last 10.
 
@@ -58,8 +58,8 @@ def write_bag(
         raise BagError(f"{directory} exists already; a bag is never overwritten")
     temporary = directory.with_name(f".{directory.name}.{os.getpid()}.part")
     try:
-        writer = BagWriter(temporary, storage=storage, compression=compression, name=directory.name,
-                           custom_data={"bag_time": "stamp", **(custom_data or {})})  # fmt: skip
+        writer = BagWriter(temporary, storage=storage, compression=compression, custom_data=custom_data,
+                           name=directory.name)  # fmt: skip
         try:
             numbers = {}
             for topic in recording.topics.values():
