@@ -292,6 +292,25 @@ def test_printed_mu1_reaches_the_law(law):
     assert second_voltage(use_printed_mu1=True) == pytest.approx(1e-3 * mu1[1])
 
 
+@pytest.mark.parametrize("law", ["adsmc", "dsmc"])
+def test_surfaces_are_those_of_the_error(law):
+    gains = {"a1": 3.0, "a2": 2.0, "b1": 5.0, "b2": 4.0}
+    block, T = VcsController(law=law, **{law: gains}), 1e-3
+    t = ca.SX.sym("t")
+    e = ca.sin(2 * t) * ca.exp(-t)
+    e_int = (2 - ca.exp(-t) * (2 * ca.cos(2 * t) + ca.sin(2 * t))) / 5
+    s = ca.jacobian(e, t) + 3 * e + 2 * e_int
+    exact = ca.Function("exact", [t], [e, ca.jacobian(e, t), s, ca.jacobian(s, t) + 5 * s])
+    s_int = 0.0
+    for k in range(1000):
+        now = [float(x) for x in exact(k * T)]
+        found = block.update(k, joint_states=(0.0,) * 6, reference=(now[0],) * 3 + (now[1],) * 3 + (0.0,) * 3)
+        if k > 1:
+            assert found["controller_state"][3] == pytest.approx(now[2], abs=5e-3)
+            assert found["controller_state"][6] == pytest.approx(now[3] + 4 * s_int, abs=2e-2)
+        s_int += T * now[2]
+
+
 def test_trajectory_and_its_derivatives():
     source = TrajectorySource(amplitude=[1.0, 2.0, 0.5])
     h = 1e-4

@@ -162,11 +162,28 @@ def test_gear_torque_balances_the_leg():
     plant.x = (0.5, -0.6, 0.0, 0.0, 0.2, -0.1)
     assert plant.outputs(0)["joint_states"][4:] == pytest.approx((0.2 * 69.12, -0.1 * 69.12))
     geared = RehabPlant(friction={"coulomb": 0.0, "static": 0.0, "viscous": 0.0})
-    geared.x = plant.x
-    M, bias, _, _ = (np.array(a) for a in lagrangian()(plant.x[:2], plant.x[2:4]))
-    motor = np.array([0.2 * 69.12, -0.1 * 69.12])
+    geared.x = (0.5, -0.6, 0.7, -0.4, 0.2, -0.1)
+    v = np.array([0.7, -0.4])
+    M, bias, _, _ = (np.array(a) for a in lagrangian()([0.5, -0.6], v))
+    motor = np.array([0.2 * 69.12, -0.1 * 69.12]) - 0.256 * v
     a = np.linalg.solve(M + np.eye(2) * 0.0512, motor - bias.ravel())
     assert geared.outputs(0)["joint_states"][4:] == pytest.approx(motor - 0.0512 * a)
+
+
+def test_motors_drift_to_the_values_asked_for():
+    drift = {"resistance": 0.3, "constants": -0.09, "duration": 60.0}
+    quiet = {"start_outside": True, "rom_margin": 10.0, "disturbance": {"torque": 0.0}}
+    drifting = RehabPlant(drift=drift, **quiet)
+    for t, done in ((0.0, 0.0), (30.0, 0.5), (60.0, 1.0), (90.0, 1.0)):
+        R, K = 1.0 + 0.3 * done, 1.0 - 0.09 * done
+        fixed = RehabPlant(motors={"resistance": 4.0 * R, "torque_constant": 4.32 * K, "back_emf_constant": 0.287 * K},
+                           **quiet)  # fmt: skip
+        for plant in (drifting, fixed):
+            plant.x = (0.1, -1.0, 0.2, -0.1, 0.3, 0.1)
+            plant.advance(round(t * 1e9), motor_command=(5.0, -2.0))
+        assert drifting.x == pytest.approx(fixed.x, rel=1e-12)
+    drifting.reset(0)
+    assert drifting.torque_per_ampere == (69.12, 69.12)
 
 
 def test_reference_meets_the_sheet_and_its_derivatives_fit():
