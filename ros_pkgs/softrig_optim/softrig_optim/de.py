@@ -57,7 +57,7 @@ class DifferentialEvolution(Population):
         n, rng = self.lower.size, self.rng
         x = self.spread()
         costs = yield points(x)
-        for self.iteration in range(1, self.n_iter + 1):
+        for _ in self.iterations():
             for i in range(self.n_pop):
                 a, b, c = rng.choice([k for k in range(self.n_pop) if k != i], 3, replace=False)
                 base = x[a] if self.variant == "rand1" else x[np.argmin(costs)]

@@ -54,7 +54,7 @@ class Firefly(Population):
     def moves(self) -> Moves:  # noqa: D102
         x = self.spread()
         costs = yield points(x)
-        for self.iteration in range(1, self.n_iter + 1):
+        for _ in self.iterations():
             for i in range(self.n_pop):
                 for j in range(self.n_pop):
                     if i == j:

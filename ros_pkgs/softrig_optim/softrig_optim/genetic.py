@@ -55,7 +55,7 @@ class Genetic(Population):
     def moves(self) -> Moves:  # noqa: D102
         x = self.spread()
         costs = np.array((yield points(x)))
-        for self.iteration in range(1, self.n_iter + 1):
+        for _ in self.iterations():
             order = np.argsort(costs, kind="stable")[: self.elite]
             children = self._children(x, costs, self.n_pop - self.elite)
             child_costs = yield points(children)

@@ -58,7 +58,8 @@ class LoadLineSearch(Search):
         self._load = math.nan
         self._final: float | None = None
         self.peak = (0.0, 0.0)
-        super().__init__(lower, upper, seed, **{**options, "maximise": True})
+        options["maximise"] = True
+        super().__init__(lower, upper, seed, **options)
 
     @property
     def result(self) -> Point:
@@ -117,8 +118,7 @@ class CertifiedSearch(LoadLineSearch):
     n_iter : int
         Splits after which it gives up the proof: noise, or a source that changes, may contradict itself.
     transients : bool
-        Use every measurement on the way from one command to the next as well, not only those in steady state. Without
-        noise this halves the time; with noise, neighbours that are close in voltage spoil the bound.
+        Use every measurement on the way from one command to the next as well, not only the last: half the time.
     **options
         Those of `LoadLineSearch`.
     """
@@ -162,11 +162,12 @@ class CertifiedSearch(LoadLineSearch):
         for d in (0.5 * (low + high), low, high):
             yield [(d,)]
             insort(self._points, self.learn(d))
-        for self.iteration in range(1, self.n_iter + 1):
+        while self.iteration < self.n_iter:
             bounds = self._bounds()
             k = max(range(len(bounds)), key=bounds.__getitem__)
             if bounds[k] <= (1.0 + self.eps) * self.expected:
                 break
+            self.iteration += 1
             d = self.command(self._points[k + 1][0], self._points[k][1])
             yield [(d,)]
             insort(self._points, self.learn(d))

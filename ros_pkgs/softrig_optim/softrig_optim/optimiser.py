@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Mapping
 from enum import IntEnum
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 from pydantic import model_validator
@@ -38,7 +38,7 @@ class SearchParams(AlgorithmParams, BlockParams):
     hold_time: float = param(0.04, "how long a candidate is applied before its value counts", "s", gt=0.0)
     measure_window: float = param(0.002, "the value is the mean of the last samples in this time", "s", gt=0.0)
     settle_time: float = param(0.12, "the value held is the reference for changes only after this time", "s", gt=0.0)
-    restart_threshold: float = param(0.05, "relative change of the held value that starts a new search; 0 = none", ge=0.0)
+    restart_threshold: float = param(0.05, "relative change of the value held that starts a search; 0 = none", ge=0.0)
     rescan_period: float = param(60.0, "a new search starts this long after the last one did; 0 = never", "s", ge=0.0)
     floor: float | None = param(None, "a value not above this is no signal: wait for it instead of searching")
     autostart: bool = param(True, "search from the first tick instead of waiting for the start button")
@@ -74,11 +74,14 @@ class CommandSearch(Block, ABC):
     - when the value at the end of `settle_time` differs by more than `restart_threshold` from what the search found:
       the plant changed meanwhile (once, not again after that search);
     - when two samples in a row, `hold_time` apart, differ so much from the value at the end of `settle_time`;
-    - `rescan_period` after the start of the last search: a change elsewhere in the range does not show in the value held.
+    - `rescan_period` after the start of the last search: what changes elsewhere does not show in the value held.
 
-    The state output has the phase (0 stopped, 1 search, 2 hold), the iteration and evaluations of the newest search, the
-    number of new searches after the first, the best value and command so far, and the proven bound (0: none).
+    The state output has the phase (0 stopped, 1 search, 2 hold), the iteration and evaluations of the newest search,
+    the number of new searches after the first, the best value and command so far, and the proven bound (0: none).
     """
+
+    _since: int | None  # when the command arrived at the target
+    _reference: float | None  # value held that changes are measured against
 
     @abstractmethod
     def new_search(self, rng: np.random.Generator) -> Search:
@@ -103,7 +106,7 @@ class CommandSearch(Block, ABC):
 
     def start(self) -> None:
         """No candidate yet."""
-        self._pressed = (False, False, False)
+        self._pressed: tuple[bool, ...] = (False, False, False)
         self._window: deque[float] = deque(maxlen=self._window_size)
         self._command: Point | None = None
         self._restarts = -1
@@ -136,7 +139,7 @@ class CommandSearch(Block, ABC):
 
     def _aim(self, target: Point) -> None:
         self._target = target
-        self._since: int | None = None  # when the command arrived at the target
+        self._since = None
 
     def _move(self, t: int) -> Point:
         """Go towards the target; note when it is there."""
@@ -178,7 +181,7 @@ class CommandSearch(Block, ABC):
             self._phase = Phase.HOLD
             self._aim(search.result)
             self._next_sample = self._hold
-            self._reference: float | None = None
+            self._reference = None
             self._deviations = 0
             self._lost = False
         self._note()

@@ -53,7 +53,7 @@ class ParticleSwarm(Population):
         v = np.zeros_like(x)
         costs = np.array((yield points(x)))
         p, p_costs = x, costs
-        for self.iteration in range(1, self.n_iter + 1):
+        for _ in self.iterations():
             g = p[np.argmin(p_costs)]
             r1, r2 = self.rng.random((2, *x.shape))
             v = self.w * v + self.c1 * r1 * (p - x) + self.c2 * r2 * (g - x)

@@ -64,8 +64,8 @@ class SalpSwarm(Population):
         costs = yield points(x)
         i = int(np.argmin(costs))
         food, best = x[i].copy(), costs[i]
-        for self.iteration in range(1, self.n_iter + 1):
-            c1 = self.AMPLITUDE * math.exp(-((self.DECAY * self.iteration / self.n_iter) ** 2))
+        for k in self.iterations():
+            c1 = self.AMPLITUDE * math.exp(-((self.DECAY * k / self.n_iter) ** 2))
             c2, c3 = self.rng.random((2, n))
             step = c1 * ((self.upper - self.lower) * c2 + self.lower)
             x[0] = self.clip(np.where(c3 >= self.c3_threshold, food + step, food - step))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Generator, Iterable, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from typing import NamedTuple, TypedDict, Unpack
 
 import numpy as np
@@ -148,7 +148,7 @@ class Search(ABC):
         """Value that the objective cannot pass anywhere in the box; None where nothing is proven."""
         return None
 
-    def watch(self, sample: Sequence[float]) -> None:
+    def watch(self, sample: Sequence[float]) -> None:  # noqa: B027
         """See a measurement on the way to the pending candidate; only searches that can use a transient do."""
 
     def ask(self) -> Point:
@@ -227,6 +227,12 @@ class Population(Search):
             raise ValueError(f"n_iter is {n_iter}, expected at least 1")
         self.n_pop, self.n_iter = n_pop, n_iter
         super().__init__(lower, upper, seed, **options)  # last: it starts `moves`
+
+    def iterations(self) -> Iterator[int]:
+        """Count from 1 to n_iter."""
+        for k in range(1, self.n_iter + 1):
+            self.iteration = k
+            yield k
 
     def spread(self) -> Array:
         """Draw the initial population, shape (n_pop, n)."""

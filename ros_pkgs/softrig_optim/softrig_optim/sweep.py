@@ -66,7 +66,7 @@ def _on_cluster(function: Callable[[C], R], cases: Sequence[C], scheduler: str, 
     try:
         import distributed
     except ImportError:
-        raise ImportError(f"the scheduler {scheduler} needs the package 'distributed': pip install distributed") from None
+        raise ImportError(f"scheduler {scheduler}: needs the package 'distributed' (pip install distributed)") from None
     with distributed.Client(scheduler) as client:
         futures: list[Future[R]] = client.map(function, cases, pure=False)
         for _ in distributed.as_completed(futures):

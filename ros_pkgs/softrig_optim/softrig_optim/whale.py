@@ -28,8 +28,8 @@ class Whale(Population):
         costs = yield points(x)
         i = int(np.argmin(costs))
         star, best = x[i], costs[i]
-        for self.iteration in range(1, self.n_iter + 1):
-            a = 2.0 - 2.0 * (self.iteration - 1) / self.n_iter
+        for k in self.iterations():
+            a = 2.0 - 2.0 * (k - 1) / self.n_iter
             r1, r2, p, u = self.rng.random((4, self.n_pop, 1))
             whale = x[self.rng.integers(self.n_pop, size=self.n_pop)]
             A, C, l = 2.0 * a * r1 - a, 2.0 * r2, 2.0 * u - 1.0  # noqa: E741

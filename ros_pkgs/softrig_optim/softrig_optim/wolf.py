@@ -29,12 +29,12 @@ class GreyWolf(Population):
         x = self.spread()
         leaders: Array = np.empty((0, self.lower.size))
         leader_costs: Array = np.empty(0)
-        for self.iteration in range(self.n_iter):
+        for k in self.iterations():
             costs = yield points(x)
             leader_costs = np.append(leader_costs, costs)
             order = np.argsort(leader_costs, kind="stable")[:3]
             leaders, leader_costs = np.vstack([leaders, x])[order], leader_costs[order]
-            a = 2.0 - 2.0 * self.iteration / self.n_iter
+            a = 2.0 - 2.0 * (k - 1) / self.n_iter
             r1, r2 = self.rng.random((2, self.n_pop, *leaders.shape))
             steps = leaders - (2.0 * a * r1 - a) * np.abs(2.0 * r2 * leaders - x[:, None, :])
             x = self.clip(steps.mean(axis=1))

@@ -8,7 +8,7 @@ import numpy as np
 from softrig_core.block import Block
 from softrig_core.node import executable
 from softrig_core.params import BlockParams, param
-from softrig_core.port import Port, button, joint_state
+from softrig_core.port import Port, array, button
 
 from .array import ArrayParams
 from .ports import environment
@@ -23,20 +23,20 @@ class PvCurvesParams(ArrayParams, BlockParams):
 
 
 class PvCurves(Block):
-    """I-V curve (and so P-V curve) of the string in the conditions at the last press of ``pv/curves/request``.
+    """I-V and P-V curve of the string in the conditions at the last press of ``pv/curves/request``.
 
-    Point k is channel pk of ``pv/curves``: voltage in position (V), current in effort (A). Before the first press the
-    curve is that of the conditions at the first tick.
+    ``pv/curves`` has three rows, voltage (V), current (A) and power (W), and a column a point. Before the first press
+    it shows the conditions of the first tick.
     """
 
     Params = PvCurvesParams
 
     @classmethod
     def ports(cls, params: PvCurvesParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
-        """One channel a point."""
+        """One column a point."""
         request = button("request", "pv/curves/request", held=True)
-        names = tuple(f"p{k}" for k in range(params.n_points))
-        curves = joint_state("curves", "pv/curves", names, position="V", effort="A")
+        units = [unit for unit in ("V", "A", "W") for _ in range(params.n_points)]
+        curves = array("curves", "pv/curves", {"quantity": 3, "point": params.n_points}, units)
         return (environment(len(params.irradiance), held=True), request), (curves,)
 
     def start(self) -> None:
@@ -55,7 +55,8 @@ class PvCurves(Block):
             n = len(conditions) // 2
             curve = characteristic(p.module, conditions[:n], conditions[n:])
             v = np.linspace(0.0, curve.open_circuit, p.n_points)
-            self._answer = (*v.tolist(), *np.interp(v, curve.v, curve.i).tolist())
+            i = np.interp(v, curve.v, curve.i)
+            self._answer = (*v.tolist(), *i.tolist(), *(v * i).tolist())
         self._pressed = pressed
         return {"curves": self._answer}
 

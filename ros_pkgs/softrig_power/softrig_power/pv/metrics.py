@@ -141,9 +141,7 @@ def efficiency(
     return float(100.0 * run.power.sum() / run.gmpp.sum())
 
 
-def in_global_basin(
-    signals: SignalMap, *, at: float | None = None, module: Mapping[str, Any] | None = None
-) -> float:
+def in_global_basin(signals: SignalMap, *, at: float | None = None, module: Mapping[str, Any] | None = None) -> float:
     """1 when the voltage at the time `at` in s (the end) is in the basin of the global maximum, else 0."""
     run = _Run(signals, module, None, at)
     source = run.source(-1)
@@ -165,7 +163,7 @@ def tracking_time(
 def settling_time(
     signals: SignalMap, *, band: float = 0.02, start: float | None = None, end: float | None = None
 ) -> float:
-    """Time in s from `start` until the power stayed within `band` of its last value, be it the global maximum or not."""
+    """Time in s from `start` until the power stayed within `band` of its last value, at whichever peak that is."""
     run = _Run(signals, None, start, end)
     out = np.flatnonzero(np.abs(run.power - run.power[-1]) > band * abs(run.power[-1]))
     return 0.0 if out.size == 0 else float(run.t[out[-1] + 1] - run.t[0])

@@ -49,7 +49,7 @@ class Cell(NamedTuple):
 
     I_ph: float
     I_0: float
-    aV_t: float
+    aV_t: float  # noqa: N815
     R_s: float
     R_p: float
 
@@ -112,6 +112,5 @@ def cell(p: ModuleParams, irradiance: float, temperature: float) -> Cell:
     dT = temperature - STC[1]
     aV_t = p.a * p.N_s * BOLTZMANN * T / CHARGE
     I_sc = p.I_sc + p.K_I * dT
-    return Cell(
-        I_ph=I_sc * irradiance / STC[0], I_0=I_sc / math.expm1((p.V_oc + p.K_V * dT) / aV_t), aV_t=aV_t, R_s=p.R_s, R_p=p.R_p
-    )
+    I_0 = I_sc / math.expm1((p.V_oc + p.K_V * dT) / aV_t)
+    return Cell(I_sc * irradiance / STC[0], I_0, aV_t, p.R_s, p.R_p)

@@ -69,7 +69,7 @@ class ShadingSource(Block):
         """Draw the fluctuation of this run."""
         p: ShadingSourceParams = self.p
         n, patterns = p.modules, [p.pattern(k) for k in range(len(p.times))]
-        factors = (1.0 + p.fluctuation * self.rng.uniform(-1.0, 1.0, 2 * n)).tolist() if p.fluctuation else [1.0] * 2 * n
+        factors = (1.0 + p.fluctuation * self.rng.uniform(-1.0, 1.0, 2 * n)).tolist()
         limits = [IRRADIANCE] * n + [TEMPERATURE] * n
         values = [
             tuple(min(max(x * f, low), high) for x, f, (low, high) in zip(g + t, factors, limits, strict=True))

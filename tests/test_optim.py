@@ -1,0 +1,550 @@
+"""Searches against known optima, published rules and other libraries; the optimiser node on a plant of its own."""
+
+import itertools
+import math
+import os
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import stats
+from scipy.optimize import differential_evolution, minimize_scalar
+from softrig_core.block import Level, Plant
+from softrig_core.params import ParameterError
+from softrig_optim.algorithms import AlgorithmParams, make
+from softrig_optim.de import DifferentialEvolution
+from softrig_optim.firefly import Firefly
+from softrig_optim.genetic import Genetic
+from softrig_optim.load_line import CertifiedSearch, RampScan
+from softrig_optim.optimiser import Optimiser, Phase
+from softrig_optim.perturb import PerturbObserve
+from softrig_optim.pso import ParticleSwarm
+from softrig_optim.salp import ImprovedSalpSwarm, SalpSwarm
+from softrig_optim.scan import Scan
+from softrig_optim.search import run
+from softrig_optim.sweep import sweep
+from softrig_optim.whale import Whale
+from softrig_optim.wolf import GreyWolf
+
+POPULATIONS = [SalpSwarm, ImprovedSalpSwarm, ParticleSwarm, DifferentialEvolution, Firefly, GreyWolf, Whale, Genetic]
+LOWER, UPPER = [0.5, 1.0], [5.0, 4.0]
+OPTIMUM = np.array([2.0, 3.1])
+
+
+def bowl(x):
+    return float(((np.array(x) - OPTIMUM) ** 2).sum())
+
+
+def rastrigin(x):
+    z = np.array(x)
+    return float((z**2 - 10.0 * np.cos(2.0 * np.pi * z) + 10.0).sum())
+
+
+# the interface --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("algorithm", POPULATIONS)
+def test_same_seed_same_search(algorithm):
+    """The seed fixes every candidate; another seed gives others; a maximisation of -f is the minimisation of f."""
+    histories = []
+    for seed, sign in ((3, 1.0), (3, 1.0), (4, 1.0), (3, -1.0)):
+        search = algorithm(LOWER, UPPER, seed, n_pop=5, n_iter=6, maximise=sign < 0.0)
+        run(search, lambda x, sign=sign: sign * bowl(x))
+        histories.append([e.x for e in search.history])
+        assert np.all(np.array(histories[-1]) >= LOWER)
+        assert np.all(np.array(histories[-1]) <= UPPER)
+        assert search.best.value == (min if sign > 0.0 else max)(e.value for e in search.history)
+        assert search.result == search.best.x
+        assert search.expected == search.best.value
+    assert histories[0] == histories[1] == histories[3] != histories[2]
+
+
+def test_ask_repeats_until_told_and_ends():
+    search = ParticleSwarm([0.0], [1.0], 1, n_pop=2, n_iter=1)
+    first = search.ask()
+    assert search.ask() == first
+    assert search.pending[0] == first
+    assert len(search.pending) == 2
+    with pytest.raises(ValueError, match="no value was told yet"):
+        _ = search.result
+    for k in range(4):
+        assert search.iteration == k // 2
+        search.tell(float(k))
+    assert search.done
+    assert search.pending == ()
+    with pytest.raises(ValueError, match="has ended"):
+        search.ask()
+
+
+def test_nan_is_never_taken():
+    search = ParticleSwarm([0.0], [1.0], 1)
+    x = search.ask()
+    with pytest.raises(ValueError, match="NaN"):
+        search.tell(math.nan)
+    assert search.best is None
+    assert search.ask() == x
+
+
+def test_infeasible_candidates_are_avoided():
+    search = Genetic(LOWER, UPPER, 0, n_pop=30, n_iter=30)
+    best = run(search, lambda x: math.inf if x[0] < 2.5 else bowl(x))
+    assert best.x[0] == pytest.approx(2.5, abs=0.02)
+
+
+def test_budget_and_stop_rule():
+    search = ParticleSwarm(LOWER, UPPER, 0, budget=7)
+    run(search, bowl)
+    assert search.evaluations == 7
+    search = ParticleSwarm(LOWER, UPPER, 0, n_pop=10, n_iter=100, stop=lambda s: s.best.value < 1e-3)
+    run(search, bowl)
+    assert search.best.value < 1e-3
+    assert all(e.value >= 1e-3 for e in search.history[:-1])
+
+
+@pytest.mark.parametrize(
+    ("call", "text"),
+    [
+        (lambda: ParticleSwarm([1.0], [0.0]), "lower < upper"),
+        (lambda: ParticleSwarm([0.0], [math.inf]), "finite"),
+        (lambda: ParticleSwarm([0.0, 0.0], [1.0]), "as many"),
+        (lambda: ParticleSwarm([0.0], [1.0], budget=0), "budget"),
+        (lambda: ParticleSwarm([0.0], [1.0], n_pop=0), "n_pop is 0"),
+        (lambda: ParticleSwarm([0.0], [1.0], n_iter=0), "n_iter is 0"),
+        (lambda: DifferentialEvolution([0.0], [1.0], n_pop=3), "needs at least 4"),
+        (lambda: GreyWolf([0.0], [1.0], n_pop=2), "needs at least 3"),
+        (lambda: Genetic([0.0], [1.0], n_pop=4, elite=4), "elite is 4"),
+        (lambda: ImprovedSalpSwarm([0.0], [1.0]), "positive"),
+        (lambda: PerturbObserve([0.0, 0.0], [1.0, 1.0]), "one variable"),
+        (lambda: PerturbObserve([0.0], [1.0], initial=2.0), "initial is 2"),
+        (lambda: Scan([0.0, 0.0], [1.0, 1.0]), "one variable"),
+        (lambda: Scan([0.0], [1.0], n_grid=2), "n_grid is 2"),
+        (lambda: RampScan([0.1], [0.9], matching=Transformer(), n_ramp=1), "n_ramp is 1"),
+        (lambda: CertifiedSearch([0.1, 0.1], [0.9, 0.9], matching=Transformer()), "one command"),
+    ],
+)
+def test_bad_settings_are_named(call, text):
+    with pytest.raises(ValueError, match=text):
+        call()
+
+
+# the algorithms -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "close"),
+    [(SalpSwarm, 0.05), (ImprovedSalpSwarm, 0.05), (ParticleSwarm, 1e-6), (DifferentialEvolution, 1e-6),
+     (Firefly, 0.05), (GreyWolf, 0.02), (Whale, 0.03), (Genetic, 1e-3)],
+)  # fmt: skip
+def test_finds_a_known_optimum(algorithm, close):
+    """With enough evaluations every one comes to the bottom of a bowl, each as close as its last steps are small."""
+    worst = 0.0
+    for seed in range(5):
+        best = run(algorithm(LOWER, UPPER, seed, n_pop=20, n_iter=60), bowl)
+        worst = max(worst, float(np.abs(np.array(best.x) - OPTIMUM).max()))
+    assert worst < close
+
+
+@pytest.mark.parametrize("name", ["issa", "ssa", "pso", "de_rand1", "de_best1", "woa"])
+def test_published_count_of_evaluations(name):
+    search = make(name, [0.1], [0.9], 0, AlgorithmParams(), maximise=True)
+    run(search, lambda x: -(x[0] ** 2))
+    assert search.evaluations == 44
+
+
+def test_firefly_evaluates_every_ordered_pair():
+    search = make("fa_all_pairs", [0.1], [0.9], 0, AlgorithmParams(), maximise=True)
+    run(search, lambda x: x[0])
+    assert search.evaluations == 76
+
+
+def test_salp_chain_follows_the_published_rules():
+    """Followers: (x + ahead)/2, in order, behind a leader that is on the box; the leader's step shrinks as c_1 does."""
+    search = SalpSwarm([0.1], [0.9], 2)
+    generations = []
+    while not search.done:
+        generations.append([x[0] for x in search.pending])
+        for _ in range(4):
+            search.tell(abs(search.ask()[0] - 0.5))
+    for before, after in itertools.pairwise(generations):
+        for i in range(1, 4):
+            assert after[i] == pytest.approx((before[i] + after[i - 1]) / 2.0, abs=1e-15)
+    food = min(search.history[:40], key=lambda e: e.value).x[0]
+    assert abs(generations[-1][0] - food) <= 3.2 * math.exp(-(3.5**2)) * 0.9 + 1e-15
+
+
+def test_improved_salp_follower():
+    """Equal positions stay; 0.1 behind 0.9 goes to 0.781, not to the weighted mean 0.70."""
+    search = ImprovedSalpSwarm([0.1], [0.9], 0)
+    assert search.follow(np.array([0.4]), np.array([0.4])) == pytest.approx(0.4)
+    assert search.follow(np.array([0.1]), np.array([0.9])) == pytest.approx(0.781, abs=5e-4)
+
+
+@pytest.mark.parametrize(("threshold", "down"), [(0.5, True), (0.0, False)])
+def test_misprinted_leader_only_goes_up(threshold, down):
+    moves = []
+    for seed in range(20):
+        search = ImprovedSalpSwarm([0.1], [0.9], seed, c3_threshold=threshold)
+        while not search.done:
+            if search.iteration and len(search.pending) == 4:
+                moves.append(search.ask()[0] - search.best.x[0])
+            search.tell(abs(search.ask()[0] - 0.5))
+    assert (min(moves) < 0.0) == down
+    assert max(moves) > 0.0
+
+
+@pytest.mark.parametrize("variant", ["rand1", "best1"])
+def test_differential_evolution_against_scipy(variant):
+    """Same distribution of the best value as scipy's from the same start, over 100 seeds each (Kolmogorov-Smirnov).
+
+    The box is wide: scipy draws anew what leaves it, here it is clipped.
+    """
+    box, n_pop, n_iter = ([-100.0] * 2, [100.0] * 2), 12, 12
+
+    class Started(DifferentialEvolution):
+        def spread(self):
+            return np.random.default_rng([7, seed]).uniform((-2.0, -3.0), (4.0, 2.0), (n_pop, 2))
+
+    ours, theirs = [], []
+    for seed in range(100):
+        search = Started(*box, seed, n_pop=n_pop, n_iter=n_iter, variant=variant, cr=0.7)
+        ours.append(run(search, rastrigin).value)
+        found = differential_evolution(
+            rastrigin, list(zip(*box, strict=True)), strategy=f"{variant}bin", maxiter=n_iter, init=search.spread(),
+            mutation=(0.2, 0.8), recombination=0.7, tol=0.0, atol=0.0, polish=False, rng=seed, updating="immediate",
+        )  # fmt: skip
+        theirs.append(found.fun)
+        assert found.nfev == search.evaluations
+    assert stats.ks_2samp(ours, theirs).pvalue > 0.1
+
+
+@pytest.mark.parametrize(("low", "high"), [(0.0, 3.0), (0.3, 1.7)])
+def test_scan_refines_as_scipy_does(low, high):
+    """Grid of 20, then exactly the evaluations of scipy's bounded Brent search in the two cells beside the best."""
+
+    def f(x):
+        return math.cos(3.0 * x) + 0.3 * x
+
+    search = Scan([low], [high], n_grid=20, tolerance=1e-4)
+    best = run(search, lambda x: f(x[0]))
+    grid = np.linspace(low, high, 20)
+    k = int(np.argmin([f(x) for x in grid]))
+    cells = (grid[max(k - 1, 0)], grid[min(k + 1, 19)])
+    theirs = minimize_scalar(f, bounds=cells, method="bounded", options={"xatol": 1e-4})
+    assert best.x[0] == pytest.approx(theirs.x, abs=1e-14)
+    assert search.evaluations == 20 + theirs.nfev
+
+
+def test_perturb_observe_climbs_and_turns():
+    search = PerturbObserve([0.0], [1.0], step=0.1, initial=0.25, maximise=True)
+    for _ in range(12):
+        search.tell(-abs(search.ask()[0] - 0.48))
+    visited = [round(e.x[0], 6) for e in search.history]
+    assert visited == [0.25, 0.35, 0.45, 0.55, 0.45, 0.35, 0.45, 0.55, 0.45, 0.35, 0.45, 0.55]
+    assert not search.done
+    edge = PerturbObserve([0.0], [0.2], step=0.1, maximise=True)
+    for _ in range(6):
+        edge.tell(edge.ask()[0])
+    assert [round(e.x[0], 6) for e in edge.history] == [0.0, 0.1, 0.2, 0.1, 0.2, 0.1]
+
+
+def test_genetic_generations_in_parallel():
+    """A generation evaluated by an executor gives the search of a loop; the elite is not evaluated again."""
+    serial = Genetic(LOWER, UPPER, 5, n_pop=20, n_iter=10, elite=2)
+    run(serial, bowl)
+    with ThreadPoolExecutor(4) as pool:
+        parallel = Genetic(LOWER, UPPER, 5, n_pop=20, n_iter=10, elite=2)
+        run(parallel, bowl, pool.map)
+    assert parallel.history == serial.history
+    assert serial.evaluations == 20 + 10 * 18
+
+
+# along the load line --------------------------------------------------------------------------------------------
+
+
+class Transformer:
+    """An ideal transformer as the matching: the source sees R = load/d^2."""
+
+    def load(self, command, seen):
+        return seen * command**2
+
+    def command(self, seen, load):
+        return math.sqrt(load / seen)
+
+
+def operate(v, i, load, d):
+    """Where the load line crosses the polyline (v, i)."""
+    R = load / d**2
+    k = int(np.flatnonzero(v - R * i >= 0.0)[0])
+    share = (R * i[k - 1] - v[k - 1]) / ((v[k] - v[k - 1]) - R * (i[k] - i[k - 1]))
+    return v[k - 1] + share * (v[k] - v[k - 1]), i[k - 1] + share * (i[k] - i[k - 1])
+
+
+@given(
+    st.lists(st.floats(0.05, 1.0), min_size=3, max_size=8), st.lists(st.floats(0.0, 1.0), min_size=8, max_size=8),
+    st.floats(2.0, 50.0), st.sampled_from([0.003, 0.01, 0.05]),
+)  # fmt: skip
+@settings(max_examples=60, deadline=None, derandomize=True)
+def test_certificate_holds_on_any_falling_curve(widths, drops, load, eps):
+    """The proven bound is never below the true maximum, and the search ends within eps of it."""
+    v = np.concatenate([[0.0], np.cumsum(widths)]) * 20.0
+    i = np.concatenate([np.cumsum((np.array(drops[: len(widths)]) + 0.01)[::-1])[::-1], [0.0]])
+    dense = np.linspace(0.0, v[-1], 4001)
+    search = CertifiedSearch([0.05], [20.0], matching=Transformer(), eps=eps, n_iter=500)
+    lowest, highest = (operate(v, i, load, d)[0] for d in (20.0, 0.05))
+    inside = dense[(dense >= lowest) & (dense <= highest)]
+    best = float((inside * np.interp(inside, v, i)).max())
+    while not search.done:
+        sample = operate(v, i, load, search.ask()[0])
+        search.tell(sample[0] * sample[1], sample)
+        assert search.bound is None or search.bound >= best * (1.0 - 1e-12)
+    assert search.bound <= (1.0 + eps) * search.expected
+    assert search.expected >= best / (1.0 + eps) * (1.0 - 1e-9)
+    final = operate(v, i, load, search.result[0])
+    assert final[0] * final[1] == pytest.approx(search.expected, rel=1e-9)
+
+
+def test_certified_search_gives_up_a_proof_that_cannot_be():
+    """A source that changes contradicts its own samples; the search still ends, with the corrections."""
+    search = CertifiedSearch([0.1], [0.9], matching=Transformer(), n_iter=30)
+    while not search.done:
+        sample = ((1.0, 2.0), (2.0, 1.0))[search.evaluations % 2]  # the box between them allows 4 W, none comes
+        search.tell(2.0, sample)
+    assert search.evaluations == 3 + 30 + 3
+
+
+def test_load_line_searches_in_the_dark():
+    for algorithm in (CertifiedSearch, RampScan):
+        search = algorithm([0.1], [0.9], matching=Transformer())
+        while not search.done:
+            search.tell(0.0, (0.0, 0.0))
+        assert search.expected == 0.0
+        assert search.lower <= search.result[0] <= search.upper
+
+
+# the node -------------------------------------------------------------------------------------------------------
+
+
+class Dish(Plant):
+    """A dish antenna: two drives follow their commands with a lag, the received power has a main and a side lobe."""
+
+    def setup(self):
+        self.target = (0.4, -0.2)
+
+    def start(self):
+        self.x = (0.0, 0.0)
+
+    def power(self, x):
+        miss = math.dist(x, self.target)
+        side = math.dist(x, (self.target[0] - 0.9, self.target[1] + 0.5))
+        return 10.0 * math.exp(-8.0 * miss**2) + 5.0 * math.exp(-20.0 * side**2)
+
+    def outputs(self, t):
+        return {"objective": (self.power(self.x),)}
+
+    def advance(self, t, command):
+        self.x = tuple(x + 0.2 * (u - x) for x, u in zip(self.x, command, strict=True))
+
+
+DISH = {"channels": ("azimuth", "elevation"), "lower": (-1.0, -1.0), "upper": (1.0, 1.0), "unit": "rad",
+        "period": 0.01, "hold_time": 0.3, "measure_window": 0.02, "settle_time": 0.5, "n_pop": 12, "n_iter": 15,
+        "algorithm": "pso", "rescan_period": 0.0}  # fmt: skip
+TICK = 10_000_000
+
+
+class Loop:
+    """The dish and the optimiser, tick by tick."""
+
+    def __init__(self, seed=0, **changes):
+        self.optimiser, self.dish = Optimiser(**(DISH | changes)), Dish()
+        self.optimiser.reset(seed)
+        self.t = 0
+        self.commands = []
+
+    def run(self, seconds, objective=None, **buttons):
+        for _ in range(round(seconds * 100)):
+            measured = self.dish.outputs(self.t)["objective"] if objective is None else (objective,)
+            pressed = {name: buttons.get(name) for name in ("start", "stop", "restart")}
+            answer = self.optimiser.update(self.t, measured, **pressed)
+            self.commands.append(answer["command"])
+            names = ("phase", "iteration", "evaluations", "restarts", "best_value", "bound", "azimuth", "elevation")
+            self.state = dict(zip(names, answer["state"], strict=True))
+            self.dish.advance(self.t, answer["command"])
+            self.t += TICK
+        return self.state
+
+
+def test_optimiser_points_a_dish():
+    """Two commands, a plant it knows nothing of: the main lobe is found, then held."""
+    loop = Loop()
+    state = loop.run(0.01 + 12 * 16 * 0.3)
+    assert state["phase"] == Phase.HOLD
+    assert state["evaluations"] == 192
+    state = loop.run(1.0)
+    assert loop.dish.power(loop.dish.x) > 9.9
+    assert state["restarts"] == 0
+    assert loop.commands[-1] == (state["azimuth"], state["elevation"])
+    commands = np.array(loop.commands)
+    assert np.all(np.abs(commands) <= 1.0)
+    changes = np.flatnonzero(np.any(np.diff(commands, axis=0) != 0.0, axis=1))
+    assert np.all(np.diff(changes) % 30 == 0)  # one dwell of 30 ticks a candidate
+
+
+def test_optimiser_is_reproducible_by_seed():
+    first, again, other = (Loop(seed) for seed in (1, 1, 2))
+    for loop in (first, again, other):
+        loop.run(5.0)
+    assert first.commands == again.commands != other.commands
+
+
+def test_restart_when_the_objective_changes():
+    loop = Loop()
+    loop.run(0.01 + 192 * 0.3 + 2.0)
+    loop.dish.target = (-0.3, 0.3)
+    before = loop.t
+    while loop.state["phase"] == Phase.HOLD:
+        loop.run(0.01)
+    assert (loop.t - before) * 1e-9 <= 3 * 0.3 + 0.02
+    assert loop.run(192 * 0.3 + 1.5)["restarts"] == 1
+    assert loop.state["phase"] == Phase.HOLD
+    assert loop.dish.power(loop.dish.x) > 9.9
+
+
+def test_small_changes_and_single_dips_do_not_restart():
+    loop = Loop()
+    loop.run(0.01 + 192 * 0.3 + 2.0)
+    held = loop.dish.power(loop.dish.x)
+    loop.run(3.0, objective=0.96 * held)
+    loop.run(0.3, objective=0.5 * held)
+    loop.run(1.0, objective=held)
+    assert loop.state["restarts"] == 0
+    loop.run(0.9, objective=0.94 * held)
+    assert loop.state["restarts"] == 1
+
+
+def test_a_change_during_the_search_is_found_once_at_its_end():
+    """What the search found no longer holds: one new search, and none after that although nothing fits."""
+    loop = Loop()
+    loop.run(0.01 + 192 * 0.3, objective=None)
+    assert loop.state["phase"] == Phase.HOLD
+    loop.run(0.7, objective=5.0)
+    assert loop.state["restarts"] == 1
+    loop.run(0.01 + 192 * 0.3)
+    loop.run(5.0, objective=5.0)
+    assert loop.state["restarts"] == 1
+    assert loop.state["phase"] == Phase.HOLD
+
+
+def test_rescan_by_timer():
+    loop = Loop(rescan_period=100.0)
+    loop.run(99.9)
+    assert (loop.state["phase"], loop.state["restarts"]) == (Phase.HOLD, 0)
+    loop.run(0.5)
+    assert (loop.state["phase"], loop.state["restarts"]) == (Phase.SEARCH, 1)
+
+
+def test_buttons():
+    """Each acts when it goes down: start from stopped, stop holds the best so far, restart begins anew."""
+    loop = Loop(autostart=False)
+    loop.run(1.0)
+    assert (loop.state["phase"], loop.state["evaluations"]) == (Phase.STOPPED, 0)
+    loop.run(3.1, start=(1.0,))
+    assert (loop.state["phase"], loop.state["evaluations"]) == (Phase.SEARCH, 10)
+    loop.run(1.0, start=(0.0,))
+    loop.run(1.0, start=(1.0,))  # already searching: nothing
+    assert loop.state["evaluations"] == 16
+    loop.run(2.0, stop=(1.0,))
+    assert loop.state["phase"] == Phase.STOPPED
+    assert loop.commands[-1] == (loop.state["azimuth"], loop.state["elevation"])
+    evaluations = loop.state["evaluations"]
+    loop.run(1.0, stop=(0.0,))
+    assert loop.state["evaluations"] == evaluations
+    loop.run(0.5, restart=(1.0,))
+    assert (loop.state["phase"], loop.state["evaluations"]) == (Phase.SEARCH, 1)
+
+
+def test_a_bad_measurement_is_taken_again():
+    """NaN: the candidate stays for a whole dwell more, and is never stored."""
+    loop = Loop()
+    loop.run(0.25)
+    first = loop.commands[-1]
+    loop.run(0.1, objective=math.nan)
+    assert loop.optimiser.reports["objective"][0] is Level.ERROR
+    loop.run(0.29)
+    assert loop.state["evaluations"] == 0
+    assert set(loop.commands) == {first}
+    loop.run(0.02)
+    assert loop.state["evaluations"] == 1
+    assert math.isfinite(loop.state["best_value"])
+
+
+def test_no_signal_means_no_claim():
+    """Below the floor a search goes on for ever; in hold it waits, and searches when the signal is back."""
+    loop = Loop(floor=0.01, n_pop=2, n_iter=1)
+    loop.run(20.0, objective=0.0)
+    assert loop.state["phase"] == Phase.SEARCH
+    assert loop.optimiser.reports["no signal"][0] is Level.WARN
+    while loop.state["phase"] != Phase.HOLD:
+        loop.run(0.01, objective=3.0)
+    restarts, command = loop.state["restarts"], loop.commands[-1]
+    loop.run(1.0, objective=3.0)
+    loop.run(5.0, objective=0.0)
+    assert (loop.state["phase"], loop.state["restarts"]) == (Phase.HOLD, restarts)
+    assert loop.commands[-1] == command
+    loop.run(0.35, objective=3.0)
+    assert (loop.state["phase"], loop.state["restarts"]) == (Phase.SEARCH, restarts + 1)
+
+
+def test_slew_limit():
+    """The command moves at most 0.5 rad/s, and the dwell begins when it has arrived."""
+    loop = Loop(max_slew=0.5)
+    loop.run(60.0)
+    steps = np.abs(np.diff(np.array(loop.commands), axis=0))
+    assert steps.max() <= 0.005 + 1e-15
+    assert loop.state["evaluations"] < 60.0 / 0.3 - 10
+    still = np.flatnonzero(np.all(steps == 0.0, axis=1))
+    runs = np.split(still, np.flatnonzero(np.diff(still) != 1) + 1)
+    assert {len(r) for r in runs[:-1]} == {29}  # the tick of arrival and 29 more
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({"lower": (1.0, 0.0), "upper": (0.0, 1.0)}, "lower < upper"),
+        ({"lower": (0.0,)}, "1 values of lower for 2 channels"),
+        ({"hold_time": 0.001}, "hold_time"),
+        ({"measure_window": 0.5}, "measure_window"),
+        ({"algorithm": "de_rand1", "n_pop": 3}, "n_pop is 3"),
+        ({"n_pop": 0}, "n_pop"),
+        ({"n_iter": 0}, "n_iter"),
+        ({"algorithm": "simplex"}, "algorithm"),
+    ],
+)
+def test_optimiser_refuses_bad_parameters(changes, text):
+    with pytest.raises(ParameterError, match=text):
+        Optimiser(**(DISH | changes))
+
+
+# sweeps ---------------------------------------------------------------------------------------------------------
+
+
+def double(x):
+    return 2 * x, os.getpid()
+
+
+def fail(x):
+    raise ZeroDivisionError("case 3") if x == 3 else ValueError(x)
+
+
+def test_sweep_keeps_the_order_on_any_number_of_workers():
+    here = sweep(double, range(7), workers=1)
+    there = sweep(double, range(7), workers=2)
+    assert [value for value, _ in here] == [value for value, _ in there] == list(range(0, 14, 2))
+    assert {pid for _, pid in here} == {os.getpid()}
+    assert os.getpid() not in {pid for _, pid in there}
+
+
+def test_sweep_hands_on_the_failure():
+    with pytest.raises(ZeroDivisionError, match="case 3"):
+        sweep(fail, [3], workers=1)
