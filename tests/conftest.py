@@ -1,6 +1,9 @@
 """Fixtures: rigs made of the blocks in tests/rig_package, in-process and through real processes."""
 
+import json
 import os
+import subprocess
+import time
 from pathlib import Path
 
 import pytest
@@ -14,10 +17,13 @@ import sys  # noqa: E402
 
 sys.path.insert(0, str(PACKAGE / "python"))
 
+from softrig_core.domain import free_domain  # noqa: E402
 from softrig_core.inprocess import run_inprocess  # noqa: E402
+from softrig_core.processes import PROFILE, find_executable  # noqa: E402
 from softrig_core.recording import Recording  # noqa: E402
 from softrig_core.rig import Rig  # noqa: E402
 from softrig_core.scenario import Scenario  # noqa: E402
+from softrig_core.signals import Signals  # noqa: E402
 
 
 def make_scenario(nodes, duration=1.0, **keys):
@@ -45,3 +51,63 @@ def differences(a, b):
 def lag_rig():
     """Plant, source and controller."""
     return Rig.from_scenario(make_scenario({"plant": "plant", "source": "source", "gain": "gain"}))
+
+
+class Bench:
+    """Real nodes on a domain of their own, started one by one, each with a status file and a shard."""
+
+    def __init__(self, directory, domain):
+        self.directory = directory
+        self.environment = os.environ | {
+            "ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+            "FASTRTPS_DEFAULT_PROFILES_FILE": str(PROFILE), "ROS_LOG_DIR": str(directory),
+        }  # fmt: skip
+        self.nodes = {}
+
+    def start(self, name, executable, *arguments, package="faultrig"):
+        command = [str(find_executable(package, executable)), "--ros-args", "-r", f"__node:={name}",
+                   "-p", f"run.status:={self.directory / name}.status",
+                   "-p", f"run.shard:={self.directory / name}.shard", *arguments]  # fmt: skip
+        self.nodes[name] = subprocess.Popen(command, env=self.environment)
+        return self.nodes[name]
+
+    def python(self, name, code):
+        self.nodes[name] = subprocess.Popen([sys.executable, "-c", code], env=self.environment)
+        return self.nodes[name]
+
+    def kill(self, name):
+        process = self.nodes.pop(name)
+        process.kill()
+        process.wait()
+
+    def status(self, name):
+        try:
+            return json.loads((self.directory / f"{name}.status").read_text())
+        except (FileNotFoundError, json.JSONDecodeError):
+            return {}
+
+    def wait(self, condition, seconds=15.0):
+        deadline = time.monotonic() + seconds
+        while not condition():
+            assert time.monotonic() < deadline, {n: self.status(n) for n in self.nodes}
+            time.sleep(0.05)
+
+    def signal(self, name, signal):
+        """What a node recorded: its outputs, and its inputs from outside."""
+        shard = self.directory / f"{name}.shard"
+        with shard.open("rb") as file:
+            file.readline()
+            recording = Recording(json.loads(file.readline()))
+        recording.read_shard(shard)
+        return Signals(recording)[signal]
+
+
+@pytest.fixture
+def bench(tmp_path):
+    with free_domain() as domain:
+        bench = Bench(tmp_path, domain)
+        try:
+            yield bench
+        finally:
+            for name in list(bench.nodes):
+                bench.kill(name)

@@ -1,80 +1,12 @@
 """Nodes against the wall clock, started one by one as a user does: watchdog, recovery, rivals, bad input."""
 
-import json
-import os
-import subprocess
-import sys
-import time
-
 import pytest
 from conftest import make_scenario
-from softrig_core.domain import free_domain
-from softrig_core.processes import PROFILE, find_executable, run_processes
-from softrig_core.recording import Recording
+from softrig_core.processes import run_processes
 from softrig_core.rig import Rig
 from softrig_core.signals import Signals
 
 pytestmark = pytest.mark.processes
-
-
-class Bench:
-    """Real nodes on a domain of their own, each with a status file and a shard."""
-
-    def __init__(self, directory, domain):
-        self.directory = directory
-        self.environment = os.environ | {
-            "ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-            "FASTRTPS_DEFAULT_PROFILES_FILE": str(PROFILE), "ROS_LOG_DIR": str(directory),
-        }  # fmt: skip
-        self.nodes = {}
-
-    def start(self, name, executable, *arguments):
-        command = [str(find_executable("faultrig", executable)), "--ros-args", "-r", f"__node:={name}",
-                   "-p", f"run.status:={self.directory / name}.status",
-                   "-p", f"run.shard:={self.directory / name}.shard", *arguments]  # fmt: skip
-        self.nodes[name] = subprocess.Popen(command, env=self.environment)
-        return self.nodes[name]
-
-    def python(self, name, code):
-        self.nodes[name] = subprocess.Popen([sys.executable, "-c", code], env=self.environment)
-
-    def kill(self, name):
-        process = self.nodes.pop(name)
-        process.kill()
-        process.wait()
-
-    def status(self, name):
-        try:
-            return json.loads((self.directory / f"{name}.status").read_text())
-        except (FileNotFoundError, json.JSONDecodeError):
-            return {}
-
-    def wait(self, condition, seconds=15.0):
-        deadline = time.monotonic() + seconds
-        while not condition():
-            assert time.monotonic() < deadline, {n: self.status(n) for n in self.nodes}
-            time.sleep(0.05)
-
-    def signal(self, name, signal):
-        recording = Recording([("lag/state", JOINT), ("lag/applied", JOINT), ("lag/command", JOINT),
-                               ("lag/offset", "std_msgs/msg/Float64"), ("lag/kick", "std_msgs/msg/Bool"),
-                               ("lag/reference", "trajectory_msgs/msg/JointTrajectory")])  # fmt: skip
-        recording.read_shard(self.directory / f"{name}.shard")
-        return Signals(recording)[signal]
-
-
-JOINT = "sensor_msgs/msg/JointState"
-
-
-@pytest.fixture
-def bench(tmp_path):
-    with free_domain() as domain:
-        bench = Bench(tmp_path, domain)
-        try:
-            yield bench
-        finally:
-            for name in list(bench.nodes):
-                bench.kill(name)
 
 
 def test_nodes_started_by_hand_close_the_loop_and_stop_on_ctrl_c(bench):
@@ -218,10 +150,7 @@ assert any(len(m.points) > 2 for m in seen["markers"])
 
 
 def test_a_viewer_that_comes_late_gets_the_robot_description_and_markers(bench):
-    path = find_executable("softrig_robots", "robot_dynamics")
-    status = bench.directory / "robot.status"
-    bench.nodes["robot"] = subprocess.Popen([str(path), "--ros-args", "-p", f"run.status:={status}"],
-                                            env=bench.environment)  # fmt: skip
-    bench.wait(lambda: bench.status("robot").get("state") == "running", 30)
+    bench.start("robot_dynamics", "robot_dynamics", package="softrig_robots")
+    bench.wait(lambda: bench.status("robot_dynamics").get("state") == "running", 30)
     bench.python("viewer", WATCHER)
     assert bench.nodes["viewer"].wait(30) == 0

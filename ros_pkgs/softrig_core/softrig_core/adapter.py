@@ -52,6 +52,7 @@ class Input:
         self.publishers = 0
         self.refused = 0
         self.last_refusal = ""
+        self.presses = 0  # of a button, by its service, that the block has not seen go down and up again
 
 
 class Output:
@@ -176,8 +177,10 @@ class Adapter:
         """Offer a push button as a service too: ``~/NAME`` presses it for one tick."""
 
         def press(request: Any, response: Any) -> Any:
-            self._push(item, True)
-            self._pressed.append(item)
+            if not item.presses:
+                self._push(item, True)
+                self._pressed.append(item)
+            item.presses += 1
             response.success, response.message = True, f"{item.port.name} pressed"
             return response
 
@@ -189,9 +192,19 @@ class Adapter:
             self.sink.add(self.foreign[item.port.name], self.now(), item.port.layout().encode(0, (down,)))
 
     def release(self) -> None:
-        """Let go of the buttons that a service pressed; called after each tick."""
-        while self._pressed:
-            self._push(self._pressed.pop(), False)
+        """Move the buttons that a service pressed; called after each tick.
+
+        A block sees each press as one tick down and at least one up, however fast the calls come.
+        """
+        for item in self._pressed[:]:
+            if self.values[item.port.name] == (1.0,):
+                self._push(item, False)
+                continue
+            item.presses -= 1
+            if item.presses:
+                self._push(item, True)
+            else:
+                self._pressed.remove(item)
 
     def now(self) -> int:
         """Time in ns under which what comes from outside is recorded."""

@@ -1,0 +1,125 @@
+"""The DC axis as real nodes: equal to in-process bit for bit, and moved by a person's buttons in real time."""
+
+import numpy as np
+import pytest
+from conftest import differences, in_process
+from softrig_core import metrics
+from softrig_core.processes import run_processes
+from softrig_core.rig import Rig
+from softrig_core.scenario import load_scenario
+from softrig_core.signals import Signals
+
+pytestmark = pytest.mark.processes
+
+Y = "axis/true_state/axis/position"
+SET_POINT = "axis/controller_state/set_point/position"
+
+
+@pytest.mark.parametrize("name", ["dc_motor_fsfb", "dc_motor_fsfb_s1_none", "dc_motor_fsfb_s1_velocity",
+                                  "dc_motor_fsfb_s2", "dc_motor_fsfb_s3", "dc_motor_fsfb_stretch_jitter"])  # fmt: skip
+def test_processes_equal_in_process_bit_for_bit(name, tmp_path):
+    rig = Rig.from_scenario(load_scenario(name))
+    outcome = run_processes(rig, 3, tmp_path)
+    assert outcome.error == ""
+    assert differences(in_process(rig, 3), outcome.recording) == []
+    assert not any(status["refused"] for status in outcome.status.values())
+
+
+def test_real_time_reaches_the_same_result_with_the_delay_read_from_the_stamps(tmp_path):
+    """Missed periods of a busy host may move the figures; delay, end and absence of a large overshoot may not move."""
+    rig = Rig.from_scenario(load_scenario("dc_motor_fsfb"))
+    outcome = run_processes(rig, 0, tmp_path, mode="realtime")
+    assert outcome.error == ""
+    signals = Signals(outcome.recording, outcome.epoch)
+    age = signals["axis/controller_state/age/position"].x
+    assert np.median(age) == pytest.approx(0.08, abs=1e-9)
+    assert age.min() >= 0.0
+    assert signals[Y].x[-1] == pytest.approx(10.0, abs=0.1)
+    assert metrics.overshoot(signals, Y, final=10.0) < 5.0
+
+
+PERSON = """
+import rclpy, sys
+from rclpy.node import Node
+from std_msgs.msg import Bool
+from std_srvs.srv import Trigger
+rclpy.init()
+node = Node("person")
+for line in sys.argv[1:]:
+    kind, name = line.split()
+    if kind == "call":
+        client = node.create_client(Trigger, name)
+        client.wait_for_service()
+        future = client.call_async(Trigger.Request())
+        rclpy.spin_until_future_complete(node, future)
+        assert future.result().success
+    else:
+        publisher = node.create_publisher(Bool, name, 10)
+        while not publisher.get_subscription_count():
+            pass
+        publisher.publish(Bool(data=kind == "press"))
+        publisher.wait_for_all_acked()
+"""
+
+
+class Axis:
+    """The three nodes that a person starts by hand, with their published parameters."""
+
+    def __init__(self, bench):
+        self.bench = bench
+        bench.start("plant", "dc_axis_plant", package="softrig_drives")
+        bench.start("link", "fieldbus_delay", package="softrig_control")
+        self.start_controller()
+        bench.wait(lambda: bench.status("controller").get("ticks", 0) > 30)
+
+    def start_controller(self, *arguments):
+        self.bench.start("controller", "fsfb_controller", *arguments, package="softrig_drives")
+
+    def ask(self, *lines):
+        code = f"import sys; sys.argv[1:] = {list(lines)!r}\n{PERSON}"
+        assert self.bench.python("person", code).wait(30) == 0
+        del self.bench.nodes["person"]
+
+    def arrives(self, where):
+        """Wait until set point and axis stand there."""
+
+        def there():
+            try:
+                asked, y = self.bench.signal("controller", SET_POINT).x, self.bench.signal("plant", Y).x[-50:]
+            except KeyError:  # nothing written yet
+                return False
+            return asked[-1] == where and np.abs(y - where).max() < 0.1
+
+        self.bench.wait(there, 30.0)
+
+
+@pytest.fixture
+def axis(bench):
+    return Axis(bench)
+
+
+def test_buttons_by_topic_and_by_service_move_the_axis(axis):
+    assert not axis.bench.signal("plant", Y).x.any()  # nobody asked for anything
+    axis.ask("press forward", "release forward")
+    axis.arrives(10.0)
+    axis.ask("call controller/forward", "call controller/forward", "call controller/forward")
+    axis.arrives(40.0)  # each call is a press, however fast they come
+    axis.ask("call controller/reverse")
+    axis.arrives(30.0)
+
+
+def test_a_lost_controller_stops_the_axis_and_a_new_one_takes_over_without_a_bump(axis):
+    bench = axis.bench
+    axis.ask("press forward")
+    bench.wait(lambda: bench.signal("plant", Y).x[-1] > 3.0)
+    bench.kill("controller")
+    bench.wait(lambda: "stale axis/command" in bench.status("plant")["reports"])
+    bench.wait(lambda: np.ptp(bench.signal("plant", Y).x[-50:]) < 1e-3)  # the motor has run out
+    stopped = bench.signal("plant", "axis/state/axis/position").x[-1]
+    axis.start_controller()
+    bench.wait(lambda: "recovered axis/command" in bench.status("plant")["reports"])
+    axis.arrives(stopped)
+    before = len(bench.signal("plant", Y).x)
+    axis.ask("call controller/forward")
+    axis.arrives(stopped + 10.0)
+    assert np.abs(bench.signal("plant", Y).x[before - 50 : before] - stopped).max() < 0.05
