@@ -521,6 +521,25 @@ def test_metrics_node_starts_again_with_a_new_step():
     assert status["rise_time"][0] == pytest.approx(0.910, abs=0.01)
 
 
+def test_reset_forgets_everything():
+    def answers(block):
+        return [ask(block, 10 * k, 0.1 * k, 1.0, forward=k > 2) for k in range(20)]
+
+    block = controller(delay_from="fixed")
+    first = answers(block)
+    block.reset(0)
+    assert answers(block) == first
+    plant = DcAxisPlant(friction=True)
+    first = drive(plant, 9.0, 0.5)
+    plant.reset(0)
+    assert (drive(plant, 9.0, 0.5) == first).all()
+    buttons = StepButtons(forward=[0.0], reverse=[0.05], hold=0.02)
+    first = [buttons.update(k * 10 * MS) for k in range(10)]
+    assert [x["forward"] + x["reverse"] for x in first] == [(1, 0)] * 2 + [(0, 0)] * 3 + [(0, 1)] * 2 + [(0, 0)] * 3
+    buttons.reset(0)
+    assert [buttons.update(k * 10 * MS + 7) for k in range(10)] == first  # counted from its own first tick
+
+
 # bad input -------------------------------------------------------------------------------------------------------
 
 
