@@ -394,6 +394,20 @@ def test_impedance_is_a_second_order_filter_of_the_force():
     assert np.array_equal(impedance_run(None, 10)[1][:, :2], np.tile([0.5, -0.5], (10, 1)))
 
 
+def test_stiffness_changes_without_a_jump():
+    block, before = impedance_run((12.0, 0.0, 0.0), 1000)
+    force = Sample(1_000_000_000, (12.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+    after = np.array([
+        block.update(10**9, reference=(0.5, -0.5, 0.0, 0.0, 0.0, 0.0), patient_force=force, joint_states=(0.5, -0.5),
+                     stiffness=(400.0,), damping=(-1.0,) if k == 2 else (40.0,))["regenerated"]
+        for k in range(2000)
+    ])  # fmt: skip
+    steps = np.abs(np.diff(np.vstack([before[-5:], after])[:, :2], axis=0))
+    assert steps[:8].max() < 1e-3 * 1.5 * np.abs(after[:, 2:4]).max()
+    np.testing.assert_allclose(after[-1][:2] - (0.5, -0.5), (before[-1][:2] - (0.5, -0.5)) / 4, rtol=2e-3)
+    assert block.reports["damping"][0] == Level.ERROR
+
+
 def test_lost_patient_freezes_the_reference_and_is_taken_up_again():
     block, _ = impedance_run((12.0, 0.0, 0.0), 200)
     last = Sample(199_000_000, (12.0, 0.0, 0.0, 0.0, 0.0, 0.0))

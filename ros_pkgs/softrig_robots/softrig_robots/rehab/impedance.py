@@ -13,7 +13,7 @@ from pydantic import model_validator
 from softrig_core.block import Block, Level
 from softrig_core.node import executable
 from softrig_core.params import BlockParams, param
-from softrig_core.port import Sample, joint_state, reference, wrench
+from softrig_core.port import Sample, joint_state, number, reference, wrench
 from softrig_core.timebase import to_ns
 
 from ..joints import PerJoint, require_positive, spread
@@ -50,7 +50,8 @@ class Impedance(Block):
     """Reference, force and joint states in, regenerated reference out; semi-implicit Euler.
 
     Starts on the reference. When the force stops coming, the regenerated reference stays where it is, and goes on
-    from there when the force comes again.
+    from there when the force comes again. Stiffness and damping of both joints can be changed while it runs: the
+    regenerated reference and its rate go on without a jump.
     """
 
     Params = ImpedanceParams
@@ -59,6 +60,8 @@ class Impedance(Block):
         reference("reference", "reference", JOINTS, **UNITS),
         wrench(PATIENT_FORCE, PATIENT_FORCE, FOOT, held=True, delayed=True),
         joint_state("joint_states", "joint_states", JOINTS, position="rad"),
+        number("stiffness", "impedance/stiffness", "N m/rad", held=True),
+        number("damping", "impedance/damping", "N m s/rad", held=True),
     )
     OUTPUTS = (reference("regenerated", "regenerated", JOINTS, **UNITS),)
 
@@ -66,20 +69,33 @@ class Impedance(Block):
         """Spread the matrices' diagonals."""
         n = len(JOINTS)
         self._M = spread("inertia", self.p.inertia, n)
-        self._B = spread("damping", self.p.damping, n)
-        self._K = spread("stiffness", self.p.stiffness, n)
         self._stale = self.p.stale_after * to_ns(self.p.period)
 
     def start(self) -> None:
         """Wait for the first reference."""
+        n = len(JOINTS)
+        self._B = spread("damping", self.p.damping, n)
+        self._K = spread("stiffness", self.p.stiffness, n)
         self._q: list[float] = []
         self._v: list[float] = []
 
+    def _wanted(self, name: str, value: Vector | None, now: Vector) -> Vector:
+        """Take a new value for both joints, unless there is none or it is negative."""
+        if value is None:
+            return now
+        if value[0] < 0.0:
+            self.report(Level.ERROR, name, f"{name} = {value[0]:g} was refused, expected no negative value")
+            return now
+        return value * len(JOINTS)
+
     def update(
-        self, t: int, *, reference: Vector, patient_force: Sample | None, joint_states: Vector
-    ) -> Mapping[str, Vector]:
+        self, t: int, *, reference: Vector, patient_force: Sample | None, joint_states: Vector,
+        stiffness: Vector | None = None, damping: Vector | None = None,
+    ) -> Mapping[str, Vector]:  # fmt: skip
         """Give q_r, its rate and acceleration at t."""
         n, T = len(JOINTS), self.p.period
+        self._K = self._wanted("stiffness", stiffness, self._K)
+        self._B = self._wanted("damping", damping, self._B)
         if not self._q:
             self._q, self._v = list(reference[:n]), list(reference[n : 2 * n])
         if patient_force is not None and t - patient_force.stamp > self._stale:
