@@ -65,7 +65,7 @@ ACCEPTANCE = {
                       "adc_error_mean": (0.0, 0.01), "adc_error_std": (0.577, 0.01), **STEADY},
     "induction_dtc_s4": {"flux_error_end": (0.333, 0.01), "speed_min": (97.3, 0.5), "speed_max": (102.8, 0.5)},
     "induction_dtc_s6_offset": {"flux_error_slope_alpha": (0.01445, 0.015 * 0.01445),
-                                "flux_error_slope_beta": (0.02503, 0.016 * 0.02503)},
+                                "flux_error_slope_beta": (0.02503, 0.015 * 0.02503)},
     "induction_dtc_s6_dither": {"flux_error_peak": (None, 4.5e-3 / 4)},
     "induction_dtc_s8_half": {"flux_error_slope": (0.0694, 0.04 * 0.0694)},
     "induction_dtc_s8_matched": {"flux_error_slope": (None, 2.5e-3)},
