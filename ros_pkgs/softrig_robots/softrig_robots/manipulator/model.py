@@ -1,7 +1,7 @@
 """The 3-link arm's tables and its URDF.
 
-The paper (`SOURCE`) gives kinematics and motors; the link table is the one this author group is understood to
-use for its articulated robot and could not be verified against a printed source.
+The paper gives kinematics and motors. The link table is the one that its authors are understood to use for their
+articulated robot; it could not be verified against a printed source.
 """
 
 from __future__ import annotations
