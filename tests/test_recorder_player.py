@@ -1,5 +1,6 @@
 """Recorder and player as real processes over DDS."""
 
+import json
 import os
 import re
 import resource
@@ -14,15 +15,17 @@ import pytest
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from softrig_bags.bag import BagWriter
-from softrig_bags.cli import main_bag, main_compare, main_play
+from softrig_bags.cli import main_bag, main_compare, main_play, main_record
 from softrig_bags.compare import compare
 from softrig_bags.read import read_bag, signals
 from softrig_bags.reader import BagReader
 from softrig_bags.repair import repair
+from softrig_bags.ros import publisher_profile
 from softrig_bags.topics import BagTopic
 from softrig_bags.write import write_bag
-from softrig_core.cdr import Layout
+from softrig_core.cdr import Layout, parse
 from softrig_core.domain import free_domain
 from softrig_core.messages import message_class
 from softrig_core.processes import PROFILE, find_executable
@@ -215,6 +218,27 @@ def test_losses_are_counted_and_reported(rig, tmp_path):
         assert bag.custom_data["lost"] == f"/burst: {lost}"
 
 
+def test_qos_is_adapted_to_publishers_as_they_come(rig, tmp_path):
+    node = rig.node("mixed")
+    assert node.stdout.readline() == "latched\n"
+    recorder = rig.recorder("--output", "bag", "--regex", "text|sensor|both")
+    assert node.stdout.readline() == "sent\n"  # the recorder has subscribed "both" anew, with less
+    file = tmp_path / "bag/bag_0.mcap"
+    awaited = (b"sensor\0", b"unreliable\0", b"reliable again\0")
+    until(lambda: all(name in file.read_bytes() for name in awaited), "the flush")
+    status, output = finish(recorder, signal.SIGINT)
+    assert status == 0, output
+    found = read_bag(tmp_path / "bag").topics
+    assert [b"once" in d for d in found["text"].data] == [True]
+    assert len(found["sensor"].data) == 1
+    assert sorted(parse(STATE, d).names[0] for d in found["both"].data) == ["reliable", "reliable again", "unreliable"]
+    with BagReader(tmp_path / "bag") as bag:
+        profiles = {t.name: publisher_profile(t) for t in bag.topics}
+    assert profiles["/text"].durability == DurabilityPolicy.TRANSIENT_LOCAL
+    assert profiles["/sensor"].reliability == ReliabilityPolicy.BEST_EFFORT
+    assert profiles["/both"].reliability == ReliabilityPolicy.RELIABLE
+
+
 def received(directory: Path, source: Recording) -> None:
     """A bag as `ros2 bag record` makes it: times of arrival on the wall clock, out of step with the stamps."""
     writer = BagWriter(directory)
@@ -331,3 +355,46 @@ def test_bad_arguments_of_play(tmp_path, monkeypatch, capsys, arguments, text):
     error = capsys.readouterr().err
     assert text in error
     assert error.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("main", "arguments", "text"),
+    [
+        (main_record, ["--output", "bag"], "exists already"),
+        (main_record, ["--output", "new", "--regex", "["], "regular expression"),
+        (main_record, ["--output", "new", "--storage", "sqlite3", "--compression", "zstd"], "mcap only"),
+        (main_compare, ["bag", "none"], "does not exist"),
+        (main_compare, ["bag", "bag", "--field", "x"], "expected PATTERN=ABS"),
+        (main_compare, ["bag", "bag", "--topics", "x"], "no topic x to compare"),
+        (main_bag, ["repair", "."], "no .mcap"),
+        (main_bag, ["info", "."], "not a bag"),
+    ],
+)
+def test_bad_arguments_of_the_others(tmp_path, monkeypatch, capsys, main, arguments, text):
+    monkeypatch.chdir(tmp_path)
+    write_bag(tmp_path / "bag", small())
+    assert main(arguments) == 2
+    error = capsys.readouterr().err
+    assert text in error
+    assert error.count("\n") == 1
+    assert [p.name for p in tmp_path.iterdir()] == ["bag"]
+
+
+def test_compare_and_bag_on_the_command_line(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    write_bag(tmp_path / "a", small())
+    other = small()
+    layout = Layout(STATE, "", ["a"], {"effort": 1})
+    other.topics["command"].data[3] = layout.encode(12_000_000, (12.1,))
+    write_bag(tmp_path / "b", other)
+    assert main_compare(["a", "b"]) == 1
+    assert "first difference: t = 0.012 s, command a/effort: 12.0 against 12.1" in capsys.readouterr().out
+    assert main_compare(["a", "b", "--field", "*/effort=0.2", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["equal"] is True
+    assert main_compare(["a", "b", "--topics", "/plant/state", "--bitwise"]) == 0
+    assert main_bag(["export", "a", "--out", "tables"]) == 0
+    assert "tables/plant.state.csv" in capsys.readouterr().out
+    (tmp_path / "a/metadata.yaml").unlink()
+    assert main_bag(["repair", "a", "--out", "whole"]) == 0
+    assert "450 messages in" in capsys.readouterr().out
+    assert main_compare(["whole", "b", "--abs", "0.2"]) == 0

@@ -14,7 +14,7 @@ from softrig_core.errors import RunError
 from softrig_core.messages import message_class
 
 from .bag import BagWriter
-from .ros import Session, offered, subscription_profile
+from .ros import Event, EventPoll, Session, offered, subscription_profile
 from .selection import Selection
 from .stamps import is_stamped, stamp
 from .topics import BagTopic
@@ -46,6 +46,7 @@ class Recorder:
         self._subscriptions: dict[str, Subscription] = {}
         self._numbers: dict[str, int] = {}
         self._refused: set[str] = set()
+        self._events = EventPoll(self._node)
         self._lost: dict[str, int] = {}
         self._lost_before: dict[str, int] = {}
         steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -73,6 +74,7 @@ class Recorder:
                 self._session.spin(1.0)
             self._session.settle()
             self._drain()
+            self._events.poll()
             self._note_losses()
             self._writer.close()
         except OSError as error:
@@ -113,14 +115,23 @@ class Recorder:
         def lost(event: Any) -> None:
             self._lost[name] = event.total_count
 
-        self._subscriptions[name] = self._node.create_subscription(
+        subscription = self._subscriptions[name] = self._node.create_subscription(
             kind, name, self._receiver(topic), subscription_profile([p.qos_profile for p in publishers]), raw=True,
-            event_callbacks=SubscriptionEventCallbacks(message_lost=lost, incompatible_qos=lambda _: self._adapt(name)),
+            event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
         )  # fmt: skip
+        self._events.add(
+            subscription,
+            {
+                Event.RCL_SUBSCRIPTION_MESSAGE_LOST: lost,
+                Event.RCL_SUBSCRIPTION_REQUESTED_INCOMPATIBLE_QOS: lambda _: self._adapt(name),
+            },
+        )
 
     def _adapt(self, name: str) -> None:
         """Subscribe anew, because a publisher came that offers less than those before."""
-        self._node.destroy_subscription(self._subscriptions.pop(name))
+        subscription = self._subscriptions.pop(name)
+        self._events.remove(subscription)
+        self._node.destroy_subscription(subscription)
         self._lost_before[name] = self._lost_before.get(name, 0) + self._lost.pop(name, 0)
 
     def _receiver(self, topic: BagTopic) -> Callable[[bytes], None]:
@@ -136,6 +147,7 @@ class Recorder:
 
     def _flush(self) -> None:
         self._writer.flush()
+        self._events.poll()
         self._note_losses()
 
     def _note_losses(self) -> None:

@@ -4,16 +4,22 @@ from __future__ import annotations
 
 import os
 import signal
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from types import FrameType
 from typing import Any
 
 import rclpy
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.duration import Duration
+from rclpy.event_handler import EventHandler
+from rclpy.event_handler import QoSSubscriptionEventType as Event
 from rclpy.experimental.events_executor import EventsExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
+from rclpy.subscription import Subscription
 from rclpy.task import Future
 from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 from softrig_core.cdr import SECOND
@@ -21,6 +27,7 @@ from softrig_core.processes import PROFILE
 
 from .topics import BagTopic
 
+WaitSet = rclpy_implementation.WaitSet
 SLICE = 0.1  # s: longest wait before a signal is noticed
 
 
@@ -70,6 +77,52 @@ class Session:
         """Leave the graph."""
         self.node.destroy_node()
         rclpy.shutdown()
+
+
+class EventPoll:
+    """Status events of subscriptions (messages lost, publishers that do not fit), taken when `poll` is called.
+
+    The EventsExecutor takes one status for each notification. The second of two then asks the DDS reader itself, while
+    holding the lock that the reader's own thread waits for: under heavy loss both stop for ever (rmw_fastrtps 8.4).
+    A wait set says which status is new, and taking a new one needs nothing of the reader.
+    """
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self._group = MutuallyExclusiveCallbackGroup()
+        self._handlers: dict[Subscription, list[EventHandler]] = {}
+
+    def add(self, subscription: Subscription, callbacks: Mapping[Event, Callable[[Any], None]]) -> None:
+        """Watch a subscription."""
+        self._handlers[subscription] = [
+            EventHandler(
+                callback_group=self._group, callback=callback, event_type=kind, parent_impl=subscription.handle
+            )
+            for kind, callback in callbacks.items()
+        ]
+
+    def remove(self, subscription: Subscription) -> None:
+        """Forget a subscription."""
+        for handler in self._handlers.pop(subscription):
+            handler.destroy()
+
+    def poll(self) -> None:
+        """Call back for every status that changed since the last call."""
+        handlers = [h for group in self._handlers.values() for h in group]
+        if not handlers:
+            return
+        with ExitStack() as stack:
+            stack.enter_context(self._node.context.handle)
+            for handler in handlers:
+                stack.enter_context(handler)
+            wait_set = WaitSet(0, 0, 0, 0, 0, len(handlers), self._node.context.handle)
+            wait_set.clear_entities()
+            for handler in handlers:
+                handler.add_to_wait_set(wait_set)
+            wait_set.wait(0)
+            news = [(h.callback, h.take_data()) for h in handlers if h.is_ready(wait_set)]
+        for callback, status in news:
+            callback(status)
 
 
 def offered(profile: QoSProfile) -> Qos:
