@@ -1,8 +1,11 @@
 """Searches against known optima, published rules and other libraries; the optimiser node on a plant of its own."""
 
+import importlib.util
 import itertools
 import math
+import operator
 import os
+import sys
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -548,3 +551,20 @@ def test_sweep_keeps_the_order_on_any_number_of_workers():
 def test_sweep_hands_on_the_failure():
     with pytest.raises(ZeroDivisionError, match="case 3"):
         sweep(fail, [3], workers=1)
+
+
+def test_sweep_names_the_missing_package(monkeypatch):
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(ImportError, match=r"tcp://nowhere:1: needs the package 'distributed'"):
+        sweep(double, [1], scheduler="tcp://nowhere:1")
+
+
+if importlib.util.find_spec("distributed"):  # optional: only who sends sweeps to a cluster installs it
+
+    def test_sweep_on_a_local_cluster():
+        import distributed
+
+        with distributed.LocalCluster(
+            n_workers=1, threads_per_worker=2, processes=False, dashboard_address=None
+        ) as local:
+            assert sweep(operator.neg, range(5), scheduler=local.scheduler_address) == [0, -1, -2, -3, -4]

@@ -466,6 +466,9 @@ def test_shading_patterns_change_in_time():
     source = ShadingSource(times=(0.0, 2.0), irradiance=PATTERN1 + UNIFORM, temperature=(25.0, 30.0, 35.0, 40.0))
     assert source.update(1_999_999_999)["environment"] == (*PATTERN1, 25.0, 30.0, 35.0, 40.0)
     assert source.update(2_000_000_000)["environment"] == (*UNIFORM, 25.0, 30.0, 35.0, 40.0)
+    warmer = ShadingSource(times=(0.0, 2.0), irradiance=PATTERN1 + UNIFORM, temperature=ROOM + (50.0,) * 4)
+    assert warmer.update(0)["environment"] == PATTERN1 + ROOM
+    assert warmer.update(2_000_000_000)["environment"] == UNIFORM + (50.0,) * 4
 
 
 def test_fluctuation_is_drawn_once_a_run():
