@@ -568,6 +568,19 @@ def test_a_damaged_chunk_costs_only_itself(tmp_path):
 
 
 @pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
+def test_split_by_size(tmp_path, storage):
+    writer = BagWriter(tmp_path / "bag", storage=storage, split_bytes=700_000)
+    number = writer.add_topic(BagTopic.known("/x", STATE))
+    for k in range(2000):
+        writer.write(number, k, bytes(1000))
+    writer.close()
+    sizes = [p.stat().st_size for p in sorted((tmp_path / "bag").glob("bag_*"))]
+    assert len(sizes) >= 3
+    assert all(650_000 < n < 800_000 for n in sizes[:-1])
+    assert read_bag(tmp_path / "bag").topics["x"].times == list(range(2000))
+
+
+@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
 def test_split_bags_are_read_and_repaired(tmp_path, storage):
     source = recording(ticks=12_000)
     writer = BagWriter(tmp_path / "bag", storage=storage, split_ns=5_000_000_000)

@@ -334,6 +334,13 @@ def test_pause_step_resume_span_remap_and_clock(rig, listener, tmp_path):
     assert clock() == sorted(clock())
     assert {k * 1_000_000 for k in range(50, 150)} <= set(clock())
 
+    listener.heard.clear()
+    player = rig.player("bag", "--loop", "--wait", "--rate", "2", "--duration", "0.004", "--regex", "plant",
+                        "--remap", "/plant/state:=/state")  # fmt: skip
+    until(lambda: listener.turn() or len(states()) >= 12, "two loops and more")
+    assert finish(player, signal.SIGINT)[0] == 0
+    assert states()[:12] == [0, 1, 2, 3, 4, 0, 1, 2, 3, 4, 0, 1]
+
 
 @pytest.mark.parametrize(
     ("arguments", "text"),
@@ -362,6 +369,7 @@ def test_bad_arguments_of_play(tmp_path, monkeypatch, capsys, arguments, text):
     [
         (main_record, ["--output", "bag"], "exists already"),
         (main_record, ["--output", "new", "--regex", "["], "regular expression"),
+        (main_record, ["--output", "new", "--ros-args", "--unknown"], "ROS arguments --ros-args --unknown"),
         (main_record, ["--output", "new", "--storage", "sqlite3", "--compression", "zstd"], "mcap only"),
         (main_compare, ["bag", "none"], "does not exist"),
         (main_compare, ["bag", "bag", "--field", "x"], "expected PATTERN=ABS"),

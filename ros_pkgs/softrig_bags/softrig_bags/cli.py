@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import shutil
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -85,7 +86,12 @@ def main_record(argv: list[str]) -> int:
         directory, storage=options.storage, compression=options.compression, reserve=RESERVE,
         split_bytes=round(options.max_size * 1e6), split_ns=round(options.max_duration * 1e9),
     )  # fmt: skip
-    session = Session("recorder", ros)
+    try:
+        session = Session("recorder", ros)
+    except BagError:
+        writer.abort()
+        shutil.rmtree(directory)
+        raise
     recorder = Recorder(session, writer, selection, options.use_sim_time)
     print(f"recording into {directory}", flush=True)
     try:

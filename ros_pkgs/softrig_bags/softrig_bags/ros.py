@@ -25,6 +25,7 @@ from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, Qo
 from softrig_core.cdr import SECOND
 from softrig_core.processes import PROFILE
 
+from .errors import BagError
 from .topics import BagTopic
 
 WaitSet = rclpy_implementation.WaitSet
@@ -40,6 +41,11 @@ class Session:
         Node name.
     argv : sequence of str
         Command line with the ROS arguments.
+
+    Raises
+    ------
+    BagError
+        ROS does not understand its arguments.
     """
 
     def __init__(self, name: str, argv: Sequence[str]) -> None:
@@ -48,7 +54,10 @@ class Session:
         self._stop: Future[None] = Future()
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, self._signalled)
-        rclpy.init(args=list(argv), signal_handler_options=SignalHandlerOptions.NO)
+        try:
+            rclpy.init(args=list(argv), signal_handler_options=SignalHandlerOptions.NO)
+        except RuntimeError as error:
+            raise BagError(f"ROS arguments {' '.join(argv)}: {str(error).splitlines()[0]}") from None
         self.node = Node(name, enable_rosout=False, start_parameter_services=False)
         self._executor: Any = EventsExecutor()
         self._executor.add_node(self.node)
