@@ -15,13 +15,14 @@ from typing import Any
 
 from rich.console import Console
 from rich.table import Table
+from softrig_core.block import Block
 from softrig_core.domain import free_domain
 from softrig_core.errors import ScenarioError
 from softrig_core.inprocess import run_inprocess
 from softrig_core.processes import PROFILE, run_processes
 from softrig_core.recording import Recording, ShardWriter
-from softrig_core.rig import Rig
-from softrig_core.scenario import NodeEntry, Scenario
+from softrig_core.rig import Member, Rig
+from softrig_core.scenario import NodeEntry, Scenario, load_scenario
 
 ROUNDS = 3
 LOOPS = 5000
@@ -207,6 +208,66 @@ def bags() -> None:
     recorder_rate(console)
 
 
+def rigs() -> None:
+    """CPU time of each rig in process: simulated against real time, and how a tick splits between plant and laws."""
+    table = Table("scenario", "simulated s", "CPU s", "x real time", "ticks/s", "plant us", "laws us", "runner us",
+                  box=None, pad_edge=False)  # fmt: skip
+    for name in RIGS:
+        rig = Rig.from_scenario(load_scenario(name))
+        spent = {"plant": 0, "laws": 0}
+        start = time.process_time()
+        run_inprocess(rig, rig.scenario.seed)
+        cpu = time.process_time() - start
+        for member in rig.members:
+            _timed(member, spent)
+        start = time.process_time()
+        run_inprocess(rig, rig.scenario.seed)
+        slower = time.process_time() - start
+        ticks, simulated = rig.end // rig.clock.period, rig.end / 1e9
+        plant, laws = (spent[key] / ticks / 1e3 for key in ("plant", "laws"))
+        table.add_row(name, f"{simulated:g}", f"{cpu:.2f}", f"{simulated / cpu:.1f}", f"{ticks / cpu:,.0f}",
+                      f"{plant:.1f}", f"{laws:.1f}", f"{slower / ticks * 1e6 - plant - laws:.1f}")  # fmt: skip
+    console.print(table)
+
+
+RIGS = ("dc_motor_smc", "dc_motor_smc_b1", "dc_motor_fsfb", "induction_dtc", "manipulator_adsmc", "rehab_impedance",
+        "pv_mppt")  # fmt: skip
+
+
+def _timed(member: Member, spent: dict[str, int]) -> None:
+    """Make a member's block add up the time of its calls."""
+    make, key, clock = member.block, "plant" if member.is_plant else "laws", time.process_time_ns
+
+    def timed(function: Callable[..., Any]) -> Callable[..., Any]:
+        def call(*arguments: Any, **keywords: Any) -> Any:
+            start = clock()
+            found = function(*arguments, **keywords)
+            spent[key] += clock() - start
+            return found
+
+        return call
+
+    def build(seed: int) -> Block:
+        block: Any = make(seed)
+        for method in ("outputs", "advance") if member.is_plant else ("update",):
+            setattr(block, method, timed(getattr(block, method)))
+        return block
+
+    member.block = build  # type: ignore[method-assign]
+
+
+def induction() -> None:
+    """One simulated second of the induction motor drive beside motulator and gym-electric-motor, where installed."""
+    from softrig_drives.induction_dtc.bench import simulated_second
+
+    found = simulated_second()
+    ours = next(v for v in found.values() if v is not None)
+    for name, seconds in found.items():
+        text = "not installed" if seconds is None else f"{seconds:.2f} s CPU, {seconds / ours:.1f} x the first"
+        console.print(f"{name}: {text}")
+
+
 PARTS: dict[str, Callable[[], None]] = {
     "loop": loop, "tick": tick, "recording": recording, "inprocess": inprocess, "processes": processes, "bags": bags,
+    "rigs": rigs, "induction": induction,
 }  # fmt: skip
