@@ -155,7 +155,7 @@ def test_ctrl_c_stops_all_nodes(tmp_path):
     while int(process.stdout.readline()) == 0:
         pass
     os.killpg(process.pid, signal.SIGINT)
-    process.communicate(timeout=15)
+    process.communicate(timeout=60)  # each node gets up to 9 s, and the machine may be busy
     assert no_process_left(tmp_path)
 
 

@@ -73,7 +73,8 @@ def test_of_two_rivals_neither_is_believed(bench):
 def test_nan_from_outside_is_refused_and_counted(bench):
     bench.start("plant", "plant")
     bench.python("intruder", PUBLISHER.replace("VALUE", "float('nan')"))
-    bench.wait(lambda: bench.status("plant").get("refused", {}).get("lag/command", [0])[0] > 10)
+    bench.wait(lambda: bench.status("plant").get("refused", {}).get("lag/command", [0])[0] > 10
+               and bench.status("plant")["ticks"] > 10)  # fmt: skip
     assert bench.status("plant")["refused"]["lag/command"][1] == "u/effort is nan, expected a finite number"
     assert (bench.signal("plant", "lag/state/x/position").x == 0.0).all()
 

@@ -355,8 +355,11 @@ class Adapter:
         except (RunError, OSError) as error:
             self.error, self.state = error, "failed"
         except Exception as error:  # a law or a plant that failed: the executor has printed the traceback
-            text = f"failed at t = {self.t / SECOND:.9g} s: {type(error).__name__}: {error}"
-            self.error, self.state = RunError(text), "failed"
+            if rclpy.ok():
+                text = f"failed at t = {self.t / SECOND:.9g} s: {type(error).__name__}: {error}"
+                self.error, self.state = RunError(text), "failed"
+            else:  # a signal has shut the context down under a callback that was about to publish
+                stopped = True
         if self.sink is not None:
             try:
                 self.sink.close()
