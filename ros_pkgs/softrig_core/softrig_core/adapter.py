@@ -350,6 +350,7 @@ class Adapter:
                 executor.spin_until_future_complete(self.finished, 5.0)
             if self.state == "done":
                 self.drain()
+            stopped = not self.finished.done()
         except (KeyboardInterrupt, ExternalShutdownException):
             stopped = True
         except (RunError, OSError) as error:
