@@ -12,6 +12,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from rich.console import Console
@@ -50,7 +51,7 @@ def recorder_rate(console: Console) -> None:
         bare = _measure(channels, rates, _bare)
         found = {"bare raw subscription, EventsExecutor": bare}
         for label, options in RECORDERS.items():
-            found[label] = _measure(channels, rates, lambda folder, env, options=options: _record(folder, env, options))
+            found[label] = _measure(channels, rates, partial(_record, options))
         for label, rate in found.items():
             share = f"{rate.messages / bare.messages:.2f}" if bare.messages else "-"
             lossy = f"{rate.lossy:,.0f}" if rate.lossy else "none"
@@ -96,7 +97,7 @@ def _bare(folder: Path, environment: dict[str, str]) -> tuple[subprocess.Popen[s
 
 
 def _record(
-    folder: Path, environment: dict[str, str], options: Sequence[str]
+    options: Sequence[str], folder: Path, environment: dict[str, str]
 ) -> tuple[subprocess.Popen[str], Callable[[str], Counter[int]]]:
     from .reader import BagReader
     from .stamps import stamp

@@ -373,8 +373,7 @@ class LockstepPlayer:
         def receive(data: bytes) -> None:
             answer.data.append(data)
             self._check(answer, len(answer.data) - 1)
-            if not answer.missing:
-                self._step()
+            self._step()
 
         return receive
 

@@ -8,13 +8,14 @@ from collections.abc import Callable
 from typing import Any
 
 from rclpy.clock import Clock, ClockType
+from rclpy.event_handler import QoSSubscriptionEventType as Event
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.subscription import Subscription
 from softrig_core.errors import RunError
 from softrig_core.messages import message_class
 
 from .bag import BagWriter
-from .ros import Event, EventPoll, Session, offered, subscription_profile
+from .ros import EventPoll, Session, offered, subscription_profile
 from .selection import Selection
 from .stamps import is_stamped, stamp
 from .topics import BagTopic
