@@ -8,7 +8,6 @@ from __future__ import annotations
 import gc
 import json
 import math
-import os
 import resource
 import struct
 import sys
@@ -31,10 +30,9 @@ from .cdr import SECOND
 from .errors import RunError
 from .inprocess import check
 from .marker import marker_array
-from .messages import message_class, range_descriptor
+from .messages import message_class
 from .options import Links, RunOptions
-from .params import Declaration, ParameterError, build, declarations, flatten
-from .port import Decoder, Port, Refused, Sample
+from .port import Decoder, Port, Sample
 from .recording import ShardWriter
 from .timebase import to_ns
 
@@ -78,6 +76,8 @@ class Adapter:
     block : Block
     options : RunOptions
     """
+
+    open_ended = False  # whether being stopped is a normal end
 
     def __init__(self, node: Node, block: Block, options: RunOptions) -> None:
         self.node = node
@@ -178,6 +178,9 @@ class Adapter:
 
         def press(request: Any, response: Any) -> Any:
             if not item.presses:
+                if self.values[item.port.name] == (1.0,):
+                    response.success, response.message = False, f"{item.port.name} is held down by its topic"
+                    return response
                 self._push(item, True)
                 self._pressed.append(item)
             item.presses += 1
@@ -367,19 +370,12 @@ class Adapter:
             except OSError as error:
                 self.error, self.state = error, "failed"
         if stopped and self.state != "failed":
-            self.state = "done" if self.end is None or isinstance(self, self.wall_clock()) else "failed"
+            self.state = "done" if self.end is None or self.open_ended else "failed"
             self.error = None if self.state == "done" else RunError("stopped before the end of the run")
         self.write_status()
         if self.error is not None:
             print(f"{self.node.get_name()}: {self.error}", file=sys.stderr, flush=True)
         return 3 if self.state == "failed" else 0
-
-    @staticmethod
-    def wall_clock() -> type[Adapter]:
-        """The adapter for which being stopped is a normal end."""
-        from .realtime import Realtime
-
-        return Realtime
 
     def drain(self) -> None:
         """Wait until every reader has the last messages."""
@@ -395,56 +391,6 @@ def percentiles(name: str, samples: Iterable[int]) -> dict[str, float]:
     n = len(ordered)
     picked = {"p50": ordered[n // 2], "p99": ordered[n * 99 // 100], "max": ordered[-1]}
     return {f"{name}_{key}_ms": value / 1e6 for key, value in picked.items()}
-
-
-def run_node(block_class: type[Block], argv: Sequence[str]) -> int:
-    """Run a block as a node until it ends; bad parameters give one line and exit status 2."""
-    from .lockstep import Lockstep
-    from .realtime import Realtime
-
-    name = Path(argv[0]).name
-    node = None
-    try:
-        rclpy.init(args=list(argv))
-        node = Node(name, automatically_declare_parameters_from_overrides=True, enable_rosout=False)
-        params, options = _parameters(node, block_class)
-        block = block_class(params, node.get_name())
-        block.reset(options.seed)
-        adapter = (Lockstep if options.mode == "lockstep" else Realtime)(node, block, options)
-    except KeyboardInterrupt:
-        return 0
-    except Exception as error:  # every start-up error ends in one line: what was wrong and where
-        where = node.get_name() if node is not None else name
-        print(f"{where}: {' '.join(str(error).split())}", file=sys.stderr, flush=True)
-        if not isinstance(error, (ParameterError, Refused)) and os.environ.get("SOFTRIG_DEBUG"):
-            raise
-        return 2
-    return adapter.run()
-
-
-def _parameters(node: Node, block_class: type[Block]) -> tuple[Any, RunOptions]:
-    """Declare all parameters with descriptions and ranges, and validate the values given."""
-    given = {name: p.value for name, p in node.get_parameters_by_prefix("").items()}
-    for name in ("use_sim_time", "start_type_description_service"):
-        given.pop(name, None)
-    given = {k: v for k, v in given.items() if not k.startswith("qos_overrides.")}
-    run = {k.removeprefix("run."): v for k, v in given.items() if k.startswith("run.")}
-    own = {k: v for k, v in given.items() if not k.startswith("run.")}
-    params: Any = build(block_class.Params, own)
-    options = build(RunOptions, run)
-    _declare(node, declarations(block_class.Params), flatten(params))
-    _declare(node, declarations(RunOptions, "run."), flatten(options, "run."))
-    return params, options  # type: ignore[return-value]
-
-
-def _declare(node: Node, wanted: list[Declaration], values: Mapping[str, Any]) -> None:
-    for declaration in wanted:
-        descriptor = range_descriptor(declaration)
-        value = values.get(declaration.name)
-        if node.has_parameter(declaration.name):
-            node.undeclare_parameter(declaration.name)  # it came undeclared and unchecked from the command line
-        if value is not None and value != []:
-            node.declare_parameter(declaration.name, value, descriptor, ignore_override=True)
 
 
 def _bag_name(topic: str) -> str:
