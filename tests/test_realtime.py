@@ -124,9 +124,10 @@ def test_a_realtime_rig_keeps_the_rate_of_the_wall_clock(tmp_path):
     assert outcome.error == ""
     t, x = Signals(outcome.recording, outcome.epoch)["lag/state/x/position"]
     missed = outcome.status["plant"]["missed_deadlines"]
-    assert t[0] == 0.0
-    assert t[-1] == pytest.approx(2.0, abs=1e-9)
-    assert len(t) == 201 - missed
+    # a busy machine may start late and miss ticks, but each is on the grid and every period is accounted for
+    assert t == pytest.approx(0.01 * (t / 0.01).round(), abs=1e-9)
+    assert t[-1] >= 2.0
+    assert round((t[-1] - t[0]) / 0.01) + 1 == len(t) + missed
     assert x.max() > 0.0
 
 

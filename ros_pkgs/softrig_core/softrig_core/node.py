@@ -16,7 +16,7 @@ class _Main:
         self.block = block
 
     def __call__(self, args: Sequence[str] | None = None) -> int:
-        from .adapter import run_node  # rclpy is imported only in a node process
+        from .startup import run_node  # rclpy is imported only in a node process
 
         return run_node(self.block, sys.argv if args is None else list(args))
 

@@ -28,6 +28,8 @@ CATCH_UP = SECOND  # a longer pause than this (a suspended host) is skipped, not
 class Realtime(Adapter):
     """A block driven by the wall clock; see `Adapter` for the parameters."""
 
+    open_ended = True
+
     def __init__(self, node: Node, block: Block, options: RunOptions) -> None:
         self.arrived: dict[str, int] = {}
         self.stale: set[str] = set()

@@ -1,0 +1,67 @@
+"""Start of a node process: ROS parameters to a validated block, then lockstep or realtime."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import rclpy
+from rclpy.node import Node
+
+from .block import Block
+from .lockstep import Lockstep
+from .messages import range_descriptor
+from .options import RunOptions
+from .params import Declaration, ParameterError, build, declarations, flatten
+from .port import Refused
+from .realtime import Realtime
+
+
+def run_node(block_class: type[Block], argv: Sequence[str]) -> int:
+    """Run a block as a node until it ends; bad parameters give one line and exit status 2."""
+    name = Path(argv[0]).name
+    node = None
+    try:
+        rclpy.init(args=list(argv))
+        node = Node(name, automatically_declare_parameters_from_overrides=True, enable_rosout=False)
+        params, options = _parameters(node, block_class)
+        block = block_class(params, node.get_name())
+        block.reset(options.seed)
+        adapter = (Lockstep if options.mode == "lockstep" else Realtime)(node, block, options)
+    except KeyboardInterrupt:
+        return 0
+    except Exception as error:  # every start-up error ends in one line: what was wrong and where
+        where = node.get_name() if node is not None else name
+        print(f"{where}: {' '.join(str(error).split())}", file=sys.stderr, flush=True)
+        if not isinstance(error, (ParameterError, Refused)) and os.environ.get("SOFTRIG_DEBUG"):
+            raise
+        return 2
+    return adapter.run()
+
+
+def _parameters(node: Node, block_class: type[Block]) -> tuple[Any, RunOptions]:
+    """Declare all parameters with descriptions and ranges, and validate the values given."""
+    given = {name: p.value for name, p in node.get_parameters_by_prefix("").items()}
+    for name in ("use_sim_time", "start_type_description_service"):
+        given.pop(name, None)
+    given = {k: v for k, v in given.items() if not k.startswith("qos_overrides.")}
+    run = {k.removeprefix("run."): v for k, v in given.items() if k.startswith("run.")}
+    own = {k: v for k, v in given.items() if not k.startswith("run.")}
+    params: Any = build(block_class.Params, own)
+    options = build(RunOptions, run)
+    _declare(node, declarations(block_class.Params), flatten(params))
+    _declare(node, declarations(RunOptions, "run."), flatten(options, "run."))
+    return params, options  # type: ignore[return-value]
+
+
+def _declare(node: Node, wanted: list[Declaration], values: Mapping[str, Any]) -> None:
+    for declaration in wanted:
+        descriptor = range_descriptor(declaration)
+        value = values.get(declaration.name)
+        if node.has_parameter(declaration.name):
+            node.undeclare_parameter(declaration.name)  # it came undeclared and unchecked from the command line
+        if value is not None and value != []:
+            node.declare_parameter(declaration.name, value, descriptor, ignore_override=True)
