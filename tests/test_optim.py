@@ -1,6 +1,5 @@
 """Searches against known optima, published rules and other libraries; the optimiser node on a plant of its own."""
 
-import importlib.util
 import itertools
 import math
 import operator
@@ -559,12 +558,8 @@ def test_sweep_names_the_missing_package(monkeypatch):
         sweep(double, [1], scheduler="tcp://nowhere:1")
 
 
-if importlib.util.find_spec("distributed"):  # optional: only who sends sweeps to a cluster installs it
+def test_sweep_on_a_local_cluster():
+    import distributed
 
-    def test_sweep_on_a_local_cluster():
-        import distributed
-
-        with distributed.LocalCluster(
-            n_workers=1, threads_per_worker=2, processes=False, dashboard_address=None
-        ) as local:
-            assert sweep(operator.neg, range(5), scheduler=local.scheduler_address) == [0, -1, -2, -3, -4]
+    with distributed.LocalCluster(n_workers=1, threads_per_worker=2, processes=False, dashboard_address=None) as local:
+        assert sweep(operator.neg, range(5), scheduler=local.scheduler_address) == [0, -1, -2, -3, -4]
