@@ -139,6 +139,15 @@ def test_the_node_verb_is_the_executable(folder):
     assert main(["node", "faultrig", "plnt"]) == 2
 
 
+def test_a_node_explains_itself():
+    done = subprocess.run([sys.executable, "-m", "softrig_bringup", "node", "softrig_drives", "dc_motor_smc", "--help"],
+                          capture_output=True, text=True, timeout=60)  # fmt: skip
+    assert done.returncode == 0
+    assert "reads motor/state" in done.stdout
+    assert "delta = 0.0 rad/s^2: softening" in done.stdout
+    assert "run.mode = 'realtime'" in done.stdout
+
+
 def test_the_launch_file_starts_the_nodes_of_a_scenario(monkeypatch):
     """Launch is not in the package registries, so its few classes are stand-ins that keep what they are given."""
 

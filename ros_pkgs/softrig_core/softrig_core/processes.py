@@ -158,7 +158,8 @@ def run_processes(
             for member in rig.members:
                 if not member.external:
                     children.append(_start(rig, member, seed, directory, mode, epoch, record, environment))
-            error = _watch(rig, children, progress)
+            late = epoch / 1e9 + rig.scenario.duration + rig.scenario.timeout if epoch else None
+            error = _watch(rig, children, progress, late)
         finally:
             _stop(children)
     status = {c.member.name: _read_status(c.status) for c in children}
@@ -266,8 +267,13 @@ def _die_with_parent() -> None:
     ctypes.CDLL(None).prctl(pr_set_pdeathsig, signal.SIGKILL)
 
 
-def _watch(rig: Rig, children: list[_Child], progress: Callable[[int], object] | None) -> str:
-    """Wait until all have ended or one has failed; gives the reason of a failure."""
+def _watch(
+    rig: Rig, children: list[_Child], progress: Callable[[int], object] | None, late: float | None
+) -> str:  # fmt: skip
+    """Wait until all have ended or one has failed; gives the reason of a failure.
+
+    A realtime node paced by a peer that has ended would wait for ever: it is given until `late`, wall-clock s.
+    """
     plant = next((c for c in children if c.member is rig.clock), children[0])
     last = -1
     while True:
@@ -277,6 +283,9 @@ def _watch(rig: Rig, children: list[_Child], progress: Callable[[int], object] |
             return _reason(children, failed)
         if not running:
             return ""
+        if late is not None and time.time() > late:
+            names = ", ".join(c.member.name for c in running)
+            return f"node {names} did not reach the end of the run within {rig.scenario.timeout:g} s after it"
         if progress is not None:
             t = _read_status(plant.status).get("t", 0)
             if t != last:

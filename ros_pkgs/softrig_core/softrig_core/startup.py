@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import rclpy
+from pydantic import ValidationError
 from rclpy.node import Node
 
 from .block import Block
@@ -23,6 +24,9 @@ from .realtime import Realtime
 def run_node(block_class: type[Block], argv: Sequence[str]) -> int:
     """Run a block as a node until it ends; bad parameters give one line and exit status 2."""
     name = Path(argv[0]).name
+    if {"-h", "--help"} & set(argv[1:]):
+        print(usage(name, block_class))
+        return 0
     node = None
     try:
         rclpy.init(args=list(argv))
@@ -40,6 +44,22 @@ def run_node(block_class: type[Block], argv: Sequence[str]) -> int:
             raise
         return 2
     return adapter.run()
+
+
+def usage(name: str, block_class: type[Block]) -> str:
+    """Give the help text of a node: what it is, its topics, its parameters."""
+    lines = [f"{name}: {(block_class.__doc__ or '').strip().splitlines()[0]}", ""]
+    try:
+        inputs, outputs = block_class.ports(block_class.Params())
+    except ValidationError:  # a block without defaults: its ports depend on what is given
+        inputs, outputs = (), ()
+    for title, ports in (("reads", inputs), ("publishes", outputs)):
+        lines += [f"  {title} {p.topic} ({p.msgtype}: {', '.join(p.labels)})" for p in ports]
+    lines += ["", "Parameters, each as `--ros-args -p NAME:=VALUE` (node name, remaps and files as in any ROS 2 node):"]
+    for d in [*declarations(block_class.Params), *declarations(RunOptions, "run.")]:
+        unit = f" {d.unit}" if d.unit else ""
+        lines.append(f"  {d.name} = {d.default!r}{unit}: {d.doc}")
+    return "\n".join(lines)
 
 
 def _parameters(node: Node, block_class: type[Block]) -> tuple[Any, RunOptions]:
