@@ -8,7 +8,6 @@ from __future__ import annotations
 import gc
 import json
 import math
-import resource
 import struct
 import sys
 import time
@@ -328,7 +327,7 @@ class Adapter:
             "refused": {i.port.topic: [i.refused, i.last_refusal] for i in self.inputs if i.refused},
             "reports": {key: [int(level), text, n] for key, (level, text, n) in self.block.reports.items()},
             "cpu_s": round(time.process_time(), 3),
-            "peak_memory_mb": round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, 1),
+            "peak_memory_mb": _peak_memory(),
             **self.statistics(),
         }  # fmt: skip
         if isinstance(self.block, Observer) and self.state == "done":
@@ -391,6 +390,15 @@ def percentiles(name: str, samples: Iterable[int]) -> dict[str, float]:
     n = len(ordered)
     picked = {"p50": ordered[n // 2], "p99": ordered[n * 99 // 100], "max": ordered[-1]}
     return {f"{name}_{key}_ms": value / 1e6 for key, value in picked.items()}
+
+
+def _peak_memory() -> float | None:
+    """Largest resident size in MB; getrusage would count that of the parent before exec too."""
+    try:
+        status = Path("/proc/self/status").read_text()
+    except OSError:  # not Linux
+        return None
+    return round(int(status.split("VmHWM:")[1].split()[0]) / 1024, 1)
 
 
 def _bag_name(topic: str) -> str:
