@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Sequence
 from typing import Any
@@ -18,7 +19,12 @@ class _Main:
     def __call__(self, args: Sequence[str] | None = None) -> int:
         from .startup import run_node  # rclpy is imported only in a node process
 
-        return run_node(self.block, sys.argv if args is None else list(args))
+        status = run_node(self.block, sys.argv if args is None else list(args))
+        sys.stdout.flush()
+        sys.stderr.flush()
+        # Everything is written and acknowledged. A regular exit would run Fast DDS's static destructors, which
+        # once in some thousand ends wait for ever (2.14).
+        os._exit(status)
 
 
 def executable(block: type[Block]) -> Any:

@@ -43,7 +43,10 @@ def run_node(block_class: type[Block], argv: Sequence[str]) -> int:
         if not isinstance(error, (ParameterError, Refused)) and os.environ.get("SOFTRIG_DEBUG"):
             raise
         return 2
-    return adapter.run()
+    status = adapter.run()
+    node.destroy_node()  # peers see at once that it is gone
+    rclpy.try_shutdown()
+    return status
 
 
 def usage(name: str, block_class: type[Block]) -> str:
