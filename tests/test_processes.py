@@ -102,6 +102,14 @@ def test_many_starts_are_identical_also_under_load(tmp_path):
     assert [i for i, o in enumerate(outcomes) if differences(expected, o.recording)] == []
 
 
+def test_a_node_that_stays_behind_ends_the_run_with_its_name(tmp_path):
+    nodes = BASIC | {"watcher": params("watcher", lingers_after=31)}
+    outcome = run_processes(rig(nodes, 0.3, timeout=1.5), 0, tmp_path)
+    assert outcome.error == "node watcher did not reach the end of the run within 1.5 s after it"
+    assert differences(in_process(rig(nodes, 0.3)), outcome.recording) == []
+    assert no_process_left(tmp_path)
+
+
 def fault(how, **keys):
     return rig(BASIC | {"gain": params("killed", how=how, at=0.2)}, 1.0, timeout=1.5, **keys)
 

@@ -8,7 +8,7 @@ import signal
 import subprocess
 import sys
 import time
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 
 import pytest
@@ -53,7 +53,7 @@ class Rig:
     def start(self, command: list[str], **options) -> subprocess.Popen:
         process = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
-            env=self.environment, cwd=self.folder, **options,
+            env=self.environment, cwd=self.folder, process_group=0, **options,
         )  # fmt: skip
         self.stack.callback(end, process)
         return process
@@ -69,8 +69,8 @@ class Rig:
 
 
 def end(process: subprocess.Popen) -> None:
-    if process.poll() is None:
-        process.kill()
+    with suppress(ProcessLookupError):
+        os.killpg(process.pid, signal.SIGKILL)  # with what it has started: that holds the pipe open
     process.communicate()
 
 

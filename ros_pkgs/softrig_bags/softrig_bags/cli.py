@@ -12,6 +12,7 @@ from functools import wraps
 from pathlib import Path
 
 from softrig_core.errors import RunError
+from softrig_core.leave import leave
 
 from .errors import BagError
 
@@ -37,6 +38,21 @@ def _command(function: Callable[[list[str]], int]) -> Main:
     return main
 
 
+def _leaving(tool: Main) -> Main:
+    """Let the process end with the node that a tool has opened; without one the tool returns its status."""
+
+    @wraps(tool)
+    def main(argv: Sequence[str] | None = None) -> int:
+        status = tool(argv)
+        from .ros import Session
+
+        if Session.opened is not None:
+            leave(Session.opened.node, status)
+        return status
+
+    return main
+
+
 def _ros_arguments(argv: list[str]) -> tuple[list[str], list[str]]:
     """Part the tool's own arguments from ``--ros-args ... --``."""
     own: list[str] = []
@@ -56,6 +72,7 @@ def _selection_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--exclude", "-x", default="", metavar="RE", help="but not these")
 
 
+@_leaving
 @_command
 def main_record(argv: list[str]) -> int:
     """Record topics into a bag until SIGINT or SIGTERM; exit status 1 when messages were lost on the way."""
@@ -94,16 +111,14 @@ def main_record(argv: list[str]) -> int:
         raise
     recorder = Recorder(session, writer, selection, options.use_sim_time)
     print(f"recording into {directory}", flush=True)
-    try:
-        recorder.run()
-    finally:
-        session.close()
+    recorder.run()
     lost = recorder.lost
     print(f"{writer.count} messages of {len(writer.topics)} topics in {directory}, "
           + (f"LOST {sum(lost.values())}: {writer.custom_data['lost']}" if lost else "none lost"))  # fmt: skip
     return 1 if lost else 0
 
 
+@_leaving
 @_command
 def main_play(argv: list[str]) -> int:
     """Play a bag against the wall clock, or in lockstep with a node."""

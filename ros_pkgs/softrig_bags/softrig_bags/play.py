@@ -28,24 +28,21 @@ def play(options: argparse.Namespace, ros_arguments: list[str]) -> int:
         if not chosen:
             raise BagError(f"none of the topics of {options.bag} is to be played")
         session = Session("player", ros_arguments)
-        try:
-            sender = Sender(session, bag, chosen, remap)
-            if answers:
-                lockstep = LockstepPlayer(session, bag, sender, answers, remap, part, timeout=options.timeout,
-                                          paused=options.paused)  # fmt: skip
-                found = lockstep.run()
-                counts = ", ".join(f"{len(t.data)} on {t.name}" for t in found.topics.values())
-                print(f"{lockstep.sent} messages played, answered by {counts}")
-                if options.answers:
-                    write_bag(options.answers, found)
-                return 0
-            player = Player(session, bag, sender, part, rate=options.rate, loop=options.loop, clock=options.clock,
-                            paused=options.paused)  # fmt: skip
-            player.run(options.wait)
-            print(f"{player.sent} messages played")
+        sender = Sender(session, bag, chosen, remap)
+        if answers:
+            lockstep = LockstepPlayer(session, bag, sender, answers, remap, part, timeout=options.timeout,
+                                      paused=options.paused)  # fmt: skip
+            found = lockstep.run()
+            counts = ", ".join(f"{len(t.data)} on {t.name}" for t in found.topics.values())
+            print(f"{lockstep.sent} messages played, answered by {counts}")
+            if options.answers:
+                write_bag(options.answers, found)
             return 0
-        finally:
-            session.close()
+        player = Player(session, bag, sender, part, rate=options.rate, loop=options.loop, clock=options.clock,
+                        paused=options.paused)  # fmt: skip
+        player.run(options.wait)
+        print(f"{player.sent} messages played")
+        return 0
 
 
 def _remapping(text: str) -> tuple[str, str]:

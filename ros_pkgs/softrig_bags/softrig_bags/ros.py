@@ -7,7 +7,7 @@ import signal
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from types import FrameType
-from typing import Any
+from typing import Any, ClassVar
 
 import rclpy
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
@@ -46,7 +46,14 @@ class Session:
     ------
     BagError
         ROS does not understand its arguments.
+
+    Attributes
+    ----------
+    opened : Session or None
+        The session of this process. It ends with the process (`softrig_core.leave`).
     """
+
+    opened: ClassVar[Session | None] = None
 
     def __init__(self, name: str, argv: Sequence[str]) -> None:
         os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(PROFILE))
@@ -59,6 +66,7 @@ class Session:
         except RuntimeError as error:
             raise BagError(f"ROS arguments {' '.join(argv)}: {str(error).splitlines()[0]}") from None
         self.node = Node(name, enable_rosout=False, start_parameter_services=False)
+        Session.opened = self
         self._executor: Any = EventsExecutor()
         self._executor.add_node(self.node)
 
@@ -81,11 +89,6 @@ class Session:
     def settle(self) -> None:
         """Handle what had arrived when `spin` was stopped."""
         self._executor.spin_until_future_complete(Future(), 0.0)
-
-    def close(self) -> None:
-        """Leave the graph."""
-        self.node.destroy_node()
-        rclpy.shutdown()
 
 
 class EventPoll:

@@ -17,6 +17,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.task import Future
 from softrig_core.cdr import Layout
+from softrig_core.leave import leave
 
 STATE = Layout("sensor_msgs/msg/JointState", "", ("shaft",), {"position": 1, "velocity": 1, "effort": 1})
 SENSORS = Layout("sensor_msgs/msg/JointState", "", ("encoder_count", "current_a"), {"position": 2})
@@ -31,6 +32,7 @@ def main() -> None:
     node = Node(role, start_parameter_services=False, enable_rosout=False)
     done: Future[None] = Future()
     (_bytes if kind == "bytes" else _objects)(node, role, loops, done)
+    leave(node, 0)
 
 
 def _bytes(node: Node, role: str, loops: int, done: Future[None]) -> None:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NoReturn
 
 from .block import Block
 
@@ -16,15 +15,10 @@ class _Main:
     def __init__(self, block: type[Block]) -> None:
         self.block = block
 
-    def __call__(self, args: Sequence[str] | None = None) -> int:
+    def __call__(self, args: Sequence[str] | None = None) -> NoReturn:
         from .startup import run_node  # rclpy is imported only in a node process
 
-        status = run_node(self.block, sys.argv if args is None else list(args))
-        sys.stdout.flush()
-        sys.stderr.flush()
-        # Everything is written and acknowledged. A regular exit would run Fast DDS's static destructors, which
-        # once in some thousand ends wait for ever (2.14).
-        os._exit(status)
+        run_node(self.block, sys.argv if args is None else list(args))
 
 
 def executable(block: type[Block]) -> Any:

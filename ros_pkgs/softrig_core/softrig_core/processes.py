@@ -23,6 +23,7 @@ from .recording import Recording
 from .rig import Member, Rig
 
 GRACE = 1.5  # s: after one node fails, how long the others may take to say what they saw
+LIBC = ctypes.CDLL(None)  # loaded here: between fork and exec another thread may hold the loader's lock
 STOP_STEPS = ((signal.SIGINT, 3.0), (signal.SIGTERM, 3.0), (signal.SIGKILL, 3.0))
 PROFILE = Path(__file__).with_name("fastdds_profile.xml")
 
@@ -264,7 +265,7 @@ def _start(rig: Rig, member: Member, seed: int, directory: Path, mode: str, epoc
 def _die_with_parent() -> None:
     """Linux kills the node when the runner dies, whatever killed the runner."""
     pr_set_pdeathsig = 1
-    ctypes.CDLL(None).prctl(pr_set_pdeathsig, signal.SIGKILL)
+    LIBC.prctl(pr_set_pdeathsig, signal.SIGKILL)
 
 
 def _watch(
@@ -272,7 +273,8 @@ def _watch(
 ) -> str:  # fmt: skip
     """Wait until all have ended or one has failed; gives the reason of a failure.
 
-    A realtime node paced by a peer that has ended would wait for ever: it is given until `late`, wall-clock s.
+    A node may wait for ever for a peer that has ended: it is given until `late`, wall-clock s (in realtime the end
+    of the run and the scenario's timeout, in lockstep that timeout after the first node has ended).
     """
     plant = next((c for c in children if c.member is rig.clock), children[0])
     last = -1
@@ -283,6 +285,8 @@ def _watch(
             return _reason(children, failed)
         if not running:
             return ""
+        if late is None and len(running) < len(children):
+            late = time.time() + rig.scenario.timeout
         if late is not None and time.time() > late:
             names = ", ".join(c.member.name for c in running)
             return f"node {names} did not reach the end of the run within {rig.scenario.timeout:g} s after it"

@@ -6,13 +6,14 @@ import os
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import rclpy
 from pydantic import ValidationError
 from rclpy.node import Node
 
 from .block import Block
+from .leave import leave
 from .lockstep import Lockstep
 from .messages import range_descriptor
 from .options import RunOptions
@@ -21,12 +22,12 @@ from .port import Refused
 from .realtime import Realtime
 
 
-def run_node(block_class: type[Block], argv: Sequence[str]) -> int:
-    """Run a block as a node until it ends; bad parameters give one line and exit status 2."""
+def run_node(block_class: type[Block], argv: Sequence[str]) -> NoReturn:
+    """Run a block as a node until it and the process end; bad parameters give one line and exit status 2."""
     name = Path(argv[0]).name
     if {"-h", "--help"} & set(argv[1:]):
         print(usage(name, block_class))
-        return 0
+        leave(None, 0)
     node = None
     try:
         rclpy.init(args=list(argv))
@@ -36,17 +37,14 @@ def run_node(block_class: type[Block], argv: Sequence[str]) -> int:
         block.reset(options.seed)
         adapter = (Lockstep if options.mode == "lockstep" else Realtime)(node, block, options)
     except KeyboardInterrupt:
-        return 0
+        leave(node, 0)
     except Exception as error:  # every start-up error ends in one line: what was wrong and where
         where = node.get_name() if node is not None else name
         print(f"{where}: {' '.join(str(error).split())}", file=sys.stderr, flush=True)
         if not isinstance(error, (ParameterError, Refused)) and os.environ.get("SOFTRIG_DEBUG"):
             raise
-        return 2
-    status = adapter.run()
-    node.destroy_node()  # peers see at once that it is gone
-    rclpy.try_shutdown()
-    return status
+        leave(node, 2)
+    leave(node, adapter.run())
 
 
 def usage(name: str, block_class: type[Block]) -> str:

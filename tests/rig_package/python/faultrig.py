@@ -75,9 +75,14 @@ class Outer(Block):
         return {"inner": (reference[0] + 0.5 * (reference[0] - state[0]),)}
 
 
+class WatcherParams(BlockParams):
+    lingers_after: int = param(0, "samples after which it never comes to an end; 0: it does", ge=0)
+
+
 class Watcher(Observer):
     """Counts what it sees."""
 
+    Params = WatcherParams
     INPUTS = (STATE, COMMAND)
 
     def start(self) -> None:
@@ -88,6 +93,8 @@ class Watcher(Observer):
         return {}
 
     def status(self):
+        if self.seen == self.p.lingers_after > 0:
+            time.sleep(3600)
         return {"seen": (float(self.seen), "")}
 
 
