@@ -19,7 +19,6 @@ from rich.console import Console
 from rich.table import Table
 from softrig_core.cdr import SECOND, Layout
 from softrig_core.domain import free_domain
-from softrig_core.leave import leave
 from softrig_core.processes import PROFILE
 
 TOPIC, STATE = "bench", "sensor_msgs/msg/JointState"
@@ -82,7 +81,7 @@ def _measure(channels: int, rates: Sequence[int], listen: Listener) -> Rate:
             listener.kill()
             listener.wait()
         received = counts(output)
-    size = len(Layout(STATE, "", "abc", dict.fromkeys(("position", "velocity", "effort"), channels)).template)
+    size = Layout(STATE, "", "abc", dict.fromkeys(("position", "velocity", "effort"), channels)).length
     best = 0.0
     for stage, (sent, rate) in enumerate(json.loads(publisher.stdout)):
         if received[stage] != sent:
@@ -142,7 +141,7 @@ def _publish(channels: int, rates: Sequence[int]) -> None:
         stages.append((count, count / (time.perf_counter() - start)))
         publisher.wait_for_all_acked(Duration(seconds=5))
     print(json.dumps(stages))
-    leave(session.node, 0)
+    session.end(0)
 
 
 def _listen() -> None:
@@ -165,7 +164,7 @@ def _listen() -> None:
         session.spin(1.0)
     session.settle()
     print(json.dumps(received))
-    leave(session.node, 0)
+    session.end(0)
 
 
 if __name__ == "__main__":

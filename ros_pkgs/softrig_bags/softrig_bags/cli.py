@@ -12,7 +12,6 @@ from functools import wraps
 from pathlib import Path
 
 from softrig_core.errors import RunError
-from softrig_core.leave import leave
 
 from .errors import BagError
 
@@ -47,7 +46,7 @@ def _leaving(tool: Main) -> Main:
         from .ros import Session
 
         if Session.opened is not None:
-            leave(Session.opened.node, status)
+            Session.opened.end(status)
         return status
 
     return main

@@ -234,15 +234,15 @@ class Adapter:
                 total = sum(values)
                 if total - total != 0.0:  # NaN or infinity
                     check(found, output.port, self._name, t)
-                burst.append(output.encode(at, values))
+                burst.append((output, output.encode(at, values)))
         except (KeyError, TypeError, ValueError, struct.error):
             for output in self.outputs:
                 check(found, output.port, self._name, t)  # says which value is wrong
             raise
-        for output, data in zip(self.outputs, burst, strict=True):
+        for output, data in burst:
             output.publish(data)
         if self.sink is not None:
-            for output, data in zip(self.outputs, burst, strict=True):
+            for output, data in burst:
                 self.sink.add(output.number, stamp, data)
 
     def safe_outputs(self, t: int) -> dict[str, Any]:
@@ -363,6 +363,7 @@ class Adapter:
                 self.error, self.state = RunError(text), "failed"
             else:  # a signal has shut the context down under a callback that was about to publish
                 stopped = True
+        executor.shutdown()  # it holds what the node consists of: the node could not leave
         if self.sink is not None:
             try:
                 self.sink.close()

@@ -1,17 +1,19 @@
 """CDR bytes of the suite's messages: prepared layouts for speed, a general reader for everything else.
 
 A `Layout` is a message whose variable-size parts (frame, names, sequence lengths) are fixed; only the
-stamp and the float64 numbers change. Encoding patches a prepared buffer, decoding reads by offset after
-comparing the fixed bytes. A message of another layout goes through `parse`.
+stamp and the float64 numbers change: one prepared struct packs or unpacks it whole, fixed bytes included, and
+decoding compares those. A message of another layout goes through `parse`.
 """
 
 from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import product
+from itertools import count, islice, product
+from operator import itemgetter
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +40,7 @@ SCHEMAS: dict[str, tuple[str, ...]] = {
 }  # fmt: skip
 
 
+Pick = Callable[[Sequence[Any]], tuple[Any, ...]]  # takes some items
 Dims = tuple[tuple[str, int], ...]  # of an array: label and size of each dimension, the last one changing fastest
 
 
@@ -152,48 +155,51 @@ class Layout:
                 out.extend(bytes(8))
 
         self.msgtype = msgtype
-        self.template = out
+        self.length = len(out)
         self.size = sum(n for _, n in self.fields)
         self.slots = slots
-        self._writers = []
-        start = 0
-        for offset, code in slots:
-            n = int(code[:-1])
-            self._writers.append((struct.Struct("<" + code).pack_into, offset, start, start + n))
-            start += n
-        reader, at = "<", 0
-        for offset, code in ([] if self.stamp_offset is None else [(self.stamp_offset, "iI")]) + slots:
-            reader += f"{offset - at}x{code}"
+        self._fixed = [(a, b, bytes(out[a:b])) for a, b in [(0, 2), *_merge(fixed)]]
+        # One struct for the whole message. Its items in wire order are picked from (s, ns, *values, *constants).
+        spans = [(a, f"{b - a}s") for a, b, _ in self._fixed]
+        stamp = [] if self.stamp_offset is None else [(self.stamp_offset, "iI")]
+        form, at, wire = "<", 0, []
+        values, constants = count(2), count(2 + self.size)
+        for offset, code in sorted(spans + stamp + slots):
+            form += f"{offset - at}x{code}"
             at = offset + struct.calcsize("<" + code)
-        self._reader = struct.Struct(f"{reader}{len(out) - at}x")
-        self._fixed = [(a, b, bytes(out[a:b])) for a, b in _merge(fixed)]
+            if code[-1] == "s":
+                wire.append(next(constants))
+            else:
+                wire += [0, 1] if code == "iI" else islice(values, int(code[:-1]))
+        whole = struct.Struct(f"{form}{len(out) - at}x")
+        self._pack, self._unpack = whole.pack, whole.unpack
+        self._wire = getter(wire)
+        self._constants = tuple(data for _, _, data in self._fixed)
+        place = {item: i for i, item in enumerate(wire)}
+        self._constants_of = getter([place[2 + self.size + i] for i in range(len(self._fixed))])
+        self._values_of = getter([place[2 + i] for i in range(self.size)])
+        self._seconds, self._nanoseconds = place.get(0, -1), place.get(1, -1)
 
     def encode(self, stamp: int, values: Sequence[float]) -> bytes:
         """Give the message bytes for a stamp in ns and all numbers in wire order."""
-        out = self.template
-        if self.stamp_offset is not None:
-            _STAMP.pack_into(out, self.stamp_offset, stamp // SECOND, stamp % SECOND)
         if len(values) != self.size:
             raise ValueError(f"{len(values)} values, expected {self.size}")
-        for pack_into, offset, start, end in self._writers:
-            pack_into(out, offset, *values[start:end])
-        return bytes(out)
+        return self._pack(*self._wire((stamp // SECOND, stamp % SECOND, *values, *self._constants)))
 
     def decode(self, data: bytes) -> tuple[int, tuple[float, ...]] | None:
         """Give (stamp in ns, numbers) or None when the bytes have another layout."""
-        if len(data) != self._reader.size or data[:2] != b"\x00\x01":
+        if len(data) != self.length:
             return None
-        for start, end, expected in self._fixed:
-            if data[start:end] != expected:
-                return None
-        found = self._reader.unpack(data)
+        found = self._unpack(data)
+        if self._constants_of(found) != self._constants:
+            return None
         if self.stamp_offset is None:
-            return 0, found
-        return found[0] * SECOND + found[1], found[2:]
+            return 0, self._values_of(found)
+        return found[self._seconds] * SECOND + found[self._nanoseconds], self._values_of(found)
 
     def same_shape(self, block: NDArray[np.uint8]) -> bool:
         """Whether all messages of a (n, length) byte array have this layout."""
-        rows = [(block[:, :2], b"\x00\x01")] + [(block[:, a:b], expected) for a, b, expected in self._fixed]
+        rows = [(block[:, a:b], expected) for a, b, expected in self._fixed]
         return all(bool((part == np.frombuffer(expected, dtype=np.uint8)).all()) for part, expected in rows)
 
     def columns(self, block: NDArray[np.uint8]) -> list[NDArray[np.float64]]:
@@ -206,7 +212,11 @@ class Layout:
         return found
 
 
-_STAMP = struct.Struct("<iI")
+def getter(places: Sequence[int]) -> Pick:
+    """Give an itemgetter that always gives a tuple."""
+    if len(places) > 1:
+        return itemgetter(*places)
+    return lambda items: tuple(items[i] for i in places)
 
 
 def _merge(spans: list[tuple[int, int]]) -> list[tuple[int, int]]:

@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from operator import itemgetter
 from typing import NamedTuple
 
-from .cdr import SCHEMAS, CdrError, Dims, Layout, Message, element_labels, parse
+from .cdr import SCHEMAS, CdrError, Dims, Layout, Message, Pick, element_labels, getter, parse
 
 XYZ = ("x", "y", "z")
 
@@ -191,7 +190,7 @@ class Decoder:
     def __init__(self, port: Port) -> None:
         self._port = port
         self._layout = port.layout()
-        self._pick: itemgetter[int] | None = None
+        self._pick: Pick | None = None
 
     def __call__(self, data: bytes) -> tuple[int, tuple[float, ...]]:
         """Give (stamp in ns, values).
@@ -225,7 +224,7 @@ class Decoder:
         message = self._parse(data)
         self._layout = message.layout(self._port.msgtype)
         order = self._order(message)
-        self._pick = None if order == tuple(range(self._layout.size)) else _getter(order)
+        self._pick = None if order == tuple(range(self._layout.size)) else getter(order)
 
     def _slow(self, data: bytes) -> tuple[int, tuple[float, ...]]:
         message = self._parse(data)
@@ -265,15 +264,7 @@ class Decoder:
         return tuple(order)
 
 
-def _getter(order: tuple[int, ...]) -> itemgetter[int]:
-    """An itemgetter that always gives a tuple."""
-    if len(order) == 1:
-        only = order[0]
-        return lambda values: (values[only],)  # type: ignore[return-value]
-    return itemgetter(*order)  # type: ignore[return-value]
-
-
-def selection(source: Port, sink: Port) -> itemgetter[int] | None:
+def selection(source: Port, sink: Port) -> Pick | None:
     """Say how the values of `source` become those of `sink`; None when they are the same.
 
     Raises
@@ -293,4 +284,4 @@ def selection(source: Port, sink: Port) -> itemgetter[int] | None:
     if missing:
         raise Refused(f"fields {list(source.fields)} lack {missing[0]}")
     order = tuple(source.labels.index(label) for label in sink.labels)
-    return None if order == tuple(range(source.size)) else _getter(order)
+    return None if order == tuple(range(source.size)) else getter(order)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import json
 import os
+import select
 import signal
 import subprocess
 import sys
@@ -295,9 +296,16 @@ def _watch(
             if t != last:
                 progress(t)
                 last = t
-        # A child's end wakes the wait; otherwise look at the progress ten times a second.
-        with suppress(subprocess.TimeoutExpired):
-            running[0].process.wait(0.1)
+        _wait_for_an_end(running, 0.1)  # and look at the progress ten times a second
+
+
+def _wait_for_an_end(running: list[_Child], seconds: float) -> None:
+    """Sleep until a child ends. (Popen.wait with a limit wakes up all the time, and each time takes a node's core.)"""
+    with ExitStack() as stack:
+        descriptors = [os.pidfd_open(c.process.pid) for c in running]
+        for descriptor in descriptors:
+            stack.callback(os.close, descriptor)
+        select.select(descriptors, [], [], seconds)
 
 
 def _reason(children: list[_Child], failed: list[_Child]) -> str:

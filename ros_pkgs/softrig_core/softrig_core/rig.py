@@ -5,10 +5,10 @@ from __future__ import annotations
 import importlib.metadata
 from collections.abc import Callable
 from dataclasses import dataclass
-from operator import itemgetter
 from typing import Any
 
 from .block import Block, Observer, Plant
+from .cdr import Pick
 from .errors import ScenarioError
 from .params import BlockParams, ParameterError, build
 from .port import Port, Refused, selection
@@ -22,7 +22,7 @@ class Link:
 
     source: Member
     port: Port
-    pick: itemgetter[int] | None
+    pick: Pick | None
 
 
 @dataclass(eq=False)
