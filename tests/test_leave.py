@@ -10,6 +10,8 @@ import ctypes
 from softrig_core.leave import leave
 
 class Node:
+    executor = None
+
     def destroy_node(self):
         print("leaving")
         ctypes.PyDLL(None).pause()  # keeps the interpreter, as a call of the middleware does

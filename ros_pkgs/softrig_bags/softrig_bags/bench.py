@@ -19,6 +19,7 @@ from rich.console import Console
 from rich.table import Table
 from softrig_core.cdr import SECOND, Layout
 from softrig_core.domain import free_domain
+from softrig_core.leave import leave
 from softrig_core.processes import PROFILE
 
 TOPIC, STATE = "bench", "sensor_msgs/msg/JointState"
@@ -141,7 +142,7 @@ def _publish(channels: int, rates: Sequence[int]) -> None:
         stages.append((count, count / (time.perf_counter() - start)))
         publisher.wait_for_all_acked(Duration(seconds=5))
     print(json.dumps(stages))
-    session.end(0)
+    leave(session.node, 0)
 
 
 def _listen() -> None:
@@ -164,7 +165,7 @@ def _listen() -> None:
         session.spin(1.0)
     session.settle()
     print(json.dumps(received))
-    session.end(0)
+    leave(session.node, 0)
 
 
 if __name__ == "__main__":

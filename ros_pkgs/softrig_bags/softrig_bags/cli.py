@@ -12,6 +12,7 @@ from functools import wraps
 from pathlib import Path
 
 from softrig_core.errors import RunError
+from softrig_core.leave import leave
 
 from .errors import BagError
 
@@ -46,7 +47,7 @@ def _leaving(tool: Main) -> Main:
         from .ros import Session
 
         if Session.opened is not None:
-            Session.opened.end(status)
+            leave(Session.opened.node, status)
         return status
 
     return main

@@ -7,7 +7,7 @@ import signal
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from types import FrameType
-from typing import Any, ClassVar, NoReturn
+from typing import Any, ClassVar
 
 import rclpy
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
@@ -23,7 +23,6 @@ from rclpy.subscription import Subscription
 from rclpy.task import Future
 from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 from softrig_core.cdr import SECOND
-from softrig_core.leave import leave
 from softrig_core.processes import PROFILE
 
 from .errors import BagError
@@ -51,7 +50,7 @@ class Session:
     Attributes
     ----------
     opened : Session or None
-        The session of this process; the two end together (`end`).
+        The session of this process; the two end together (`softrig_core.leave`).
     """
 
     opened: ClassVar[Session | None] = None
@@ -90,11 +89,6 @@ class Session:
     def settle(self) -> None:
         """Handle what had arrived when `spin` was stopped."""
         self._executor.spin_until_future_complete(Future(), 0.0)
-
-    def end(self, status: int) -> NoReturn:
-        """Leave the graph and end the process."""
-        self._executor.shutdown()  # it holds what the node consists of
-        leave(self.node, status)
 
 
 class EventPoll:

@@ -363,7 +363,6 @@ class Adapter:
                 self.error, self.state = RunError(text), "failed"
             else:  # a signal has shut the context down under a callback that was about to publish
                 stopped = True
-        executor.shutdown()  # it holds what the node consists of: the node could not leave
         if self.sink is not None:
             try:
                 self.sink.close()

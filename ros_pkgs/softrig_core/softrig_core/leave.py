@@ -6,19 +6,15 @@ import ctypes
 import os
 import sys
 import time
-from typing import NoReturn, Protocol
+from typing import TYPE_CHECKING, NoReturn
+
+if TYPE_CHECKING:
+    from rclpy.node import Node
 
 PATIENCE = 2  # s: time to leave the graph; it takes some ms
 
 
-class Leaving(Protocol):
-    """What `leave` needs of an rclpy node."""
-
-    def destroy_node(self) -> None:
-        """Leave the graph."""
-
-
-def leave(node: Leaving | None, status: int) -> NoReturn:
+def leave(node: Node | None, status: int) -> NoReturn:
     """Take a node out of the graph, so that its peers see at once that it is gone, and end the process.
 
     Fast DDS 2.14 cannot be trusted with either step: `destroy_node` waits for ever when news of another node that
@@ -35,6 +31,8 @@ def leave(node: Leaving | None, status: int) -> NoReturn:
     sys.stderr.flush()
     if node is not None:
         _exit_after(PATIENCE, status)
+        if node.executor is not None:
+            node.executor.shutdown()  # it holds what the node consists of, and with that the node in the graph
         node.destroy_node()
     os._exit(status)
 
