@@ -57,6 +57,7 @@ class Outcome:
 class _Child:
     member: Member
     process: subprocess.Popen[bytes]
+    end: int  # process file descriptor, readable when the process has ended
     log: Path
     status: Path
     shard: Path
@@ -164,6 +165,8 @@ def run_processes(
             error = _watch(rig, children, progress, late)
         finally:
             _stop(children)
+            for child in children:
+                os.close(child.end)
     status = {c.member.name: _read_status(c.status) for c in children}
     recording = Recording((t, p.msgtype) for t, p in rig.topics.items())
     for child in children:
@@ -260,7 +263,7 @@ def _start(rig: Rig, member: Member, seed: int, directory: Path, mode: str, epoc
             command, stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT, env=environment,
             process_group=0, preexec_fn=_die_with_parent,
         )  # fmt: skip
-    return _Child(member, process, log, status, shard)
+    return _Child(member, process, os.pidfd_open(process.pid), log, status, shard)
 
 
 def _die_with_parent() -> None:
@@ -296,16 +299,9 @@ def _watch(
             if t != last:
                 progress(t)
                 last = t
-        _wait_for_an_end(running, 0.1)  # and look at the progress ten times a second
-
-
-def _wait_for_an_end(running: list[_Child], seconds: float) -> None:
-    """Sleep until a child ends. (Popen.wait with a limit wakes up all the time, and each time takes a node's core.)"""
-    with ExitStack() as stack:
-        descriptors = [os.pidfd_open(c.process.pid) for c in running]
-        for descriptor in descriptors:
-            stack.callback(os.close, descriptor)
-        select.select(descriptors, [], [], seconds)
+        # A child's end wakes the wait; otherwise look at the progress ten times a second. (Popen.wait with a limit
+        # wakes up all the time, and each time takes a node's core.)
+        select.select([c.end for c in running], [], [], 0.1)
 
 
 def _reason(children: list[_Child], failed: list[_Child]) -> str:
