@@ -323,6 +323,24 @@ def test_wd_of_the_speed_difference_and_its_filter():
     assert answers(wd_lp=0.03) == pytest.approx([2.0 * (1 - math.exp(-k / 3)) for k in range(9)], rel=1e-9, abs=1e-12)
 
 
+def test_no_switching_before_the_first_reference_other_than_zero():
+    law = DcMotorSmc(set_point=0.0)
+    assert law.update(0, state=(0.0,), sensors=(0.0, 0.0), reference=None)["command"] == (0.0,)
+
+
+def test_a_refused_reference_gives_the_surface_too():
+    law = DcMotorSmc(publish_surface=True)
+    answer = law.update(0, state=(math.nan,), sensors=(0.0, 0.0), reference=None)
+    assert answer == {"command": (0.0,), "surface": (0.0,)}
+
+
+def test_a_voltage_that_is_not_finite_is_no_voltage():
+    motor = DcMotorPlant()
+    motor.advance(0, command=(math.nan,))
+    assert motor.outputs(10_000_000) == DcMotorPlant().outputs(0)
+    assert motor.reports["not_finite"][0] is Level.ERROR
+
+
 def test_motor_brakes_when_the_reference_becomes_zero():
     _rig, signals = run("dc_motor_smc_b2", motor_reference__times=(0.0, 3.0), motor_reference__velocities=(10.0, 0.0))
     w = signals["motor/true_state/shaft/velocity"]

@@ -9,12 +9,14 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+import numpy as np
 import pytest
 from conftest import differences, in_process, make_scenario
 from softrig_core.domain import free_domain
 from softrig_core.errors import ScenarioError
-from softrig_core.processes import PROFILE, find_executable, run_processes
+from softrig_core.processes import environment, find_executable, run_processes
 from softrig_core.rig import Rig
+from softrig_core.signals import Signals
 
 pytestmark = pytest.mark.processes
 
@@ -188,7 +190,7 @@ def test_nodes_die_with_a_killed_runner(tmp_path):
 
 
 def test_bad_parameters_stop_a_node_with_one_line(tmp_path):
-    environment = os.environ | {"ROS_LOG_DIR": str(tmp_path)}
+    variables = os.environ | {"ROS_LOG_DIR": str(tmp_path)}
     executable = str(find_executable("faultrig", "plant"))
     for argument, text in [
         ("gain:=-1.0", "parameter gain = -1.0: input should be greater than 0"),
@@ -197,7 +199,7 @@ def test_bad_parameters_stop_a_node_with_one_line(tmp_path):
         ("run.mode:=fast", "run.mode"),
     ]:
         done = subprocess.run([executable, "--ros-args", "-p", argument], capture_output=True, text=True,
-                              env=environment, timeout=30)  # fmt: skip
+                              env=variables, timeout=30)  # fmt: skip
         assert done.returncode == 2
         assert text.removeprefix("run.") in done.stderr
         assert len(done.stderr.strip().splitlines()) == 1
@@ -253,10 +255,6 @@ def with_outside_controller(extra, directory, duration=1.0, before=None):
     """Run the basic rig with a plain rclpy controller that imports nothing of softrig."""
     wired = rig(BASIC | {"gain": {"executable": "gain", "external": True}}, duration, timeout=1.5)
     with free_domain() as domain:
-        environment = os.environ | {
-            "ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-            "FASTRTPS_DEFAULT_PROFILES_FILE": str(PROFILE), "ROS_LOG_DIR": str(directory),
-        }  # fmt: skip
         script = directory / "outside.py"
         script.write_text(OUTSIDE.replace("EXTRA", extra))
         outside = []
@@ -264,7 +262,7 @@ def with_outside_controller(extra, directory, duration=1.0, before=None):
         def announce(text):
             assert f"ROS_DOMAIN_ID={domain}" in text
             assert "lag/command" in text
-            outside.append(subprocess.Popen([sys.executable, str(script)], env=environment))
+            outside.append(subprocess.Popen([sys.executable, str(script)], env=environment(domain, directory)))
 
         try:
             return wired, run_processes(wired, 0, directory, domain=domain, announce=announce)
@@ -300,16 +298,76 @@ def test_a_bad_outside_command_never_reaches_the_plant(extra, reason, tmp_path):
     assert len(outcome.recording.topics["lag/state"].times) == 1
 
 
+PLANT = """
+import rclpy
+from rclpy.node import Node
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
+
+rclpy.init()
+node = Node("plant")
+state = node.create_publisher(JointState, "lag/state", 10)
+clock = node.create_publisher(Clock, "/clock", 10)
+tick = 0
+
+def send():
+    message = JointState(name=["x"], position=[0.01 * tick], velocity=[float("nan") if tick == BAD else 1.0])
+    message.header.stamp.nanosec = 10_000_000 * tick
+    state.publish(message)
+    clock.publish(Clock(clock=message.header.stamp))
+
+def command(message):
+    global tick
+    tick += 1
+    send()
+
+def start():
+    if state.get_subscription_count() and clock.get_subscription_count() and subscription.get_publisher_count():
+        timer.cancel()
+        send()
+
+subscription = node.create_subscription(JointState, "lag/command", command, 10)
+timer = node.create_timer(0.5, start)
+rclpy.spin(node)
+"""
+
+
+def test_a_link_loses_a_refused_measurement_and_the_run_goes_on(tmp_path):
+    """Messages that are paired by counting: one that cannot be read counts too."""
+    parameters = {"topic_in": "lag/state", "topic_out": "lag/late_state", "channels": ["x"], "delay_ms": 30.0}
+    link = {"package": "softrig_control", "executable": "fieldbus_delay", "parameters": parameters}
+    nodes = {"plant": {"executable": "plant", "external": True}, "source": "source", "link": link, "gain": "late_gain"}
+    wired = rig(nodes, 0.3, timeout=1.5)
+    with free_domain() as domain:
+        outside = []
+
+        def announce(text):
+            command = [sys.executable, "-c", PLANT.replace("BAD", "10")]
+            outside.append(subprocess.Popen(command, env=environment(domain, tmp_path)))
+
+        try:
+            outcome = run_processes(wired, 0, tmp_path, domain=domain, announce=announce)
+        finally:
+            for process in outside:
+                process.kill()
+                process.wait()
+    assert outcome.error == ""
+    assert outcome.status["link"]["refused"]["lag/state"] == [1, "x/velocity is nan, expected a finite number"]
+    late = Signals(outcome.recording)["lag/late_state/x/position"]
+    lost = np.array([*range(10), 9, *range(11, 27)]) * 0.01
+    assert late.x == pytest.approx([0.0] * 3 + list(lost), abs=1e-12)
+
+
 def test_a_second_publisher_ends_the_run_naming_both(tmp_path):
     wired = rig(BASIC, 1e4)
     with free_domain() as domain:
-        environment = os.environ | {"ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+        variables = environment(domain, tmp_path)
         intruders = []
 
         def progress(t):
             if t and not intruders:
                 code = OUTSIDE.replace('Node("gain")', 'Node("intruder")').replace("EXTRA", "")
-                intruders.append(subprocess.Popen([sys.executable, "-c", code], env=environment))
+                intruders.append(subprocess.Popen([sys.executable, "-c", code], env=variables))
 
         outcome = run_processes(wired, 0, tmp_path, domain=domain, progress=progress)
         intruders[0].kill()

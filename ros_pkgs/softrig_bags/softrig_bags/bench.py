@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import signal
 import subprocess
 import sys
@@ -20,7 +19,7 @@ from rich.table import Table
 from softrig_core.cdr import SECOND, Layout
 from softrig_core.domain import free_domain
 from softrig_core.leave import leave
-from softrig_core.processes import PROFILE
+from softrig_core.processes import environment
 
 TOPIC, STATE = "bench", "sensor_msgs/msg/JointState"
 STAGE = 0.5  # s of publishing at each rate
@@ -66,15 +65,12 @@ Listener = Callable[[Path, dict[str, str]], tuple["subprocess.Popen[str]", Calla
 def _measure(channels: int, rates: Sequence[int], listen: Listener) -> Rate:
     """Publish at rising rates to a listener and see which rates it receives completely."""
     with free_domain() as domain, tempfile.TemporaryDirectory() as folder:
-        environment = os.environ | {
-            "ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-            "FASTRTPS_DEFAULT_PROFILES_FILE": str(PROFILE),
-        }  # fmt: skip
-        listener, counts = listen(Path(folder), environment)
+        variables = environment(domain, Path(folder))
+        listener, counts = listen(Path(folder), variables)
         try:
             publisher = subprocess.run(
                 [sys.executable, "-m", __name__, "publish", str(channels), *map(str, rates)],
-                env=environment, capture_output=True, text=True, check=True, timeout=120,
+                env=variables, capture_output=True, text=True, check=True, timeout=120,
             )  # fmt: skip
             listener.send_signal(signal.SIGINT)
             output = listener.communicate(timeout=60)[0]
@@ -91,14 +87,14 @@ def _measure(channels: int, rates: Sequence[int], listen: Listener) -> Rate:
     return Rate(best, best * size / 1e6, 0.0)
 
 
-def _bare(folder: Path, environment: dict[str, str]) -> tuple[subprocess.Popen[str], Callable[[str], Counter[int]]]:
+def _bare(folder: Path, variables: dict[str, str]) -> tuple[subprocess.Popen[str], Callable[[str], Counter[int]]]:
     command = [sys.executable, "-m", __name__, "listen"]
-    process = subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True)
+    process = subprocess.Popen(command, env=variables, stdout=subprocess.PIPE, text=True)
     return process, lambda output: Counter({int(k): v for k, v in json.loads(output).items()})
 
 
 def _record(
-    options: Sequence[str], folder: Path, environment: dict[str, str]
+    options: Sequence[str], folder: Path, variables: dict[str, str]
 ) -> tuple[subprocess.Popen[str], Callable[[str], Counter[int]]]:
     from .reader import BagReader
     from .stamps import stamp
@@ -106,7 +102,7 @@ def _record(
     bag = folder / "bag"
     command = [sys.executable, "-c", "import sys; from softrig_bags.cli import main_record; sys.exit(main_record())",
                f"/{TOPIC}", "--output", str(bag), *options]  # fmt: skip
-    process = subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+    process = subprocess.Popen(command, env=variables, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
 
     def counts(output: str) -> Counter[int]:
         with BagReader(bag) as reader:

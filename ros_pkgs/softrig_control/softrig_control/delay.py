@@ -117,7 +117,15 @@ class FieldbusDelay(Block):
             self._send(t, sent)
         elif sent.stamp < self._newest:
             self.report(Level.WARN, "order", "a message older than the one before it was dropped")
+        return self._deliver(t)
+
+    def refused(self, t: int) -> Mapping[str, Sample | tuple[float, ...]] | None:
+        """A message that cannot be read is lost; what is under way arrives all the same."""
+        return None if self._held is None else self._deliver(t)
+
+    def _deliver(self, t: int) -> Mapping[str, Sample | tuple[float, ...]]:
         line, held = self._line, self._held
+        assert held is not None
         while line and line[0][0] <= t:
             _, stamp, data = heapq.heappop(line)
             if stamp >= held.stamp:

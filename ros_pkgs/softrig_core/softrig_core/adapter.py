@@ -93,6 +93,7 @@ class Adapter:
         self.values: dict[str, Any] = {}  # newest value of each input, as the block gets it
         self.epoch = 0  # ns added to a block's time for the stamp on the wire
         self.error: BaseException | None = None
+        self.bad = False  # an input of this tick was refused
         self.waits_for: list[str] = []  # the senders whose silence ended the run
         self.finished: Future[None] = Future()
         self._logged: set[str] = set()
@@ -245,9 +246,13 @@ class Adapter:
             for output, data in burst:
                 self.sink.add(output.number, stamp, data)
 
-    def safe_outputs(self, t: int) -> dict[str, Any]:
-        """Give what is sent at `t` when a measurement is bad."""
-        return {o.name: Sample(t, o.port.safe) if o.delayed else o.port.safe for o in self.outputs}
+    def answer(self, t: int) -> Any:
+        """Give what a block that is not a plant sends at `t`; it does not see a tick of which something was refused."""
+        if not self.bad:
+            return self.block.update(t, **self.values)
+        self.bad = False
+        found = self.block.refused(t)
+        return found or {o.name: Sample(t, o.port.safe) if o.delayed else o.port.safe for o in self.outputs}
 
     # health ----------------------------------------------------------------------------------------------------
 

@@ -48,6 +48,7 @@ class Block:
     Params: ClassVar[type[BlockParams]] = BlockParams
     INPUTS: ClassVar[tuple[Port, ...]] = ()
     OUTPUTS: ClassVar[tuple[Port, ...]] = ()
+    STALE_PERIODS: ClassVar[int] = 5  # realtime: age at which a plant no longer trusts a command
 
     def __init__(self, params: BlockParams | None = None, name: str = "", **values: Any) -> None:
         self.p: Any = build(self.Params, values) if params is None else params
@@ -110,6 +111,16 @@ class Block:
         mapping of output port name to values (a `Sample` on a delayed port)
         """
         raise NotImplementedError
+
+    def refused(self, t: int) -> Values | None:
+        """Answer a tick one of whose inputs a node has refused (NaN, wrong names); called in place of `update`.
+
+        Returns
+        -------
+        mapping or None
+            As `update`; None, the default, for the ports' safe values.
+        """
+        return None
 
 
 class Plant(Block):

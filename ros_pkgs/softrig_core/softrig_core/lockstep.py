@@ -70,7 +70,6 @@ class Lockstep(Adapter):
         self._rivals: Input | None = None
         self._outside_found: list[tuple[str, str]] = []
         self._settled = 0
-        self._bad = False  # a measurement of this tick was refused
         self._durations: deque[int] = deque(maxlen=100_000)
         self._sent = self._first = 0
         super().__init__(node, block, options)
@@ -118,6 +117,7 @@ class Lockstep(Adapter):
                 stamp, values = item.decode(data)
             except Refused as error:
                 self.refuse(item, str(error))
+                self.bad = True
                 return
             self.values[item.port.name] = Sample(stamp, values) if item.port.delayed else values
             if self.sink is not None and item.port.name in self.foreign:
@@ -134,17 +134,20 @@ class Lockstep(Adapter):
         def receive(data: bytes) -> None:
             if self.state in ("done", "failed"):
                 return
+            position = pairing.received * pairing.period
+            pairing.received += 1
             try:
                 stamp, values = decode(data)
             except Refused as error:
                 self.refuse(item, str(error))
-                # A controller answers a bad measurement with its safe output; a plant waits for a good command.
-                if not self._is_plant and not pairing.have and _stamp(data) == pairing.want:
-                    self._bad = True
+                # A controller answers a tick with a bad measurement too; a plant waits for a good command.
+                at = position if by_order else _stamp(data)
+                if not self._is_plant and not pairing.have and at == pairing.want:
+                    self.bad = True
                     self._arrived(pairing)
                 return
-            position = pairing.received * pairing.period if by_order else stamp
-            pairing.received += 1
+            if not by_order:
+                position = stamp
             if position == pairing.want and not pairing.have:
                 if record is not None and self.sink is not None:
                     self.sink.add(record, self.t, data)
@@ -325,13 +328,7 @@ class Lockstep(Adapter):
 
     def _update(self, t: int) -> None:
         """Answer one tick of a block that is not a plant."""
-        values = self.values
-        if self._bad:
-            found: Any = self.safe_outputs(t)
-            self._bad = False
-        else:
-            found = self.block.update(t, **values)
-        self.publish(t, t, found)
+        self.publish(t, t, self.answer(t))
         if self._publish_tick is not None:
             self._publish_tick(self._tick_layout.encode(t, ()))
         self.release()

@@ -18,7 +18,8 @@ class RunOptions(Params):
     timeout: float = param(10.0, "lockstep: wall-clock time without progress before the node gives up", "s", gt=0)
     start_timeout: float = param(30.0, "lockstep: wall-clock time to wait for all peers, 0 = for ever", "s", ge=0)
     paired: tuple[str, ...] = param((), "lockstep by hand: held inputs that are to be paired by stamp like the others")
-    watchdog: float = param(0.0, "realtime: age at which a command is stale, 0 = five periods of its sender", "s", ge=0)
+    watchdog: float = param(0.0, "realtime: age at which a command is stale, 0 = the plant's number of periods", "s",
+                            ge=0)  # fmt: skip
     shard: str = param("", "file to record published messages in")
     status: str = param("", "file for the state of the node, as JSON")
     epoch: int = param(0, "realtime: wall-clock time in ns that is t = 0, 0 = the first tick")

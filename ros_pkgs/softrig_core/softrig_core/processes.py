@@ -153,14 +153,14 @@ def run_processes(
         domain = stack.enter_context(free_domain()) if domain is None else domain
         epoch = time.time_ns() + 3_000_000_000 if mode == "realtime" else 0
         epoch -= epoch % max(m.period for m in rig.members)
-        environment = _environment(domain, directory)
+        variables = environment(domain, directory)
         external = [m for m in rig.members if m.external]
         if external and announce is not None:
             announce(_invitation(external, domain))
         try:
             for member in rig.members:
                 if not member.external:
-                    children.append(_start(rig, member, seed, directory, mode, epoch, record, environment))
+                    children.append(_start(rig, member, seed, directory, mode, epoch, record, variables))
             late = epoch / 1e9 + rig.scenario.duration + rig.scenario.timeout if epoch else None
             error = _watch(rig, children, progress, late)
         finally:
@@ -178,9 +178,10 @@ def run_processes(
     return Outcome(recording, status, domain, epoch, error)
 
 
-def _environment(domain: int, directory: Path) -> dict[str, str]:
-    environment = dict(os.environ)
-    environment |= {
+def environment(domain: int, directory: Path) -> dict[str, str]:
+    """Give the environment of a node process: its domain on this host only, its logs in a directory."""
+    variables = dict(os.environ)
+    variables |= {
         "ROS_DOMAIN_ID": str(domain),
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
         "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp",
@@ -190,9 +191,9 @@ def _environment(domain: int, directory: Path) -> dict[str, str]:
         "OMP_NUM_THREADS": "1",
         "OPENBLAS_NUM_THREADS": "1",
     }
-    environment.pop("ROS_LOCALHOST_ONLY", None)  # deprecated, would override the discovery range
-    environment.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(PROFILE))
-    return environment
+    variables.pop("ROS_LOCALHOST_ONLY", None)  # deprecated, would override the discovery range
+    variables.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(PROFILE))
+    return variables
 
 
 def _invitation(external: list[Member], domain: int) -> str:
@@ -239,7 +240,7 @@ def node_parameters(rig: Rig, member: Member, seed: int, mode: str) -> dict[str,
 
 
 def _start(rig: Rig, member: Member, seed: int, directory: Path, mode: str, epoch: int,
-           record: bool, environment: dict[str, str]) -> _Child:  # fmt: skip
+           record: bool, variables: dict[str, str]) -> _Child:  # fmt: skip
     stem = directory / member.name
     status, shard, log = stem.with_suffix(".status"), stem.with_suffix(".shard"), stem.with_suffix(".log")
     for stale in (status, shard):
@@ -260,7 +261,7 @@ def _start(rig: Rig, member: Member, seed: int, directory: Path, mode: str, epoc
     # schedules sessions against each other and a loop across them runs a fifth slower.
     with log.open("wb") as output:
         process = subprocess.Popen(
-            command, stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT, env=environment,
+            command, stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT, env=variables,
             process_group=0, preexec_fn=_die_with_parent,
         )  # fmt: skip
     return _Child(member, process, os.pidfd_open(process.pid), log, status, shard)

@@ -21,7 +21,6 @@ from .options import RunOptions
 from .port import Refused, Sample
 from .timebase import to_ns
 
-STALE_PERIODS = 5
 CATCH_UP = SECOND  # a longer pause than this (a suspended host) is skipped, not simulated
 
 
@@ -63,8 +62,10 @@ class Realtime(Adapter):
                 stamp, values = item.decode(data)
             except Refused as error:
                 self.refuse(item, str(error))
+                self.bad = True
                 if name == self._pacer:
-                    self._answer_safe()
+                    now = time.time_ns()
+                    self._answer(now - now % self.period)
                 return
             now = time.time_ns()
             # A delayed message tells when it was measured, one without a stamp nothing: the answer is due now.
@@ -110,12 +111,8 @@ class Realtime(Adapter):
             self.missed += due - self._last_due - 1
         self._last_due = due
         t = stamp - self.epoch
-        self.publish(t, stamp, self.block.update(t, **self.values))
+        self.publish(t, stamp, self.answer(t))
         self._advance_to(t)
-
-    def _answer_safe(self) -> None:
-        stamp = time.time_ns()
-        self.publish(self.t, stamp, self.safe_outputs(stamp - self.epoch))
 
     def now(self) -> int:
         """Wall-clock time."""
@@ -159,10 +156,10 @@ class Realtime(Adapter):
         if isinstance(self.block, Plant):
             self.publish(t, stamp, self.block.outputs(t))
             self._sent_at[stamp] = time.time_ns()
-            while len(self._sent_at) > 2 * STALE_PERIODS:
+            while len(self._sent_at) > 2 * self.block.STALE_PERIODS:
                 del self._sent_at[next(iter(self._sent_at))]
         else:
-            self.publish(t, stamp, self.block.update(t, **self.values))
+            self.publish(t, stamp, self.answer(t))
         self._advance_to(t)
 
     def _fresh_inputs(self, now: int) -> dict[str, Any]:
@@ -173,7 +170,9 @@ class Realtime(Adapter):
             if item.port.held or name not in self.arrived:
                 continue
             link = self.links.inputs.get(name)
-            limit = to_ns(self.options.watchdog) or STALE_PERIODS * max(self.period, link.period if link else 0)
+            limit = to_ns(self.options.watchdog) or (
+                self.block.STALE_PERIODS * max(self.period, link.period if link else 0)
+            )
             if now - self.arrived[name] > limit:
                 inputs[name] = item.port.safe
                 if name not in self.stale:

@@ -153,6 +153,14 @@ class FsfbController(Block):
         if measured and asked and self._compensate(t):
             self._nominal.step(r)
             u = self._law.step(r, self._state, self._state[1])
+        return self._send(t, u)
+
+    def refused(self, t: int) -> Mapping[str, tuple[float, ...]]:
+        """0 V, known to the command history; the last good measurement and the integrator hold."""
+        self._note_gap(t)
+        return self._send(t, 0.0)
+
+    def _send(self, t: int, u: float) -> Mapping[str, tuple[float, ...]]:
         self._u = u
         self._replay.record(u)
         v, y = self._state
@@ -160,7 +168,7 @@ class FsfbController(Block):
         return {
             "command": (u,),
             "model": self._nominal.signals,
-            "controller_state": (r, y, v, self._law.xi, age),
+            "controller_state": (self._set_point.value, y, v, self._law.xi, age),
         }
 
     def _note_gap(self, t: int) -> None:

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Self
 
 from pydantic import model_validator
-from softrig_core.block import Plant
+from softrig_core.block import Level, Plant
 from softrig_core.node import executable
 from softrig_core.params import param
 
@@ -80,8 +80,11 @@ class DcAxisPlant(Plant):
         """Move one period with the voltage held."""
         del self._past[0]
         self._past.append(self._counts())
-        limit = self.p.u_limit_v
-        f = self._gain * min(max(command[0], -limit), limit)
+        u, limit = command[0], self.p.u_limit_v
+        if u - u != 0.0:
+            self.report(Level.ERROR, "not_finite", f"command {u} V is not finite; 0 V")
+            u = 0.0
+        f = self._gain * min(max(u, -limit), limit)
         if self.p.friction:
             for _ in range(self._steps):
                 self._slide(f)

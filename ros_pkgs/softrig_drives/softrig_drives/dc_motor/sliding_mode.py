@@ -64,6 +64,7 @@ class SurfaceControl(SpeedControl):
     def start(self) -> None:
         """Begin with the set point and its switching gain."""
         super().start()
+        self._k_gain = 0.0  # until a reference other than zero gives it
         self._rescale(self._r)
 
     def _rescale(self, r: float) -> None:
@@ -73,6 +74,10 @@ class SurfaceControl(SpeedControl):
             self._k_gain = p.k / p.model_gain
         elif r:
             self._k_gain = p.k_per_ref * abs(r) / p.model_gain
+
+    def refuse(self) -> Mapping[str, tuple[float, ...]]:
+        """Give 0 V, and the surface when asked for."""
+        return {**super().refuse(), "surface": (0.0,)} if self._surface else super().refuse()
 
     def law(self, r: float, w: float, wd: float) -> Mapping[str, tuple[float, ...]]:
         """Answer for the reference r, the speed w and its derivative wd."""
