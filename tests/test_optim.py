@@ -364,11 +364,11 @@ class Loop:
         self.t = 0
         self.commands = []
 
-    def run(self, seconds, objective=None, **buttons):
+    def run(self, seconds, objective=None, refuse=False, **buttons):
         for _ in range(round(seconds * 100)):
             measured = self.dish.outputs(self.t)["objective"] if objective is None else (objective,)
             pressed = {name: buttons.get(name) for name in ("start", "stop", "restart")}
-            answer = self.optimiser.update(self.t, measured, **pressed)
+            answer = self.optimiser.refused(self.t) if refuse else self.optimiser.update(self.t, measured, **pressed)
             self.commands.append(answer["command"])
             names = ("phase", "iteration", "evaluations", "restarts", "best_value", "bound", "azimuth", "elevation")
             self.state = dict(zip(names, answer["state"], strict=True))
@@ -451,8 +451,9 @@ def test_buttons():
     loop = Loop(autostart=False)
     loop.run(1.0)
     assert (loop.state["phase"], loop.state["evaluations"]) == (Phase.STOPPED, 0)
+    assert set(loop.commands) == {(-1.0, -1.0)}
     loop.run(3.1, start=(1.0,))
-    assert (loop.state["phase"], loop.state["evaluations"]) == (Phase.SEARCH, 10)
+    assert (loop.state["phase"], loop.state["evaluations"], loop.state["restarts"]) == (Phase.SEARCH, 10, 0)
     loop.run(1.0, start=(0.0,))
     loop.run(1.0, start=(1.0,))  # already searching: nothing
     assert loop.state["evaluations"] == 16
@@ -463,22 +464,54 @@ def test_buttons():
     loop.run(1.0, stop=(0.0,))
     assert loop.state["evaluations"] == evaluations
     loop.run(0.5, restart=(1.0,))
-    assert (loop.state["phase"], loop.state["evaluations"]) == (Phase.SEARCH, 1)
+    assert (loop.state["phase"], loop.state["evaluations"], loop.state["restarts"]) == (Phase.SEARCH, 1, 1)
 
 
-def test_a_bad_measurement_is_taken_again():
-    """NaN: the candidate stays for a whole dwell more, and is never stored."""
+@pytest.mark.parametrize("bad", [{"objective": math.nan}, {"refuse": True}])
+def test_a_bad_measurement_is_taken_again(bad):
+    """NaN, or a message that the node refused: the candidate stays for a whole dwell more, and is never stored."""
     loop = Loop()
     loop.run(0.25)
     first = loop.commands[-1]
-    loop.run(0.1, objective=math.nan)
-    assert loop.optimiser.reports["objective"][0] is Level.ERROR
+    loop.run(0.1, **bad)
+    assert ("objective" in loop.optimiser.reports) == ("objective" in bad)
     loop.run(0.29)
     assert loop.state["evaluations"] == 0
     assert set(loop.commands) == {first}
     loop.run(0.02)
     assert loop.state["evaluations"] == 1
     assert math.isfinite(loop.state["best_value"])
+
+
+def test_refused_from_the_first_tick():
+    """Without any measurement the first candidate is applied, and waits."""
+    loop = Loop()
+    loop.run(1.0, refuse=True)
+    assert (loop.state["phase"], loop.state["evaluations"]) == (Phase.SEARCH, 0)
+    assert len(set(loop.commands)) == 1
+
+
+@pytest.mark.parametrize("bad", [{"objective": math.nan}, {"refuse": True}])
+def test_bad_measurements_in_hold_do_not_blind(bad):
+    """Far into a hold, one bad sample in each dwell: a change is still seen in two samples a dwell apart."""
+    loop = Loop()
+    loop.run(0.01 + 192 * 0.3 + 20.0)
+    held = loop.dish.power(loop.dish.x)
+    loop.run(1.0, **bad)
+    loop.run(0.29, objective=0.5 * held)  # one look at it
+    assert (loop.state["phase"], loop.state["restarts"]) == (Phase.HOLD, 0)
+    loop.run(0.01, **bad)
+    loop.run(0.02, objective=0.5 * held)
+    assert (loop.state["phase"], loop.state["restarts"]) == (Phase.SEARCH, 1)
+
+
+def test_bad_measurements_do_not_hold_up_the_rescan():
+    loop = Loop(rescan_period=100.0)
+    loop.run(90.0)
+    for _ in range(55):
+        loop.run(0.19)
+        loop.run(0.01, objective=math.nan)
+    assert loop.state["restarts"] == 1
 
 
 def test_no_signal_means_no_claim():

@@ -15,6 +15,7 @@ from softrig_bringup.run import evaluate
 from softrig_core.block import Level
 from softrig_core.errors import ScenarioError
 from softrig_core.params import ParameterError
+from softrig_core.processes import run_processes
 from softrig_core.rig import Rig
 from softrig_core.scenario import list_scenarios, load_scenario
 from softrig_core.signals import Signals
@@ -26,7 +27,6 @@ from softrig_power.pv.converter import (
     Converter,
     ConverterParams,
     State,
-    duty_for,
     seen_resistance,
     steady_state,
 )  # fmt: skip
@@ -46,6 +46,12 @@ ROOM = (25.0,) * 4
 
 def string(irradiance, temperature=ROOM):
     return characteristic(MODULE, irradiance, temperature)
+
+
+def duty_for(p, R):
+    """Duty under which the source sees R in steady state, the inverse of `seen_resistance`."""
+    # (R_L - R) d^2 - 2 R_L d + (R_L + r) = 0, the root below 1; written so that R = R_L is no special case
+    return (p.R_L + p.r) / (p.R_L + math.sqrt(p.R_L**2 - (p.R_L - R) * (p.R_L + p.r)))
 
 
 @functools.cache
@@ -371,6 +377,16 @@ def test_same_seed_same_bits():
     assert "converter/duty" in differences(first, other)
 
 
+@pytest.mark.processes
+@pytest.mark.parametrize("name", ["pv_mppt", "pv_mppt_certified_transients"])
+def test_processes_give_the_same_bits(name, tmp_path):
+    """Acceptance 7, in lockstep."""
+    rig = Rig.from_scenario(load_scenario(name).model_copy(update={"duration": 0.3}))
+    outcome = run_processes(rig, 3, tmp_path)
+    assert outcome.error == ""
+    assert differences(in_process(rig, 3), outcome.recording) == []
+
+
 @pytest.mark.parametrize(
     ("algorithm", "eps", "efficiency", "mean_periods", "most_periods", "energy"),
     [
@@ -487,10 +503,11 @@ def test_fluctuation_is_drawn_once_a_run():
 
 
 def test_bad_duty():
-    """NaN: the last one holds; outside the limits: clipped."""
+    """NaN or infinite: the last one holds; outside the limits: clipped."""
     plant, twin = PvPlant(), PvPlant()
     for duty, meant, level in ((0.5, 0.5, None), (math.nan, 0.5, Level.ERROR), (1.7, 0.9, Level.WARN),
-                               (-1.0, 0.1, Level.WARN), (math.inf, 0.9, Level.WARN)):  # fmt: skip
+                               (math.inf, 0.9, Level.ERROR), (-1.0, 0.1, Level.WARN),
+                               (-math.inf, 0.1, Level.ERROR)):  # fmt: skip
         plant.reports.clear()
         plant.advance(0, (duty,), None)
         twin.advance(0, (meant,), None)
@@ -498,11 +515,16 @@ def test_bad_duty():
         assert (plant.reports["duty"][0] if plant.reports else None) == level
 
 
+def test_plant_waits_for_a_slow_tracker():
+    """In real time a duty is stale after 0.2 s, not after a few samples of the sensors."""
+    assert PvPlant.STALE_PERIODS * PvPlant.Params().period == pytest.approx(0.2)
+
+
 @pytest.mark.parametrize(
     ("change", "text"),
     [((-1.0, *PATTERN1[1:], *ROOM), "module 1 is -1 W/m"), ((*PATTERN1[:3], 1501.0, *ROOM), "module 4 is 1501 W/m"),
      ((*PATTERN1, 25.0, 101.0, 25.0, 25.0), "module 2 is 101"), ((*PATTERN1, -41.0, *ROOM[1:]), "module 1 is -41"),
-     ((math.nan, *PATTERN1[1:], *ROOM), "is nan")],
+     ((*PATTERN1, -300.0, *ROOM[1:]), "module 1 is -300"), ((math.nan, *PATTERN1[1:], *ROOM), "is nan")],
 )  # fmt: skip
 def test_impossible_conditions_are_refused(change, text):
     """The whole message is refused, the conditions before it hold."""
@@ -513,6 +535,19 @@ def test_impossible_conditions_are_refused(change, text):
     assert text in plant.reports["environment"][1]
     plant.advance(0, (0.5,), PATTERN2 + ROOM)
     assert plant.source is string(PATTERN2)
+
+    node, best = MpptMetrics(), string(PATTERN1).gmpp
+    for t in (0, 1_000_000):
+        node.update(t, (best.v, best.i, 25.0), change)
+    assert text in node.reports["environment"][1]
+    assert node.status()["efficiency"][0] == pytest.approx(100.0)
+    assert node.status()["tracking_time"][0] == 0.0
+
+    node = PvCurves()
+    node.update(0, PATTERN2 + ROOM, None)
+    power = np.reshape(node.update(0, change, (1.0,))["curves"], (3, -1))[2]
+    assert text in node.reports["environment"][1]
+    assert power.max() == pytest.approx(98.22, abs=0.3)
 
 
 def test_darkness_and_light_again():
@@ -532,6 +567,23 @@ def test_darkness_and_light_again():
     assert 1.0 in phases[1500:1600]
     assert phases[-1] == 2.0
     assert plant.x.v * plant.source.current(plant.x.v) > 115.9
+
+
+@pytest.mark.parametrize("algorithm", ["certified", "ramp"])
+def test_refused_measurements_leave_a_gap_and_no_trace(algorithm):
+    """The node refuses NaN: the tracker stays with its duty, measures it again, and finds what it finds without."""
+    plant, tracker, found = PvPlant(), MpptOptimizer(algorithm=algorithm), []
+    for tick in range(1500):
+        t, duty = tick * 1_000_000, found[-1] if found else None
+        if tick % 50 == 30:
+            answer = tracker.refused(t)
+            assert answer["command"] == duty
+        else:
+            answer = tracker.update(t, plant.outputs(t)["port"], None, None, None)
+        found.append(answer["command"])
+        plant.advance(t, found[-1], None)
+    assert answer["state"][0] == 2.0
+    assert plant.x.v * plant.source.current(plant.x.v) > 0.99 * 116.46
 
 
 def test_search_in_the_dark_makes_no_claim():

@@ -76,6 +76,9 @@ class CommandSearch(Block, ABC):
     - when two samples in a row, `hold_time` apart, differ so much from the value at the end of `settle_time`;
     - `rescan_period` after the start of the last search: what changes elsewhere does not show in the value held.
 
+    Until the first start without `autostart` the command is the lower bounds. A candidate with a bad measurement
+    among its samples is measured again.
+
     The state output has the phase (0 stopped, 1 search, 2 hold), the iteration and evaluations of the newest search,
     the number of new searches after the first, the best value and command so far, and the proven bound (0: none).
     """
@@ -112,8 +115,10 @@ class CommandSearch(Block, ABC):
         self._restarts = -1
         self._rechecked = False
         self._begin(0)
-        if not self.p.autostart:
+        if not self.p.autostart:  # the search begun only answers for the state; the first start makes another
             self._phase = Phase.STOPPED
+            self._restarts = -1
+            self._aim(tuple(self._search.lower.tolist()))
         self._note()
 
     def update(
@@ -124,9 +129,7 @@ class CommandSearch(Block, ABC):
         value = self.objective(measurement)
         if not math.isfinite(value):
             self.report(Level.ERROR, "objective", f"the objective is {value}: the candidate is measured again")
-            self._window.clear()
-            if self._since is not None:
-                self._since = t
+            self._discard(t)
         else:
             self._window.append(value)
             if self._phase is Phase.SEARCH:
@@ -134,6 +137,18 @@ class CommandSearch(Block, ABC):
             elif self._phase is Phase.HOLD:
                 self._hold_tick(t)
         return {"command": self._move(t), "state": self._state}
+
+    def refused(self, t: int) -> Mapping[str, Point]:
+        """Stay with the candidate; the safe command would be measured in its name."""
+        self._discard(t)
+        return {"command": self._move(t), "state": self._state}
+
+    def _discard(self, t: int) -> None:
+        """Forget the samples next to a bad one; a candidate is then applied for a whole dwell again."""
+        self._window.clear()
+        # what is held is not judged anew: bad samples now and then must not keep off the looks at it and the timer
+        if self._phase is Phase.SEARCH and self._since is not None:
+            self._since = t
 
     # the command -----------------------------------------------------------------------------------------------
 
@@ -190,7 +205,7 @@ class CommandSearch(Block, ABC):
         if self._since is None or t - self._since < self._next_sample:
             return
         held, value = t - self._since, self._mean()
-        self._next_sample += self._hold
+        self._next_sample = held + self._hold  # also after bad samples a whole hold_time apart
         if self._changed(value, held) or (self._rescan and t - self._began >= self._rescan and not self._lost):
             self._begin(t)
             self._note()

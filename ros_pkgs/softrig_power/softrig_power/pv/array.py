@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Self
 
 from pydantic import model_validator
+from softrig_core.block import Block, Level
 from softrig_core.params import Params, param
 
 from .module import ModuleParams
@@ -42,3 +43,17 @@ def refuse(irradiance: tuple[float, ...], temperature: tuple[float, ...]) -> str
             if not low <= value <= high:
                 return f"{name} of module {k} is {value:g} {unit}, expected {low:g} to {high:g}"
     return ""
+
+
+def split(environment: tuple[float, ...]) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Give irradiance and temperature of the modules out of the values of pv/environment."""
+    n = len(environment) // 2
+    return environment[:n], environment[n:]
+
+
+def possible(block: Block, environment: tuple[float, ...]) -> bool:
+    """Whether a block may take these values of pv/environment; it reports why not."""
+    problem = refuse(*split(environment))
+    if problem:
+        block.report(Level.ERROR, "environment", f"pv/environment refused, the last one holds: {problem}")
+    return not problem

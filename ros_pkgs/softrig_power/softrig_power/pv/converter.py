@@ -39,12 +39,6 @@ def seen_resistance(p: ConverterParams, d: Array) -> Array:
     return (p.R_L * (1.0 - d) ** 2 + p.r) / d**2
 
 
-def duty_for(p: ConverterParams, R: float) -> float:
-    """Give the duty under which the source sees R in steady state, the inverse of `seen_resistance`."""
-    # (R_L - R) d^2 - 2 R_L d + (R_L + r) = 0, the root below 1; written so that R = R_L is no special case
-    return (p.R_L + p.r) / (p.R_L + math.sqrt(p.R_L**2 - (p.R_L - R) * (p.R_L + p.r)))
-
-
 def steady_state(p: ConverterParams, source: Characteristic, d: float) -> State:
     """Give the steady state of the averaged model under the duty d."""
     (v,), (i,) = source.under_load(seen_resistance(p, np.array([d])))

@@ -10,7 +10,7 @@ from softrig_core.node import executable
 from softrig_core.params import BlockParams, param
 from softrig_core.port import Port, array, button
 
-from .array import ArrayParams
+from .array import ArrayParams, possible, split
 from .ports import environment
 from .string import characteristic
 
@@ -40,20 +40,21 @@ class PvCurves(Block):
         return (environment(len(params.irradiance), held=True), request), (curves,)
 
     def start(self) -> None:
-        """Nothing published yet."""
+        """Nothing published yet, conditions of the parameters."""
         self._pressed = False
         self._answer: tuple[float, ...] = ()
+        self._conditions = self.p.irradiance + self.p.temperature
 
     def update(
         self, t: int, environment: tuple[float, ...] | None, request: tuple[float] | None
     ) -> Mapping[str, tuple[float, ...]]:
         """Give the newest curve asked for."""
+        if environment is not None and environment != self._conditions and possible(self, environment):
+            self._conditions = environment
         pressed = request == (1.0,)
         if (pressed and not self._pressed) or not self._answer:
             p: PvCurvesParams = self.p
-            conditions = p.irradiance + p.temperature if environment is None else environment
-            n = len(conditions) // 2
-            curve = characteristic(p.module, conditions[:n], conditions[n:])
+            curve = characteristic(p.module, *split(self._conditions))
             v = np.linspace(0.0, curve.open_circuit, p.n_points)
             i = np.interp(v, curve.v, curve.i)
             self._answer = (*v.tolist(), *i.tolist(), *(v * i).tolist())

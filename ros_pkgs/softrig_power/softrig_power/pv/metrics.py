@@ -12,7 +12,7 @@ from softrig_core.node import executable
 from softrig_core.params import BlockParams, param
 from softrig_core.port import Port
 
-from .array import ArrayParams
+from .array import ArrayParams, possible, split
 from .module import Array, ModuleParams
 from .ports import array_port, environment
 from .string import Characteristic, characteristic
@@ -21,8 +21,7 @@ POWER, VOLTAGE = "converter/state/p_in/position", "converter/state/v_in/position
 
 
 def _string(conditions: tuple[float, ...], module: ModuleParams) -> Characteristic:
-    n = len(conditions) // 2
-    return characteristic(module, conditions[:n], conditions[n:])
+    return characteristic(module, *split(conditions))
 
 
 class MpptMetricsParams(ArrayParams, BlockParams):
@@ -66,7 +65,7 @@ class MpptMetrics(Observer):
         self._available += best
         if self._power < self.p.level * best:
             self._reached = seconds + self.p.period
-        if environment is not None and environment != self._conditions:
+        if environment is not None and environment != self._conditions and possible(self, environment):
             self._conditions = environment
             self._source = _string(environment, self.p.module)
             self._changed = self._reached = seconds

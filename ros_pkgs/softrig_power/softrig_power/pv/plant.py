@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from typing import Literal, Self
+from typing import ClassVar, Literal, Self
 
 from pydantic import model_validator
 from softrig_core.block import Level, Plant
@@ -11,7 +12,7 @@ from softrig_core.node import executable
 from softrig_core.params import BlockParams, param
 from softrig_core.port import Port, command, scalars
 
-from .array import ArrayParams, refuse
+from .array import ArrayParams, possible, split
 from .converter import Converter, ConverterParams, State, steady_state
 from .ports import array_port, environment
 from .string import characteristic
@@ -53,6 +54,7 @@ class PvPlant(Plant):
     """
 
     Params = PvPlantParams
+    STALE_PERIODS: ClassVar[int] = 200  # 0.2 s: five periods of a tracker at 25 Hz, not five of the sensors
 
     @classmethod
     def ports(cls, params: PvPlantParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
@@ -71,12 +73,13 @@ class PvPlant(Plant):
     def start(self) -> None:
         """Steady state at d_min under the conditions of the parameters."""
         p: PvPlantParams = self.p
-        self._conditions = p.irradiance + p.temperature
-        self._adopt(p.irradiance, p.temperature)
+        self._adopt(p.irradiance + p.temperature)
         self._duty = p.d_min
         self.x = steady_state(p.converter, self.source, self._duty)
 
-    def _adopt(self, irradiance: tuple[float, ...], temperature: tuple[float, ...]) -> None:
+    def _adopt(self, environment: tuple[float, ...]) -> None:
+        self._conditions = environment
+        irradiance, temperature = split(environment)
         self.source = characteristic(self.p.module, irradiance, temperature)
         self._temperature = sum(temperature) / len(temperature)
 
@@ -91,14 +94,8 @@ class PvPlant(Plant):
 
     def advance(self, t: int, duty: tuple[float], environment: tuple[float, ...] | None) -> None:
         """Move by one period under the duty, in the newest conditions."""
-        if environment is not None and environment != self._conditions:
-            self._conditions = environment
-            n = len(environment) // 2
-            problem = refuse(environment[:n], environment[n:])
-            if problem:
-                self.report(Level.ERROR, "environment", f"pv/environment refused, the last one holds: {problem}")
-            else:
-                self._adopt(environment[:n], environment[n:])
+        if environment is not None and environment != self._conditions and possible(self, environment):
+            self._adopt(environment)
         d = self._limited(duty[0])
         if self.p.model == "averaged":
             self.x = self._converter.step(self.x, self.source, d, self.p.step, self._steps)
@@ -107,8 +104,8 @@ class PvPlant(Plant):
 
     def _limited(self, d: float) -> float:
         p: PvPlantParams = self.p
-        if d != d:
-            self.report(Level.ERROR, "duty", f"the duty is NaN: {self._duty:g} holds")
+        if not math.isfinite(d):
+            self.report(Level.ERROR, "duty", f"the duty is {d}, expected a finite number: {self._duty:g} holds")
         elif p.d_min <= d <= p.d_max:
             self._duty = d
         else:

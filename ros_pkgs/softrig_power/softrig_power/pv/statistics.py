@@ -71,7 +71,7 @@ def run_case(case: Case) -> Outcome:
 
 
 def conditions(irradiance: Sequence[float], temperature: Sequence[float]) -> dict[str, Any]:
-    """Give the overrides that put plant, source and metrics into these conditions."""
+    """Give the overrides that put plant and source into these conditions."""
     values = {"irradiance": list(irradiance), "temperature": list(temperature)}
     return {f"{node}.{key}": value for node in ("pv_plant", "shading_source") for key, value in values.items()}
 
