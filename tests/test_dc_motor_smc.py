@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from conftest import in_process
+from conftest import differences, in_process
 from scipy.linalg import expm as scipy_expm
 from softrig_bringup.run import evaluate
 from softrig_control.discretise import expm, zero_order_hold
@@ -16,6 +16,7 @@ from softrig_core import metrics
 from softrig_core.block import Level
 from softrig_core.inprocess import run_inprocess
 from softrig_core.params import ParameterError
+from softrig_core.processes import run_processes
 from softrig_core.rig import Rig
 from softrig_core.scenario import list_scenarios, load_scenario
 from softrig_core.signals import Signals
@@ -339,6 +340,15 @@ def test_a_voltage_that_is_not_finite_is_no_voltage():
     motor.advance(0, command=(math.nan,))
     assert motor.outputs(10_000_000) == DcMotorPlant().outputs(0)
     assert motor.reports["not_finite"][0] is Level.ERROR
+
+
+@pytest.mark.processes
+@pytest.mark.parametrize("name", ["dc_motor_smc_b1", "dc_motor_smc_b4", "dc_motor_smc_stretch_b"])
+def test_processes_give_the_same_bits(name, tmp_path):
+    rig = Rig.from_scenario(load_scenario(name).model_copy(update={"duration": 1.0}))
+    outcome = run_processes(rig, 3, tmp_path)
+    assert outcome.error == ""
+    assert differences(in_process(rig, 3), outcome.recording) == []
 
 
 def test_motor_brakes_when_the_reference_becomes_zero():

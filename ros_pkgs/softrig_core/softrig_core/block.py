@@ -48,7 +48,7 @@ class Block:
     Params: ClassVar[type[BlockParams]] = BlockParams
     INPUTS: ClassVar[tuple[Port, ...]] = ()
     OUTPUTS: ClassVar[tuple[Port, ...]] = ()
-    STALE_PERIODS: ClassVar[int] = 5  # realtime: age at which a plant no longer trusts a command
+    STALE_PERIODS: ClassVar[int] = 5  # realtime: age in its own periods at which a plant no longer trusts a command
 
     def __init__(self, params: BlockParams | None = None, name: str = "", **values: Any) -> None:
         self.p: Any = build(self.Params, values) if params is None else params

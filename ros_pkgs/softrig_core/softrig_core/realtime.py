@@ -170,8 +170,8 @@ class Realtime(Adapter):
             if item.port.held or name not in self.arrived:
                 continue
             link = self.links.inputs.get(name)
-            limit = to_ns(self.options.watchdog) or (
-                self.block.STALE_PERIODS * max(self.period, link.period if link else 0)
+            limit = to_ns(self.options.watchdog) or max(
+                self.block.STALE_PERIODS * self.period, Block.STALE_PERIODS * (link.period if link else 0)
             )
             if now - self.arrived[name] > limit:
                 inputs[name] = item.port.safe
