@@ -23,6 +23,7 @@ from softrig_core.signals import Signals
 from softrig_robots.driven_robot import compile_robot
 from softrig_robots.dynamics import RobotDynamics
 from softrig_robots.metrics import repeatability
+from softrig_robots.rehab.computation import PUBLISHED, computation_times
 from softrig_robots.rehab.controller import VoltageController
 from softrig_robots.rehab.emvc import Emvc
 from softrig_robots.rehab.impedance import Impedance
@@ -226,6 +227,13 @@ def test_only_the_ratio_of_alpha_hat_and_period_matters():
     np.testing.assert_allclose(rms(coarse), rms(nominal), rtol=0.03)
 
 
+def test_seconds_at_the_voltage_limit_are_said():
+    rig = Rig.from_scenario(load_scenario("rehab_impedance").model_copy(update={"duration": 1.0}))
+    level, text, _ = run_inprocess(rig, 0)["rehab_plant"].reports["saturation"]
+    assert level == Level.WARN
+    assert text == "motor voltages at their limit of 24 V for [0.008, 0.0] s (motor after motor)"
+
+
 def test_order_of_the_laws():
     emvc = rms(run("rehab_impedance"))
     assert (emvc < rms(run("rehab_impedance_r2")) / 20).all()
@@ -370,6 +378,15 @@ def test_tuner_node_waits_for_its_trigger_and_repeats_itself():
     assert first != tuned(6)
 
 
+# B11 has times; a test has none
+
+
+def test_computation_times_has_every_law():
+    times = computation_times(100)
+    assert list(times) == list(PUBLISHED) == ["emvc", "tsarc", "arsc"]
+    assert min(times.values()) > 0.0
+
+
 # impedance -------------------------------------------------------------------------------------------------------
 
 
@@ -473,6 +490,26 @@ def test_fast_joint_stops_the_robot_after_the_start():
     assert "limit 0.5 rad/s" in plant.reports["safe"][1]
 
 
+@pytest.mark.parametrize("alone", [0, 4, 10])
+def test_leg_that_stood_alone_is_taken_over(alone):
+    plant, source, controller = RehabPlant(), PromReference(), VoltageController()
+    begin = alone * 1000
+    for k in range(begin):
+        plant.advance(k * 1_000_000, motor_command=(0.0, 0.0))
+    fastest = 0.0
+    for k in range(begin, begin + 5000):
+        t, found = k * 1_000_000, plant.outputs(k * 1_000_000)
+        state = found["joint_states"][:4]
+        reference = source.update(t - begin * 1_000_000)["reference"]
+        command = controller.update(t, joint_states=state, motor_states=found["motor_states"], reference=reference,
+                                    applied_voltage=found["applied_voltage"])["motor_command"]  # fmt: skip
+        plant.advance(t, motor_command=command)
+        fastest = max(fastest, abs(state[2]), abs(state[3]))
+    assert not plant.safe
+    assert alone == 0 or fastest > math.radians(60.0)  # so the watch of the speed had to wait
+    assert state[:2] == pytest.approx(reference[:2], abs=math.radians(0.1))
+
+
 @pytest.mark.parametrize(("side", "warns"), [("motor", True), ("joint", False)])
 def test_inconsistent_motor_table_is_said_at_the_start(side, warns):
     plant = RehabPlant(torque_constant_side=side)
@@ -486,6 +523,10 @@ def test_inconsistent_motor_table_is_said_at_the_start(side, warns):
         (VoltageController, {"emvc.alpha_hat": 0.0}, r"alpha_hat = \[0\.0\]: expected only positive"),
         (VoltageController, {"emvc.lam": -1.0}, r"lam = \[-1\.0\]"),
         (VoltageController, {"emvc.alpha_hat": [1.0, 2.0, 3.0]}, r"emvc\.alpha_hat .* has 3 values, expected 1 or 2"),
+        (VoltageController, {"tsarc.alpha_hat": 0.0}, r"alpha_hat = \[0\.0\]: expected only positive"),
+        (VoltageController, {"tsarc.lam": 0.0}, r"lam = \[0\.0\]: expected only positive"),
+        (VoltageController, {"tsarc.phi": [0.02, 0.0]}, r"phi = \[0\.02, 0\.0\]: expected only positive"),
+        (VoltageController, {"tsarc.window": 0.0}, r"window = \[0\.0\]: expected only positive"),
         (VoltageController, {"law": "pid"}, "law = 'pid'"),
         (VoltageController, {"v_max": 0.0}, "v_max = 0.0"),
         (VoltageController, {"period": 0.0}, "period = 0.0"),
@@ -497,8 +538,10 @@ def test_inconsistent_motor_table_is_said_at_the_start(side, warns):
         (PromReference, {"lower": [2.5, -1.0]}, "expected lower < upper"),
         (PromReference, {"speed": 0.0}, "speed = "),
         (Tuner, {"lower": 13.0}, "lower = 13 and upper = 12"),
+        (Tuner, {"lower": 5.0}, r"lower = 5 V s/rad: expected less than 4\.6, 0\.9 of the stability limit"),
         (Patient, {"begin": 9.0}, "do not fit into cycle = 10 s"),
         (RehabPlant, {"position": [-0.6, -1.0]}, "position of the hip = -0.6 rad is outside its range"),
+        (RehabPlant, {"disturbance.begin": 46.0}, r"disturbance\.begin = 46 s and disturbance\.end = 45 s: expected"),
         (RehabPlant, {"segments.mass": [5.5, -5.0]}, r"segments\.mass\[1\] = -5 kg"),
         (RehabPlant, {"segments.inertia": [0.0, 0.2]}, r"segments\.inertia\[0\]"),
         (RehabPlant, {"friction.static": -0.1}, r"friction\.static"),
@@ -513,7 +556,17 @@ def test_bad_parameters_are_named(block, values, message):
 
 
 def test_start_outside_the_range_can_be_allowed():
-    assert RehabPlant(position=[-0.6, -1.0], start_outside=True).x[0] == -0.6
+    outside = {"position": [-0.7, -1.0], "start_outside": True}  # 10 degrees
+    plant = RehabPlant(**outside)
+    for k in range(300):
+        plant.advance(k * 1_000_000, motor_command=(6.0 if k < 200 else -24.0, 0.0))
+        if k == 199:
+            assert plant.x[0] > math.radians(-30.0)
+            assert not plant.safe
+    for k in range(300, 1500):
+        plant.advance(k * 1_000_000, motor_command=(-24.0, 0.0))
+    assert plant.safe  # it had been inside
+    assert "hip at " in plant.reports["safe"][1]
 
 
 def test_figures_while_running_equal_those_of_the_recording():

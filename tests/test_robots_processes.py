@@ -36,6 +36,21 @@ def test_overspeed_ends_the_run_naming_plant_and_limit(tmp_path):
     assert max(abs(x).max() for x in speeds) <= 0.3
 
 
+def test_leg_started_by_hand_long_before_its_controller(bench):
+    def start(name):
+        bench.start(name, name, package="softrig_robots")
+
+    start("rehab_plant")
+    bench.wait(lambda: bench.status("rehab_plant").get("ticks", 0) > 4000)
+    start("prom_reference")
+    start("voltage_controller")
+    bench.wait(lambda: bench.status("voltage_controller").get("ticks", 0) > 300)
+    assert "safe" not in bench.status("rehab_plant")["reports"]
+    bench.kill("voltage_controller")
+    bench.wait(lambda: "stale motor_command" in bench.status("rehab_plant")["reports"])
+    assert "for 0.02 s: safe input" in bench.status("rehab_plant")["reports"]["stale motor_command"][1]
+
+
 def test_leg_outside_its_range_is_stopped_and_said(tmp_path):
     wired = rig("rehab_impedance", 0.6, {"rehab_plant.lower": [0.0, -1.5], "rehab_plant.position": [0.1, -1.0]})
     outcome = run_processes(wired, 0, tmp_path)

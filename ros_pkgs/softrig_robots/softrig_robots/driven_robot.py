@@ -90,6 +90,7 @@ class DrivenRobot(Plant):
     """
 
     p: DrivenRobotParams
+    STALE_PERIODS: ClassVar[int] = 20  # at 1 kHz a late wake-up of the controller's host is not yet a lost controller
     TIP: ClassVar[str] = "tool"  # frame of the payload and of the outside force
 
     def robot(self) -> str:
@@ -153,15 +154,18 @@ class DrivenRobot(Plant):
         self.saturated = [0] * self.n
 
     def clip(self, command: Vector) -> Vector:
-        """Limit the voltages and keep count of the ticks on which each was limited."""
+        """Limit the voltages and keep count of the ticks on which each was at its limit.
+
+        A controller that keeps the limit itself sends exactly the limit: that is saturation too.
+        """
         top = self.p.v_max
-        if max(command) <= top and min(command) >= -top:
+        if max(command) < top and min(command) > -top:
             return command
         for i, v in enumerate(command):
-            self.saturated[i] += abs(v) > top
+            self.saturated[i] += abs(v) >= top
         seconds = [round(k * self.p.period, 9) for k in self.saturated]
         self.report(
-            Level.WARN, "saturation", f"motor voltages limited to {top:g} V for {seconds} s (motor after motor)"
+            Level.WARN, "saturation", f"motor voltages at their limit of {top:g} V for {seconds} s (motor after motor)"
         )
         return tuple(min(max(v, -top), top) for v in command)
 

@@ -29,13 +29,10 @@ class RobotDynamicsParams(BlockParams):
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
-        from .rigid_body import frame_id, load_model
+        from .rigid_body import check_robot
 
         require_positive("armature", spread("armature", self.armature, len(self.joints)), or_zero=True)
-        model = load_model(read_urdf(self.urdf))
-        frame_id(model, self.tool)
-        if tuple(model.names)[1:] != self.joints:
-            raise ValueError(f"joints = {list(self.joints)}, but {self.urdf} has {list(model.names)[1:]}")
+        check_robot(self.urdf, self.tool, self.joints)
         return self
 
 

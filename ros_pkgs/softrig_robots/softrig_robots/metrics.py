@@ -1,4 +1,7 @@
-"""Figures of tracking errors that `softrig_core.metrics` does not have; called the same way by a scenario."""
+"""Figures of tracking errors that `softrig_core.metrics` does not have; called the same way by a scenario.
+
+`repeatability` alone compares two recordings: no scenario can name it, call it from Python on two bags.
+"""
 
 from __future__ import annotations
 
@@ -76,7 +79,20 @@ def mean_absolute(signals: SignalMap, signal: str) -> float:
 
 
 def repeatability(first: SignalMap, second: SignalMap, signal: str) -> float:
-    """Squared change of an error from one run to another over its square, equation (25) of the rehabilitation paper."""
+    """Squared change of an error from one run to another over its square, equation (25) of the rehabilitation paper.
+
+    Parameters
+    ----------
+    first, second : mapping
+        Signals of two recordings of equal length, such as `softrig_bags.read.signals` gives.
+    signal : str
+        Name of the error in both.
+
+    Returns
+    -------
+    float
+        0 when the runs are equal.
+    """
     _, e = first[signal]
     _, other = second[signal]
     return float(((e - other) ** 2).sum() / (e**2).sum())

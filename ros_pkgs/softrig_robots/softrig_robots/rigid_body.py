@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 import pinocchio as pin
 
-from .urdf import check_inertia
+from .urdf import check_inertia, read_urdf
 
 
 def load_model(urdf: str) -> pin.Model:
@@ -39,6 +39,29 @@ def load_model(urdf: str) -> pin.Model:
         check_inertia(f"mass behind joint {names[i]}", body.mass, f"inertia behind joint {names[i]}",
                       moments.tolist())  # fmt: skip
     return model
+
+
+def check_robot(urdf: str, frame: str, joints: tuple[str, ...]) -> None:
+    """Refuse a robot that does not fit its parameters.
+
+    Parameters
+    ----------
+    urdf : str
+        File or package:// URI.
+    frame : str
+        Link frame that it must have.
+    joints : tuple of str
+        Joint names that it must have, in this order.
+
+    Raises
+    ------
+    ValueError
+        Says what is wrong with the URDF, or what it has instead.
+    """
+    model = load_model(read_urdf(urdf))
+    frame_id(model, frame)
+    if tuple(model.names)[1:] != joints:
+        raise ValueError(f"joints = {list(joints)}, but {urdf} has {list(model.names)[1:]}")
 
 
 def frame_id(model: pin.Model, frame: str) -> int:

@@ -46,12 +46,9 @@ class ManipulatorParams(DrivenRobotParams):
                              ("disturbance.amplitude", self.disturbance.amplitude)):  # fmt: skip
             spread(name, values, n)
         if self.urdf:
-            from ..rigid_body import frame_id, load_model
+            from ..rigid_body import check_robot
 
-            model = load_model(read_urdf(self.urdf))
-            frame_id(model, "tool")
-            if tuple(model.names)[1:] != self.joints:
-                raise ValueError(f"joints = {list(self.joints)}, but {self.urdf} has {list(model.names)[1:]}")
+            check_robot(self.urdf, "tool", self.joints)
         elif len(self.links.mass) != n:
             raise ValueError(f"joints = {list(self.joints)} for {len(self.links.mass)} links, expected one a link")
         return self

@@ -40,6 +40,13 @@ class TorqueWindow(Params):
     begin: float = param(35.0, "first instant", "s", ge=0.0)
     end: float = param(45.0, "first instant without it", "s", ge=0.0)
 
+    @model_validator(mode="after")
+    def _in_order(self) -> Self:
+        if self.begin > self.end:
+            raise ValueError(f"disturbance.begin = {self.begin:g} s and disturbance.end = {self.end:g} s: expected "
+                             "begin <= end")  # fmt: skip
+        return self
+
 
 class Drift(Params):
     """Motor parameters that change linearly over a run."""
@@ -68,8 +75,8 @@ class RehabParams(DrivenRobotParams):
     upper: PerJoint = param(UPPER, "upper ends of the range of motion", "rad")
     rom_margin: float = param(radians(5.0), "a joint further outside its range stops the robot", "rad", ge=0.0)
     rom_speed: float = param(radians(60.0), "a joint faster than this stops the robot", "rad/s", gt=0.0)
-    startup: float = param(3.0, "the speed is not watched before", "s", ge=0.0)
-    start_outside: bool = param(False, "allow q(0) outside the range of motion")
+    startup: float = param(3.0, "the speed is not watched for so long after the first voltage", "s", ge=0.0)
+    start_outside: bool = param(False, "allow q(0) outside the range of motion; a joint is watched once it is inside")
     force_limit: float = param(200.0, "a larger force at the foot is cut down to this", "N", gt=0.0)
 
     @model_validator(mode="after")
@@ -153,6 +160,8 @@ class RehabPlant(DrivenRobot):
         self._force: Vector = self.nowhere
         self.applied: Vector = (0.0,) * self.n
         self.safe = False
+        self._live: int | None = None  # when control began; by hand the plant may long have stood alone
+        self._entered = [False] * self.n
         if self._drifts:
             self.set_motors(1.0, 1.0)
         table = self._table
@@ -171,6 +180,8 @@ class RehabPlant(DrivenRobot):
 
     def advance(self, t: int, *, motor_command: Vector, patient_force: Vector | None = None) -> None:
         """Move with the clipped voltages and the force held."""
+        if self._live is None and any(motor_command):
+            self._live = t
         self._watch(t)
         if self._drifts:
             done = min(1.0, to_s(t) / self.p.drift.duration)
@@ -182,10 +193,13 @@ class RehabPlant(DrivenRobot):
     def _watch(self, t: int) -> None:
         """Stop the robot when a joint is where or as fast as it must not be."""
         q, v = self.x[: self.n], self.x[self.n : 2 * self.n]
+        started = self._live is not None and t >= self._live + self._startup
         for i, joint in enumerate(JOINTS):
-            if not self._low[i] <= q[i] <= self._high[i]:
+            inside = self._low[i] <= q[i] <= self._high[i]
+            self._entered[i] |= inside
+            if not inside and self._entered[i]:
                 reason = f"{joint} at {q[i]:.4g} rad, range {self._low[i]:.4g} to {self._high[i]:.4g} rad"
-            elif t >= self._startup and abs(v[i]) > self.p.rom_speed:
+            elif started and abs(v[i]) > self.p.rom_speed:
                 reason = f"{joint} at {v[i]:.4g} rad/s, limit {self.p.rom_speed:.4g} rad/s"
             else:
                 continue

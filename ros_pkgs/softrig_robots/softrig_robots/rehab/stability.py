@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from softrig_control.discretise import zero_order_hold
 
 from .model import LOWER, UPPER, RehabMotors, Segments
+from .plant import JointFriction
 
 Array = NDArray[np.float64]
 GRAVITY = 9.81
-VISCOUS = 1.2  # N m s/rad, of the published joints
 
 
 @lru_cache(maxsize=32)
@@ -55,6 +55,7 @@ def _sampled(q1: float, q2: float, T: float) -> tuple[Array, Array]:
     motors = {k: v[0] for k, v in RehabMotors().table(2).items()}
     (m1, m2), (l1, _), (d1, d2), (i1, i2) = s.mass, s.length, s.center, s.inertia
     r = motors["gear"]
+    viscous = JointFriction().viscous[0]
     coupling = m2 * l1 * d2 * cos(q2)
     m22 = i2 + m2 * d2**2
     mass = np.array([[i1 + m1 * d1**2 + m2 * l1**2 + m22 + 2.0 * coupling, m22 + coupling], [m22 + coupling, m22]])
@@ -64,7 +65,7 @@ def _sampled(q1: float, q2: float, T: float) -> tuple[Array, Array]:
     A, B = np.zeros((6, 6)), np.zeros((6, 2))
     A[:2, 2:4] = np.eye(2)
     A[2:4, :2] = -inverse @ stiffness
-    A[2:4, 2:4] = -inverse * (motors["damping"] / r**2 + VISCOUS)
+    A[2:4, 2:4] = -inverse * (motors["damping"] / r**2 + viscous)
     A[2:4, 4:] = inverse * motors["torque_constant"] / r
     A[4:, 2:4] = -np.eye(2) * motors["back_emf_constant"] / r / motors["inductance"]
     A[4:, 4:] = -np.eye(2) * motors["resistance"] / motors["inductance"]

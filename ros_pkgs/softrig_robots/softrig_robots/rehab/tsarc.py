@@ -7,10 +7,12 @@ part of the voltage, a first-order Taylor series in time with adapted coefficien
 from __future__ import annotations
 
 from math import tanh
+from typing import Self
 
+from pydantic import model_validator
 from softrig_core.params import param
 
-from ..joints import JointGains, PerJoint
+from ..joints import JointGains, PerJoint, require_positive
 
 
 class TsarcGains(JointGains):
@@ -24,6 +26,12 @@ class TsarcGains(JointGains):
     rho: PerJoint = param((0.5,), "size of the robust term", "V")
     phi: PerJoint = param((0.02,), "width of the robust term", "rad")
     window: PerJoint = param((1.0,), "duration T_w of one series", "s")
+
+    @model_validator(mode="after")
+    def _positive(self) -> Self:
+        for name in ("alpha_hat", "lam", "phi", "window"):
+            require_positive(name, getattr(self, name))
+        return self
 
 
 class Tsarc:

@@ -93,6 +93,11 @@ def cost(candidate: Point, duration: float = 15.0, guarded: bool = True) -> floa
     return mse + WEIGHT * variation**2 if guarded else mse
 
 
+def guarded_limit() -> float:
+    """Largest alpha_hat of the guarded search, V s/rad."""
+    return MARGIN * alpha_hat_limit(PERIOD, LAMBDA, False)
+
+
 def search(
     seed: int | np.random.Generator = 0, *, guarded: bool = True, lower: float = 0.05, upper: float = 12.0,
     n_pop: int = 20, n_iter: int = 10,
@@ -111,7 +116,7 @@ def search(
         Population and generations after the first.
     """
     if guarded:
-        upper = min(upper, MARGIN * alpha_hat_limit(PERIOD, LAMBDA, False))
+        upper = min(upper, guarded_limit())
     return Genetic([lower], [upper], seed, n_pop=n_pop, n_iter=n_iter)
 
 
@@ -156,6 +161,9 @@ class TunerParams(BlockParams):
     def _bounds(self) -> Self:
         if not self.lower < self.upper:
             raise ValueError(f"lower = {self.lower:g} and upper = {self.upper:g} V s/rad: expected lower < upper")
+        if self.guarded and self.lower >= guarded_limit():
+            raise ValueError(f"lower = {self.lower:g} V s/rad: expected less than {guarded_limit():.3g}, "
+                             f"{MARGIN:g} of the stability limit, for a guarded search")  # fmt: skip
         return self
 
 
