@@ -1,18 +1,24 @@
 """The command line as a user calls it: exit status, files, one line for every mistake."""
 
+import ast
 import json
 import os
+import shutil
 import subprocess
 import sys
 import types
 from pathlib import Path
 
 import pytest
-from softrig_bringup.cli import main
+from softrig_bringup.cli import _parser, _repeat, main
 from softrig_bringup.run import gaps
+from softrig_core import signals
 from softrig_core.recording import Recording
 from softrig_core.rig import Rig
 from softrig_core.scenario import load_scenario
+from softrig_drives.induction_dtc import bench as induction
+
+SCRIPTS = Path(__file__).parents[1] / "scripts"
 
 SCENARIO = """
 title: First-order lag
@@ -33,6 +39,8 @@ variants:
     metrics: [{name: last, function: final_value, arguments: {signal: lag/state/x/position}, expected: 9.0}]
   typo:
     metrics: [{name: last, function: finalvalue, arguments: {}}]
+  plot_typo:
+    plots: [{title: Position, signals: {lag/state/y/position: y}}]
   breaks:
     nodes: {gain: {executable: killed, parameters: {how: nan, at: 0.5, noise: null}}}
 """
@@ -81,6 +89,49 @@ def test_exit_status_tells_a_miss_from_a_mistake_from_a_break(folder, capsys):
     error = capsys.readouterr().err
     assert "the run broke: gain: command u/effort became nan at t = 0.5 s" in error
     assert json.loads((folder / "runs" / "lag_breaks" / "metrics.json").read_text())["error"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("lag", "--set", "gain.k=[1"), "--set 'gain.k=[1': the value is not valid YAML: expected ',' or ']'"),
+        (("lag", "--seed", "-1"), "--seed: Input should be greater than or equal to 0, got -1"),
+        (("lag_plot_typo",), "plot 'Position': no signal 'lag/state/y/position'; the rig has lag/state/x/position"),
+    ],
+)
+def test_a_mistake_is_one_line_before_the_run(folder, capsys, monkeypatch, arguments, message):
+    monkeypatch.setattr("softrig_bringup.run.run_inprocess", None)  # nothing may run
+    assert run(*arguments, "--mode", "inprocess") == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"softrig: {message}")
+    assert not (folder / "runs" / arguments[0] / "metrics.json").exists()
+
+
+@pytest.mark.parametrize("error", [AttributeError, IndexError, KeyError, TypeError, ValueError, ZeroDivisionError])
+def test_a_metric_that_cannot_be_computed_is_a_miss_with_its_reason(folder, monkeypatch, error):
+    def broken(signals, signal):
+        raise error("no such thing")
+
+    monkeypatch.setattr("softrig_core.metrics.final_value", broken)
+    assert run("lag", "--mode", "inprocess", "--no-record", "--no-plots") == 1
+    (metric,) = json.loads((folder / "runs" / "lag" / "metrics.json").read_text())["metrics"]
+    assert (metric["value"], metric["pass"]) == (None, False)
+    assert "no such thing" in metric["error"]
+
+
+def test_metrics_and_pictures_share_the_decoded_signals(monkeypatch):
+    decoded = []
+    decode = signals._decode
+    monkeypatch.setattr(signals, "_decode", lambda topic, epoch: decoded.append(topic.name) or decode(topic, epoch))
+    assert run("lag", "--mode", "inprocess", "--no-record") == 0
+    assert sorted(decoded) == sorted(set(decoded))
+    assert "lag/state" in decoded
+
+
+def test_the_command_of_a_run_repeats_it():
+    arguments = ["lag", "--mode", "realtime", "--set", "gain.k=2", "--external", "gain", "--duration", "0.5",
+                 "--seed", "3", "--domain", "42"]  # fmt: skip
+    assert _repeat(_parser().parse_args(["run", *arguments, "--out", "x"])) == arguments
 
 
 @pytest.mark.processes
@@ -173,3 +224,72 @@ def test_the_launch_file_starts_the_nodes_of_a_scenario(monkeypatch):
     assert [n.keywords["executable"] for n in nodes] == ["plant", "source", "gain"]
     assert nodes[2].keywords["parameters"][0]["noise"] == 0.01
     assert nodes[2].keywords["parameters"][0]["run.mode"] == "lockstep"
+
+
+# Stands in for Python, colcon and what they make: a set-up in a second without a network.
+STUB = """#!/bin/bash
+case "$*" in
+*venv*/.venv) mkdir -p "${@: -1}/bin"; cp "$0" "${@: -1}/bin/python"; cp "$0" "${@: -1}/bin/colcon" ;;
+*build*) sleep 1; mkdir -p .ws/install/lib/softrig_bringup
+    echo 'export PYTHONPATH=/built AMENT_PREFIX_PATH=/built' >.ws/install/setup.sh
+    install -m 755 /dev/null .ws/install/lib/softrig_bringup/softrig ;;
+esac
+"""
+
+
+def test_a_call_that_waited_for_the_set_up_of_another_runs_as_that_one(tmp_path):
+    for folder in ("scripts", "ros_pkgs/here", "config/scenarios", "bin"):
+        (tmp_path / folder).mkdir(parents=True)
+    for file in ("setup.py", "setup.cfg", "package.xml"):
+        (tmp_path / "ros_pkgs" / "here" / file).touch()
+    (tmp_path / "scripts" / "requirements.lock").touch()
+    shutil.copy(SCRIPTS / "softrig", tmp_path / "scripts" / "softrig")
+    stub = tmp_path / "bin" / "python3.13"
+    stub.write_text(STUB)
+    stub.chmod(0o755)
+    clean = {"PATH": f"{tmp_path / 'bin'}:/usr/bin:/bin", "HOME": str(tmp_path)}
+    calls = [
+        subprocess.Popen([tmp_path / "scripts" / "softrig", "env"], env=clean, stdout=subprocess.PIPE,
+                         stderr=subprocess.PIPE, text=True)
+        for _ in range(2)
+    ]  # fmt: skip
+    (first, said), (second, also) = (call.communicate(timeout=60) for call in calls)
+    assert [call.returncode for call in calls] == [0, 0], said + also
+    assert sorted(("ready after" in said, "ready after" in also)) == [False, True]  # one set up, one waited
+    assert first == second
+    assert f"export SOFTRIG_SCENARIOS={tmp_path}/config/scenarios" in first
+    assert "export AMENT_PREFIX_PATH=/built" in first
+
+
+KEYS = {"casadi": "python3-casadi-pip", "ruamel": "python3-ruamel.yaml"} | {
+    name: f"python3-{name}" for name in ("matplotlib", "numpy", "pyarrow", "pydantic", "rich", "scipy")
+}
+FROM_PIP = {"backports", "compression", "distributed", "mcap", "rosbags"}  # no rosdep key; the README says so
+OTHERS = {"motulator", "gym_electric_motor"}  # compared with where somebody has installed them
+
+
+@pytest.mark.parametrize("package", sorted(p.parent.name for p in SCRIPTS.parent.glob("ros_pkgs/*/package.xml")))
+def test_every_import_is_declared(package):
+    folder = SCRIPTS.parent / "ros_pkgs" / package
+    used = set()
+    for file in (*folder.glob(f"{package}/**/*.py"), *folder.glob("launch/*.py")):
+        for node in ast.walk(ast.parse(file.read_text())):
+            if isinstance(node, ast.Import):
+                used |= {alias.name.partition(".")[0] for alias in node.names}
+            elif isinstance(node, ast.ImportFrom) and not node.level:
+                used.add(node.module.partition(".")[0])
+    used -= set(sys.stdlib_module_names) | FROM_PIP | OTHERS | {package}
+    manifest = (folder / "package.xml").read_text()
+    missing = {KEYS.get(name, name) for name in used if f"<exec_depend>{KEYS.get(name, name)}</" not in manifest}
+    assert not missing, f"{package}/package.xml does not declare {', '.join(sorted(missing))}"
+
+
+def test_both_ways_to_the_induction_bench_print_the_same_table(monkeypatch, capsys):
+    times = {"ours": 0.5, "theirs": 2.0, "absent": None}
+    monkeypatch.setattr(induction, "simulated_second", lambda python: times)
+    monkeypatch.setattr(induction, "agreement", lambda python: (1e-9, 2e-8))
+    induction.print_table()
+    table = capsys.readouterr().out
+    assert [line.split()[-2] for line in table.splitlines()[:2]] == ["1.0", "4.0"]
+    assert main(["bench", "induction"]) == 0
+    assert table in capsys.readouterr().out

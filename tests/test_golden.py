@@ -10,6 +10,7 @@ from softrig_bags.compare import compare
 from softrig_bags.read import read_bag
 from softrig_bringup.golden import create, load, main
 from softrig_core.domain import free_domain
+from softrig_core.errors import ScenarioError
 from softrig_core.processes import PROFILE, find_executable, node_parameters, run_processes
 from softrig_core.rig import Rig
 from softrig_core.scenario import load_scenario
@@ -102,14 +103,46 @@ def test_one_per_cent_of_a_gain_fails_both_regressions(name, node, parameter):
 
 def test_making_one_anew_shows_the_difference_and_check_tells_it(tmp_path, capsys):
     create(tmp_path / "dc_motor_smc_b2", "dc_motor_smc_b2", 0.2, 0).make()
-    assert main([], tmp_path, duration=None, seed=0, check=True) == 0
+    assert main([], tmp_path, duration=None, seed=None, check=True) == 0
     recipe = tmp_path / "dc_motor_smc_b2" / "golden.yaml"
     recipe.write_text(recipe.read_text().replace("scenario: dc_motor_smc_b2", "scenario: dc_motor_smc_b2_delta2"))
-    assert main([], tmp_path, duration=None, seed=0, check=True) == 1
+    assert main([], tmp_path, duration=None, seed=None, check=True) == 1
     assert "motor/command" in capsys.readouterr().out
-    assert main([], tmp_path, duration=None, seed=0, check=False) == 0
+    assert main([], tmp_path, duration=None, seed=None, check=False) == 0
     assert "DIFFERS" in capsys.readouterr().out
-    assert main([], tmp_path, duration=None, seed=0, check=True) == 0
+    assert main([], tmp_path, duration=None, seed=None, check=True) == 0
+
+
+def test_another_duration_or_seed_leaves_what_was_edited_by_hand(tmp_path):
+    folder = tmp_path / "dc_motor_smc_b1"
+    create(folder, "dc_motor_smc_b1", 0.2).make()
+    file = folder / "golden.yaml"
+    edited = file.read_text().replace("tolerances: {}", "tolerances: {motor/*: {absolute: 0.5}}")
+    file.write_text(edited.replace("why: ''", "why: by hand"))
+    assert main([folder.name], tmp_path, duration=0.1, seed=None, check=False) == 0
+    assert main([folder.name], tmp_path, duration=None, seed=3, check=False) == 0
+    recipe = load(folder).recipe
+    assert (recipe.duration, recipe.seed, recipe.why) == (0.1, 3, "by hand")
+    assert recipe.tolerances["motor/*"].absolute == 0.5
+    assert Signals(load(folder).recording())["motor/state/shaft/velocity"].t[-1] == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize(
+    ("keys", "message"),
+    [({"duration": 1.0, "check": True}, r"--check with --duration: expected --check alone"),
+     ({"seed": 1, "check": True}, r"--check with --seed"),
+     ({"duration": -1.0}, r"golden\.yaml: duration: Input should be greater than 0, got -1"),
+     ({"seed": -1}, r"golden\.yaml: seed: Input should be greater than or equal to 0, got -1")],
+)  # fmt: skip
+@pytest.mark.parametrize("there", [True, False])
+def test_what_a_golden_run_cannot_be_is_refused_and_changes_nothing(tmp_path, there, keys, message):
+    file = tmp_path / "dc_motor_smc_b1" / "golden.yaml"
+    if there:
+        create(file.parent, "dc_motor_smc_b1", 0.1)
+    before = file.read_text() if there else None
+    with pytest.raises(ScenarioError, match=message):
+        main(["dc_motor_smc_b1"], tmp_path, **{"duration": None, "seed": None, "check": False, **keys})
+    assert (file.read_text() if file.exists() else None) == before
 
 
 def test_bags_of_equal_runs_are_equal_bit_for_bit(tmp_path):

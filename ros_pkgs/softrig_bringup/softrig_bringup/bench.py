@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import statistics
 import subprocess
 import sys
@@ -19,7 +18,7 @@ from softrig_core.block import Block
 from softrig_core.domain import free_domain
 from softrig_core.errors import ScenarioError
 from softrig_core.inprocess import run_inprocess
-from softrig_core.processes import PROFILE, run_processes
+from softrig_core.processes import environment, run_processes
 from softrig_core.recording import Recording, ShardWriter
 from softrig_core.rig import Member, Rig
 from softrig_core.scenario import NodeEntry, Scenario, load_scenario
@@ -57,15 +56,12 @@ def dc_motor_rig(controllers: int = 1, ticks: int = LOOPS) -> Rig:
 
 def ping_pong(kind: str, loops: int = LOOPS) -> dict[str, float]:
     """Measure the bare ping-pong between two processes: loops/s, p50 and p99 in us."""
-    with free_domain() as domain:
-        environment = os.environ | {
-            "ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-            "FASTRTPS_DEFAULT_PROFILES_FILE": str(PROFILE),
-        }  # fmt: skip
+    with free_domain() as domain, tempfile.TemporaryDirectory() as folder:
+        variables = environment(domain, Path(folder))
         command = [sys.executable, "-m", "softrig_bringup.bench_peers", kind]
-        pong = subprocess.Popen([*command, "pong", str(loops)], env=environment)
+        pong = subprocess.Popen([*command, "pong", str(loops)], env=variables)
         try:
-            ping = subprocess.run([*command, "ping", str(loops)], env=environment, capture_output=True, text=True,
+            ping = subprocess.run([*command, "ping", str(loops)], env=variables, capture_output=True, text=True,
                                   check=True, timeout=120)  # fmt: skip
         finally:
             pong.kill()
@@ -258,13 +254,9 @@ def _timed(member: Member, spent: dict[str, int]) -> None:
 
 def induction() -> None:
     """One simulated second of the induction motor drive beside motulator and gym-electric-motor, where installed."""
-    from softrig_drives.induction_dtc.bench import simulated_second
+    from softrig_drives.induction_dtc.bench import print_table
 
-    found = simulated_second()
-    ours = next(v for v in found.values() if v is not None)
-    for name, seconds in found.items():
-        text = "not installed" if seconds is None else f"{seconds:.2f} s CPU, {seconds / ours:.1f} x the first"
-        console.print(f"{name}: {text}")
+    print_table()
 
 
 PARTS: dict[str, Callable[[], None]] = {

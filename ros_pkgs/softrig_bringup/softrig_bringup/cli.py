@@ -90,8 +90,8 @@ def _parser() -> argparse.ArgumentParser:
     golden = verb("golden", _golden, "make golden bags anew and show the difference to the old, or check them")
     golden.add_argument("names", nargs="*", metavar="SCENARIO", help="default: all that are there")
     golden.add_argument("--check", action="store_true", help="only compare; exit status 1 when one differs")
-    golden.add_argument("--duration", type=float, metavar="S", help="length of a new golden run")
-    golden.add_argument("--seed", type=int, default=0, metavar="N")
+    golden.add_argument("--duration", type=float, metavar="S", help="another length of the golden run")
+    golden.add_argument("--seed", type=int, metavar="N", help="another seed")
     golden.add_argument("--bags", type=Path, default=Path("bags"), metavar="DIR", help="where they are")
     bench = verb("bench", _bench, "measure: ratios against a raw ping-pong of the same run")
     bench.add_argument("parts", nargs="*", metavar="PART", help="which parts (default all); `bench list` names them")
@@ -119,16 +119,17 @@ def _run(options: argparse.Namespace) -> int:
 
     scenario = load_scenario(options.scenario, dict(_assignment(text) for text in options.set))
     changes: dict[str, Any] = {}
-    if options.duration is not None:
-        changes["duration"] = options.duration
+    for key in ("duration", "seed"):
+        if getattr(options, key) is not None:
+            changes[key] = getattr(options, key)
     for name in options.external:
         changes = merge(changes, {"nodes": {name: {"external": True}}})
     if changes:
         scenario = _changed(scenario, changes)
     out = (options.out or Path("runs") / scenario.name).absolute()
     with _progress(scenario) as progress:
-        run = execute(scenario, options.mode, out / "log", seed=options.seed, domain=options.domain,
-                      progress=progress, announce=lambda text: print(f"softrig: {text}", file=sys.stderr))  # fmt: skip
+        run = execute(scenario, options.mode, out / "log", domain=options.domain, progress=progress,
+                      announce=lambda text: print(f"softrig: {text}", file=sys.stderr))  # fmt: skip
     metrics = [] if run.error else evaluate(scenario, run.signals)
     command = shlex.join(["scripts/softrig", "run", *_repeat(options)])
     save(run, summary(run, metrics, command), out, record=not options.no_record, plots=not options.no_plots)
@@ -145,7 +146,9 @@ def _repeat(options: argparse.Namespace) -> list[str]:
     arguments = [options.scenario, "--mode", options.mode]
     for text in options.set:
         arguments += ["--set", text]
-    for name in ("duration", "seed"):
+    for name in options.external:
+        arguments += ["--external", name]
+    for name in ("duration", "seed", "domain"):
         if getattr(options, name) is not None:
             arguments += [f"--{name}", str(getattr(options, name))]
     return arguments
@@ -153,12 +156,17 @@ def _repeat(options: argparse.Namespace) -> list[str]:
 
 def _assignment(text: str) -> tuple[str, Any]:
     from ruamel.yaml import YAML
+    from ruamel.yaml.error import YAMLError
     from softrig_core.errors import ScenarioError
 
     key, separator, value = text.partition("=")
     if not separator or "." not in key:
         raise ScenarioError(f"--set {text!r}: expected node.parameter=value")
-    return key, YAML(typ="safe", pure=True).load(value)
+    try:
+        return key, YAML(typ="safe", pure=True).load(value)
+    except YAMLError as error:
+        why = " ".join(str(getattr(error, "problem", error)).split())
+        raise ScenarioError(f"--set {text!r}: the value is not valid YAML: {why}") from None
 
 
 def _changed(scenario: Scenario, changes: dict[str, Any]) -> Scenario:
@@ -196,6 +204,8 @@ def _print_metrics(scenario: Scenario, run: Any, metrics: list[dict[str, Any]], 
     from rich.console import Console
     from rich.table import Table
 
+    from .report import Metric, accepted
+
     console = Console(highlight=False, width=None if sys.stdout.isatty() else 140)
     title = f"{scenario.name}: {scenario.title}"
     table = Table("metric", title=title, title_justify="left", box=None, pad_edge=False)
@@ -203,7 +213,7 @@ def _print_metrics(scenario: Scenario, run: Any, metrics: list[dict[str, Any]], 
         table.add_column(name, justify="left" if name in ("unit", "") else "right")
     for m in metrics:
         mark = "[green]pass[/]" if m["pass"] else f"[red]MISS[/] {m.get('error', '')}"
-        table.add_row(m["name"], _number(m["published"]), _number(m["value"]), expectation(m), m["unit"], mark)
+        table.add_row(m["name"], _number(m["published"]), _number(m["value"]), accepted(Metric(**m)), m["unit"], mark)
     console.print(table)
     ticks = run.rig.end // run.rig.clock.period
     speed = "" if run.mode == "realtime" else f" ({scenario.duration / run.wall_s:.3g} x real time)"
@@ -222,18 +232,6 @@ def _print_metrics(scenario: Scenario, run: Any, metrics: list[dict[str, Any]], 
 
 def _number(value: float | None) -> str:
     return "" if value is None else f"{value:.6g}"
-
-
-def expectation(metric: dict[str, Any]) -> str:
-    """What a metric should be, as text."""
-    parts = []
-    if metric.get("expected") is not None:
-        parts.append(f"{metric['expected']:.6g} ± {metric.get('tolerance') or 0:.2g}")
-    if metric.get("at_most") is not None:
-        parts.append(f"≤ {metric['at_most']:.6g}")
-    if metric.get("at_least") is not None:
-        parts.append(f"≥ {metric['at_least']:.6g}")
-    return ", ".join(parts)
 
 
 def _node(options: argparse.Namespace) -> int:

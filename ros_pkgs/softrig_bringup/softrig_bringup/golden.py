@@ -56,7 +56,7 @@ class Recipe(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
     scenario: str
     duration: float = Field(gt=0)
-    seed: int = 0
+    seed: int = Field(0, ge=0)
     default: Allowed = Allowed()
     tolerances: dict[str, Allowed] = {}
     why: str = ""
@@ -109,8 +109,14 @@ class Golden:
         return difference
 
 
-def load(folder: Path) -> Golden:
+def load(folder: Path, **changes: Any) -> Golden:
     """Read a golden folder.
+
+    Parameters
+    ----------
+    folder : Path
+    **changes
+        Keys of the recipe that are to differ from golden.yaml.
 
     Raises
     ------
@@ -118,25 +124,37 @@ def load(folder: Path) -> Golden:
         golden.yaml is missing or wrong; names file and key.
     """
     from ruamel.yaml import YAML
+    from ruamel.yaml.error import YAMLError
 
     file = folder / "golden.yaml"
     if not file.is_file():
         raise ScenarioError(f"{folder} has no golden.yaml")
     try:
-        recipe = Recipe.model_validate(YAML(typ="safe", pure=True).load(file.read_text()))
+        content = YAML(typ="safe", pure=True).load(file.read_text())
+    except YAMLError as error:
+        raise ScenarioError(f"{file}: not valid YAML: {' '.join(str(error).split())}") from None
+    recipe = _recipe(file, content | changes if isinstance(content, dict) else content)
+    return Golden(folder, recipe, _rig(recipe))
+
+
+def create(folder: Path, scenario: str, duration: float | None = None, seed: int = 0) -> Golden:
+    """Make the recipe of a new golden bag; it lasts as long as the scenario when no duration is given."""
+    file = folder / "golden.yaml"
+    duration = load_scenario(scenario).duration if duration is None else duration
+    recipe = _recipe(file, {"scenario": scenario, "duration": duration, "seed": seed})
+    rig = _rig(recipe)
+    folder.mkdir(parents=True, exist_ok=True)
+    _write(file, recipe)
+    return Golden(folder, recipe, rig)
+
+
+def _recipe(file: Path, content: Any) -> Recipe:
+    try:
+        return Recipe.model_validate(content)
     except ValidationError as error:
         first = error.errors()[0]
-        raise ScenarioError(f"{file}: {'.'.join(map(str, first['loc']))}: {first['msg']}") from None
-    return Golden(folder, recipe, _rig(recipe))
-
-
-def create(folder: Path, scenario: str, duration: float | None, seed: int) -> Golden:
-    """Make the recipe of a new golden bag."""
-    full = load_scenario(scenario)
-    recipe = Recipe(scenario=scenario, duration=duration or full.duration, seed=seed)
-    folder.mkdir(parents=True, exist_ok=True)
-    _write(folder / "golden.yaml", recipe)
-    return Golden(folder, recipe, _rig(recipe))
+        where = ".".join(map(str, first["loc"]))
+        raise ScenarioError(f"{file}: {where}: {first['msg']}, got {first['input']!r}") from None
 
 
 def _rig(recipe: Recipe) -> Rig:
@@ -155,20 +173,22 @@ def _write(file: Path, recipe: Recipe) -> None:
         yaml.dump(content, stream)
 
 
-def main(names: Sequence[str], folder: Path, *, duration: float | None, seed: int, check: bool) -> int:
-    """Regenerate golden bags (all of the folder when none is named), or only check them."""
+def main(names: Sequence[str], folder: Path, *, duration: float | None, seed: int | None, check: bool) -> int:
+    """Regenerate golden bags (all of the folder when none is named), or only check them.
+
+    A duration or seed changes the recipes that are there and leaves the rest of them, which was edited by hand.
+    """
+    changes: dict[str, Any] = {k: v for k, v in {"duration": duration, "seed": seed}.items() if v is not None}
+    if check and changes:
+        given = " and ".join(f"--{key}" for key in changes)
+        raise ScenarioError(f"golden --check with {given}: expected --check alone, a bag is checked as it was made")
     chosen = list(names) or sorted(p.parent.name for p in folder.glob("*/golden.yaml"))
     if not chosen:
         raise ScenarioError(f"{folder} has no golden bags yet; name the scenarios to make them of")
     status = 0
     for name in chosen:
         there = (folder / name / "golden.yaml").is_file()
-        if there and duration is None:
-            golden = load(folder / name)
-        elif check:
-            raise ScenarioError(f"{folder / name} has no golden.yaml")
-        else:
-            golden = create(folder / name, name, duration, seed)
+        golden = load(folder / name, **changes) if there or check else create(folder / name, name, **changes)
         try:
             result = golden.compare(golden.rerun()) if check else golden.make()
         except RunError as error:

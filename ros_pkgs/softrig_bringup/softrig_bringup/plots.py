@@ -88,6 +88,31 @@ def units(rig: Rig) -> dict[str, str]:
     }
 
 
+def check_plots(rig: Rig) -> None:
+    """Check that the rig has the signals of its scenario's plots.
+
+    Raises
+    ------
+    ScenarioError
+        A plot names a signal that the rig does not have.
+    """
+    known = units(rig)
+    for entry in rig.scenario.plots:
+        if entry.x:
+            names = list(entry.signals)
+            names += [f"{_topic(name, rig.topics)}/{entry.x}" for name in names if name in known]
+        else:
+            names = [part for name in entry.signals for part in name.split(" - ", 1)]
+        wrong = next((name for name in names if name not in known), None)
+        if wrong is not None:
+            raise ScenarioError(f"plot {entry.title!r}: no signal {wrong!r}; the rig has {', '.join(known)}")
+
+
+def _topic(name: str, topics: Iterable[str]) -> str:
+    """Give the topic of a signal."""
+    return max((t for t in topics if name.startswith(f"{t}/")), key=len)
+
+
 def pretty_unit(unit: str) -> str:
     """Set a unit as it is printed: ``kg m^2`` as kg m², ``ohm`` as Ω.
 
@@ -130,6 +155,7 @@ def plot_run(signals: Signals, rig: Rig, directory: Path) -> list[Path]:
     """
     from matplotlib import rc_context
 
+    check_plots(rig)
     source = _Source(signals, rig)
     paths = []
     with rc_context(_STYLE):
@@ -207,7 +233,7 @@ class _Source:
         return Curve(label or f"{first} - {second}", a.unit, a.x[:n][both], a.y[:n][both] - b.y[newest[both]])
 
     def topic(self, name: str) -> str:
-        return max((t for t in self.topics if name.startswith(f"{t}/")), key=len)
+        return _topic(name, self.topics)
 
     def names(self, topic: str) -> list[str]:
         """Give the signals of a topic."""
@@ -222,9 +248,7 @@ class _Source:
     def shown(self, entry: PlotEntry, name: str) -> Curve:
         """Give a signal of a plot entry inside the entry's window."""
         first, minus, second = name.partition(" - ")
-        self._check(entry, first)
         if minus:
-            self._check(entry, second)
             curve = self.difference(first, second, entry.signals[name])
         else:
             curve = self.curve(name, entry.signals[name])
@@ -233,16 +257,10 @@ class _Source:
 
     def against(self, entry: PlotEntry, name: str) -> tuple[str, Curve]:
         """Give the signal of the x axis and the curve over it."""
-        self._check(entry, name)
         over = f"{self.topic(name)}/{entry.x}"
-        self._check(entry, over)
         x, y = self.curve(over), self.curve(name, entry.signals[name])
         inside = self._inside(entry, y.x)
         return over, replace(y, x=x.y[inside], y=y.y[inside], held=False)
-
-    def _check(self, entry: PlotEntry, name: str) -> None:
-        if name not in self.units:
-            raise ScenarioError(f"plot {entry.title!r}: no signal {name!r}; the rig has {', '.join(self.units)}")
 
     @staticmethod
     def _inside(entry: PlotEntry, t: Array) -> slice:

@@ -218,7 +218,7 @@ def _metrics(run: Run) -> Element:
             _measured(m),
             pretty_unit(m.unit),
             _difference(m.value, m.published),
-            _accepted(m),
+            accepted(m) or NONE,
             _gauge(m),
             _result(m),
         )
@@ -258,8 +258,8 @@ def _difference(value: float | None, published: float | None) -> str:
     return f"{100.0 * (value - published) / abs(published):+.2f} %".replace("-", "−")
 
 
-def _accepted(metric: Metric) -> str:
-    """The interval that passes."""
+def accepted(metric: Metric) -> str:
+    """Write the interval that passes; empty when nothing was asked."""
     parts = []
     if metric.expected is not None:
         parts.append(f"{_number(metric.expected)} ± {_number(metric.tolerance or 0.0)}")
@@ -267,7 +267,7 @@ def _accepted(metric: Metric) -> str:
         parts.append(f"≥ {_number(metric.at_least)}")
     if metric.at_most is not None:
         parts.append(f"≤ {_number(metric.at_most)}")
-    return ", ".join(parts) or NONE
+    return ", ".join(parts)
 
 
 def _gauge(metric: Metric) -> Element | str:

@@ -11,6 +11,7 @@ import shutil
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
@@ -22,6 +23,8 @@ from softrig_core.recording import Recording
 from softrig_core.rig import CLOCK, Rig, is_observer
 from softrig_core.scenario import MetricEntry, Scenario
 from softrig_core.signals import Signals
+
+from .plots import check_plots, plot_run
 
 Mode = Literal["processes", "inprocess", "realtime"]
 
@@ -53,9 +56,9 @@ class Run:
     status: dict[str, dict[str, Any]] = field(default_factory=dict)
     error: str = ""
 
-    @property
+    @cached_property
     def signals(self) -> Signals:
-        """Signals of the recording."""
+        """Signals of the recording; decoded once for metrics and pictures."""
         return Signals(self.recording, self.epoch)
 
 
@@ -64,7 +67,6 @@ def execute(
     mode: Mode,
     directory: Path,
     *,
-    seed: int | None = None,
     domain: int | None = None,
     progress: Callable[[int], object] | None = None,
     announce: Callable[[str], object] | None = None,
@@ -77,17 +79,16 @@ def execute(
     mode : {"processes", "inprocess", "realtime"}
     directory : Path
         For the logs of node processes.
-    seed : int, optional
-        Instead of the scenario's.
     domain : int, optional
         ROS_DOMAIN_ID instead of a free one.
     progress, announce : callable, optional
         See `softrig_core.processes.run_processes`.
     """
     rig = Rig.from_scenario(scenario)
-    for entry in scenario.metrics:
-        _function(entry)  # a misspelt one is found before the run, not after it
-    seed = scenario.seed if seed is None else seed
+    for entry in scenario.metrics:  # what is misspelt is found before the run, not after it
+        _function(entry)
+    check_plots(rig)
+    seed = scenario.seed
     started = time.perf_counter()
     if mode == "inprocess":
         recording = Recording((t, p.msgtype) for t, p in rig.topics.items())
@@ -149,7 +150,7 @@ def evaluate(scenario: Scenario, signals: Signals) -> list[dict[str, Any]]:
             result |= {"value": value if math.isfinite(value) else None, "pass": _passes(entry, value)}
             if not math.isfinite(value):
                 result["error"] = f"the result is {value}"
-        except (ValueError, KeyError, TypeError) as error:
+        except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
             result |= {"value": None, "pass": False, "error": str(error)}
         results.append(result)
     return results
@@ -222,7 +223,6 @@ def save(run: Run, content: Mapping[str, Any], directory: Path, *, record: bool 
     (directory / "metrics.json").write_text(json.dumps(content, indent=1) + "\n")
     if not plots:
         return
-    from .plots import plot_run
     from .report import write_report
 
     if any(topic.times for topic in run.recording.topics.values()):

@@ -114,9 +114,14 @@ def _cpu(function: Callable[[], object]) -> float:
     return statistics.median(times)
 
 
-def main() -> None:
-    """Print the table: ``python -m softrig_drives.induction_dtc.bench [PYTHON]``."""
-    python = sys.argv[1] if len(sys.argv) > 1 else sys.executable
+def print_table(python: str = sys.executable) -> None:
+    """Print the times and how far motulator ends from ours: ``python -m softrig_drives.induction_dtc.bench [PYTHON]``.
+
+    Parameters
+    ----------
+    python : str
+        Interpreter that may have motulator and gym-electric-motor.
+    """
     results = simulated_second(python)
     ours = next(iter(results.values())) or 0.0
     for name, seconds in results.items():
@@ -129,4 +134,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    print_table(*sys.argv[1:])
