@@ -1,6 +1,7 @@
 """CDR codecs: against rosbags' own serializer, by property, and against malformed bytes."""
 
 import math
+import re
 import struct
 
 import numpy as np
@@ -129,8 +130,10 @@ def test_big_endian_is_understood():
     ],
 )
 def test_a_bad_message_is_refused_with_the_reason(data, reason):
-    with pytest.raises(Refused, match=reason.replace("[", r"\[").replace("(", r"\(").replace(")", r"\)")):
-        Decoder(command("a", "t", ["u"], "V"))(data)
+    decode = Decoder(command("a", "t", ["u"], "V"))
+    for _ in range(2):  # the second time too: nothing may be learnt from it
+        with pytest.raises(Refused, match=re.escape(reason)):
+            decode(data)
 
 
 @given(st.binary(max_size=200))
@@ -165,8 +168,10 @@ def test_large_finite_values_pass_although_their_sum_does_not_fit():
 
 def test_a_wrong_frame_is_refused():
     abc, dq = vector3("a", "t", "abc", "A"), vector3("a", "t", "dq", "A")
-    with pytest.raises(Refused, match="frame_id 'abc', expected 'dq'"):
-        Decoder(dq)(abc.layout().encode(0, (1.0, 2.0, 3.0)))
+    decode = Decoder(dq)
+    for _ in range(2):
+        with pytest.raises(Refused, match="frame_id 'abc', expected 'dq'"):
+            decode(abc.layout().encode(0, (1.0, 2.0, 3.0)))
     with pytest.raises(Refused, match="frame_id"):
         selection(abc, dq)
 

@@ -47,6 +47,8 @@ def test_parameters_flatten_and_build_back():
         ({"rr": 1.0}, "parameter rr is unknown; this block has period, R, names, rig.bits, k"),
         ({"names": []}, "parameter names"),
         ({"period": -1.0}, "parameter period = -1.0"),
+        ({"period": 1e-10}, "parameter period = 1e-10"),
+        ({"rig": 5, "rig.bits": 8}, "parameter rig.bits: rig has the value 5 as well"),
     ],
 )
 def test_a_bad_parameter_is_named(values, text):
@@ -91,6 +93,9 @@ def test_scenarios_extend_and_vary(folder):
         ("", "bas", "scenario 'bas' is unknown (did you mean 'base'?)"),
         ("title: T\nsystem: s\nsource: s\nduration: -1\nnodes: {p: {package: a, executable: b}}", "bad",
          "bad.yaml: duration"),
+        ("name: foo\nextends: base", "bad", "bad.yaml: key name: a scenario is named by its file"),
+        ("1: foo\nextends: base", "bad", "bad.yaml: 1: "),
+        ("extends: base\nvariants: [fast]", "bad", "bad.yaml: variants: expected a mapping of name to changes"),
     ],
 )  # fmt: skip
 def test_a_bad_scenario_is_explained(folder, text, name, expected):
@@ -124,6 +129,7 @@ BASIC = {"plant": "plant", "source": "source", "gain": "gain"}
         ({"plant": "plant", "source": "source"}, "nobody publishes lag/command, which plant needs"),
         (BASIC | {"second": "gain"}, "gain and second both publish lag/command"),
         (BASIC | {"gain": node("gain", {"lag/sate": "x"})}, "node gain: remap of 'lag/sate', but its topics are"),
+        (BASIC | {"gain": node("gain", {"lag/state": "/lag/s"})}, "remap to '/lag/s': expected a name"),
         (BASIC | {"gain": node("gain", period=0.015)},
          "period 0.015 s of gain is not a multiple of the 0.01 s of plant"),
         (BASIC | {"gain": "gian"}, "package faultrig has no executable 'gian'"),
@@ -240,6 +246,17 @@ def test_a_shard_cut_anywhere_gives_back_all_whole_messages(tmp_path_factory, me
     for index, (name, _) in enumerate(topics):
         expected = [(t, d) for i, t, d in messages[:found] if i == index]
         assert list(zip(recording.topics[name].times, recording.topics[name].data, strict=True)) == expected
+
+
+def test_a_shard_cut_in_its_head_has_no_messages(tmp_path):
+    path = tmp_path / "x.shard"
+    ShardWriter(path, [("a", "std_msgs/msg/Float64")]).close()
+    whole = path.read_bytes()
+    recording = Recording([("a", "std_msgs/msg/Float64")])
+    for size in range(len(whole)):
+        path.write_bytes(whole[:size])
+        assert recording.read_shard(path) == size
+    assert recording.topics["a"].times == []
 
 
 def test_messages_come_by_time_and_equal_times_in_topic_order():

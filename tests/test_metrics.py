@@ -68,6 +68,7 @@ def test_last_sample_as_final_value_by_default():
 def test_never_there_is_infinite():
     short = {"y": (T[:1000], FIRST_ORDER["y"][1][:1000])}
     assert metrics.rise_time(short, "y", final=3.0) == math.inf
+    assert metrics.rise_time(short, "y", final=1e6) == math.inf  # not even the lower level
     assert metrics.settling_time(short, "y", final=3.0) == math.inf
 
 

@@ -15,6 +15,7 @@ from conftest import differences, in_process, make_scenario
 from softrig_core.domain import free_domain
 from softrig_core.errors import ScenarioError
 from softrig_core.processes import environment, find_executable, run_processes
+from softrig_core.recording import Recording
 from softrig_core.rig import Rig
 from softrig_core.signals import Signals
 
@@ -110,6 +111,65 @@ def test_a_node_that_stays_behind_ends_the_run_with_its_name(tmp_path):
     assert outcome.error == "node watcher did not reach the end of the run within 1.5 s after it"
     assert differences(in_process(rig(nodes, 0.3)), outcome.recording) == []
     assert no_process_left(tmp_path)
+
+
+def test_a_slow_node_does_not_end_a_run_that_goes_on(tmp_path):
+    """Its ticks, and its end, are further apart than the timeout."""
+    nodes = {name: params(name, period=1e-4) for name in ("plant", "gain")} | {"source": params("source", period=0.5)}
+    outcome = run_processes(rig(nodes, 1.0, timeout=0.5), 0, tmp_path)
+    assert outcome.error == ""
+    assert outcome.status["plant"]["ticks"] == 10_000
+
+
+def test_a_node_read_only_by_slower_ones_is_waited_for(tmp_path):
+    nodes = {
+        "plant": params("plant", period=0.001), "source": params("source", period=0.1),
+        "outer": params("outer", period=0.001),
+        "gain": params("gain", period=0.02) | {"remap": {"lag/reference": "lag/inner_reference"}},
+    }  # fmt: skip
+    wired = rig(nodes, 0.2)
+    outcome = run_processes(wired, 0, tmp_path)
+    assert outcome.error == ""
+    assert differences(in_process(wired), outcome.recording) == []
+
+
+def test_a_press_by_service_in_lockstep_is_recorded_at_the_tick_that_saw_it(tmp_path):
+    wired = rig(BASIC, 1e4)
+    code = """
+import rclpy
+from rclpy.node import Node
+from std_srvs.srv import Trigger
+rclpy.init()
+node = Node("person")
+client = node.create_client(Trigger, "plant/kick")
+client.wait_for_service()
+rclpy.spin_until_future_complete(node, client.call_async(Trigger.Request()))
+"""
+    people = []
+    with free_domain() as domain:
+
+        def progress(t):
+            if t and not people:
+                people.append(subprocess.Popen([sys.executable, "-c", code], env=environment(domain, tmp_path)))
+            if people and people[0].poll() is not None:
+                raise KeyboardInterrupt
+
+        with pytest.raises(KeyboardInterrupt):
+            run_processes(wired, 0, tmp_path, domain=domain, progress=progress)
+    assert people[0].returncode == 0
+    recording = Recording((t, p.msgtype) for t, p in wired.topics.items())
+    recording.read_shard(tmp_path / "plant.shard")
+    pressed, released = recording.topics["lag/kick"].times
+    assert released - pressed == 10_000_000
+    assert Signals(recording)["lag/applied/u/effort"].x.sum() != 0.0
+
+
+def test_an_unwritable_status_file_is_one_line(tmp_path):
+    executable = str(find_executable("faultrig", "plant"))
+    done = subprocess.run([executable, "--ros-args", "-p", f"run.status:={tmp_path}/nowhere/s"], capture_output=True,
+                          text=True, env=environment(1, tmp_path), timeout=30)  # fmt: skip
+    assert done.returncode == 3
+    assert "No such file or directory" in done.stderr.splitlines()[-1]
 
 
 def fault(how, **keys):

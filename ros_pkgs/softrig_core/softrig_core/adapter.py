@@ -29,7 +29,7 @@ from .cdr import SECOND
 from .errors import RunError
 from .inprocess import check
 from .marker import marker_array
-from .messages import message_class
+from .messages import diagnostic_array, message_class
 from .options import Links, RunOptions
 from .port import Decoder, Port, Sample
 from .recording import ShardWriter
@@ -261,7 +261,8 @@ class Adapter:
         item.refused += 1
         if item.last_refusal != reason:
             item.last_refusal = reason
-            self.log_once(f"{item.port.topic}: {reason[:40]}", Level.ERROR, f"refused on {item.port.topic}: {reason}")
+            kind = reason.split()[0]  # not the whole: a wrong stamp is another each time
+            self.log_once(f"{item.port.topic}: {kind}", Level.ERROR, f"refused on {item.port.topic}: {reason}")
 
     def log_once(self, key: str, level: Level, text: str) -> None:
         """Log a text the first time its key appears."""
@@ -308,8 +309,6 @@ class Adapter:
             self._publish_diagnostics()
 
     def _publish_diagnostics(self) -> None:
-        from .messages import diagnostic_array
-
         refused = sum(i.refused for i in self.inputs)
         level = Level.ERROR if refused else max((r[0] for r in self.block.reports.values()), default=Level.OK)
         text = next((i.last_refusal for i in self.inputs if i.refused), "") or self.state
@@ -376,7 +375,10 @@ class Adapter:
         if stopped and self.state != "failed":
             self.state = "done" if self.end is None or self.open_ended else "failed"
             self.error = None if self.state == "done" else RunError("stopped before the end of the run")
-        self.write_status()
+        try:
+            self.write_status()
+        except OSError as error:
+            self.error, self.state = self.error or error, "failed"
         if self.error is not None:
             print(f"{self.node.get_name()}: {self.error}", file=sys.stderr, flush=True)
         return 3 if self.state == "failed" else 0

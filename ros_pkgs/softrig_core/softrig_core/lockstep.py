@@ -66,9 +66,11 @@ class Lockstep(Adapter):
         self._tick_layout = Layout("builtin_interfaces/msg/Time")
         self._is_plant = isinstance(block, Plant)
         self._since = time.monotonic()
-        self._progress_t = -1
+        self._heard = 0  # messages of faster peers between two ticks
+        self._progress = (-1, 0)
         self._rivals: Input | None = None
         self._outside_found: list[tuple[str, str]] = []
+        self._unread: list[str] = []
         self._settled = 0
         self._durations: deque[int] = deque(maxlen=100_000)
         self._sent = self._first = 0
@@ -128,7 +130,7 @@ class Lockstep(Adapter):
     def _paired(self, pairing: Pairing, item: Input) -> Callable[[bytes], None]:
         name, decode, delayed = item.port.name, item.decode, item.port.delayed
         # stamps that are acquisition times, and messages without one, are paired by counting
-        by_order = (delayed or not item.port.stamped) and bool(self.links.inputs.get(name))
+        by_order = delayed or not item.port.stamped
         record = self.foreign.get(name)
 
         def receive(data: bytes) -> None:
@@ -154,7 +156,7 @@ class Lockstep(Adapter):
                 self.values[name] = Sample(stamp, values) if delayed else values
                 self._arrived(pairing)
             elif pairing.want - self.period < position < pairing.want and pairing.period < self.period:
-                return  # a faster sender between two of our ticks
+                self._heard += 1  # a faster sender between two of our ticks
             elif position == pairing.want + pairing.period and self.links.plants > 1 and pairing.ahead is None:
                 pairing.ahead = (position, Sample(stamp, values) if delayed else values)
             else:
@@ -175,6 +177,7 @@ class Lockstep(Adapter):
 
         def receive(data: bytes) -> None:
             stamp, _ = decode(data)
+            self._heard += 1
             if stamp == pairing.want and not pairing.have:
                 self._arrived(pairing)
             elif stamp == pairing.want + period and pairing.ahead is None:
@@ -209,8 +212,7 @@ class Lockstep(Adapter):
         node, links = self.node, self.links
         absent = []
         for pairing in self.pairings:
-            found = node.get_publishers_info_by_topic(pairing.topic)
-            if not found or (pairing.item is not None and not pairing.item.publishers):
+            if not self._publishers(pairing) or (pairing.item is not None and not pairing.item.publishers):
                 absent.append(
                     f"no publisher on {pairing.topic} (expected from {pairing.sender}{self._other_type(pairing)})"
                 )
@@ -229,9 +231,16 @@ class Lockstep(Adapter):
             counted = next((o.readers for o in self.outputs if o.topic == topic), node.count_subscribers(topic))
             if counted < len(names) and all(n in there for n in names):
                 absent.append(f"{topic} has {counted} readers of {len(names)}")
-        if not links.readers and not self.options.links:
-            absent += [f"nobody subscribes {o.topic}" for o in self.outputs if not o.readers and not self._is_plant]
+        if not self.options.links and not self._is_plant:
+            unread = [o.topic for o in self.outputs if not o.readers]
+            self._settled = self._settled + 1 if unread == self._unread else 0
+            self._unread = unread
+            if len(unread) == len(self.outputs) or self._settled < SETTLED:  # by hand some may stay unread
+                absent += [f"nobody subscribes {topic}" for topic in unread]
         return absent
+
+    def _publishers(self, pairing: Pairing) -> int:
+        return self.node.count_publishers(self.node.resolve_topic_name(pairing.topic))
 
     def _outside_readers(self, wanted: dict[str, list[str]]) -> list[str]:
         """Add the external nodes that subscribe our outputs, once discovery has told all that they subscribe."""
@@ -301,8 +310,8 @@ class Lockstep(Adapter):
             self.finish()
             return
         self.block.advance(t, **self.values)  # type: ignore[attr-defined]
-        self.release()
         self.t = t = t + self.period
+        self.release()
         self.ticks += 1
         self._send(t)
         self._await(t)
@@ -331,9 +340,9 @@ class Lockstep(Adapter):
         self.publish(t, t, self.answer(t))
         if self._publish_tick is not None:
             self._publish_tick(self._tick_layout.encode(t, ()))
-        self.release()
         self.ticks += 1
         self.t = t + self.period
+        self.release()
         self._await(self.t)
         if self.last is not None and self.t > self.last:
             self.finish()
@@ -363,12 +372,12 @@ class Lockstep(Adapter):
             return
         if self.state != "running":
             return
-        if self.t != self._progress_t:
-            self._progress_t, self._since = self.t, now
+        if self._progress != (self.t, self._heard):
+            self._progress, self._since = (self.t, self._heard), now
             return
         waited = now - self._since
         lacking = [p for p in self.pairings if not p.have]
-        gone = [p for p in lacking if not self.node.count_publishers(p.topic) or (p.item and not p.item.publishers)]
+        gone = [p for p in lacking if not self._publishers(p) or (p.item and not p.item.publishers)]
         if lacking and (waited > self.options.timeout or (gone and waited > GONE_AFTER)):
             lacking = gone or lacking
             what = ", ".join(

@@ -55,7 +55,8 @@ def rise_time(
     if not 0.0 <= low < high:
         raise ValueError(f"levels low = {low}, high = {high}: expected 0 <= low < high")
     t, z = _step(signals, signal, final, initial, start, end)
-    return _first_crossing(t, z, high) - _first_crossing(t, z, low)
+    reached = _first_crossing(t, z, high)
+    return reached - _first_crossing(t, z, low) if np.isfinite(reached) else np.inf
 
 
 def settling_time(

@@ -42,7 +42,7 @@ class Params(BaseModel):
 class BlockParams(Params):
     """Parameters that every block has."""
 
-    period: float = param(0.01, "sampling period", "s", gt=0.0)
+    period: float = param(0.01, "sampling period", "s", ge=1e-9)
 
 
 @dataclass(frozen=True)
@@ -111,6 +111,8 @@ def build(model: type[Params], values: Mapping[str, Any]) -> Params:
         *path, last = name.split(".")
         for part in path:
             level = level.setdefault(part, {})
+            if not isinstance(level, dict):
+                raise ParameterError(f"parameter {name}: {part} has the value {level!r} as well")
         if isinstance(value, Mapping) and isinstance(level.get(last), dict):
             level[last] |= value
         else:

@@ -222,8 +222,8 @@ class Decoder:
     def _learn(self, data: bytes) -> None:
         """Adopt the layout of `data` if it carries what the port needs."""
         message = self._parse(data)
+        order = self._order(message)  # first: a layout that is refused must not be known the next time
         self._layout = message.layout(self._port.msgtype)
-        order = self._order(message)
         self._pick = None if order == tuple(range(self._layout.size)) else getter(order)
 
     def _slow(self, data: bytes) -> tuple[int, tuple[float, ...]]:

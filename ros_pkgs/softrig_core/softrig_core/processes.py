@@ -161,8 +161,7 @@ def run_processes(
             for member in rig.members:
                 if not member.external:
                     children.append(_start(rig, member, seed, directory, mode, epoch, record, variables))
-            late = epoch / 1e9 + rig.scenario.duration + rig.scenario.timeout if epoch else None
-            error = _watch(rig, children, progress, late)
+            error = _watch(rig, children, progress, epoch)
         finally:
             _stop(children)
             for child in children:
@@ -274,13 +273,15 @@ def _die_with_parent() -> None:
 
 
 def _watch(
-    rig: Rig, children: list[_Child], progress: Callable[[int], object] | None, late: float | None
+    rig: Rig, children: list[_Child], progress: Callable[[int], object] | None, epoch: int
 ) -> str:  # fmt: skip
     """Wait until all have ended or one has failed; gives the reason of a failure.
 
-    A node may wait for ever for a peer that has ended: it is given until `late`, wall-clock s (in realtime the end
-    of the run and the scenario's timeout, in lockstep that timeout after the first node has ended).
+    A node may wait for ever for a peer that has ended: it has the scenario's timeout, in realtime from the end of the
+    run, in lockstep from the end of a node or the last progress.
     """
+    realtime = epoch > 0
+    late = epoch / 1e9 + rig.scenario.duration + rig.scenario.timeout
     plant = next((c for c in children if c.member is rig.clock), children[0])
     last = -1
     while True:
@@ -290,16 +291,15 @@ def _watch(
             return _reason(children, failed)
         if not running:
             return ""
-        if late is None and len(running) < len(children):
+        t = _read_status(plant.status).get("t", 0)
+        if not realtime and (t != last or len(running) == len(children)):
             late = time.time() + rig.scenario.timeout
-        if late is not None and time.time() > late:
+        if time.time() > late:
             names = ", ".join(c.member.name for c in running)
             return f"node {names} did not reach the end of the run within {rig.scenario.timeout:g} s after it"
-        if progress is not None:
-            t = _read_status(plant.status).get("t", 0)
-            if t != last:
-                progress(t)
-                last = t
+        if t != last and progress is not None:
+            progress(t)
+        last = t
         # A child's end wakes the wait; otherwise look at the progress ten times a second. (Popen.wait with a limit
         # wakes up all the time, and each time takes a node's core.)
         select.select([c.end for c in running], [], [], 0.1)

@@ -35,8 +35,9 @@ class Realtime(Adapter):
         self.tick_number: int | None = None
         self.missed = 0
         self.skipped = 0
-        self._lateness: deque[int] = deque(maxlen=100_000)
-        self._round_trip: deque[int] = deque(maxlen=100_000)
+        # the newest: they are sorted for each status file, between two ticks
+        self._lateness: deque[int] = deque(maxlen=5_000)
+        self._round_trip: deque[int] = deque(maxlen=5_000)
         self._sent_at: dict[int, int] = {}
         self._last_due: int | None = None
         super().__init__(node, block, options)

@@ -102,7 +102,9 @@ class Recording:
         content = memoryview(path.read_bytes())
         if bytes(content[: len(_MAGIC)]) != _MAGIC:
             return len(content)
-        start = bytes(content[: 1 << 20]).index(b"\n", len(_MAGIC)) + 1
+        start = bytes(content[: 1 << 20]).find(b"\n", len(_MAGIC)) + 1
+        if not start:  # cut off inside its head
+            return len(content)
         numbers = {t.name: i for i, t in enumerate(self._order)}
         index = [numbers[name] for name, _ in json.loads(bytes(content[len(_MAGIC) : start]))]
         at, size = start, _RECORD.size

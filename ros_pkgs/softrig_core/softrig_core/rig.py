@@ -109,8 +109,12 @@ class Rig:
         ]  # fmt: skip
 
     def leaves(self) -> list[Member]:
-        """Members whose answer nobody waits for; they acknowledge each tick so that nobody runs ahead of them."""
-        return [m for m in self.members if not m.is_plant and not any(self.readers(m, p) for p in m.outputs)]
+        """Members that nobody waits for at each of their ticks; they acknowledge, so that nobody runs ahead of them."""
+
+        def awaited(m: Member) -> bool:
+            return any(reader.period <= m.period for p in m.outputs for reader, _ in self.readers(m, p))
+
+        return [m for m in self.members if not m.is_plant and not awaited(m)]
 
 
 CLOCK = Port("clock", "/clock", "rosgraph_msgs/msg/Clock")
@@ -151,6 +155,8 @@ def _member(scenario: Scenario, name: str) -> Member:
     for topic in entry.remap:
         if topic not in topics:
             raise ScenarioError(f"{where}: remap of {topic!r}, but its topics are {', '.join(topics)}")
+        if entry.remap[topic].startswith("/"):
+            raise ScenarioError(f"{where}: remap to {entry.remap[topic]!r}: expected a name without a leading slash")
     inputs = tuple(p.renamed(entry.remap.get(p.topic, p.topic)) for p in inputs)
     outputs = tuple(p.renamed(entry.remap.get(p.topic, p.topic)) for p in outputs)
     return Member(name, entry.package, entry.executable, block, params, inputs, outputs, entry.external,

@@ -126,14 +126,16 @@ def load_scenario(name: str, overrides: Mapping[str, Any] | None = None) -> Scen
                                 f"{len(known)}")  # fmt: skip
         path = found
     raw = _resolve(name, path)
+    if "name" in raw:
+        raise ScenarioError(f"{path.name}: key name: a scenario is named by its file")
     for key, value in (overrides or {}).items():
         node, _, parameter = key.partition(".")
-        nodes = raw.get("nodes", {})
+        nodes = raw.get("nodes") or {}
         if node not in nodes or not parameter:
             raise ScenarioError(f"override {key!r}: expected node.parameter with node one of {', '.join(nodes)}")
-        nodes[node] = merge(nodes[node], {"parameters": {parameter: value}})
+        nodes[node] = merge(nodes[node] or {}, {"parameters": {parameter: value}})
     try:
-        return Scenario(name=name, **raw)
+        return Scenario.model_validate({**raw, "name": name})
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(str(p) for p in first["loc"])
@@ -190,6 +192,8 @@ def _resolve(name: str, path: Path, seen: tuple[str, ...] = ()) -> dict[str, Any
         raise ScenarioError(f"{path.name}: extends itself: {' -> '.join((*seen, name))}")
     raw = _read(path)
     variants = raw.pop("variants", None) or {}
+    if not isinstance(variants, dict):
+        raise ScenarioError(f"{path.name}: variants: expected a mapping of name to changes, got {variants!r}")
     parent = raw.pop("extends", None)
     if parent is not None:
         beside = path.with_name(f"{parent}.yaml")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -17,8 +16,7 @@ from .leave import leave
 from .lockstep import Lockstep
 from .messages import range_descriptor
 from .options import RunOptions
-from .params import Declaration, ParameterError, build, declarations, flatten
-from .port import Refused
+from .params import Declaration, build, declarations, flatten
 from .realtime import Realtime
 
 
@@ -41,8 +39,6 @@ def run_node(block_class: type[Block], argv: Sequence[str]) -> NoReturn:
     except Exception as error:  # every start-up error ends in one line: what was wrong and where
         where = node.get_name() if node is not None else name
         print(f"{where}: {' '.join(str(error).split())}", file=sys.stderr, flush=True)
-        if not isinstance(error, (ParameterError, Refused)) and os.environ.get("SOFTRIG_DEBUG"):
-            raise
         leave(node, 2)
     leave(node, adapter.run())
 
