@@ -105,6 +105,7 @@ class BagWriter:
         self._split_bytes, self._split_ns = split_bytes, split_ns
         self.topics: list[BagTopic] = []
         self._files: list[StorageFile] = []
+        self._unwritten = 0
         self._reserve = directory / ".reserve"
         if reserve:
             self._reserve.write_bytes(bytes(reserve))
@@ -113,11 +114,17 @@ class BagWriter:
     def _open_file(self) -> None:
         kind = STORAGES[self._storage_id]
         path = self.directory / f"{self._name}_{len(self._files)}{kind.SUFFIX}"
-        self._file: StorageFile = kind(path, self._compression, to_yaml(self._metadata()))
-        self._files.append(self._file)
+        try:
+            file: StorageFile = kind(path, self._compression, to_yaml(self._metadata()))
+            for number, topic in enumerate(self.topics, 1):
+                file.add_topic(number, topic)
+        except OSError:
+            path.unlink(missing_ok=True)  # it holds nothing, and the bag ends with the file before
+            raise
+        self._file = file
+        self._files.append(file)
         self._started: int | None = None
-        for number, topic in enumerate(self.topics, 1):
-            self._file.add_topic(number, topic)
+        self._open = True
 
     def add_topic(self, topic: BagTopic) -> int:
         """Declare a topic; give the number for `write`."""
@@ -128,7 +135,11 @@ class BagWriter:
     def write(self, number: int, t: int, data: bytes) -> None:
         """Append one message at bag time `t` (ns, not negative)."""
         if self._split_bytes or self._split_ns:
-            self._split(t)
+            try:
+                self._split(t)
+            except OSError:
+                self._unwritten += 1  # this message: no file has it
+                raise
         self._file.write(number, t, data)
 
     def _split(self, t: int) -> None:
@@ -162,8 +173,11 @@ class BagWriter:
         temporary.replace(self.directory / "metadata.yaml")
 
     def _close_file(self) -> None:
+        if not self._open:  # no room for the file after this one
+            return
         self._file.flush()
         self._file.close(to_yaml(self._metadata()))
+        self._open = False
 
     def salvage(self) -> int:
         """Close the bag after a failed write, without what could not be written.
@@ -174,7 +188,7 @@ class BagWriter:
             Number of messages lost.
         """
         self._reserve.unlink(missing_ok=True)
-        lost = self._file.discard()
+        lost = self._file.discard() + self._unwritten
         self.close()
         return lost
 

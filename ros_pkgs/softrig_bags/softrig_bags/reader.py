@@ -47,6 +47,8 @@ class BagReader:
             self._reader.open()
         except (FileNotFoundError, ReaderError) as error:
             raise BagError(f"{self.path}: {error}") from None
+        except Exception as error:  # a damaged file makes the library raise whatever its bytes lead to
+            raise self._damaged(error) from error
         self._connections: list[Connection] = list(self._reader.connections)
         for connection in self._connections:
             if any(t.name == connection.topic for t in self.topics):
@@ -105,7 +107,10 @@ class BagReader:
             for connection, t, data in self._reader.messages(chosen, start=start or None):
                 yield index[connection.topic], t, data
         except Exception as error:  # a damaged file makes the library raise whatever its bytes lead to
-            raise BagError(f"{self.path} is damaged: {error}; `softrig bag repair` saves what is readable") from error
+            raise self._damaged(error) from error
+
+    def _damaged(self, error: Exception) -> BagError:
+        return BagError(f"{self.path} is damaged: {error}; `softrig bag repair` saves what is readable")
 
     def typestore(self, msgtype: str) -> Typestore | None:
         """Give a store that can deserialise a type, from the bag's own definition if it has one."""

@@ -124,16 +124,21 @@ class Recorder:
             subscription,
             {
                 Event.RCL_SUBSCRIPTION_MESSAGE_LOST: lost,
-                Event.RCL_SUBSCRIPTION_REQUESTED_INCOMPATIBLE_QOS: lambda _: self._adapt(name),
+                Event.RCL_SUBSCRIPTION_REQUESTED_INCOMPATIBLE_QOS: lambda _: self._adapt(name, msgtype),
             },
         )
 
-    def _adapt(self, name: str) -> None:
-        """Subscribe anew, because a publisher came that offers less than those before."""
+    def _adapt(self, name: str, msgtype: str) -> None:
+        """Subscribe anew, because a publisher came that offers less than those before.
+
+        What is sent while the publishers match the new subscription (some ms) is lost without being counted.
+        """
         subscription = self._subscriptions.pop(name)
         self._events.remove(subscription)
+        self._take(subscription)
         self._node.destroy_subscription(subscription)
         self._lost_before[name] = self._lost_before.get(name, 0) + self._lost.pop(name, 0)
+        self._subscribe(name, msgtype)
 
     def _receiver(self, topic: BagTopic) -> Callable[[bytes], None]:
         write, number, now = self._writer.write, self._numbers[topic.name], time.time_ns
@@ -141,8 +146,9 @@ class Recorder:
             return lambda data: write(number, now(), data)
 
         def by_stamp(data: bytes) -> None:
-            self._newest = max(stamp(data), 0)
-            write(number, self._newest, data)
+            t = max(stamp(data), 0)
+            self._newest = max(self._newest, t)
+            write(number, t, data)
 
         return by_stamp if is_stamped(topic) else lambda data: write(number, self._newest, data)
 
@@ -161,6 +167,9 @@ class Recorder:
     def _drain(self) -> None:
         """Take what had arrived before the signal."""
         for subscription in self._subscriptions.values():
-            with subscription.handle:
-                while (taken := subscription.handle.take_message(subscription.msg_type, True)) is not None:
-                    subscription.callback(taken[0])
+            self._take(subscription)
+
+    def _take(self, subscription: Subscription) -> None:
+        with subscription.handle:
+            while (taken := subscription.handle.take_message(subscription.msg_type, True)) is not None:
+                subscription.callback(taken[0])

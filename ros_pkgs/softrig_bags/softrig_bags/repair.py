@@ -6,21 +6,20 @@ import json
 import shutil
 import sqlite3
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
-from mcap.exceptions import EndOfFile, McapError
+from mcap.exceptions import McapError
 from mcap.records import Channel, Chunk, Footer, McapRecord, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader
-from rosbags.rosbag2 import ReaderError
 from rosbags.rosbag2.metadata import parse_qos
 from rosbags.rosbag2.storage_mcap import decompress
 from ruamel.yaml import YAML
-from ruamel.yaml.error import YAMLError
 from softrig_core.recording import Recording
 
 from .bag import BagWriter
@@ -102,6 +101,7 @@ def repair(path: Path | str, out: Path | str | None = None) -> Repair:
     for place in (target, original):
         if place is not None and place != path and place.exists():
             raise BagError(f"{place} exists already; move it away first")
+    target.parent.mkdir(parents=True, exist_ok=True)
     temporary = target.with_name(f".{target.name}.part")
     shutil.rmtree(temporary, ignore_errors=True)
     try:
@@ -139,7 +139,10 @@ def _rewrite(sources: list[Path], directory: Path, name: str) -> list[FileReport
     for i, source in enumerate(sources):
         report = FileReport(source.name)
         reports.append(report)
-        messages = _recover_mcap(source, report) if source.suffix == ".mcap" else _recover_sqlite3(source, report)
+        if source.suffix == ".mcap":
+            messages = _recover_mcap(source, report)
+        else:
+            messages = _recover_sqlite3(source, report, directory.parent)
         for topic, t, data in messages:
             if writer is None:
                 storage = "mcap" if source.suffix == ".mcap" else "sqlite3"
@@ -206,21 +209,24 @@ def _chunk_records(chunk: Chunk) -> list[McapRecord]:
     except Exception:  # a decompressor's own kinds of error
         return []
     records: list[McapRecord] = []
-    with suppress(EndOfFile):  # there is no footer in a chunk
+    # there is no footer in a chunk, hence the end of file; the others come of damage that no checksum shows
+    with suppress(McapError, struct.error, UnicodeDecodeError):
         records.extend(StreamReader(BytesIO(content), skip_magic=True).records)
     return records
 
 
 def _mcap_topic(channel: Channel, schema: Schema | None) -> BagTopic:
     digest = channel.metadata.get("topic_type_hash", "")
-    name, text, encoding = (schema.name, schema.data.decode(), schema.encoding) if schema else ("", "", "")
-    return _topic(channel.topic, name, text, encoding, digest, channel.metadata.get("offered_qos_profiles", ""))
+    offered = channel.metadata.get("offered_qos_profiles", "")
+    if schema is None:
+        return _topic(channel.topic, "", "", "", digest, offered)
+    return _topic(channel.topic, schema.name, schema.data.decode(errors="replace"), schema.encoding, digest, offered)
 
 
 def _topic(name: str, msgtype: str, text: str, encoding: str, digest: str, offered: str) -> BagTopic:
     try:
         profiles = parse_qos(offered)
-    except (ReaderError, KeyError, TypeError):
+    except Exception:  # damaged text makes the parser raise whatever it leads to
         profiles = []
     known = BagTopic.known(name, msgtype, profiles, digest)
     return BagTopic(name, msgtype, text, known.digest, known.offered, encoding) if text else known
@@ -228,14 +234,15 @@ def _topic(name: str, msgtype: str, text: str, encoding: str, digest: str, offer
 
 def _custom_data(text: str) -> dict[str, str]:
     try:
-        found = YAML(typ="safe").load(text) or {}
-    except YAMLError:
+        found = YAML(typ="safe").load(str(text or ""))
+    except Exception:  # damaged text makes the parser raise whatever it leads to
         return {}
-    return found.get("custom_data") or {}
+    found = found.get("custom_data") if isinstance(found, dict) else None
+    return {str(k): str(v) for k, v in found.items()} if isinstance(found, dict) else {}
 
 
-def _recover_sqlite3(path: Path, report: FileReport) -> Iterator[tuple[BagTopic, int, bytes]]:
-    with TemporaryDirectory(dir=path.parent.parent, prefix=".repair-") as directory:
+def _recover_sqlite3(path: Path, report: FileReport, scratch: Path) -> Iterator[tuple[BagTopic, int, bytes]]:
+    with TemporaryDirectory(dir=scratch, prefix=".repair-") as directory:
         database = sqlite3.connect(_whole_copy(path, Path(directory)))  # undoes a commit that was cut off
         with suppress(sqlite3.Error):  # older schemas have no such table
             for (text,) in database.execute("SELECT metadata FROM metadata ORDER BY id"):
@@ -243,20 +250,30 @@ def _recover_sqlite3(path: Path, report: FileReport) -> Iterator[tuple[BagTopic,
         try:
             topics = _sqlite3_topics(database)
             report.topics = list(topics.values())
-            last = 0
+            last = damaged = 0
             try:
                 for row, number, t, data in database.execute(_ROWS):
                     last = row
-                    yield topics[number], t, data
+                    if _is_message(topics, number, t, data):
+                        yield topics[number], t, data
+                    else:
+                        damaged += 1
                 report.indexed = (path.parent / "metadata.yaml").exists()
             except sqlite3.DatabaseError as error:
                 report.lost.append(f"what stood on damaged pages ({error})")
                 for row, number, t, data in message_rows(path.read_bytes()):
-                    if row > last and number in topics:
+                    if row > last and _is_message(topics, number, t, data):
                         yield topics[number], t, data
-        except sqlite3.DatabaseError as error:
+            if damaged:
+                report.lost.append(f"{damaged} damaged rows")
+        except (sqlite3.DatabaseError, UnicodeDecodeError) as error:
             report.lost.append(f"the list of topics ({error})")
         database.close()
+
+
+def _is_message(topics: dict[int, BagTopic], number: Any, t: Any, data: Any) -> bool:
+    """Whether the columns of a row are what they should be: on a damaged page SQLite gives anything."""
+    return number in topics and isinstance(t, int) and t >= 0 and isinstance(data, bytes)
 
 
 _ROWS = "SELECT id, topic_id, timestamp, data FROM messages ORDER BY id"
@@ -273,7 +290,8 @@ def _whole_copy(path: Path, directory: Path) -> Path:
         head = file.read(32)
         if len(head) == 32:
             page_size, pages = int.from_bytes(head[16:18], "big"), int.from_bytes(head[28:32], "big")
-            file.truncate(max(copy.stat().st_size, pages * (page_size if page_size != 1 else 65536)))
+            with suppress(OSError):  # a damaged head may say more than a file can have
+                file.truncate(max(copy.stat().st_size, pages * (page_size if page_size != 1 else 65536)))
     return copy
 
 
@@ -284,13 +302,18 @@ def _sqlite3_topics(database: sqlite3.Connection) -> dict[int, BagTopic]:
     texts: dict[str, tuple[str, str]] = {}
     if database.execute("SELECT 1 FROM sqlite_master WHERE name = 'message_definitions'").fetchone():
         rows = database.execute("SELECT topic_type, encoded_message_definition, encoding FROM message_definitions")
-        texts = {row[0]: (row[1], row[2]) for row in rows}
+        texts = {row[0]: (row[1], row[2]) for row in rows if _all_text(row)}
     return {
         number: _topic(name, msgtype, *texts.get(msgtype, ("", "")), hashed, profiles)
         for number, name, msgtype, hashed, profiles in database.execute(
             f"SELECT id, name, type, {digest}, {offered} FROM topics"
         )
+        if _all_text((name, msgtype, hashed, profiles))
     }
+
+
+def _all_text(values: Sequence[Any]) -> bool:
+    return all(isinstance(v, str) for v in values)
 
 
 def _repair_shards(shards: list[Path], target: Path) -> Repair:

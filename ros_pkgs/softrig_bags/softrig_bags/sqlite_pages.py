@@ -38,24 +38,30 @@ def _cells(content: bytes, start: int, page_size: int) -> Iterator[tuple[int, by
         at = start + int.from_bytes(content[pointer : pointer + 2], "big")
         size, at = _varint(content, at)
         row, at = _varint(content, at)
+        if size > len(content):  # a damaged number
+            continue
         largest, least = page_size - 35, (page_size - 12) * 32 // 255 - 23
         local = size
         if size > largest:
             local = least + (size - least) % (page_size - 4)
             local = local if local <= largest else least
-        payload = content[at : at + local]
+        payload = bytearray(content[at : at + local])
         following = int.from_bytes(content[at + local : at + local + 4], "big") if size > local else 0
         while following and len(payload) < size:
             page = content[(following - 1) * page_size : following * page_size]
+            if len(page) <= 4:  # cut off: nothing would come of following it, for ever if it points to itself
+                break
             payload += page[4 : 4 + size - len(payload)]
             following = int.from_bytes(page[:4], "big")
         if len(payload) == size:
-            yield row, payload
+            yield row, bytes(payload)
 
 
 def _message(payload: bytes) -> tuple[int, int, bytes] | None:
     """Take a record apart; None when it is not (NULL, integer, integer, blob)."""
     header, at = _varint(payload, 0)
+    if header > len(payload):
+        return None
     kinds = []
     while at < header:
         kind, at = _varint(payload, at)
@@ -69,7 +75,9 @@ def _message(payload: bytes) -> tuple[int, int, bytes] | None:
         size = _INTEGER_SIZES[kind]
         numbers.append(int.from_bytes(payload[at : at + size], "big", signed=True) if size else int(kind == 9))
         at += size
-    return numbers[0], numbers[1], payload[at : at + (kinds[3] - 12) // 2]
+    if len(payload) != at + (kinds[3] - 12) // 2:
+        return None
+    return numbers[0], numbers[1], payload[at:]
 
 
 def _varint(content: bytes, at: int) -> tuple[int, int]:

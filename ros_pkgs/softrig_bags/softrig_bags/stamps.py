@@ -20,7 +20,7 @@ def is_stamped(topic: BagTopic) -> bool:
     return first in ("std_msgs/Header", "std_msgs/msg/Header", "Header", "builtin_interfaces/Time")
 
 
-def stamp(data: bytes) -> int:
-    """Give the stamp in ns of a message that begins with one."""
-    seconds, nanoseconds = (_LITTLE if data[1] & 1 else _BIG).unpack_from(data, 4)
+def stamp(data: bytes, at: int = 4) -> int:
+    """Give the stamp in ns of a message that begins with one, or the time or duration at another byte."""
+    seconds, nanoseconds = (_LITTLE if data[1] & 1 else _BIG).unpack_from(data, at)
     return seconds * SECOND + nanoseconds

@@ -7,15 +7,12 @@ import shutil
 from collections.abc import Mapping
 from pathlib import Path
 
-from rosbags.interfaces import Qos
 from softrig_core.errors import RunError
 from softrig_core.recording import Recording
 
 from .bag import BagWriter
 from .errors import BagError
 from .topics import BagTopic, absolute, qos
-
-DEFAULT_QOS = qos()
 
 
 def write_bag(
@@ -25,7 +22,6 @@ def write_bag(
     storage: str = "mcap",
     compression: str = "none",
     custom_data: Mapping[str, str] | None = None,
-    offered: Mapping[str, Qos] | None = None,
 ) -> None:
     """Write a recording as a rosbag2 bag (metadata version 9), messages by time, equal times in topic order.
 
@@ -43,8 +39,6 @@ def write_bag(
         ``none`` or ``zstd`` (MCAP only).
     custom_data : mapping of str to str, optional
         Kept in the metadata, e.g. scenario, seed, versions.
-    offered : mapping of str to Qos, optional
-        QoS that the publishers of a topic offered; default reliable, volatile, keep last 10.
 
     Raises
     ------
@@ -63,8 +57,7 @@ def write_bag(
         try:
             numbers = {}
             for topic in recording.topics.values():
-                profile = (offered or {}).get(topic.name, DEFAULT_QOS)
-                numbers[topic.name] = writer.add_topic(BagTopic.known(absolute(topic.name), topic.msgtype, [profile]))
+                numbers[topic.name] = writer.add_topic(BagTopic.known(absolute(topic.name), topic.msgtype, [qos()]))
             write = writer.write
             for t, topic, data in recording.messages():
                 write(numbers[topic.name], t, data)
