@@ -1,11 +1,15 @@
 """Bags: written, read back by independent libraries, compared, repaired."""
 
 import csv
+import errno
 import json
 import os
+import random
 import resource
+import shutil
 import sqlite3
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import pyarrow.parquet
@@ -17,11 +21,13 @@ from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from rosbags.rosbag2.enums import CompressionFormat, CompressionMode
 from rosbags.typesys import Stores, get_typestore
 from ruamel.yaml import YAML
-from softrig_bags.bag import BagWriter
+from softrig_bags.bag import STORAGES, BagWriter
 from softrig_bags.compare import Tolerance, compare
 from softrig_bags.errors import BagError
 from softrig_bags.read import export, read_bag, signals
 from softrig_bags.repair import repair
+from softrig_bags.sqlite_pages import message_rows
+from softrig_bags.stamps import is_stamped
 from softrig_bags.topics import BagTopic, qos
 from softrig_bags.write import write_bag
 from softrig_core.cdr import Layout
@@ -193,10 +199,11 @@ def test_installed_type_outside_the_library_is_found_in_the_ament_prefix(tmp_pat
 
 def test_offered_qos_is_kept(tmp_path):
     profile = qos(depth=1)
-    write_bag(tmp_path / "bag", recording(), offered={"command": profile})
+    writer = BagWriter(tmp_path / "bag")
+    writer.write(writer.add_topic(BagTopic.known("/command", STATE, [profile])), 0, b"")
+    writer.close()
     with Reader(tmp_path / "bag") as reader:
-        found = {c.topic: c.ext.offered_qos_profiles for c in reader.connections}
-    assert found["/command"] == [profile]
+        assert [c.ext.offered_qos_profiles for c in reader.connections] == [[profile]]
 
 
 def test_bad_arguments_are_refused_and_nothing_is_overwritten(tmp_path):
@@ -295,11 +302,11 @@ def humble_sqlite3(directory: Path, source: Recording) -> None:
     humble_metadata(directory, "sqlite3", source)
 
 
-def humble_mcap(directory: Path, source: Recording) -> None:
+def humble_mcap(directory: Path, source: Recording, **options) -> None:
     directory.mkdir()
     store = get_typestore(Stores.ROS2_HUMBLE)
     with (directory / "bag_0.mcap").open("wb") as file:
-        writer = McapLibraryWriter(file, compression=CompressionType.LZ4, chunk_size=4096)
+        writer = McapLibraryWriter(file, **{"compression": CompressionType.LZ4, "chunk_size": 4096} | options)
         writer.start("ros2", "libmcap 0.8.0")
         numbers = {}
         for t in source.topics.values():
@@ -413,6 +420,16 @@ def test_what_is_no_bag_is_named(tmp_path):
         read_bag(tmp_path / "bag")
 
 
+@pytest.mark.parametrize("make", [humble_sqlite3, humble_mcap])
+def test_damage_that_shows_on_opening_is_named(tmp_path, make):
+    make(tmp_path / "bag", recording())
+    file = next(p for p in (tmp_path / "bag").iterdir() if p.suffix in (".mcap", ".db3"))
+    file.write_bytes(file.read_bytes().replace(b"/plant/state", b"/plant\xffstate"))
+    for path in (tmp_path / "bag", file):
+        with pytest.raises(BagError, match=r"damaged: .*softrig bag repair"):
+            read_bag(path)
+
+
 # Comparing ------------------------------------------------------------------------------------------------------------
 
 
@@ -522,6 +539,34 @@ def test_foreign_types_are_compared_by_field(tmp_path):
     assert json.loads(compare(reference, changed).to_json())["topics"][0]["differing"] == 1
 
 
+def test_types_defined_in_the_bag_alone_are_paired_by_stamp(tmp_path):
+    layout = Layout("geometry_msgs/msg/Vector3Stamped")
+    definition = BagTopic.known("/x", layout.msgtype).definition
+    for name, delay in (("a", 0), ("b", 3)):
+        writer = BagWriter(tmp_path / name)
+        number = writer.add_topic(BagTopic("/x", "strange_msgs/msg/Vector", definition))
+        for k in range(5):
+            writer.write(number, k + delay, layout.encode(k, (k, 0, 0)))
+        writer.close()
+    assert compare(signals(tmp_path / "a"), signals(tmp_path / "b")).equal
+
+
+def test_constants_may_stand_before_the_header():
+    assert is_stamped(BagTopic.known("/battery", "sensor_msgs/msg/BatteryState"))
+    assert not is_stamped(BagTopic("/x", "x_msgs/msg/X", "int8 A=1\nint8 B = 2\nstring<=5 text\nstd_msgs/Header h"))
+
+
+def test_the_duration_of_a_trajectory_is_compared():
+    layout = Layout("trajectory_msgs/msg/JointTrajectory", "", ["a"], {"position": 1})
+    one, two = Recording([("goal", layout.msgtype)]), Recording([("goal", layout.msgtype)])
+    data = layout.encode(0, (1.0,))
+    one.add(0, 0, data)
+    two.add(0, 0, data[:-8] + b"\5\0\0\0" + data[-4:])
+    first = compared(one, two).first
+    assert (first.field, first.a, first.b) == ("time_from_start", 0.0, 5.0)
+    assert compared(one, two, tolerances={"*/time_from_start": Tolerance(5.0)}).equal
+
+
 # Repairing ------------------------------------------------------------------------------------------------------------
 
 
@@ -565,6 +610,69 @@ def test_a_damaged_chunk_costs_only_itself(tmp_path):
     lost = [i for i, message in enumerate(whole) if message not in found]
     assert lost == list(range(lost[0], lost[-1] + 1))
     assert 0 < len(lost) < 8000
+
+
+def damaged(content: bytes, chance: random.Random) -> bytes:
+    """Cut a file, or zero a sector, or write noise over a part."""
+    at = chance.randrange(len(content))
+    match chance.randrange(3):
+        case 0:
+            return content[:at]
+        case 1:
+            at -= at % 512
+            return content[:at] + bytes(512) + content[at + 512 :]
+    return content[:at] + chance.randbytes(64) + content[at + 64 :]
+
+
+@pytest.mark.parametrize("make", [humble_sqlite3, humble_mcap])
+def test_any_damage_gives_a_readable_bag_or_a_plain_refusal(tmp_path, make):
+    """The MCAP file is without checksums, so that nothing shields the parser."""
+    options = {} if make is humble_sqlite3 else {"compression": CompressionType.NONE, "enable_crcs": False}
+    make(tmp_path / "whole", recording(ticks=500), **options)
+    file = next(p for p in (tmp_path / "whole").iterdir() if p.suffix in (".mcap", ".db3"))
+    repaired = 0
+    for seed in range(40):
+        bag = tmp_path / f"bag{seed}"
+        shutil.copytree(tmp_path / "whole", bag)
+        (bag / file.name).write_bytes(damaged(file.read_bytes(), random.Random(seed)))
+        try:
+            done = repair(bag)
+        except BagError:  # not one whole message in it
+            continue
+        kept = sum(f.kept for f in done.files)
+        repaired += kept > 0
+        assert done.bag is None or len(expected(read_bag(bag))) == kept
+    assert repaired > 15
+
+
+def test_rows_are_found_in_pages_whose_numbers_are_damaged(tmp_path):
+    """A record whose header, length or chain of pages leads nowhere is left out, and nothing runs for ever."""
+    head = bytes(16) + (512).to_bytes(2, "big") + bytes(494)
+    huge = b"\xff" * 8 + b"\x7f"
+
+    def page(cell: bytes) -> bytes:
+        return (b"\x0d\0\0\0\1" + bytes(3) + (10).to_bytes(2, "big") + cell).ljust(512, b"\0")
+
+    good = b"\x08\x07" + b"\5\0\1\1\x0e" + b"\2\3" + b"d"
+    assert message_rows(head + page(good)) == [(7, 2, 3, b"d")]
+    assert message_rows(head + page(good[:2] + huge + good[3:])) == []
+    assert message_rows(head + page(huge + good[1:])) == []
+    chain = b"\x87\x68\7".ljust(42, b"\0") + (3).to_bytes(4, "big")  # 1000 bytes, 39 here, the rest from page 3 on
+    assert message_rows(head + page(chain) + (3).to_bytes(4, "big")) == []
+
+
+def test_a_single_database_is_repaired_with_write_permission_for_the_new_bag_alone(tmp_path, monkeypatch):
+    places = []
+
+    def scratch(dir, prefix):
+        places.append(dir)
+        return TemporaryDirectory(dir=dir, prefix=prefix)
+
+    monkeypatch.setattr("softrig_bags.repair.TemporaryDirectory", scratch)
+    write_bag(tmp_path / "media/bag", recording(), storage="sqlite3")
+    repair(tmp_path / "media/bag/bag_0.db3", tmp_path / "home/new")
+    assert places == [tmp_path / "home"]
+    assert expected(read_bag(tmp_path / "home/new")) == expected(recording())
 
 
 @pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
@@ -660,3 +768,33 @@ def test_a_bag_is_closed_properly_on_a_full_disk(tmp_path, file_limit, storage):
     found = read_bag(tmp_path / "bag").topics["x"]
     assert found.times == list(range(written + 1 - lost))
     assert 0 < lost < 10_000
+
+
+@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
+@pytest.mark.parametrize("moment", ["close", "open"])
+def test_a_disk_full_at_a_split_leaves_the_files_before(tmp_path, monkeypatch, file_limit, storage, moment):
+    kind = STORAGES[storage]
+
+    class NoSecond(kind):
+        def __init__(self, path, *rest):
+            super().__init__(path, *rest)
+            if moment == "open" and "_1." in path.name:
+                raise OSError(errno.ENOSPC, "full")
+
+    monkeypatch.setattr("softrig_bags.bag.STORAGES", {storage: NoSecond})
+    writer = BagWriter(tmp_path / "bag", storage=storage, split_ns=100)
+    number = writer.add_topic(BagTopic.known("/x", STATE))
+    for k in range(100):
+        writer.write(number, k, bytes(1000))
+    writer.flush()
+    if moment == "close":
+        file_limit(1)
+    with pytest.raises(OSError, match=r"large|full|disk I/O"):
+        writer.write(number, 100, bytes(1000))
+    file_limit(1 << 30)
+    assert writer.salvage() == 1
+    assert read_bag(tmp_path / "bag").topics["x"].times == list(range(100))
+    assert sorted(p.name for p in (tmp_path / "bag").iterdir()) == [f"bag_0{kind.SUFFIX}", "metadata.yaml"]
+    if storage == "mcap":
+        with (tmp_path / "bag/bag_0.mcap").open("rb") as file:
+            assert len(list(make_reader(file).iter_metadata())) == 2

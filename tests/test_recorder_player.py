@@ -10,19 +10,23 @@ import sys
 import time
 from contextlib import ExitStack, suppress
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import rclpy
+from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from softrig_bags.bag import BagWriter
 from softrig_bags.cli import main_bag, main_compare, main_play, main_record
 from softrig_bags.compare import compare
 from softrig_bags.read import read_bag, signals
 from softrig_bags.reader import BagReader
+from softrig_bags.recorder import Recorder
 from softrig_bags.repair import repair
 from softrig_bags.ros import publisher_profile
+from softrig_bags.selection import Selection
 from softrig_bags.topics import BagTopic
 from softrig_bags.write import write_bag
 from softrig_core.cdr import Layout, parse
@@ -237,6 +241,45 @@ def test_qos_is_adapted_to_publishers_as_they_come(rig, tmp_path):
     assert profiles["/text"].durability == DurabilityPolicy.TRANSIENT_LOCAL
     assert profiles["/sensor"].reliability == ReliabilityPolicy.BEST_EFFORT
     assert profiles["/both"].reliability == ReliabilityPolicy.RELIABLE
+
+
+@pytest.fixture
+def recorder(listener, tmp_path):
+    """A recorder inside this process, which takes messages only when told to."""
+    writer = BagWriter(tmp_path / "bag")
+    made = Recorder(SimpleNamespace(node=listener), writer, Selection(("/late",)), stamped=True)
+    yield made
+    writer.close()
+
+
+def test_messages_that_wait_while_qos_is_adapted_are_kept(recorder, listener, tmp_path):
+    other = Node("other", context=listener.context)
+    kind = message_class(STATE)
+    reliable = other.create_publisher(kind, "/late", 1000)
+    until(lambda: recorder._discover() or reliable.get_subscription_count(), "match")
+    for _ in range(50):
+        reliable.publish(kind())
+    assert reliable.wait_for_all_acked(Duration(seconds=10))
+    other.create_publisher(kind, "/late", QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT))
+    until(lambda: listener.count_publishers("/late") == 2, "second publisher")
+    before = recorder._subscriptions["/late"]
+    until(lambda: recorder._events.poll() or recorder._subscriptions.get("/late") is not before, "adaption")
+    assert recorder._subscriptions["/late"].qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT
+    recorder._flush()
+    assert recorder._writer.count == 50
+
+
+def test_topics_without_header_get_the_newest_stamp(recorder, tmp_path):
+    stamped, bare = BagTopic.known("/stamped", STATE), BagTopic.known("/bare", "std_msgs/msg/Float64")
+    for topic in (stamped, bare):
+        recorder._numbers[topic.name] = recorder._writer.add_topic(topic)
+    for t in (5, 3):
+        recorder._receiver(stamped)(Layout(STATE).encode(t, ()))
+    recorder._receiver(bare)(Layout("std_msgs/msg/Float64").encode(0, (1.0,)))
+    recorder._writer.close()
+    topics = read_bag(tmp_path / "bag").topics
+    assert sorted(topics["stamped"].times) == [3, 5]
+    assert topics["bare"].times == [5]
 
 
 def received(directory: Path, source: Recording) -> None:

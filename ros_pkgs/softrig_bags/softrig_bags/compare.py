@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from rosbags.typesys.store import Typestore
 from softrig_core.cdr import SCHEMAS, SECOND, parse
 from softrig_core.recording import Topic
 from softrig_core.signals import Signals
@@ -171,7 +172,7 @@ def compare(
             result = TopicComparison(name, one.msgtype, len(one.data), len(two.data), len(one.data), len(two.data))
             result.note(min([*one.times[:1], *two.times[:1]], default=0), "type", one.msgtype, two.msgtype)
         else:
-            result = _Pairing(name, one, two).compare(a, b, default, tolerances or {}, bitwise)
+            result = _Pairing(name, one, two, a, b).compare(a, b, default, tolerances or {}, bitwise)
         results.append(result)
     return Comparison(results)
 
@@ -179,13 +180,14 @@ def compare(
 class _Pairing:
     """The messages of one topic in both bags, paired."""
 
-    def __init__(self, name: str, one: Topic | None, two: Topic | None) -> None:
+    def __init__(self, name: str, one: Topic | None, two: Topic | None, a: Signals, b: Signals) -> None:
         known = one or two
         assert known is not None
         empty = Topic(name, known.msgtype)
         self.one, self.two = one or empty, two or empty
         self.result = TopicComparison(name, known.msgtype, len(self.one.data), len(self.two.data))
-        stamped = is_stamped(BagTopic.known(name, known.msgtype))
+        store = _store(a, known.msgtype) or _store(b, known.msgtype)
+        stamped = is_stamped(BagTopic.known(name, known.msgtype), store)
         keys_a, keys_b = _keys(self.one, stamped), _keys(self.two, stamped)
         if keys_a == keys_b:
             self.rows_a = self.rows_b = np.arange(len(keys_a))
@@ -288,8 +290,11 @@ def _fields(signals: Signals, topic: Topic, rows: NDArray[np.intp]) -> dict[str,
             columns = {k: v[rows] for k, v in signals.table(topic.name).columns.items()}
             columns["frame_id"] = [m.frame_id for m in heads]
             columns["name"] = [", ".join(m.names) for m in heads]
+            if SCHEMAS[topic.msgtype][-1] == "duration":  # no signal, and the end of the message
+                ends = [stamp(topic.data[i], len(topic.data[i]) - 8) for i in rows]
+                columns["time_from_start"] = np.array(ends) / SECOND
             return columns
-    store = signals.store(topic.msgtype) if isinstance(signals, BagSignals) else None
+    store = _store(signals, topic.msgtype)
     if store is None:
         return {"bytes": [topic.data[i].hex() for i in rows]}
     messages = [dict(flatten(store.deserialize_cdr(topic.data[i], topic.msgtype))) for i in rows]
@@ -301,6 +306,10 @@ def _fields(signals: Signals, topic: Topic, rows: NDArray[np.intp]) -> dict[str,
         texts = any(isinstance(v, str | bytes) for v in values)
         columns[label] = values if texts else np.array(values, dtype=np.float64)
     return columns
+
+
+def _store(signals: Signals, msgtype: str) -> Typestore | None:
+    return signals.store(msgtype) if isinstance(signals, BagSignals) else None
 
 
 def _item(value: Any) -> Any:

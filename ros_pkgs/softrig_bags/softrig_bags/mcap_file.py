@@ -157,6 +157,7 @@ class McapFile:
     def close(self, metadata: str) -> None:
         """Write the open chunk, the metadata of the bag and the index."""
         self.flush()
+        del self._metadata_index[1:]  # of a close that found no room
         data_end = self._metadata_record(metadata) + _record(DATA_END, pack("<I", 0))
         counts = {n: c for n, c in sorted(self.counts.items()) if c}
         statistics = pack("<QHIIII", sum(counts.values()), len(self._schemas), len(self._channels), 0,

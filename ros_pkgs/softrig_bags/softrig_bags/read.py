@@ -60,7 +60,7 @@ class BagSignals(Signals):
 
     def store(self, msgtype: str) -> Typestore | None:
         """Give what deserialises a message type, None if it is not defined in the bag nor here."""
-        return self._stores[msgtype]
+        return self._stores.get(msgtype)
 
     def table(self, topic: str) -> Table:
         """Give all columns of a topic."""

@@ -179,8 +179,8 @@ def _recover_mcap(path: Path, report: FileReport) -> Iterator[tuple[BagTopic, in
             items = [record]
             if isinstance(record, Chunk):
                 report.compression = "zstd" if record.compression == "zstd" else report.compression
-                items = _chunk_records(record)
-                damaged += not items
+                items, whole = _chunk_records(record)
+                damaged += not whole
             for item in items:
                 if isinstance(item, Schema):
                     schemas[item.id] = item
@@ -202,17 +202,20 @@ def _recover_mcap(path: Path, report: FileReport) -> Iterator[tuple[BagTopic, in
         report.lost.append(f"the last {path.stat().st_size - good} bytes")
 
 
-def _chunk_records(chunk: Chunk) -> list[McapRecord]:
-    """Give the records of a whole chunk, none of a damaged one."""
+def _chunk_records(chunk: Chunk) -> tuple[list[McapRecord], bool]:
+    """Give the readable records of a chunk, none when its checksum is wrong, and whether these are all."""
     try:
         content = decompress(chunk.data, chunk.compression, chunk.uncompressed_size, chunk.uncompressed_crc)
     except Exception:  # a decompressor's own kinds of error
-        return []
+        return [], False
+    file, good = BytesIO(content), 0
     records: list[McapRecord] = []
     # there is no footer in a chunk, hence the end of file; the others come of damage that no checksum shows
     with suppress(McapError, struct.error, UnicodeDecodeError):
-        records.extend(StreamReader(BytesIO(content), skip_magic=True).records)
-    return records
+        for record in StreamReader(file, skip_magic=True).records:
+            records.append(record)
+            good = file.tell()
+    return records, good == len(content)
 
 
 def _mcap_topic(channel: Channel, schema: Schema | None) -> BagTopic:
@@ -241,10 +244,13 @@ def _custom_data(text: str) -> dict[str, str]:
     return {str(k): str(v) for k, v in found.items()} if isinstance(found, dict) else {}
 
 
+_SQLITE_ERRORS = (sqlite3.Error, UnicodeDecodeError)  # the latter when SQLite's own words quote damaged names
+
+
 def _recover_sqlite3(path: Path, report: FileReport, scratch: Path) -> Iterator[tuple[BagTopic, int, bytes]]:
     with TemporaryDirectory(dir=scratch, prefix=".repair-") as directory:
         database = sqlite3.connect(_whole_copy(path, Path(directory)))  # undoes a commit that was cut off
-        with suppress(sqlite3.Error):  # older schemas have no such table
+        with suppress(*_SQLITE_ERRORS):  # older schemas have no such table
             for (text,) in database.execute("SELECT metadata FROM metadata ORDER BY id"):
                 report.custom_data = _custom_data(text) or report.custom_data
         try:
@@ -259,14 +265,14 @@ def _recover_sqlite3(path: Path, report: FileReport, scratch: Path) -> Iterator[
                     else:
                         damaged += 1
                 report.indexed = (path.parent / "metadata.yaml").exists()
-            except sqlite3.DatabaseError as error:
+            except _SQLITE_ERRORS as error:
                 report.lost.append(f"what stood on damaged pages ({error})")
                 for row, number, t, data in message_rows(path.read_bytes()):
                     if row > last and _is_message(topics, number, t, data):
                         yield topics[number], t, data
             if damaged:
                 report.lost.append(f"{damaged} damaged rows")
-        except (sqlite3.DatabaseError, UnicodeDecodeError) as error:
+        except _SQLITE_ERRORS as error:
             report.lost.append(f"the list of topics ({error})")
         database.close()
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from struct import Struct
 
+from rosbags.typesys.store import Typestore
 from softrig_core.cdr import SCHEMAS, SECOND
 
 from .topics import BagTopic
@@ -11,13 +12,20 @@ from .topics import BagTopic
 _LITTLE, _BIG = Struct("<iI"), Struct(">iI")
 
 
-def is_stamped(topic: BagTopic) -> bool:
-    """Whether messages of a topic begin with a header or a time."""
+def is_stamped(topic: BagTopic, store: Typestore | None = None) -> bool:
+    """Whether messages of a topic begin with a header or a time; a store's definition comes before the topic's."""
     if topic.msgtype in SCHEMAS:
         return SCHEMAS[topic.msgtype][0] == "stamp"
+    if store is not None:
+        fields = store.fielddefs[topic.msgtype][1]
+        return bool(fields) and fields[0][1][1] in ("std_msgs/msg/Header", "builtin_interfaces/msg/Time")
     lines = (line.partition("#")[0].split() for line in topic.definition.splitlines())
-    first = next((words[0] for words in lines if words), "")
+    first = next((words[0] for words in lines if words and not _is_constant(words)), "")
     return first in ("std_msgs/Header", "std_msgs/msg/Header", "Header", "builtin_interfaces/Time")
+
+
+def _is_constant(words: list[str]) -> bool:
+    return "=" in "".join(words[1:2]) or words[2:3] == ["="]
 
 
 def stamp(data: bytes, at: int = 4) -> int:
