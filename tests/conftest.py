@@ -19,7 +19,7 @@ sys.path.insert(0, str(PACKAGE / "python"))
 
 from softrig_core.domain import free_domain  # noqa: E402
 from softrig_core.inprocess import run_inprocess  # noqa: E402
-from softrig_core.processes import PROFILE, find_executable  # noqa: E402
+from softrig_core.processes import environment, find_executable  # noqa: E402
 from softrig_core.recording import Recording  # noqa: E402
 from softrig_core.rig import Rig  # noqa: E402
 from softrig_core.scenario import Scenario  # noqa: E402
@@ -53,15 +53,25 @@ def lag_rig():
     return Rig.from_scenario(make_scenario({"plant": "plant", "source": "source", "gain": "gain"}))
 
 
+# A person who presses the plant's button by its service.
+PRESS = """
+import rclpy
+from rclpy.node import Node
+from std_srvs.srv import Trigger
+rclpy.init()
+node = Node("person")
+client = node.create_client(Trigger, "plant/kick")
+client.wait_for_service()
+rclpy.spin_until_future_complete(node, client.call_async(Trigger.Request()))
+"""
+
+
 class Bench:
     """Real nodes on a domain of their own, started one by one, each with a status file and a shard."""
 
     def __init__(self, directory, domain):
         self.directory = directory
-        self.environment = os.environ | {
-            "ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-            "FASTRTPS_DEFAULT_PROFILES_FILE": str(PROFILE), "ROS_LOG_DIR": str(directory),
-        }  # fmt: skip
+        self.environment = environment(domain, directory)
         self.nodes = {}
 
     def start(self, name, executable, *arguments, package="faultrig"):

@@ -1,7 +1,6 @@
 """Regression on golden bags: re-run the rig, and feed each node the golden inputs in open loop."""
 
 import json
-import os
 import subprocess
 from pathlib import Path
 
@@ -11,7 +10,7 @@ from softrig_bags.read import read_bag
 from softrig_bringup.golden import create, load, main
 from softrig_core.domain import free_domain
 from softrig_core.errors import ScenarioError
-from softrig_core.processes import PROFILE, find_executable, node_parameters, run_processes
+from softrig_core.processes import environment, find_executable, node_parameters, run_processes
 from softrig_core.rig import Rig
 from softrig_core.scenario import load_scenario
 from softrig_core.signals import Signals
@@ -59,20 +58,17 @@ def test_a_replay_in_lockstep_into_one_real_node_agrees(name, node, tmp_path):
     lines = [f"    {key}: {json.dumps(value)}" for key, value in parameters.items()]
     file.write_text("/**:\n  ros__parameters:\n" + "\n".join(lines) + "\n")
     with free_domain() as domain:
-        environment = os.environ | {
-            "ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-            "FASTRTPS_DEFAULT_PROFILES_FILE": str(PROFILE), "ROS_LOG_DIR": str(tmp_path),
-        }  # fmt: skip
+        variables = environment(domain, tmp_path)
         command = [str(find_executable(member.package, member.executable)), "--ros-args", "-r", f"__node:={node}",
                    "--params-file", str(file)]  # fmt: skip
-        process = subprocess.Popen(command, env=environment)
+        process = subprocess.Popen(command, env=variables)
         try:
             topics = [p.topic for p in member.outputs]
             player = subprocess.run(
                 [str(find_executable("softrig_bags", "player")), str(golden.bag), "--lockstep", *topics,
                  "--topics", *[p.topic for p in member.inputs if p.name in member.links],
                  "--answers", str(tmp_path / "answers")],
-                env=environment, capture_output=True, text=True, timeout=120,
+                env=variables, capture_output=True, text=True, timeout=120,
             )  # fmt: skip
         finally:
             process.kill()

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import differences, in_process, make_scenario
+from conftest import PRESS, differences, in_process, make_scenario
 from softrig_core.domain import free_domain
 from softrig_core.errors import ScenarioError
 from softrig_core.processes import environment, find_executable, run_processes
@@ -135,22 +135,12 @@ def test_a_node_read_only_by_slower_ones_is_waited_for(tmp_path):
 
 def test_a_press_by_service_in_lockstep_is_recorded_at_the_tick_that_saw_it(tmp_path):
     wired = rig(BASIC, 1e4)
-    code = """
-import rclpy
-from rclpy.node import Node
-from std_srvs.srv import Trigger
-rclpy.init()
-node = Node("person")
-client = node.create_client(Trigger, "plant/kick")
-client.wait_for_service()
-rclpy.spin_until_future_complete(node, client.call_async(Trigger.Request()))
-"""
     people = []
     with free_domain() as domain:
 
         def progress(t):
             if t and not people:
-                people.append(subprocess.Popen([sys.executable, "-c", code], env=environment(domain, tmp_path)))
+                people.append(subprocess.Popen([sys.executable, "-c", PRESS], env=environment(domain, tmp_path)))
             if people and people[0].poll() is not None:
                 raise KeyboardInterrupt
 

@@ -1,7 +1,7 @@
 """Nodes against the wall clock, started one by one as a user does: watchdog, recovery, rivals, bad input."""
 
 import pytest
-from conftest import make_scenario
+from conftest import PRESS, make_scenario
 from softrig_core.processes import run_processes
 from softrig_core.rig import Rig
 from softrig_core.signals import Signals
@@ -98,19 +98,9 @@ rclpy.spin(node)
 
 
 def test_a_button_is_also_a_service_that_presses_it_for_one_tick(bench):
-    code = """
-import rclpy
-from rclpy.node import Node
-from std_srvs.srv import Trigger
-rclpy.init()
-node = Node("person")
-client = node.create_client(Trigger, "plant/kick")
-client.wait_for_service()
-rclpy.spin_until_future_complete(node, client.call_async(Trigger.Request()))
-"""
     bench.start("plant", "plant")
     bench.wait(lambda: bench.status("plant").get("ticks", 0) > 10)
-    bench.python("person", code)
+    bench.python("person", PRESS)
     assert bench.nodes["person"].wait(30) == 0
     ticks = bench.status("plant")["ticks"]
     bench.wait(lambda: bench.status("plant")["ticks"] > ticks + 100)

@@ -32,7 +32,7 @@ from softrig_bags.write import write_bag
 from softrig_core.cdr import Layout, parse
 from softrig_core.domain import free_domain
 from softrig_core.messages import message_class
-from softrig_core.processes import PROFILE, find_executable
+from softrig_core.processes import PROFILE, environment, find_executable
 from softrig_core.recording import Recording
 from std_srvs.srv import Trigger
 
@@ -48,11 +48,7 @@ class Rig:
     def __init__(self, stack: ExitStack, folder: Path) -> None:
         self.stack, self.folder = stack, folder
         self.domain = stack.enter_context(free_domain())
-        self.environment = os.environ | {
-            "ROS_DOMAIN_ID": str(self.domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-            "FASTRTPS_DEFAULT_PROFILES_FILE": str(PROFILE), "ROS_LOG_DIR": str(folder / "log"),
-        }  # fmt: skip
-        self.environment.pop("ROS_LOCALHOST_ONLY", None)
+        self.environment = environment(self.domain, folder)
 
     def start(self, command: list[str], **options) -> subprocess.Popen:
         process = subprocess.Popen(

@@ -231,11 +231,13 @@ class Lockstep(Adapter):
             counted = next((o.readers for o in self.outputs if o.topic == topic), node.count_subscribers(topic))
             if counted < len(names) and all(n in there for n in names):
                 absent.append(f"{topic} has {counted} readers of {len(names)}")
-        if not self.options.links and not self._is_plant:
+        if not self.options.links:
+            # By hand nobody says who reads what, and some outputs may stay unread: those that are not read for a
+            # while after all senders have come. Only a plant may do without any reader.
             unread = [o.topic for o in self.outputs if not o.readers]
-            self._settled = self._settled + 1 if unread == self._unread else 0
+            self._settled = self._settled + 1 if unread == self._unread and not absent else 0
             self._unread = unread
-            if len(unread) == len(self.outputs) or self._settled < SETTLED:  # by hand some may stay unread
+            if self._settled < SETTLED or (len(unread) == len(self.outputs) and not self._is_plant):
                 absent += [f"nobody subscribes {topic}" for topic in unread]
         return absent
 
