@@ -58,6 +58,14 @@ def test_a_bad_parameter_is_named(values, text):
     assert "\n" not in str(error.value)
 
 
+def test_a_period_of_a_block_is_at_least_a_nanosecond_whatever_its_default():
+    class Fast(BlockParams):
+        period: float = param(1e-3, "sampling period", "s", gt=0.0)
+
+    with pytest.raises(ParameterError, match="parameter period = 1e-10: expected at least 1e-9"):
+        build(Fast, {"period": 1e-10})
+
+
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
     monkeypatch.setenv("SOFTRIG_SCENARIOS", str(tmp_path))

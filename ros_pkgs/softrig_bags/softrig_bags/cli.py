@@ -13,6 +13,7 @@ from pathlib import Path
 
 from softrig_core.errors import RunError
 from softrig_core.leave import leave
+from softrig_core.recording import relative
 
 from .errors import BagError
 
@@ -181,7 +182,6 @@ def main_compare(argv: list[str]) -> int:
 
     from .compare import Tolerance, compare
     from .read import signals
-    from .topics import relative
 
     tolerances = {}
     for text in options.field:

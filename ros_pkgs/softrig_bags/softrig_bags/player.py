@@ -20,14 +20,14 @@ from rclpy.subscription import Subscription
 from softrig_core.cdr import SECOND, Layout
 from softrig_core.errors import RunError
 from softrig_core.messages import message_class
-from softrig_core.recording import Recording
+from softrig_core.recording import Recording, relative
 from std_srvs.srv import Trigger
 
 from .errors import BagError
 from .reader import BagReader
 from .ros import Session, publisher_profile
 from .stamps import is_stamped, stamp
-from .topics import BagTopic, relative
+from .topics import BagTopic
 
 CLOCK = "/clock"
 CLOCK_STEP = 0.025  # s: longest wall-clock time between two /clock messages

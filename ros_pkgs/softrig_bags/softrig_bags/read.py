@@ -10,12 +10,11 @@ from typing import Any
 import numpy as np
 from rosbags.typesys.store import Typestore
 from softrig_core.cdr import SCHEMAS, SECOND
-from softrig_core.recording import Recording
+from softrig_core.recording import Recording, relative
 from softrig_core.signals import Signals, Table
 
 from .errors import BagError
 from .reader import BagReader
-from .topics import relative
 
 WALL_CLOCK = 10**18  # ns; bag times after September 2001 are wall-clock times, simulated ones begin near zero
 

@@ -67,11 +67,6 @@ def absolute(name: str) -> str:
     return "/" + name.lstrip("/")
 
 
-def relative(name: str) -> str:
-    """Give a topic's name as scenarios and recordings write it: without the root, except for /clock."""
-    return name if name == "/clock" else name.removeprefix("/")
-
-
 def qos_dicts(offered: Sequence[Qos]) -> list[dict[str, Any]]:
     """Give profiles as rosbag2's metadata version 9 writes them: policies by name."""
     return [

@@ -88,28 +88,27 @@ def execute(
     for entry in scenario.metrics:  # what is misspelt is found before the run, not after it
         _function(entry)
     check_plots(rig)
-    seed = scenario.seed
     started = time.perf_counter()
     if mode == "inprocess":
         recording = Recording((t, p.msgtype) for t, p in rig.topics.items())
         error = ""
         status: dict[str, dict[str, Any]] = {}
         try:
-            blocks = run_inprocess(rig, seed, recording, progress)
+            blocks = run_inprocess(rig, scenario.seed, recording, progress)
             status = {
                 name: {"reports": {k: [int(level), text, n] for k, (level, text, n) in block.reports.items()}}
                 for name, block in blocks.items()
             }
         except RunError as broken:
             error = str(broken)
-        run = Run(rig, mode, seed, recording, time.perf_counter() - started, status=status, error=error)
+        run = Run(rig, mode, scenario.seed, recording, time.perf_counter() - started, status=status, error=error)
     else:
         from softrig_core.processes import run_processes
 
-        outcome = run_processes(rig, seed, directory, mode="lockstep" if mode == "processes" else "realtime",
+        outcome = run_processes(rig, scenario.seed, directory, mode="lockstep" if mode == "processes" else "realtime",
                                 domain=domain, progress=progress, announce=announce)  # fmt: skip
-        run = Run(rig, mode, seed, outcome.recording, time.perf_counter() - started, outcome.epoch, outcome.status,
-                  outcome.error)  # fmt: skip
+        run = Run(rig, mode, scenario.seed, outcome.recording, time.perf_counter() - started, outcome.epoch,
+                  outcome.status, outcome.error)  # fmt: skip
     if not run.error and mode != "realtime":
         run.error = gaps(rig, run.recording)
     return run

@@ -32,7 +32,7 @@ from .marker import marker_array
 from .messages import diagnostic_array, message_class
 from .options import Links, RunOptions
 from .port import Decoder, Port, Sample
-from .recording import ShardWriter
+from .recording import ShardWriter, relative
 from .timebase import to_ns
 
 # Depth 10: in lockstep at most two messages of a topic are ever under way; outside readers get some slack.
@@ -101,7 +101,7 @@ class Adapter:
         self.inputs = [Input(p) for p in inputs]
         names = [node.resolve_topic_name(p.topic) for p in outputs]
         self.outputs = [Output(p, name, i) for i, (p, name) in enumerate(zip(outputs, names, strict=True))]
-        recorded = [(_bag_name(o.topic), o.port.msgtype) for o in self.outputs]
+        recorded = [(relative(o.topic), o.port.msgtype) for o in self.outputs]
         # What an outside node sends is recorded by its (first) reader, at the tick at which it takes effect.
         records = self.links.records
         outside = [
@@ -109,7 +109,7 @@ class Adapter:
         ]
         self.foreign = {name: len(recorded) + k for k, name in enumerate(outside)}
         recorded += [
-            (_bag_name(node.resolve_topic_name(i.port.topic)), i.port.msgtype)
+            (relative(node.resolve_topic_name(i.port.topic)), i.port.msgtype)
             for i in self.inputs if i.port.name in self.foreign
         ]  # fmt: skip
         self.extra_numbers = len(recorded)
@@ -406,11 +406,6 @@ def _peak_memory() -> float | None:
     except OSError:  # not Linux
         return None
     return round(int(status.split("VmHWM:")[1].split()[0]) / 1024, 1)
-
-
-def _bag_name(topic: str) -> str:
-    """Topic name as scenarios write it: relative to the root namespace."""
-    return topic.removeprefix("/") if topic != "/clock" else topic
 
 
 def _unbound(data: bytes) -> None:

@@ -40,7 +40,7 @@ SCHEMAS: dict[str, tuple[str, ...]] = {
 }  # fmt: skip
 
 
-Pick = Callable[[Sequence[Any]], tuple[Any, ...]]  # takes some items
+Pick = Callable[[tuple[Any, ...]], tuple[Any, ...]]  # takes some items
 Dims = tuple[tuple[str, int], ...]  # of an array: label and size of each dimension, the last one changing fastest
 
 
@@ -213,10 +213,11 @@ class Layout:
 
 
 def getter(places: Sequence[int]) -> Pick:
-    """Give an itemgetter that always gives a tuple."""
+    """Give an itemgetter that always gives a tuple (of a tuple)."""
     if len(places) > 1:
         return itemgetter(*places)
-    return lambda items: tuple(items[i] for i in places)
+    start = places[0] if places else 0
+    return itemgetter(slice(start, start + len(places)))
 
 
 def _merge(spans: list[tuple[int, int]]) -> list[tuple[int, int]]:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, get_args
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 
 class ParameterError(ValueError):
@@ -42,7 +42,14 @@ class Params(BaseModel):
 class BlockParams(Params):
     """Parameters that every block has."""
 
-    period: float = param(0.01, "sampling period", "s", ge=1e-9)
+    period: float = param(0.01, "sampling period", "s", gt=0.0)
+
+    @field_validator("period")  # a block that has a default of its own inherits this
+    @classmethod
+    def _period_in_ns(cls, period: float) -> float:
+        if period < 1e-9:
+            raise ValueError("expected at least 1e-9, the unit of time is the nanosecond")
+        return period
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,11 @@ _RECORD = struct.Struct("<qHI")
 _MAGIC = b"softrig shard 1\n"
 
 
+def relative(name: str) -> str:
+    """Give a topic's name as scenarios and recordings write it: without the root, except for /clock."""
+    return name if name == "/clock" else name.removeprefix("/")
+
+
 class Sink(Protocol):
     """Where a block's published bytes go."""
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from functools import lru_cache, partial
+from functools import cache, lru_cache, partial
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -93,6 +93,7 @@ def cost(candidate: Point, duration: float = 15.0, guarded: bool = True) -> floa
     return mse + WEIGHT * variation**2 if guarded else mse
 
 
+@cache
 def guarded_limit() -> float:
     """Largest alpha_hat of the guarded search, V s/rad."""
     return MARGIN * alpha_hat_limit(PERIOD, LAMBDA, False)
