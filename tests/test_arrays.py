@@ -1,10 +1,11 @@
 import numpy as np
 import pytest
 from rosbags.typesys import Stores, get_typestore
-from softrig_core.cdr import parse
-from softrig_core.port import Decoder, Refused, array, pose, selection
-from softrig_core.recording import Recording
-from softrig_core.signals import Signals
+from softrig_core.model.port import Refused, array, pose
+from softrig_core.wire.cdr import parse
+from softrig_core.wire.codec import Decoder, selection
+from softrig_core.wire.recording import Recording
+from softrig_core.wire.signals import Signals
 
 MATRIX = array("m", "matrix", {"row": 2, "column": 3}, "kg m^2")
 POSE = pose("p", "tool_pose", "base_link")

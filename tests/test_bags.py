@@ -30,10 +30,10 @@ from softrig_bags.sqlite_pages import message_rows
 from softrig_bags.stamps import is_stamped
 from softrig_bags.topics import BagTopic, qos
 from softrig_bags.write import write_bag
-from softrig_core.cdr import Layout
 from softrig_core.errors import RunError
-from softrig_core.recording import Recording, ShardWriter
-from softrig_core.signals import Signals
+from softrig_core.wire.cdr import Layout
+from softrig_core.wire.recording import Recording, ShardWriter
+from softrig_core.wire.signals import Signals
 
 STATE = "sensor_msgs/msg/JointState"
 FORMATS = [("mcap", "none"), ("mcap", "zstd"), ("sqlite3", "none")]

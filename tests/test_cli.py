@@ -12,10 +12,10 @@ from pathlib import Path
 import pytest
 from softrig_bringup.cli import _parser, _repeat, main
 from softrig_bringup.run import gaps
-from softrig_core import signals
-from softrig_core.recording import Recording
-from softrig_core.rig import Rig
-from softrig_core.scenario import load_scenario
+from softrig_core.rig.rig import Rig
+from softrig_core.rig.scenario import load_scenario
+from softrig_core.wire import signals
+from softrig_core.wire.recording import Recording
 from softrig_drives.induction_dtc import bench as induction
 
 SCRIPTS = Path(__file__).parents[1] / "scripts"
@@ -112,7 +112,7 @@ def test_a_metric_that_cannot_be_computed_is_a_miss_with_its_reason(folder, monk
     def broken(signals, signal):
         raise error("no such thing")
 
-    monkeypatch.setattr("softrig_core.metrics.final_value", broken)
+    monkeypatch.setattr("softrig_core.rig.metrics.final_value", broken)
     assert run("lag", "--mode", "inprocess", "--no-record", "--no-plots") == 1
     (metric,) = json.loads((folder / "runs" / "lag" / "metrics.json").read_text())["metrics"]
     assert (metric["value"], metric["pass"]) == (None, False)

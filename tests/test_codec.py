@@ -9,9 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_typestore
-from softrig_core.cdr import Layout, parse
-from softrig_core.port import (
-    Decoder,
+from softrig_core.model.port import (
     Refused,
     button,
     command,
@@ -19,10 +17,11 @@ from softrig_core.port import (
     number,
     reference,
     scalars,
-    selection,
     vector3,
     wrench,
 )
+from softrig_core.wire.cdr import Layout, parse
+from softrig_core.wire.codec import Decoder, selection
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 TYPES = STORE.types

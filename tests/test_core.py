@@ -7,14 +7,14 @@ from conftest import in_process, make_scenario
 from faultrig import Gain, Lag
 from hypothesis import given
 from hypothesis import strategies as st
-from softrig_core.block import Block
 from softrig_core.errors import RunError, ScenarioError
-from softrig_core.inprocess import run_inprocess
-from softrig_core.params import BlockParams, ParameterError, Params, build, declarations, flatten, param
-from softrig_core.recording import Recording, ShardWriter
-from softrig_core.rig import Rig, load_block
-from softrig_core.scenario import load_scenario, merge
-from softrig_core.signals import Signals
+from softrig_core.model.block import Block
+from softrig_core.model.params import BlockParams, ParameterError, Params, build, declarations, flatten, param
+from softrig_core.rig.inprocess import run_inprocess
+from softrig_core.rig.rig import Rig, load_block
+from softrig_core.rig.scenario import load_scenario, merge
+from softrig_core.wire.recording import Recording, ShardWriter
+from softrig_core.wire.signals import Signals
 
 
 class Inner(Params):

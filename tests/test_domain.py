@@ -4,13 +4,13 @@ import subprocess
 import sys
 
 import pytest
-from softrig_core import domain
-from softrig_core.domain import free_domain
 from softrig_core.errors import RunError
+from softrig_core.rig import domain
+from softrig_core.rig.domain import free_domain
 
 HOLD = """
 import sys
-from softrig_core.domain import free_domain
+from softrig_core.rig.domain import free_domain
 with free_domain() as d:
     print(d, flush=True)
     sys.stdin.readline()

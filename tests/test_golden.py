@@ -8,12 +8,12 @@ import pytest
 from softrig_bags.compare import compare
 from softrig_bags.read import read_bag
 from softrig_bringup.golden import create, load, main
-from softrig_core.domain import free_domain
 from softrig_core.errors import ScenarioError
-from softrig_core.processes import environment, find_executable, node_parameters, run_processes
-from softrig_core.rig import Rig
-from softrig_core.scenario import load_scenario
-from softrig_core.signals import Signals
+from softrig_core.rig.domain import free_domain
+from softrig_core.rig.processes import environment, find_executable, node_parameters, run_processes
+from softrig_core.rig.rig import Rig
+from softrig_core.rig.scenario import load_scenario
+from softrig_core.wire.signals import Signals
 
 BAGS = Path(__file__).parents[1] / "bags"
 GOLDEN = sorted(p.parent.name for p in BAGS.glob("*/golden.yaml"))

@@ -12,16 +12,17 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 from softrig_bringup import plots
 from softrig_bringup.run import evaluate, execute
-from softrig_core import compiled
-from softrig_core.block import Level
-from softrig_core.cdr import Layout
 from softrig_core.errors import ScenarioError
-from softrig_core.inprocess import run_inprocess
-from softrig_core.params import ParameterError
-from softrig_core.port import Decoder, Refused
-from softrig_core.rig import Rig
-from softrig_core.scenario import Scenario, list_scenarios, load_scenario
-from softrig_core.signals import Signals
+from softrig_core.model import compiled
+from softrig_core.model.block import Level
+from softrig_core.model.params import ParameterError
+from softrig_core.model.port import Refused
+from softrig_core.rig.inprocess import run_inprocess
+from softrig_core.rig.rig import Rig
+from softrig_core.rig.scenario import Scenario, list_scenarios, load_scenario
+from softrig_core.wire.cdr import Layout
+from softrig_core.wire.codec import Decoder
+from softrig_core.wire.signals import Signals
 from softrig_drives.induction_dtc import bench
 from softrig_drives.induction_dtc.adc import AdcParams, Converter
 from softrig_drives.induction_dtc.dtc import DtcController

@@ -7,7 +7,7 @@ import pytest
 
 STUCK = """
 import ctypes
-from softrig_core.leave import leave
+from softrig_core.node.leave import leave
 
 class Node:
     executor = None

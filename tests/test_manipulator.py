@@ -12,15 +12,16 @@ import softrig_robots
 from conftest import differences, in_process
 from scipy.integrate import solve_ivp
 from softrig_bringup.run import evaluate
-from softrig_core import compiled, metrics
-from softrig_core.block import Level
 from softrig_core.errors import RunError, ScenarioError
-from softrig_core.inprocess import run_inprocess
-from softrig_core.marker import marker_array
-from softrig_core.params import ParameterError, build
-from softrig_core.rig import Rig
-from softrig_core.scenario import list_scenarios, load_scenario
-from softrig_core.signals import Signals
+from softrig_core.model import compiled
+from softrig_core.model.block import Level
+from softrig_core.model.params import ParameterError, build
+from softrig_core.node.messages import marker_array
+from softrig_core.rig import metrics
+from softrig_core.rig.inprocess import run_inprocess
+from softrig_core.rig.rig import Rig
+from softrig_core.rig.scenario import list_scenarios, load_scenario
+from softrig_core.wire.signals import Signals
 from softrig_robots.driven_robot import compile_robot
 from softrig_robots.dynamics import RobotDynamics
 from softrig_robots.manipulator.controller import VcsController

@@ -13,8 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 from scipy.optimize import differential_evolution, minimize_scalar
-from softrig_core.block import Level, Plant
-from softrig_core.params import ParameterError
+from softrig_core.model.block import Level, Plant
+from softrig_core.model.params import ParameterError
 from softrig_optim.algorithms import AlgorithmParams, make
 from softrig_optim.de import DifferentialEvolution
 from softrig_optim.firefly import Firefly

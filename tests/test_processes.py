@@ -12,12 +12,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import PRESS, differences, in_process, make_scenario
-from softrig_core.domain import free_domain
 from softrig_core.errors import ScenarioError
-from softrig_core.processes import environment, find_executable, run_processes
-from softrig_core.recording import Recording
-from softrig_core.rig import Rig
-from softrig_core.signals import Signals
+from softrig_core.rig.domain import free_domain
+from softrig_core.rig.processes import environment, find_executable, run_processes
+from softrig_core.rig.rig import Rig
+from softrig_core.wire.recording import Recording
+from softrig_core.wire.signals import Signals
 
 pytestmark = pytest.mark.processes
 
@@ -205,8 +205,8 @@ def test_ctrl_c_stops_all_nodes(tmp_path):
     code = textwrap.dedent(f"""
         import sys; sys.path.insert(0, {str(Path(__file__).parent)!r})
         from conftest import make_scenario
-        from softrig_core.rig import Rig
-        from softrig_core.processes import run_processes
+        from softrig_core.rig.rig import Rig
+        from softrig_core.rig.processes import run_processes
         from pathlib import Path
         wired = Rig.from_scenario(make_scenario({BASIC!r}, 1e5))
         run_processes(wired, 0, Path({str(tmp_path)!r}), progress=lambda t: print(t, flush=True))
@@ -223,8 +223,8 @@ def test_nodes_die_with_a_killed_runner(tmp_path):
     code = textwrap.dedent(f"""
         import sys; sys.path.insert(0, {str(Path(__file__).parent)!r})
         from conftest import make_scenario
-        from softrig_core.rig import Rig
-        from softrig_core.processes import run_processes
+        from softrig_core.rig.rig import Rig
+        from softrig_core.rig.processes import run_processes
         from pathlib import Path
         wired = Rig.from_scenario(make_scenario({BASIC!r}, 1e5))
         run_processes(wired, 0, Path({str(tmp_path)!r}), progress=lambda t: print(t, flush=True))

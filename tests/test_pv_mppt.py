@@ -12,13 +12,13 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 from scipy.special import lambertw
 from softrig_bringup.run import evaluate
-from softrig_core.block import Level
 from softrig_core.errors import ScenarioError
-from softrig_core.params import ParameterError
-from softrig_core.processes import run_processes
-from softrig_core.rig import Rig
-from softrig_core.scenario import list_scenarios, load_scenario
-from softrig_core.signals import Signals
+from softrig_core.model.block import Level
+from softrig_core.model.params import ParameterError
+from softrig_core.rig.processes import run_processes
+from softrig_core.rig.rig import Rig
+from softrig_core.rig.scenario import list_scenarios, load_scenario
+from softrig_core.wire.signals import Signals
 from softrig_optim.algorithms import AlgorithmParams, make
 from softrig_optim.search import run
 from softrig_power.pv import metrics, statistics

@@ -2,9 +2,9 @@
 
 import pytest
 from conftest import PRESS, make_scenario
-from softrig_core.processes import run_processes
-from softrig_core.rig import Rig
-from softrig_core.signals import Signals
+from softrig_core.rig.processes import run_processes
+from softrig_core.rig.rig import Rig
+from softrig_core.wire.signals import Signals
 
 pytestmark = pytest.mark.processes
 

@@ -12,15 +12,15 @@ from softrig_bringup import plots
 from softrig_bringup.plots import OVERVIEW, envelope, plot_name, plot_run, pretty_unit, units
 from softrig_bringup.report import write_report
 from softrig_bringup.run import Run, save, summary
-from softrig_core.block import Block, Plant
 from softrig_core.errors import ScenarioError
-from softrig_core.inprocess import run_inprocess
-from softrig_core.params import BlockParams, param
-from softrig_core.port import command, joint_state, number, reference, scalars, vector3
-from softrig_core.recording import Recording
-from softrig_core.rig import Rig
-from softrig_core.scenario import Scenario
-from softrig_core.signals import Signals
+from softrig_core.model.block import Block, Plant
+from softrig_core.model.params import BlockParams, param
+from softrig_core.model.port import command, joint_state, number, reference, scalars, vector3
+from softrig_core.rig.inprocess import run_inprocess
+from softrig_core.rig.rig import Rig
+from softrig_core.rig.scenario import Scenario
+from softrig_core.wire.recording import Recording
+from softrig_core.wire.signals import Signals
 
 
 class Drive(Plant):
@@ -95,7 +95,7 @@ BLOCKS = {"drive": Drive, "law": Law, "steps": Steps}
 @pytest.fixture
 def make_rig(monkeypatch):
     """A rig of the blocks above, with changes to the scenario's keys."""
-    monkeypatch.setattr("softrig_core.rig.load_block", lambda package, executable: BLOCKS[executable])
+    monkeypatch.setattr("softrig_core.rig.rig.load_block", lambda package, executable: BLOCKS[executable])
 
     def make(**keys):
         nodes = {name: {"package": "here", "executable": name} for name in BLOCKS}

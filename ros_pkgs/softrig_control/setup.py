@@ -1,28 +1,3 @@
-from setuptools import find_packages, setup
+from setuptools import setup
 
-NAME = "softrig_control"
-
-setup(
-    name=NAME,
-    version="0.1.0",
-    packages=find_packages(),
-    package_data={NAME: ["py.typed"]},
-    data_files=[
-        ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
-        (f"share/{NAME}", ["package.xml"]),
-    ],
-    install_requires=["setuptools"],
-    zip_safe=False,
-    maintainer="softrig maintainers",
-    maintainer_email="softrig@users.noreply.github.com",
-    description="Reusable control laws, references and filters for softrig",
-    license="Apache-2.0",
-    extras_require={"test": ["pytest"]},
-    entry_points={
-        "console_scripts": [
-            "command_source = softrig_control.command_source:main",
-            "fieldbus_delay = softrig_control.delay:main",
-            "reference_source = softrig_control.reference_source:main",
-        ]
-    },
-)
+setup()  # all is in setup.cfg; colcon asks for this file

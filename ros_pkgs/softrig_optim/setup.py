@@ -1,26 +1,3 @@
-from setuptools import find_packages, setup
+from setuptools import setup
 
-NAME = "softrig_optim"
-
-setup(
-    name=NAME,
-    version="0.1.0",
-    packages=find_packages(),
-    package_data={NAME: ["py.typed"]},
-    data_files=[
-        ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
-        (f"share/{NAME}", ["package.xml"]),
-    ],
-    install_requires=["setuptools"],
-    zip_safe=False,
-    maintainer="softrig maintainers",
-    maintainer_email="softrig@users.noreply.github.com",
-    description="Ask/tell searches, the optimiser node, sweeps over seeds",
-    license="Apache-2.0",
-    extras_require={"test": ["pytest"]},
-    entry_points={
-        "console_scripts": [
-            "optimiser = softrig_optim.optimiser:main",
-        ]
-    },
-)
+setup()  # all is in setup.cfg; colcon asks for this file

@@ -16,10 +16,11 @@ from pathlib import Path
 
 from rich.console import Console
 from rich.table import Table
-from softrig_core.cdr import SECOND, Layout
-from softrig_core.domain import free_domain
-from softrig_core.leave import leave
-from softrig_core.processes import environment
+from softrig_core.model.timebase import SECOND
+from softrig_core.node.leave import leave
+from softrig_core.rig.domain import free_domain
+from softrig_core.rig.processes import environment
+from softrig_core.wire.cdr import Layout
 
 TOPIC, STATE = "bench", "sensor_msgs/msg/JointState"
 STAGE = 0.5  # s of publishing at each rate
@@ -115,7 +116,7 @@ def _publish(channels: int, rates: Sequence[int]) -> None:
     """Publish a stage at each rate; stamps carry the stage in their seconds. Prints (messages, rate reached)."""
     from rclpy.duration import Duration
     from rclpy.qos import QoSProfile
-    from softrig_core.messages import message_class
+    from softrig_core.node.messages import message_class
 
     from .ros import Session
 
@@ -144,7 +145,7 @@ def _publish(channels: int, rates: Sequence[int]) -> None:
 def _listen() -> None:
     """Count messages by stage until SIGINT."""
     from rclpy.qos import QoSProfile
-    from softrig_core.messages import message_class
+    from softrig_core.node.messages import message_class
 
     from .ros import Session, subscription_profile
     from .stamps import stamp

@@ -12,8 +12,8 @@ from functools import wraps
 from pathlib import Path
 
 from softrig_core.errors import RunError
-from softrig_core.leave import leave
-from softrig_core.recording import relative
+from softrig_core.node.leave import leave
+from softrig_core.wire.recording import relative
 
 from .errors import BagError
 

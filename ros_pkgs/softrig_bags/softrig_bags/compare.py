@@ -14,9 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from rosbags.typesys.store import Typestore
-from softrig_core.cdr import SCHEMAS, SECOND, parse
-from softrig_core.recording import Topic
-from softrig_core.signals import Signals
+from softrig_core.model.timebase import SECOND
+from softrig_core.wire.cdr import SCHEMAS, parse
+from softrig_core.wire.recording import Topic
+from softrig_core.wire.signals import Signals
 
 from .errors import BagError
 from .read import BagSignals, flatten

@@ -9,9 +9,10 @@ from typing import Any
 
 import numpy as np
 from rosbags.typesys.store import Typestore
-from softrig_core.cdr import SCHEMAS, SECOND
-from softrig_core.recording import Recording, relative
-from softrig_core.signals import Signals, Table
+from softrig_core.model.timebase import SECOND
+from softrig_core.wire.cdr import SCHEMAS
+from softrig_core.wire.recording import Recording, relative
+from softrig_core.wire.signals import Signals, Table
 
 from .errors import BagError
 from .reader import BagReader

@@ -12,7 +12,7 @@ from rclpy.event_handler import QoSSubscriptionEventType as Event
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.subscription import Subscription
 from softrig_core.errors import RunError
-from softrig_core.messages import message_class
+from softrig_core.node.messages import message_class
 
 from .bag import BagWriter
 from .ros import EventPoll, Session, offered, subscription_profile

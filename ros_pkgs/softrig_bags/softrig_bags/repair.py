@@ -20,7 +20,7 @@ from mcap.stream_reader import StreamReader
 from rosbags.rosbag2.metadata import parse_qos
 from rosbags.rosbag2.storage_mcap import decompress
 from ruamel.yaml import YAML
-from softrig_core.recording import Recording
+from softrig_core.wire.recording import Recording
 
 from .bag import BagWriter
 from .errors import BagError

@@ -22,8 +22,8 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
 from rclpy.task import Future
 from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
-from softrig_core.cdr import SECOND
-from softrig_core.processes import PROFILE
+from softrig_core.model.timebase import SECOND
+from softrig_core.rig.processes import PROFILE
 
 from .errors import BagError
 from .topics import BagTopic
@@ -50,7 +50,7 @@ class Session:
     Attributes
     ----------
     opened : Session or None
-        The session of this process; the two end together (`softrig_core.leave`).
+        The session of this process; the two end together (`softrig_core.node.leave`).
     """
 
     opened: ClassVar[Session | None] = None

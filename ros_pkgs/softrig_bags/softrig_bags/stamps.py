@@ -5,7 +5,8 @@ from __future__ import annotations
 from struct import Struct
 
 from rosbags.typesys.store import Typestore
-from softrig_core.cdr import SCHEMAS, SECOND
+from softrig_core.model.timebase import SECOND
+from softrig_core.wire.cdr import SCHEMAS
 
 from .topics import BagTopic
 

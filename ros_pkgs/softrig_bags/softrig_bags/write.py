@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from softrig_core.errors import RunError
-from softrig_core.recording import Recording
+from softrig_core.wire.recording import Recording
 
 from .bag import BagWriter
 from .errors import BagError

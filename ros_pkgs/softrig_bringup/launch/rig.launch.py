@@ -19,9 +19,9 @@ def generate_launch_description():
 
 
 def _nodes(context):
-    from softrig_core.processes import node_parameters
-    from softrig_core.rig import Rig
-    from softrig_core.scenario import load_scenario
+    from softrig_core.rig.processes import node_parameters
+    from softrig_core.rig.rig import Rig
+    from softrig_core.rig.scenario import load_scenario
 
     def value(name):
         return LaunchConfiguration(name).perform(context)

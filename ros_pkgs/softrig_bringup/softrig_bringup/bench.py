@@ -14,14 +14,14 @@ from typing import Any
 
 from rich.console import Console
 from rich.table import Table
-from softrig_core.block import Block
-from softrig_core.domain import free_domain
 from softrig_core.errors import ScenarioError
-from softrig_core.inprocess import run_inprocess
-from softrig_core.processes import environment, run_processes
-from softrig_core.recording import Recording, ShardWriter
-from softrig_core.rig import Member, Rig
-from softrig_core.scenario import NodeEntry, Scenario, load_scenario
+from softrig_core.model.block import Block
+from softrig_core.rig.domain import free_domain
+from softrig_core.rig.inprocess import run_inprocess
+from softrig_core.rig.processes import environment, run_processes
+from softrig_core.rig.rig import Member, Rig
+from softrig_core.rig.scenario import NodeEntry, Scenario, load_scenario
+from softrig_core.wire.recording import Recording, ShardWriter
 
 ROUNDS = 3
 LOOPS = 5000
@@ -119,7 +119,7 @@ def tick() -> None:
     out = plant.outputs(0)
     inputs = {"state": (out["state"][1],), "sensors": out["sensors"], "reference": None}
     data = [state.encode(0, out["state"]), sensors.encode(0, out["sensors"]), command.encode(0, (1.0,))]
-    from softrig_core.port import Decoder
+    from softrig_core.wire.codec import Decoder
 
     decoders = [Decoder(p) for p in (*law_member.inputs[:2], plant_member.inputs[0])]
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from softrig_core.scenario import Scenario
+    from softrig_core.rig.scenario import Scenario
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # before numpy: sums must not depend on the number of cores
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -101,7 +101,7 @@ def _parser() -> argparse.ArgumentParser:
 def _list(options: argparse.Namespace) -> int:
     from rich.console import Console
     from rich.table import Table
-    from softrig_core.scenario import list_scenarios, load_scenario
+    from softrig_core.rig.scenario import list_scenarios, load_scenario
 
     table = Table("scenario", "system", "title", "source", box=None, pad_edge=False)
     for name in sorted(list_scenarios()):
@@ -113,7 +113,7 @@ def _list(options: argparse.Namespace) -> int:
 
 
 def _run(options: argparse.Namespace) -> int:
-    from softrig_core.scenario import load_scenario, merge
+    from softrig_core.rig.scenario import load_scenario, merge
 
     from .run import evaluate, execute, save, summary
 
@@ -172,7 +172,7 @@ def _assignment(text: str) -> tuple[str, Any]:
 def _changed(scenario: Scenario, changes: dict[str, Any]) -> Scenario:
     from pydantic import ValidationError
     from softrig_core.errors import ScenarioError
-    from softrig_core.scenario import merge
+    from softrig_core.rig.scenario import merge
 
     unknown = [n for n in changes.get("nodes", {}) if n not in scenario.nodes]
     if unknown:
@@ -235,7 +235,7 @@ def _number(value: float | None) -> str:
 
 
 def _node(options: argparse.Namespace) -> int:
-    from softrig_core.processes import node_main
+    from softrig_core.rig.processes import node_main
 
     return node_main(options.package, options.executable, options.arguments)
 

@@ -16,12 +16,12 @@ from softrig_bags.compare import Comparison, Tolerance, compare
 from softrig_bags.read import read_bag
 from softrig_bags.write import write_bag
 from softrig_core.errors import RunError, ScenarioError
-from softrig_core.inprocess import run_inprocess
-from softrig_core.recording import Recording
-from softrig_core.replay import feed
-from softrig_core.rig import Rig
-from softrig_core.scenario import load_scenario
-from softrig_core.signals import Signals
+from softrig_core.rig.inprocess import run_inprocess
+from softrig_core.rig.replay import feed
+from softrig_core.rig.rig import Rig
+from softrig_core.rig.scenario import load_scenario
+from softrig_core.wire.recording import Recording
+from softrig_core.wire.signals import Signals
 
 from .run import versions
 

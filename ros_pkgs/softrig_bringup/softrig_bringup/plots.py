@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 from softrig_core.errors import ScenarioError
-from softrig_core.port import XYZ
-from softrig_core.rig import Rig
-from softrig_core.scenario import PlotEntry
-from softrig_core.signals import Signals
+from softrig_core.model.port import XYZ
+from softrig_core.rig.rig import Rig
+from softrig_core.rig.scenario import PlotEntry
+from softrig_core.wire.signals import Signals
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -14,7 +14,7 @@ from xml.etree.ElementTree import Element, tostring
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from softrig_core.errors import ScenarioError
-from softrig_core.scenario import PlotEntry
+from softrig_core.rig.scenario import PlotEntry
 
 from .plots import OVERVIEW, plot_name, pretty_unit
 

@@ -15,14 +15,14 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
-import softrig_core.metrics
+import softrig_core.rig.metrics
 from softrig_core.errors import RunError, ScenarioError
-from softrig_core.inprocess import run_inprocess
-from softrig_core.params import declarations, flatten
-from softrig_core.recording import Recording
-from softrig_core.rig import CLOCK, Rig, is_observer
-from softrig_core.scenario import MetricEntry, Scenario
-from softrig_core.signals import Signals
+from softrig_core.model.params import declarations, flatten
+from softrig_core.rig.inprocess import run_inprocess
+from softrig_core.rig.rig import CLOCK, Rig, is_observer
+from softrig_core.rig.scenario import MetricEntry, Scenario
+from softrig_core.wire.recording import Recording
+from softrig_core.wire.signals import Signals
 
 from .plots import check_plots, plot_run
 
@@ -82,7 +82,7 @@ def execute(
     domain : int, optional
         ROS_DOMAIN_ID instead of a free one.
     progress, announce : callable, optional
-        See `softrig_core.processes.run_processes`.
+        See `softrig_core.rig.processes.run_processes`.
     """
     rig = Rig.from_scenario(scenario)
     for entry in scenario.metrics:  # what is misspelt is found before the run, not after it
@@ -103,7 +103,7 @@ def execute(
             error = str(broken)
         run = Run(rig, mode, scenario.seed, recording, time.perf_counter() - started, status=status, error=error)
     else:
-        from softrig_core.processes import run_processes
+        from softrig_core.rig.processes import run_processes
 
         outcome = run_processes(rig, scenario.seed, directory, mode="lockstep" if mode == "processes" else "realtime",
                                 domain=domain, progress=progress, announce=announce)  # fmt: skip
@@ -158,10 +158,10 @@ def evaluate(scenario: Scenario, signals: Signals) -> list[dict[str, Any]]:
 def _function(entry: MetricEntry) -> Callable[..., float]:
     module, _, name = entry.function.rpartition(":")
     try:
-        return getattr(importlib.import_module(module) if module else softrig_core.metrics, name)
+        return getattr(importlib.import_module(module) if module else softrig_core.rig.metrics, name)
     except (ImportError, AttributeError):
         raise ScenarioError(f"metric {entry.name}: no function {entry.function!r}; expected a name in "
-                            "softrig_core.metrics or package.module:function") from None  # fmt: skip
+                            "softrig_core.rig.metrics or package.module:function") from None  # fmt: skip
 
 
 def _passes(entry: MetricEntry, value: float) -> bool:

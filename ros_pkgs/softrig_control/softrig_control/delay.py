@@ -8,11 +8,11 @@ from collections.abc import Mapping
 from typing import Literal, Self
 
 from pydantic import model_validator
-from softrig_core.block import Block, Level
+from softrig_core.model.block import Block, Level
+from softrig_core.model.params import BlockParams, param
+from softrig_core.model.port import Port, Sample, joint_state, reference, vector3, wrench
+from softrig_core.model.timebase import to_ns
 from softrig_core.node import executable
-from softrig_core.params import BlockParams, param
-from softrig_core.port import Port, Sample, joint_state, reference, vector3, wrench
-from softrig_core.timebase import to_ns
 
 MessageType = Literal[
     "sensor_msgs/msg/JointState",

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from typing import Generic, Self, TypeVar
 
 from pydantic import model_validator
-from softrig_core.params import BlockParams, param
-from softrig_core.timebase import to_ns
+from softrig_core.model.params import BlockParams, param
+from softrig_core.model.timebase import to_ns
 
 T = TypeVar("T")
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 
 class StepFigures:
-    """Rise time, settling time and overshoot of one step, defined as in `softrig_core.metrics`.
+    """Rise time, settling time and overshoot of one step, defined as in `softrig_core.rig.metrics`.
 
     Parameters
     ----------

@@ -14,11 +14,11 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self
 
 from pydantic import model_validator
-from softrig_core.block import Level, Plant
-from softrig_core.compiled import Compiled
 from softrig_core.errors import RunError
-from softrig_core.params import BlockParams, Params, param
-from softrig_core.timebase import to_ns, to_s
+from softrig_core.model.block import Level, Plant
+from softrig_core.model.compiled import Compiled
+from softrig_core.model.params import BlockParams, Params, param
+from softrig_core.model.timebase import to_ns, to_s
 
 from .joints import PerJoint, require_positive, spread
 

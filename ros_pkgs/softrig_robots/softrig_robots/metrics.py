@@ -1,4 +1,4 @@
-"""Figures of tracking errors that `softrig_core.metrics` does not have; called the same way by a scenario.
+"""Figures of tracking errors that `softrig_core.rig.metrics` does not have; called the same way by a scenario.
 
 `repeatability` alone compares two recordings: no scenario can name it, call it from Python on two bags.
 """
@@ -9,9 +9,9 @@ from math import degrees
 from typing import Any
 
 import numpy as np
-import softrig_core.metrics
-from softrig_core.metrics import SignalMap
-from softrig_core.signals import Array
+import softrig_core.rig.metrics
+from softrig_core.rig.metrics import SignalMap
+from softrig_core.wire.signals import Array
 
 
 def error_settling_time(signals: SignalMap, signal: str, *, reference: str, band: float) -> float:
@@ -53,8 +53,8 @@ def tracking_error(signals: SignalMap, signal: str, reference: str) -> tuple[Arr
 
 
 def in_degrees(signals: SignalMap, *, of: str, **arguments: Any) -> float:
-    """Value of the function `of` of `softrig_core.metrics` in degrees instead of rad."""
-    return degrees(getattr(softrig_core.metrics, of)(signals, **arguments))
+    """Value of the function `of` of `softrig_core.rig.metrics` in degrees instead of rad."""
+    return degrees(getattr(softrig_core.rig.metrics, of)(signals, **arguments))
 
 
 def mean_square_degrees(signals: SignalMap, signal: str) -> float:

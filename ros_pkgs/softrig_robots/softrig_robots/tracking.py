@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from softrig_core.block import Observer
+from softrig_core.model.block import Observer
+from softrig_core.model.params import BlockParams, param
+from softrig_core.model.port import Port, command, joint_state, reference
 from softrig_core.node import executable
-from softrig_core.params import BlockParams, param
-from softrig_core.port import Port, command, joint_state, reference
 
 from .manipulator.plant import JOINTS, motor_names
 
@@ -28,7 +28,7 @@ class TrackingMetricsParams(BlockParams):
 class TrackingMetrics(Observer):
     """Largest and rms errors, largest late errors, settling times, peak voltages and their total variation.
 
-    In constant memory; the definitions are those of `softrig_core.metrics` and `softrig_robots.metrics`, which
+    In constant memory; the definitions are those of `softrig_core.rig.metrics` and `softrig_robots.metrics`, which
     see the whole recording. A sample counts when the next one has come: at the end of a run the plant gives
     outputs that no reference belongs to.
     """

@@ -5,10 +5,10 @@ import signal
 import time
 from typing import ClassVar
 
-from softrig_core.block import Block, Observer, Plant
+from softrig_core.model.block import Block, Observer, Plant
+from softrig_core.model.params import BlockParams, param
+from softrig_core.model.port import Sample, button, command, joint_state, number, reference
 from softrig_core.node import executable
-from softrig_core.params import BlockParams, param
-from softrig_core.port import Sample, button, command, joint_state, number, reference
 
 STATE = joint_state("state", "lag/state", ["x"], position="m", velocity="m/s")
 COMMAND = command("command", "lag/command", ["u"], "N")

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from softrig_core.block import Observer
+from softrig_core.model.block import Observer
+from softrig_core.model.params import BlockParams, param
 from softrig_core.node import executable
-from softrig_core.params import BlockParams, param
 
 from ..step_figures import StepFigures
 from .ports import COMMAND, CONTROLLER_STATE, TRUE_STATE

@@ -7,9 +7,9 @@ from collections.abc import Mapping
 from typing import Self
 
 from pydantic import model_validator
-from softrig_core.block import Level, Plant
+from softrig_core.model.block import Level, Plant
+from softrig_core.model.params import param
 from softrig_core.node import executable
-from softrig_core.params import param
 
 from .motor import Motion, MotorParams
 from .ports import COMMAND, STATE, TRUE_STATE

@@ -6,9 +6,9 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from softrig_core.block import Observer
+from softrig_core.model.block import Observer
+from softrig_core.model.params import BlockParams, param
 from softrig_core.node import executable
-from softrig_core.params import BlockParams, param
 
 from ..step_figures import StepFigures
 from .ports import COMMAND, REFERENCE, SENSORS, SPEED
@@ -24,7 +24,7 @@ class DcMotorMetricsParams(BlockParams):
 class DcMotorMetrics(Observer):
     """Step response and chattering figures of the newest step of the reference, in constant memory.
 
-    The definitions are those of `softrig_core.metrics`, which sees the whole recording. On the rig, remap
+    The definitions are those of `softrig_core.rig.metrics`, which sees the whole recording. On the rig, remap
     ``motor/state`` to ``motor/true_state`` and ``motor/command`` to ``motor/applied`` for the true figures.
     """
 

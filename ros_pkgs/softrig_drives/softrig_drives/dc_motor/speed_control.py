@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from typing import Self
 
 from pydantic import model_validator
-from softrig_core.block import Block, Level
-from softrig_core.params import BlockParams, param
+from softrig_core.model.block import Block, Level
+from softrig_core.model.params import BlockParams, param
 
 
 class SpeedControlParams(BlockParams):

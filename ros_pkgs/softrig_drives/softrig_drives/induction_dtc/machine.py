@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from softrig_core.params import Params, param
+from softrig_core.model.params import Params, param
 
 if TYPE_CHECKING:
     import casadi as ca

@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from softrig_core.metrics import SignalMap
+from softrig_core.rig.metrics import SignalMap
 
 from .figures import Array, Vectors, circle, device_frequency, last_revolution, slope
 

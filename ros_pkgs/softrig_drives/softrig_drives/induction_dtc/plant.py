@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from softrig_core.block import Level, Plant
-from softrig_core.compiled import Compiled
+from softrig_core.model.block import Level, Plant
+from softrig_core.model.compiled import Compiled
+from softrig_core.model.params import BlockParams, param
 from softrig_core.node import executable
-from softrig_core.params import BlockParams, param
 
 from .adc import AdcParams, Converter
 from .machine import STATES, MachineConstants, numbers, step_function

@@ -6,7 +6,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from softrig_core.params import Params, param
+from softrig_core.model.params import Params, param
 
 from .module import Array
 from .string import Characteristic

@@ -6,11 +6,11 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from softrig_core.block import Observer
-from softrig_core.metrics import SignalMap
+from softrig_core.model.block import Observer
+from softrig_core.model.params import BlockParams, param
+from softrig_core.model.port import Port
 from softrig_core.node import executable
-from softrig_core.params import BlockParams, param
-from softrig_core.port import Port
+from softrig_core.rig.metrics import SignalMap
 
 from .array import ArrayParams, possible, split
 from .module import Array, ModuleParams

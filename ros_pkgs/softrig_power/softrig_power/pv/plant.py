@@ -7,10 +7,10 @@ from collections.abc import Mapping
 from typing import ClassVar, Literal, Self
 
 from pydantic import model_validator
-from softrig_core.block import Level, Plant
+from softrig_core.model.block import Level, Plant
+from softrig_core.model.params import BlockParams, param
+from softrig_core.model.port import Port, command, scalars
 from softrig_core.node import executable
-from softrig_core.params import BlockParams, param
-from softrig_core.port import Port, command, scalars
 
 from .array import ArrayParams, possible, split
 from .converter import Converter, ConverterParams, State, steady_state

@@ -12,11 +12,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from softrig_core.errors import ScenarioError
-from softrig_core.inprocess import run_inprocess
-from softrig_core.recording import Recording
-from softrig_core.rig import Rig
-from softrig_core.scenario import load_scenario
-from softrig_core.signals import Signals
+from softrig_core.rig.inprocess import run_inprocess
+from softrig_core.rig.rig import Rig
+from softrig_core.rig.scenario import load_scenario
+from softrig_core.wire.recording import Recording
+from softrig_core.wire.signals import Signals
 from softrig_optim.sweep import sweep
 
 from . import metrics

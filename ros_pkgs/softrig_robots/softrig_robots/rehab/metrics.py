@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from softrig_core.block import Observer
+from softrig_core.model.block import Observer
+from softrig_core.model.params import BlockParams, param
+from softrig_core.model.port import command, joint_state, reference
 from softrig_core.node import executable
-from softrig_core.params import BlockParams, param
-from softrig_core.port import command, joint_state, reference
 
 from .model import JOINTS
 

@@ -7,11 +7,11 @@ from math import exp, radians
 from typing import Any, Self
 
 from pydantic import model_validator
-from softrig_core.block import Block
+from softrig_core.model.block import Block
+from softrig_core.model.params import BlockParams, param
+from softrig_core.model.port import reference
+from softrig_core.model.timebase import to_ns, to_s
 from softrig_core.node import executable
-from softrig_core.params import BlockParams, param
-from softrig_core.port import reference
-from softrig_core.timebase import to_ns, to_s
 
 from ..joints import PerJoint, require_positive, spread
 from .model import JOINTS, LOWER, UPPER

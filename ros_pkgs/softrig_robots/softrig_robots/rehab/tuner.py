@@ -9,11 +9,11 @@ from typing import NamedTuple, Self
 
 import numpy as np
 from pydantic import model_validator
-from softrig_core.block import Block
+from softrig_core.model.block import Block
+from softrig_core.model.params import BlockParams, param
+from softrig_core.model.port import Sample, array, button
+from softrig_core.model.timebase import to_ns
 from softrig_core.node import executable
-from softrig_core.params import BlockParams, param
-from softrig_core.port import Sample, array, button
-from softrig_core.timebase import to_ns
 from softrig_optim.genetic import Genetic
 from softrig_optim.search import Evaluation, Point, run
 

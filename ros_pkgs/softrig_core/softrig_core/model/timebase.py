@@ -1,6 +1,6 @@
 """Integer time: nanoseconds, and periods that divide them exactly."""
 
-from .cdr import SECOND
+SECOND = 1_000_000_000  # ns
 
 
 def to_ns(seconds: float) -> int:

@@ -7,13 +7,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from .block import Block, Observer, Plant
-from .cdr import Pick
-from .errors import ScenarioError
-from .params import BlockParams, ParameterError, build
-from .port import Port, Refused, selection
+from ..errors import ScenarioError
+from ..model.block import Block, Observer, Plant
+from ..model.params import BlockParams, ParameterError, build
+from ..model.port import Port, Refused
+from ..model.timebase import to_ns
+from ..wire.cdr import Pick
+from ..wire.codec import selection
 from .scenario import Scenario
-from .timebase import to_ns
 
 
 @dataclass(frozen=True)

@@ -11,12 +11,12 @@ import rclpy
 from pydantic import ValidationError
 from rclpy.node import Node
 
-from .block import Block
+from ..model.block import Block
+from ..model.params import Declaration, build, declarations, flatten
+from ..rig.options import RunOptions
 from .leave import leave
 from .lockstep import Lockstep
 from .messages import range_descriptor
-from .options import RunOptions
-from .params import Declaration, build, declarations, flatten
 from .realtime import Realtime
 
 

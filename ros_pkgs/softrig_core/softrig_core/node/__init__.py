@@ -6,7 +6,7 @@ import sys
 from collections.abc import Sequence
 from typing import Any, NoReturn
 
-from .block import Block
+from ..model.block import Block
 
 
 class _Main:

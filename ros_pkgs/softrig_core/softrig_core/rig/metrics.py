@@ -1,7 +1,7 @@
 """Figures of merit of a recording; a scenario names them and gives their arguments.
 
 Every function is called as ``f(signals, **arguments)`` and gives a float. `signals` maps a name
-``topic/channel/field`` to (t, x): `softrig_core.signals.Signals`, or a plain dict of array pairs.
+``topic/channel/field`` to (t, x): `softrig_core.wire.signals.Signals`, or a plain dict of array pairs.
 
 Arguments with the same meaning everywhere:
 

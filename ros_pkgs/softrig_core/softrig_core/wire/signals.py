@@ -8,7 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .cdr import SCHEMAS, SECOND, Layout, Message, element_labels, parse
+from ..model.timebase import SECOND
+from .cdr import SCHEMAS, Layout, Message, element_labels, parse
 from .recording import Recording, Topic
 
 Array = NDArray[np.float64]

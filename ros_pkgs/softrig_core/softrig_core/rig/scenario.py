@@ -9,7 +9,7 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from .errors import ScenarioError
+from ..errors import ScenarioError
 
 
 class _Model(BaseModel):

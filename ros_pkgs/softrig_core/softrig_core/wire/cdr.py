@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-SECOND = 1_000_000_000
+from ..model.timebase import SECOND
 
 # One entry a field, in wire order. "stamp": builtin_interfaces/Time; "frame"/"names": string(s);
 # "seq:x": float64[] named x; "xyz:x": three float64; "f64:x", "bool:x": one value; "one": a sequence
@@ -39,6 +39,8 @@ SCHEMAS: dict[str, tuple[str, ...]] = {
     "std_msgs/msg/Float64MultiArray": ("dims", "seq:data"),
 }  # fmt: skip
 
+
+NAMED = ("sensor_msgs/msg/JointState", "trajectory_msgs/msg/JointTrajectory")  # channels by name
 
 Pick = Callable[[tuple[Any, ...]], tuple[Any, ...]]  # takes some items
 Dims = tuple[tuple[str, int], ...]  # of an array: label and size of each dimension, the last one changing fastest

@@ -5,11 +5,12 @@ from __future__ import annotations
 from bisect import bisect_right
 from typing import Any
 
-from .block import Block, Plant
-from .errors import RunError
+from ..errors import RunError
+from ..model.block import Block, Plant
+from ..model.port import Sample
+from ..wire.codec import Decoder
+from ..wire.recording import Recording
 from .inprocess import check
-from .port import Decoder, Sample
-from .recording import Recording
 from .rig import Member, Rig, is_observer
 
 

@@ -6,10 +6,10 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from .block import Block, Plant
-from .errors import RunError, ScenarioError
-from .port import Port, Sample
-from .recording import Sink
+from ..errors import RunError, ScenarioError
+from ..model.block import Block, Plant
+from ..model.port import Port, Sample
+from ..wire.recording import Sink
 from .rig import CLOCK, Member, Rig, is_observer
 
 

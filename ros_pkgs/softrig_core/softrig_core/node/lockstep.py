@@ -14,12 +14,14 @@ from typing import Any
 from rclpy._rclpy_pybind11 import RCLError
 from rclpy.node import Node, NodeNameNonExistentError
 
+from ..model.block import Block, Observer, Plant
+from ..model.port import Port, Refused, Sample
+from ..model.timebase import SECOND
+from ..rig.options import RunOptions
+from ..wire.cdr import Layout
+from ..wire.codec import Decoder
 from .adapter import QOS, Adapter, Input, percentiles
-from .block import Block, Observer, Plant
-from .cdr import SECOND, Layout
 from .messages import message_class
-from .options import RunOptions
-from .port import Decoder, Port, Refused, Sample
 
 SETTLED = 10  # checks of 20 ms in a row in which the endpoints of external nodes have not changed
 GONE_AFTER = 0.5  # s without the awaited message after its only sender has vanished

@@ -24,16 +24,15 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.task import Future
 
-from .block import Block, Level, Observer, Plant
-from .cdr import SECOND
-from .errors import RunError
-from .inprocess import check
-from .marker import marker_array
-from .messages import diagnostic_array, message_class
-from .options import Links, RunOptions
-from .port import Decoder, Port, Sample
-from .recording import ShardWriter, relative
-from .timebase import to_ns
+from ..errors import RunError
+from ..model.block import Block, Level, Observer, Plant
+from ..model.port import Port, Sample
+from ..model.timebase import SECOND, to_ns
+from ..rig.inprocess import check
+from ..rig.options import Links, RunOptions
+from ..wire.codec import Decoder
+from ..wire.recording import ShardWriter, relative
+from .messages import diagnostic_array, marker_array, message_class
 
 # Depth 10: in lockstep at most two messages of a topic are ever under way; outside readers get some slack.
 QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)

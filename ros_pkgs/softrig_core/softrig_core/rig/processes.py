@@ -16,17 +16,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+from ..errors import ScenarioError
+from ..model.params import flatten
+from ..wire.recording import Recording
 from .domain import free_domain
-from .errors import ScenarioError
 from .options import InputLink, Links
-from .params import flatten
-from .recording import Recording
 from .rig import Member, Rig
 
 GRACE = 1.5  # s: after one node fails, how long the others may take to say what they saw
 LIBC = ctypes.CDLL(None)  # loaded here: between fork and exec another thread may hold the loader's lock
 STOP_STEPS = ((signal.SIGINT, 3.0), (signal.SIGTERM, 3.0), (signal.SIGKILL, 3.0))
-PROFILE = Path(__file__).with_name("fastdds_profile.xml")
+PROFILE = Path(__file__).parent.with_name("fastdds_profile.xml")
 
 
 @dataclass

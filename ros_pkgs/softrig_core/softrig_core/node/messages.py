@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
-from .block import Level
-from .cdr import SECOND
-from .params import Declaration
+from ..model.block import Level
+from ..model.marker import Marker
+from ..model.params import Declaration
+from ..model.timebase import SECOND
 
 
 def message_class(msgtype: str) -> Any:
@@ -44,3 +45,28 @@ def range_descriptor(declaration: Declaration) -> Any:
         high = int(declaration.upper) if declaration.upper is not None else 2**62
         descriptor.integer_range = [IntegerRange(from_value=low, to_value=high)]
     return descriptor
+
+
+def marker_array(stamp: int, markers: Sequence[Marker]) -> Any:
+    """Make a visualization_msgs/MarkerArray; stamp in ns."""
+    from geometry_msgs.msg import Point as PointMessage
+    from visualization_msgs.msg import Marker as MarkerMessage
+    from visualization_msgs.msg import MarkerArray
+
+    array = MarkerArray()
+    for marker in markers:
+        message = MarkerMessage()
+        message.header.frame_id = marker.frame_id
+        message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp, 1_000_000_000)
+        message.ns = marker.name
+        message.type = getattr(MarkerMessage, marker.kind.upper())
+        message.action = MarkerMessage.ADD
+        message.pose.orientation.w = 1.0
+        message.scale.x = float(marker.size)
+        if marker.kind == "sphere_list":
+            message.scale.y = message.scale.z = float(marker.size)
+        red, green, blue, opacity = map(float, marker.color)
+        message.color.r, message.color.g, message.color.b, message.color.a = red, green, blue, opacity
+        message.points = [PointMessage(x=float(x), y=float(y), z=float(z)) for x, y, z in marker.points]
+        array.markers.append(message)
+    return array

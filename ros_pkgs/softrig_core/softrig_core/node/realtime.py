@@ -14,12 +14,11 @@ from typing import Any
 
 from rclpy.node import Node
 
+from ..model.block import Block, Level, Plant
+from ..model.port import Refused, Sample
+from ..model.timebase import SECOND, to_ns
+from ..rig.options import RunOptions
 from .adapter import Adapter, Input, percentiles
-from .block import Block, Level, Plant
-from .cdr import SECOND
-from .options import RunOptions
-from .port import Refused, Sample
-from .timebase import to_ns
 
 CATCH_UP = SECOND  # a longer pause than this (a suspended host) is skipped, not simulated
 

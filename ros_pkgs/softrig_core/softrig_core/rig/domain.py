@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from .errors import RunError
+from ..errors import RunError
 
 DOMAINS = range(1, 101)  # 0 is everybody's default; above 101 the ports of Linux' ephemeral range begin
 

@@ -41,7 +41,7 @@ class Block:
 
     Raises
     ------
-    softrig_core.params.ParameterError
+    softrig_core.model.params.ParameterError
         A parameter is unknown or out of bounds.
     """
 
