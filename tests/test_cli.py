@@ -264,7 +264,10 @@ def test_a_call_that_waited_for_the_set_up_of_another_runs_as_that_one(tmp_path)
 KEYS = {"casadi": "python3-casadi-pip", "ruamel": "python3-ruamel.yaml"} | {
     name: f"python3-{name}" for name in ("matplotlib", "numpy", "pyarrow", "pydantic", "rich", "scipy")
 }
-FROM_PIP = {"backports", "compression", "distributed", "mcap", "rosbags"}  # no rosdep key; the README says so
+FROM_PIP = {  # no rosdep key; the README says so
+    "backports", "clarabel", "compression", "comtrade", "control", "cvxpy", "daqp", "distributed", "highspy", "mcap", "numba",
+    "optuna", "osqp", "pyscipopt", "rosbags",
+}  # fmt: skip
 OTHERS = {"motulator", "gym_electric_motor"}  # compared with where somebody has installed them
 
 
