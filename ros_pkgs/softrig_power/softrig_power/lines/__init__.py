@@ -1,0 +1,1 @@
+"""Transmission lines: constants, exact two-ports, lossy Bergeron sections and modal transforms."""

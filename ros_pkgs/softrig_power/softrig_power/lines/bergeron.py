@@ -1,0 +1,208 @@
+r"""Lossy Bergeron sections and trapezoidal R-L branches in time steps, compiled; real modes or complex vectors.
+
+A section of resistance R = r l between the terminals k and m, R/4, R/2, R/4 lumped, currents into the section at both
+ends (H. W. Dommel, Digital computer solution of electromagnetic transients, IEEE Trans. PAS 88, 1969):
+
+.. math::
+    i_k(t) = u_k(t)/Z' + H_k(t - \tau), \qquad Z' = Z + R/4, \quad Z'' = Z - R/4 \\
+    H_k(t - \tau) = -\frac{Z}{Z'^2} [u_m + Z'' i_m](t - \tau) - \frac{R/4}{Z'^2} [u_k + Z'' i_k](t - \tau)
+
+and k, m swapped for H_m. Each terminal keeps the values that will arrive at it; a delay that is not whole steps is
+interpolated with the cubic through four of them.
+"""
+
+from __future__ import annotations
+
+import cmath
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from softrig_core.model.jit import jit
+
+from .section import Complex, Section
+
+Array = NDArray[np.float64]
+LEAST_DELAY = 4  # steps; a shorter section has no place for the cubic
+
+
+class Lines(NamedTuple):
+    """Numbers of n sections for the compiled functions, arrays of shape (n,) unless said; made by `lines`."""
+
+    conductance: Array  # 1/Z'
+    z_minus: Array  # Z''
+    far: Array  # -Z/Z'^2, weight of what left the other end
+    near: Array  # -(R/4)/Z'^2, weight of what left the same end
+    newest: NDArray[np.int64]  # age in steps of the newest of the four samples that the cubic reads
+    weights: Array  # (n, 4), of the cubic
+
+
+def interpolation(delay: float) -> tuple[int, Array]:
+    """Lagrange weights of a delay.
+
+    Parameters
+    ----------
+    delay : float
+        Steps, at least 2.
+
+    Returns
+    -------
+    newest : int
+        Age in steps of the newest sample used.
+    weights : ndarray, shape (4,)
+        Of the samples of age newest, newest + 1, newest + 2, newest + 3.
+    """
+    whole = int(delay)
+    s = delay - whole  # the value lies between the ages `whole` and `whole + 1`
+    return whole - 1, np.array(
+        [-s * (s - 1.0) * (s - 2.0) / 6.0, (s + 1.0) * (s - 1.0) * (s - 2.0) / 2.0,
+         -(s + 1.0) * s * (s - 2.0) / 2.0, (s + 1.0) * s * (s - 1.0) / 6.0]
+    )  # fmt: skip
+
+
+def lines(sections: Sequence[Section], step: float) -> Lines:
+    """Prepare sections for stepping.
+
+    Parameters
+    ----------
+    sections : sequence of Section
+        One a mode and stretch.
+    step : float
+        s.
+
+    Raises
+    ------
+    ValueError
+        A section whose travel time is below `LEAST_DELAY` steps; the text gives the least length.
+    """
+    for s in sections:
+        if s.tau < LEAST_DELAY * step * (1.0 - 1e-9):
+            raise ValueError(
+                f"a section of {s.length:g} km is passed in {s.tau / step:.3g} steps of {step:g} s: expected at least "
+                f"{LEAST_DELAY}, which is {LEAST_DELAY * step * s.velocity:.4g} km"
+            )
+    found = [interpolation(s.tau / step) for s in sections]
+    z_plus = np.array([s.z_plus for s in sections])
+    return Lines(
+        1.0 / z_plus,
+        np.array([s.z_minus for s in sections]),
+        -np.array([s.z for s in sections]) / z_plus**2,
+        -0.25 * np.array([s.resistance for s in sections]) / z_plus**2,
+        np.array([whole for whole, _ in found], dtype=np.int64),
+        np.array([weights for _, weights in found]),
+    )
+
+
+def history_length(prepared: Lines) -> int:
+    """Slots of the ring that `histories` and `store` need, a power of two."""
+    return 1 << (int(np.max(prepared.newest)) + 4).bit_length()
+
+
+def delay_factor(section: Section, omega: float, step: float) -> complex:
+    """Give D(omega) of the interpolated delay, exp(-j omega tau) to order (omega step)^4."""
+    newest, weights = interpolation(section.tau / step)
+    return sum(w * cmath.exp(-1j * omega * step * (newest + k)) for k, w in enumerate(weights.tolist()))
+
+
+def discrete_two_port(section: Section, omega: float, step: float) -> Complex:
+    """Nodal admittance of the section as `histories` and `store` step it, in the sinusoidal steady state."""
+    return section.bergeron_two_port(omega, delay_factor(section, omega, step))
+
+
+def steady_history(
+    prepared: Lines, voltages: Complex, currents: Complex, omega: float, step: float
+) -> Complex:  # fmt: skip
+    """Fill the ring with the sinusoidal past.
+
+    Parameters
+    ----------
+    prepared : Lines
+    voltages, currents : ndarray, shape (n, 2)
+        Phasors at t = 0 of both ends, currents into the section.
+    omega, step : float
+        rad/s, s.
+
+    Returns
+    -------
+    ndarray, shape (n, 2, history_length)
+        Complex rotating values; slot k mod length holds t = k step, for the steps up to 0. The real part is
+        the history of a single-phase or modal line, the whole one that of a space vector.
+    """
+    size = history_length(prepared)
+    leaving = voltages + prepared.z_minus[:, None] * currents
+    arriving = prepared.far[:, None] * leaving[:, ::-1] + prepared.near[:, None] * leaving
+    ages = -np.arange(size) % size  # slot k was written at step -age
+    turn = np.exp(-1j * omega * step * ages)
+    found: Complex = arriving[:, :, None] * turn
+    return found
+
+
+@jit
+def histories(lines: Lines, ring: Any, k: int, out: Any) -> None:
+    """Give H(t - tau) of every section and end at step k, before that step is stored.
+
+    Parameters
+    ----------
+    lines : Lines
+    ring : ndarray, shape (n, 2, length)
+        Real or complex, from `steady_history` or zeros.
+    k : int
+        Number of the step, > 0.
+    out : ndarray, shape (n, 2)
+        Takes the currents, A.
+    """
+    mask = ring.shape[2] - 1
+    for n in range(ring.shape[0]):
+        latest = k - lines.newest[n]
+        w = lines.weights[n]
+        for end in range(2):
+            h = ring[n, end]
+            out[n, end] = (
+                w[0] * h[latest & mask] + w[1] * h[(latest - 1) & mask] + w[2] * h[(latest - 2) & mask]
+                + w[3] * h[(latest - 3) & mask]
+            )  # fmt: skip
+
+
+@jit
+def store(lines: Lines, ring: Any, k: int, voltages: Any, history: Any, currents: Any) -> None:
+    """End step k: terminal currents from the voltages, and what will arrive at the ends after the travel time.
+
+    Parameters
+    ----------
+    lines, ring, k
+        As of `histories`.
+    voltages : ndarray, shape (n, 2)
+        V at both ends.
+    history : ndarray, shape (n, 2)
+        From `histories`.
+    currents : ndarray, shape (n, 2)
+        Takes i = u/Z' + H, A into the section.
+    """
+    slot = k & (ring.shape[2] - 1)
+    for n in range(ring.shape[0]):
+        currents[n, 0] = lines.conductance[n] * voltages[n, 0] + history[n, 0]
+        currents[n, 1] = lines.conductance[n] * voltages[n, 1] + history[n, 1]
+        leaving_k = voltages[n, 0] + lines.z_minus[n] * currents[n, 0]
+        leaving_m = voltages[n, 1] + lines.z_minus[n] * currents[n, 1]
+        ring[n, 0, slot] = lines.far[n] * leaving_m + lines.near[n] * leaving_k
+        ring[n, 1, slot] = lines.far[n] * leaving_k + lines.near[n] * leaving_m
+
+
+class Branch(NamedTuple):
+    """Trapezoidal companion of R-L in series: i_n = g (u_n + u_(n-1) + (2L/step - R) i_(n-1)); made by `branch`."""
+
+    conductance: float  # g = 1/(R + 2L/step)
+    keep: float  # 2L/step - R
+
+
+def branch(resistance: float, inductance: float, step: float) -> Branch:
+    """Prepare an R-L branch (ohm, H) for steps in s."""
+    x = 2.0 * inductance / step
+    return Branch(1.0 / (resistance + x), x - resistance)
+
+
+def branch_impedance(resistance: float, inductance: float, omega: float, step: float) -> complex:
+    """Give the impedance of the stepped branch in the sinusoidal steady state, R + j L (2/step) tan(omega step/2)."""
+    return complex(resistance, inductance * (2.0 / step) * math.tan(0.5 * omega * step))
