@@ -20,7 +20,7 @@ from softrig_core.wire.recording import Topic
 from softrig_core.wire.signals import Signals
 
 from .errors import BagError
-from .read import BagSignals, flatten
+from .read import BagSignals, deserialised, flatten
 from .stamps import is_stamped, stamp
 from .topics import BagTopic
 
@@ -298,7 +298,7 @@ def _fields(signals: Signals, topic: Topic, rows: NDArray[np.intp]) -> dict[str,
     store = _store(signals, topic.msgtype)
     if store is None:
         return {"bytes": [topic.data[i].hex() for i in rows]}
-    messages = [dict(flatten(store.deserialize_cdr(topic.data[i], topic.msgtype))) for i in rows]
+    messages = [dict(flatten(deserialised(store, topic, i))) for i in rows]
     columns = {}
     for label in dict.fromkeys(label for message in messages for label in message):
         if label in ("header/stamp/sec", "header/stamp/nanosec"):

@@ -11,7 +11,7 @@ import numpy as np
 from rosbags.typesys.store import Typestore
 from softrig_core.model.timebase import SECOND
 from softrig_core.wire.cdr import SCHEMAS
-from softrig_core.wire.recording import Recording, relative
+from softrig_core.wire.recording import Recording, Topic, relative
 from softrig_core.wire.signals import Signals, Table
 
 from .errors import BagError
@@ -80,8 +80,8 @@ class BagSignals(Signals):
             raise BagError(f"{topic}: the bag has no definition of {found.msgtype} and none is installed")
         t = (np.array(found.times, dtype=np.int64) - self._epoch) / SECOND
         rows, stamps = [], t.copy()
-        for i, data in enumerate(found.data):
-            message: Any = store.deserialize_cdr(data, found.msgtype)
+        for i in range(len(found.data)):
+            message = deserialised(store, found, i)
             if hasattr(message, "header"):
                 stamps[i] = (message.header.stamp.sec * SECOND + message.header.stamp.nanosec - self._epoch) / SECOND
             values = flatten(message)
@@ -98,6 +98,20 @@ class BagSignals(Signals):
     def __iter__(self) -> Iterator[str]:
         for topic in self.decodable:
             yield from (f"{topic}/{label}" for label in self.table(topic).columns)
+
+
+def deserialised(store: Typestore, topic: Topic, i: int) -> Any:
+    """Give message number i of a topic as an object.
+
+    Raises
+    ------
+    BagError
+        Its bytes are damaged; names topic and number.
+    """
+    try:
+        return store.deserialize_cdr(topic.data[i], topic.msgtype)
+    except Exception as error:  # damaged bytes make the library raise whatever they lead to
+        raise BagError(f"{topic.name}: message {i + 1} of {len(topic.data)} is damaged: {error}") from error
 
 
 def flatten(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:

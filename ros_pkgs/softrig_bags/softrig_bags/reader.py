@@ -13,7 +13,10 @@ from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_
 from rosbags.typesys.store import Typestore
 
 from .errors import BagError
+from .mcap_recover import check_sizes
 from .topics import BagTopic, typestore
+
+METADATA_LIMIT = 1 << 24
 
 
 class BagReader:
@@ -43,8 +46,15 @@ class BagReader:
                                f"`softrig bag repair {self.path}` restores it")  # fmt: skip
             raise BagError(f"{self.path} is not a bag: no metadata.yaml, no .mcap and no .db3 file in it")
         try:
+            if self.path.is_dir() and (self.path / "metadata.yaml").stat().st_size > METADATA_LIMIT:
+                raise BagError(f"{self.path}/metadata.yaml is longer than {METADATA_LIMIT} bytes")
+            for file in (self.path,) if self.path.is_file() else self.path.glob("*.mcap"):
+                if file.suffix == ".mcap":
+                    check_sizes(file)
             self._reader = Reader(self.path)
             self._reader.open()
+        except BagError:
+            raise
         except (FileNotFoundError, ReaderError) as error:
             raise BagError(f"{self.path}: {error}") from None
         except Exception as error:  # a damaged file makes the library raise whatever its bytes lead to
@@ -53,7 +63,10 @@ class BagReader:
         for connection in self._connections:
             if any(t.name == connection.topic for t in self.topics):
                 raise BagError(f"{self.path}: two types on topic {connection.topic}")
-            self.topics.append(_topic(connection))
+            try:
+                self.topics.append(_topic(connection))
+            except Exception as error:  # a damaged definition or profile
+                raise self._damaged(error) from error
             self.counts.append(connection.msgcount)
         return self
 
@@ -116,16 +129,10 @@ class BagReader:
         """Give a store that can deserialise a type, from the bag's own definition if it has one."""
         for connection in self._connections:
             if connection.msgtype == msgtype and connection.msgdef.format != MessageDefinitionFormat.NONE:
-                store = get_typestore(Stores.EMPTY)
-                text = connection.msgdef.data
-                if connection.msgdef.format == MessageDefinitionFormat.MSG:
-                    store.register(get_types_from_msg(text, msgtype))
-                else:
-                    for part in text.split("=" * 80 + "\n"):
-                        store.register(
-                            get_types_from_idl(part.partition("\n")[2] if part.startswith("IDL: ") else part)
-                        )
-                return store
+                try:
+                    return _store(connection)
+                except Exception as error:  # a damaged text makes the parser raise whatever it leads to
+                    raise BagError(f"{self.path}: the definition of {msgtype} cannot be read: {error}") from error
         return typestore() if BagTopic.known("", msgtype).definition else None
 
 
@@ -136,3 +143,14 @@ def _topic(connection: Connection) -> BagTopic:
         return known
     encoding = "ros2msg" if connection.msgdef.format == MessageDefinitionFormat.MSG else "ros2idl"
     return BagTopic(known.name, known.msgtype, connection.msgdef.data, known.digest, known.offered, encoding)
+
+
+def _store(connection: Connection) -> Typestore:
+    store = get_typestore(Stores.EMPTY)
+    text = connection.msgdef.data
+    if connection.msgdef.format == MessageDefinitionFormat.MSG:
+        store.register(get_types_from_msg(text, connection.msgtype))
+    else:
+        for part in text.split("=" * 80 + "\n"):
+            store.register(get_types_from_idl(part.partition("\n")[2] if part.startswith("IDL: ") else part))
+    return store

@@ -5,25 +5,21 @@ from __future__ import annotations
 import json
 import shutil
 import sqlite3
-import struct
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
-from io import BytesIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from mcap.exceptions import McapError
-from mcap.records import Channel, Chunk, Footer, McapRecord, Message, Metadata, Schema
-from mcap.stream_reader import StreamReader
+from mcap.records import Channel, Footer, Message, Metadata, Schema
 from rosbags.rosbag2.metadata import parse_qos
-from rosbags.rosbag2.storage_mcap import decompress
 from ruamel.yaml import YAML
 from softrig_core.wire.recording import Recording
 
 from .bag import BagWriter
 from .errors import BagError
+from .mcap_recover import Recovery
 from .reader import BagReader
 from .sqlite_pages import message_rows
 from .topics import BagTopic
@@ -106,6 +102,8 @@ def repair(path: Path | str, out: Path | str | None = None) -> Repair:
     shutil.rmtree(temporary, ignore_errors=True)
     try:
         reports = _rewrite(sources, temporary, target.name)
+        if not _is_sound(temporary):  # definitions or names that no reader takes
+            raise BagError(f"{path}: what is left of it makes no readable bag")
         if original is not None:
             path.rename(original)
         temporary.rename(target)
@@ -121,6 +119,8 @@ def _storage_files(path: Path) -> list[Path]:
         found = list(path.glob(f"*{suffix}"))
         if found:
             return sorted(found, key=lambda p: (len(p.name), p.name))
+    if any(path.glob("*.zstd")):
+        raise BagError(f"{path}: its files are compressed whole; expand them first (`unzstd *.zstd`), then repair that")
     raise BagError(f"{path}: no .mcap, .db3 or .shard file there")
 
 
@@ -167,55 +167,22 @@ def _rewrite(sources: list[Path], directory: Path, name: str) -> list[FileReport
 def _recover_mcap(path: Path, report: FileReport) -> Iterator[tuple[BagTopic, int, bytes]]:
     schemas: dict[int, Schema] = {}
     topics: dict[int, BagTopic] = {}
-    good, damaged = 0, 0
-    with path.open("rb") as file:
-        records = StreamReader(file, emit_chunks=True).records
-        while not report.indexed:
-            try:
-                record = next(records)
-            except (McapError, struct.error, UnicodeDecodeError, StopIteration, MemoryError):
-                break
-            good = file.tell()
-            items = [record]
-            if isinstance(record, Chunk):
-                report.compression = "zstd" if record.compression == "zstd" else report.compression
-                items, whole = _chunk_records(record)
-                damaged += not whole
-            for item in items:
-                if isinstance(item, Schema):
-                    schemas[item.id] = item
-                elif isinstance(item, Channel):
-                    if item.id not in topics:
-                        topics[item.id] = _mcap_topic(item, schemas.get(item.schema_id))
-                        report.topics.append(topics[item.id])
-                elif isinstance(item, Message) and item.channel_id in topics:
-                    yield topics[item.channel_id], item.log_time, item.data
-                elif isinstance(item, Metadata) and item.name == "rosbag2":
-                    report.custom_data = (
-                        _custom_data(item.metadata.get("serialized_metadata", "")) or report.custom_data
-                    )
-                elif isinstance(item, Footer):
-                    report.indexed = True
-    if damaged:
-        report.lost.append(f"{damaged} damaged chunks")
-    if not report.indexed and path.stat().st_size > good:
-        report.lost.append(f"the last {path.stat().st_size - good} bytes")
-
-
-def _chunk_records(chunk: Chunk) -> tuple[list[McapRecord], bool]:
-    """Give the readable records of a chunk, none when its checksum is wrong, and whether these are all."""
-    try:
-        content = decompress(chunk.data, chunk.compression, chunk.uncompressed_size, chunk.uncompressed_crc)
-    except Exception:  # a decompressor's own kinds of error
-        return [], False
-    file, good = BytesIO(content), 0
-    records: list[McapRecord] = []
-    # there is no footer in a chunk, hence the end of file; the others come of damage that no checksum shows
-    with suppress(McapError, struct.error, UnicodeDecodeError):
-        for record in StreamReader(file, skip_magic=True).records:
-            records.append(record)
-            good = file.tell()
-    return records, good == len(content)
+    recovery = Recovery(path)
+    for record in recovery:
+        report.compression = recovery.compression
+        if isinstance(record, Schema):
+            schemas[record.id] = record
+        elif isinstance(record, Channel):
+            if record.id not in topics:
+                topics[record.id] = _mcap_topic(record, schemas.get(record.schema_id))
+                report.topics.append(topics[record.id])
+        elif isinstance(record, Message) and record.channel_id in topics:
+            yield topics[record.channel_id], record.log_time, record.data
+        elif isinstance(record, Metadata) and record.name == "rosbag2":
+            report.custom_data = _custom_data(record.metadata.get("serialized_metadata", "")) or report.custom_data
+        elif isinstance(record, Footer):
+            report.indexed = True
+    report.lost += recovery.lost
 
 
 def _mcap_topic(channel: Channel, schema: Schema | None) -> BagTopic:

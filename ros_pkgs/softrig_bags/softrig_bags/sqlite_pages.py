@@ -21,17 +21,21 @@ def message_rows(content: bytes) -> list[tuple[int, int, int, bytes]]:
     if page_size < 512:
         return []
     found: dict[int, tuple[int, int, int, bytes]] = {}
+    used: set[int] = set()
     for start in range(page_size, len(content) - page_size + 1, page_size):
         if content[start] == _TABLE_LEAF:
-            for row, payload in _cells(content, start, page_size):
+            for row, payload in _cells(content, start, page_size, used):
                 values = _message(payload)
                 if values is not None:
                     found[row] = (row, *values)
     return [found[row] for row in sorted(found)]
 
 
-def _cells(content: bytes, start: int, page_size: int) -> Iterator[tuple[int, bytes]]:
-    """Give (row number, record) of the cells of a leaf page; records cut off are left out."""
+def _cells(content: bytes, start: int, page_size: int, used: set[int]) -> Iterator[tuple[int, bytes]]:
+    """Give (row number, record) of the cells of a leaf page; records cut off are left out.
+
+    A page of overflow belongs to one record alone: `used` keeps damaged chains from being followed again and again.
+    """
     count = int.from_bytes(content[start + 3 : start + 5], "big")
     for i in range(min(count, page_size // 4)):
         pointer = start + 8 + 2 * i
@@ -47,9 +51,10 @@ def _cells(content: bytes, start: int, page_size: int) -> Iterator[tuple[int, by
             local = local if local <= largest else least
         payload = bytearray(content[at : at + local])
         following = int.from_bytes(content[at + local : at + local + 4], "big") if size > local else 0
-        while following and len(payload) < size:
+        while following and following not in used and len(payload) < size:
+            used.add(following)
             page = content[(following - 1) * page_size : following * page_size]
-            if len(page) <= 4:  # cut off: nothing would come of following it, for ever if it points to itself
+            if len(page) <= 4:  # cut off
                 break
             payload += page[4 : 4 + size - len(payload)]
             following = int.from_bytes(page[:4], "big")

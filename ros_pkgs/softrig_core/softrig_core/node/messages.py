@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import importlib
+import os
 from collections.abc import Mapping, Sequence
+from functools import cache
+from pathlib import Path
 from typing import Any
 
 from ..model.block import Level
@@ -12,9 +15,20 @@ from ..model.params import Declaration
 from ..model.timebase import SECOND
 
 
+@cache
 def message_class(msgtype: str) -> Any:
-    """Import ``package/msg/Type``."""
-    package, kind, name = msgtype.split("/")
+    """Import ``package/msg/Type`` of an installed interface package, and no other module.
+
+    Raises
+    ------
+    ImportError
+        No installed interface package of this name: a type named by a bag must not run other code.
+    """
+    package, kind, name = (*msgtype.split("/"), "", "")[:3]
+    prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
+    index = "share/ament_index/resource_index/rosidl_interfaces"
+    if kind not in ("msg", "srv") or not any(prefix and Path(prefix, index, package).is_file() for prefix in prefixes):
+        raise ImportError(f"{msgtype!r}: no installed interface package has this type")
     return getattr(importlib.import_module(f"{package}.{kind}"), name)
 
 

@@ -1,0 +1,198 @@
+"""MCAP files as a crash left them: record by record, and what is whole inside a chunk that was cut."""
+
+from __future__ import annotations
+
+import struct
+import sys
+import zlib
+from collections.abc import Iterator
+from contextlib import suppress
+from io import BytesIO
+from pathlib import Path
+from typing import Any, BinaryIO
+
+from mcap.exceptions import McapError
+from mcap.records import McapRecord
+from mcap.stream_reader import StreamReader
+
+from .errors import BagError
+
+if sys.version_info >= (3, 14):
+    from compression.zstd import ZstdDecompressor, ZstdError, get_frame_info
+else:
+    from backports.zstd import ZstdDecompressor, ZstdError, get_frame_info
+
+LIMIT = 1 << 28  # bytes of a chunk uncompressed; rosbag2's default is 768 KiB, ours less
+_MAGIC = b"\x89MCAP0\r\n"
+_HEAD = struct.Struct("<BQ")  # of a record: opcode, length
+_CHUNK = struct.Struct("<QQQII")  # first and last time, size and checksum of the content, length of the compression
+_CHUNK_CODE = 0x06
+_PIECE = 1 << 16
+
+
+def inflate(data: bytes, compression: str, limit: int = LIMIT) -> tuple[bytes, bool]:
+    """Decompress what can be decompressed.
+
+    Parameters
+    ----------
+    data : bytes
+        Content of a chunk, perhaps cut.
+    compression : str
+        As MCAP names it: empty, ``zstd`` or ``lz4``.
+    limit : int
+        Longest result.
+
+    Returns
+    -------
+    (bytes, bool)
+        The content up to the first damage or the limit, and whether this is all of it.
+    """
+    if not compression:
+        return data[:limit], len(data) <= limit
+    if compression not in ("zstd", "lz4"):
+        return b"", False
+    if compression == "zstd":
+        stream: Any = ZstdDecompressor()
+    else:
+        from lz4.frame import LZ4FrameDecompressor
+
+        stream = LZ4FrameDecompressor()
+    out = bytearray()
+    with suppress(ZstdError, RuntimeError, EOFError):  # lz4 says RuntimeError
+        for at in range(0, len(data), _PIECE):  # in pieces, so that what comes before the damage is not lost
+            out += stream.decompress(data[at : at + _PIECE], max_length=limit + 1 - len(out))
+            if len(out) > limit or stream.eof:
+                break
+    return bytes(out[:limit]), stream.eof and len(out) <= limit
+
+
+def whole_records(content: bytes) -> tuple[list[McapRecord], int]:
+    """Give the records in a chunk's content up to the first that is not whole, and the bytes they take."""
+    file, good = BytesIO(content), 0
+    records: list[McapRecord] = []
+    # there is no footer in a chunk, hence the end of file; the others come of damage that no checksum shows
+    with suppress(McapError, struct.error, UnicodeDecodeError, MemoryError, OverflowError):
+        for record in StreamReader(file, skip_magic=True, record_size_limit=len(content)).records:
+            records.append(record)
+            good = file.tell()
+    return records, good
+
+
+class Recovery:
+    """Whole records of an MCAP file, those inside chunks included.
+
+    Parameters
+    ----------
+    path : Path
+
+    Attributes
+    ----------
+    lost : list of str
+        What could not be read, in words.
+    compression : str
+        Of the chunks: ``none`` or ``zstd``.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._size = path.stat().st_size
+        self.lost: list[str] = []
+        self.compression = "none"
+
+    def __iter__(self) -> Iterator[McapRecord]:
+        damaged = cut = 0
+        good = len(_MAGIC)
+        with self._path.open("rb") as file:
+            file.seek(good)
+            while len(head := file.read(_HEAD.size)) == _HEAD.size:
+                code, length = _HEAD.unpack(head)
+                present = min(length, self._size - file.tell())
+                if code == _CHUNK_CODE:
+                    records, whole = self._chunk(file, present)
+                    yield from records
+                    if present < length:
+                        cut += 1
+                        break
+                    damaged += not whole
+                elif present < length:
+                    break
+                else:
+                    records, used = whole_records(head + file.read(length))
+                    if used != _HEAD.size + length:
+                        break
+                    yield from records
+                good = file.tell()
+                if code == 0x02:  # the footer
+                    break
+        if damaged:
+            self.lost.append(f"{damaged} damaged chunks")
+        if cut:
+            self.lost.append("the end of a chunk that was cut")
+        elif self._size - good > len(_MAGIC):
+            self.lost.append(f"the last {self._size - good} bytes")
+
+    def _chunk(self, file: BinaryIO, present: int) -> tuple[list[McapRecord], bool]:
+        """Read a chunk of which so many bytes are there; all or nothing when its checksum speaks."""
+        body = file.read(present)
+        head = _chunk_head(body)
+        if head is None:
+            return [], False
+        size, checksum, compression, start, length = head
+        self.compression = "zstd" if compression == "zstd" else self.compression
+        data = body[start : start + length]
+        content, whole = inflate(data, compression, min(size, LIMIT))
+        if len(data) < length:  # cut: no checksum to ask, but what is whole was written whole
+            return whole_records(content)[0], False
+        if not whole or len(content) != size or (checksum and zlib.crc32(content) != checksum):
+            return [], False
+        records, used = whole_records(content)
+        return records, used == len(content)
+
+
+def _chunk_head(body: bytes) -> tuple[int, int, str, int, int] | None:
+    """Give (size uncompressed, checksum, compression, start and length of the data); None when it is cut."""
+    if len(body) < _CHUNK.size:
+        return None
+    _, _, size, checksum, letters = _CHUNK.unpack_from(body)
+    start = _CHUNK.size + letters + 8
+    if letters > 16 or len(body) < start:
+        return None
+    compression = body[_CHUNK.size : start - 8].decode(errors="replace")
+    return size, checksum, compression, start, int.from_bytes(body[start - 8 : start], "little")
+
+
+def check_sizes(path: Path) -> None:
+    """Refuse a file with a chunk that claims, or would decompress to, more than `LIMIT` bytes, before it is read.
+
+    Raises
+    ------
+    BagError
+        Names the file and the size.
+    """
+    size = path.stat().st_size
+    with path.open("rb") as file:
+        file.seek(len(_MAGIC))
+        while len(head := file.read(_HEAD.size)) == _HEAD.size:
+            code, length = _HEAD.unpack(head)
+            following = file.tell() + length
+            if following > size:
+                return  # cut: the reader says so
+            if code == _CHUNK_CODE:
+                found = _chunk_head(file.read(min(length, 64)))
+                if found is not None:
+                    claimed, _, compression, start, stored = found
+                    file.seek(following - length + start)
+                    if claimed > LIMIT or _larger(file.read(stored), compression, claimed):
+                        raise BagError(f"{path}: a chunk of {stored} bytes claims {claimed} uncompressed, the truth "
+                                       f"and at most {LIMIT}; `softrig bag repair` leaves it out")  # fmt: skip
+            file.seek(following)
+
+
+def _larger(data: bytes, compression: str, claimed: int) -> bool:
+    """Whether a chunk decompresses to more than it claims."""
+    if compression == "zstd":
+        with suppress(ZstdError):
+            told = get_frame_info(data).decompressed_size
+            if told is not None:
+                return told > claimed
+    return len(inflate(data, compression, claimed + 1)[0]) > claimed

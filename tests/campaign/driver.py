@@ -1,0 +1,102 @@
+"""Workers, limits and the table of a campaign."""
+
+from __future__ import annotations
+
+import faulthandler
+import importlib
+import multiprocessing
+import os
+import resource
+import shutil
+import signal
+import sys
+import tempfile
+import time
+import traceback
+from pathlib import Path
+
+CASE_LIMIT = 60  # s
+MEMORY = 6 << 30  # bytes of address space of a worker; numba and pyarrow reserve much that they do not use
+
+
+class TooLong(BaseException):
+    """A case did not end; not an Exception, so that nothing of the suite swallows it."""
+
+
+def _alarm(number: int, frame: object) -> None:
+    raise TooLong(f"no end within {CASE_LIMIT} s")
+
+
+def work(area: str, seeds: list[int], results: multiprocessing.Queue, keep: Path | None) -> None:
+    """Run the cases of some seeds; one line of findings each goes to the queue."""
+    faulthandler.enable()
+    resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
+    signal.signal(signal.SIGALRM, _alarm)
+    sys.stdout = sys.stderr = open(os.devnull, "w")  # noqa: SIM115 - for the life of the process
+    attack = importlib.import_module(area).attack
+    for seed in seeds:
+        results.put((area, seed, "begun", ""))
+        with tempfile.TemporaryDirectory() as scratch:
+            directory = Path(scratch)
+            signal.alarm(CASE_LIMIT)
+            try:
+                attack(seed, directory)
+                finding = ""
+            except (Exception, SystemExit, TooLong):
+                finding = traceback.format_exc()
+            signal.alarm(0)
+            if finding and keep is not None:
+                shutil.copytree(directory, keep / f"{area}-{seed}", dirs_exist_ok=True)
+        results.put((area, seed, "lost" if finding else "survived", finding))
+
+
+def campaign(counts: dict[str, int], first: int, limit: float, keep: Path | None, jobs: int) -> dict[str, list]:
+    """Run all areas; gives area to [tried, survived, findings]."""
+    context = multiprocessing.get_context("spawn")
+    results = context.Queue()
+    table = {area: [0, 0, []] for area in counts}
+    waiting = [(area, first + at, min(count - at, 50)) for area, count in counts.items() for at in range(0, count, 50)]
+    running: dict = {}
+    deadline = time.monotonic() + limit
+
+    def collect(timeout: float) -> None:
+        from queue import Empty
+
+        while True:
+            try:
+                area, seed, state, finding = results.get(timeout=timeout)
+            except Empty:
+                return
+            timeout = 0
+            for entry in running.values():
+                if entry[0] == area and seed in entry[1]:
+                    entry[2] = seed if state == "begun" else None
+                    if state != "begun":
+                        entry[1].remove(seed)
+            if state != "begun":
+                table[area][0] += 1
+                table[area][1] += state == "survived"
+                if finding:
+                    table[area][2].append((seed, finding))
+
+    while (waiting and time.monotonic() < deadline) or running:
+        while waiting and len(running) < jobs and time.monotonic() < deadline:
+            area, start, count = waiting.pop(0)
+            seeds = list(range(start, start + count))
+            process = context.Process(target=work, args=(area, seeds, results, keep))
+            process.start()
+            running[process] = [area, set(seeds), None]
+        collect(0.2)
+        for process in [p for p in running if not p.is_alive()]:
+            collect(0.2)
+            area, left, at = running.pop(process)
+            if left:  # the worker died: in a case, or before its first; the others go on
+                at = min(left) if at is None else at
+                table[area][0] += 1
+                table[area][2].append((at, f"the process ended with status {process.exitcode}"))
+                left.discard(at)
+                waiting += [(area, seed, 1) for seed in sorted(left)]
+        done = sum(row[0] for row in table.values())
+        if sys.stderr.isatty():
+            print(f"\r{done} of {sum(counts.values())} cases", end="", file=sys.stderr)
+    return table
