@@ -1,10 +1,11 @@
 """Reserving a DDS domain."""
 
+import os
 import subprocess
 import sys
 
 import pytest
-from softrig_core.errors import RunError
+from softrig_core.errors import RunError, ScenarioError
 from softrig_core.rig import domain
 from softrig_core.rig.domain import free_domain
 
@@ -35,3 +36,29 @@ def test_another_process_holds_its_domain_until_it_dies(monkeypatch):
         child.wait()
     with free_domain() as ours:
         assert ours == theirs
+
+
+def test_a_wanted_domain_is_reserved_too():
+    with free_domain() as first:
+        with pytest.raises(RunError, match=f"domain {first} is in use"), free_domain(first):
+            pass
+        with free_domain(first % 100 + 101) as second:
+            assert second == first % 100 + 101
+    with pytest.raises(ScenarioError, match="domain 233: expected 0 to 232"), free_domain(233):
+        pass
+
+
+def test_the_locks_are_the_users_own_and_no_links_or_pipes(tmp_path, monkeypatch):
+    """In the temporary directory anybody could have put a link to a file, or a pipe that waits for ever."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setenv("TMPDIR", "/nowhere")
+    monkeypatch.setattr(domain, "DOMAINS", range(7, 8))
+    lock = tmp_path / "softrig/domains/7.lock"
+    with free_domain():
+        assert lock.is_file()
+    for make in (lambda: lock.symlink_to(tmp_path / "target"), lambda: os.mkfifo(lock)):
+        lock.unlink()
+        make()
+        with pytest.raises(RunError, match=r"7\.lock: .*expected a plain file"), free_domain():
+            pass
+        assert not (tmp_path / "target").exists()

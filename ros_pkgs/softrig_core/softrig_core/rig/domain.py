@@ -1,62 +1,80 @@
-"""A DDS domain that no other run of softrig on this host uses."""
+"""A DDS domain that no other run of this user on this host uses."""
 
 from __future__ import annotations
 
 import fcntl
 import os
-import tempfile
+import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from ..errors import RunError
+from ..errors import RunError, ScenarioError
+from ..model.compiled import cache_folder
 
 DOMAINS = range(1, 101)  # 0 is everybody's default; above 101 the ports of Linux' ephemeral range begin
+HIGHEST = 232  # what DDS can number
 
 
 @contextmanager
-def free_domain() -> Iterator[int]:
-    """Reserve a ROS_DOMAIN_ID for the length of a ``with`` block, across all processes of this host.
+def free_domain(wanted: int | None = None) -> Iterator[int]:
+    """Reserve a ROS_DOMAIN_ID for the length of a ``with`` block, across all processes of this user.
 
-    A domain is taken while some process holds the lock on its file in the temporary directory; the operating
+    A domain is taken while some process holds the lock on its file in the user's cache folder; the operating
     system drops the lock of a dead process. The search starts at the process number, so that two runs in a row
     seldom share a domain and see each other's ghosts.
+
+    Parameters
+    ----------
+    wanted : int, optional
+        This one and no other.
 
     Yields
     ------
     int
-        1 to 100.
+        `wanted`, or 1 to 100.
 
     Raises
     ------
+    ScenarioError
+        `wanted` is no domain.
     RunError
-        All domains are taken.
+        `wanted`, or every domain, is taken.
 
     Examples
     --------
-    >>> with free_domain() as domain:
-    ...     1 <= domain <= 100
+    >>> with free_domain() as number:
+    ...     1 <= number <= 100
     True
     """
+    if wanted is not None and not 0 <= wanted <= HIGHEST:
+        raise ScenarioError(f"domain {wanted}: expected 0 to {HIGHEST}")
     start = os.getpid()
-    for i in range(len(DOMAINS)):
-        domain = DOMAINS[(start + i) % len(DOMAINS)]
-        file = _open(Path(tempfile.gettempdir()) / f"softrig-domain-{domain}.lock")
+    choice = [DOMAINS[(start + i) % len(DOMAINS)] for i in range(len(DOMAINS))] if wanted is None else [wanted]
+    for number in choice:
+        file = _open(cache_folder() / "domains" / f"{number}.lock")
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             os.close(file)
             continue
         try:
-            yield domain
+            yield number
         finally:
             os.close(file)
         return
-    raise RunError(f"all DDS domains {DOMAINS[0]} to {DOMAINS[-1]} are in use on this host")
+    names = f"domain {wanted} is" if wanted is not None else f"all DDS domains {DOMAINS[0]} to {DOMAINS[-1]} are"
+    raise RunError(f"{names} in use by other runs on this host")
 
 
 def _open(path: Path) -> int:
+    path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+    # neither a link to another file nor a pipe, which would wait for its other end, is a lock
     try:
-        return os.open(path, os.O_RDONLY)  # another user's file may be locked, though not opened with O_CREAT
-    except FileNotFoundError:
-        return os.open(path, os.O_RDONLY | os.O_CREAT, 0o644)
+        file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, 0o600)
+    except OSError as error:
+        raise RunError(f"lock {path}: {error.strerror}; expected a plain file of this user") from None
+    if not stat.S_ISREG(os.fstat(file).st_mode):
+        os.close(file)
+        raise RunError(f"lock {path}: expected a plain file")
+    return file
