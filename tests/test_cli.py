@@ -265,8 +265,8 @@ KEYS = {"casadi": "python3-casadi-pip", "ruamel": "python3-ruamel.yaml"} | {
     name: f"python3-{name}" for name in ("matplotlib", "numpy", "pyarrow", "pydantic", "rich", "scipy")
 }
 FROM_PIP = {  # no rosdep key; the README says so
-    "backports", "clarabel", "compression", "comtrade", "control", "cvxpy", "daqp", "distributed", "highspy", "mcap",
-    "numba", "optuna", "osqp", "pyscipopt", "rosbags",
+    "backports", "clarabel", "compression", "comtrade", "control", "cvxpy", "daqp", "distributed", "highspy", "lz4",
+    "mcap", "numba", "optuna", "osqp", "pyscipopt", "rosbags",
 }  # fmt: skip
 OTHERS = {"motulator", "gym_electric_motor"}  # compared with where somebody has installed them
 
@@ -296,3 +296,29 @@ def test_both_ways_to_the_induction_bench_print_the_same_table(monkeypatch, caps
     assert [line.split()[-2] for line in table.splitlines()[:2]] == ["1.0", "4.0"]
     assert main(["bench", "induction"]) == 0
     assert table in capsys.readouterr().out
+
+
+def test_an_error_of_our_own_is_one_line_and_a_log(monkeypatch, tmp_path, capsys):
+    def broken(options):
+        raise ZeroDivisionError("x" * 5000)
+
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.setattr("tempfile.tempdir", None)
+    monkeypatch.setattr("softrig_bringup.cli._list", broken)
+    assert main(["list"]) == 4
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert len(said) < 1100
+    assert "error of softrig itself: ZeroDivisionError" in said
+    (log,) = tmp_path.glob("softrig-error-*.log")
+    assert "in broken" in log.read_text()
+
+
+def test_nothing_is_imported_from_the_current_directory(tmp_path):
+    (tmp_path / "rich.py").write_text("raise SystemExit('a file of the current directory was run')")
+    (tmp_path / "softrig_core.py").write_text("raise SystemExit('a file of the current directory was run')")
+    found = subprocess.run(
+        [SCRIPTS / "softrig", "list", "dc_motor_smc_b2"], cwd=tmp_path, capture_output=True, text=True
+    )
+    assert found.returncode == 0, found.stderr
+    assert "dc_motor_smc_b2" in found.stdout

@@ -1,4 +1,7 @@
-"""The command line: `softrig VERB ...`. Exit status 0 pass, 1 a metric misses, 2 bad input, 3 the run broke."""
+"""The command line: `softrig VERB ...`.
+
+Exit status 0 pass, 1 a metric misses, 2 bad input, 3 the run broke, 4 an error of softrig itself.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +10,7 @@ import os
 import shlex
 import sys
 from collections.abc import Callable, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +21,7 @@ if TYPE_CHECKING:
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # before numpy: sums must not depend on the number of cores
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+LINE = 1000  # characters of a failure that are shown
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -25,24 +29,50 @@ def main(argv: Sequence[str] | None = None) -> int:
     from softrig_core.errors import RunError, ScenarioError
 
     arguments = list(sys.argv[1:] if argv is None else argv)
-    if arguments and arguments[0] in _FOREIGN:
-        module, function = _FOREIGN[arguments[0]]
-        import importlib
-
-        return int(getattr(importlib.import_module(module), function)(arguments[1:]))
-    parser = _parser()
-    options = parser.parse_args(arguments)
     try:
+        if arguments and arguments[0] in _FOREIGN:
+            import importlib
+
+            module, function = _FOREIGN[arguments[0]]
+            return int(getattr(importlib.import_module(module), function)(arguments[1:]))
+        options = _parser().parse_args(arguments)
         return int(options.verb(options))
     except ScenarioError as error:
-        print(f"softrig: {error}", file=sys.stderr)
+        _say(error)
         return 2
+    except BrokenPipeError:  # whoever read our output has enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 141
     except (RunError, OSError) as error:
-        print(f"softrig: {error}", file=sys.stderr)
+        _say(error)
         return 3
     except KeyboardInterrupt:
-        print("softrig: stopped", file=sys.stderr)
+        _say("stopped")
         return 130
+    except MemoryError:
+        _say("out of memory; a shorter run or a smaller size may fit")
+        return 3
+    except Exception as error:
+        _say(f"error of softrig itself: {type(error).__name__}: {error}; the traceback is in {_traceback()}")
+        return 4
+
+
+def _say(what: object) -> None:
+    """Print one line about a failure, short enough to read."""
+    text = " ".join(str(what).split())
+    with suppress(OSError, ValueError):  # closed
+        print(f"softrig: {text if len(text) <= LINE else text[:LINE] + ' ...'}", file=sys.stderr)
+
+
+def _traceback() -> Path:
+    """Write the traceback under way into a file of its own."""
+    import tempfile
+    import traceback
+
+    number, name = tempfile.mkstemp(prefix="softrig-error-", suffix=".log")
+    with os.fdopen(number, "w") as file:
+        file.write(f"{shlex.join(sys.argv)}\n{traceback.format_exc()}")
+    return Path(name)
 
 
 # verbs with their own command line
