@@ -1,0 +1,78 @@
+"""A linear plant given by its transfer function."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Self
+
+from pydantic import model_validator
+from softrig_core.model.block import Plant
+from softrig_core.model.params import BlockParams, param
+from softrig_core.model.port import Port
+from softrig_core.node import executable
+
+from .discretise import matmul
+from .predictive.carima import sample_transfer_function
+from .signal_name import signal_port
+
+
+class LinearPlantParams(BlockParams):
+    """Transfer function num(s)/den(s) and the names of its two signals."""
+
+    period: float = param(0.00083, "sampling period T, also of the zero-order hold", "s", gt=0.0, le=10.0)
+    num: tuple[float, ...] = param((2.8286, 2.8286 * 175100.0), "numerator, highest power of s first", min_length=1)
+    den: tuple[float, ...] = param((1.0, 51.17 + 125.7, 51.17 * 125.7), "denominator, highest power of s first",
+                                   min_length=2)  # fmt: skip
+    command: str = param("command/u/effort", "signal that comes in, topic/channel/field")
+    command_unit: str = param("V", "its unit")
+    output: str = param("output/v_dc/position", "signal that goes out, topic/channel/field")
+    output_unit: str = param("V", "its unit")
+
+    @model_validator(mode="after")
+    def _model(self) -> Self:
+        sample_transfer_function(self.num, self.den, self.period)
+        self.signals()
+        return self
+
+    def signals(self) -> tuple[Port, Port]:
+        """Give the ports (command, output)."""
+        return (
+            signal_port("command", self.command, self.command_unit),
+            signal_port("output", self.output, self.output_unit),
+        )
+
+
+class LinearPlant(Plant):
+    """x' = A x + B u, y = C x from num(s)/den(s) in controllable form, from rest, stepped exactly.
+
+    The default is the transfer function (19) of Radmanesh and Saeidi (IJIECO 2020) from the drop V' to the DC voltage
+    of their rectifier, 2.8286 (s + 175100)/((s + 51.17)(s + 125.7)).
+    """
+
+    Params = LinearPlantParams
+
+    @classmethod
+    def ports(cls, params: LinearPlantParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
+        """One input, one output."""
+        command, output = params.signals()
+        return (command,), (output,)
+
+    def setup(self) -> None:
+        """Sample."""
+        self._a, self._b, self._c = sample_transfer_function(self.p.num, self.p.den, self.p.period)
+
+    def start(self) -> None:
+        """Begin at rest."""
+        self.x = tuple((0.0,) for _ in self._a)
+
+    def outputs(self, t: int) -> Mapping[str, tuple[float, ...]]:
+        """Give y."""
+        return {"output": matmul((self._c,), self.x)[0]}
+
+    def advance(self, t: int, *, command: tuple[float, ...]) -> None:
+        """Hold u over one period."""
+        moved = matmul(self._a, self.x)
+        self.x = tuple((x[0] + b[0] * command[0],) for x, b in zip(moved, self._b, strict=True))
+
+
+main = executable(LinearPlant)

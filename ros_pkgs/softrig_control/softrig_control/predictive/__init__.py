@@ -1,0 +1,1 @@
+"""Generalised predictive control (GPC) of single-input single-output plants, with and without constraints."""

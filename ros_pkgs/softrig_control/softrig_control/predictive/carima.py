@@ -1,0 +1,196 @@
+"""The CARIMA model A(z) y(t) = B(z) u(t-1) + xi(t)/Delta and what it predicts.
+
+Plain floats, no BLAS: these numbers decide every bit of a run (see `softrig_control.discretise`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import zip_longest
+from typing import NamedTuple
+
+from ..discretise import Matrix, matmul, zero_order_hold
+
+Polynomial = tuple[float, ...]  # coefficients of z^0, z^-1, z^-2, ...
+
+
+@dataclass(frozen=True)
+class Carima:
+    """A sampled model: ``y(t) = -a1 y(t-1) - a2 y(t-2) - ... + b0 u(t-1) + b1 u(t-2) + ...``.
+
+    Parameters
+    ----------
+    a : tuple of float
+        A(z) = 1 + a1 z^-1 + a2 z^-2 + ..., monic.
+    b : tuple of float
+        B(z) = b0 + b1 z^-1 + ..., acting on u(t-1); a leading zero is one more period of dead time.
+
+    Raises
+    ------
+    ValueError
+        A is empty or not monic, B has no coefficient other than zero, or a number is not finite.
+    """
+
+    a: Polynomial
+    b: Polynomial
+
+    def __post_init__(self) -> None:
+        if not self.a or self.a[0] != 1.0:
+            raise ValueError(f"a = {list(self.a)}: expected 1 as its first coefficient")
+        if not any(self.b):
+            raise ValueError(f"b = {list(self.b)}: expected a coefficient other than zero")
+        if not all(map(math.isfinite, (*self.a, *self.b))):
+            raise ValueError(f"a = {list(self.a)}, b = {list(self.b)}: expected finite numbers")
+
+    @classmethod
+    def from_state_space(cls, a: Matrix, b: Matrix, c: Sequence[float]) -> Carima:
+        """Give the transfer function of x(t+1) = A x(t) + B u(t), y = C x of one input.
+
+        A(z) is the characteristic polynomial by the recursion of Faddeev and LeVerrier, B(z) = A(z) times the
+        Markov parameters C A^k B.
+        """
+        n = len(a)
+        characteristic = [1.0]
+        m: Matrix = tuple(tuple(float(i == j) for j in range(n)) for i in range(n))
+        for k in range(1, n + 1):
+            product = matmul(a, m)
+            characteristic.append(-sum(product[i][i] for i in range(n)) / k)
+            m = tuple(tuple(product[i][j] + characteristic[k] * (i == j) for j in range(n)) for i in range(n))
+        markov, x = [], b
+        for _ in range(n):
+            markov.append(matmul((tuple(c),), x)[0][0])
+            x = matmul(a, x)
+        return cls(tuple(characteristic), multiply(characteristic, markov)[:n])
+
+    @classmethod
+    def from_continuous(cls, num: Sequence[float], den: Sequence[float], period: float) -> Carima:
+        """Sample a transfer function num(s)/den(s), highest power first, with u held over each period.
+
+        Raises
+        ------
+        ValueError
+            `den` is empty or begins with zero, or `num` is not of lower degree: u(t) would act on y(t) at once.
+        """
+        return cls.from_state_space(*(sampled := sample_transfer_function(num, den, period))[:2], sampled[2])
+
+    @property
+    def dc_gain(self) -> float:
+        """Steady y for u = 1; infinite with an integrator."""
+        return sum(self.b) / total if (total := sum(self.a)) else math.inf
+
+    def step_response(self, n: int) -> list[float]:
+        """Give y(1), ..., y(n) for u = 1 from t = 0 on, from rest."""
+        y = [0.0]
+        for k in range(1, n + 1):
+            past = sum(-a * y[k - i] for i, a in enumerate(self.a[1:], 1) if k >= i)
+            y.append(past + sum(self.b[:k]))
+        return y[1:]
+
+
+def sample_transfer_function(
+    num: Sequence[float], den: Sequence[float], period: float
+) -> tuple[Matrix, Matrix, tuple[float, ...]]:
+    """Give (A, B, C) of a strictly proper transfer function in controllable form, sampled with zero-order hold.
+
+    Raises
+    ------
+    ValueError
+        As `Carima.from_continuous`.
+    """
+    if not den or den[0] == 0.0:
+        raise ValueError(f"den = {list(den)}: expected a first coefficient other than zero")
+    n = len(den) - 1
+    num = list(num)[next((i for i, x in enumerate(num) if x), len(num)) :]
+    if not 0 < len(num) <= n:
+        raise ValueError(f"num = {num}: expected a degree below the {n} of den, and a coefficient other than zero")
+    a = tuple(
+        tuple(-x / den[0] for x in den[1:]) if i == 0 else tuple(float(j == i - 1) for j in range(n)) for i in range(n)
+    )
+    b = tuple((float(i == 0),) for i in range(n))
+    c = (0.0,) * (n - len(num)) + tuple(x / den[0] for x in num)
+    return (*zero_order_hold(a, b, period), c)
+
+
+class Prediction(NamedTuple):
+    """y(t+j) = sum over G of future moves + F over past outputs + H over past moves; one row for j = N1 ... Np.
+
+    Attributes
+    ----------
+    g : (N, Nc)
+        Step matrix: coefficients of Delta u(t), Delta u(t+1), ...
+    f : (N, na + 1)
+        Coefficients of y(t), y(t-1), ...
+    h : (N, nb)
+        Coefficients of Delta u(t-1), Delta u(t-2), ...
+    """
+
+    g: Matrix
+    f: Matrix
+    h: Matrix
+
+
+def multiply(p: Sequence[float], q: Sequence[float]) -> Polynomial:
+    """Product of two polynomials in z^-1."""
+    found = [0.0] * (len(p) + len(q) - 1)
+    for i, x in enumerate(p):
+        for j, y in enumerate(q):
+            found[i + j] += x * y
+    return tuple(found)
+
+
+def add(p: Sequence[float], q: Sequence[float], shift: int = 0) -> Polynomial:
+    """Sum p + z^-shift q."""
+    return tuple(x + y for x, y in zip_longest(p, (*(0.0,) * shift, *q), fillvalue=0.0))
+
+
+def diophantine(a: Sequence[float], horizon: int) -> list[tuple[Polynomial, Polynomial]]:
+    """Solve 1 = E_j(z) A(z) Delta + z^-j F_j(z) for j = 1 ... horizon by recursion.
+
+    ::
+
+        E_1 = 1,  F_1 = z (1 - A Delta)
+        e_j = f_(j,0),  E_(j+1) = E_j + e_j z^-j,  F_(j+1) = z (F_j - e_j A Delta)
+
+    Parameters
+    ----------
+    a : sequence of float
+        Monic A(z).
+
+    Returns
+    -------
+    list of (E_j, F_j)
+        E_j of degree j - 1, F_j of the degree of A.
+
+    References
+    ----------
+    Clarke, Mohtadi, Tuffs: Generalized predictive control, part I, Automatica 23(2), 1987.
+    """
+    a_delta = multiply(a, (1.0, -1.0))
+    e: Polynomial = (1.0,)
+    f = tuple(-x for x in a_delta[1:])
+    found = [(e, f)]
+    for _ in range(horizon - 1):
+        lead = f[0]
+        e = (*e, lead)
+        f = tuple(x - lead * y for x, y in zip((*f[1:], 0.0), a_delta[1:], strict=True))
+        found.append((e, f))
+    return found
+
+
+def predict(model: Carima, first: int, horizon: int, moves: int) -> Prediction:
+    """Build the prediction of y(t+first) ... y(t+horizon) for `moves` future moves.
+
+    E_j B = G_j + z^-j H_j splits each row into the part of the future moves and that of the past ones.
+    """
+    nb = len(model.b) - 1
+    g, f, h = [], [], []
+    for j, (e_j, f_j) in enumerate(diophantine(model.a, horizon), 1):
+        if j < first:
+            continue
+        product = multiply(e_j, model.b)
+        g.append(tuple(product[j - 1 - i] if i < j else 0.0 for i in range(moves)))
+        f.append(f_j)
+        h.append(product[j : j + nb])
+    return Prediction(tuple(g), tuple(f), tuple(h))

@@ -1,0 +1,206 @@
+"""GPC as a block: closed form or constrained, for any plant of one command and one measured signal."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import ClassVar, Literal, Self
+
+from pydantic import model_validator
+from softrig_core.model.block import Block, Level
+from softrig_core.model.params import BlockParams, param
+from softrig_core.model.port import Port, scalars
+from softrig_core.node import executable
+
+from ..signal_name import signal_port, split
+from .carima import Carima
+from .gpc import Gpc, Tuning
+from .qp import MoveSolver, SolverName, make_solver
+
+UNBOUNDED = 1e12
+PATIENCE = 3  # bad samples in a row before the trip
+ON_BOUND = 1e-7  # relative distance from a bound that counts as on it
+
+# health/state
+FOLLOWING, BOUNDED, HOLDING, TRIPPED = 0.0, 1.0, 2.0, 3.0
+
+
+class GpcLawParams(BlockParams):
+    """Horizons, weight, bounds and solver."""
+
+    N1: int = param(1, "first predicted sample that counts", ge=1, le=1000)
+    Np: int = param(11, "prediction horizon", ge=1, le=1000)
+    Nc: int = param(2, "control horizon, number of moves", ge=1, le=50)
+    lam: float = param(1.0, "weight lambda of the moves", ge=0.0, le=1e12)
+    u_min: float = param(-UNBOUNDED, "smallest command", ge=-UNBOUNDED, le=UNBOUNDED)
+    u_max: float = param(UNBOUNDED, "largest command", ge=-UNBOUNDED, le=UNBOUNDED)
+    du_max: float = param(UNBOUNDED, "largest move in one period; for the solvers, the closed form knows none",
+                          gt=0.0, le=UNBOUNDED)  # fmt: skip
+    solver: Literal["closed_form", "daqp", "osqp", "qpoases"] = param(
+        "closed_form", "closed form, clipped to u_min and u_max, or a solver that keeps all bounds for all moves"
+    )
+    set_point: float = param(0.0, "reference until one arrives", ge=-UNBOUNDED, le=UNBOUNDED)
+    u_start: float = param(0.0, "command that was applied before the start", ge=-UNBOUNDED, le=UNBOUNDED)
+    u_safe: float = param(0.0, "command after a trip", ge=-UNBOUNDED, le=UNBOUNDED)
+    trip_low: float = param(-UNBOUNDED, "measured value at or below which the law trips", ge=-UNBOUNDED, le=UNBOUNDED)
+    trip_high: float = param(UNBOUNDED, "measured value above which the law trips", ge=-UNBOUNDED, le=UNBOUNDED)
+    measured: str = param("output/v_dc/position", "signal under control, topic/channel/field")
+    measured_unit: str = param("V", "its unit, and that of the reference")
+    reference: str = param("reference/v_dc/position", "signal to be followed, topic/channel/field")
+    command: str = param("command/u/effort", "signal that is commanded, topic/channel/field")
+    command_unit: str = param("V", "its unit")
+
+    @model_validator(mode="after")
+    def _law(self) -> Self:
+        if not self.u_min < self.u_max:
+            raise ValueError(f"u_min = {self.u_min:g}, u_max = {self.u_max:g}: expected u_min < u_max")
+        if not self.trip_low < self.trip_high:
+            raise ValueError(f"trip_low = {self.trip_low:g}, trip_high = {self.trip_high:g}: expected trip_low below")
+        if self.solver == "closed_form" and self.du_max < UNBOUNDED:
+            raise ValueError(f"du_max = {self.du_max:g} needs a solver, solver = closed_form has none")
+        for signal in (self.measured, self.reference, self.command):
+            split(signal)
+        Gpc(self.carima(), self.tuning())
+        return self
+
+    def tuning(self) -> Tuning:
+        """Give horizons and weight."""
+        return Tuning(self.N1, self.Np, self.Nc, self.lam)
+
+    def carima(self) -> Carima:
+        """Give the model for prediction."""
+        raise NotImplementedError
+
+    @property
+    def u_first(self) -> float:
+        """Command that was applied before the start."""
+        return self.u_start
+
+
+class GpcControllerParams(GpcLawParams):
+    """The model: a transfer function in s, or A(z) and B(z)."""
+
+    num: tuple[float, ...] = param((2.8286, 2.8286 * 175100.0), "numerator, highest power of s first")
+    den: tuple[float, ...] = param((1.0, 51.17 + 125.7, 51.17 * 125.7), "denominator, highest power of s first")
+    a: tuple[float, ...] = param((), "instead: A(z) = 1 + a1 z^-1 + ..., beginning with the 1")
+    b: tuple[float, ...] = param((), "instead: B(z) = b0 + b1 z^-1 + ..., b0 being that of u(t-1)")
+
+    def carima(self) -> Carima:
+        """Give A(z), B(z), or the transfer function sampled with zero-order hold."""
+        if self.a or self.b:
+            return Carima(self.a, self.b)
+        return Carima.from_continuous(self.num, self.den, self.period)
+
+
+class GpcController(Block):
+    """Generalised predictive control; `Gpc` has the law, `qp` the programme with bounds.
+
+    The law starts from the first sample as if it had been there for ever, with `u_start` applied. ``NAME/health``
+    tells the state (0 following, 1 on a bound, 2 holding the last command, 3 tripped), how many bounds are active over
+    all moves, and how often the solver has failed.
+
+    A programme without a solution holds the last command. Bad input, too; the third bad sample in a row, or a measured
+    value outside `trip_low`, `trip_high`, trips: `u_safe` from then on, for good.
+    """
+
+    Params: ClassVar[type[BlockParams]] = GpcControllerParams
+
+    @classmethod
+    def ports(cls, params: GpcLawParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
+        """Ports named by the parameters."""
+        return (
+            signal_port("measured", params.measured, params.measured_unit),
+            signal_port("reference", params.reference, params.measured_unit, held=True),
+        ), (
+            signal_port("command", params.command, params.command_unit),
+            scalars("health", "health", {"state": "", "active": "", "failures": ""}),
+        )
+
+    def setup(self) -> None:
+        """Build the law, its solver if it has one."""
+        p: GpcLawParams = self.p
+        self.law = Gpc(p.carima(), p.tuning())
+        self._solver: MoveSolver | None = None
+        if p.solver != "closed_form":
+            name: SolverName = p.solver
+            self._solver = make_solver(name, self.law.hessian, p.du_max)
+
+    def start(self) -> None:
+        """Forget everything."""
+        self._w = self.p.set_point
+        self._y: float | None = None
+        self._bad = 0
+        self._failures = 0
+        self.tripped = False
+        self.law.start(0.0, self.p.u_first)
+
+    def update(
+        self, t: int, *, measured: tuple[float, ...], reference: tuple[float, ...] | None
+    ) -> Mapping[str, tuple[float, ...]]:
+        """Give the command for a sample."""
+        p, y = self.p, measured[0]
+        if reference is not None:
+            self._w = reference[0]
+        self._bad = 0
+        if not self.tripped and not p.trip_low < y <= p.trip_high:
+            self._trip(f"measured {y:g} {p.measured_unit} is outside {p.trip_low:g} to {p.trip_high:g}")
+        if self.tripped:
+            return self._answer(TRIPPED, 0)
+        if self._y is None:
+            self.law.start(y, p.u_first)
+        self._y = y
+        self.law.measure(y)
+        if self._solver is not None:
+            return self._constrained(self._solver)
+        u = self.law.u + self.law.move(self._w)
+        held = min(max(u, p.u_min), p.u_max)
+        self.law.applied(held)
+        return self._answer(FOLLOWING if held == u else BOUNDED, int(held != u))
+
+    def _constrained(self, solver: MoveSolver) -> Mapping[str, tuple[float, ...]]:
+        p, law = self.p, self.law
+        moves, status = solver.solve(law.gradient(self._w), p.u_min - law.u, p.u_max - law.u)
+        if moves is None or not all(map(math.isfinite, moves)):
+            self._failures += 1
+            self.report(Level.WARN, "no_solution", f"{p.solver}: {status}; the last command is held")
+            law.applied(law.u)
+            return self._answer(HOLDING, 0)
+        active = self._active(moves)
+        # a solver keeps a bound to its tolerance, the command keeps it exactly
+        law.applied(min(max(law.u + moves[0], p.u_min), p.u_max))
+        return self._answer(BOUNDED if active else FOLLOWING, active)
+
+    def _active(self, moves: tuple[float, ...]) -> int:
+        """Count the bounds that hold with equality, over all moves."""
+        p, u, count = self.p, self.law.u, 0
+        near_move, near = ON_BOUND * p.du_max, ON_BOUND * max(abs(p.u_min), abs(p.u_max), 1.0)
+        for move in moves:
+            u += move
+            count += p.du_max < UNBOUNDED and p.du_max - abs(move) <= near_move
+            count += p.u_max < UNBOUNDED and p.u_max - u <= near
+            count += p.u_min > -UNBOUNDED and u - p.u_min <= near
+        return count
+
+    def refused(self, t: int) -> Mapping[str, tuple[float, ...]]:
+        """Hold the last command; trip at the third bad sample in a row."""
+        self._bad += 1
+        self.report(Level.ERROR, "bad_input", "a measurement or reference was refused; the last command is held")
+        if self._bad >= PATIENCE and not self.tripped:
+            self._trip(f"{PATIENCE} bad samples in a row")
+        if self.tripped:
+            return self._answer(TRIPPED, 0)
+        if self._y is not None:  # the plant goes on under the held command
+            self.law.measure(self._y)
+        self.law.applied(self.law.u)
+        return self._answer(HOLDING, 0)
+
+    def _trip(self, reason: str) -> None:
+        self.tripped = True
+        self.law.applied(self.p.u_safe)
+        self.report(Level.ERROR, "trip", f"{reason}: tripped to {self.p.u_safe:g} {self.p.command_unit} for good")
+
+    def _answer(self, state: float, active: int) -> Mapping[str, tuple[float, ...]]:
+        return {"command": (self.law.u,), "health": (state, float(active), float(self._failures))}
+
+
+main = executable(GpcController)

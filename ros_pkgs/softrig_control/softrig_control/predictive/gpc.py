@@ -1,0 +1,169 @@
+"""GPC in closed form."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from ..discretise import Matrix, matmul
+from .carima import Carima, add, multiply, predict
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """Horizons and weight.
+
+    Parameters
+    ----------
+    first : int
+        N1, first predicted sample that counts.
+    horizon : int
+        Np, last one.
+    moves : int
+        Nc, number of future moves.
+    weight : float
+        lambda of the cost sum (y - w)^2 + lambda sum (Delta u)^2.
+
+    Raises
+    ------
+    ValueError
+        Not 1 <= N1 <= Np, not 1 <= Nc <= Np, or a negative weight.
+    """
+
+    first: int = 1
+    horizon: int = 11
+    moves: int = 2
+    weight: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.first <= self.horizon:
+            raise ValueError(f"N1 = {self.first}, Np = {self.horizon}: expected 1 <= N1 <= Np")
+        if not 1 <= self.moves <= self.horizon:
+            raise ValueError(f"Nc = {self.moves}, Np = {self.horizon}: expected 1 <= Nc <= Np")
+        if not 0.0 <= self.weight < math.inf:
+            raise ValueError(f"lambda = {self.weight}: expected a finite number, not negative")
+
+
+class Gpc:
+    """Generalised predictive control of a CARIMA model.
+
+    With the free response f_j = F_j y(t) + H_j Delta u(t-1) and a constant set point w, the moves that minimise
+    |G U + f - w|^2 + lambda |U|^2 (paper eqs (22) to (28)) are::
+
+        U = (G' G + lambda I)^-1 G' (w - f)
+
+    of which the first is made. Everything but y, w and the past moves is known beforehand, so G' (w - f) is
+    kept as three small matrices acting on them.
+
+    Parameters
+    ----------
+    model : Carima
+    tuning : Tuning
+
+    Raises
+    ------
+    ValueError
+        G' G + lambda I is singular.
+
+    Notes
+    -----
+    The caller says what was really applied (`applied`): a clipped command enters the past moves as it was clipped,
+    which is the whole of the anti-windup.
+    """
+
+    def __init__(self, model: Carima, tuning: Tuning) -> None:
+        self.model, self.tuning = model, tuning
+        g, f, h = predict(model, tuning.first, tuning.horizon, tuning.moves)
+        transposed = tuple(zip(*g, strict=True))
+        squares = matmul(transposed, g)
+        self.hessian: Matrix = tuple(
+            tuple(x + tuning.weight * (i == j) for j, x in enumerate(row)) for i, row in enumerate(squares)
+        )
+        self._pull = tuple(sum(row) for row in transposed)  # G' 1: what multiplies w
+        self._outputs = matmul(transposed, f)
+        self._past = matmul(transposed, h) if h[0] else ((),) * tuning.moves
+        inverse = invert(self.hessian)
+        first = (inverse[0],)
+        self.pull = matmul(first, tuple((x,) for x in self._pull))[0][0]
+        self.outputs = matmul(first, self._outputs)[0]
+        self.past = matmul(first, self._past)[0] if h[0] else ()
+        self.start(0.0, 0.0)
+
+    def start(self, y: float, u: float) -> None:
+        """Begin without a bump: y has been measured for ever, u has been applied for ever."""
+        self.u = u
+        self._y = [y] * len(self.outputs)
+        self._moves = [0.0] * len(self.past)
+
+    def measure(self, y: float) -> None:
+        """Take y(t) in."""
+        self._y.insert(0, y)
+        self._y.pop()
+
+    def move(self, w: float) -> float:
+        """Give the first move Delta u(t) of the closed form for the set point w."""
+        found = self.pull * w
+        for k, y in zip(self.outputs, self._y, strict=True):
+            found -= k * y
+        for k, d in zip(self.past, self._moves, strict=True):
+            found -= k * d
+        return found
+
+    def gradient(self, w: float) -> list[float]:
+        """Give -G' (w - f), the linear term of the cost 1/2 U' H U + q' U with H = `hessian` (halved cost)."""
+        found = []
+        for pull, outputs, past in zip(self._pull, self._outputs, self._past, strict=True):
+            total = -pull * w
+            for k, y in zip(outputs, self._y, strict=True):
+                total += k * y
+            for k, d in zip(past, self._moves, strict=True):
+                total += k * d
+            found.append(total)
+        return found
+
+    def applied(self, u: float) -> None:
+        """Note the command that really acts from t on."""
+        if self._moves:
+            self._moves.insert(0, u - self.u)
+            self._moves.pop()
+        self.u = u
+
+    def poles(self, plant: Carima | None = None) -> list[complex]:
+        """Give the closed loop's poles in z with a plant (the model itself by default).
+
+        The law is R Delta u = pull w - S y with R = 1 + z^-1 past, S = outputs; with A y = z^-1 B u the characteristic
+        polynomial is R A Delta + z^-1 B S.
+        """
+        import numpy as np
+
+        plant = self.model if plant is None else plant
+        r = add((1.0,), self.past, 1)
+        characteristic = add(multiply(multiply(r, plant.a), (1.0, -1.0)), multiply(plant.b, self.outputs), 1)
+        return [complex(z) for z in np.roots(characteristic)]
+
+    def spectral_radius(self, plant: Carima | None = None) -> float:
+        """Give the largest modulus of `poles`; the loop is stable below 1."""
+        return max(map(abs, self.poles(plant)))
+
+
+def invert(m: Sequence[Sequence[float]]) -> Matrix:
+    """Invert a small symmetric positive definite matrix by Gauss and Jordan with pivots on the diagonal.
+
+    Raises
+    ------
+    ValueError
+        A pivot is lost: the matrix is singular to working accuracy.
+    """
+    n = len(m)
+    rows = [[*map(float, row), *(float(i == j) for j in range(n))] for i, row in enumerate(m)]
+    for k in range(n):
+        pivot = rows[k][k]
+        if not pivot > 1e-13 * m[k][k]:
+            raise ValueError("G' G + lambda I is singular: expected lambda > 0, or fewer moves Nc")
+        rows[k] = [x / pivot for x in rows[k]]
+        for i in range(n):
+            if i != k:
+                factor = rows[i][k]
+                rows[i] = [x - factor * y for x, y in zip(rows[i], rows[k], strict=True)]
+    return tuple(tuple(row[n:]) for row in rows)

@@ -1,0 +1,37 @@
+"""Ports named by a parameter, as scenarios name signals: ``topic/channel/field``."""
+
+from __future__ import annotations
+
+from softrig_core.model.port import Port, joint_state
+
+FIELDS = ("position", "velocity", "effort")
+
+
+def split(signal: str) -> tuple[str, str, str]:
+    """Give (topic, channel, field) of ``topic/channel/field``.
+
+    Raises
+    ------
+    ValueError
+        It has no such form.
+    """
+    topic, channel, field = ("", "", *signal.rsplit("/", 2))[-3:]
+    if not topic or not channel or field not in FIELDS:
+        raise ValueError(f"{signal!r}: expected topic/channel/field with field one of {', '.join(FIELDS)}")
+    return topic, channel, field
+
+
+def signal_port(name: str, signal: str, unit: str, *, held: bool = False) -> Port:
+    """Make a port of one channel of a JointState.
+
+    Parameters
+    ----------
+    name : str
+        Keyword of the block.
+    signal : str
+        ``topic/channel/field``.
+    unit : str
+        Empty for a pure number.
+    """
+    topic, channel, field = split(signal)
+    return joint_state(name, topic, (channel,), held=held, **{field: unit or "1"})

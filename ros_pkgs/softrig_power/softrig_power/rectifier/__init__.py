@@ -1,0 +1,1 @@
+"""Three-phase six-switch rectifier under generalised predictive control."""

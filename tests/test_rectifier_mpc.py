@@ -1,0 +1,318 @@
+"""Rectifier under generalised predictive control: the law, its certificate, the linear plant of the paper."""
+
+import math
+
+import numpy as np
+import pytest
+from conftest import in_process
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import linalg, signal
+from scipy.optimize import brentq
+from softrig_bringup.run import evaluate
+from softrig_control.linear_plant import LinearPlant
+from softrig_control.predictive.carima import Carima, diophantine, multiply, predict
+from softrig_control.predictive.certificate import certify, check
+from softrig_control.predictive.controller import GpcController
+from softrig_control.predictive.gpc import Gpc, Tuning, invert
+from softrig_control.predictive.qp import make_solver
+from softrig_core.model.block import Level
+from softrig_core.model.params import ParameterError
+from softrig_core.rig.rig import Rig
+from softrig_core.rig.scenario import list_scenarios, load_scenario
+from softrig_core.wire.signals import Signals
+from softrig_power.rectifier.models import SEED19_DEN, SEED19_NUM, d2, linearised, n3, seed19
+from softrig_power.rectifier.parameters import RectifierConstants
+
+T = 0.83e-3
+CONSTANTS = RectifierConstants()
+SOLVERS = ("daqp", "osqp", "qpoases")
+
+
+def recorded(scenario):
+    return Signals(in_process(Rig.from_scenario(scenario), scenario.seed))
+
+
+@pytest.mark.parametrize("name", sorted(n for n in list_scenarios() if n.startswith("rectifier_mpc_l")))
+def test_linear_scenario_meets_its_figures(name):
+    scenario = load_scenario(name)
+    rows = evaluate(scenario, recorded(scenario))
+    assert rows
+    assert [(row["name"], row["value"]) for row in rows if not row["pass"]] == []
+
+
+@pytest.mark.parametrize(
+    ("period", "weight", "radius"),
+    [(2e-4, 17.873, 0.9786), (1e-4, 17.873, 1.0173), (T, 17.873, 0.8077)],
+)
+def test_spectral_radius_of_the_closed_loop(period, weight, radius):
+    assert Gpc(seed19(period), Tuning(weight=weight)).spectral_radius() == pytest.approx(radius, abs=5e-4)
+
+
+@pytest.mark.parametrize(
+    ("period", "weight", "tolerance"),
+    [(2e-4, 35.90, 0.05), (1.5e-4, 10.70, 0.0107), (3e-4, 219.4, 0.22), (4e-4, 1041, 1.1)]
+)  # fmt: skip
+def test_critical_weight_puts_a_pole_on_the_unit_circle(period, weight, tolerance):
+    model = seed19(period)
+    found = brentq(lambda w: Gpc(model, Tuning(weight=w)).spectral_radius() - 1.0, 0.5 * weight, 2.0 * weight)
+    assert found == pytest.approx(weight, abs=tolerance)
+
+
+def test_poles_are_those_of_the_simulated_loop():
+    """The slowest mode that the loop shows from its start is the largest pole."""
+    law, plant = Gpc(seed19(1e-4), Tuning(weight=17.873)), LinearPlant(period=1e-4)
+    y = []
+    for k in range(1500):
+        y.append(plant.outputs(k)["output"][0])
+        law.measure(y[-1])
+        law.applied(law.u + law.move(400.0))
+        plant.advance(k, command=(law.u,))
+    growth = (np.abs(y[1000:]).max() / np.abs(y[500:1000]).max()) ** (1 / 500)
+    assert growth == pytest.approx(law.spectral_radius(), abs=5e-4)
+
+
+models = st.tuples(
+    st.lists(st.floats(-0.95, 0.95), min_size=1, max_size=4), st.lists(st.floats(-2, 2), min_size=1, max_size=4)
+).filter(lambda m: any(m[1]))
+
+
+@given(models)
+def test_diophantine_identity(m):
+    a = np.real(np.poly(m[0])).tolist()
+    for j, (e, f) in enumerate(diophantine(a, 11), 1):
+        whole = np.zeros(j + len(a))
+        product = multiply(e, multiply(a, (1.0, -1.0)))
+        whole[: len(product)] += product
+        whole[j : j + len(f)] += f
+        whole[0] -= 1.0
+        assert np.abs(whole).max() < 1e-10
+        assert len(e) == j
+
+
+@given(models, st.lists(st.floats(-3, 3), min_size=20, max_size=20))
+def test_prediction_is_what_the_model_does(m, moves):
+    """From any past, free response and step matrix give the model's own future."""
+    model = Carima(tuple(np.real(np.poly(m[0])).tolist()), tuple(m[1]))
+    u = np.cumsum(moves)
+    y = np.zeros(20)
+    for t in range(1, 20):
+        y[t] = sum(-a * y[t - i] for i, a in enumerate(model.a[1:], 1) if t >= i)
+        y[t] += sum(b * u[t - 1 - i] for i, b in enumerate(model.b) if t - 1 - i >= 0)
+    now, horizon = 10, 9
+    g, f, h = predict(model, 1, horizon, horizon)
+    past_y = [y[now - i] for i in range(len(f[0]))]
+    past_moves = [moves[now - 1 - i] for i in range(len(h[0]))]
+    found = np.array(g) @ moves[now : now + horizon] + np.array(f) @ past_y
+    if past_moves:
+        found = found + np.array(h) @ past_moves
+    np.testing.assert_allclose(found, y[now + 1 : now + 1 + horizon], atol=1e-6)
+
+
+def test_step_matrix_begins_with_the_step_response():
+    model = n3(CONSTANTS, T)
+    published = [-0.005536, 0.052710, 0.224145, 0.537383, 0.999847, 1.599348, 2.307336, 3.083394, 3.880437, 4.650077,
+                 5.347639]  # fmt: skip
+    column = [row[0] for row in predict(model, 1, 11, 2).g]
+    np.testing.assert_allclose(column, published, atol=1e-6)
+    np.testing.assert_allclose(column, model.step_response(11), atol=1e-9)
+    a, b = linearised(CONSTANTS)
+    _, exact = signal.step(signal.StateSpace(a, b, [[0, 0, 1]], [[0]]), T=np.arange(12) * T)
+    np.testing.assert_allclose(column, exact[1:], atol=1e-9)
+
+
+def test_sampled_models_agree_with_scipy():
+    for num, den in ((SEED19_NUM, SEED19_DEN), ((3.0,), (2.0, 0.5, 7.0, 1.0)), ((5.0,), (1.0, 0.0))):
+        b, a, _ = signal.cont2discrete((num, den), T)
+        model = Carima.from_continuous(num, den, T)
+        np.testing.assert_allclose(model.a, a, rtol=1e-9)
+        np.testing.assert_allclose(model.b, b[0][1:], rtol=1e-7, atol=1e-15)
+    assert seed19(T).dc_gain == pytest.approx(77.003, abs=1e-3)
+
+
+def test_corrected_models_are_those_of_the_operating_point():
+    c = CONSTANTS
+    assert (c.current, c.drop, c.impedance) == pytest.approx((37.8322, 27.7852, 0.73443), abs=1e-4)
+    assert math.degrees(c.phi) == pytest.approx(82.1743, abs=1e-4)
+    assert [RectifierConstants(R_L=16 / f).current for f in (1.25, 1.5, 2, 2.5)] == pytest.approx(
+        [47.553, 57.385, 77.402, 97.919], abs=1e-3
+    )
+    third, second = n3(c, T), d2(c, T)
+    assert third.b == pytest.approx((-0.00553621, 0.07332316, -0.00135521), abs=1e-8)
+    assert third.a == pytest.approx((1.0, -2.72329524, 2.55901776, -0.82629094), abs=1e-8)
+    assert second.b == pytest.approx((-0.00074274, 0.51542369), abs=1e-8)
+    assert second.a == pytest.approx((1.0, -0.90050642), abs=1e-8)
+    assert (third.dc_gain, second.dc_gain) == pytest.approx((7.0435, 5.1730), abs=1e-4)
+    poles = np.linalg.eigvals(linearised(c)[0])
+    assert sorted(poles.real) == pytest.approx([-126.26, -51.81, -51.81], abs=0.01)
+    assert max(poles.imag) == pytest.approx(376.99, abs=0.01)
+    a, b = (np.array(m) for m in linearised(c))
+    pencil = np.block([[a, b], [np.array([[0, 0, 1.0, 0]])]])
+    zeros = linalg.eigvals(pencil, np.diag([1.0, 1, 1, 0]))
+    zeros = zeros[np.isfinite(zeros)].real
+    assert sorted(zeros) == pytest.approx([-2794.8, 2361.6], abs=0.1)
+
+
+def test_certificate():
+    rows = {1e-3: ((-0.76362, 0.46805), (1.26553, -0.58845, 0.43951), 0.60815),
+            T: ((-0.64812, 0.42658), (0.97640, -0.53451, 0.39160), 0.66098)}  # fmt: skip
+    for period, (gain, terminal, modulus) in rows.items():
+        found = certify(seed19(period))
+        assert found.gain[0] == pytest.approx(gain, abs=1e-5)
+        assert found.terminal[np.triu_indices(2)] == pytest.approx(terminal, abs=1e-5)
+        assert found.moduli == pytest.approx([modulus] * 2, abs=1e-5)
+        assert found.residual < 1e-10
+        assert found.valid
+
+
+@pytest.mark.parametrize(
+    ("gain", "moduli"),
+    [((1.833, 1.077), (3.73, 0.066)), ((-1.833, -1.077), (1.381, 1.381)), ((-1.833, 1.077), (0.498, 0.495))]
+)  # fmt: skip
+def test_the_papers_equation_33_is_no_certificate(gain, moduli):
+    c = np.array([[0.2383, 0.218]])
+    found = check([[1.83, -0.83], [1, 0]], [[1], [0]], [gain], [[5.34, 1.83], [1.83, 1]], c.T @ c, 1.0)
+    assert found.moduli == pytest.approx(moduli, abs=2e-3)
+    assert found.definite > 0
+    assert found.residual > 1.0
+    assert not found.valid
+
+
+def test_a_certificate_is_refused_when_one_entry_is_wrong():
+    found = certify(seed19(T))
+    a, b = [[-x for x in seed19(T).a[1:]], [1, 0]], [[1], [0]]
+    c = np.array([seed19(T).b])
+    assert check(a, b, found.gain, found.terminal, c.T @ c, 1.0).valid
+    assert not check(a, b, found.gain, found.terminal * 0.99, c.T @ c, 1.0).valid
+
+
+def test_closed_form_is_the_least_squares_solution():
+    law = Gpc(n3(CONSTANTS, T), Tuning(2, 9, 3, 7.0))
+    g, f, h = (np.array(m) for m in predict(law.model, 2, 9, 3))
+    law.start(398.0, 27.0)
+    for y, u in ((401.0, 28.5), (399.0, 26.0), (397.5, None)):
+        law.measure(y)
+        if u is not None:
+            law.applied(u)
+    free = f @ [397.5, 399.0, 401.0, 398.0] + h @ [-2.5, 1.5]
+    stacked = np.vstack([g, np.sqrt(7.0) * np.eye(3)])
+    moves = np.linalg.lstsq(stacked, np.concatenate([400.0 - free, np.zeros(3)]), rcond=None)[0]
+    assert law.move(400.0) == pytest.approx(moves[0], rel=1e-10)
+    assert -np.linalg.solve(law.hessian, law.gradient(400.0)) == pytest.approx(moves, rel=1e-9)
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+def test_solvers_agree_with_an_enumeration_of_active_sets(name):
+    law = Gpc(n3(CONSTANTS, T), Tuning(weight=500.0))
+    solver = make_solver(name, law.hessian, 2.0)
+    rng = np.random.default_rng(5)
+    active = 0
+    for q, u in zip(rng.normal(0, 3000, (200, 2)), rng.uniform(-38, 88, 200), strict=True):
+        moves, status = solver.solve(q.tolist(), -40.0 - u, 90.0 - u)
+        assert status == "optimal"
+        expected = best_of_active_sets(np.array(law.hessian), q, -40.0 - u, 90.0 - u, 2.0)
+        assert moves == pytest.approx(expected, abs=1e-6)
+        active += max(abs(moves[0]), abs(moves[1])) > 2.0 - 1e-6
+    assert active > 100
+
+
+def best_of_active_sets(h, q, low, high, most):
+    """Every choice of at most two bounds held with equality; the feasible stationary point of least cost."""
+    rows = np.array([[1.0, 0], [0, 1], [1, 0], [1, 1]])
+    limits = [(-most, most), (-most, most), (low, high), (low, high)]
+    bounds = [(rows[i], b) for i in range(4) for b in limits[i]]
+    choices = [[], *([b] for b in bounds), *([a, b] for i, a in enumerate(bounds) for b in bounds[i + 1 :])]
+    found = []
+    for chosen in choices:
+        e = np.array([r for r, _ in chosen]).reshape(-1, 2)
+        system = np.block([[h, e.T], [e, np.zeros((len(e), len(e)))]])
+        if abs(np.linalg.det(system)) < 1e-9:
+            continue
+        x = np.linalg.solve(system, np.concatenate([-q, [b for _, b in chosen]]))[:2]
+        if all(lo - 1e-9 <= r @ x <= hi + 1e-9 for r, (lo, hi) in zip(rows, limits, strict=True)):
+            found.append((0.5 * x @ h @ x + q @ x, *x))
+    return min(found)[1:]
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+def test_infeasible_programme_is_told_and_solved_again_afterwards(name):
+    solver = make_solver(name, ((584.0, 68.0), (68.0, 555.0)), 2.0)
+    before = solver.solve([10.0, 20.0], -5.0, 5.0)
+    assert solver.solve([0.0, 0.0], 30.0, 40.0).moves is None
+    assert solver.solve([0.0, 0.0], 30.0, 40.0).status != "optimal"
+    assert solver.solve([10.0, 20.0], -5.0, 5.0).moves == pytest.approx(before.moves, abs=1e-12)
+
+
+def test_no_solution_holds_the_last_command_and_warns():
+    law = GpcController(solver="daqp", u_min=10.0, u_max=20.0, du_max=1.0, u_start=0.0, set_point=400.0)
+    for k in range(2):
+        found = law.update(k, measured=(390.0,), reference=None)
+        assert found["command"] == (0.0,)
+        assert found["health"] == (2.0, 0.0, k + 1.0)
+    assert law.reports["no_solution"][0] == Level.WARN
+
+
+def test_constrained_without_bounds_is_the_closed_form():
+    free, bounded = GpcController(set_point=400.0), GpcController(set_point=400.0, solver="daqp")
+    for k in range(30):
+        y = (400.0 * (1 - 0.8**k),)
+        expected = free.update(k, measured=y, reference=None)["command"][0]
+        assert bounded.update(k, measured=y, reference=None)["command"][0] == pytest.approx(expected, rel=1e-9)
+
+
+@pytest.mark.parametrize("solver", ["closed_form", "daqp"])
+def test_anti_windup(solver):
+    """Ten times longer on the bound: the way back from it is the same."""
+    ends = []
+    for held in (30, 300):
+        law = GpcController(set_point=400.0, u_min=0.0, u_max=3.0, period=T, solver=solver)
+        for k in range(held):
+            found = law.update(k, measured=(100.0,), reference=None)
+        assert found["command"] == (3.0,)
+        assert found["health"][0] == 1.0
+        ends.append([law.update(k, measured=(500.0,), reference=None)["command"][0] for k in range(5)])
+    assert ends[0] == pytest.approx(ends[1], abs=1e-9)
+    assert ends[0][0] < 3.0
+
+
+@pytest.mark.parametrize(
+    ("values", "named"),
+    [({"period": 0.0}, "period"), ({"Np": 0}, "Np"), ({"Nc": 0}, "Nc"), ({"Nc": 12}, "Nc = 12"),
+     ({"N1": 12}, "N1 = 12"),
+     ({"lam": -1.0}, "lam"), ({"lam": 0.0, "N1": 11}, "lambda"), ({"den": ()}, "den"), ({"den": (0.0, 1.0)}, "den"),
+     ({"u_min": 1.0, "u_max": 1.0}, "u_min"), ({"du_max": 2.0}, "du_max"), ({"num": (1.0, 1.0, 1.0)}, "num"),
+     ({"measured": "voltage"}, "voltage"), ({"a": (2.0,), "b": (1.0,)}, "a = "),
+     ({"trip_low": 9.0, "trip_high": 1.0}, "trip_low")],
+)  # fmt: skip
+def test_impossible_parameters_are_refused_by_name(values, named):
+    with pytest.raises(ParameterError, match=named):
+        GpcController(**values)
+
+
+def test_bad_samples_hold_then_trip_for_good():
+    law = GpcController(set_point=400.0, u_safe=-1.5)
+    last = law.update(0, measured=(10.0,), reference=None)["command"]
+    for k in (1, 2):
+        found = law.refused(k)
+        assert (found["command"], found["health"][0]) == (last, 2.0)
+    last = law.update(3, measured=(10.0,), reference=None)["command"]
+    assert [law.refused(k)["command"] for k in (4, 5, 6)] == [last, last, (-1.5,)]
+    assert law.update(7, measured=(10.0,), reference=None) == {"command": (-1.5,), "health": (3.0, 0.0, 0.0)}
+    assert law.reports["trip"][0] == Level.ERROR
+
+
+@pytest.mark.parametrize("y", [50.0, 600.1])
+def test_a_voltage_out_of_range_trips(y):
+    law = GpcController(set_point=400.0, trip_low=50.0, trip_high=600.0)
+    law.update(0, measured=(600.0,), reference=None)
+    assert not law.tripped
+    assert law.update(1, measured=(y,), reference=None)["command"] == (0.0,)
+    assert law.tripped
+    assert law.reports["trip"][0] == Level.ERROR
+
+
+def test_inverse():
+    m = np.array(Gpc(n3(CONSTANTS, T), Tuning(moves=4, weight=3.0)).hessian)
+    np.testing.assert_allclose(np.array(invert(m)) @ m, np.eye(4), atol=1e-12)
+    with pytest.raises(ValueError, match="singular"):
+        invert([[1.0, 2.0], [2.0, 4.0]])
