@@ -1,0 +1,106 @@
+"""What needs numba: its type for our functions, and a cache of native code whose names say all that is in it.
+
+numba's own cache keys a function by the date of its file: it keeps old code when a function called in another file
+changes, and two processes that compile at the same time may cross its index. Here a file is named by a digest of
+everything and moved into place whole, so that any number of processes may compile the same function at the same time.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import hashlib
+import os
+import pickle
+import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from .compiled import cache_folder
+
+
+class Cache:
+    """Native code of one function, a file a signature; in the form that numba's dispatcher asks for.
+
+    Parameters
+    ----------
+    name : str
+        Of the function, for people who look into the folder.
+    digest : str
+        Of all that decides what the code does, save the types of the arguments and the processor.
+    """
+
+    def __init__(self, name: str, digest: str) -> None:
+        self.cache_path = str(cache_folder() / "numba")
+        self._name = "".join(c if c.isalnum() or c in "._" else "" for c in name)
+        self._digest = digest
+
+    def load_overload(self, signature: Any, target: Any) -> Any:
+        """Give the compiled function; None when the cache does not have it or cannot be read."""
+        from numba.core.compiler import CompileResult
+
+        target.refresh()
+        try:
+            content = self._file(signature, target).read_bytes()
+            return CompileResult._rebuild(target, *pickle.loads(content))  # type: ignore[no-untyped-call]
+        except FileNotFoundError:
+            return None
+        except Exception:  # a damaged file, whatever the unpickler makes of it: compile again and replace it
+            return None
+
+    def save_overload(self, signature: Any, compiled: Any) -> None:
+        """Keep a compiled function; without a writable folder it is compiled again in the next process."""
+        from numba.core.serialize import dumps
+
+        # a function among the arguments has no name that holds in another process
+        if compiled.library.has_dynamic_globals or "Dispatcher" in str(signature):
+            return
+        path = self._file(signature, compiled.target_context)
+        with contextlib.suppress(OSError):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            descriptor, scratch = tempfile.mkstemp(dir=path.parent)
+            try:
+                with os.fdopen(descriptor, "wb") as file:
+                    file.write(dumps(compiled._reduce()))  # type: ignore[no-untyped-call]
+                os.replace(scratch, path)
+            except BaseException:
+                os.unlink(scratch)
+                raise
+
+    def _file(self, signature: Any, target: Any) -> Path:
+        import numba
+
+        key = (self._digest, str(signature), target.codegen().magic_tuple(), numba.__version__, sys.version)
+        digest = hashlib.sha256(repr(key).encode()).hexdigest()[:32]
+        return Path(self.cache_path, f"{self._name}-{digest}.nbc")
+
+
+def teach(numba: Any, functions: type, power: Callable[[float, float], float]) -> None:
+    """Make numba take our functions for its own, and ours of the C library under a name its optimiser does not know.
+
+    Parameters
+    ----------
+    numba : module
+    functions : type
+        `Jit`.
+    power : callable
+        Function of two floats that native code replaces by the C library's pow.
+    """
+    from llvmlite import binding
+    from numba.core import types
+    from numba.core.typing.typeof import typeof_impl
+    from numba.extending import overload
+
+    @typeof_impl.register(functions)
+    def _type(value: Any, _: Any) -> Any:
+        return value.dispatcher(numba)._numba_type_
+
+    # under its own name constant powers would become products, exp2 or square roots
+    binding.add_symbol("softrig_pow", ctypes.cast(ctypes.CDLL(None).pow, ctypes.c_void_p).value)
+    library_pow: Any = types.ExternalFunction("softrig_pow", types.float64(types.float64, types.float64))
+
+    @overload(power)
+    def _power(x, y):  # type: ignore[no-untyped-def] # numba compares the two lists of arguments, annotations too
+        return lambda x, y: library_pow(float(x), float(y))

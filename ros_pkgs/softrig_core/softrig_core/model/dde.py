@@ -1,0 +1,189 @@
+r"""Delay-differential equations in native loops: classical Runge-Kutta steps over a history with both sides of jumps.
+
+.. math:: \dot x(t) = f(t, x(t), x(t - \tau_1(t, x)), \ldots)
+
+The right-hand side is a `jit` function that reads the history itself, so that delays may be constant, change with time
+or depend on the state. Every step is kept as the cubic of its values and slopes at both ends: fourth order throughout,
+and a jump of the state, of an input or of a slope at the border of two steps stays exactly there. Where such jumps come
+back after a delay is the caller's knowledge: put borders there (delays that are multiples of the step do it by
+themselves), or take small steps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from .history import Past, between, derivative
+from .jit import jit
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    Array = NDArray[np.float64]
+
+
+class Trajectory(NamedTuple):
+    """The newest steps of a solution, a ring; made by `trajectory`, read by `delayed`.
+
+    Step k is row k modulo capacity: from ``begin`` over ``length`` seconds, values and slopes at its two ends
+    (capacity, width). ``meta`` is (steps so far, whether a time on a border reads the step before it).
+    """
+
+    begin: Array
+    length: Array
+    x0: Array
+    x1: Array
+    dx0: Array
+    dx1: Array
+    meta: NDArray[np.int64]
+
+
+def trajectory(step: float, longest: float, past: Past, spare: int = 0) -> Trajectory:
+    """Make a history that ends at t = 0.
+
+    Parameters
+    ----------
+    step : float
+        Usual length of a step, s; longer ones never occur, shorter ones take of the spare.
+    longest : float
+        Longest delay that will be asked for, s.
+    past : float, sequence of float, or callable
+        Constant, or a function of the time (s, 0 and negative) that can be evaluated a little before -longest too.
+    spare : int
+        Shorter steps (borders at located events) that may lie within the longest delay.
+
+    Returns
+    -------
+    Trajectory
+
+    Raises
+    ------
+    ValueError
+        A step that is not positive.
+    """
+    import math
+
+    import numpy as np
+
+    if not step > 0.0:
+        raise ValueError(f"step = {step} s: expected a positive time")
+
+    def value(t: float) -> Array:
+        return np.atleast_1d(np.asarray(past(t) if callable(past) else past, dtype=float))
+
+    capacity = math.ceil(longest / step - 1e-9) + 3 + spare
+    begin = np.array([-k * step for k in range(capacity, 0, -1)])
+    x = np.array([value(t) for t in (*begin, 0.0)])
+    dx = np.zeros_like(x)
+    if callable(past):
+        dx[:] = [derivative(value, t, 1e-3 * step) for t in (*begin, 0.0)]
+    length = np.full(capacity, step)
+    meta = np.array([capacity, 0])
+    return Trajectory(begin, length, x[:-1].copy(), x[1:].copy(), dx[:-1].copy(), dx[1:].copy(), meta)
+
+
+@jit
+def delayed(past: Trajectory, t: float, channel: int) -> float:
+    """Read one channel at a time.
+
+    Parameters
+    ----------
+    past : Trajectory
+    t : float
+        s. Beyond the newest step its cubic goes on (a delay shorter than the step: order 4 only while smooth); before
+        the oldest its first value stands.
+    channel : int
+
+    Returns
+    -------
+    float
+    """
+    size = past.begin.shape[0]
+    newest = past.meta[0] - 1
+    row = newest % size
+    usual = past.length[row]
+    guess = int((past.begin[row] - t) / usual)
+    k = newest - min(max(guess, 0), size - 1)
+    # on a border: the last stage of a step still belongs to the time before a jump that comes back there
+    edge = 1e-9 * usual if past.meta[1] == 1 else -1e-9 * usual
+    while k > newest - size + 1 and t < past.begin[k % size] + edge:
+        k -= 1
+    while k < newest and t >= past.begin[(k + 1) % size] + edge:
+        k += 1
+    row = k % size
+    s = (t - past.begin[row]) / past.length[row]
+    if s <= 0.0:
+        return past.x0[row, channel]
+    if s == 1.0:
+        return past.x1[row, channel]
+    return between(s, past.length[row], past.x0[row, channel], past.x1[row, channel], past.dx0[row, channel],
+                   past.dx1[row, channel])  # fmt: skip
+
+
+@jit
+def reach(past: Trajectory) -> float:
+    """Give the earliest time (s) that the history still holds."""
+    return past.begin[past.meta[0] % past.begin.shape[0]]
+
+
+def integrator(rhs: Callable[..., None], limit: Callable[..., None] | None = None) -> Callable[..., None]:
+    """Make the native step of a delay-differential equation.
+
+    Parameters
+    ----------
+    rhs : callable
+        `jit` function (t, x, past, p, dx): writes the slope of x into dx; reads delayed values by
+        ``delayed(past, t - tau, channel)``; p is what the caller gives (inputs, parameters: a tuple or array).
+    limit : callable, optional
+        `jit` function (x, p): brings a state back into its range (a queue that cannot be negative), at each stage and
+        at the end of a step. The right-hand side gives no slope that points outwards at a bound.
+
+    Returns
+    -------
+    callable
+        `jit` function (past, t, x, h, n, p): n Runge-Kutta steps of h seconds from t, x is changed in place and past is
+        extended. The value in x may jump between calls: the history keeps both sides.
+    """
+    clip: Callable[..., None] = _nothing if limit is None else limit
+
+    @jit
+    def advance(past: Trajectory, t: float, x: Array, h: float, n: int, p: Any) -> None:
+        width = x.shape[0]
+        size = past.begin.shape[0]
+        start, stage, slope, total = x.copy(), x.copy(), x.copy(), x.copy()
+        for step in range(n):
+            now = t + step * h
+            row = past.meta[0] % size
+            for j in range(width):
+                start[j] = stage[j] = total[j] = x[j]
+            for i in range(4):
+                # of each stage: its time, its weight, and how far its slope reaches to the next one
+                past.meta[1] = 1 if i == 3 else 0
+                at = now if i == 0 else (now + h if i == 3 else now + 0.5 * h)
+                weight = h / 6.0 if i == 0 or i == 3 else h / 3.0
+                ahead = h if i == 2 else 0.5 * h
+                rhs(at, stage, past, p, slope)
+                if i == 0:
+                    first = slope.copy()
+                for j in range(width):
+                    total[j] += weight * slope[j]
+                    stage[j] = start[j] + ahead * slope[j]
+                clip(stage, p)
+            clip(total, p)
+            rhs(now + h, total, past, p, slope)
+            for j in range(width):
+                past.x0[row, j], past.x1[row, j] = start[j], total[j]
+                past.dx0[row, j], past.dx1[row, j] = first[j], slope[j]
+                x[j] = total[j]
+            past.begin[row], past.length[row] = now, h
+            past.meta[0] += 1
+            past.meta[1] = 0
+
+    return advance
+
+
+@jit
+def _nothing(x: Array, p: Any) -> None:
+    pass

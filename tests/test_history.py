@@ -1,0 +1,257 @@
+"""Delay lines and delay equations against closed forms; the independent integrator among the long checks."""
+
+import math
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from softrig_core.model.dde import delayed, integrator, reach, trajectory
+from softrig_core.model.history import History, cubic, hermite, linear, put
+from softrig_core.model.jit import jit
+
+
+def polynomial(c, t):
+    return sum(a * t**k for k, a in enumerate(c)), sum(k * a * t ** (k - 1) for k, a in enumerate(c) if k)
+
+
+@pytest.mark.parametrize(("kind", "degree"), [("linear", 1), ("cubic", 3), ("hermite", 3)])
+def test_interpolation_is_exact_for_its_polynomials_and_no_further(kind, degree):
+    rng = np.random.default_rng(2)
+    for extra in (0, 1):
+        c = rng.uniform(1.0, 2.0, degree + 1 + extra)
+        line = History(0.1, 1.0, lambda t, c=c: polynomial(c, t)[0], kind)
+        for k in range(1, 40):
+            x, dx = polynomial(c, 0.1 * k)
+            line.put((x,), (dx,))
+        delays = rng.uniform(0.0, 1.0, 50)
+        error = max(abs(line.at(d)[0] - polynomial(c, 3.9 - d)[0]) for d in delays)
+        if extra:
+            assert error > 1e-6
+        else:
+            assert error < 1e-9
+
+
+@pytest.mark.parametrize(("kind", "order"), [("linear", 2), ("cubic", 4), ("hermite", 4)])
+def test_order_of_interpolation_and_prefilled_past(kind, order):
+    errors = []
+    for n in (16, 32):
+        line = History(1.0 / n, 2.0, math.sin, kind)  # the past alone answers, up to the longest delay
+        errors.append(max(abs(line.at(d)[0] - math.sin(-d)) for d in np.linspace(0.3, 1.7, 301)))
+    assert math.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.15)
+
+
+def test_constant_past_of_several_channels_and_longest_delay():
+    line = History(0.25, 1.0, (1.0, -2.0))
+    assert line.at(1.0) == (1.0, -2.0)
+    for k in range(1, 9):
+        line.put((float(k), 0.0))
+        assert line.at(0.0) == (float(k), 0.0)
+        assert line.at(1.0) == (max(k - 4.0, 1.0), -2.0 if k < 5 else 0.0)
+    assert line.at(0.125) == (7.5, 0.0)
+
+
+def test_state_dependent_and_time_varying_delay_against_closed_form():
+    """A sampled ramp through a delay of the shape of a queue's: y(t) = t - tau(t)."""
+    line = History(0.01, 2.0, lambda t: t, "linear")
+    for k in range(1, 1000):
+        t = 0.01 * k
+        line.put((t,))
+        tau = 0.2 + 0.7 * (1.0 + math.sin(t))
+        assert line.at(tau)[0] == pytest.approx(t - tau, abs=1e-12)
+
+
+def test_jump_stays_in_its_interval_when_linear():
+    line = History(0.1, 1.0, 0.0, "linear")
+    for _ in range(5):
+        line.put((1.0,))
+    values = [line.at(0.1 * k)[0] for k in range(9)]
+    assert values == [1.0] * 5 + [0.0] * 4
+    assert line.at(0.45)[0] == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize(
+    ("make", "reason"),
+    [
+        (lambda: History(0.0, 1.0), "step = 0.0 s: expected a positive time"),
+        (lambda: History(math.nan, 1.0), "step = nan s"),
+        (lambda: History(0.1, -1.0), "longest delay = -1.0 s"),
+        (lambda: History(0.1, math.inf), "longest delay = inf s"),
+        (lambda: History(0.1, 1.0, 0.0, "spline"), "expected one of linear, cubic, hermite"),
+        (lambda: History(0.1, 1.0).at(1.1), "delay = 1.1 s: expected 0 to 1.0 s"),
+        (lambda: History(0.1, 1.0).at(-0.1), "expected 0 to 1.0 s"),
+        (lambda: History(0.1, 1.0).at(math.nan), "delay = nan s"),
+        (lambda: History(0.1, 1.0).put((1.0, 2.0)), "2 values, expected 1"),
+        (lambda: History(0.1, 1.0, 0.0, "hermite").put((1.0,)), "needs the slope"),
+        (lambda: trajectory(0.0, 1.0, 0.0), "step = 0.0 s"),
+    ],
+)
+def test_bad_values_are_refused(make, reason):
+    with pytest.raises(ValueError, match=reason):
+        make()
+
+
+@jit
+def echo(ring, slopes, count, out):
+    """A loop that reads its own ring at a moving age, in each of the three ways."""
+    sample, slope = np.empty(2), np.empty(2)
+    for k in range(out.shape[0]):
+        t = 0.01 * (k + 1)
+        sample[0], sample[1] = math.sin(t), math.cos(t)
+        slope[0], slope[1] = math.cos(t), -math.sin(t)
+        put(slopes, count, slope)
+        count = put(ring, count, sample)
+        age = 5.0 + 4.9 * math.sin(3.0 * t)
+        out[k, 0] = linear(ring, count, age, 0)
+        out[k, 1] = cubic(ring, count, age, 1)
+        out[k, 2] = hermite(ring, slopes, count, age, 0.01, 0)
+    return count
+
+
+def test_rings_inside_native_loops():
+    line = History(0.01, 0.11, lambda t: (math.sin(t), math.cos(t)), "hermite")
+    out = np.empty((300, 3))
+    assert echo(line.ring, line.slopes, line.count, out) == line.count + 300
+    t = 0.01 * np.arange(1, 301)
+    then = t - 0.01 * (5.0 + 4.9 * np.sin(3.0 * t))
+    assert np.abs(out[:, 0] - np.sin(then)).max() < 1.3e-5
+    assert np.abs(out[:, 1] - np.cos(then)).max() < 5e-10
+    assert np.abs(out[:, 2] - np.sin(then)).max() < 5e-11
+
+
+@jit
+def linear_rhs(t, x, past, p, dx):
+    dx[0] = -p[0] * delayed(past, t - p[1], 0)
+
+
+def test_method_of_steps_polynomials_are_exact():
+    """x' = -x(t - 1), x = 1 before: x = sum (-1)^k (t - k + 1)^k / k!, of degree 4 up to t = 4."""
+    past, x = trajectory(0.1, 1.0, 1.0), np.array([1.0])
+    advance = integrator(linear_rhs)
+    for k in range(30):
+        advance(past, 0.1 * k, x, 0.1, 1, (1.0, 1.0))
+        t = 0.1 * (k + 1)
+        exact = sum((-1) ** i * max(t - i + 1, 0.0) ** i / math.factorial(i) for i in range(5) if t >= i - 1)
+        assert x[0] == pytest.approx(exact, abs=1e-13), t
+
+
+@jit
+def neves(t, x, past, p, dx):
+    dx[0] = x[0] * delayed(past, math.log(t + 1.0) - 1.0, 0) / (t + 1.0)
+
+
+def test_delay_that_grows_with_time():
+    """Neves: x'(s) = x(s) x(ln s) / s, x = 1 up to s = 1: x = s up to e, exp((1 + ln^2 s)/2) up to e^e."""
+
+    def solve(n):
+        h = (math.e - 1.0) / n  # a border where the kink of s = 1 comes back
+        past, x = trajectory(h, 8.0, 1.0), np.array([1.0])
+        integrator(neves)(past, 0.0, x, h, n, 0.0)
+        assert x[0] == pytest.approx(math.e, abs=1e-9)
+        rest = (math.e**2 - math.e) / (4 * n)
+        integrator(neves)(past, n * h, x, rest, 4 * n, 0.0)
+        return abs(x[0] - math.exp(2.5))
+
+    coarse, fine = solve(20), solve(40)
+    assert fine < 3e-7
+    assert coarse / fine == pytest.approx(16.0, rel=0.25)
+
+
+@jit
+def manufactured(t, x, past, p, dx):
+    tau = x[0] / 3.0
+    exact = (math.sin(t) + 2.0) / 3.0
+    dx[0] = math.cos(t) + delayed(past, t - tau, 0) - math.sin(t - exact) - 2.0
+
+
+def test_delay_that_depends_on_the_state_is_of_order_four():
+    """x = sin t + 2 solves x' = cos t + x(t - x/3) - sin(t - tau) - 2 with its own past."""
+    errors = []
+    for n in (100, 200):
+        past, x = trajectory(10.0 / n, 1.1, lambda t: math.sin(t) + 2.0), np.array([2.0])
+        integrator(manufactured)(past, 0.0, x, 10.0 / n, n, 0.0)
+        errors.append(abs(x[0] - math.sin(10.0) - 2.0))
+        assert reach(past) < 10.0 - 1.1
+    assert errors[1] < 2e-6
+    assert math.log2(errors[0] / errors[1]) > 3.7
+
+
+@jit
+def integral(t, x, past, p, dx):
+    dx[0] = 0.0
+    dx[1] = delayed(past, t - 0.5, 0)
+
+
+@pytest.mark.parametrize("h", [0.1, 0.05])
+def test_jumps_of_the_state_come_back_sharp(h):
+    """The integral of a delayed step is a ramp, exactly, whether or not rounding puts t - 0.5 before the jump."""
+    past, x = trajectory(h, 0.5, (0.0, 0.0)), np.array([0.0, 0.0])
+    advance = integrator(integral)
+    for k in range(round(2.0 / h)):
+        if k == round(0.7 / h):
+            x[0] = 3.0
+        advance(past, k * h, x, h, 1, 0.0)
+        assert x[1] == pytest.approx(3.0 * max((k + 1) * h - 1.2, 0.0), abs=1e-12)
+
+
+@jit
+def falling(t, x, past, p, dx):
+    dx[0] = -1.0 if x[0] > 0.0 else 0.0
+
+
+@jit
+def floor(x, p):
+    x[0] = max(x[0], 0.0)
+
+
+def test_limit_holds_in_the_history_too():
+    past, x = trajectory(0.1, 1.0, 0.55), np.array([0.55])
+    integrator(falling, floor)(past, 0.0, x, 0.1, 10, 0.0)
+    assert x[0] == 0.0
+    assert min(delayed(past, t, 0) for t in np.linspace(0.0, 1.0, 1001)) >= -0.02
+    assert delayed(past, 0.3, 0) == pytest.approx(0.25)
+
+
+def test_bits_without_numba():
+    code = (
+        "import math, sys, numpy as np, test_history as t\n"
+        "from softrig_core.model.dde import integrator, trajectory\n"
+        "past, x, out = trajectory(0.01, 1.1, lambda s: math.sin(s) + 2.0), np.array([2.0]), []\n"
+        "step = integrator(t.manufactured)\n"
+        "for k in range(300):\n"
+        "    step(past, 0.01 * k, x, 0.01, 1, 0.0)\n"
+        "    out.append(x[0])\n"
+        "ring = np.zeros((300, 3))\n"
+        "t.echo(np.zeros((14, 2)), np.zeros((14, 2)), 14, ring)\n"
+        "sys.stdout.buffer.write(np.array(out).tobytes() + ring.tobytes())\n"
+    )
+    here = os.path.dirname(__file__)
+    path = os.pathsep.join((here, os.environ.get("PYTHONPATH", "")))
+    plain, native = (
+        subprocess.run([sys.executable, "-c", code], env={**os.environ, "PYTHONPATH": path, "SOFTRIG_JIT": jit},
+                       check=True, capture_output=True, timeout=240).stdout
+        for jit in "01"
+    )  # fmt: skip
+    assert len(plain) == 8 * 1200
+    assert native == plain
+
+
+@jit
+def mackey_glass(t, x, past, p, dx):
+    late = delayed(past, t - 17.0, 0)
+    dx[0] = 0.2 * late / (1.0 + late * late * late * late) - 0.1 * x[0]
+
+
+@pytest.mark.long
+def test_against_an_independent_integrator():
+    import jitcdde
+
+    past, x = trajectory(0.05, 17.0, 0.5), np.array([0.5])
+    integrator(mackey_glass)(past, 0.0, x, 0.05, 4000, 0.0)
+    late = jitcdde.y(0, jitcdde.t - 17.0)
+    solver = jitcdde.jitcdde([0.2 * late / (1 + late**4) - 0.1 * jitcdde.y(0)], verbose=False)
+    solver.constant_past([0.5])
+    solver.set_integration_parameters(rtol=1e-10, atol=1e-10)
+    solver.step_on_discontinuities(max_step=1.0)
+    assert x[0] == pytest.approx(solver.integrate(200.0)[0], abs=2e-6)

@@ -1,0 +1,233 @@
+"""Native loops: the bits of plain Python, a cache that knows what is in it, and nothing imported before its use."""
+
+import math
+import os
+import subprocess
+import sys
+import textwrap
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+from softrig_core.model import jit as module
+from softrig_core.model.jit import jit, power
+
+RELAY = '''
+"""A relay over a delay line with every function of the C library that a model uses."""
+import math, sys
+import numpy as np
+from softrig_core.model.jit import jit, power
+import helper
+
+@jit
+def wobble(x, y):
+    if x > 0.3:
+        return math.sin(x) * math.exp(-y * y) + math.tanh(x - y)
+    if x < -0.3:
+        return math.cos(3.0 * x) - math.sqrt(abs(y)) + math.log1p(abs(x)) + math.atan2(x, y)
+    return power(abs(x) + 0.1, 1.7) - power(y, 3.0) + power(2.0, x) + x % 0.7 + x // 0.3
+
+@jit
+def run(line, gain, out):
+    x, sign = 0.1, 1.0
+    for k in range(out.size):
+        late = line[k % line.size]
+        for _ in range(3):
+            x += 0.05 * (wobble(late, x) - x + helper.relay(late, sign) * gain)
+        if abs(x - late) > 0.5:
+            sign = -sign
+        line[k % line.size] = x
+        out[k] = x
+
+out = np.empty(20000)
+run(np.full(37, 0.2), helper.GAIN, out)
+sys.stdout.buffer.write(out.tobytes())
+'''
+HELPER = """
+from softrig_core.model.jit import jit
+GAIN = 0.8
+
+@jit
+def relay(x, sign):
+    return sign * FACTOR if x > 0.0 else -sign * FACTOR
+
+FACTOR = 1.25
+"""
+
+
+def relay(folder, **environment):
+    env = {**os.environ, "XDG_CACHE_HOME": str(folder / "cache"), **environment}
+    done = subprocess.run([sys.executable, "relay.py"], cwd=folder, env=env, capture_output=True, timeout=240)
+    assert done.returncode == 0, done.stderr.decode()
+    return np.frombuffer(done.stdout)
+
+
+@pytest.fixture
+def folder(tmp_path):
+    (tmp_path / "relay.py").write_text(RELAY)
+    (tmp_path / "helper.py").write_text(HELPER)
+    return tmp_path
+
+
+def cached(folder):
+    return sorted((folder / "cache/softrig/numba").iterdir())
+
+
+def test_bits_of_a_branching_delay_loop_are_those_of_plain_python(folder):
+    plain = relay(folder, SOFTRIG_JIT="0")
+    assert not (folder / "cache").exists()
+    native = relay(folder)
+    assert np.ptp(plain) > 1.0
+    assert native.tobytes() == plain.tobytes()
+    # the second process takes the code from the cache: nothing new in it
+    files = {f: f.stat().st_mtime_ns for f in cached(folder)}
+    assert [f.name.split("-")[0] for f in files] == ["relay", "run", "wobble"]
+    assert relay(folder).tobytes() == plain.tobytes()
+    assert {f: f.stat().st_mtime_ns for f in cached(folder)} == files
+    # a constant of a function called in another file: numba's own cache would keep the old code
+    (folder / "helper.py").write_text(HELPER.replace("1.25", "1.26"))
+    changed = relay(folder, SOFTRIG_JIT="0")
+    assert changed.tobytes() != plain.tobytes()
+    assert relay(folder).tobytes() == changed.tobytes()
+    # damaged files are compiled again
+    for file in cached(folder):
+        file.write_bytes(file.read_bytes()[:100])
+    assert relay(folder).tobytes() == changed.tobytes()
+
+
+def test_processes_that_compile_at_the_same_time(folder):
+    with ThreadPoolExecutor(3) as pool:
+        first, *others = list(pool.map(lambda _: relay(folder).tobytes(), range(3)))
+    assert all(other == first for other in others)
+    assert len(cached(folder)) == 3
+
+
+def test_numba_is_imported_at_the_first_call_only():
+    code = """
+        import sys
+        from softrig_core.model import history, ode
+        from softrig_core.model.jit import jit
+
+        @jit
+        def twice(x):
+            return 2.0 * x
+
+        assert "numba" not in sys.modules
+        assert twice(3.0) == 6.0
+        assert "numba" in sys.modules
+        assert twice.py_func(3.0) == 6.0
+    """
+    subprocess.run([sys.executable, "-c", textwrap.dedent(code)], check=True, timeout=120)
+
+
+def test_without_numba_the_plain_function_runs():
+    code = """
+        import sys
+        sys.modules["numba"] = None
+        from softrig_core.model.jit import jit
+
+        @jit
+        def twice(x):
+            return 2.0 * x
+
+        assert twice(3.0) == 6.0
+    """
+    subprocess.run([sys.executable, "-c", textwrap.dedent(code)], check=True, timeout=120)
+
+
+def cube(x):
+    return x**3
+
+
+def grow(x):
+    x **= 2
+    return x
+
+
+def total(a):
+    return a.sum()
+
+
+def builtin_total(a):
+    return sum(a)
+
+
+def product(a, b):
+    return a @ b
+
+
+def length(x, y):
+    return math.hypot(x, y)
+
+
+def numpy_exponential(x):
+    return np.exp(x)
+
+
+def hidden(x):
+    return [math.pow(v, 2.0) for v in x]
+
+
+@pytest.mark.parametrize(
+    ("function", "word"),
+    [(cube, r"\*\*"), (grow, r"\*\*"), (total, "sum"), (builtin_total, "sum"), (product, "@"), (length, "hypot"),
+     (numpy_exponential, "numpy.exp"), (hidden, "pow")],
+)  # fmt: skip
+def test_what_native_code_computes_differently_is_refused(function, word):
+    with pytest.raises(ValueError, match=rf"{function.__name__} uses {word}, which native code"):
+        jit(function)
+
+
+def test_functions_in_closures_and_as_arguments():
+    def scaled(factor):
+        @jit
+        def scale(x):
+            return factor * x
+
+        @jit
+        def apply(x):
+            return scale(x) + 1.0
+
+        return apply
+
+    assert scaled(2.0)(3.0) == 7.0
+    assert scaled(4.0)(3.0) == 13.0
+    assert scaled(2.0).digest() == scaled(2.0).digest() != scaled(4.0).digest()
+
+    @jit
+    def twice(f, x):
+        return f(f(x))
+
+    assert twice(scaled(2.0), 3.0) == 15.0
+
+
+def test_recursion():
+    assert factorial(10.0) == 3628800.0
+
+
+@jit
+def factorial(x):
+    if x <= 1.0:
+        return 1.0
+    return x * factorial(x - 1.0)
+
+
+def test_power_has_the_bits_of_the_library_for_constant_exponents():
+    @jit
+    def powers(a, out):
+        for i in range(a.size):
+            out[i, 0], out[i, 1], out[i, 2] = power(a[i], 2.0), power(a[i], 0.5), power(2.0, a[i])
+            out[i, 3] = power(a[i], 3)
+
+    a = np.random.default_rng(4).uniform(0.0, 10.0, 20000)
+    out = np.empty((a.size, 4))
+    powers(a, out)
+    expected = [[math.pow(x, 2.0), math.pow(x, 0.5), math.pow(2.0, x), math.pow(x, 3.0)] for x in a.tolist()]
+    assert np.array_equal(out, expected)
+    assert not np.array_equal(out[:, 3], a * a * a), "the check could not fail"
+
+
+def test_module_without_a_writable_cache_still_compiles(monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", "/proc/nowhere")
+    assert jit(lambda x: x + 1.0)(2.0) == 3.0
+    assert module._numba() is not None
