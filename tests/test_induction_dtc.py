@@ -439,7 +439,7 @@ def test_bad_parameter_is_named(block, values, text):
 
 
 def test_periods_that_do_not_fit_are_refused():
-    with pytest.raises(ScenarioError, match=r"0\.00103 s of speed_controller is not a multiple"):
+    with pytest.raises(ScenarioError, match=r"speed_controller: period 0\.00103 s is not a multiple"):
         Rig.from_scenario(load_scenario("induction_dtc", {"speed_controller.period": 0.00103}))
 
 

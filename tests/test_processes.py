@@ -67,15 +67,13 @@ def test_equal_to_in_process_bit_for_bit(name, tmp_path):
     assert outcome.error == ""
     expected = in_process(wired, 7)
     assert differences(expected, outcome.recording) == []
-    plant = wired.clock
-    ticks = wired.end // plant.period
-    assert len(outcome.recording.topics["lag/state"].times) == ticks + 1
-    assert len(outcome.recording.topics["lag/command"].times) == wired.end // wired_period(wired, "gain")
+    assert len(outcome.recording.topics["lag/state"].times) == wired.ticks + 1
+    assert len(outcome.recording.topics["lag/command"].times) == wired.ticks // every(wired, "gain")
     assert all(s["state"] == "done" and not s["refused"] for s in outcome.status.values())
 
 
-def wired_period(wired, name):
-    return next(m.period for m in wired.members if m.name == name)
+def every(wired, name):
+    return next(m.schedule.every for m in wired.members if m.name == name)
 
 
 def test_a_different_seed_gives_different_noise(tmp_path):

@@ -219,7 +219,7 @@ def rigs() -> None:
         start = time.process_time()
         run_inprocess(rig, rig.scenario.seed)
         slower = time.process_time() - start
-        ticks, simulated = rig.end // rig.clock.period, rig.end / 1e9
+        ticks, simulated = rig.ticks, rig.end / 1e9
         plant, laws = (spent[key] / ticks / 1e3 for key in ("plant", "laws"))
         table.add_row(name, f"{simulated:g}", f"{cpu:.2f}", f"{simulated / cpu:.1f}", f"{ticks / cpu:,.0f}",
                       f"{plant:.1f}", f"{laws:.1f}", f"{slower / ticks * 1e6 - plant - laws:.1f}")  # fmt: skip

@@ -245,7 +245,7 @@ def _print_metrics(scenario: Scenario, run: Any, metrics: list[dict[str, Any]], 
         mark = "[green]pass[/]" if m["pass"] else f"[red]MISS[/] {m.get('error', '')}"
         table.add_row(m["name"], _number(m["published"]), _number(m["value"]), accepted(Metric(**m)), m["unit"], mark)
     console.print(table)
-    ticks = run.rig.end // run.rig.clock.period
+    ticks = run.rig.ticks
     speed = "" if run.mode == "realtime" else f" ({scenario.duration / run.wall_s:.3g} x real time)"
     console.print(f"{run.mode}: {ticks} ticks, {scenario.duration:g} s simulated in {run.wall_s:.2f} s with start-up"
                   f"{speed}")  # fmt: skip

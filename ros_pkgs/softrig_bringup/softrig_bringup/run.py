@@ -19,7 +19,7 @@ import softrig_core.rig.metrics
 from softrig_core.errors import RunError, ScenarioError
 from softrig_core.model.params import declarations, flatten
 from softrig_core.rig.inprocess import run_inprocess
-from softrig_core.rig.rig import CLOCK, Rig, is_observer
+from softrig_core.rig.rig import CLOCK, Rig
 from softrig_core.rig.scenario import MetricEntry, Scenario
 from softrig_core.wire.recording import Recording
 from softrig_core.wire.signals import Signals
@@ -117,18 +117,17 @@ def execute(
 def gaps(rig: Rig, recording: Recording) -> str:
     """Say which topics of a lockstep run lack or double a tick; empty when none does."""
     found = []
-    expected = {CLOCK.topic: (rig.clock.period, rig.end)}
+    expected = {CLOCK.topic: rig.clock.schedule}
     for member in rig.members:
-        last = rig.end if member.is_plant or is_observer(member) else rig.end - 1
         read = [p for p in member.outputs if not member.external or rig.readers(member, p)]
-        expected |= {p.topic: (member.period, last) for p in read}
-    for topic, (period, last) in expected.items():
+        expected |= {p.topic: member.schedule for p in read}
+    for topic, schedule in expected.items():
         times = recording.topics[topic].times
-        wanted = last // period + 1
-        if len(times) == wanted and times[0] == 0 and times[-1] == last - last % period:
+        wanted = schedule.count()
+        if len(times) == wanted and times[0] == 0 and times[-1] == schedule.last:
             continue
-        at = next((i for i, t in enumerate(times) if t != i * period), len(times))
-        found.append(f"{topic}: {len(times)} messages of {wanted}, first gap at t = {at * period / 1e9:.9g} s")
+        at = next((i for i, t in enumerate(times) if t != schedule.time(i)), len(times))
+        found.append(f"{topic}: {len(times)} messages of {wanted}, first gap at t = {schedule.time(at) / 1e9:.9g} s")
     return "; ".join(found)
 
 

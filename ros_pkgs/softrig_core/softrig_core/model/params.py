@@ -8,6 +8,8 @@ from typing import Any, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
+from .schedule import rational
+
 
 class ParameterError(ValueError):
     """A parameter is unknown, of the wrong type or out of bounds; the message names it."""
@@ -42,7 +44,12 @@ class Params(BaseModel):
 class BlockParams(Params):
     """Parameters that every block has."""
 
-    period: float = param(0.01, "sampling period", "s", gt=0.0)
+    period: float = param(0.01, "sampling period; also a fraction as text: 1/2880", "s", gt=0.0)
+
+    @field_validator("period", mode="before")
+    @classmethod
+    def _period_as_fraction(cls, period: Any) -> Any:
+        return float(rational(period)) if isinstance(period, str) and "/" in period else period
 
     @field_validator("period")  # a block that has a default of its own inherits this
     @classmethod

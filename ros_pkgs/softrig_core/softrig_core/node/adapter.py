@@ -27,7 +27,8 @@ from rclpy.task import Future
 from ..errors import RunError
 from ..model.block import Block, Level, Observer, Plant
 from ..model.port import Port, Sample
-from ..model.timebase import SECOND, to_ns
+from ..model.schedule import Schedule
+from ..model.timebase import SECOND
 from ..rig.inprocess import check
 from ..rig.options import Links, RunOptions
 from ..wire.codec import Decoder
@@ -84,8 +85,9 @@ class Adapter:
         self.options = options
         by_hand = Links(owns_clock=isinstance(block, Plant) and options.mode == "lockstep")
         self.links = Links.model_validate_json(options.links) if options.links else by_hand
-        self.period = to_ns(block.p.period)
-        self.end = to_ns(options.duration) if options.duration else None
+        self.schedule = Schedule(
+            block.p.period, self.links.base or None, options.duration, isinstance(block, Plant | Observer)
+        )
         self.state: Literal["starting", "running", "done", "failed"] = "starting"
         self.ticks = 0
         self.t = 0
@@ -372,7 +374,7 @@ class Adapter:
             except OSError as error:
                 self.error, self.state = error, "failed"
         if stopped and self.state != "failed":
-            self.state = "done" if self.end is None or self.open_ended else "failed"
+            self.state = "done" if self.schedule.end is None or self.open_ended else "failed"
             self.error = None if self.state == "done" else RunError("stopped before the end of the run")
         try:
             self.write_status()

@@ -14,10 +14,11 @@ from typing import Any
 from rclpy._rclpy_pybind11 import RCLError
 from rclpy.node import Node, NodeNameNonExistentError
 
-from ..model.block import Block, Observer, Plant
+from ..model.block import Block, Plant
 from ..model.port import Port, Refused, Sample
+from ..model.schedule import Schedule
 from ..model.timebase import SECOND
-from ..rig.options import RunOptions
+from ..rig.options import InputLink, RunOptions
 from ..wire.cdr import Layout
 from ..wire.codec import Decoder
 from .adapter import QOS, Adapter, Input, percentiles
@@ -33,23 +34,21 @@ class Pairing:
     Parameters
     ----------
     topic : str
-    period : int
-        Period of the sender, ns.
+    schedule : Schedule
+        Of the sender.
     sender : str
         Node name, for error messages.
     item : Input or None
         The port it feeds; None for a clock or an acknowledgement, which carry nothing but the stamp.
-    last : bool
-        Whether the sender also sends at the end time of the run.
     """
 
-    def __init__(self, topic: str, period: int, sender: str, item: Input | None, last: bool = True) -> None:
+    def __init__(self, topic: str, schedule: Schedule, sender: str, item: Input | None) -> None:
         self.topic = topic
-        self.period = period
+        self.schedule = schedule
         self.sender = sender
         self.item = item
-        self.last = last
         self.want = 0
+        self.holds = 0  # until this time the awaited message serves
         self.have = False
         self.received = 0  # by order: number of messages so far
         self.ahead: tuple[int, Any] | None = None
@@ -61,6 +60,7 @@ class Lockstep(Adapter):
     def __init__(self, node: Node, block: Block, options: RunOptions) -> None:
         self.pairings: list[Pairing] = []
         self.missing = 0
+        self._tick = 0
         self.ready = False
         self._publish_clock: Callable[[bytes], None] | None = None
         self._publish_tick: Callable[[bytes], None] | None = None
@@ -86,16 +86,10 @@ class Lockstep(Adapter):
             self._tick_publisher = node.create_publisher(message_class("builtin_interfaces/msg/Time"), "~/tick", QOS)
             self._publish_tick = self._tick_publisher.publish
         if links.clock is not None:
-            self._pace("/clock", "rosgraph_msgs/msg/Clock", links.clock.period, links.clock.node)
+            self._pace("/clock", "rosgraph_msgs/msg/Clock", self._peer(links.clock), links.clock.node)
         for peer, period in links.acks.items():
-            self._pace(f"{name.rsplit('/', 1)[0]}/{peer}/tick", "builtin_interfaces/msg/Time", period, peer)
-        if self._is_plant:
-            self.last = None if self.end is None else self.end
-        elif self.end is not None:
-            past = self.end if isinstance(block, Observer) else self.end - 1
-            self.last = past - past % self.period
-        else:
-            self.last = None
+            schedule = self._peer(InputLink(period=period, node=peer))
+            self._pace(f"{name.rsplit('/', 1)[0]}/{peer}/tick", "builtin_interfaces/msg/Time", schedule, peer)
         self._await(0)
         self._starter = node.create_timer(0.02, self._start, clock=self._steady)
 
@@ -109,11 +103,14 @@ class Lockstep(Adapter):
             return self._held(item)
         self.values[item.port.name] = item.port.safe
         pairing = (
-            Pairing(item.port.topic, link.period, link.node, item, link.last)
-            if link else Pairing(item.port.topic, self.period, "another node", item)
+            Pairing(item.port.topic, self._peer(link), link.node, item)
+            if link else Pairing(item.port.topic, Schedule(self.schedule.period), "another node", item)
         )  # fmt: skip
         self.pairings.append(pairing)
         return self._paired(pairing, item)
+
+    def _peer(self, link: InputLink) -> Schedule:
+        return Schedule(link.period, self.schedule.clock, self.options.duration, link.at_end)
 
     def _held(self, item: Input) -> Callable[[bytes], None]:
         def receive(data: bytes) -> None:
@@ -138,7 +135,7 @@ class Lockstep(Adapter):
         def receive(data: bytes) -> None:
             if self.state in ("done", "failed"):
                 return
-            position = pairing.received * pairing.period
+            position = pairing.schedule.time(pairing.received)
             pairing.received += 1
             try:
                 stamp, values = decode(data)
@@ -157,9 +154,9 @@ class Lockstep(Adapter):
                     self.sink.add(record, self.t, data)
                 self.values[name] = Sample(stamp, values) if delayed else values
                 self._arrived(pairing)
-            elif pairing.want - self.period < position < pairing.want and pairing.period < self.period:
+            elif self.schedule.before(pairing.want) < position < pairing.want and pairing.schedule.due(position):
                 self._heard += 1  # a faster sender between two of our ticks
-            elif position == pairing.want + pairing.period and self.links.plants > 1 and pairing.ahead is None:
+            elif position == pairing.schedule.next(pairing.want) and self.links.plants > 1 and pairing.ahead is None:
                 pairing.ahead = (position, Sample(stamp, values) if delayed else values)
             else:
                 got, want = position / SECOND, pairing.want / SECOND
@@ -172,8 +169,8 @@ class Lockstep(Adapter):
         """Time of the tick under way."""
         return self.t
 
-    def _pace(self, topic: str, msgtype: str, period: int, sender: str) -> None:
-        pairing = Pairing(topic, period, sender, None)
+    def _pace(self, topic: str, msgtype: str, schedule: Schedule, sender: str) -> None:
+        pairing = Pairing(topic, schedule, sender, None)
         self.pairings.append(pairing)
         decode = Decoder(Port("stamp", topic, msgtype))
 
@@ -182,7 +179,7 @@ class Lockstep(Adapter):
             self._heard += 1
             if stamp == pairing.want and not pairing.have:
                 self._arrived(pairing)
-            elif stamp == pairing.want + period and pairing.ahead is None:
+            elif stamp == schedule.next(pairing.want) and pairing.ahead is None:
                 pairing.ahead = (stamp, None)
 
         self.node.create_subscription(message_class(msgtype), topic, receive, QOS, raw=True)
@@ -278,11 +275,12 @@ class Lockstep(Adapter):
         """Set what tick `t` needs."""
         missing = 0
         for pairing in self.pairings:
-            want = t - t % pairing.period
-            if want == pairing.want and t:
+            if t < pairing.holds:
                 continue  # a slower sender: its last message still holds
-            if want == self.end and not pairing.last:
-                continue  # an observer's last look: commands of the last tick are held
+            want = pairing.schedule.awaited(t)
+            pairing.holds = pairing.schedule.next(t)
+            if want == pairing.want and t:
+                continue  # at the end time: commands of the last tick are held
             pairing.want = want
             if pairing.ahead is not None and pairing.ahead[0] == want:
                 if pairing.item is not None:
@@ -310,16 +308,17 @@ class Lockstep(Adapter):
 
     def _advance(self, t: int) -> None:
         """Move the plant over one period and publish where it is."""
-        if self.last is not None and t >= self.last:
+        last = self.schedule.last
+        if last is not None and t >= last:
             self.finish()
             return
         self.block.advance(t, **self.values)  # type: ignore[attr-defined]
-        self.t = t = t + self.period
+        self.t = t = self._next()
         self.release()
         self.ticks += 1
         self._send(t)
         self._await(t)
-        if self.last is not None and t >= self.last:
+        if last is not None and t >= last:
             self.finish()
 
     def _send(self, t: int) -> None:
@@ -345,11 +344,15 @@ class Lockstep(Adapter):
         if self._publish_tick is not None:
             self._publish_tick(self._tick_layout.encode(t, ()))
         self.ticks += 1
-        self.t = t + self.period
+        self.t = self._next()
         self.release()
         self._await(self.t)
-        if self.last is not None and self.t > self.last:
+        if self.schedule.last is not None and self.t > self.schedule.last:
             self.finish()
+
+    def _next(self) -> int:
+        self._tick += 1
+        return self.schedule.time(self._tick)
 
     def statistics(self) -> dict[str, Any]:
         """Wall-clock time of a plant's ticks: all in s, each in ms; once they are over, for sorting them takes time."""

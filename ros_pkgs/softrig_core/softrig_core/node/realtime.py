@@ -16,6 +16,7 @@ from rclpy.node import Node
 
 from ..model.block import Block, Level, Plant
 from ..model.port import Refused, Sample
+from ..model.schedule import Schedule
 from ..model.timebase import SECOND, to_ns
 from ..rig.options import RunOptions
 from .adapter import Adapter, Input, percentiles
@@ -65,11 +66,11 @@ class Realtime(Adapter):
                 self.bad = True
                 if name == self._pacer:
                     now = time.time_ns()
-                    self._answer(now - now % self.period)
+                    self._answer(self.schedule.held(now))
                 return
             now = time.time_ns()
             # A delayed message tells when it was measured, one without a stamp nothing: the answer is due now.
-            due = stamp if item.port.stamped and not item.port.delayed else now - now % self.period
+            due = stamp if item.port.stamped and not item.port.delayed else self.schedule.held(now)
             if not plant:
                 self.epoch = self.epoch or due
             self.values[name] = Sample(stamp - self.epoch, values) if item.port.delayed else values
@@ -104,7 +105,7 @@ class Realtime(Adapter):
     def _answer(self, stamp: int) -> None:
         if any(name not in self.arrived for name in self._required):
             return
-        due = stamp // self.period
+        due = self.schedule.tick(stamp)
         if due == self._last_due or stamp < self.epoch:
             return
         if self._last_due is not None and due > self._last_due + 1:
@@ -122,7 +123,7 @@ class Realtime(Adapter):
         self.t = t
         self.ticks += 1
         self.release()
-        if self.end is not None and t >= self.end:
+        if self.schedule.end is not None and t >= self.schedule.end:
             self.finish()
 
     # plants and sources ----------------------------------------------------------------------------------------
@@ -131,28 +132,28 @@ class Realtime(Adapter):
         now = time.time_ns()
         if self.tick_number is None:
             # The first tick is the next point of the grid, or the common start that the runner gave.
-            self.epoch = self.epoch or (now // self.period + 1) * self.period
+            self.epoch = self.epoch or self.schedule.next(now)
             self.tick_number = -1
-        number = (now - self.epoch) // self.period
+        due = self.schedule.held(now - self.epoch)
+        number = self.schedule.tick(due)
         # Aimed at the next point of the wall clock's grid each time, so that no error adds up.
-        self._timer.timer_period_ns = max(1000, self.epoch + (number + 1) * self.period - now)
+        self._timer.timer_period_ns = max(1000, self.epoch + self.schedule.next(due) - now)
         self._timer.reset()
         if number <= self.tick_number:
             return
-        self._lateness.append(now - self.epoch - number * self.period)
+        self._lateness.append(now - self.epoch - due)
         behind = number - self.tick_number
         if self.tick_number >= 0 and behind > 1:
             self.missed += behind - 1
-        if behind * self.period > CATCH_UP:
+        if self.schedule.time(behind) > CATCH_UP:
             self.skipped += behind - 1
             behind = 1
         if isinstance(self.block, Plant):
             inputs = self._fresh_inputs(now)
-            for i in range(behind if self.tick_number >= 0 else 0):
-                self.block.advance(self.t + i * self.period, **inputs)
+            for k in range(number - behind if self.tick_number >= 0 else number, number):
+                self.block.advance(self.schedule.time(k), **inputs)
         self.tick_number = number
-        t = number * self.period
-        stamp = self.epoch + t
+        t, stamp = due, self.epoch + due
         if isinstance(self.block, Plant):
             self.publish(t, stamp, self.block.outputs(t))
             self._sent_at[stamp] = time.time_ns()
@@ -171,7 +172,8 @@ class Realtime(Adapter):
                 continue
             link = self.links.inputs.get(name)
             limit = to_ns(self.options.watchdog) or max(
-                self.block.STALE_PERIODS * self.period, Block.STALE_PERIODS * (link.period if link else 0)
+                self.schedule.time(self.block.STALE_PERIODS),
+                Schedule(link.period).time(Block.STALE_PERIODS) if link else 0,
             )
             if now - self.arrived[name] > limit:
                 inputs[name] = item.port.safe

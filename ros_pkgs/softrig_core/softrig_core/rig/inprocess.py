@@ -10,34 +10,34 @@ from ..errors import RunError, ScenarioError
 from ..model.block import Block, Plant
 from ..model.port import Port, Sample
 from ..wire.recording import Sink
-from .rig import CLOCK, Member, Rig, is_observer
+from .rig import CLOCK, Member, Rig
 
 
 class _Step:
     """One block with its prepared reads and writes."""
 
-    def __init__(self, member: Member, block: Block, base: int, slots: dict[str, int], topics: list[str]) -> None:
+    def __init__(self, member: Member, block: Block, slots: dict[str, int], topics: list[str]) -> None:
         self.block = block
-        self.every = member.period // base
+        self.every = member.schedule.every
         self.name = member.name
         self.advance = block.advance if isinstance(block, Plant) else None
         self.answer = block.outputs if isinstance(block, Plant) else block.update
-        self.observer = is_observer(member)
+        self.at_end = member.schedule.at_end
         self.idle = {p.name: None for p in member.inputs if p.name not in member.links}
         self.reads = [
             (p.name, slots[p.topic], member.links[p.name].pick, p.delayed and not member.links[p.name].port.delayed,
-             member.links[p.name].source.period)
+             member.links[p.name].source.schedule.held)
             for p in member.inputs if p.name in member.links
         ]  # fmt: skip
         self.writes = [(p, slots[p.topic], p.layout().encode, topics.index(p.topic)) for p in member.outputs]
 
     def gather(self, t: int, values: list[Any]) -> dict[str, Any]:
         inputs: dict[str, Any] = dict(self.idle)
-        for name, slot, pick, wrap, period in self.reads:
+        for name, slot, pick, wrap, held in self.reads:
             value = values[slot]
             if pick is not None:
                 value = Sample(value.stamp, pick(value.data)) if isinstance(value, Sample) else pick(value)
-            inputs[name] = Sample(t - t % period, value) if wrap else value
+            inputs[name] = Sample(held(t), value) if wrap else value
         return inputs
 
 
@@ -72,10 +72,10 @@ def run_inprocess(
         if member.external:
             raise ScenarioError(f"node {member.name} is external: in-process runs have no place for it")
     topics = list(rig.topics)
-    base = rig.clock.period
+    time, ticks = rig.clock.schedule.time, rig.ticks
     slots = {topic: i for i, topic in enumerate(topics)}
     values: list[Any] = [None] * len(slots)
-    steps = [_Step(m, m.block(seed), base, slots, topics) for m in rig.members]
+    steps = [_Step(m, m.block(seed), slots, topics) for m in rig.members]
     plants = [s for s in steps if s.advance]
     others = [s for s in steps if not s.advance]
     clock = CLOCK.layout()
@@ -99,16 +99,15 @@ def run_inprocess(
             if k % step.every == 0:
                 answer(step, t, {})
 
-    ticks = rig.end // base
     stride = max(1, ticks // 100)
     for k in range(ticks):
-        t = k * base
+        t = time(k)
         due(t, k)
         for step in others:
             if k % step.every == 0:
                 answer(step, t, step.gather(t, values))
         for step in plants:
-            if k % step.every == 0:
+            if k % step.every == 0 and k + step.every <= ticks:
                 try:
                     step.advance(t, **step.gather(t, values))  # type: ignore[misc]
                 except Exception as error:
@@ -118,7 +117,7 @@ def run_inprocess(
             progress(t)
     due(rig.end, ticks)
     for step in others:
-        if step.observer and ticks % step.every == 0:
+        if step.at_end and ticks % step.every == 0:
             answer(step, rig.end, step.gather(rig.end, values))
     if progress is not None:
         progress(rig.end)

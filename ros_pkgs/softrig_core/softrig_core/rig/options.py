@@ -27,12 +27,21 @@ class RunOptions(Params):
 
 
 class InputLink(BaseModel):
-    """An input that is paired with a sender of the rig."""
+    """An input that is paired with a sender of the rig.
+
+    Parameters
+    ----------
+    period : str
+        Of the sender, s, as a fraction.
+    node : str
+    at_end : bool
+        Whether it also sends at the end time of the run, as plants do.
+    """
 
     model_config = ConfigDict(extra="forbid")
-    period: int
+    period: str
     node: str
-    last: bool = True  # whether it also sends at the end time of the run, as plants do
+    at_end: bool = True
 
 
 class Links(BaseModel):
@@ -40,6 +49,8 @@ class Links(BaseModel):
 
     Parameters
     ----------
+    base : str
+        Period of the clock in s, as a fraction; empty for a node by itself.
     inputs : by port name
         Paired inputs; a held input that is not listed takes whatever comes.
     records : list of str, optional
@@ -55,7 +66,7 @@ class Links(BaseModel):
     acknowledges : bool
         Sends each tick's stamp on ``<node>/tick`` so that the plant never runs ahead of it.
     acks : by node name
-        Nodes whose ticks the owner of the clock waits for, with their period in ns.
+        Nodes whose ticks the owner of the clock waits for, with their period in s.
     clock_readers : list of str
         Nodes that pace themselves by /clock.
     plants : int
@@ -63,6 +74,7 @@ class Links(BaseModel):
     """
 
     model_config = ConfigDict(extra="forbid")
+    base: str = ""
     inputs: dict[str, InputLink] = {}
     records: list[str] | None = None
     readers: dict[str, list[str]] = {}
@@ -70,6 +82,6 @@ class Links(BaseModel):
     clock: InputLink | None = None
     owns_clock: bool = False
     acknowledges: bool = False
-    acks: dict[str, int] = {}
+    acks: dict[str, str] = {}
     clock_readers: list[str] = []
     plants: int = 1

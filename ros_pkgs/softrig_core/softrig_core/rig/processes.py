@@ -66,22 +66,27 @@ class _Child:
 def links(rig: Rig, member: Member) -> Links:
     """Work out what a node must know of its peers."""
     paired = {
-        port: InputLink(period=link.source.period, node=link.source.name, last=link.source.is_plant)
+        port: InputLink(period=_seconds(link.source), node=link.source.name, at_end=link.source.schedule.at_end)
         for port, link in member.links.items()
     }  # fmt: skip
-    acks = {m.name: m.period for m in _acknowledging(rig)} if member is rig.clock else {}
+    acks = {m.name: _seconds(m) for m in _acknowledging(rig)} if member is rig.clock else {}
     return Links(
+        base=_seconds(rig.clock),
         inputs=paired,
         records=_recorded_inputs(rig, member),
         readers={p.name: [m.name for m, _ in rig.readers(member, p) if not m.external] for p in member.outputs},
         outside=[p.topic for m in rig.members if m.external for p in m.outputs if rig.readers(m, p)],
-        clock=InputLink(period=rig.clock.period, node=rig.clock.name) if member in _clocked(rig) else None,
+        clock=InputLink(period=_seconds(rig.clock), node=rig.clock.name) if member in _clocked(rig) else None,
         owns_clock=member is rig.clock,
         acknowledges=member in _acknowledging(rig),
         acks=acks,
         clock_readers=[m.name for m in _clocked(rig)] if member is rig.clock else [],
         plants=sum(m.is_plant for m in rig.members),
     )
+
+
+def _seconds(member: Member) -> str:
+    return str(member.schedule.period)
 
 
 def _recorded_inputs(rig: Rig, member: Member) -> list[str]:
@@ -151,8 +156,10 @@ def run_processes(
     children: list[_Child] = []
     with ExitStack() as stack:
         domain = stack.enter_context(free_domain()) if domain is None else domain
-        epoch = time.time_ns() + 3_000_000_000 if mode == "realtime" else 0
-        epoch -= epoch % max(m.period for m in rig.members)
+        epoch = 0
+        if mode == "realtime":
+            slowest = max((m.schedule for m in rig.members), key=lambda s: s.period)
+            epoch = slowest.held(time.time_ns() + 3_000_000_000)
         variables = environment(domain, directory)
         external = [m for m in rig.members if m.external]
         if external and announce is not None:

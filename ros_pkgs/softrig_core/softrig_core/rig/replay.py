@@ -11,7 +11,7 @@ from ..model.port import Sample
 from ..wire.codec import Decoder
 from ..wire.recording import Recording
 from .inprocess import check
-from .rig import Member, Rig, is_observer
+from .rig import Member, Rig
 
 
 def feed(rig: Rig, member: Member, seed: int, recording: Recording) -> Recording:
@@ -43,15 +43,18 @@ def feed(rig: Rig, member: Member, seed: int, recording: Recording) -> Recording
     inputs = [_Input(member, port_name, recording) for port_name in member.links]
     idle = dict.fromkeys((p.name for p in member.inputs if p.name not in member.links), None)
     layouts = [p.layout() for p in member.outputs]
-    last = rig.end if member.is_plant or is_observer(member) else rig.end - 1
-    for t in range(0, last + 1, member.period):
-        given: dict[str, Any] = {**idle, **{i.name: i.at(t) for i in inputs if not member.is_plant or t < rig.end}}
+    schedule = member.schedule
+    ticks = schedule.count()
+    for k in range(ticks):
+        t = schedule.time(k)
+        advances = isinstance(block, Plant) and k + 1 < ticks
+        given: dict[str, Any] = {**idle, **{i.name: i.at(t) for i in inputs if not member.is_plant or advances}}
         found = _answer(block, t, given)
         for number, (port, layout) in enumerate(zip(member.outputs, layouts, strict=True)):
             value = check(found, port, member.name, t)
             stamp, data = value if isinstance(value, Sample) else (t, value)
             answers.add(number, t, layout.encode(stamp, data))
-        if isinstance(block, Plant) and t < rig.end:
+        if isinstance(block, Plant) and advances:
             block.advance(t, **given)
     return answers
 

@@ -11,7 +11,7 @@ from ..errors import ScenarioError
 from ..model.block import Block, Observer, Plant
 from ..model.params import BlockParams, ParameterError, build
 from ..model.port import Port, Refused
-from ..model.timebase import to_ns
+from ..model.schedule import Schedule
 from ..wire.cdr import Pick
 from ..wire.codec import selection
 from .scenario import Scenario
@@ -40,11 +40,7 @@ class Member:
     external: bool
     remap: dict[str, str]
     links: dict[str, Link]
-
-    @property
-    def period(self) -> int:
-        """Period in ns."""
-        return to_ns(self.params.period)
+    schedule: Schedule
 
     @property
     def is_plant(self) -> bool:
@@ -71,7 +67,6 @@ class Rig:
     scenario: Scenario
     members: tuple[Member, ...]
     clock: Member
-    end: int
 
     @classmethod
     def from_scenario(cls, scenario: Scenario) -> Rig:
@@ -80,19 +75,26 @@ class Rig:
         plants = [m for m in members if m.is_plant]
         if not plants:
             raise ScenarioError(f"{scenario.name}: no node is a plant, so nobody owns time")
-        clock = min(plants, key=lambda m: m.period)
-        end = to_ns(scenario.duration)
-        for member in members:
-            if member.period % clock.period:
-                raise ScenarioError(
-                    f"{scenario.name}: period {member.params.period} s of {member.name} is not a multiple of the "
-                    f"{clock.params.period} s of {clock.name}"
-                )
-        if end % clock.period:
-            raise ScenarioError(f"{scenario.name}: duration {scenario.duration} s is not a multiple of the period "
-                                f"{clock.params.period} s of {clock.name}")  # fmt: skip
+        clock = min(plants, key=lambda m: m.schedule.period)
+        for m in members:
+            try:
+                m.schedule = Schedule(m.params.period, clock.params.period, scenario.duration, speaks_at_end(m))
+            except ValueError as error:
+                raise ScenarioError(f"{scenario.name}: node {m.name}: {error}, {clock.name}") from None
         _wire(scenario, members)
-        return cls(scenario, (*plants, *_sorted([m for m in members if not m.is_plant])), clock, end)
+        return cls(scenario, (*plants, *_sorted([m for m in members if not m.is_plant])), clock)
+
+    @property
+    def ticks(self) -> int:
+        """Number of the clock's last tick."""
+        assert self.clock.schedule.ticks is not None
+        return self.clock.schedule.ticks
+
+    @property
+    def end(self) -> int:
+        """Time of the clock's last tick, ns."""
+        assert self.clock.schedule.end is not None
+        return self.clock.schedule.end
 
     @property
     def topics(self) -> dict[str, Port]:
@@ -113,7 +115,7 @@ class Rig:
         """Members that nobody waits for at each of their ticks; they acknowledge, so that nobody runs ahead of them."""
 
         def awaited(m: Member) -> bool:
-            return any(reader.period <= m.period for p in m.outputs for reader, _ in self.readers(m, p))
+            return any(r.schedule.every <= m.schedule.every for p in m.outputs for r, _ in self.readers(m, p))
 
         return [m for m in self.members if not m.is_plant and not awaited(m)]
 
@@ -161,7 +163,7 @@ def _member(scenario: Scenario, name: str) -> Member:
     inputs = tuple(p.renamed(entry.remap.get(p.topic, p.topic)) for p in inputs)
     outputs = tuple(p.renamed(entry.remap.get(p.topic, p.topic)) for p in outputs)
     return Member(name, entry.package, entry.executable, block, params, inputs, outputs, entry.external,
-                  dict(entry.remap), {})  # fmt: skip
+                  dict(entry.remap), {}, Schedule(params.period))  # fmt: skip
 
 
 def _wire(scenario: Scenario, members: list[Member]) -> None:
@@ -215,6 +217,6 @@ def _sorted(members: list[Member]) -> list[Member]:
     return done
 
 
-def is_observer(member: Member) -> bool:
-    """Whether the member also sees the outputs at the end time."""
-    return issubclass(member.block_class, Observer)
+def speaks_at_end(member: Member) -> bool:
+    """Whether the member has a tick at the end time of a run: plants, and observers for a last look."""
+    return issubclass(member.block_class, (Plant, Observer))

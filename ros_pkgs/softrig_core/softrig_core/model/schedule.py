@@ -1,0 +1,172 @@
+"""Schedule: the one home of time. When a block is due, what a link holds, which tick is the last.
+
+A period is a rational number of seconds, so that 1/2880 s stays exact for ever; tick k is at ``t_k = k * period``,
+rounded to the nearest ns. All schedules of a rig start together and have periods that are whole multiples of the
+clock's, hence equal times round to equal stamps.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from fractions import Fraction
+
+from .timebase import SECOND
+
+
+def rational(seconds: float | str | Fraction) -> Fraction:
+    """Give the number of seconds that is meant.
+
+    Parameters
+    ----------
+    seconds : float, str or Fraction
+        A float means the simplest fraction within one unit in its last place (0.00034722222222222224 is 1/2880,
+        0.1 * 3 is 3/10); a text is a fraction or a decimal number ("1/2880", "0.001").
+
+    Raises
+    ------
+    ValueError
+        The text is no number.
+    """
+    if isinstance(seconds, Fraction):
+        return seconds
+    if isinstance(seconds, str):
+        try:
+            return Fraction(seconds)
+        except (ValueError, ZeroDivisionError):
+            raise ValueError(f"{seconds!r} is neither a number nor a fraction such as 1/2880") from None
+    exact, step = Fraction(seconds), Fraction(math.ulp(seconds))
+    return exact if exact.denominator == 1 else _simplest(exact - step, exact + step)
+
+
+def _simplest(low: Fraction, high: Fraction) -> Fraction:
+    """Give the fraction with the smallest denominator between two positive or two negative numbers."""
+    if high < 0:
+        return -_simplest(-high, -low)
+    whole = math.floor(low)
+    if low == whole:
+        return Fraction(whole)
+    if whole + 1 <= high:
+        return Fraction(whole + 1)
+    return whole + 1 / _simplest(1 / (high - whole), 1 / (low - whole))
+
+
+class Schedule:
+    """The ticks of one block in a run.
+
+    Parameters
+    ----------
+    period : float, str or Fraction
+        Period in s; see `rational`.
+    clock : float, str or Fraction, optional
+        Period of the clock of the rig, of which `period` is a whole multiple; the block's own when absent.
+    duration : float, optional
+        Length of the run in s: it ends at the last tick of the clock not after it. None or 0: endless.
+    at_end : bool
+        Whether the block also speaks at the end time: plants do, and blocks with a last look (observers, `finish`).
+
+    Attributes
+    ----------
+    period : Fraction
+        Period in s.
+    every : int
+        Number of clock ticks in a period.
+    ticks : int or None
+        Number of the clock's last tick.
+    end : int or None
+        Time of it in ns.
+    last : int or None
+        The block's own last tick, ns: the last one not after the end, or before it for who does not speak there.
+    time : callable
+        Tick number to time in ns.
+    held : callable
+        Time in ns to that of the block's newest tick: what a link from it holds.
+    next : callable
+        Time in ns to that of the first tick after it.
+
+    Raises
+    ------
+    ValueError
+        The period is no multiple of the clock's, or the duration is shorter than one tick.
+    """
+
+    time: Callable[[int], int]
+    held: Callable[[int], int]
+    next: Callable[[int], int]
+
+    def __init__(
+        self, period: float | str | Fraction, clock: float | str | Fraction | None = None,
+        duration: float | None = None, at_end: bool = False,
+    ) -> None:  # fmt: skip
+        self.period = rational(period)
+        self.clock = self.period if clock is None else rational(clock)
+        self.at_end = at_end
+        ratio = self.period / self.clock
+        if ratio.denominator != 1:
+            raise ValueError(
+                f"period {float(self.period)!r} s is not a multiple of the {float(self.clock)!r} s of the clock"
+            )
+        self.every = int(ratio)
+        ns = self.period * SECOND
+        self._n, self._d = ns.numerator, ns.denominator
+        whole = self._n
+        if self._d == 1:  # nearly always; both are in the loop of every runner
+            self.time = whole.__mul__
+            self.held = lambda t: t - t % whole
+            self.next = lambda t: t - t % whole + whole
+        else:
+            self.time = self._time
+            self.held = self._held
+            self.next = self._next
+        self.ticks: int | None = None
+        self.end: int | None = None
+        self.last: int | None = None
+        if duration:
+            # a duration that is half a ns short of a tick means that tick
+            ticks = math.floor((rational(duration) + Fraction(1, 2 * SECOND)) / self.clock)
+            if ticks < 1:
+                raise ValueError(f"duration {duration:g} s is shorter than the period {float(self.clock):g} s")
+            self.stop(ticks)
+
+    def stop(self, ticks: int) -> None:
+        """Let the run end at a tick of the clock, if it does not end before."""
+        if self.ticks is not None and ticks >= self.ticks:
+            return
+        self.ticks = ticks
+        clock = self if self.every == 1 else Schedule(self.clock)
+        self.end = clock.time(ticks)
+        self.last = self.time((ticks if self.at_end else ticks - 1) // self.every)
+
+    def tick(self, t: int) -> int:
+        """Give the number of the tick to which a stamp (ns) is nearest."""
+        return (2 * t * self._d + self._n) // (2 * self._n)
+
+    def due(self, t: int) -> bool:
+        """Whether `t` (ns) is one of the ticks."""
+        return self.held(t) == t
+
+    def before(self, t: int) -> int:
+        """Give the time of the last tick before `t`, ns; negative when there is none."""
+        return self.held(t - 1)
+
+    def awaited(self, t: int) -> int:
+        """Give the stamp of the message from this block that a reader needs at time `t`."""
+        held = self.held(t)
+        return held if self.last is None or held <= self.last else self.last
+
+    def count(self) -> int:
+        """Give the number of ticks at which the block speaks in the run."""
+        if self.last is None:
+            raise ValueError("the run has no end")
+        return self.tick(self.last) + 1
+
+    def _time(self, k: int) -> int:
+        return (2 * k * self._n + self._d) // (2 * self._d)
+
+    def _next(self, t: int) -> int:
+        return self._time(self.tick(self._held(t)) + 1)
+
+    def _held(self, t: int) -> int:
+        k = self.tick(t)
+        found = self._time(k)
+        return found if found <= t else self._time(k - 1)

@@ -1,0 +1,111 @@
+"""Time: rational periods, stamps, ends; the same in process, through processes and open loop."""
+
+from fractions import Fraction
+
+import pytest
+from conftest import differences, in_process, make_scenario
+from hypothesis import given
+from hypothesis import strategies as st
+from softrig_bringup.run import gaps
+from softrig_core.errors import ScenarioError
+from softrig_core.model.params import BlockParams, ParameterError, build
+from softrig_core.model.schedule import Schedule, rational
+from softrig_core.rig.processes import run_processes
+from softrig_core.rig.replay import feed
+from softrig_core.rig.rig import Rig
+
+periods = st.builds(Fraction, st.integers(1, 1000), st.integers(1, 100_000))
+
+
+@given(st.integers(1, 10**6), st.integers(1, 10**6))
+def test_a_float_means_the_simplest_fraction_that_rounds_to_it(p, q):
+    meant = rational(p / q)
+    assert abs(meant - Fraction(p, q)) * 2**51 <= Fraction(p, q)
+    assert meant.denominator <= Fraction(p, q).denominator
+
+
+@pytest.mark.parametrize(
+    ("seconds", "meant"),
+    [(1 / 2880, "1/2880"), ("1/2880", "1/2880"), (0.00083, "83/100000"), (0.1 * 3, "3/10"), (5e-5, "1/20000")],
+)  # fmt: skip
+def test_periods_of_the_systems_are_exact(seconds, meant):
+    assert rational(seconds) == Fraction(meant)
+
+
+def test_a_period_may_be_written_as_a_fraction():
+    assert build(BlockParams, {"period": "1/2880"}) == BlockParams(period=1 / 2880)
+    with pytest.raises(ParameterError, match="period = '1/0'"):
+        build(BlockParams, {"period": "1/0"})
+    with pytest.raises(ParameterError, match="neither a number nor a fraction"):
+        build(BlockParams, {"period": "a/b"})
+
+
+@given(periods, st.integers(0, 10**9))
+def test_a_stamp_names_its_tick(period, k):
+    schedule = Schedule(period)
+    t = schedule.time(k)
+    assert abs(t - k * period * 10**9) <= Fraction(1, 2)
+    assert schedule.tick(t) == k
+    assert schedule.due(t)
+    assert schedule.held(t) == t
+    assert schedule.next(t) == schedule.time(k + 1)
+    assert schedule.before(t) == schedule.time(k - 1)
+
+
+@given(periods, st.integers(2, 50), st.integers(0, 10**6))
+def test_slower_schedules_share_the_stamps_of_the_clock(period, every, k):
+    clock, slow = Schedule(period), Schedule(period * every, period)
+    t = clock.time(k)
+    assert slow.due(t) == (k % every == 0)
+    assert slow.held(t) == clock.time(k - k % every)
+
+
+@given(periods, st.integers(1, 7), st.floats(1e-3, 10.0), st.booleans())
+def test_the_duration_floors_to_the_last_tick(period, every, duration, at_end):
+    if rational(duration) < period:
+        with pytest.raises(ValueError, match="shorter than the period"):
+            Schedule(period * every, period, duration, at_end)
+        return
+    schedule = Schedule(period * every, period, duration, at_end)
+    assert schedule.end <= duration * 1e9 + 1.0 < Schedule(period).time(schedule.ticks + 1) + 2.0
+    assert schedule.last <= schedule.end if at_end else schedule.last < schedule.end
+    assert schedule.next(schedule.last) > schedule.end if at_end else schedule.next(schedule.last) >= schedule.end
+    assert schedule.time(schedule.count() - 1) == schedule.last
+
+
+def two_plants(period, second, duration, **options):
+    slow = {"executable": "plant", "parameters": {"period": second},
+            "remap": {"lag/state": "second/state", "lag/applied": "second/applied"}}  # fmt: skip
+    fast = {"executable": "plant", "parameters": {"period": period}}
+    others = {n: {"executable": n, "parameters": {"period": period}} for n in ("source", "gain", "watcher")}
+    return Rig.from_scenario(make_scenario({"plant": fast, **others, "second": slow}, duration, **options))
+
+
+ENDS = {
+    "second plant's period does not divide the duration": (0.01, 0.03, 0.2, 20, 7),
+    "no whole number of ns": ("1/2880", "1/288", 0.1, 288, 29),
+    "a duration between two ticks": (0.00083, 0.00249, 0.1, 120, 41),
+}
+
+
+@pytest.mark.parametrize("name", ENDS)
+@pytest.mark.processes
+def test_ends_are_the_same_in_process_through_processes_and_open_loop(name, tmp_path):
+    period, second, duration, ticks, messages = ENDS[name]
+    rig = two_plants(period, second, duration)
+    assert rig.ticks == ticks
+    expected = in_process(rig)
+    assert gaps(rig, expected) == ""
+    assert len(expected.topics["/clock"].times) == ticks + 1
+    assert len(expected.topics["second/state"].times) == messages
+    outcome = run_processes(rig, 0, tmp_path)
+    assert outcome.error == ""
+    assert differences(expected, outcome.recording) == []
+    for member in rig.members:
+        answers = feed(rig, member, 0, expected)
+        assert all(answers.topics[t].data == expected.topics[t].data for t in answers.topics)
+
+
+def test_a_duration_shorter_than_a_tick_is_refused():
+    with pytest.raises(ScenarioError, match=r"duration 0\.005 s is shorter than the period 0\.01 s"):
+        two_plants(0.01, 0.03, 0.005)
