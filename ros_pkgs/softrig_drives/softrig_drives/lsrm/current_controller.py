@@ -1,0 +1,108 @@
+"""Commutation and the four current loops."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+from softrig_core.model.block import Block
+from softrig_core.model.jit import jit
+from softrig_core.model.params import BlockParams, param
+from softrig_core.node import executable
+
+from .machine import N_PHASES, Array, Geometry, distance, slope
+from .ports import FORCE_CMD, MOTION, PHASE_CURRENTS, PHASE_VOLTAGE
+
+
+class CurrentControllerParams(Geometry, BlockParams):
+    """Gains, limits and the position sensor."""
+
+    period: float = param(5e-5, "sampling period", "s", gt=0.0, le=0.01)
+    K_pc: float = param(0.05, "proportional gain; the error in A gives a duty cycle", "1/A", ge=0.0, le=100.0)
+    K_ic: float = param(2.2, "integral gain", "1/(A s)", ge=0.0, le=1e5)
+    U_dc: float = param(150.0, "supply voltage, at duty cycle 1", "V", gt=0.0, le=1e4)
+    I_max: float = param(10.0, "rated current, the largest reference", "A", gt=0.0, le=1e3)
+    threshold: float = param(0.02, "a phase is on where its slope is beyond this part of G", ge=0.0, lt=1.0)
+    zero_current: float = param(0.02, "current below which a phase that is off gets 0 V", "A", gt=0.0, le=10.0)
+    resolution: float = param(1e-5, "step of the position sensor (magnetic strip)", "m", gt=0.0, le=1e-3)
+    feed_forward: bool = param(False, "add R i* + g v i* to the voltage, which takes the force ripple away")
+    R: float = param(2.5, "phase resistance that the feed-forward assumes", "ohm", gt=0.0, le=1e3)
+
+
+class CurrentController(Block):
+    """Share the force among the phases whose slope has its sign, and control their currents.
+
+    ::
+
+        on_k   = sgn(F*) g_k(x) > threshold G
+        i*_k   = min(sqrt(2 |F*|/G), I_max) if on_k else 0        force g_k i*^2/2, the shares g_k/G add up to 1
+        duty_k = K_pc (i*_k - i_k) + K_ic z_k, within -1 and 1,  u_k = U_dc duty_k
+        z_k   += (i*_k - i_k) Ts                                  unless the duty is clipped and the error drives it on
+        off:     z_k = 0, u_k = -U_dc while i_k > zero_current, else 0
+
+    x is the position rounded to the sensor's step. A measurement or command that is refused gives 0 V for one period:
+    the phases freewheel.
+    """
+
+    Params = CurrentControllerParams
+    INPUTS = (MOTION, PHASE_CURRENTS, FORCE_CMD)
+    OUTPUTS = (PHASE_VOLTAGE,)
+
+    def setup(self) -> None:
+        """Lay the constants out for the compiled law."""
+        p: CurrentControllerParams = self.p
+        self._geometry = p.numbers()
+        self._law = np.array([p.K_pc, p.K_ic, p.U_dc, p.I_max, p.threshold, p.zero_current, p.resolution, p.period,
+                              float(p.feed_forward), p.R])  # fmt: skip
+
+    def start(self) -> None:
+        """No integral."""
+        self._integral = np.zeros(N_PHASES)
+
+    def update(
+        self, t: int, *, joint_states: tuple[float, ...], phase_currents: tuple[float, ...],
+        force_cmd: tuple[float, ...],
+    ) -> Mapping[str, tuple[float, ...]]:  # fmt: skip
+        """Give the voltages."""
+        (x, v), (i_a, i_b, i_c, i_d) = joint_states, phase_currents
+        found = regulate(self._integral, self._geometry, self._law, x, v, i_a, i_b, i_c, i_d, force_cmd[0])
+        return {"phase_voltage": found}
+
+
+@jit
+def regulate(integral: Array, geometry: Array, law: Array, x: float, v: float, i_a: float, i_b: float, i_c: float,
+             i_d: float, force: float) -> tuple[float, float, float, float]:  # fmt: skip
+    """Give the four voltages (V) and move the integrals; `law` as `CurrentController.setup` lays it out."""
+    K_pc, K_ic, U_dc, I_max, threshold, zero_current, resolution, period, feed_forward, R = law
+    G = geometry[2]
+    i_ref = min(math.sqrt(2.0 * abs(force) / G), I_max)
+    seen = math.floor(x / resolution + 0.5) * resolution
+    currents = (i_a, i_b, i_c, i_d)
+    u_a = u_b = u_c = u_d = 0.0
+    for k in range(N_PHASES):
+        i = currents[k]
+        g = slope(distance(seen, k, geometry), geometry)
+        if (force > 0.0 and g > threshold * G) or (force < 0.0 and -g > threshold * G):
+            error = i_ref - i
+            ahead = feed_forward * (R * i_ref + g * v * i_ref) / U_dc
+            wanted = K_pc * error + K_ic * integral[k] + ahead
+            duty = min(max(wanted, -1.0), 1.0)
+            if wanted == duty or wanted * error <= 0.0:
+                integral[k] += error * period
+            u = U_dc * duty
+        else:
+            integral[k] = 0.0
+            u = -U_dc if i > zero_current else 0.0
+        if k == 0:
+            u_a = u
+        elif k == 1:
+            u_b = u
+        elif k == 2:
+            u_c = u
+        else:
+            u_d = u
+    return u_a, u_b, u_c, u_d
+
+
+main = executable(CurrentController)

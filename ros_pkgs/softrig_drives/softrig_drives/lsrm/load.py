@@ -1,0 +1,53 @@
+"""Load of the motor: added mass and Coulomb friction."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Self
+
+from pydantic import model_validator
+from softrig_control.profile import StepProfile
+from softrig_core.model.block import Block
+from softrig_core.model.params import BlockParams, param
+from softrig_core.node import executable
+
+from .ports import LOAD
+
+GRAVITY = 9.81
+
+
+class LsrmLoadParams(BlockParams):
+    """When which mass is on the translator."""
+
+    period: float = param(1e-3, "sampling period", "s", gt=0.0, le=1.0)
+    times: tuple[float, ...] = param((0.0, 1.0), "times at which the mass changes, increasing from 0", "s")
+    masses: tuple[float, ...] = param((0.0, 8.0), "added mass from each of these times on, none negative", "kg")
+    mu: float = param(0.05, "friction coefficient of the added mass", ge=0.0, le=10.0)
+
+    @model_validator(mode="after")
+    def _masses(self) -> Self:
+        if not self.times or self.times[0] != 0.0:
+            raise ValueError(f"times {list(self.times)}: expected the first to be 0")
+        StepProfile(self.times, self.masses)
+        if min(self.masses) < 0.0:
+            raise ValueError(f"masses {list(self.masses)}: expected none negative")
+        return self
+
+
+class LsrmLoad(Block):
+    """Publishes the added mass m and its friction mu m g."""
+
+    Params = LsrmLoadParams
+    OUTPUTS = (LOAD,)
+
+    def setup(self) -> None:
+        """Prepare the answer for each time."""
+        p: LsrmLoadParams = self.p
+        self._answers = StepProfile(p.times, [{"load": (m, p.mu * m * GRAVITY)} for m in p.masses])
+
+    def update(self, t: int, **inputs: Any) -> Mapping[str, tuple[float, ...]]:
+        """Give the load at t."""
+        return self._answers.at(t)
+
+
+main = executable(LsrmLoad)

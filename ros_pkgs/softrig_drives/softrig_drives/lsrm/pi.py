@@ -1,0 +1,49 @@
+"""PI speed controller, the first of the two that the fuzzy controller is compared with."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from softrig_control.pid import Pid, PidParams
+from softrig_core.model.params import param
+from softrig_core.node import executable
+
+from .speed_control import SpeedControl, SpeedControlParams
+
+
+class LsrmPiParams(SpeedControlParams):
+    """The paper's gains and the scale that it does not tell."""
+
+    K_F: float = param(80.0, "force for a control value of 1; gives the published peak error of 0.1 m/s", "N",
+                       gt=0.0, le=1e4)  # fmt: skip
+    K_p: float = param(1.3, "proportional gain", "s/m", ge=0.0, le=1e4)
+    K_i: float = param(3.2, "integral gain", "1/m", ge=0.0, le=1e5)
+
+
+class LsrmPi(SpeedControl):
+    """F* = K_F (K_p e + K_i int e dt), within plus and minus F_max, with conditional anti-windup.
+
+    The integral does not contain the newest error yet (see `softrig_control.pid.Pid`).
+    """
+
+    Params = LsrmPiParams
+
+    def setup(self) -> None:
+        """Make the law."""
+        p: LsrmPiParams = self.p
+        self._pid = Pid(PidParams(kp=p.K_F * p.K_p, ki=p.K_F * p.K_i, u_max=p.F_max), p.period)
+
+    def start(self) -> None:
+        """No integral."""
+        super().start()
+        self._pid.reset()
+
+    def update(
+        self, t: int, *, joint_states: tuple[float, ...], reference: tuple[float, ...]
+    ) -> Mapping[str, tuple[float, ...]]:
+        """Give the force command."""
+        self._answer = {"force_cmd": (self.clip(self._pid(reference[1] - joint_states[0])),)}
+        return self._answer
+
+
+main = executable(LsrmPi)

@@ -1,0 +1,77 @@
+"""Reference of position, speed and acceleration."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from math import inf
+from typing import Any
+
+from softrig_core.model.block import Block, Level
+from softrig_core.model.params import BlockParams, param
+from softrig_core.model.timebase import to_s
+from softrig_core.node import executable
+
+from .machine import Mechanics
+from .ports import REFERENCE
+from .profile import Kind, Profile, Quintic
+
+SAMPLES = 400  # of each ramp, to look for the largest force
+
+
+class ProfileGeneratorParams(Mechanics, BlockParams):
+    """Shape and times; mass, friction and F_max only tell whether the motor can follow."""
+
+    period: float = param(1e-3, "sampling period", "s", gt=0.0, le=0.1)
+    profile: Kind = param("jerk", "jerk: jerk-minimal polynomial; trapezoid: constant acceleration; step: at once")
+    v_d: float = param(0.5, "cruise speed v_d", "m/s", ge=-10.0, le=10.0)
+    t_d: float = param(0.4, "duration of the acceleration t_d", "s", gt=0.0, le=100.0)
+    x_d: float | None = param(None, "distance of the acceleration (jerk); the jerk-minimal v_d t_d/2 when absent", "m",
+                              ge=-100.0, le=100.0)  # fmt: skip
+    t_b: float | None = param(None, "begin of the braking; none when absent", "s", ge=0.0, le=1e4)
+    t_db: float = param(0.4, "duration of the braking", "s", gt=0.0, le=100.0)
+    F_max: float = param(40.0, "largest force of the motor", "N", gt=0.0, le=1e4)
+
+
+class ProfileGenerator(Block):
+    """Publishes a speed profile with its position and acceleration; see `profile.Profile`.
+
+    Warns when the motor cannot follow (M a + (C + k_p) v beyond F_max somewhere) and when a given distance makes the
+    speed leave the range between 0 and v_d.
+    """
+
+    Params = ProfileGeneratorParams
+    OUTPUTS = (REFERENCE,)
+
+    def setup(self) -> None:
+        """Make the profile."""
+        p: ProfileGeneratorParams = self.p
+        self.profile = Profile(p.profile, p.v_d, p.t_d, p.x_d, inf if p.t_b is None else p.t_b, p.t_db)
+
+    def start(self) -> None:
+        """Tell what is wrong with the profile."""
+        p: ProfileGeneratorParams = self.p
+        need = self._largest_force()
+        if need > p.F_max:
+            self.report(Level.WARN, "infeasible", f"reference infeasible: it needs {need:.3g} N, the motor gives "
+                        f"{p.F_max:g} N")  # fmt: skip
+        if p.profile == "jerk" and p.x_d is not None:
+            low, high = Quintic.between(0.0, 0.0, p.v_d, p.t_d, p.x_d).speed_range(p.t_d)
+            margin = 1e-9 * abs(p.v_d)
+            if low < min(0.0, p.v_d) - margin or high > max(0.0, p.v_d) + margin:
+                self.report(Level.WARN, "distance", f"x_d = {p.x_d:g} m: the speed runs from {low:.4g} to {high:.4g} "
+                            f"m/s, outside 0 to {p.v_d:g} m/s")  # fmt: skip
+
+    def _largest_force(self) -> float:
+        p: ProfileGeneratorParams = self.p
+        times = [p.t_d * n / SAMPLES for n in range(SAMPLES + 1)]
+        if p.t_b is not None:
+            times += [p.t_b + p.t_db * n / SAMPLES for n in range(SAMPLES + 1)]
+        points = (self.profile.at(t) for t in times)
+        return max(abs(p.M * a + (p.C + p.k_p) * v) for _, v, a in points)
+
+    def update(self, t: int, **inputs: Any) -> Mapping[str, tuple[float, ...]]:
+        """Give the reference at t."""
+        return {"reference": self.profile.at(to_s(t))}
+
+
+main = executable(ProfileGenerator)

@@ -1,0 +1,42 @@
+"""What the three speed controllers share."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import ClassVar
+
+from softrig_core.model.block import Block
+from softrig_core.model.params import BlockParams, param
+from softrig_core.model.port import Port
+
+from .ports import FORCE_CMD, REFERENCE, SPEED
+
+
+class SpeedControlParams(BlockParams):
+    """Rate and range of the force command."""
+
+    period: float = param(1e-3, "sampling period Ts", "s", gt=0.0, le=0.1)
+    F_max: float = param(40.0, "largest force command, G I_max^2/2", "N", gt=0.0, le=1e4)
+
+
+class SpeedControl(Block):
+    """Base of the speed controllers: speed and reference in, force out.
+
+    A measurement or reference that is refused leaves the law's state alone and holds the force for one period.
+    """
+
+    INPUTS: ClassVar[tuple[Port, ...]] = (SPEED, REFERENCE)
+    OUTPUTS: ClassVar[tuple[Port, ...]] = (FORCE_CMD,)
+
+    def start(self) -> None:
+        """No force."""
+        self._answer: Mapping[str, tuple[float, ...]] = {"force_cmd": (0.0,)}
+
+    def clip(self, force: float) -> float:
+        """Give the force within plus and minus F_max."""
+        F_max: float = self.p.F_max
+        return min(max(force, -F_max), F_max)
+
+    def refused(self, t: int) -> Mapping[str, tuple[float, ...]]:
+        """Hold."""
+        return self._answer

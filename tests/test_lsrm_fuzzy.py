@@ -1,0 +1,709 @@
+"""Linear switched reluctance motor: the sheet's acceptance, the model, the laws, bad input."""
+
+import math
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from conftest import differences, in_process
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+from scipy.linalg import solve_continuous_are
+from softrig_bringup.run import execute
+from softrig_control.fuzzy import TakagiSugeno, sum_rules
+from softrig_core.model.block import Level
+from softrig_core.model.params import ParameterError
+from softrig_core.model.port import Refused
+from softrig_core.rig.inprocess import run_inprocess
+from softrig_core.rig.metrics import final_value, rise_time, settling_time
+from softrig_core.rig.rig import Rig
+from softrig_core.rig.scenario import list_scenarios, load_scenario
+from softrig_core.wire.cdr import Layout
+from softrig_core.wire.codec import Decoder
+from softrig_core.wire.signals import Signals
+from softrig_drives.lsrm import figures
+from softrig_drives.lsrm.current_controller import CurrentController
+from softrig_drives.lsrm.figures import FORCE, POSITION, SPEED
+from softrig_drives.lsrm.fuzzy import TABLE_II, THIRDS, LsrmFuzzy
+from softrig_drives.lsrm.load import LsrmLoad
+from softrig_drives.lsrm.machine import Geometry, distance, inductance, slope
+from softrig_drives.lsrm.monitor import MotionMonitor
+from softrig_drives.lsrm.mrac import LsrmMrac
+from softrig_drives.lsrm.pi import LsrmPi
+from softrig_drives.lsrm.plant import LsrmPlant
+from softrig_drives.lsrm.ports import LOAD, PHASE_CURRENTS, PHASE_VOLTAGE
+from softrig_drives.lsrm.profile import Profile, Quintic
+from softrig_drives.lsrm.profile_generator import ProfileGenerator
+
+GEOMETRY = Geometry().numbers()
+OFF = (0.0, 0.0, 0.0, 0.0)
+MS = 1_000_000
+
+PLAIN = {"v_d": 0.5}
+LOADED = {"v_d": 0.5, "start": 1.0}
+
+
+def settling(signals, **arguments):
+    return settling_time(signals, SPEED, final=0.5, **arguments)
+
+
+def rise(signals):
+    return rise_time(signals, SPEED, final=0.5)
+
+
+def end_position(signals):
+    return final_value(signals, POSITION)
+
+
+def end_speed(signals):
+    return final_value(signals, SPEED)
+
+
+def smallest_force(signals):
+    return figures.peak_force(signals, sign=-1.0)
+
+
+# scenario: [(figure, arguments, sheet's value, tolerance)]; what the sheet gives without a tolerance has 3 %
+ACCEPTANCE = {
+    "lsrm_fuzzy": [
+        (figures.overshoot, PLAIN, 2.14, 0.15), (figures.peak_error, {}, 0.0394, 0.001),
+        (figures.iae, {}, 0.0117, 0.0003), (figures.itae, {}, 0.0030, 0.0001),
+        (figures.peak_force, {}, 18.66, 0.25), (figures.mean_force, {}, 12.0, 0.05),
+        (figures.force_ripple, {}, 0.68, 0.02), (rise, {}, 0.241, 0.001), (settling, {}, 0.474, 0.002),
+    ],
+    "lsrm_fuzzy_10khz": [
+        (figures.overshoot, PLAIN, 2.147, 0.01), (figures.peak_error, {}, 0.0394, 0.001),
+        (figures.iae, {}, 0.0117, 0.0003), (figures.mean_force, {}, 12.0, 0.05),
+    ],
+    "lsrm_fuzzy_fast": [
+        (figures.overshoot, PLAIN, 2.29, 0.15), (figures.peak_error, {}, 0.033, 0.001),
+        (figures.iae, {}, 0.0096, 0.0003), (figures.itae, {}, 0.0024, 0.0001), (figures.peak_force, {}, 18.0, 0.25),
+        (figures.force_ripple, {}, 0.20, 0.02), (rise, {}, 0.236, 0.001), (settling, {}, 0.467, 0.003),
+    ],
+    "lsrm_fuzzy_mrac": [
+        (figures.overshoot, PLAIN, 0.22, 0.02), (figures.peak_error, {}, 0.0190, 0.001),
+        (figures.iae, {}, 0.0056, 0.0004), (figures.itae, {}, 0.0013, 0.0001), (figures.peak_force, {}, 18.4, 0.25),
+        (rise, {}, 0.241, 0.001), (settling, {}, 0.381, 0.002),
+    ],
+    "lsrm_fuzzy_mrac_fast": [
+        (figures.overshoot, PLAIN, 0.155, 0.02), (figures.peak_error, {}, 0.015, 0.001),
+        (figures.iae, {}, 0.0036, 0.0002), (figures.itae, {}, 0.0007, 0.00005), (figures.peak_force, {}, 17.6, 0.25),
+        (rise, {}, 0.238, 0.001), (settling, {}, 0.373, 0.002),
+    ],
+    "lsrm_fuzzy_pi": [
+        (figures.overshoot, PLAIN, -4.0, 0.15), (figures.peak_error, {}, 0.120, 0.003),
+        (figures.iae, {}, 0.0556, 0.002), (figures.itae, {}, 0.0232, 0.0007), (figures.peak_force, {}, 15.5, 0.25),
+        (rise, {}, 0.428, 0.003), (settling, {}, math.inf, 0.0),
+    ],
+    "lsrm_fuzzy_pi_fast": [
+        (figures.overshoot, PLAIN, -2.4, 0.15), (figures.peak_error, {}, 0.104, 0.003),
+        (figures.iae, {}, 0.0433, 0.002), (figures.itae, {}, 0.0165, 0.0005), (figures.peak_force, {}, 15.6, 0.25),
+        (rise, {}, 0.317, 0.003), (settling, {}, math.inf, 0.0),
+    ],
+    "lsrm_fuzzy_s": [
+        (figures.overshoot, PLAIN, 0.80, 0.03), (figures.peak_error, {}, 0.0063, 0.0002),
+        (figures.iae, {}, 0.0012, 0.00005), (figures.itae, {}, 0.0004, 0.00002), (figures.peak_force, {}, 19.2, 0.25),
+        (settling, {}, 0.365, 0.002),
+    ],
+    "lsrm_fuzzy_s_fast": [
+        (figures.overshoot, PLAIN, 0.50, 0.03), (figures.peak_error, {}, 0.0028, 0.0001),
+        (figures.iae, {}, 0.0007, 0.00003), (figures.itae, {}, 0.00018, 0.00001), (figures.peak_force, {}, 17.7, 0.15),
+    ],
+    "lsrm_fuzzy_s_smooth": [
+        (figures.overshoot, PLAIN, 0.41, 0.03), (figures.iae, {}, 0.0006, 0.00003),
+        (figures.peak_force, {}, 17.5, 0.15), (figures.force_ripple, {}, 0.060, 0.005),
+    ],
+    "lsrm_fuzzy_smooth": [(figures.force_ripple, {}, 0.115, 0.01)],
+    "lsrm_fuzzy_n2": [
+        (figures.dip, LOADED, 2.91, 0.15), (settling, {"start": 1.0}, 0.195, 0.02),
+        (figures.iae, {"start": 1.0}, 0.0031, 0.0001),
+    ],
+    "lsrm_fuzzy_n2_fast": [(figures.dip, LOADED, 2.33, 0.15), (figures.iae, {"start": 1.0}, 0.0023, 0.0001)],
+    "lsrm_fuzzy_n2_s": [(figures.dip, LOADED, 1.04, 0.03)],
+    "lsrm_fuzzy_n2_s_fast": [(figures.dip, LOADED, 0.77, 0.03)],
+    "lsrm_fuzzy_n2_mrac": [
+        (figures.dip, LOADED, 2.80, 0.15), (settling, {"start": 1.0}, 0.166, 0.02),
+        (figures.iae, {"start": 1.0}, 0.0028, 0.0001),
+    ],
+    "lsrm_fuzzy_n2_mrac_fast": [(figures.dip, LOADED, 2.42, 0.15), (figures.iae, {"start": 1.0}, 0.0022, 0.0001)],
+    "lsrm_fuzzy_n2_pi": [(figures.dip, LOADED, 8.6, 0.3), (figures.iae, {"start": 1.0}, 0.0212, 0.0007)],
+    "lsrm_fuzzy_n2_pi_fast": [(figures.dip, LOADED, 6.5, 0.3), (figures.iae, {"start": 1.0}, 0.0154, 0.0005)],
+    "lsrm_fuzzy_n3": [(end_position, {}, 0.6000, 0.0005), (smallest_force, {}, -6.2, 0.1)],
+    "lsrm_fuzzy_n3_s": [(end_position, {}, 0.6000, 0.0001), (smallest_force, {}, -5.6, 0.1)],
+    "lsrm_fuzzy_n3_mrac": [(end_position, {}, 0.59994, 0.0001), (smallest_force, {}, -5.3, 0.1)],
+    "lsrm_fuzzy_n3_pi": [(end_position, {}, 0.589, 0.002), (smallest_force, {}, -3.1, 0.1)],
+    "lsrm_fuzzy_n4": [
+        (figures.arrival, PLAIN, 0.108, 0.003), (figures.arrival, {"drive": "trapezoid/", **PLAIN}, 0.120, 0.003),
+        (figures.peak_force, {}, 35.6, 1.0),
+    ],
+    "lsrm_fuzzy_n4_fast": [
+        (figures.arrival, PLAIN, 0.106, 0.003), (figures.arrival, {"drive": "trapezoid/", **PLAIN}, 0.119, 0.003),
+    ],
+    "lsrm_fuzzy_n4_p": [
+        (figures.arrival, PLAIN, 0.134, 0.003), (figures.arrival, {"drive": "trapezoid/", **PLAIN}, 0.143, 0.003),
+    ],
+    "lsrm_fuzzy_n5": [
+        (end_speed, {}, 2.5, 0.01), (figures.mean_force, {}, 25.0, 0.2), (figures.arrival, {"v_d": 2.5}, 0.834, 0.003),
+        (figures.arrival, {"v_d": 2.5, "drive": "trapezoid/"}, 0.869, 0.003),
+    ],
+    "lsrm_fuzzy_n5_p": [
+        (end_speed, {}, 2.5, 0.01), (figures.arrival, {"v_d": 2.5}, 0.884, 0.003),
+        (figures.arrival, {"v_d": 2.5, "drive": "trapezoid/"}, 0.928, 0.003),
+    ],
+    "lsrm_fuzzy_n5_printed": [(end_speed, {}, 1.90, 0.05), (figures.mean_force, {}, 19.4, 0.2)],
+}  # fmt: skip
+
+
+def recorded(name, **overrides):
+    scenario = load_scenario(name, overrides)
+    return Signals(in_process(Rig.from_scenario(scenario), scenario.seed))
+
+
+@pytest.mark.parametrize("name", sorted(ACCEPTANCE))
+def test_scenario_meets_the_sheet(name):
+    signals = recorded(name)
+    found = [(f.__name__, a, f(signals, **a), v, tol) for f, a, v, tol in ACCEPTANCE[name]]
+    assert [row for row in found if not (row[2] == row[3] or abs(row[2] - row[3]) <= row[4])] == []
+
+
+# the machine
+
+
+@pytest.mark.parametrize(
+    ("x", "inductances", "slopes"),
+    [(0.004, (15.964e-3, 12.4e-3, 6e-3, 6.436e-3), (-0.4, 0.8, 0.0, -0.4)), (0.0415, (11.2e-3,), (0.8,))],
+)
+def test_inductance_and_slope_are_those_of_the_sheet(x, inductances, slopes):
+    for k, (L, g) in enumerate(zip(inductances, slopes, strict=True)):
+        xi = distance(x, k, GEOMETRY)
+        assert inductance(xi, GEOMETRY) == pytest.approx(L, abs=1e-6)
+        assert slope(xi, GEOMETRY) == pytest.approx(g, abs=1e-6)
+
+
+def test_inductance_is_a_ramp_between_unaligned_and_aligned():
+    assert inductance(0.0, GEOMETRY) == pytest.approx(16.4e-3, abs=1e-12)
+    assert inductance(-0.026, GEOMETRY) == inductance(0.026, GEOMETRY) == pytest.approx(6e-3, abs=1e-12)
+
+
+@given(st.floats(-0.3, 0.3))
+def test_positive_slopes_add_up_to_one_maximum_slope(x):
+    slopes = [slope(distance(x, k, GEOMETRY), GEOMETRY) for k in range(4)]
+    assert sum(max(g, 0.0) for g in slopes) == pytest.approx(0.8, abs=1e-9)
+    assert sum(min(g, 0.0) for g in slopes) == pytest.approx(-0.8, abs=1e-9)
+    for k, g in enumerate(slopes):
+        near = [inductance(distance(x + dx, k, GEOMETRY), GEOMETRY) for dx in (-1e-7, 1e-7)]
+        assert (near[1] - near[0]) / 2e-7 == pytest.approx(g, abs=2e-5)
+        assert inductance(distance(x + 0.052, k, GEOMETRY), GEOMETRY) == pytest.approx(
+            inductance(distance(x, k, GEOMETRY), GEOMETRY), abs=1e-12
+        )
+
+
+def test_locked_translator():
+    plant = LsrmPlant(locked=True, x_0=0.0415)
+    for k in range(200):
+        plant.advance(k, phase_voltage=(15.0, 0.0, 0.0, 0.0), load=None)
+    found = plant.outputs(0)
+    assert found["phase_currents"][0] == pytest.approx(5.35621, abs=1e-4)
+    assert found["phase_currents"][0] == pytest.approx(6.0 * (1.0 - math.exp(-0.01 * 2.5 / 11.2e-3)), abs=1e-8)
+    assert found["joint_states"] == (0.0415, 0.0, pytest.approx(11.4756, abs=1e-3))
+    assert found["force_phases"] == (found["joint_states"][2], 0.0, 0.0, 0.0)
+
+
+def independent(state, u, duration):
+    """The equations again, by an adaptive solver, over one period of constant voltages."""
+
+    def profile(xi):
+        d = abs(abs(xi) - 0.0105)
+        z = d - 0.0035
+        if z <= 0:
+            shape, area = 1.0, d
+        elif z < 0.006:
+            shape = 0.5 * (1 + math.cos(math.pi * z / 0.006))
+            area = 0.0035 + 0.5 * (z + 0.006 / math.pi * math.sin(math.pi * z / 0.006))
+        else:
+            shape, area = 0.0, 0.0065
+        sign = 1 if abs(xi) < 0.0105 else -1
+        return 0.006 + 0.8 * (0.0065 + sign * area), (0.8 if xi <= 0 else -0.8) * shape
+
+    def derivative(_, s):
+        force, rates = 0.0, []
+        for k in range(4):
+            L, g = profile((s[4] - 0.013 * k + 0.026) % 0.052 - 0.026)
+            i = max(s[k], 0.0) / L
+            force += 0.5 * g * i * i
+            rate = u[k] - 2.5 * i
+            rates.append(rate if s[k] > 0 or rate > 0 else 0.0)
+        return (*rates, s[5], (force - 24.0 * s[5]) / 5.0)
+
+    return solve_ivp(derivative, (0.0, duration), state, method="DOP853", rtol=1e-10, atol=1e-13).y[:, -1]
+
+
+def test_recorded_voltages_agree_with_an_independent_solver():
+    scenario = load_scenario("lsrm_fuzzy").model_copy(update={"duration": 0.3})
+    signals = Signals(in_process(Rig.from_scenario(scenario)))
+    voltages = np.column_stack([signals[f"phase_voltage/{k}/effort"].x for k in "abcd"])
+    state = np.zeros(6)
+    for row in voltages:
+        state = independent(state, row, 5e-5)
+        state[:4] = np.maximum(state[:4], 0.0)
+    assert len(voltages) == 6000
+    assert signals[SPEED].x[-1] == pytest.approx(state[5], abs=1e-9)
+    assert signals[SPEED].x[-1] > 0.35
+    assert signals["phase_currents/b/position"].x[-1] == 0.0 < signals["phase_currents/b/position"].x.max()
+
+
+def test_finer_steps_give_the_same_figures():
+    coarse, fine = (recorded("lsrm_fuzzy", **{"lsrm_plant.substeps": n}) for n in (5, 50))
+    for figure, arguments in ((figures.overshoot, PLAIN), (figures.iae, {}), (figures.peak_force, {})):
+        assert figure(coarse, **arguments) == pytest.approx(figure(fine, **arguments), rel=2e-4)
+    assert np.abs(coarse[SPEED].x - fine[SPEED].x).max() < 2e-6
+
+
+def test_flux_ends_at_zero():
+    plant = LsrmPlant(locked=True, x_0=0.0415)
+    for k in range(20):
+        plant.advance(k, phase_voltage=(150.0, 0.0, 0.0, 0.0), load=None)
+    assert plant.outputs(0)["phase_currents"][0] > 5.0
+    for k in range(40):
+        plant.advance(k, phase_voltage=(-150.0, -150.0, 0.0, 0.0), load=None)
+        assert min(plant.outputs(0)["phase_currents"]) >= 0.0
+    assert plant.outputs(0)["phase_currents"] == OFF
+
+
+def test_without_numba_the_same_bits():
+    code = (
+        "from softrig_core.rig.inprocess import run_inprocess\n"
+        "from softrig_core.rig.rig import Rig\n"
+        "from softrig_core.rig.scenario import load_scenario\n"
+        "s = load_scenario('lsrm_fuzzy').model_copy(update={'duration': 0.02})\n"
+        "print([float(x).hex() for x in run_inprocess(Rig.from_scenario(s), 0)['lsrm_plant'].state])\n"
+    )
+    compiled, plain = (
+        subprocess.run([sys.executable, "-c", code], env=os.environ | {"SOFTRIG_JIT": jit}, check=True,
+                       capture_output=True, text=True).stdout
+        for jit in ("1", "0")
+    )  # fmt: skip
+    assert compiled == plain
+    assert "0x0.0p+0" in plain
+    assert plain.count("0x1.") >= 3
+
+
+def test_added_mass_slows_the_acceleration_at_unchanged_speed():
+    plant = LsrmPlant(x_0=0.0415, C=0.0, k_p=0.0)
+    for k in range(200):
+        plant.advance(k, phase_voltage=(15.0, 0.0, 0.0, 0.0), load=(0.0, 0.0))
+    v = plant.outputs(0)["joint_states"][1]
+    plant.advance(200, phase_voltage=(15.0, 0.0, 0.0, 0.0), load=(8.0, 3.924))
+    _, v_next, F = plant.outputs(0)["joint_states"]
+    assert v_next - v == pytest.approx((F - 3.924) / 13.0 * 5e-5, rel=1e-2)
+
+
+def test_friction_holds_a_translator_at_rest_and_stops_a_moving_one():
+    plant = LsrmPlant(x_0=0.0415, C=0.0, k_p=0.0)
+    load = (8.0, 5.0)
+    for k in range(100):
+        plant.advance(k, phase_voltage=(8.0, 0.0, 0.0, 0.0), load=load)
+    assert 0.5 < plant.outputs(0)["joint_states"][2] < 5.0
+    assert plant.outputs(0)["joint_states"][:2] == (0.0415, 0.0)
+    for k in range(100):
+        plant.advance(k, phase_voltage=(40.0, 0.0, 0.0, 0.0), load=load)
+    assert plant.outputs(0)["joint_states"][1] > 0.005
+    for k in range(2000):
+        plant.advance(k, phase_voltage=OFF, load=load)
+    assert plant.outputs(0)["joint_states"][1] == 0.0
+
+
+# profile
+
+
+def test_quintic_is_the_solution_of_its_six_conditions():
+    quintic = Quintic.between(v_0=0.1, a_0=0.5, v_d=0.8, T=0.4, distance=0.2)
+    assert quintic.alpha[::-1] == pytest.approx((7.8125, -12.5, 5.625, 0.25, 0.1), abs=1e-11)
+    assert quintic.at(0.2)[1] == pytest.approx(0.5375, abs=1e-12)
+    assert quintic.at(0.4) == pytest.approx((0.2, 0.8, 0.0), abs=1e-12)
+
+
+@given(*(st.floats(-2, 2) for _ in range(4)), st.floats(0.1, 2))
+def test_quintic_agrees_with_a_linear_solve(v_0, a_0, v_d, D, T):
+    rows = [[n * T ** (n - 1) for n in range(1, 6)], [n * (n - 1) * T ** (n - 2) for n in range(1, 6)],
+            [T**n for n in range(1, 6)], [1, 0, 0, 0, 0], [0, 2, 0, 0, 0]]  # fmt: skip
+    alpha = np.linalg.solve(rows, [v_d, 0.0, D, v_0, a_0])
+    found = Quintic.between(v_0, a_0, v_d, T, D)
+    for t in (0.3 * T, 0.8 * T):
+        x = sum(a * t**n for n, a in enumerate(alpha, 1))
+        v = sum(n * a * t ** (n - 1) for n, a in enumerate(alpha, 1))
+        assert found.at(t)[:2] == pytest.approx((x, v), abs=1e-9)
+
+
+def test_free_distance_has_the_least_jerk():
+    def jerk_squared(D):
+        _, _, a3, a4, a5 = Quintic.between(0.0, 0.0, 0.5, 0.4, D).alpha
+        t = np.linspace(0.0, 0.4, 4001)
+        return np.trapezoid((60 * a5 * t**2 + 24 * a4 * t + 6 * a3) ** 2, t)
+
+    best = Quintic.between(0.0, 0.0, 0.5, 0.4)
+    assert [best.at(t)[1] for t in (0.1, 0.2, 0.4)] == pytest.approx([0.078125, 0.25, 0.5], abs=1e-12)
+    assert best.at(0.2)[2] == pytest.approx(1.5 * 0.5 / 0.4)
+    assert jerk_squared(0.1) == pytest.approx(12 * 0.5**2 / 0.4**3, rel=1e-5)
+    assert min(jerk_squared(0.09), jerk_squared(0.11)) > 1.05 * jerk_squared(0.1)
+
+
+@pytest.mark.parametrize("kind", ["jerk", "trapezoid", "step"])
+def test_profile_is_consistent_and_brakes_to_rest(kind):
+    profile = Profile(kind, 0.5, 0.4, t_b=1.2, t_db=0.3)
+    t = np.arange(0.0, 2.0, 1e-4)
+    x, v, a = np.array([profile.at(s) for s in t]).T
+    smooth = (np.abs(t[1:-1] - 1.2) > 2e-4) & (np.abs(t[1:-1] - 1.5) > 2e-4) & (np.abs(t[1:-1] - 0.4) > 2e-4)
+    assert np.abs((x[2:] - x[:-2]) / 2e-4 - v[1:-1])[smooth].max() < 1e-5
+    assert np.abs((v[2:] - v[:-2]) / 2e-4 - a[1:-1])[smooth].max() < 1e-3
+    assert profile.at(1.0)[1:] == (0.5, 0.0)
+    assert profile.at(1.9)[1:] == (0.0, 0.0)
+    assert profile.at(1.9)[0] == pytest.approx({"step": 0.6}.get(kind, 0.1 + 0.4 + 0.075))
+    assert Profile("trapezoid", 0.5, 0.4).at(0.2) == pytest.approx((0.025, 0.25, 1.25))
+
+
+def test_given_distance_changes_the_ramp_only():
+    profile = Profile("jerk", 0.5, 0.4, x_d=0.12)
+    assert profile.at(0.4) == pytest.approx((0.12, 0.5, 0.0))
+    assert profile.at(1.0)[0] == pytest.approx(0.42)
+
+
+# fuzzy
+
+
+@pytest.fixture
+def surface():
+    return LsrmFuzzy()._surface
+
+
+SURFACE = [(0.5, 0.4, 0.866667), (0.8, 0.5, 1.0), (-0.9, 0.2, -0.7), (0.25, -0.4, -0.15), (1.7, -0.35, 0.65)]
+
+
+@pytest.mark.parametrize(("x", "y", "expected"), SURFACE)
+def test_surface_has_the_values_of_the_sheet(surface, x, y, expected):
+    assert surface(x, y) == pytest.approx(expected, abs=1e-6)
+
+
+@given(st.floats(-2, 2), st.floats(-2, 2))
+def test_surface_is_odd_to_the_bit(x, y):
+    for conjunction in ("product", "min"):
+        surface = LsrmFuzzy(conjunction=conjunction)._surface
+        assert surface(-x, -y) == -surface(x, y)
+
+
+@given(st.floats(-1, 1), st.floats(-1, 1))
+def test_surface_is_the_sum_where_no_active_rule_is_clipped(x, y):
+    if abs(x) + abs(y) <= 1.0 / 3.0 or (x * y <= 0.0):
+        assert LsrmFuzzy()._surface(x, y) == pytest.approx(x + y, abs=1e-15)
+
+
+def test_table_is_the_clipped_sum():
+    assert len(TABLE_II) == 49
+    rows = [TABLE_II[k : k + 7] for k in range(0, 49, 7)]
+    assert rows == [tuple(min(max(i + j, -3), 3) for j in range(-3, 4)) for i in range(-3, 4)]
+    assert sum_rules(3) == [[-1, -1, 0], [-1, 0, 1], [0, 1, 1]]
+
+
+def simpful_surface(peaks, conjunction):
+    """The same rules in an independent fuzzy library."""
+    import simpful
+
+    operators = ["AND_PRODUCT"] if conjunction == "product" else None
+    system = simpful.FuzzySystem(operators, show_banner=False, verbose=False)
+    names = [f"t{n}" for n in range(len(peaks))]
+    for variable in ("e", "de"):
+        terms = []
+        for n, name in enumerate(names):
+            left = peaks[n - 1] if n else peaks[0] - 1.0
+            right = peaks[n + 1] if n + 1 < len(peaks) else peaks[-1] + 1.0
+            terms.append(simpful.TriangleFuzzySet(left, peaks[n], right, term=name))
+        system.add_linguistic_variable(variable, simpful.LinguisticVariable(terms))
+    for n in range(-3, 4):
+        system.set_crisp_output_value(f"out{n + 3}", n / 3)
+    rules = [
+        f"IF (e IS {names[i]}) AND (de IS {names[j]}) THEN (u IS out{min(max(i + j - 6, -3), 3) + 3})"
+        for i in range(7) for j in range(7)
+    ]  # fmt: skip
+    system.add_rules(rules)
+
+    def evaluate(x, y):
+        system.set_variable("e", min(max(x, peaks[0]), peaks[-1]))
+        system.set_variable("de", min(max(y, peaks[0]), peaks[-1]))
+        return float(system.Sugeno_inference(["u"])["u"])
+
+    return evaluate
+
+
+@pytest.mark.parametrize("conjunction", ["product", "min"])
+@pytest.mark.parametrize("peaks", [THIRDS, (-1.0, -0.5, -0.2, 0.0, 0.25, 0.6, 1.0)])
+def test_surface_agrees_with_an_independent_library(peaks, conjunction):
+    ours = LsrmFuzzy(peaks=peaks, conjunction=conjunction)._surface
+    theirs = simpful_surface(list(peaks), conjunction)
+    rng = np.random.default_rng(1)
+    for x, y in [*rng.uniform(-1.0, 1.0, (12, 2)).tolist(), (0.25, -0.4)]:
+        assert ours(x, y) == pytest.approx(theirs(x, y), abs=1e-9)
+    assert (LsrmFuzzy(conjunction="min")._surface(0.25, -0.4)) == pytest.approx(-0.202, abs=5e-4)
+
+
+def test_surface_of_any_size():
+    surface = TakagiSugeno(((0.0, 1.0), (0.0, 1.0, 3.0)), [[0.0, 1.0, 2.0], [10.0, 11.0, 12.0]])
+    assert surface(0.5, 2.0) == pytest.approx(6.5)
+    assert surface(-5.0, 99.0) == 2.0
+    for peaks, rules in ((((0.0,), (0.0, 1.0)), [[0.0, 1.0]]), (((0.0, 1.0), (1.0, 0.0)), [[0, 0], [0, 0]]),
+                         (((0.0, 1.0), (0.0, 1.0)), [[0.0, 1.0]])):  # fmt: skip
+        with pytest.raises(ValueError, match="expected"):
+            TakagiSugeno(peaks, rules)
+
+
+def test_fuzzy_controller_is_a_pi_controller():
+    """Kp = K_u/K_de = 200 N s/m, Ki = K_u/(K_e Ts) = 2000 N/m; this integral has the newest error already."""
+    fuzzy = recorded("lsrm_fuzzy")
+    raw = load_scenario("lsrm_fuzzy_pi", {"speed_controller.K_F": 1.0, "speed_controller.K_p": 202.0,
+                                          "speed_controller.K_i": 2000.0})  # fmt: skip
+    linear = Signals(in_process(Rig.from_scenario(raw)))
+    assert np.abs(fuzzy[SPEED].x - linear[SPEED].x).max() <= 1e-12
+    assert fuzzy[SPEED].x[-1] > 0.49
+
+
+# the other laws
+
+
+def test_pi_controller_clips_and_does_not_wind_up():
+    controller = LsrmPi()
+    rest = {"joint_states": (0.0,), "reference": (0.0, 5.0, 0.0)}
+    found = [controller.update(k * MS, **rest)["force_cmd"][0] for k in range(100)]
+    assert set(found) == {40.0}
+    last = controller.update(101 * MS, joint_states=(5.0,), reference=(0.0, 5.0, 0.0))
+    assert last["force_cmd"] == (0.0,)
+    first = LsrmPi().update(0, joint_states=(0.0,), reference=(0.0, 0.1, 0.0))["force_cmd"][0]
+    assert first == pytest.approx(80.0 * 1.3 * 0.1)
+
+
+def test_mrac_gain_solves_the_riccati_equation():
+    p = solve_continuous_are([[-4.8]], [[0.2]], [[4e4]], [[1.0]])[0, 0]
+    closed = -(-4.8 - 0.2 * 0.2 * p)
+    assert LsrmMrac().k == pytest.approx(closed, rel=1e-9)
+    assert LsrmMrac().k == pytest.approx(40.29, abs=0.005)
+
+
+def test_mrac_adapts_before_it_acts_and_stays_within_its_bounds():
+    controller = LsrmMrac()
+    found = controller.update(0, joint_states=(0.1,), reference=(0.0, 0.2, 1.0))
+    phi = (1.0 + controller.k * 0.1, 0.1, 1.0)
+    theta = (3.0 + 0.2 * phi[0] * 0.1, 10.0 + 2.0 * 0.1 * 0.1, 0.0 + 2.0 * 0.1)
+    assert found["theta"] == pytest.approx(theta)
+    assert found["force_cmd"][0] == pytest.approx(sum(a * b for a, b in zip(theta, phi, strict=True)))
+    for k in range(3000):
+        found = controller.update(k, joint_states=(0.5,), reference=(0.0, 5.0, 0.0))
+    assert found["theta"] == (20.0, 60.0, 20.0)
+    assert found["force_cmd"] == (40.0,)
+
+
+def test_reversed_force_switches_to_the_phases_with_negative_slope():
+    controller = CurrentController()
+    at = {"joint_states": (0.004, 0.0), "phase_currents": OFF}
+    forward = controller.update(0, force_cmd=(12.0,), **at)["phase_voltage"]
+    controller.reset(0)
+    backward = controller.update(0, force_cmd=(-12.0,), **at)["phase_voltage"]
+    i_ref = math.sqrt(2 * 12 / 0.8)
+    assert forward == pytest.approx((0.0, 150 * 0.05 * i_ref, 0.0, 0.0))
+    assert backward == pytest.approx((150 * 0.05 * i_ref, 0.0, 0.0, 150 * 0.05 * i_ref))
+    assert controller.update(0, force_cmd=(0.0,), **at)["phase_voltage"] == OFF
+    carrying = controller.update(0, joint_states=(0.004, 0.0), phase_currents=(5.0, 5.0, 0.01, 0.0), force_cmd=(12.0,))
+    assert carrying["phase_voltage"][0] == -150.0
+    assert carrying["phase_voltage"][2] == 0.0
+
+
+def test_reversed_force_pushes_back_without_negative_current():
+    scenario = load_scenario("lsrm_fuzzy_n3_s")
+    signals = Signals(in_process(Rig.from_scenario(scenario)))
+    for phase in "abcd":
+        assert signals[f"phase_currents/{phase}/position"].x.min() >= 0.0
+    assert signals[FORCE].x.min() < -5.0
+
+
+def test_command_is_limited_to_the_rated_current():
+    controller = CurrentController(K_pc=0.001, K_ic=0.0)
+    found = controller.update(0, joint_states=(0.004, 0.0), phase_currents=OFF, force_cmd=(400.0,))
+    assert found["phase_voltage"][1] == pytest.approx(150 * 0.001 * 10.0)
+
+
+def test_position_is_quantised():
+    controller = CurrentController(threshold=0.5)
+    edge = 0.004  # where g_a = -0.4 H/m = -threshold G; the sensor steps half a step later
+    seen = [
+        controller.update(0, joint_states=(edge + dx, 0.0), phase_currents=OFF, force_cmd=(-12.0,))["phase_voltage"][0]
+        for dx in (0.0, 4e-6, 6e-6)
+    ]
+    assert seen[0] == seen[1] == 0.0
+    assert seen[2] > 0.0
+
+
+# monitor
+
+
+@pytest.mark.parametrize("name", ["lsrm_fuzzy", "lsrm_fuzzy_n2"])
+def test_monitor_agrees_with_the_recording(name):
+    rig = Rig.from_scenario(load_scenario(name))
+    status = {k: v[0] for k, v in run_inprocess(rig, 0)["motion_monitor"].status().items()}
+    signals = recorded(name)
+    assert status["overshoot"] == pytest.approx(figures.overshoot(signals, v_d=0.5), abs=2e-3)
+    assert status["iae"] == pytest.approx(figures.iae(signals), rel=1e-3)
+    assert status["itae"] == pytest.approx(figures.itae(signals), rel=1e-3)
+    assert status["peak_error"] == pytest.approx(figures.peak_error(signals))
+    assert status["peak_force"] == pytest.approx(figures.peak_force(signals), rel=0.02)
+    assert status["rise_time"] == pytest.approx(rise(signals), abs=1.1e-3)
+    assert status["position"] == signals[POSITION].x[-1]
+    if name == "lsrm_fuzzy":
+        assert status["settling_time"] == pytest.approx(settling(signals), abs=1.1e-3)
+    else:
+        assert status["dip"] == pytest.approx(figures.dip(signals, v_d=0.5, start=1.0), abs=2e-3)
+        assert status["recovery"] == pytest.approx(settling(signals, start=1.0), abs=1.1e-3)
+    assert MotionMonitor().status() == {}
+
+
+def test_translator_is_drawn_over_its_stator():
+    plant = LsrmPlant(x_0=0.013)
+    stator, translator = plant.markers()
+    xs = [p[0] for p in translator.points]
+    assert (min(xs) + max(xs)) / 2 == pytest.approx(0.013 + 1.5 * 0.039)
+    assert min(p[1] for p in stator.points if p[1] > 0) > max(p[1] for p in translator.points)
+    assert len(stator.points) % 2 == len(translator.points) % 2 == 0
+
+
+# bad input
+
+
+@pytest.mark.parametrize(
+    ("block", "values", "text"),
+    [
+        (LsrmPlant, {"M": 0.0}, "M = 0"),
+        (LsrmPlant, {"R": 0.0}, "R = 0"),
+        (LsrmPlant, {"tau": 0.0}, "tau = 0"),
+        (LsrmPlant, {"G": -0.8}, "G = -0.8"),
+        (LsrmPlant, {"L_u": 0.0}, "L_u = 0"),
+        (LsrmPlant, {"w": 6.5e-3}, "expected less than h"),
+        (LsrmPlant, {"c": 20e-3}, "leaves 0 to tau/2"),
+        (LsrmPlant, {"substeps": 0}, "substeps"),
+        (LsrmPlant, {"x_0": math.nan}, "x_0"),
+        (CurrentController, {"resolution": 0.0}, "resolution"),
+        (CurrentController, {"K_pc": -1.0}, "K_pc"),
+        (LsrmFuzzy, {"K_e": 0.0}, "K_e = 0"),
+        (LsrmFuzzy, {"K_de": -0.01}, "K_de"),
+        (LsrmFuzzy, {"rules": TABLE_II[:-1]}, "rules has 48 values, expected 7 x 7"),
+        (LsrmFuzzy, {"rules": (4, *TABLE_II[1:])}, "rules has 4, expected -3 to 3"),
+        (LsrmFuzzy, {"peaks": (-1.0, -0.5, -0.5, 0.0, 0.3, 0.6, 1.0)}, "expected 7 increasing"),
+        (LsrmFuzzy, {"peaks": (-1.0, 0.0, 1.0)}, "expected 7 increasing"),
+        (LsrmFuzzy, {"conjunction": "sum"}, "conjunction"),
+        (LsrmMrac, {"theta_0": (0.5, 10.0, 0.0)}, "not between"),
+        (LsrmMrac, {"gains": (-1.0, 1.0, 1.0)}, "none negative"),
+        (ProfileGenerator, {"t_d": 0.0}, "t_d = 0"),
+        (ProfileGenerator, {"profile": "sine"}, "profile"),
+        (LsrmLoad, {"masses": (0.0, -1.0)}, "none negative"),
+        (LsrmLoad, {"times": (0.5, 1.0)}, "first to be 0"),
+        (LsrmLoad, {"times": (0.0, 0.0)}, "later than the one before"),
+    ],
+)
+def test_bad_parameter_is_named(block, values, text):
+    with pytest.raises(ParameterError, match=text):
+        block(**values)
+
+
+def test_reference_that_the_motor_cannot_follow_warns():
+    assert "infeasible" not in ProfileGenerator().reports
+    fast = ProfileGenerator(v_d=2.5, t_d=0.8)
+    assert fast.reports["infeasible"][0] == Level.WARN
+    assert "needs 68.8 N" in fast.reports["infeasible"][1]  # 60 N for the speed alone
+    assert "infeasible" not in ProfileGenerator(v_d=2.5, t_d=0.8, k_p=0.0).reports  # 39.4 N
+    assert "infeasible" in ProfileGenerator(v_d=0.5, t_d=0.1).reports
+    assert "infeasible" in ProfileGenerator(t_b=1.0, t_db=0.04).reports
+
+
+def test_distance_that_makes_the_speed_leave_its_range_warns():
+    for x_d, warns in ((None, False), (0.1, False), (0.11, False), (0.02, True), (0.25, True), (-0.1, True)):
+        assert ("distance" in ProfileGenerator(x_d=x_d).reports) == warns, x_d
+
+
+@pytest.mark.parametrize(
+    ("port", "names", "values", "text"),
+    [
+        (PHASE_VOLTAGE, ("a", "b", "c"), (1.0, 0.0, 0.0), "names"),
+        (PHASE_VOLTAGE, ("a", "b", "c", "d"), (1.0, math.nan, 0.0, 0.0), "b/effort is nan"),
+        (PHASE_VOLTAGE, ("a", "b", "c", "d"), (1.0, math.inf, 0.0, 0.0), "b/effort is inf"),
+        (PHASE_CURRENTS, ("a", "b", "c", "e"), (0.0, 0.0, 0.0, 0.0), "names"),
+        (LOAD, ("mass",), (1.0,), "names"),
+    ],
+)
+def test_malformed_message_never_reaches_the_block(port, names, values, text):
+    data = Layout(port.msgtype, "", names, {port.fields[0]: len(values)}).encode(0, values)
+    with pytest.raises(Refused, match=text):
+        Decoder(port)(data)
+
+
+def test_refused_measurement_holds_the_force_and_frees_the_phases():
+    for controller in (LsrmFuzzy(), LsrmPi(), LsrmMrac()):
+        before = controller.update(0, joint_states=(0.0,), reference=(0.0, 0.1, 0.0))
+        assert before["force_cmd"][0] > 0.0
+        assert controller.refused(MS) == before
+        controller.reset(0)
+        assert controller.refused(MS)["force_cmd"] == (0.0,)
+    assert CurrentController().refused(0) is None
+    assert PHASE_VOLTAGE.safe == OFF
+
+
+def test_voltage_beyond_the_supply_is_clipped():
+    plant, twin = LsrmPlant(), LsrmPlant()
+    for k in range(10):
+        plant.advance(k, phase_voltage=(900.0, -900.0, 0.0, 0.0), load=None)
+        twin.advance(k, phase_voltage=(150.0, -150.0, 0.0, 0.0), load=None)
+    assert plant.state.tolist() == twin.state.tolist()
+    assert plant.reports["clipped"][0] == Level.WARN
+    assert plant.reports["clipped"][2] == 10
+    assert twin.reports == {}
+
+
+@pytest.mark.parametrize("load", [(-1.0, 0.0), (1.0, -3.0)])
+def test_negative_load_is_refused(load):
+    plant, twin = LsrmPlant(x_0=0.0415), LsrmPlant(x_0=0.0415)
+    for k in range(20):
+        plant.advance(k, phase_voltage=(50.0, 0.0, 0.0, 0.0), load=(2.0, 1.0) if k < 10 else load)
+        twin.advance(k, phase_voltage=(50.0, 0.0, 0.0, 0.0), load=(2.0, 1.0))
+    assert plant.state.tolist() == twin.state.tolist()
+    assert plant.reports["bad_load"][0] == Level.ERROR
+
+
+def test_overcurrent_trips_for_good():
+    plant = LsrmPlant(locked=True)
+    on = (150.0, 150.0, 0.0, 0.0)
+    k = 0
+    while not plant.fault:
+        plant.advance(k, phase_voltage=on, load=None)
+        k += 1
+    assert 12.0 < max(plant.outputs(0)["phase_currents"]) < 13.5
+    for _ in range(60):
+        plant.advance(k, phase_voltage=on, load=None)
+    assert plant.outputs(0)["phase_currents"] == OFF
+    assert plant.reports["overcurrent"][0] == Level.ERROR
+    assert plant.reports["overcurrent"][2] == 1
+    plant.reset(0)
+    assert not plant.fault
+
+
+@pytest.mark.processes
+def test_the_same_bits_over_topics(tmp_path):
+    scenario = load_scenario("lsrm_fuzzy_short")
+    run = execute(scenario, "processes", tmp_path)
+    assert run.error == ""
+    assert differences(in_process(Rig.from_scenario(scenario), scenario.seed), run.recording) == []
+
+
+def test_every_scenario_runs():
+    """Those of the acceptance run there; the rest are short or run here for a moment."""
+    rest = [n for n in list_scenarios() if n.startswith("lsrm_fuzzy") and n not in ACCEPTANCE]
+    assert len(rest) < 12
+    for name in rest:
+        scenario = load_scenario(name).model_copy(update={"duration": 0.02})
+        assert Signals(in_process(Rig.from_scenario(scenario)))[FORCE].x.size == 401
