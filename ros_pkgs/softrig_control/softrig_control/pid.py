@@ -46,6 +46,11 @@ class Pid:
         self._derivative = 0.0
         self._error = 0.0
 
+    def preset(self, integral: float) -> None:
+        """Start in a steady state: the integral term, in units of the output."""
+        self.reset()
+        self._integral = integral
+
     def __call__(self, error: float) -> float:
         """Give u_k for the error e_k."""
         self._derivative = d = (self._derivative + self._kd_n * (error - self._error)) / self._decay

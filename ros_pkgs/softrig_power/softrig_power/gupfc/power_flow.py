@@ -1,0 +1,206 @@
+"""Power flow of the line with the GUPFC: Newton's method with the corrected power injections."""
+
+from __future__ import annotations
+
+import cmath
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from softrig_core.model.params import Params, param
+
+from .injection import converter_power, series_power
+from .network import BUSES, Network, NetworkParams
+
+Array = NDArray[np.float64]
+
+UNKNOWNS = 18  # |V| of six buses, their angles, real and imaginary part of V12 and of V34, P_sh, Q_sh
+TOLERANCE = 1e-10  # pu
+ITERATIONS = 20
+
+
+class References(Params):
+    """What the GUPFC is asked to hold: flows out of buses 2 and 4 towards source 1, voltage at bus 1."""
+
+    p1: float = param(1.0, "active power of circuit 1", "pu", ge=-10.0, le=10.0)
+    q1: float = param(-0.3, "reactive power of circuit 1", "pu", ge=-10.0, le=10.0)
+    p2: float = param(1.0, "active power of circuit 2", "pu", ge=-10.0, le=10.0)
+    q2: float = param(-0.4, "reactive power of circuit 2", "pu", ge=-10.0, le=10.0)
+    v: float = param(1.0, "voltage of bus 1", "pu", gt=0.0, le=2.0)
+
+
+@dataclass(frozen=True)
+class Solution:
+    """A solved operating point; phasors in pu, angles absolute.
+
+    Parameters
+    ----------
+    iterations : int
+        Newton steps taken.
+    mismatch : float
+        Largest residual, pu.
+    bus : dict of str to complex
+        Voltage of A, 1, 2, 3, 4, B.
+    v12, v34, v_sh : complex
+        Converter voltages, the shunt's behind its transformer.
+    i12, i34, i_sh : complex
+        Currents from bus 1 to 2, 3 to 4, and out of the shunt converter into bus 1.
+    p12, p34 : float
+        Active power that the series converters deliver.
+    s_sh : complex
+        Power of the shunt converter into bus 1.
+    """
+
+    iterations: int
+    mismatch: float
+    bus: dict[str, complex]
+    v12: complex
+    v34: complex
+    v_sh: complex
+    i12: complex
+    i34: complex
+    i_sh: complex
+    p12: float
+    p34: float
+    s_sh: complex
+
+    @property
+    def flows(self) -> tuple[complex, complex]:
+        """Powers out of bus 2 and bus 4 into their lines, P + jQ."""
+        return self.bus["2"] * self.i12.conjugate(), self.bus["4"] * self.i34.conjugate()
+
+
+@dataclass(frozen=True)
+class Diverged:
+    """No operating point was found; there are no voltages to give.
+
+    Parameters
+    ----------
+    iterations : int
+        Newton steps taken.
+    mismatch : float
+        Largest residual at the last finite step, pu.
+    """
+
+    iterations: int
+    mismatch: float
+
+
+class PowerFlow:
+    """Newton's method on the 18 equations of network and device.
+
+    Unknowns are magnitude and angle of the six bus voltages, real and imaginary part of V12 and V34, P_sh and Q_sh;
+    equations the power balance of each bus (12), the two flows (4), V1 = V_ref and P_sh + P12 + P34 = 0. The
+    injections are functions of the voltages in each step: taken as constants, a flat start leads to another root
+    (V1 = 1.0199).
+
+    Parameters
+    ----------
+    params : NetworkParams
+    converter_loss : bool
+        Whether the balance holds at the converter's terminal, so that P_sh + P12 + P34 also covers the loss of the
+        shunt transformer, as in the plant; the power-injection model of the paper balances at bus 1.
+    """
+
+    def __init__(self, params: NetworkParams, converter_loss: bool = False) -> None:
+        self.params = params
+        self._loss = params.r_sh if converter_loss else 0.0
+        network = Network(params)
+        self._Y = network.admittance
+        # the injections contain the Norton sources of the series transformers, whose impedances are in Y
+        self._source = network.injection
+
+    def solve(self, references: References, tolerance: float = TOLERANCE) -> Solution | Diverged:
+        """Find the operating point from a flat start.
+
+        Parameters
+        ----------
+        references : References
+        tolerance : float
+            Largest residual that counts as solved, pu.
+
+        Returns
+        -------
+        Solution or Diverged
+            Diverged when 20 steps do not suffice or the matrix becomes singular.
+        """
+        x = np.zeros(UNKNOWNS)
+        x[:6] = 1.0
+        residual = self._residual(x, references)
+        mismatch = float(np.abs(residual).max())
+        for iteration in range(ITERATIONS):
+            if mismatch <= tolerance:
+                return self._solution(x, iteration, mismatch)
+            try:
+                x = x - np.linalg.solve(self._jacobian(x, references), residual)
+            except np.linalg.LinAlgError:
+                return Diverged(iteration, mismatch)
+            residual = self._residual(x, references)
+            found = float(np.abs(residual).max())
+            if not np.isfinite(found):
+                return Diverged(iteration + 1, mismatch)
+            mismatch = found
+        return self._solution(x, ITERATIONS, mismatch) if mismatch <= tolerance else Diverged(ITERATIONS, mismatch)
+
+    def _residual(self, x: NDArray[Any], references: References) -> NDArray[Any]:
+        """All 18 equations in real, analytic form; x and the result of shape (18,)."""
+        v, a = x[0:6], x[6:12]
+        (e12, f12, e34, f34), p_sh, q_sh = x[12:16], x[16], x[17]
+        z = self.params.z_se
+        apart = a[:, None] - a[None, :]
+        G, B = self._Y.real, self._Y.imag
+        cos, sin = np.cos(apart), np.sin(apart)
+        # power into the network at each bus less what the sources and the device inject
+        p = v * ((G * cos + B * sin) @ v) - v * (self._source.real * np.cos(a) + self._source.imag * np.sin(a))
+        q = v * ((G * sin - B * cos) @ v) - v * (self._source.real * np.sin(a) - self._source.imag * np.cos(a))
+        device_p, device_q = np.zeros_like(p), np.zeros_like(q)
+        for bus, e, f, side in ((1, e12, f12, -1), (2, e12, f12, 1), (3, e34, f34, -1), (4, e34, f34, 1)):
+            device_p[bus], device_q[bus] = series_power(v[bus], a[bus], e, f, z, side)
+        device_p[1] += p_sh
+        device_q[1] += q_sh
+        p12 = converter_power(v[1], a[1], v[2], a[2], e12, f12, z)
+        p34 = converter_power(v[3], a[3], v[4], a[4], e34, f34, z)
+        flow1 = _flow(v[1], a[1], v[2], a[2], z)
+        flow2 = _flow(v[3], a[3], v[4], a[4], z)
+        loss = self._loss * (p_sh * p_sh + q_sh * q_sh) / (v[1] * v[1])
+        device = [
+            flow1[0] + device_p[2] - references.p1,
+            flow1[1] + device_q[2] - references.q1,
+            flow2[0] + device_p[4] - references.p2,
+            flow2[1] + device_q[4] - references.q2,
+            v[1] - references.v,
+            p_sh + loss + p12 + p34,
+        ]
+        return np.concatenate([p - device_p, q - device_q, np.array(device)])
+
+    def _jacobian(self, x: Array, references: References) -> Array:
+        """Derivatives by complex steps, exact to the last digit; shape (18, 18)."""
+        columns = []
+        for k in range(UNKNOWNS):
+            moved = x.astype(complex)
+            moved[k] += 1e-30j
+            columns.append(self._residual(moved, references).imag / 1e-30)
+        return np.column_stack(columns)
+
+    def _solution(self, x: Array, iterations: int, mismatch: float) -> Solution:
+        p = self.params
+        bus = {name: cmath.rect(x[k], x[6 + k]) for k, name in enumerate(BUSES)}
+        v12, v34 = complex(x[12], x[13]), complex(x[14], x[15])
+        s_sh = complex(x[16], x[17])
+        i_sh = (s_sh / bus["1"]).conjugate()
+        p12, p34 = (
+            float(converter_power(x[k], x[6 + k], x[k + 1], x[7 + k], v.real, v.imag, p.z_se))
+            for k, v in ((1, v12), (3, v34))
+        )
+        return Solution(
+            iterations, mismatch, bus, v12, v34, bus["1"] + p.z_sh * i_sh, (bus["1"] + v12 - bus["2"]) / p.z_se,
+            (bus["3"] + v34 - bus["4"]) / p.z_se, i_sh, p12, p34, s_sh,
+        )  # fmt: skip
+
+
+def _flow(v1: Any, a1: Any, v2: Any, a2: Any, z: complex) -> tuple[Any, Any]:
+    """P and Q that reach the second bus through the transformer alone, without the injection: V2 ((V1 - V2)/Z)*."""
+    g, b = z.real / abs(z) ** 2, z.imag / abs(z) ** 2
+    cos, sin = np.cos(a2 - a1), np.sin(a2 - a1)
+    return v2 * (v1 * (g * cos - b * sin) - v2 * g), v2 * (v1 * (g * sin + b * cos) - v2 * b)

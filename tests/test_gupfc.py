@@ -1,0 +1,188 @@
+"""GUPFC: power flow, pulses and their spectrum."""
+
+import cmath
+import math
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize_scalar
+from softrig_power.gupfc import pulses
+from softrig_power.gupfc.injection import converter_power, series_power, shunt_reactive_power
+from softrig_power.gupfc.network import BUSES, Network, NetworkParams
+from softrig_power.gupfc.power_flow import Diverged, PowerFlow, References
+
+NETWORK = NetworkParams()
+SIGMA = math.radians(172.5)
+
+# power flow -----------------------------------------------------------------------------------------------------
+
+TABLE = {  # references: V2, V3, V4, V12, V34 (magnitude, degrees), P12, P34, S_sh, V_sh, angle of V1
+    (1.0, -0.3, 1.0, -0.4): (
+        (0.99809, -11.154), (1.05551, -1.266), (0.98336, -10.980), (0.19636, -96.180), (0.18163, -120.052),
+        -0.04174, -0.13018, (0.17192, -0.31516), (0.98457, 1.028), 0.497),
+    (1.1, -0.3, 0.9, -0.4): (
+        (0.99706, -10.384), (1.05733, -0.545), (0.98417, -11.756), (0.16934, -96.656), (0.20729, -117.239),
+        -0.03869, -0.13180, (0.17049, -0.30785), (0.98493, 0.275), -0.251),
+    (1.2, -0.3, 1.2, -0.4): (
+        (0.99370, -9.144), (1.05556, -3.170), (0.97876, -8.943), (0.12596, -98.677), (0.12300, -135.783),
+        -0.03679, -0.13065, (0.16744, -0.31162), (0.98474, -0.951), -1.468),
+}  # fmt: skip
+
+
+def references(pq, **more):
+    return References(p1=pq[0], q1=pq[1], p2=pq[2], q2=pq[3], **more)
+
+
+@pytest.mark.parametrize("pq", TABLE)
+def test_power_flow_table(pq):
+    """Acceptance: 2e-5 pu and 0.002 deg; Newton from a flat start in at most 7 steps to 1e-10."""
+    found = PowerFlow(NETWORK).solve(references(pq))
+    v2, v3, v4, v12, v34, p12, p34, s_sh, v_sh, a1 = TABLE[pq]
+    for value, (size, angle) in ((found.bus["2"], v2), (found.bus["3"], v3), (found.bus["4"], v4), (found.v12, v12),
+                                 (found.v34, v34), (found.v_sh, v_sh), (found.bus["1"], (1.0, a1))):  # fmt: skip
+        assert abs(value) == pytest.approx(size, abs=2e-5)
+        assert math.degrees(cmath.phase(value)) == pytest.approx(angle, abs=2e-3)
+    assert (found.p12, found.p34) == pytest.approx((p12, p34), abs=2e-5)
+    assert (found.s_sh.real, found.s_sh.imag) == pytest.approx(s_sh, abs=2e-5)
+    assert found.iterations <= 7
+    assert found.mismatch <= 1e-10
+
+
+@pytest.mark.parametrize("pq", TABLE)
+def test_power_flow_against_circuit_equations(pq):
+    """The solution put into Kirchhoff's laws with the converters as voltage sources, nothing of the injections."""
+    found = PowerFlow(NETWORK).solve(references(pq))
+    network = Network(NETWORK)
+    u = np.array([found.bus[b] for b in BUSES])
+    norton = found.v12 / NETWORK.z_se, found.v34 / NETWORK.z_se
+    injected = network.injection + np.array([0.0, found.i_sh - norton[0], norton[0], -norton[1], norton[1], 0.0])
+    assert np.linalg.solve(network.admittance, injected) == pytest.approx(u, abs=1e-9)
+    flow1, flow2 = found.flows
+    assert (flow1.real, flow1.imag, flow2.real, flow2.imag) == pytest.approx(pq, abs=1e-9)
+    p12, p34 = (found.v12 * found.i12.conjugate()).real, (found.v34 * found.i34.conjugate()).real
+    assert (p12, p34) == pytest.approx((found.p12, found.p34), abs=1e-9)
+    assert found.s_sh.real + p12 + p34 == pytest.approx(0.0, abs=1e-9)
+    v1, a1 = cmath.polar(found.bus["1"])
+    q_sh = shunt_reactive_power(v1, a1, *cmath.polar(found.v_sh), NETWORK.z_sh)
+    assert q_sh == pytest.approx(found.s_sh.imag, abs=1e-9)
+
+
+def test_printed_equations_are_wrong():
+    """Printed (7), (8) and (13) together give P12 = -0.239 instead of -0.0417 at the first operating point."""
+    found = PowerFlow(NETWORK).solve(references((1.0, -0.3, 1.0, -0.4)))
+    R, X, z2 = NETWORK.r_se, NETWORK.x_se, abs(NETWORK.z_se) ** 2
+    (v1, a1), (v2, a2), (v12, a12) = (cmath.polar(v) for v in (found.bus["1"], found.bus["2"], found.v12))
+    p1 = v1 * v12 / z2 * (X * math.sin(a1 - a12) - R * math.sin(a1 - a12))
+    p2 = v2 * v12 / z2 * (-X * math.sin(a2 - a12) + R * math.sin(a2 - a12))
+    assert p1 + p2 - v12**2 * R / z2 == pytest.approx(-0.239, abs=1e-3)
+    z = NETWORK.z_se
+    assert converter_power(v1, a1, v2, a2, found.v12.real, found.v12.imag, z) == pytest.approx(-0.04174, abs=2e-5)
+    s1 = -found.bus["1"] * (found.v12 / z).conjugate()
+    assert series_power(v1, a1, found.v12.real, found.v12.imag, z, -1) == pytest.approx((s1.real, s1.imag), abs=1e-9)
+
+
+def test_line_without_the_device():
+    """1.5691 - j0.1242 pu a circuit, 1.0190 pu at midpoint; tau 689.79 us, Z_c 270.72 ohm, R 5.092 ohm a half."""
+    half, z = NETWORK.half, NETWORK.impedance_base
+    assert half.tau == pytest.approx(689.79e-6, abs=5e-9)
+    assert half.z * z == pytest.approx(270.72, abs=5e-3)
+    assert half.resistance * z == pytest.approx(5.092, abs=5e-4)
+    # without series voltage the transformers are all that is left of the device; take them out too
+    whole = NetworkParams(r_se=0.0, x_se=1e-9)
+    network = Network(whole)
+    u = np.linalg.solve(network.admittance, network.injection)
+    assert abs(u[1]) == pytest.approx(1.0190, abs=5e-5)
+    flow = u[2] * np.conj(half.exact_two_port(whole.omega)[0] @ u[[2, 5]])
+    assert flow == pytest.approx(1.5691 - 0.1242j, abs=5e-5)
+
+
+def test_published_reference_of_series_2_is_out_of_reach():
+    """-1.2 pu needs 0.85 pu of series voltage; reversed signs of Q reproduce the text, but need 0.303 pu."""
+    assert abs(PowerFlow(NETWORK).solve(references((1.2, -0.3, -1.2, -0.4))).v34) == pytest.approx(0.852, abs=1e-3)
+    found = PowerFlow(NETWORK).solve(references((1.0, 0.3, 1.0, 0.4)))
+    assert (found.s_sh.real, found.s_sh.imag) == pytest.approx((-0.42, 0.38), abs=6e-3)
+    assert abs(found.v34) == pytest.approx(0.303, abs=1e-3)
+
+
+def test_power_flow_without_a_solution():
+    found = PowerFlow(NETWORK).solve(references((8.0, 0.0, 8.0, 0.0)))
+    assert isinstance(found, Diverged)
+    assert found.mismatch > 0.1
+    assert math.isfinite(found.mismatch)
+
+
+# pulses ---------------------------------------------------------------------------------------------------------
+
+
+def spectrum(sigma, samples=48 * 256):
+    """Harmonics by FFT of the samples, amplitude by signed order."""
+    theta = (np.arange(samples) + 0.5) * 2.0 * np.pi / samples
+    found = np.fft.fft([pulses.vector(t, sigma) for t in theta]) / samples
+    return {n: abs(found[n]) for n in range(-100, 101)}
+
+
+@pytest.fixture(scope="module")
+def amplitudes():
+    return spectrum(SIGMA)
+
+
+def test_spectrum_of_the_shunt_voltage(amplitudes):
+    """Fundamental 0.63526; 23rd, 25th, 47th, 49th, 95th in % of it; nothing from the 5th to the 19th."""
+    first = amplitudes[1]
+    assert first == pytest.approx(0.63526, abs=1e-4)
+    for order, percent in ((-23, 0.285), (25, 0.262), (-47, 2.128), (49, 2.041), (-95, 1.053)):
+        assert 100.0 * amplitudes[order] / first == pytest.approx(percent, abs=0.01)
+    for order in (*range(-19, -1), *range(2, 20)):
+        assert 100.0 * amplitudes[order] / first < 0.001
+    largest = sorted((n for n in amplitudes if n != 1), key=lambda n: -amplitudes[n])[:2]
+    assert largest == [-47, 49]
+
+
+@pytest.mark.parametrize("degrees", [60.0, 115.0, 172.5, 180.0])
+def test_spectrum_against_the_closed_form(degrees):
+    sigma = math.radians(degrees)
+    measured = spectrum(sigma, 48 * 512)
+    closed = pulses.harmonics(sigma, 100)
+    for order, value in measured.items():
+        assert value == pytest.approx(closed.get(order, 0.0), abs=2e-5)
+
+
+def test_distortion():
+    """3.805 % over all harmonics, 2.974 % to the 50th; 4.35 % is met at 170.1 and 174.9 deg; least at 172.5 deg."""
+    assert pulses.distortion(SIGMA) == pytest.approx(3.805, abs=0.01)
+    assert pulses.distortion(SIGMA, 50) == pytest.approx(2.974, abs=0.01)
+    series = 100.0 * math.sqrt(sum(a * a for n, a in pulses.harmonics(SIGMA, 200_000).items() if n != 1))
+    assert pulses.distortion(SIGMA) == pytest.approx(series / pulses.fundamental(SIGMA), abs=1e-3)
+    for degrees in (170.1, 174.9):
+        assert pulses.distortion(math.radians(degrees)) == pytest.approx(4.35, abs=0.02)
+    best = minimize_scalar(pulses.distortion, bounds=(math.radians(168.0), math.radians(177.0)), method="bounded")
+    assert math.degrees(best.x) == pytest.approx(172.5, abs=0.5)
+    assert all(6.0 < pulses.distortion(math.radians(d)) < 9.5 for d in (60.0, 80.0, 100.0, 115.0))
+
+
+def test_levels_and_steps():
+    """48 steps a cycle, 25 levels of a phase."""
+    theta = (np.arange(48 * 64) + 0.5) * 2.0 * np.pi / (48 * 64)
+    phase = np.array([pulses.vector(t, SIGMA).real for t in theta])
+    assert len(np.unique(np.round(phase, 9))) == 25
+    vectors = np.array([pulses.vector(t, SIGMA) for t in theta])
+    assert np.count_nonzero(np.abs(np.diff(np.append(vectors, vectors[0]))) > 1e-9) >= 48
+
+
+@pytest.mark.parametrize("sigma", [0.3, 2.0, SIGMA, math.pi])
+def test_mean_over_a_step_is_exact(sigma):
+    """Against a fine midpoint sum, steps that hold edges included."""
+    rng = np.random.default_rng(1)
+    for begin, width in zip(rng.uniform(-10.0, 10.0, 20), rng.uniform(0.001, 0.5, 20), strict=True):
+        exact = (pulses.integral(begin + width, sigma) - pulses.integral(begin, sigma)) / width
+        fine = np.mean([pulses.vector(begin + width * (k + 0.5) / 400, sigma) for k in range(400)])
+        assert abs(exact - fine) < 2.5e-3 * 24 * 0.34  # each of the 24 edges is off by at most half a sample
+
+
+def test_gates():
+    """Complementary switches, never a short circuit of a leg, level = Q1 - Q4."""
+    for theta in np.linspace(0.0, 7.0, 300):
+        q = pulses.gates(theta, SIGMA).reshape(4, 3, 4)
+        assert np.array_equal(q[..., 2], 1.0 - q[..., 0])
+        assert np.array_equal(q[..., 1], 1.0 - q[..., 3])
+        assert not np.any((q[..., 0] == 1.0) & (q[..., 3] == 1.0))
