@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 from softrig_bringup.cli import _parser, _repeat, main
 from softrig_bringup.run import gaps
+from softrig_core.rig.registry import figure
 from softrig_core.rig.rig import Rig
 from softrig_core.rig.scenario import load_scenario
 from softrig_core.wire import signals
@@ -29,16 +30,18 @@ nodes:
   plant: {package: faultrig, executable: plant}
   source: {package: faultrig, executable: source}
   gain: {package: faultrig, executable: gain, parameters: {noise: 0.01}}
-metrics:
-  - {name: last, function: final_value, arguments: {signal: lag/state/x/position}, unit: m, published: 0.3,
-     expected: 0.3, tolerance: 0.2}
+figures:
+  last: {function: final_value, arguments: {signal: lag/state/x/position}, unit: m}
+expect: {last: between 0.1 and 0.5}
+claims:
+  last: {published: 0.3, tolerance: 0.2, where: nowhere, verdict: reproduced}
 plots:
   - {title: Position, signals: {lag/state/x/position: x}}
 variants:
   misses:
-    metrics: [{name: last, function: final_value, arguments: {signal: lag/state/x/position}, expected: 9.0}]
+    expect: {last: 9.0}
   typo:
-    metrics: [{name: last, function: finalvalue, arguments: {}}]
+    figures: {last: {function: finalvalue}}
   plot_typo:
     plots: [{title: Position, signals: {lag/state/y/position: y}}]
   breaks:
@@ -112,7 +115,7 @@ def test_a_metric_that_cannot_be_computed_is_a_miss_with_its_reason(folder, monk
     def broken(signals, signal):
         raise error("no such thing")
 
-    monkeypatch.setattr("softrig_core.rig.metrics.final_value", broken)
+    monkeypatch.setattr("softrig_core.rig.metrics.final_value", figure("{signal}")(broken))
     assert run("lag", "--mode", "inprocess", "--no-record", "--no-plots") == 1
     (metric,) = json.loads((folder / "runs" / "lag" / "metrics.json").read_text())["metrics"]
     assert (metric["value"], metric["pass"]) == (None, False)
@@ -261,7 +264,7 @@ def test_a_call_that_waited_for_the_set_up_of_another_runs_as_that_one(tmp_path)
     assert "export AMENT_PREFIX_PATH=/built" in first
 
 
-KEYS = {"casadi": "python3-casadi-pip", "ruamel": "python3-ruamel.yaml"} | {
+KEYS = {"casadi": "python3-casadi-pip", "ruamel": "python3-ruamel.yaml", "yaml": "python3-yaml"} | {
     name: f"python3-{name}" for name in ("matplotlib", "numpy", "pyarrow", "pydantic", "rich", "scipy")
 }
 FROM_PIP = {  # no rosdep key; the README says so

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from conftest import differences, in_process
 from scipy.linalg import expm as scipy_expm
-from softrig_bringup.run import evaluate
 from softrig_control.discretise import expm, zero_order_hold
 from softrig_control.kalman import SteadyKalman, steady_kalman_gain
 from softrig_control.pid import Pid, PidParams
@@ -15,6 +14,7 @@ from softrig_control.sliding_mode import switching
 from softrig_core.model.block import Level
 from softrig_core.model.params import ParameterError
 from softrig_core.rig import metrics
+from softrig_core.rig.figures import evaluate
 from softrig_core.rig.inprocess import run_inprocess
 from softrig_core.rig.processes import run_processes
 from softrig_core.rig.rig import Rig
@@ -100,9 +100,9 @@ def run(name, **overrides):
 @functools.cache
 def figures(name):
     rig, signals = run(name)
-    results = evaluate(rig.scenario, signals)
-    assert [f"{r['name']} = {r['value']}" for r in results if not r["pass"]] == []
-    return {r["name"]: r["value"] for r in results}
+    results = evaluate(rig, signals)
+    assert [f"{r.name} = {r.value}" for r in results if not r.passed] == []
+    return {r.name: r.value for r in results}
 
 
 def speed(name):

@@ -11,12 +11,13 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 from softrig_bringup import plots
-from softrig_bringup.run import evaluate, execute
+from softrig_bringup.run import execute
 from softrig_core.errors import ScenarioError
 from softrig_core.model import compiled
 from softrig_core.model.block import Level
 from softrig_core.model.params import ParameterError
 from softrig_core.model.port import Refused
+from softrig_core.rig.figures import evaluate
 from softrig_core.rig.inprocess import run_inprocess
 from softrig_core.rig.rig import Rig
 from softrig_core.rig.scenario import Scenario, list_scenarios, load_scenario
@@ -84,14 +85,14 @@ def recorded(scenario):
 @pytest.mark.parametrize("name", sorted(n for n in list_scenarios() if n.startswith("induction_dtc")))
 def test_scenario_meets_the_sheet(name):
     scenario = load_scenario(name)
-    rows = {row["name"]: row for row in evaluate(scenario, recorded(scenario))}
+    rows = {row.name: row for row in evaluate(Rig.from_scenario(scenario), recorded(scenario))}
     for metric, (expected, tolerance) in ACCEPTANCE.get(name, {}).items():
-        value = rows[metric]["value"]
+        value = rows[metric].value
         if expected is None:
             assert value <= tolerance, metric
         else:
             assert value == pytest.approx(expected, abs=tolerance), metric
-    assert [name for name, row in rows.items() if not row["pass"]] == []
+    assert [name for name, row in rows.items() if not row.passed] == []
 
 
 def end_errors(name, runs):
@@ -374,7 +375,7 @@ def test_monitor_agrees_with_the_recording():
     rig = Rig.from_scenario(scenario)
     status = run_inprocess(rig, scenario.seed)["flux_monitor"].status()
     signals = recorded(scenario)
-    rows = {row["name"]: row["value"] for row in evaluate(scenario, signals)}
+    rows = {row.name: row.value for row in evaluate(rig, signals)}
     assert status["flux_error"][0] == pytest.approx(rows["flux_error_end"])
     assert status["flux_error_slope_alpha"][0] == pytest.approx(rows["flux_error_slope_alpha"], rel=1e-3)
     assert status["true_circle_beta"][0] == pytest.approx(rows["true_circle_beta"], abs=1e-3)

@@ -11,13 +11,13 @@ import pytest
 import softrig_robots
 from conftest import differences, in_process
 from scipy.integrate import solve_ivp
-from softrig_bringup.run import evaluate
 from softrig_core.errors import RunError, ScenarioError
 from softrig_core.model import compiled
 from softrig_core.model.block import Level
 from softrig_core.model.params import ParameterError, build
 from softrig_core.node.messages import marker_array
 from softrig_core.rig import metrics
+from softrig_core.rig.figures import evaluate
 from softrig_core.rig.inprocess import run_inprocess
 from softrig_core.rig.rig import Rig
 from softrig_core.rig.scenario import list_scenarios, load_scenario
@@ -337,9 +337,9 @@ def run(name, duration=None, **overrides):
 
 @pytest.mark.parametrize("name", sorted(n for n in list_scenarios() if n.startswith("manipulator_adsmc")))
 def test_scenario_meets_the_sheet(name):
-    found = evaluate(load_scenario(name), run(name))
-    assert found
-    assert [f"{m['name']} = {m['value']}" for m in found if not m["pass"]] == []
+    found = evaluate(Rig.from_scenario(load_scenario(name)), run(name))
+    assert any(m.judged for m in found)
+    assert [f"{m.name} = {m.value}" for m in found if not m.passed] == []
 
 
 @pytest.mark.parametrize(("period", "substeps"), [(1e-4, 1), (5e-4, 1), (2e-3, 4), (4e-3, 8)])
@@ -388,7 +388,9 @@ def test_figures_while_running_equal_those_of_the_recording():
         assert figures[f"total_variation motor{i}"] == pytest.approx(
             metrics.total_variation(signals, v, start=2.5), rel=1e-9
         )
-        settled = next(m["value"] for m in evaluate(scenario, signals) if m["name"] == f"settling_time_{i}")
+        settled = next(
+            m.value for m in evaluate(Rig.from_scenario(scenario), signals) if m.name == f"settling_time_{i}"
+        )
         assert figures[f"settling_time joint{i}"] == pytest.approx(settled)
 
 

@@ -11,17 +11,19 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 from scipy.special import lambertw
-from softrig_bringup.run import evaluate
 from softrig_core.errors import ScenarioError
 from softrig_core.model.block import Level
 from softrig_core.model.params import ParameterError
+from softrig_core.rig.figures import evaluate
+from softrig_core.rig.metrics import mean
 from softrig_core.rig.processes import run_processes
 from softrig_core.rig.rig import Rig
 from softrig_core.rig.scenario import list_scenarios, load_scenario
 from softrig_core.wire.signals import Signals
 from softrig_optim.algorithms import AlgorithmParams, make
 from softrig_optim.search import run
-from softrig_power.pv import metrics, statistics
+from softrig_power.pv import figures as pv_figures
+from softrig_power.pv import statistics
 from softrig_power.pv.converter import (
     BuckBoostMatching,
     Converter,
@@ -31,6 +33,7 @@ from softrig_power.pv.converter import (
     steady_state,
 )  # fmt: skip
 from softrig_power.pv.curves import PvCurves
+from softrig_power.pv.figures import POWER
 from softrig_power.pv.metrics import MpptMetrics
 from softrig_power.pv.module import ModuleParams, cell
 from softrig_power.pv.mppt import MpptOptimizer
@@ -58,8 +61,9 @@ def duty_for(p, R):
 def result(name, seed=None):
     """Signals and metrics of a scenario."""
     scenario = load_scenario(name)
-    signals = Signals(in_process(Rig.from_scenario(scenario), scenario.seed if seed is None else seed))
-    return signals, {m["name"]: m for m in evaluate(scenario, signals)}
+    rig = Rig.from_scenario(scenario)
+    signals = Signals(in_process(rig, scenario.seed if seed is None else seed))
+    return signals, {m.name: m for m in evaluate(rig, signals)}
 
 
 # the string -----------------------------------------------------------------------------------------------------
@@ -325,7 +329,7 @@ def test_firefly_evaluations():
 def test_scenario_meets_its_metrics(name):
     _, figures = result(name)
     assert figures
-    assert [m for m in figures.values() if not m["pass"]] == []
+    assert [m for m in figures.values() if not m.passed] == []
 
 
 @pytest.mark.parametrize(
@@ -336,7 +340,7 @@ def test_scenario_meets_its_metrics(name):
 def test_perturb_and_observe(name, power, tolerance):
     """Acceptance 5."""
     signals, _ = result(name)
-    assert metrics.power(signals, start=2.0) == pytest.approx(power, abs=tolerance)
+    assert mean(signals, POWER, start=2.0) == pytest.approx(power, abs=tolerance)
     if name == "pv_mppt_perturb_observe":
         t, d = signals["converter/duty/duty/effort"]
         assert d[t > 2.0].min() >= 0.450 - 1e-9
@@ -348,8 +352,8 @@ def test_irradiance_steps(name):
     """Acceptance 6: 99 % of the new maximum within 1.2 s of each step, the step seen within 0.08 s."""
     signals, _ = result(name)
     for start, best in ((0.0, 116.460), (3.0, 98.224), (6.0, 239.528)):
-        assert metrics.gmpp(signals, at=start + 1.0) == pytest.approx(best, abs=0.05)
-        assert metrics.tracking_time(signals, start=start, end=start + 2.99) <= 1.2
+        assert pv_figures.gmpp(signals, at=start + 1.0) == pytest.approx(best, abs=0.05)
+        assert pv_figures.tracking_time(signals, start=start, end=start + 2.99) <= 1.2
     t, phase = signals["mppt/status/phase/position"]
     searches = t[1:][np.diff(phase) < 0.0]
     assert searches == pytest.approx([3.08, 6.08], abs=0.0401)
@@ -361,11 +365,11 @@ def test_irradiance_steps(name):
 def test_hidden_change():
     """Acceptance 6: found within 1.2 s of the timer, and never without it."""
     signals, _ = result("pv_mppt_s6")
-    assert metrics.tracking_time(signals, start=4.0, end=7.99) <= 1.2
-    assert metrics.power(signals, start=7.9, end=7.99) == pytest.approx(132.73, abs=0.06)
+    assert pv_figures.tracking_time(signals, start=4.0, end=7.99) <= 1.2
+    assert mean(signals, POWER, start=7.9, end=7.99) == pytest.approx(132.73, abs=0.06)
     signals, _ = result("pv_mppt_s6_no_rescan")
-    assert metrics.power(signals, start=8.0) == pytest.approx(116.46, abs=0.01)
-    assert metrics.efficiency(signals, start=8.0) == pytest.approx(87.7, abs=0.05)
+    assert mean(signals, POWER, start=8.0) == pytest.approx(116.46, abs=0.01)
+    assert pv_figures.efficiency(signals, start=8.0) == pytest.approx(87.7, abs=0.05)
 
 
 def test_same_seed_same_bits():
@@ -631,8 +635,8 @@ def test_bad_parameters_are_named(block, changes, name):
 
 def test_metric_outside_the_record():
     signals, _ = result("pv_mppt")
-    with pytest.raises(ValueError, match="no samples"):
-        metrics.power(signals, start=5.0)
+    with pytest.raises(ValueError, match="has 0 samples"):
+        mean(signals, POWER, start=5.0)
 
 
 def test_cell_is_the_printed_equation():

@@ -9,7 +9,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import linalg, signal
 from scipy.optimize import brentq
-from softrig_bringup.run import evaluate
 from softrig_control.linear_plant import LinearPlant
 from softrig_control.predictive.carima import Carima, diophantine, multiply, predict
 from softrig_control.predictive.certificate import certify, check
@@ -18,6 +17,7 @@ from softrig_control.predictive.gpc import Gpc, Tuning, invert
 from softrig_control.predictive.qp import make_solver
 from softrig_core.model.block import Level
 from softrig_core.model.params import ParameterError
+from softrig_core.rig.figures import evaluate
 from softrig_core.rig.rig import Rig
 from softrig_core.rig.scenario import list_scenarios, load_scenario
 from softrig_core.wire.signals import Signals
@@ -36,9 +36,9 @@ def recorded(scenario):
 @pytest.mark.parametrize("name", sorted(n for n in list_scenarios() if n.startswith("rectifier_mpc_l")))
 def test_linear_scenario_meets_its_figures(name):
     scenario = load_scenario(name)
-    rows = evaluate(scenario, recorded(scenario))
-    assert rows
-    assert [(row["name"], row["value"]) for row in rows if not row["pass"]] == []
+    rows = evaluate(Rig.from_scenario(scenario), recorded(scenario))
+    assert any(row.judged for row in rows)
+    assert [(row.name, row.value) for row in rows if not row.passed] == []
 
 
 @pytest.mark.parametrize(

@@ -11,18 +11,18 @@ import pytest
 import softrig_robots
 from conftest import in_process
 from scipy.integrate import solve_ivp
-from softrig_bringup.run import evaluate
 from softrig_core.model.block import Level
 from softrig_core.model.params import ParameterError, build
 from softrig_core.model.port import Sample
 from softrig_core.rig import metrics
+from softrig_core.rig.figures import evaluate
 from softrig_core.rig.inprocess import run_inprocess
 from softrig_core.rig.rig import Rig
 from softrig_core.rig.scenario import list_scenarios, load_scenario
 from softrig_core.wire.signals import Signals
 from softrig_robots.driven_robot import compile_robot
 from softrig_robots.dynamics import RobotDynamics
-from softrig_robots.metrics import repeatability
+from softrig_robots.figures import repeatability
 from softrig_robots.rehab.computation import PUBLISHED, computation_times
 from softrig_robots.rehab.controller import VoltageController
 from softrig_robots.rehab.emvc import Emvc
@@ -210,9 +210,9 @@ def test_reference_meets_the_sheet_and_its_derivatives_fit():
 
 @pytest.mark.parametrize("name", sorted(n for n in list_scenarios() if n.startswith("rehab_impedance")))
 def test_scenario_meets_the_sheet(name):
-    found = evaluate(load_scenario(name), run(name))
-    assert found
-    assert [f"{m['name']} = {m['value']}" for m in found if not m["pass"]] == []
+    found = evaluate(Rig.from_scenario(load_scenario(name)), run(name))
+    assert any(m.judged for m in found)
+    assert [f"{m.name} = {m.value}" for m in found if not m.passed] == []
 
 
 def rms(signals):
@@ -579,10 +579,10 @@ def test_figures_while_running_equal_those_of_the_recording():
     signals = run("rehab_impedance", 6.0)
     for joint, e in zip(JOINTS, E_SIGNAL, strict=True):
         assert figures[f"late_rms_error {joint}"] == pytest.approx(math.degrees(metrics.rms(signals, e, start=3.0)))
-        for m in evaluate(scenario, signals):
-            name = m["name"].replace("_", " ")
+        for m in evaluate(rig, signals):
+            name = m.name.replace("_", " ")
             if name in figures and name.startswith(("mse", "iae", "mav")):
-                assert figures[name] == pytest.approx(m["value"], rel=1e-9)
+                assert figures[name] == pytest.approx(m.value, rel=1e-9)
 
 
 def test_emvc_by_hand():

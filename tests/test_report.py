@@ -11,14 +11,16 @@ from hypothesis import strategies as st
 from softrig_bringup import plots
 from softrig_bringup.plots import OVERVIEW, envelope, plot_name, plot_run, pretty_unit, units
 from softrig_bringup.report import write_report
-from softrig_bringup.run import Run, save, summary
+from softrig_bringup.run import save, summary
 from softrig_core.errors import ScenarioError
 from softrig_core.model.block import Block, Plant
 from softrig_core.model.params import BlockParams, param
 from softrig_core.model.port import command, joint_state, number, reference, scalars, vector3
+from softrig_core.rig.figures import Result
 from softrig_core.rig.inprocess import run_inprocess
 from softrig_core.rig.rig import Rig
 from softrig_core.rig.scenario import Scenario
+from softrig_core.rig.simulate import Run
 from softrig_core.wire.recording import Recording
 from softrig_core.wire.signals import Signals
 
@@ -319,13 +321,13 @@ class Page(HTMLParser):
 
 
 METRICS = [
-    {"name": "rise_time", "function": "rise_time", "unit": "s", "published": 0.607, "expected": 0.607,
+    {"name": "rise_time", "unit": "s", "published": 0.607, "expected": 0.607,
      "tolerance": 0.001, "value": 0.60695, "pass": True},
-    {"name": "final_error", "function": "mean", "unit": "rad/s^2", "at_most": 0.5, "value": -1.25, "pass": True},
-    {"name": "cost", "function": "mean", "published": 15459.0012, "expected": 15459.0, "tolerance": 0.01,
+    {"name": "final_error", "unit": "rad/s^2", "at_most": 0.5, "value": -1.25, "pass": True},
+    {"name": "cost", "published": 15459.0012, "expected": 15459.0, "tolerance": 0.01,
      "value": 15459.5, "pass": False},
-    {"name": "ripple", "function": "mean", "value": 0.25, "pass": True},
-    {"name": "settling", "function": "mean", "at_most": 1.0, "value": None, "pass": False, "error": "never <settles>"},
+    {"name": "ripple", "value": 0.25, "pass": True},
+    {"name": "settling", "at_most": 1.0, "value": None, "pass": False, "error": "never <settles>"},
 ]  # fmt: skip
 
 
@@ -335,9 +337,9 @@ def make_run(make_rig, tmp_path):
 
     def make(name="flux_demo", metrics=METRICS, picture=False, **keys):
         rig = make_rig(name=name, duration=0.2)
-        run = Run(rig, "inprocess", 3, record(rig), 0.05, **keys)
+        run = Run(rig, 3, record(rig), 0.05, **keys)
         directory = tmp_path / name
-        content = summary(run, metrics, "scripts/softrig run flux_demo --set 'a.b=<c>'")
+        content = summary(run, [Result(**m) for m in metrics], "scripts/softrig run flux_demo --set 'a.b=<c>'")
         save(run, content, directory, record=False, plots=picture)
         write_report([directory], directory / "report.html")
         return directory

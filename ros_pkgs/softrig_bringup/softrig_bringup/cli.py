@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from softrig_core.rig.scenario import Scenario
+    from softrig_core.rig.simulate import Run
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # before numpy: sums must not depend on the number of cores
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -145,7 +146,7 @@ def _list(options: argparse.Namespace) -> int:
 def _run(options: argparse.Namespace) -> int:
     from softrig_core.rig.scenario import load_scenario, merge
 
-    from .run import evaluate, execute, save, summary
+    from .run import execute, save, summary
 
     scenario = load_scenario(options.scenario, dict(_assignment(text) for text in options.set))
     changes: dict[str, Any] = {}
@@ -160,15 +161,15 @@ def _run(options: argparse.Namespace) -> int:
     with _progress(scenario) as progress:
         run = execute(scenario, options.mode, out / "log", domain=options.domain, progress=progress,
                       announce=lambda text: print(f"softrig: {text}", file=sys.stderr))  # fmt: skip
-    metrics = [] if run.error else evaluate(scenario, run.signals)
+    figures = [] if run.error else run.results
     command = shlex.join(["scripts/softrig", "run", *_repeat(options)])
-    save(run, summary(run, metrics, command), out, record=not options.no_record, plots=not options.no_plots)
+    save(run, summary(run, figures, command), out, record=not options.no_record, plots=not options.no_plots)
     if run.error:
         print(f"softrig: the run broke: {run.error}", file=sys.stderr)
         print(f"softrig: what was recorded up to there is in {out}", file=sys.stderr)
         return 3
-    _print_metrics(scenario, run, metrics, out)
-    return 0 if all(m["pass"] for m in metrics) else 1
+    _print_figures(scenario, run, out)
+    return 0 if all(f.passed for f in figures) else 1
 
 
 def _repeat(options: argparse.Namespace) -> list[str]:
@@ -230,20 +231,20 @@ def _progress(scenario: Scenario) -> Iterator[Callable[[int], None] | None]:
         yield lambda t: bar.update(task, completed=t / 1e9)
 
 
-def _print_metrics(scenario: Scenario, run: Any, metrics: list[dict[str, Any]], out: Path) -> None:
+def _print_figures(scenario: Scenario, run: Run, out: Path) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from .report import Metric, accepted
+    from .report import accepted
 
     console = Console(highlight=False, width=None if sys.stdout.isatty() else 140)
     title = f"{scenario.name}: {scenario.title}"
-    table = Table("metric", title=title, title_justify="left", box=None, pad_edge=False)
+    table = Table("figure", title=title, title_justify="left", box=None, pad_edge=False)
     for name in ("published", "measured", "expected", "unit", ""):
         table.add_column(name, justify="left" if name in ("unit", "") else "right")
-    for m in metrics:
-        mark = "[green]pass[/]" if m["pass"] else f"[red]MISS[/] {m.get('error', '')}"
-        table.add_row(m["name"], _number(m["published"]), _number(m["value"]), accepted(Metric(**m)), m["unit"], mark)
+    for f in run.results:
+        mark = ("[green]pass[/]" if f.judged else f.error) if f.passed else f"[red]MISS[/] {f.error}"
+        table.add_row(f.name, _number(f.published), _number(f.value), accepted(f), f.unit, mark)
     console.print(table)
     ticks = run.rig.ticks
     speed = "" if run.mode == "realtime" else f" ({scenario.duration / run.wall_s:.3g} x real time)"

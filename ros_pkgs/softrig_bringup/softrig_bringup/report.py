@@ -12,36 +12,14 @@ from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import Element, tostring
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError
 from softrig_core.errors import ScenarioError
+from softrig_core.rig.figures import Result
 from softrig_core.rig.scenario import PlotEntry
 
 from .plots import OVERVIEW, plot_name, pretty_unit
 
 NONE = "–"
-
-
-class Metric(BaseModel):
-    """One row of a run's metrics: the measured value, what it should be, and whether it is."""
-
-    model_config = ConfigDict(frozen=True)
-
-    name: str
-    value: float | None
-    unit: str = ""
-    published: float | None = None
-    expected: float | None = None
-    tolerance: float | None = None
-    at_most: float | None = None
-    at_least: float | None = None
-    passed: bool = Field(alias="pass")
-    error: str = ""
-
-    @property
-    def judged(self) -> bool:
-        """Whether anything was asked of it; a metric for information only can still fail to be computed."""
-        asked = (self.expected, self.at_most, self.at_least)
-        return not self.passed or any(limit is not None for limit in asked)
 
 
 class Run(BaseModel):
@@ -60,7 +38,7 @@ class Run(BaseModel):
     wall_s: float
     error: str = ""
     command: str
-    metrics: tuple[Metric, ...]
+    metrics: tuple[Result, ...]
     plots: tuple[PlotEntry, ...] = ()
     parameters: dict[str, dict[str, Any]]
     units: dict[str, dict[str, str]] = {}
@@ -68,12 +46,12 @@ class Run(BaseModel):
     nodes: dict[str, dict[str, Any]] = {}
 
     @property
-    def judged(self) -> list[Metric]:
+    def judged(self) -> list[Result]:
         """The metrics that can pass or miss."""
         return [m for m in self.metrics if m.judged]
 
     @property
-    def missed(self) -> list[Metric]:
+    def missed(self) -> list[Result]:
         """The metrics that missed."""
         return [m for m in self.metrics if not m.passed]
 
@@ -210,7 +188,7 @@ def _mark(passed: bool, text: str) -> Element:
 def _metrics(run: Run) -> Element:
     if not run.metrics:
         return _e("p", "No metrics." if run.error else "This scenario has no metrics.", class_="note")
-    header = ("Metric", "Published", "Measured", "Unit", "Against published", "Accepted", "In tolerance", "Result")
+    header = ("Figure", "Published", "Measured", "Unit", "Against published", "Accepted", "In tolerance", "Result")
     rows = [
         (
             m.name.replace("_", " "),
@@ -228,7 +206,7 @@ def _metrics(run: Run) -> Element:
     return _e("div", _table(header, rows, " nn nn "), _e("p", note, class_="note"))
 
 
-def _result(metric: Metric) -> Element:
+def _result(metric: Result) -> Element:
     if not metric.judged:
         return _e("span", NONE)
     mark = _mark(metric.passed, "pass" if metric.passed else "miss")
@@ -240,7 +218,7 @@ def _number(value: float | None) -> str:
     return NONE if value is None else f"{value:.10g}".replace("-", "−")
 
 
-def _measured(metric: Metric) -> str:
+def _measured(metric: Result) -> str:
     """The measured value, to a hundredth of its tolerance."""
     if metric.value is None:
         return NONE
@@ -258,7 +236,7 @@ def _difference(value: float | None, published: float | None) -> str:
     return f"{100.0 * (value - published) / abs(published):+.2f} %".replace("-", "−")
 
 
-def accepted(metric: Metric) -> str:
+def accepted(metric: Result) -> str:
     """Write the interval that passes; empty when nothing was asked."""
     parts = []
     if metric.expected is not None:
@@ -270,7 +248,7 @@ def accepted(metric: Metric) -> str:
     return ", ".join(parts)
 
 
-def _gauge(metric: Metric) -> Element | str:
+def _gauge(metric: Result) -> Element | str:
     """The measured value (dot) in its band of tolerance (bar); off the bar means a miss."""
     if metric.value is None or metric.expected is None or not metric.tolerance:
         return ""
@@ -398,7 +376,7 @@ def _side_by_side(runs: Sequence[Run]) -> Iterator[Element]:
         yield _table(("Scenario", "Mode", *header), rows, "  " + "n" * len(columns))
 
 
-def _cell(metric: Metric | None) -> Element | str:
+def _cell(metric: Result | None) -> Element | str:
     if metric is None:
         return ""
     text = _measured(metric)

@@ -1,65 +1,28 @@
-"""One run from scenario to results: run it, check that nothing is missing, bag, metrics, plots, report."""
+"""One run from scenario to results: run it, check that nothing is missing, bag, figures, plots, report."""
 
 from __future__ import annotations
 
-import importlib
 import importlib.metadata
 import json
-import math
 import platform
 import shutil
 import time
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
-from functools import cached_property
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
-import softrig_core.rig.metrics
-from softrig_core.errors import RunError, ScenarioError
+from softrig_core.errors import RunError
 from softrig_core.model.params import declarations, flatten
+from softrig_core.rig.figures import Result, figures_of
 from softrig_core.rig.inprocess import run_inprocess
 from softrig_core.rig.rig import CLOCK, Rig
-from softrig_core.rig.scenario import MetricEntry, Scenario
+from softrig_core.rig.scenario import Scenario
+from softrig_core.rig.simulate import Run
 from softrig_core.wire.recording import Recording
-from softrig_core.wire.signals import Signals
 
 from .plots import check_plots, plot_run
 
 Mode = Literal["processes", "inprocess", "realtime"]
-
-
-@dataclass
-class Run:
-    """A finished run.
-
-    Parameters
-    ----------
-    rig : Rig
-    mode : str
-    seed : int
-    recording : Recording
-    wall_s : float
-        Wall-clock time from the start of the first process to the end of the last, s.
-    epoch : int
-        Wall-clock ns of t = 0 in realtime, else 0.
-    status : dict
-        What each node process said of itself.
-    """
-
-    rig: Rig
-    mode: Mode
-    seed: int
-    recording: Recording
-    wall_s: float
-    epoch: int = 0
-    status: dict[str, dict[str, Any]] = field(default_factory=dict)
-    error: str = ""
-
-    @cached_property
-    def signals(self) -> Signals:
-        """Signals of the recording; decoded once for metrics and pictures."""
-        return Signals(self.recording, self.epoch)
 
 
 def execute(
@@ -85,8 +48,7 @@ def execute(
         See `softrig_core.rig.processes.run_processes`.
     """
     rig = Rig.from_scenario(scenario)
-    for entry in scenario.metrics:  # what is misspelt is found before the run, not after it
-        _function(entry)
+    figures_of(rig)  # what is misspelt or does not fit is found before the run, not after it
     check_plots(rig)
     started = time.perf_counter()
     if mode == "inprocess":
@@ -101,13 +63,13 @@ def execute(
             }
         except RunError as broken:
             error = str(broken)
-        run = Run(rig, mode, scenario.seed, recording, time.perf_counter() - started, status=status, error=error)
+        run = Run(rig, scenario.seed, recording, time.perf_counter() - started, status=status, error=error)
     else:
         from softrig_core.rig.processes import run_processes
 
         outcome = run_processes(rig, scenario.seed, directory, mode="lockstep" if mode == "processes" else "realtime",
                                 domain=domain, progress=progress, announce=announce)  # fmt: skip
-        run = Run(rig, mode, scenario.seed, outcome.recording, time.perf_counter() - started, outcome.epoch,
+        run = Run(rig, scenario.seed, outcome.recording, time.perf_counter() - started, mode, outcome.epoch,
                   outcome.status, outcome.error)  # fmt: skip
     if not run.error and mode != "realtime":
         run.error = gaps(rig, run.recording)
@@ -131,48 +93,7 @@ def gaps(rig: Rig, recording: Recording) -> str:
     return "; ".join(found)
 
 
-def evaluate(scenario: Scenario, signals: Signals) -> list[dict[str, Any]]:
-    """Compute the metrics of a scenario.
-
-    Returns
-    -------
-    list of dict
-        name, value, unit, published, expected, tolerance, at_most, at_least, pass; a metric that cannot be
-        computed has value None, the reason as `error`, and does not pass.
-    """
-    results = []
-    for entry in scenario.metrics:
-        result: dict[str, Any] = entry.model_dump(exclude={"function", "arguments"})
-        try:
-            value = float(_function(entry)(signals, **entry.arguments))
-            result |= {"value": value if math.isfinite(value) else None, "pass": _passes(entry, value)}
-            if not math.isfinite(value):
-                result["error"] = f"the result is {value}"
-        except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
-            result |= {"value": None, "pass": False, "error": str(error)}
-        results.append(result)
-    return results
-
-
-def _function(entry: MetricEntry) -> Callable[..., float]:
-    module, _, name = entry.function.rpartition(":")
-    try:
-        return getattr(importlib.import_module(module) if module else softrig_core.rig.metrics, name)
-    except (ImportError, AttributeError):
-        raise ScenarioError(f"metric {entry.name}: no function {entry.function!r}; expected a name in "
-                            "softrig_core.rig.metrics or package.module:function") from None  # fmt: skip
-
-
-def _passes(entry: MetricEntry, value: float) -> bool:
-    return (
-        (entry.expected is None or abs(value - entry.expected) <= (entry.tolerance or 0.0))
-        and (entry.at_most is None or value <= entry.at_most)
-        and (entry.at_least is None or value >= entry.at_least)
-        and math.isfinite(value)
-    )
-
-
-def summary(run: Run, metrics: list[dict[str, Any]], command: str) -> dict[str, Any]:
+def summary(run: Run, figures: Sequence[Result], command: str) -> dict[str, Any]:
     """Make the content of metrics.json."""
     scenario = run.rig.scenario
     return {
@@ -190,7 +111,7 @@ def summary(run: Run, metrics: list[dict[str, Any]], command: str) -> dict[str, 
         "versions": versions(),
         "parameters": {m.name: flatten(m.params) for m in run.rig.members},
         "units": {m.name: {d.name: d.unit for d in declarations(type(m.params)) if d.unit} for m in run.rig.members},
-        "metrics": metrics,
+        "metrics": [f.model_dump(by_alias=True) for f in figures],
         "nodes": run.status,
         "plots": [p.model_dump() for p in scenario.plots],
     }

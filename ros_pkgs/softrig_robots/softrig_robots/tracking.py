@@ -28,8 +28,8 @@ class TrackingMetricsParams(BlockParams):
 class TrackingMetrics(Observer):
     """Largest and rms errors, largest late errors, settling times, peak voltages and their total variation.
 
-    In constant memory; the definitions are those of `softrig_core.rig.metrics` and `softrig_robots.metrics`, which
-    see the whole recording. A sample counts when the next one has come: at the end of a run the plant gives
+    In constant memory; the definitions are those of `softrig_core.rig.metrics`, which see
+    the whole recording. A sample counts when the next one has come: at the end of a run the plant gives
     outputs that no reference belongs to.
     """
 

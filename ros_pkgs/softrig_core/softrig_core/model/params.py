@@ -130,7 +130,7 @@ def build(model: type[Params], values: Mapping[str, Any]) -> Params:
         if isinstance(value, Mapping) and isinstance(level.get(last), dict):
             level[last] |= value
         else:
-            level[last] = value
+            level[last] = dict(value) if isinstance(value, Mapping) else value
     try:
         return model(**nested)
     except ValidationError as error:

@@ -1,4 +1,4 @@
-"""Figures of merit of a recording; a scenario names them and gives their arguments.
+"""Figure functions: figures of merit of a recording; a scenario names them and gives their arguments.
 
 Every function is called as ``f(signals, **arguments)`` and gives a float. `signals` maps a name
 ``topic/channel/field`` to (t, x): `softrig_core.wire.signals.Signals`, or a plain dict of array pairs.
@@ -8,7 +8,7 @@ Arguments with the same meaning everywhere:
 signal : str
     Name of the signal.
 start, end : float, optional
-    Time window in s, both ends included; the whole record when absent.
+    Time window in s, both ends included to the nearest ns (`window`, the one rule); the whole record when absent.
 final : float, optional
     Value that counts as 100 % of a step; the last sample of the window when absent.
 initial : float
@@ -32,10 +32,21 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from .registry import figure
+
+__all__ = [
+    "error_overshoot", "error_settling_time", "final_value", "integral_absolute", "maximum", "mean", "mean_absolute",
+    "mean_error", "mean_square", "minimum", "overshoot", "peak", "peak_to_peak", "rise_time", "rms", "settling_time",
+    "sum_absolute", "total_variation",
+]  # fmt: skip
+
+HALF_NS = 5e-10  # s; times are whole ns: what is nearer to an end of a window than this is inside
+
 Array = NDArray[np.float64]
 SignalMap = Mapping[str, tuple[Array, Array]]
 
 
+@figure("s")
 def rise_time(
     signals: SignalMap, signal: str, *, final: float | None = None, initial: float = 0.0, low: float = 0.1,
     high: float = 0.9, start: float | None = None, end: float | None = None,
@@ -59,6 +70,7 @@ def rise_time(
     return reached - _first_crossing(t, z, low) if np.isfinite(reached) else np.inf
 
 
+@figure("s")
 def settling_time(
     signals: SignalMap, signal: str, *, final: float | None = None, initial: float = 0.0, band: float = 0.02,
     at: Literal["crossing", "sample"] = "crossing", start: float | None = None, end: float | None = None,
@@ -97,6 +109,7 @@ def settling_time(
     return float(t[k] + (t[k + 1] - t[k]) * (error[k] - edge) / (error[k] - error[k + 1]) - zero)
 
 
+@figure("%")
 def overshoot(
     signals: SignalMap, signal: str, *, final: float | None = None, initial: float = 0.0, start: float | None = None,
     end: float | None = None,
@@ -106,62 +119,152 @@ def overshoot(
     return max(0.0, 100.0 * (float(np.max(z)) - 1.0))
 
 
+@figure("{signal}/s")
 def total_variation(signals: SignalMap, signal: str, *, start: float | None = None, end: float | None = None) -> float:
     """Chattering index: sum of |x_k - x_(k-1)| over the time from the first to the last sample; unit of x per s."""
-    t, x = _window(signals, signal, start, end, least=2)
+    t, x = window(signals, signal, start, end, least=2)
     return float(np.abs(np.diff(x)).sum() / (t[-1] - t[0]))
 
 
+@figure("{signal}")
 def peak_to_peak(signals: SignalMap, signal: str, *, start: float | None = None, end: float | None = None) -> float:
     """Largest less smallest value."""
-    return float(np.ptp(_window(signals, signal, start, end)[1]))
+    return float(np.ptp(window(signals, signal, start, end)[1]))
 
 
+@figure("{signal}")
 def mean_error(
     signals: SignalMap, signal: str, *, reference: float | str, start: float | None = None, end: float | None = None
 ) -> float:
     """Mean of reference - signal."""
-    return -float(_deviation(signals, signal, reference, start, end).mean())
+    return -float(_error(signals, signal, reference, start, end)[1].mean())
 
 
+@figure("{signal}")
 def rms(
     signals: SignalMap, signal: str, *, reference: float | str = 0.0, start: float | None = None,
     end: float | None = None,
 ) -> float:  # fmt: skip
     """Root of the mean square of signal - reference."""
-    return float(np.sqrt(np.mean(_deviation(signals, signal, reference, start, end) ** 2)))
+    return float(np.sqrt(np.mean(_error(signals, signal, reference, start, end)[1] ** 2)))
 
 
+@figure("{signal}")
 def peak(
     signals: SignalMap, signal: str, *, reference: float | str = 0.0, start: float | None = None,
     end: float | None = None,
 ) -> float:  # fmt: skip
     """Largest |signal - reference|."""
-    return float(np.abs(_deviation(signals, signal, reference, start, end)).max())
+    return float(np.abs(_error(signals, signal, reference, start, end)[1]).max())
 
 
+@figure("{signal}^2")
+def mean_square(signals: SignalMap, signal: str, *, start: float | None = None, end: float | None = None) -> float:
+    """Mean of the squares (MSE of an error)."""
+    return float(np.mean(window(signals, signal, start, end)[1] ** 2))
+
+
+@figure("{signal}")
+def mean_absolute(signals: SignalMap, signal: str, *, start: float | None = None, end: float | None = None) -> float:
+    """Mean of the absolute values (MAE of an error, MAC of a current, MAV of a voltage)."""
+    return float(np.abs(window(signals, signal, start, end)[1]).mean())
+
+
+@figure("{signal}")
+def sum_absolute(signals: SignalMap, signal: str, *, start: float | None = None, end: float | None = None) -> float:
+    """Sum of the absolute values of all samples (SAE); grows with their number."""
+    return float(np.abs(window(signals, signal, start, end)[1]).sum())
+
+
+@figure("{signal} s")
+def integral_absolute(
+    signals: SignalMap, signal: str, *, start: float | None = None, end: float | None = None
+) -> float:
+    """Integral of the absolute value (IAE of an error), each sample held until the next."""
+    t, x = window(signals, signal, start, end, least=2)
+    return float(np.abs(x).sum() * (t[1] - t[0]))
+
+
+@figure("{signal}")
+def mean(signals: SignalMap, signal: str, *, start: float | None = None, end: float | None = None) -> float:
+    """Mean value."""
+    return float(np.mean(window(signals, signal, start, end)[1]))
+
+
+@figure("s")
+def error_settling_time(
+    signals: SignalMap, signal: str, *, reference: float | str = 0.0, band: float, start: float | None = None,
+    end: float | None = None,
+) -> float:  # fmt: skip
+    """Time in s of the first sample from which on |signal - reference| stays within `band`, in the signal's unit.
+
+    Returns
+    -------
+    float
+        inf when the last sample is outside.
+    """
+    t, e = _error(signals, signal, reference, start, end)
+    outside = np.flatnonzero(np.abs(e) > band)
+    if outside.size == 0:
+        return float(t[0])
+    k = int(outside[-1]) + 1
+    return float(t[k]) if k < t.size else float("inf")
+
+
+@figure("{signal}")
+def error_overshoot(
+    signals: SignalMap, signal: str, *, reference: float | str = 0.0, start: float | None = None,
+    end: float | None = None,
+) -> float:  # fmt: skip
+    """Largest error of the sign opposite to that of the first error; 0 without one."""
+    _, e = _error(signals, signal, reference, start, end)
+    return max(0.0, float(-(e * np.sign(e[0])).min()))
+
+
+@figure("{signal}")
 def maximum(signals: SignalMap, signal: str, *, start: float | None = None, end: float | None = None) -> float:
     """Largest value."""
-    return float(np.max(_window(signals, signal, start, end)[1]))
+    return float(np.max(window(signals, signal, start, end)[1]))
 
 
+@figure("{signal}")
 def minimum(signals: SignalMap, signal: str, *, start: float | None = None, end: float | None = None) -> float:
     """Smallest value."""
-    return float(np.min(_window(signals, signal, start, end)[1]))
+    return float(np.min(window(signals, signal, start, end)[1]))
 
 
+@figure("{signal}")
 def final_value(signals: SignalMap, signal: str, *, start: float | None = None, end: float | None = None) -> float:
     """Last value in the window; with `end`, the newest value at that time."""
-    return float(_window(signals, signal, start, end)[1][-1])
+    return float(window(signals, signal, start, end)[1][-1])
 
 
-def _window(
+def window(
     signals: SignalMap, signal: str, start: float | None, end: float | None, least: int = 1
 ) -> tuple[Array, Array]:
-    """Cut (t, x) to the window, with a millionth of a second of room for times that are not binary fractions."""
+    """Cut a signal to a time window: the one rule of all figures.
+
+    Parameters
+    ----------
+    start, end : float or None
+        In s, both included, to the nearest ns; None: the first, the last sample.
+    least : int
+        Samples needed.
+
+    Returns
+    -------
+    t, x : arrays of shape (n,)
+
+    Raises
+    ------
+    KeyError
+        No such signal.
+    ValueError
+        Fewer than `least` samples in the window.
+    """
     t, x = signals[signal]
-    first = 0 if start is None else int(np.searchsorted(t, start - 1e-6))
-    last = t.size if end is None else int(np.searchsorted(t, end + 1e-6, side="right"))
+    first = 0 if start is None else int(np.searchsorted(t, start - HALF_NS))
+    last = t.size if end is None else int(np.searchsorted(t, end + HALF_NS, side="right"))
     if last - first < least:
         asked = f"{'its begin' if start is None else f'{start:g} s'} to {'its end' if end is None else f'{end:g} s'}"
         held = f"recorded from {t[0]:g} to {t[-1]:g} s" if t.size else "nothing is recorded"
@@ -173,7 +276,7 @@ def _step(
     signals: SignalMap, signal: str, final: float | None, initial: float, start: float | None, end: float | None
 ) -> tuple[Array, Array]:
     """Give (t, x) with x normalised so that `initial` is 0 and `final` is 1."""
-    t, x = _window(signals, signal, start, end)
+    t, x = window(signals, signal, start, end)
     size = (float(x[-1]) if final is None else final) - initial
     if size == 0.0:
         raise ValueError(f"{signal}: the step from {initial:g} to the final value has size zero")
@@ -190,14 +293,17 @@ def _first_crossing(t: Array, z: Array, level: float) -> float:
     return float(t[k - 1] + (t[k] - t[k - 1]) * (level - z[k - 1]) / (z[k] - z[k - 1]))
 
 
-def _deviation(
+def _error(
     signals: SignalMap, signal: str, reference: float | str, start: float | None, end: float | None
-) -> Array:
-    t, x = _window(signals, signal, start, end)
+) -> tuple[Array, Array]:
+    """Give (t, signal - reference)."""
+    t, x = window(signals, signal, start, end)
     if not isinstance(reference, str):
-        return x - reference
+        return t, x - reference
     when, values = signals[reference]
+    if t.size > 1 and when.size > 1 and t[-1] > 2.0 * when[-1] - when[-2] - HALF_NS:
+        t, x = t[:-1], x[:-1]  # at the end of a run a plant speaks once more, its reference does not: no pair
     held = np.searchsorted(when, t, side="right") - 1
     if held.size and held[0] < 0:
         raise ValueError(f"{reference} has no value yet at {t[0]:g} s, where {signal} begins")
-    return x - values[held]
+    return t, x - values[held]

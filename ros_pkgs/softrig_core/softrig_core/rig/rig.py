@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import importlib.metadata
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from pydantic import ValidationError
+
 from ..errors import ScenarioError
 from ..model.block import Block, Observer, Plant
-from ..model.params import BlockParams, ParameterError, build
+from ..model.params import BlockParams, ParameterError, flatten
 from ..model.port import Port, Refused
 from ..model.schedule import Schedule
 from ..wire.cdr import Pick
 from ..wire.codec import selection
-from .scenario import Scenario
+from .node_parameters import NodeParameters
+from .scenario import Scenario, explain
 
 
 @dataclass(frozen=True)
@@ -69,9 +72,14 @@ class Rig:
     clock: Member
 
     @classmethod
-    def from_scenario(cls, scenario: Scenario) -> Rig:
-        """Build, wire and check."""
-        members = [_member(scenario, name) for name in scenario.nodes]
+    def from_scenario(cls, scenario: Scenario, classes: Mapping[str, type[Block]] | None = None) -> Rig:
+        """Build, wire and check; `classes` gives nodes their block class where no executable does."""
+        known = dict(classes or {})
+        for name, entry in scenario.nodes.items():
+            if name not in known:
+                known[name] = load_block(entry.package, entry.executable)
+        params = NodeParameters(scenario, known)
+        members = [_member(scenario, name, known[name], params) for name in scenario.nodes]
         plants = [m for m in members if m.is_plant]
         if not plants:
             raise ScenarioError(f"{scenario.name}: no node is a plant, so nobody owns time")
@@ -95,6 +103,47 @@ class Rig:
         """Time of the clock's last tick, ns."""
         assert self.clock.schedule.end is not None
         return self.clock.schedule.end
+
+    @classmethod
+    def from_blocks(
+        cls, blocks: Mapping[str, Block], duration: float, *, remap: Mapping[str, Mapping[str, str]] | None = None,
+        name: str = "rig", **keys: Any,
+    ) -> Rig:  # fmt: skip
+        """Wire a rig from block objects, no file needed: by topic, as in a scenario.
+
+        Parameters
+        ----------
+        blocks : mapping of node name to Block
+            Their classes and parameters are taken; the objects themselves stay as they are.
+        duration : float
+            In s.
+        remap : mapping, optional
+            By node name: its topic to the topic that it is to have.
+        name : str
+        **keys
+            Further keys of `Scenario`: ``figures``, ``expect``, ``plots``, ``seed``, ``title``.
+
+        Examples
+        --------
+        >>> rig = Rig.from_blocks({"plant": Motor(R=0.4), "law": MyLaw(k=3.0)}, duration=2.0)
+        >>> simulate(rig).signals["motor/state/shaft/velocity"]
+        """
+        nodes = {
+            node: {"package": "", "executable": type(block).__name__, "parameters": flatten(block.p),
+                   "remap": dict((remap or {}).get(node, {}))}
+            for node, block in blocks.items()
+        }  # fmt: skip
+        about = {"name": name, "title": name, "system": "", "source": "", "duration": duration, "nodes": nodes}
+        try:
+            scenario = Scenario.model_validate(about | keys)
+        except ValidationError as error:
+            raise ScenarioError(f"{name}: {explain(error)}") from None
+        return cls.from_scenario(scenario, {node: type(block) for node, block in blocks.items()})
+
+    def changed(self, *, duration: float | None = None, overrides: Mapping[str, Any] | None = None) -> Rig:
+        """Give the rig with another length or other parameters (``node.parameter`` to value)."""
+        scenario = self.scenario.changed(duration=duration, overrides=overrides)
+        return Rig.from_scenario(scenario, {m.name: m.block_class for m in self.members})
 
     @property
     def topics(self) -> dict[str, Port]:
@@ -145,12 +194,11 @@ def load_block(package: str, executable: str) -> type[Block]:
     return block
 
 
-def _member(scenario: Scenario, name: str) -> Member:
+def _member(scenario: Scenario, name: str, block: type[Block], parameters: NodeParameters) -> Member:
     entry = scenario.nodes[name]
     where = f"{scenario.name}: node {name}"
-    block = load_block(entry.package, entry.executable)
     try:
-        params: Any = build(block.Params, entry.parameters)
+        params: Any = parameters(name)
         inputs, outputs = block.ports(params)
     except ParameterError as error:
         raise ScenarioError(f"{where}: {error}") from None

@@ -1,15 +1,19 @@
-"""Scenario files: one experiment as YAML, validated, with inheritance and variants."""
+"""Scenarios: one experiment as validated data, from a YAML file with inheritance and variants or from code."""
 
 from __future__ import annotations
 
-import os
-from collections.abc import Iterator, Mapping
-from pathlib import Path
-from typing import Any
+from collections.abc import Mapping
+from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
 from ..errors import ScenarioError
+from .claims import Claim
+from .expectation import Expected
+from .references import fill
+from .scenario_file import list_scenarios, locate, merge, resolve
+
+__all__ = ["FigureEntry", "NodeEntry", "PlotEntry", "Scenario", "list_scenarios", "load_scenario", "merge"]
 
 
 class _Model(BaseModel):
@@ -26,18 +30,22 @@ class NodeEntry(_Model):
     external: bool = Field(False, description="somebody else starts it; our executable only tells its ports")
 
 
-class MetricEntry(_Model):
-    """One figure of merit and what it should be."""
+class FigureEntry(_Model):
+    """What is measured of a run.
 
-    name: str
-    function: str
+    Parameters
+    ----------
+    function : str
+        Name of a registered figure function; the figure's own name when absent.
+    arguments : dict
+        Its arguments; ``$node.parameter`` stands for a parameter of the rig.
+    unit : str
+        Unit of the figure; that of the function and its signal when absent.
+    """
+
+    function: str = ""
     arguments: dict[str, Any] = {}
-    unit: str = ""
-    published: float | None = None
-    expected: float | None = None
-    tolerance: float | None = Field(None, ge=0)
-    at_most: float | None = None
-    at_least: float | None = None
+    unit: str | None = None
 
 
 class PlotEntry(_Model):
@@ -65,8 +73,24 @@ class PlotEntry(_Model):
     window: tuple[float, float] | None = None
 
 
+def _or_empty(given: Any) -> Any:
+    return {} if given is None else given
+
+
 class Scenario(_Model):
-    """A rig and its experiment."""
+    """A rig and its experiment.
+
+    Parameters
+    ----------
+    figures : dict of str to FigureEntry
+        What is measured, by name.
+    expect : dict of str to Expectation
+        What figures are expected to be.
+    claims : dict of str to Claim
+        What the paper says of figures.
+    shared : dict
+        Values that other entries name as ``$name``; for the record, they are filled in already.
+    """
 
     name: str
     title: str
@@ -76,28 +100,46 @@ class Scenario(_Model):
     seed: int = Field(0, ge=0)
     timeout: float = Field(10.0, gt=0, description="wall-clock s without progress before a lockstep run fails")
     start_timeout: float = Field(30.0, gt=0, description="wall-clock s to wait for all nodes, 0 < external ones")
+    shared: Annotated[dict[str, Any], BeforeValidator(_or_empty)] = {}
     nodes: dict[str, NodeEntry] = Field(min_length=1)
-    metrics: tuple[MetricEntry, ...] = ()
+    figures: Annotated[dict[str, FigureEntry], BeforeValidator(_or_empty)] = {}
+    expect: Annotated[dict[str, Expected], BeforeValidator(_or_empty)] = {}
+    claims: Annotated[dict[str, Claim], BeforeValidator(_or_empty)] = {}
     plots: tuple[PlotEntry, ...] = ()
 
+    @model_validator(mode="after")
+    def _figures_are_there(self) -> Scenario:
+        for kind, names in (("expect", self.expect), ("claims", self.claimed())):
+            for name in names:
+                if name not in self.figures:
+                    raise ValueError(f"{kind}: no figure {name!r}; the figures are {', '.join(self.figures) or 'none'}")
+        return self
 
-def scenario_folders() -> list[Path]:
-    """Where scenario files are looked for: SOFTRIG_SCENARIOS, then the installed share folder."""
-    folders = [Path(p) for p in os.environ.get("SOFTRIG_SCENARIOS", "").split(os.pathsep) if p]
-    for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
-        if prefix:
-            folders.append(Path(prefix) / "share" / "softrig_bringup" / "scenarios")
-    return [f for f in folders if f.is_dir()]
+    def changed(
+        self, *, duration: float | None = None, seed: int | None = None, overrides: Mapping[str, Any] | None = None
+    ) -> Scenario:
+        """Give the scenario with another length, seed or parameters (``node.parameter`` to value).
 
+        Raises
+        ------
+        ScenarioError
+            A bad value, or no such node.
+        """
+        raw: dict[str, Any] = {"nodes": {n: e.model_dump() for n, e in self.nodes.items()}}
+        for key, value in (overrides or {}).items():
+            _override(raw, key, value)
+        changes = {k: v for k, v in (("duration", duration), ("seed", seed)) if v is not None}
+        nodes = raw["nodes"] if overrides else self.nodes
+        try:
+            return Scenario.model_validate({**dict(self), **changes, "nodes": nodes})
+        except ValidationError as error:
+            raise ScenarioError(f"{self.name}: {explain(error)}") from None
 
-def list_scenarios() -> dict[str, Path]:
-    """Give every scenario name, variants included, and the file it is in."""
-    found: dict[str, Path] = {}
-    for folder in scenario_folders():
-        for path in sorted(folder.glob("*.yaml")):
-            for name in _names(path, _read(path)):
-                found.setdefault(name, path)
-    return found
+    def claimed(self) -> list[str]:
+        """Names of its own figures that its claims speak of."""
+        spoken = [c.figure or key for key, c in self.claims.items() if c.verdict != "not_checkable" or c.figure]
+        spoken += [r for c in self.claims.values() for r in c.references()]
+        return [name for name in spoken if "." not in name]
 
 
 def load_scenario(name: str, overrides: Mapping[str, Any] | None = None) -> Scenario:
@@ -108,108 +150,47 @@ def load_scenario(name: str, overrides: Mapping[str, Any] | None = None) -> Scen
     name : str
         ``dc_motor_smc_b2``, a variant ``dc_motor_smc_b2_delta1``, or a path to a YAML file.
     overrides : mapping, optional
-        ``node.parameter`` to value.
+        ``node.parameter``, or the name of a shared value, to value.
 
     Raises
     ------
     ScenarioError
         Unknown scenario, YAML error, unknown key or bad value; names file and key.
     """
-    path = Path(name)
-    if path.suffix in (".yaml", ".yml") and path.is_file():
-        name = path.stem
-    else:
-        found = _find(name)
-        if found is None:
-            known = list_scenarios()
-            raise ScenarioError(f"scenario {name!r} is unknown{_closest(name, known)}; `softrig list` shows all "
-                                f"{len(known)}")  # fmt: skip
-        path = found
-    raw = _resolve(name, path)
+    name, path = locate(name)
+    raw = resolve(name, path)
     if "name" in raw:
         raise ScenarioError(f"{path.name}: key name: a scenario is named by its file")
     for key, value in (overrides or {}).items():
-        node, _, parameter = key.partition(".")
-        nodes = raw.get("nodes") or {}
-        if node not in nodes or not parameter:
-            raise ScenarioError(f"override {key!r}: expected node.parameter with node one of {', '.join(nodes)}")
-        nodes[node] = merge(nodes[node] or {}, {"parameters": {parameter: value}})
+        _override(raw, key, value)
     try:
-        return Scenario.model_validate({**raw, "name": name})
+        shared = raw.get("shared") or {}
+        return Scenario.model_validate({**fill(raw, shared if isinstance(shared, dict) else {}), "name": name})
     except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(p) for p in first["loc"])
-        more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
-        hint = "unknown key" if first["type"] == "extra_forbidden" else first["msg"]
-        given = "" if first["type"] == "missing" else f", got {first['input']!r}"
-        raise ScenarioError(f"{path.name}: {where}: {hint}{given}{more}") from None
+        raise ScenarioError(f"{path.name}: {explain(error)}") from None
+    except ScenarioError as error:
+        raise ScenarioError(f"{path.name}: {error}") from None
 
 
-def merge(base: Mapping[str, Any], change: Mapping[str, Any]) -> dict[str, Any]:
-    """Lay one mapping over another, level by level; null removes a key."""
-    merged = dict(base)
-    for key, value in change.items():
-        if value is None:
-            merged.pop(key, None)
-        elif isinstance(value, Mapping) and isinstance(merged.get(key), Mapping):
-            merged[key] = merge(merged[key], value)
-        else:
-            merged[key] = value
-    return merged
+def _override(raw: dict[str, Any], key: str, value: Any) -> None:
+    """Lay one changed parameter or shared value over a resolved scenario."""
+    node, _, parameter = key.partition(".")
+    nodes, shared = raw.get("nodes") or {}, raw.get("shared") or {}
+    if not parameter and key in shared:
+        raw["shared"] = shared | {key: value}
+        return
+    if node not in nodes or not parameter:
+        also = f", or a shared value ({', '.join(shared)})" if shared else ""
+        raise ScenarioError(f"override {key!r}: expected node.parameter with node one of {', '.join(nodes)}{also}")
+    raw["nodes"] = nodes | {node: merge(nodes[node] or {}, {"parameters": {parameter: value}})}
 
 
-def _find(name: str) -> Path | None:
-    """Find the file of a scenario, reading only those whose name could hold it."""
-    for folder in scenario_folders():
-        for path in sorted(folder.glob("*.yaml"), key=lambda p: -len(p.stem)):
-            if name == path.stem or (name.startswith(f"{path.stem}_") and name in _names(path, _read(path))):
-                return path
-    return None
-
-
-def _read(path: Path) -> dict[str, Any]:
-    from ruamel.yaml import YAML
-    from ruamel.yaml.error import YAMLError
-
-    try:
-        raw = YAML(typ="safe", pure=True).load(path.read_text())
-    except (YAMLError, UnicodeDecodeError) as error:
-        raise ScenarioError(f"{path.name}: not valid YAML: {' '.join(str(error).split())}") from None
-    if not isinstance(raw, dict):
-        raise ScenarioError(f"{path.name}: expected a mapping of keys, got {type(raw).__name__}")
-    return raw
-
-
-def _names(path: Path, raw: Mapping[str, Any]) -> Iterator[str]:
-    yield path.stem
-    for variant in raw.get("variants") or {}:
-        yield f"{path.stem}_{variant}"
-
-
-def _resolve(name: str, path: Path, seen: tuple[str, ...] = ()) -> dict[str, Any]:
-    """Apply `extends` and the variant that the name asks for."""
-    if name in seen:
-        raise ScenarioError(f"{path.name}: extends itself: {' -> '.join((*seen, name))}")
-    raw = _read(path)
-    variants = raw.pop("variants", None) or {}
-    if not isinstance(variants, dict):
-        raise ScenarioError(f"{path.name}: variants: expected a mapping of name to changes, got {variants!r}")
-    parent = raw.pop("extends", None)
-    if parent is not None:
-        beside = path.with_name(f"{parent}.yaml")
-        found = beside if beside.is_file() else _find(parent)
-        if found is None:
-            raise ScenarioError(
-                f"{path.name}: extends {parent!r}, which is unknown{_closest(parent, list_scenarios())}"
-            )
-        raw = merge(_resolve(parent, found, (*seen, name)), raw)
-    if name != path.stem:
-        raw = merge(raw, variants[name.removeprefix(f"{path.stem}_")] or {})
-    return raw
-
-
-def _closest(name: str, known: Mapping[str, Any]) -> str:
-    import difflib
-
-    near = difflib.get_close_matches(name, list(known), 1)
-    return f" (did you mean {near[0]!r}?)" if near else ""
+def explain(error: ValidationError) -> str:
+    """Say in one line what the first error of a validation is, and where."""
+    first = error.errors()[0]
+    where = ".".join(str(p) for p in first["loc"])
+    more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
+    hint = "unknown key" if first["type"] == "extra_forbidden" else first["msg"].removeprefix("Value error, ")
+    whole = first["type"] == "missing" or isinstance(first["input"], Scenario | dict)
+    given = "" if whole else f", got {first['input']!r}"[:120]
+    return f"{where}: {hint}{given}{more}" if where else f"{hint}{more}"

@@ -1,15 +1,22 @@
-"""Figures of the experiment from sampled signals; `metrics` and `monitor` share them.
+"""Figure functions of the drive: flux error, flux circles, converter errors, switching.
 
-A flux is a complex array alpha + j beta in Wb.
+A flux is a complex array alpha + j beta in Wb; `start` and `end` (s) limit the samples as in
+`softrig_core.rig.metrics`.
 """
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 from numpy.typing import NDArray
+from softrig_core.rig.metrics import SignalMap, window
+from softrig_core.rig.registry import figure
 
 Array = NDArray[np.float64]
 Vectors = NDArray[np.complex128]
+Component = Literal["alpha", "beta", "magnitude"]
+FLUX_ERROR = ("flux_estimate/x", "flux_estimate/y", "flux_true/x", "flux_true/y")
 
 
 def slope(t: Array, psi: Vectors) -> complex:
@@ -50,3 +57,88 @@ def leg_transitions(switches: Array) -> int:
 def device_frequency(switches: Array, duration: float) -> float:
     """Mean switching frequency of the six devices in Hz: leg transitions / 6 / duration."""
     return leg_transitions(switches) / 6.0 / duration
+
+
+@figure("Wb", FLUX_ERROR)
+def flux_error_peak(signals: SignalMap, *, start: float | None = None, end: float | None = None) -> float:
+    """Largest |psi_hat - psi| in Wb."""
+    return float(np.abs(_flux_error(signals, start, end)[1]).max())
+
+
+@figure("Wb", FLUX_ERROR)
+def flux_error_end(signals: SignalMap, *, end: float | None = None) -> float:
+    """|psi_hat - psi| in Wb at the last control instant."""
+    return float(np.abs(_flux_error(signals, None, end)[1][-1]))
+
+
+@figure("Wb/s", FLUX_ERROR)
+def flux_error_slope(
+    signals: SignalMap, *, component: Component = "magnitude", start: float = 0.3, end: float | None = None
+) -> float:
+    """Slope of psi_hat - psi by least squares, in Wb/s."""
+    return _component(slope(*_flux_error(signals, start, end)), component)
+
+
+@figure("deg", FLUX_ERROR)
+def flux_error_direction(signals: SignalMap, *, start: float = 0.3, end: float | None = None) -> float:
+    """Direction in degrees into which psi_hat - psi grows, by least squares."""
+    return float(np.degrees(np.angle(slope(*_flux_error(signals, start, end)))))
+
+
+@figure("LSB", ("currents_meas/x", "currents_meas/y", "currents_true/x", "currents_true/y"))
+def converter_error(
+    signals: SignalMap, *, channel: Literal["x", "y"] = "x", statistic: Literal["mean", "std"] = "mean", lsb: float,
+    start: float = 0.3, end: float | None = None,
+) -> float:  # fmt: skip
+    """Mean or standard deviation of measured less true phase current in LSB; channel x is i_a, y is i_b."""
+    measured, true = (window(signals, f"currents_{kind}/{channel}", start, end)[1] for kind in ("meas", "true"))
+    error = (measured - true) / lsb
+    return float(error.mean() if statistic == "mean" else error.std())
+
+
+@figure("Wb")
+def circle_centre(
+    signals: SignalMap, *, topic: str = "flux_true", component: Component = "magnitude", end: float | None = None
+) -> float:
+    """Centre of the flux circle over the last revolution in Wb; NaN before a revolution."""
+    turn = last_revolution(_vector(signals, topic, None, end)[1])
+    return float("nan") if turn is None else _component(circle(turn)[0], component)
+
+
+@figure("Wb")
+def flux_magnitude(
+    signals: SignalMap, *, topic: str, extreme: Literal["min", "max"], start: float | None = None,
+    end: float | None = None,
+) -> float:  # fmt: skip
+    """Smallest or largest |psi| in Wb."""
+    size = np.abs(_vector(signals, topic, start, end)[1])
+    return float(size.min() if extreme == "min" else size.max())
+
+
+@figure("A", tuple(f"currents_true/{phase}" for phase in "xyz"))
+def current_peak(signals: SignalMap, *, start: float | None = None, end: float | None = None) -> float:
+    """Largest true phase current in A."""
+    phases = (window(signals, f"currents_true/{phase}", start, end)[1] for phase in "xyz")
+    return max(float(np.abs(i).max()) for i in phases)
+
+
+@figure("Hz", tuple(f"switches/{leg}/effort" for leg in ("Sa", "Sb", "Sc")))
+def switching_frequency(signals: SignalMap) -> float:
+    """Mean switching frequency of a device in Hz over the whole run."""
+    legs = [signals[f"switches/{leg}/effort"] for leg in ("Sa", "Sb", "Sc")]
+    return device_frequency(np.column_stack([x for _, x in legs]), float(legs[0][0][-1]))
+
+
+def _vector(signals: SignalMap, topic: str, start: float | None, end: float | None) -> tuple[Array, Vectors]:
+    (t, alpha), (_, beta) = (window(signals, f"{topic}/{axis}", start, end) for axis in "xy")
+    return t, alpha + 1j * beta
+
+
+def _flux_error(signals: SignalMap, start: float | None, end: float | None) -> tuple[Array, Vectors]:
+    """Pair estimate and truth of the same instant; the truth has one sample more, the end of the run."""
+    t, estimate = _vector(signals, "flux_estimate", start, end)
+    return t, estimate - _vector(signals, "flux_true", start, end)[1][: t.size]
+
+
+def _component(z: complex, component: Component) -> float:
+    return {"alpha": z.real, "beta": z.imag, "magnitude": abs(z)}[component]

@@ -12,14 +12,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from softrig_core.errors import ScenarioError
-from softrig_core.rig.inprocess import run_inprocess
-from softrig_core.rig.rig import Rig
+from softrig_core.rig.metrics import settling_time
 from softrig_core.rig.scenario import load_scenario
-from softrig_core.wire.recording import Recording
-from softrig_core.wire.signals import Signals
+from softrig_core.rig.simulate import simulate
 from softrig_optim.sweep import sweep
 
-from . import metrics
+from . import figures
 from .array import IRRADIANCE
 
 PATTERNS = {"pattern1": (1000.0, 800.0, 600.0, 400.0), "pattern2": (1000.0, 800.0, 500.0, 300.0)}
@@ -54,17 +52,14 @@ class Outcome(NamedTuple):
 def run_case(case: Case) -> Outcome:
     """Run one case in this process."""
     scenario = load_scenario(case.scenario, case.overrides)
-    rig = Rig.from_scenario(scenario)
-    recording = Recording([(topic, port.msgtype) for topic, port in rig.topics.items()])
-    run_inprocess(rig, case.seed, recording)
-    signals = Signals(recording)
+    signals = simulate(scenario, seed=case.seed).signals
     t, phase = signals["mppt/status/phase/position"]
     holds = np.flatnonzero(phase == 2.0)
     return Outcome(
-        hit=metrics.in_global_basin(signals) == 1.0,
-        efficiency=metrics.efficiency(signals, start=scenario.duration - PERIOD) / 100.0,
-        energy_share=metrics.efficiency(signals) / 100.0,
-        settling_time=metrics.settling_time(signals),
+        hit=figures.in_global_basin(signals) == 1.0,
+        efficiency=figures.efficiency(signals, start=scenario.duration - PERIOD) / 100.0,
+        energy_share=figures.efficiency(signals) / 100.0,
+        settling_time=settling_time(signals, figures.POWER, at="sample"),
         search_time=float(t[holds[0]]) if holds.size else float("inf"),
         restarts=int(signals["mppt/status/restarts/position"].x[-1]),
     )

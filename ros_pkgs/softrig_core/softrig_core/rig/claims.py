@@ -1,0 +1,120 @@
+"""What a paper says of a figure, and whether the measurement bears it out."""
+
+from __future__ import annotations
+
+import math
+import re
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+
+Verdict = Literal["reproduced", "fitted", "corrected", "refuted", "not_checkable"]
+VERDICTS: dict[Verdict, str] = {
+    "reproduced": "what was measured agrees with it",
+    "fitted": "agrees, but a parameter was identified from it, so it confirms nothing",
+    "corrected": "agrees after a correction that the reason names",
+    "refuted": "what was measured disagrees",
+    "not_checkable": "cannot be decided, for the reason given",
+}
+TOLERANCE = 0.05  # share of the published value, when a claim states none
+_PERCENT = re.compile(r"\s*([-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*%\s*")
+
+
+class Claim(BaseModel):
+    """One statement of a paper about a figure.
+
+    Parameters
+    ----------
+    text : str
+        The statement in words; needed where there is no published number.
+    figure : str
+        Name of the figure, with its scenario in front when it is another one's (``dc_motor_smc.rise_time``); the key
+        of the claim when absent.
+    published : float, optional
+        The number that the paper prints.
+    tolerance : float or str, optional
+        How far from the published number agrees, absolute or ``"2 %"`` of it; `TOLERANCE` of it when absent.
+    below, above, equals : float or str, optional
+        Instead of `published`: a bound, a figure of this scenario, or ``scenario.figure`` of another.
+    where : str
+        Table, figure or equation of the paper.
+    verdict : {"reproduced", "fitted", "corrected", "refuted", "not_checkable"}
+    reason : str
+        In a sentence; may be absent for ``reproduced`` alone.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    text: str = ""
+    figure: str = ""
+    published: float | None = None
+    tolerance: float | str | None = None
+    below: float | str | None = None
+    above: float | str | None = None
+    equals: float | str | None = None
+    where: str = Field(min_length=1)
+    verdict: Verdict
+    reason: str = ""
+
+    @field_validator("tolerance")
+    @classmethod
+    def _width(cls, given: Any) -> Any:
+        if isinstance(given, str) and not _PERCENT.fullmatch(given):
+            raise ValueError("expected a number or a percentage such as '2 %'")
+        if isinstance(given, int | float) and given < 0:
+            raise ValueError("a tolerance is not negative")
+        return given
+
+    @model_validator(mode="after")
+    def _complete(self) -> Claim:
+        compared = [k for k in ("published", "below", "above", "equals") if getattr(self, k) is not None]
+        if self.verdict != "not_checkable" and not compared:
+            raise ValueError("expected a published number, or below, above or equals")
+        if self.published is not None and len(compared) > 1:
+            raise ValueError(f"published and {compared[1]}: expected one of them")
+        if self.published is None and not self.text:
+            raise ValueError("a claim without a published number needs its text")
+        if self.verdict != "reproduced" and not self.reason:
+            raise ValueError(f"the verdict {self.verdict} needs a reason")
+        if self.published == 0.0 and self.tolerance is None and self.verdict != "not_checkable":
+            raise ValueError("a published value of 0 needs a tolerance")
+        return self
+
+    @property
+    def width(self) -> float:
+        """Absolute tolerance around the published number, or of `equals`."""
+        if isinstance(self.tolerance, int | float):
+            return float(self.tolerance)
+        found = _PERCENT.fullmatch(self.tolerance) if self.tolerance else None
+        share = float(found[1]) / 100.0 if found else TOLERANCE
+        return share * abs(self.published or 0.0)
+
+    def agrees(self, value: float, other: float | None = None) -> bool:
+        """Whether the measurement agrees with the statement.
+
+        Parameters
+        ----------
+        value : float
+            Of the claim's figure; infinity for what never happens.
+        other : float, optional
+            What it is compared with, for a comparison.
+        """
+        if math.isnan(value):
+            return False
+        if self.published is not None:
+            return abs(value - self.published) <= self.width * (1.0 + 1e-9)
+        if other is None or math.isnan(other):
+            return False
+        return (
+            (self.below is None or value < other)
+            and (self.above is None or value > other)
+            and (self.equals is None or abs(value - other) <= self.width)
+        )
+
+    def holds(self, agrees: bool) -> bool:
+        """Whether the verdict fits: all but refuted need agreement; not_checkable says nothing."""
+        return self.verdict == "not_checkable" or agrees == (self.verdict != "refuted")
+
+    def references(self) -> list[str]:
+        """Figures that it is compared with."""
+        return [r for r in (self.below, self.above, self.equals) if isinstance(r, str)]

@@ -1,0 +1,198 @@
+"""Figures of a rig: resolved and judged before the run, measured after it."""
+
+from __future__ import annotations
+
+import inspect
+import math
+import typing
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from typing import TYPE_CHECKING, Any
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
+
+from ..errors import ScenarioError
+from ..model.params import flatten
+from .expectation import Expectation
+from .metrics import SignalMap
+from .references import fill_parameters, pick
+from .registry import Function, find
+from .units import compose, factor, powers
+
+if TYPE_CHECKING:
+    from .rig import Rig
+
+SIGNALS = ("signal", "reference")  # arguments that name a signal, if they are a word
+
+
+class Result(BaseModel):
+    """A figure of a run: what was measured, what it should be, and whether it is.
+
+    Parameters
+    ----------
+    value : float, optional
+        None when it could not be computed or is not finite; `error` then says why.
+    published : float, optional
+        What the paper says, from the claim about this figure.
+    expected, tolerance, at_most, at_least : float, optional
+        The expectation; none of them: for information.
+    passed : bool
+        Written as ``pass``. A figure for information passes, whatever it is.
+    """
+
+    model_config = ConfigDict(frozen=True, populate_by_name=True)
+
+    name: str
+    value: float | None
+    unit: str = ""
+    published: float | None = None
+    expected: float | None = None
+    tolerance: float | None = None
+    at_most: float | None = None
+    at_least: float | None = None
+    passed: bool = Field(alias="pass")
+    error: str = ""
+
+    @property
+    def judged(self) -> bool:
+        """Whether anything is expected of it."""
+        return any(x is not None for x in (self.expected, self.at_most, self.at_least))
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A figure with its function found, its arguments filled in and its unit known."""
+
+    name: str
+    function: Function
+    arguments: Mapping[str, Any]
+    unit: str
+    scale: float
+
+    def __call__(self, signals: SignalMap) -> float:
+        """Measure."""
+        return self.scale * float(self.function(signals, **self.arguments))
+
+
+def signal_units(rig: Rig) -> dict[str, str]:
+    """Give the unit of every signal of a rig by its name ``topic/channel/field``."""
+    return {
+        f"{topic}/{label}": unit
+        for topic, port in rig.topics.items()
+        for label, unit in zip(port.labels, port.units, strict=True)
+    }
+
+
+def figures_of(rig: Rig) -> list[Figure]:
+    """Resolve and judge the figures of a rig's scenario.
+
+    Raises
+    ------
+    ScenarioError
+        Names the figure: an unknown function, argument, signal or parameter, a wrong type, a unit that does not fit.
+    """
+    parameters = {m.name: flatten(m.params) for m in rig.members}
+    units = signal_units(rig)
+
+    def parameter(node: str, name: str) -> Any:
+        if node not in parameters:
+            raise ScenarioError(f"${node}.{name}: the nodes are {', '.join(parameters)}")
+        try:
+            return pick(parameters[node], name)
+        except KeyError:
+            raise ScenarioError(f"${node}.{name}: {node} has {', '.join(parameters[node])}") from None
+
+    found = []
+    for name, entry in rig.scenario.figures.items():
+        try:
+            function = find(entry.function or name)
+            arguments = _arguments(function, fill_parameters(entry.arguments, parameter))
+            _check_signals(function, arguments, units)
+            unit, scale = _unit(function, arguments, units, entry.unit)
+        except ScenarioError as error:
+            raise ScenarioError(f"{rig.scenario.name}: figure {name}: {error}") from None
+        found.append(Figure(name, function, arguments, unit, scale))
+    return found
+
+
+def _unit(
+    function: Function, arguments: Mapping[str, Any], units: Mapping[str, str], wanted: str | None
+) -> tuple[str, float]:
+    """Unit of a figure, and the number that turns what the function gives into it."""
+    declared: str | None = getattr(function, "unit", None)
+    if declared is None:
+        return wanted or "", 1.0
+    signal = units.get(str(arguments.get("signal")), "")
+    given = compose(declared, signal)
+    if wanted is None or (declared == "{signal}" and not signal):  # a port that does not know its unit
+        return wanted or given, 1.0
+    scale = factor(given, wanted)
+    if scale is None:
+        raise ScenarioError(f"unit {wanted!r}, but {function.__name__} gives {given or 'a pure number'!r}")
+    return wanted, scale
+
+
+def evaluate(rig: Rig, signals: SignalMap) -> list[Result]:
+    """Measure the figures of a rig's scenario and judge them.
+
+    A figure that cannot be computed has value None and the reason; it passes only if nothing is expected of it.
+    """
+    published = {c.figure or k: c.published for k, c in rig.scenario.claims.items() if c.published is not None}
+    results = []
+    for figure in figures_of(rig):
+        limits = rig.scenario.expect.get(figure.name)
+        about: dict[str, Any] = {"name": figure.name, "unit": figure.unit, "published": published.get(figure.name)}
+        about |= (limits or Expectation()).model_dump()
+        try:
+            value = figure(signals)
+            error = "" if math.isfinite(value) else f"the result is {value}"
+        except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as broken:
+            value, error = math.nan, str(broken) or type(broken).__name__
+        passed = limits is None or limits.holds(value)
+        results.append(Result(value=value if not error else None, passed=passed, error=error, **about))
+    return results
+
+
+@cache
+def _model(function: Function) -> tuple[type[BaseModel], bool]:
+    """Validate the keyword arguments of a function by its annotations."""
+    try:
+        hints = typing.get_type_hints(function)
+    except (NameError, TypeError):  # annotations that exist for type checkers only
+        hints = {}
+    fields: dict[str, Any] = {}
+    _, *parameters = inspect.signature(function).parameters.values()
+    for p in parameters:
+        if p.kind is not p.VAR_KEYWORD:
+            fields[p.name] = (hints.get(p.name, Any), ... if p.default is p.empty else p.default)
+    return create_model(function.__name__, __config__=ConfigDict(extra="forbid", frozen=True), **fields), len(
+        fields
+    ) == len(parameters)
+
+
+def _arguments(function: Function, given: dict[str, Any]) -> dict[str, Any]:
+    model, closed = _model(function)
+    if not closed:
+        return given
+    try:
+        checked = model.model_validate(given)
+    except ValidationError as error:
+        first = error.errors()[0]
+        name = ".".join(map(str, first["loc"]))
+        if first["type"] == "extra_forbidden":
+            raise ScenarioError(f"unknown argument {name}; it takes {', '.join(model.model_fields)}") from None
+        if first["type"] == "missing":
+            raise ScenarioError(f"argument {name} is missing") from None
+        raise ScenarioError(f"argument {name} = {first['input']!r}: {first['msg']}") from None
+    return {name: getattr(checked, name) for name in checked.model_fields_set}
+
+
+def _check_signals(function: Function, arguments: Mapping[str, Any], units: Mapping[str, str]) -> None:
+    named = {k: v for k, v in arguments.items() if isinstance(v, str) and (k in SIGNALS or "/" in v)}
+    for name in (*named.values(), *getattr(function, "reads", ())):
+        if name not in units:
+            raise ScenarioError(f"no signal {name!r}; the rig has {', '.join(units)}")
+    both = [units[arguments[k]] for k in SIGNALS if isinstance(arguments.get(k), str)]
+    if len(both) == 2 and powers(both[0]) != powers(both[1]):
+        raise ScenarioError(f"signal in {both[0]!r}, but its reference in {both[1]!r}")

@@ -1,0 +1,70 @@
+"""References in scenario files: ``$name`` is a shared value, ``$node.parameter`` a parameter of a node."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from ..errors import ScenarioError
+
+_SHARED = re.compile(r"\$([A-Za-z_]\w*)")
+_PARAMETER = re.compile(r"\$([A-Za-z_]\w*)\.([\w.]+)")
+
+
+def fill(value: Any, shared: Mapping[str, Any]) -> Any:
+    """Copy plain data with every string ``$name`` (keys of mappings too) replaced by its shared value.
+
+    Strings ``$node.parameter`` stay, they are for `fill_parameters`; ``$$`` stands for a dollar sign.
+
+    Raises
+    ------
+    ScenarioError
+        No such shared value, or one that refers to itself.
+    """
+
+    def known(name: str, path: tuple[str, ...]) -> Any:
+        if name in path:
+            raise ScenarioError(f"shared value {name} refers to itself: {' -> '.join((*path, name))}")
+        if name not in shared:
+            have = f"the shared values are {', '.join(shared)}" if shared else "there are no shared values"
+            raise ScenarioError(f"${name}: {have}")
+        return copy(shared[name], (*path, name))
+
+    def copy(value: Any, path: tuple[str, ...]) -> Any:
+        if isinstance(value, str):
+            found = _SHARED.fullmatch(value)
+            return known(found[1], path) if found else value
+        if isinstance(value, Mapping):
+            return {copy(k, path) if isinstance(k, str) else k: copy(v, path) for k, v in value.items()}
+        return [copy(v, path) for v in value] if isinstance(value, list | tuple) else value
+
+    return copy(value, ())
+
+
+def fill_parameters(value: Any, parameter: Callable[[str, str], Any]) -> Any:
+    """Copy plain data with every string ``$node.parameter`` replaced by what `parameter` gives for the two names."""
+    if isinstance(value, str):
+        found = _PARAMETER.fullmatch(value)
+        if found:
+            return parameter(found[1], found[2])
+        return value[1:] if value.startswith("$$") else value
+    if isinstance(value, Mapping):
+        return {k: fill_parameters(v, parameter) for k, v in value.items()}
+    return [fill_parameters(v, parameter) for v in value] if isinstance(value, list | tuple) else value
+
+
+def pick(values: Mapping[str, Any], name: str) -> Any:
+    """Give a parameter by its dotted name, or one element of a list by its number: ``times.0``.
+
+    Raises
+    ------
+    KeyError
+        No such parameter or element.
+    """
+    if name in values:
+        return values[name]
+    head, _, last = name.rpartition(".")
+    if head in values and last.isdigit() and int(last) < len(values[head]):
+        return values[head][int(last)]
+    raise KeyError(name)

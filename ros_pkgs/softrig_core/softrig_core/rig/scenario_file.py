@@ -1,0 +1,184 @@
+"""Where scenario files are, what they inherit, and which variants they hold."""
+
+from __future__ import annotations
+
+import difflib
+import os
+from collections.abc import Iterable, Iterator, Mapping
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from ..errors import ScenarioError
+from .yaml_file import SIZE, read_yaml
+
+OWN = ("expect", "claims")  # what a scenario is judged by stands in its own entry: never inherited
+
+
+def scenario_folders() -> list[Path]:
+    """Where scenario files are looked for: SOFTRIG_SCENARIOS, then the installed share folder."""
+    folders = [Path(p) for p in os.environ.get("SOFTRIG_SCENARIOS", "").split(os.pathsep) if p]
+    for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
+        if prefix:
+            folders.append(Path(prefix) / "share" / "softrig_bringup" / "scenarios")
+    return [f for f in folders if f.is_dir()]
+
+
+def list_scenarios() -> dict[str, Path]:
+    """Give every scenario name, variants included, and the file it is in."""
+    found: dict[str, Path] = {}
+    for folder in scenario_folders():
+        for path in sorted(folder.glob("*.yaml")):
+            for name in names(path):
+                found.setdefault(name, path)
+    return found
+
+
+def locate(name: str) -> tuple[str, Path]:
+    """Find a scenario: its name and the file it is in.
+
+    Parameters
+    ----------
+    name : str
+        A name, a variant's name, or the path of a YAML file.
+
+    Raises
+    ------
+    ScenarioError
+        There is none of that name; gives the closest.
+    """
+    path = Path(name)
+    if path.suffix in (".yaml", ".yml") and path.is_file():
+        return path.stem, path
+    found = _find(name)
+    if found is None:
+        known = list_scenarios()
+        raise ScenarioError(f"scenario {name!r} is unknown{closest(name, known)}; `softrig list` shows all "
+                            f"{len(known)}")  # fmt: skip
+    return name, found
+
+
+def read(path: Path) -> dict[str, Any]:
+    """Read the mapping of a scenario file; a file that has not changed is read once a process.
+
+    Raises
+    ------
+    ScenarioError
+        Cannot be read, not YAML, or not a mapping.
+    """
+    try:
+        state = path.stat()
+    except OSError as error:
+        raise ScenarioError(f"{path.name}: {error.strerror}") from None
+    if state.st_size > SIZE:
+        raise ScenarioError(f"{path.name}: {state.st_size} bytes, expected at most {SIZE}")
+    return dict(_read(path, state.st_mtime_ns, state.st_size))
+
+
+@lru_cache(maxsize=1024)
+def _read(path: Path, changed: int, size: int) -> dict[str, Any]:
+    try:
+        raw = read_yaml(path.read_text(encoding="utf-8"), path.name)
+    except UnicodeDecodeError as error:
+        raise ScenarioError(f"{path.name}: not valid YAML: {error}") from None
+    if not isinstance(raw, dict):
+        raise ScenarioError(f"{path.name}: expected a mapping of keys, got {type(raw).__name__}")
+    return raw
+
+
+def names(path: Path) -> Iterator[str]:
+    """Give the names of the scenarios in a file: its own and those of its variants."""
+    yield path.stem
+    for variant in _variants(path, read(path)):
+        yield f"{path.stem}_{variant}"
+
+
+def resolve(name: str, path: Path, seen: tuple[str, ...] = ()) -> dict[str, Any]:
+    """Apply `extends` and the variant that the name asks for; the file's own data stays as it is.
+
+    Raises
+    ------
+    ScenarioError
+        Extends itself or nobody.
+    """
+    if name in seen:
+        raise ScenarioError(f"{path.name}: extends itself: {' -> '.join((*seen, name))}")
+    raw = read(path)
+    variants = _variants(path, raw)
+    raw.pop("variants", None)
+    parent = raw.pop("extends", None)
+    if parent is not None:
+        raw = inherit(resolve(parent, _parent(path, parent), (*seen, name)), raw)
+    if name != path.stem:
+        raw = inherit(raw, variants[name.removeprefix(f"{path.stem}_")] or {})
+    return raw
+
+
+def inherit(base: Mapping[str, Any], change: Any) -> dict[str, Any]:
+    """Lay a scenario's own entry over what it inherits.
+
+    Mappings merge level by level, null removes, and the keys `OWN` come from the entry alone. A node with another
+    executable loses the inherited parameters, a figure with another function the inherited arguments and unit: they
+    would mean nothing.
+    """
+    if not isinstance(change, Mapping):
+        raise ScenarioError(f"a variant is a mapping of changes, got {change!r}")
+    below = {k: v for k, v in base.items() if k not in OWN}
+    for part, what, lost in (("nodes", "executable", ("parameters",)), ("figures", "function", ("arguments", "unit"))):
+        old, new = below.get(part), change.get(part)
+        if isinstance(old, Mapping) and isinstance(new, Mapping):
+            below[part] = {k: _without(v, new.get(k), what, lost) for k, v in old.items()}
+    return merge(below, change)
+
+
+def _without(old: Any, new: Any, what: str, lost: tuple[str, ...]) -> Any:
+    """Drop the keys `lost` of an entry when the one that goes over it is about another `what`."""
+    if not isinstance(old, Mapping) or not isinstance(new, Mapping) or new.get(what, old.get(what)) == old.get(what):
+        return old
+    return {k: v for k, v in old.items() if k not in lost}
+
+
+def merge(base: Mapping[str, Any], change: Mapping[str, Any]) -> dict[str, Any]:
+    """Lay one mapping over another, level by level; null removes a key."""
+    merged = dict(base)
+    for key, value in change.items():
+        if value is None:
+            merged.pop(key, None)
+        elif isinstance(value, Mapping):
+            below = merged.get(key)
+            merged[key] = merge(below if isinstance(below, Mapping) else {}, value)
+        else:
+            merged[key] = value
+    return merged
+
+
+def closest(name: str, known: Iterable[str]) -> str:
+    """Suggest the nearest of some names, as the end of a message."""
+    near = difflib.get_close_matches(name, list(known), 1)
+    return f" (did you mean {near[0]!r}?)" if near else ""
+
+
+def _variants(path: Path, raw: Mapping[str, Any]) -> dict[str, Any]:
+    variants = raw.get("variants") or {}
+    if not isinstance(variants, dict):
+        raise ScenarioError(f"{path.name}: variants: expected a mapping of name to changes, got {variants!r}")
+    return variants
+
+
+def _parent(path: Path, parent: Any) -> Path:
+    if not isinstance(parent, str) or "/" in parent:
+        raise ScenarioError(f"{path.name}: extends: expected the name of a scenario, got {parent!r}"[:200])
+    beside = path.with_name(f"{parent}.yaml")
+    found = beside if beside.is_file() else _find(parent, path.parent)
+    if found is None:
+        raise ScenarioError(f"{path.name}: extends {parent!r}, which is unknown{closest(parent, list_scenarios())}")
+    return found
+
+
+def _find(name: str, first: Path | None = None) -> Path | None:
+    """Find the file of a scenario, reading only those whose name could hold it."""
+    for folder in ([first] if first else []) + scenario_folders():
+        for path in sorted(folder.glob("*.yaml"), key=lambda p: -len(p.stem)):
+            if name == path.stem or (name.startswith(f"{path.stem}_") and name in names(path)):
+                return path
+    return None

@@ -1,0 +1,139 @@
+"""The front door: run a scenario or a rig in this process and look at what it did."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+from ..model.block import Block
+from ..wire.recording import Recording
+from ..wire.signals import Signals
+from .figures import Result, evaluate, figures_of
+from .inprocess import run_inprocess
+from .rig import Rig
+from .scenario import Scenario, load_scenario
+
+
+@dataclass
+class Run:
+    """A finished run.
+
+    Parameters
+    ----------
+    rig : Rig
+    seed : int
+    recording : Recording
+        All messages, as a bag holds them: ``softrig_bags.write.write_bag(folder, run.recording)``.
+    wall_s : float
+        Wall-clock time, with the start and end of processes, s.
+    mode : str
+    epoch : int
+        Wall-clock ns of t = 0 in realtime, else 0.
+    status : dict
+        What each node said of itself.
+    error : str
+        Why it broke; empty when it did not.
+    blocks : dict of str to Block
+        The blocks in their final state, after a run in process.
+    """
+
+    rig: Rig
+    seed: int
+    recording: Recording
+    wall_s: float = 0.0
+    mode: str = "inprocess"
+    epoch: int = 0
+    status: dict[str, dict[str, Any]] = field(default_factory=dict)
+    error: str = ""
+    blocks: dict[str, Block] = field(default_factory=dict)
+
+    @cached_property
+    def signals(self) -> Signals:
+        """Signals by name ``topic/channel/field``; decoded once."""
+        return Signals(self.recording, self.epoch)
+
+    @cached_property
+    def results(self) -> list[Result]:
+        """The figures of the scenario, measured and judged."""
+        return evaluate(self.rig, self.signals)
+
+    @property
+    def figures(self) -> dict[str, float | None]:
+        """Measured value of each figure by name; None for what could not be measured."""
+        return {r.name: r.value for r in self.results}
+
+    @property
+    def missed(self) -> list[Result]:
+        """The figures that are not what is expected."""
+        return [r for r in self.results if not r.passed]
+
+
+def rig_of(
+    what: str | Scenario | Rig, *, duration: float | None = None, overrides: Mapping[str, Any] | None = None
+) -> Rig:
+    """Build the rig of a scenario's name or file, of a scenario, or of a rig with changes.
+
+    Parameters
+    ----------
+    what : str, Scenario or Rig
+    duration : float, optional
+        In s, instead of the scenario's.
+    overrides : mapping, optional
+        ``node.parameter``, or for a scenario by its name also a shared value's name, to value.
+
+    Raises
+    ------
+    ScenarioError
+        Bad input of any kind, in one line.
+    """
+    if isinstance(what, Rig):
+        return what.changed(duration=duration, overrides=overrides)
+    scenario = load_scenario(what, overrides) if isinstance(what, str) else what.changed(overrides=overrides)
+    return Rig.from_scenario(scenario.changed(duration=duration))
+
+
+def simulate(
+    what: str | Scenario | Rig,
+    *,
+    seed: int | None = None,
+    duration: float | None = None,
+    overrides: Mapping[str, Any] | None = None,
+    progress: Callable[[int], object] | None = None,
+) -> Run:
+    """Run a scenario or rig in this process: the same numbers and bytes as with nodes over DDS.
+
+    Parameters
+    ----------
+    what : str, Scenario or Rig
+        Name or file of a scenario, a scenario, or a rig (`Rig.from_blocks` wires one from block objects).
+    seed : int, optional
+        Instead of the scenario's.
+    duration, overrides
+        See `rig_of`.
+    progress : callable, optional
+        Called with the time in ns about a hundred times.
+
+    Raises
+    ------
+    ScenarioError
+        Bad input; nothing has run.
+    RunError
+        A block raised, or gave NaN, infinity or a wrong number of values.
+
+    Examples
+    --------
+    >>> run = simulate("dc_motor_smc", overrides={"dc_motor_smc.delta": 0.5})
+    >>> run.figures["rise_time"]
+    0.6941...
+    >>> t, speed = run.signals["motor/state/shaft/velocity"]
+    """
+    rig = rig_of(what, duration=duration, overrides=overrides)
+    figures_of(rig)  # what does not fit is found before the run, not after it
+    number = rig.scenario.seed if seed is None else seed
+    recording = Recording((topic, port.msgtype) for topic, port in rig.topics.items())
+    started = time.perf_counter()
+    blocks = run_inprocess(rig, number, recording, progress)
+    return Run(rig, number, recording, time.perf_counter() - started, blocks=blocks)

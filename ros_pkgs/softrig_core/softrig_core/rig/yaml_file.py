@@ -1,0 +1,126 @@
+"""YAML as this suite reads it: YAML 1.2 scalars, no duplicate keys, bounded size, depth and aliases."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Hashable
+from typing import Any
+
+import yaml
+
+from ..errors import ScenarioError
+
+_Base: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # the C parser where PyYAML was built with it
+
+SIZE = 1 << 20  # bytes
+DEPTH = 40
+NODES = 100_000  # values after the aliases are expanded
+
+
+class _Loader(_Base):  # type: ignore[misc]
+    """Plain data only; numbers and words as in YAML 1.2 (``1e-5`` is a number, ``on`` a word)."""
+
+    yaml_implicit_resolvers: dict[str, Any] = {}
+
+    def __init__(self, text: str) -> None:
+        super().__init__(text)
+        self._nodes = 0
+        self._depth = 0
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        """Compose with a limit on the depth."""
+        self._depth += 1
+        if self._depth > DEPTH:
+            raise ScenarioError(f"nested deeper than {DEPTH} levels")
+        node = super().compose_node(parent, index)
+        self._depth -= 1
+        return node
+
+    def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:
+        """Refuse keys that come twice."""
+        seen = set()
+        for key_node, _ in node.value:
+            if key_node.tag == "tag:yaml.org,2002:merge":
+                continue
+            key = self.construct_object(key_node, deep=True)
+            if not isinstance(key, Hashable):
+                raise yaml.constructor.ConstructorError(None, None, "a key is no plain word", key_node.start_mark)
+            if key in seen:
+                raise yaml.constructor.ConstructorError(None, None, f"duplicate key {key!r}", key_node.start_mark)
+            seen.add(key)
+        return super().construct_mapping(node, deep)
+
+
+for _tag, _pattern, _first in (
+    ("bool", r"^(?:true|True|TRUE|false|False|FALSE)$", "tTfF"),
+    ("int", r"^(?:[-+]?[0-9]+|0o[0-7]+|0x[0-9a-fA-F]+)$", "-+0123456789"),
+    ("float", r"^(?:[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?|[-+]?\.(?:inf|Inf|INF)"
+     r"|\.(?:nan|NaN|NAN))$", "-+0123456789."),
+    ("null", r"^(?:~|null|Null|NULL|)$", ["~", "n", "N", ""]),
+    ("merge", r"^(?:<<)$", "<"),
+):  # fmt: skip
+    _Loader.add_implicit_resolver(f"tag:yaml.org,2002:{_tag}", re.compile(_pattern), list(_first))
+
+
+def _integer(loader: Any, node: Any) -> int:
+    text = loader.construct_scalar(node)
+    return int(text, 0 if text[:2] in ("0x", "0o") else 10)
+
+
+_Loader.add_constructor("tag:yaml.org,2002:int", _integer)
+
+
+def read_yaml(text: str, where: str) -> Any:
+    """Read one YAML document.
+
+    Parameters
+    ----------
+    text : str
+    where : str
+        What error messages call it, such as the file's name.
+
+    Raises
+    ------
+    ScenarioError
+        Not YAML, a key twice, larger than `SIZE`, deeper than `DEPTH` or more than `NODES` values.
+    """
+    if len(text) > SIZE:
+        raise ScenarioError(f"{where}: {len(text)} characters, expected at most {SIZE}")
+    loader = None
+    try:
+        loader = _Loader(text)
+        node = loader.get_single_node()
+        if node is None:
+            return None
+        _count(node)
+        return loader.construct_document(node)
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        reason = " ".join(str(error).split())[:200]
+        raise ScenarioError(f"{where}: not valid YAML: {reason}") from None
+    finally:
+        if loader is not None:
+            loader.dispose()
+
+
+def _count(root: Any) -> None:
+    """Count the values as they are after all aliases are expanded, each node once."""
+    sizes: dict[int, int] = {}
+    open_nodes: set[int] = set()
+
+    def size(node: Any) -> int:
+        if id(node) in open_nodes:
+            raise ScenarioError("an alias stands inside its own anchor")
+        if id(node) not in sizes:
+            open_nodes.add(id(node))
+            children: list[Any] = []
+            if isinstance(node, yaml.MappingNode):
+                children = [part for pair in node.value for part in pair]
+            elif isinstance(node, yaml.SequenceNode):
+                children = node.value
+            sizes[id(node)] = 1 + sum(size(child) for child in children)
+            open_nodes.discard(id(node))
+        if sizes[id(node)] > NODES:
+            raise ScenarioError(f"more than {NODES} values once its aliases are expanded")
+        return sizes[id(node)]
+
+    size(root)

@@ -1,0 +1,91 @@
+"""Figure functions of a tracker: against the true global maximum power point, which only these functions know."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from softrig_core.rig.metrics import HALF_NS, SignalMap, window
+from softrig_core.rig.registry import figure
+
+from .array import split
+from .module import Array, ModuleParams
+from .string import Characteristic, characteristic
+
+POWER, VOLTAGE = "converter/state/p_in/position", "converter/state/v_in/position"
+
+
+def characteristic_of(conditions: tuple[float, ...], module: ModuleParams) -> Characteristic:
+    """Give the string's characteristic under irradiances and temperatures, one of each a module."""
+    return characteristic(module, *split(conditions))
+
+
+class _Run:
+    """Power, voltage and true maximum of a recording in a time window, ends included."""
+
+    def __init__(
+        self, signals: SignalMap, module: Mapping[str, Any] | None, start: float | None, end: float | None
+    ) -> None:
+        self.module = ModuleParams(**(module or {}))
+        self.t, self.power = window(signals, POWER, start, end)
+        self.v = window(signals, VOLTAGE, start, end)[1]
+        names = [f"pv/environment/{kind}{k}/position" for kind in "gt" for k in range(1, _modules(signals) + 1)]
+        changes = signals[names[0]][0]
+        rows = np.column_stack([signals[name][1] for name in names])
+        # what holds at a sample is what was published at the tick before it
+        self._at = np.maximum(np.searchsorted(changes, self.t - HALF_NS) - 1, 0)
+        self._rows = [tuple(row) for row in rows.tolist()]
+
+    def source(self, k: int) -> Characteristic:
+        """Characteristic that holds at sample k."""
+        return characteristic_of(self._rows[self._at[k]], self.module)
+
+    @property
+    def gmpp(self) -> Array:
+        """Global maximum in W at each sample."""
+        power = {
+            row: characteristic_of(row, self.module).gmpp.p for row in {self._rows[k] for k in np.unique(self._at)}
+        }
+        return np.array([power[self._rows[k]] for k in self._at])
+
+
+def _modules(signals: SignalMap) -> int:
+    return sum(name.startswith("pv/environment/g") for name in signals)
+
+
+@figure("W", (POWER, VOLTAGE))
+def gmpp(signals: SignalMap, *, at: float, module: Mapping[str, Any] | None = None) -> float:
+    """Global maximum power in W at the time `at` in s, of the static characteristic."""
+    return float(_Run(signals, module, at, None).gmpp[0])
+
+
+@figure("%", (POWER, VOLTAGE))
+def efficiency(
+    signals: SignalMap, *, start: float | None = None, end: float | None = None,
+    module: Mapping[str, Any] | None = None,
+) -> float:  # fmt: skip
+    """Energy in % of the energy at the global maximum; over a whole run this is the energy share."""
+    run = _Run(signals, module, start, end)
+    return float(100.0 * run.power.sum() / run.gmpp.sum())
+
+
+@figure("", (POWER, VOLTAGE))
+def in_global_basin(signals: SignalMap, *, at: float | None = None, module: Mapping[str, Any] | None = None) -> float:
+    """1 when the voltage at the time `at` in s (the end) is in the basin of the global maximum, else 0."""
+    run = _Run(signals, module, None, at)
+    source = run.source(-1)
+    return float(source.basin(float(run.v[-1])) == source.global_basin)
+
+
+@figure("s", (POWER, VOLTAGE))
+def tracking_time(
+    signals: SignalMap, *, level: float = 0.99, start: float | None = None, end: float | None = None,
+    module: Mapping[str, Any] | None = None,
+) -> float:  # fmt: skip
+    """Time in s from `start` until the power stayed at `level` of the global maximum or above; inf if it did not."""
+    run = _Run(signals, module, start, end)
+    low = np.flatnonzero(run.power < level * run.gmpp)
+    if low.size == 0:
+        return 0.0
+    return float("inf") if low[-1] == run.t.size - 1 else float(run.t[low[-1] + 1] - run.t[0])
