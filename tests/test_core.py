@@ -133,7 +133,6 @@ BASIC = {"plant": "plant", "source": "source", "gain": "gain"}
 @pytest.mark.parametrize(
     ("nodes", "text"),
     [
-        ({"source": "source"}, "no node is a plant, so nobody owns time"),
         ({"plant": "plant", "source": "source"}, "nobody publishes lag/command, which plant needs"),
         (BASIC | {"second": "gain"}, "gain and second both publish lag/command"),
         (BASIC | {"gain": node("gain", {"lag/sate": "x"})}, "node gain: remap of 'lag/sate', but its topics are"),

@@ -8,6 +8,7 @@ import platform
 import shutil
 import time
 from collections.abc import Callable, Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal
 
@@ -79,12 +80,18 @@ def execute(
 def gaps(rig: Rig, recording: Recording) -> str:
     """Say which topics of a lockstep run lack or double a tick; empty when none does."""
     found = []
-    expected = {CLOCK.topic: rig.clock.schedule}
+    expected = {CLOCK.topic: rig.schedule_of(rig.clock, recording)}
     for member in rig.members:
         read = [p for p in member.outputs if not member.external or rig.readers(member, p)]
-        expected |= {p.topic: member.schedule for p in read}
+        expected |= {p.topic: rig.schedule_of(member, recording) for p in read}
+    sporadic = {p.topic for m in rig.members for p in m.outputs if p.sporadic}
     for topic, schedule in expected.items():
         times = recording.topics[topic].times
+        if topic in sporadic:
+            wrong = next((t for a, t in pairwise([-1, *times]) if t <= a or not schedule.due(t)), None)
+            if wrong is not None:
+                found.append(f"{topic}: a message at t = {wrong / 1e9:.9g} s, which is no tick or not a later one")
+            continue
         wanted = schedule.count()
         if len(times) == wanted and times[0] == 0 and times[-1] == schedule.last:
             continue

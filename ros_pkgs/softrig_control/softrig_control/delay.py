@@ -5,68 +5,37 @@ from __future__ import annotations
 import heapq
 import math
 from collections.abc import Mapping
-from typing import Literal, Self
+from typing import Self
 
 from pydantic import model_validator
 from softrig_core.model.block import Block, Level
-from softrig_core.model.params import BlockParams, param
-from softrig_core.model.port import Port, Sample, joint_state, reference, vector3, wrench
+from softrig_core.model.params import param
+from softrig_core.model.port import Port, Sample
 from softrig_core.model.timebase import to_ns
 from softrig_core.node import executable
 
-MessageType = Literal[
-    "sensor_msgs/msg/JointState",
-    "trajectory_msgs/msg/JointTrajectory",
-    "geometry_msgs/msg/Vector3Stamped",
-    "geometry_msgs/msg/WrenchStamped",
-]
+from .unit_delay import LinkParams
 
 
-class FieldbusDelayParams(BlockParams):
+class FieldbusDelayParams(LinkParams):
     """Which messages the link carries and what it does to them."""
 
-    topic_in: str = param("axis/state", "topic at the sender's end", min_length=1)
-    topic_out: str = param("axis/feedback", "topic at the receiver's end", min_length=1)
-    message: MessageType = param("sensor_msgs/msg/JointState", "type of the messages")
-    channels: tuple[str, ...] = param(("axis",), "names in a JointState or JointTrajectory")
-    fields: tuple[str, ...] = param(("position", "velocity"), "fields used of a JointState or JointTrajectory")
-    frame_id: str = param("", "frame of the messages")
     delay_ms: float = param(80.0, "delay, rounded up to whole periods", "ms", ge=0.0)
     jitter_ms: float = param(0.0, "largest additional delay; whole periods from 0 up to it are equally likely", "ms",
                              ge=0.0)  # fmt: skip
     loss: float = param(0.0, "probability that a message is lost", ge=0.0, lt=1.0)
     quantum: tuple[float, ...] = param((), "step to which each value is rounded, 0 for none; empty: no rounding")
-    initial: tuple[float, ...] = param((), "values given before the first arrival; empty: the first ones sent")
     restamp: bool = param(False, "stamp with the time of delivery, for a receiver that pairs messages by stamp")
 
     @model_validator(mode="after")
-    def _fits(self) -> Self:
-        if self.topic_in == self.topic_out:
-            raise ValueError(f"topic_in and topic_out are both {self.topic_in!r}")
-        known = {"position", "velocity", "effort" if self.message.endswith("JointState") else "acceleration"}
-        if not self.fields or not known.issuperset(self.fields):
-            raise ValueError(f"fields {list(self.fields)}, expected some of {sorted(known)} for {self.message}")
-        size = self.port("link", self.topic_in).size
-        for name in ("quantum", "initial"):
-            given = getattr(self, name)
-            if given and len(given) != size:
-                raise ValueError(f"{name} has {len(given)} values, expected {size}")
+    def _steps_fit(self) -> Self:
+        self.check_size("quantum")
         if any(q < 0.0 for q in self.quantum):
             raise ValueError(f"quantum {list(self.quantum)}: expected no negative step")
         return self
 
-    def port(self, name: str, topic: str, delayed: bool = True) -> Port:
-        """Give one end of the link."""
-        if self.message == "geometry_msgs/msg/Vector3Stamped":
-            return vector3(name, topic, self.frame_id, "", delayed=delayed)
-        if self.message == "geometry_msgs/msg/WrenchStamped":
-            return wrench(name, topic, self.frame_id, delayed=delayed)
-        make = joint_state if self.message == "sensor_msgs/msg/JointState" else reference
-        units = dict.fromkeys(self.fields, "1")
-        return make(name, topic, self.channels, frame_id=self.frame_id, delayed=delayed, **units)
 
-
-class FieldbusDelay(Block):
+class FieldbusDelay(Block[FieldbusDelayParams]):
     """A link that answers every tick with the newest message that has arrived, under its acquisition stamp.
 
     A message sent at t arrives at t + d, d = ceil(delay / period) + a random whole number of periods up to the
@@ -79,18 +48,16 @@ class FieldbusDelay(Block):
     `initial` values: without them the first command takes effect at once and holds until the second arrives.
     """
 
-    Params = FieldbusDelayParams
-
     @classmethod
     def ports(cls, params: FieldbusDelayParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
         """Give both ends, of the same message type."""
-        return (params.port("sent", params.topic_in),), (
+        return (params.port("sent", params.topic_in, delayed=True),), (
             params.port("arrived", params.topic_out, delayed=not params.restamp),
         )
 
     def setup(self) -> None:
         """Turn times into whole periods."""
-        p: FieldbusDelayParams = self.p
+        p = self.p
         self._period = to_ns(p.period)
         self._delay, self._rounded = whole_periods(p.delay_ms, p.period)
         self._jitter, rounded = whole_periods(p.jitter_ms, p.period)

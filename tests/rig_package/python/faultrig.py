@@ -7,7 +7,7 @@ from typing import ClassVar
 
 from softrig_core.model.block import Block, Observer, Plant
 from softrig_core.model.params import BlockParams, param
-from softrig_core.model.port import Sample, button, command, joint_state, number, reference
+from softrig_core.model.port import Sample, array, button, command, joint_state, number, reference
 from softrig_core.node import executable
 
 STATE = joint_state("state", "lag/state", ["x"], position="m", velocity="m/s")
@@ -148,6 +148,101 @@ class LateGain(Block):
         return {"command": (reference[0] - state.data[0] - (t - state.stamp) * 1e-12,)}
 
 
+class BurstParams(BlockParams):
+    at: tuple[float, ...] = param((0.05, 0.12), "times of the events", "s")
+
+
+class Burst(Block[BurstParams]):
+    """Speaks at some ticks only, of one of two channels."""
+
+    OUTPUTS = (command("burst", "lag/burst", ["b"], "N", sporadic=True),)
+
+    def update(self, t):
+        k = [round(at * 1e9) for at in self.p.at]
+        return {"burst": (float(1 + k.index(t)),)} if t in k else {"burst": None}
+
+
+class BurstGain(Block):
+    """Adds what events say, for 30 ms."""
+
+    INPUTS = (
+        STATE,
+        command("burst", "lag/burst", ["a", "b"], ["N", "V"], partial=True, sporadic=True, safe=(0.25, 0.5)),
+    )
+    OUTPUTS = (COMMAND,)
+
+    def update(self, t, state, burst):
+        age = self.age("burst")
+        fresh = age is not None and age < 30_000_000
+        assert self.age("state") == 0
+        return {"command": (burst[0] + (burst[1] if fresh else -burst[1]) - state[0],)}
+
+
+class Record(Block):
+    """Gathers the state, speaks once at the end."""
+
+    INPUTS = (STATE,)
+    OUTPUTS = (array("record", "lag/record", {"k": 3}, "m", sporadic=True),)
+
+    def start(self) -> None:
+        self.seen: list[float] = []
+
+    def update(self, t, state):
+        self.seen.append(state[0])
+        return {}
+
+    def finish(self, t, state):
+        self.seen.append(state[0])
+        return {"record": (self.seen[1], self.seen[-1], float(len(self.seen)))}
+
+
+class Analyst(Block):
+    """Reads the record when it is there."""
+
+    INPUTS = (array("record", "lag/record", {"k": 3}, "m", held=True, sporadic=True),)
+    OUTPUTS = (joint_state("result", "lag/result", ["x"], position="m", sporadic=True),)
+
+    def update(self, t, record):
+        assert record is None
+        return {}
+
+    def finish(self, t, record):
+        return {"result": (record[1] - record[0],)}
+
+
+class EnderParams(BlockParams):
+    level: float = param(0.05, "level of the state at which the run ends", "m")
+
+
+class Ender(Observer[EnderParams]):
+    """Ends the run when the state has reached a level."""
+
+    ENDS = True
+    INPUTS = (STATE,)
+
+    def start(self) -> None:
+        self.seen = 0
+
+    def update(self, t, state):
+        self.seen += 1
+        if state[0] > self.p.level:
+            self.done()
+        return {}
+
+    def status(self):
+        return {"seen": (float(self.seen), "")}
+
+
+class Accumulator(Block):
+    """y = 1 + 0.5 times its own output, which must come back late."""
+
+    INPUTS = (joint_state("back", "loop/back", ["y"], position="1"),)
+    OUTPUTS = (joint_state("sum", "loop/sum", ["y"], position="1"),)
+
+    def update(self, t, back):
+        return {"sum": (1.0 + 0.5 * back[0],)}
+
+
 plant = executable(Lag)
 source = executable(Source)
 gain = executable(Gain)
@@ -156,3 +251,9 @@ watcher = executable(Watcher)
 killed = executable(Killed)
 link = executable(DelayedLink)
 late_gain = executable(LateGain)
+burst = executable(Burst)
+burst_gain = executable(BurstGain)
+record = executable(Record)
+analyst = executable(Analyst)
+ender = executable(Ender)
+accumulator = executable(Accumulator)

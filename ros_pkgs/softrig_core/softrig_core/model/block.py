@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from enum import IntEnum
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, get_args
+
+from typing_extensions import TypeVar
 
 from .params import BlockParams, build
 from .port import Port, Sample
@@ -16,7 +18,8 @@ if TYPE_CHECKING:
 
     from .marker import Marker
 
-Values = Mapping[str, "Sequence[float] | Sample"]
+Values = Mapping[str, "Sequence[float] | Sample | None"]
+P = TypeVar("P", bound=BlockParams, default=Any)
 
 
 class Level(IntEnum):
@@ -27,8 +30,10 @@ class Level(IntEnum):
     ERROR = 2
 
 
-class Block:
+class Block(Generic[P]):
     """A controller, reference, observer, delay or other block with `update`.
+
+    ``class Lag(Block[LagParams])`` has parameters of that type, as `Params` and as type of ``self.p``.
 
     Parameters
     ----------
@@ -48,11 +53,22 @@ class Block:
     Params: ClassVar[type[BlockParams]] = BlockParams
     INPUTS: ClassVar[tuple[Port, ...]] = ()
     OUTPUTS: ClassVar[tuple[Port, ...]] = ()
+    ENDS: ClassVar[bool] = False  # whether it may end the run, with `done`
     STALE_PERIODS: ClassVar[int] = 5  # realtime: age in its own periods at which a plant no longer trusts a command
 
-    def __init__(self, params: BlockParams | None = None, name: str = "", **values: Any) -> None:
-        self.p: Any = build(self.Params, values) if params is None else params
+    def __init_subclass__(cls, **keywords: Any) -> None:
+        super().__init_subclass__(**keywords)
+        if "Params" not in cls.__dict__:
+            for base in cls.__dict__.get("__orig_bases__", ()):
+                for argument in get_args(base):
+                    if isinstance(argument, type) and issubclass(argument, BlockParams):
+                        cls.Params = argument
+
+    def __init__(self, params: P | None = None, name: str = "", **values: Any) -> None:
+        self.p: P = build(self.Params, values) if params is None else params  # type: ignore[assignment]
         self.name = name
+        self.ended = False
+        self.ages: Callable[[str], int | None] | None = None  # set by who runs the block
         self.reports: dict[str, tuple[Level, str, int]] = {}
         self.setup()
         self.reset(0)
@@ -70,6 +86,7 @@ class Block:
         self._seed = seed
         self.__dict__.pop("rng", None)
         self.reports.clear()
+        self.ended = False
         self.start()
 
     def start(self) -> None:
@@ -86,6 +103,29 @@ class Block:
         """Note an event for /diagnostics: logged the first time a key appears, counted always."""
         count = self.reports[key][2] if key in self.reports else 0
         self.reports[key] = (level, text, count + 1)
+
+    def age(self, name: str) -> int | None:
+        """Give the age of an input in ns at the tick under way: how long ago its newest message was stamped.
+
+        None when none has come yet. Outside of a run every input is new.
+        """
+        return 0 if self.ages is None else self.ages(name)
+
+    def done(self) -> None:
+        """End the run normally at the next tick of the clock; only for a block that says `ENDS`."""
+        if not self.ENDS:
+            raise RuntimeError(f"{type(self).__name__} does not say ENDS = True, so nobody listens for its end")
+        self.ended = True
+
+    @classmethod
+    def finishes(cls) -> bool:
+        """Whether the block has a last word."""
+        return cls.finish is not Block.finish
+
+    @classmethod
+    def speaks_at_end(cls) -> bool:
+        """Whether the block has a tick at the end time of a run: plants, observers and who has a last word."""
+        return issubclass(cls, (Plant, Observer)) or cls.finishes()
 
     def latched(self) -> Mapping[str, str]:
         """Give topic to text (such as ``robot_description``) that a node publishes once, also for late joiners."""
@@ -108,7 +148,15 @@ class Block:
 
         Returns
         -------
-        mapping of output port name to values (a `Sample` on a delayed port)
+        mapping of output port name to values (a `Sample` on a delayed port; None or nothing for silence on a
+        sporadic one)
+        """
+        raise NotImplementedError
+
+    def finish(self, t: int, **inputs: Any) -> Values:
+        """Answer the last tick not after the end of a run, in place of `update`: what is said of a whole record.
+
+        A block that overrides it sees the last outputs of the plants and the commands of the tick before.
         """
         raise NotImplementedError
 
@@ -123,7 +171,7 @@ class Block:
         return None
 
 
-class Plant(Block):
+class Plant(Block[P]):
     """A block with state that owns time: `outputs` at t_k, then `advance` to t_{k+1}.
 
     The outputs at t_k never depend on the inputs of t_k.
@@ -138,7 +186,7 @@ class Plant(Block):
         raise NotImplementedError
 
 
-class Observer(Block):
+class Observer(Block[P]):
     """A block that only watches; `status` gives its figures, which the node publishes as a DiagnosticArray.
 
     An observer also sees the last plant outputs, at the end time of a run.

@@ -50,6 +50,11 @@ class Port:
         Input only: optional, newest value, None until the first; for people and outside nodes.
     delayed : bool
         Carries `Sample` with an acquisition time of its own and is paired by order instead of by stamp.
+    sporadic : bool
+        Output: the block may stay silent at a tick (the port left out of its answer, or None) and readers know it
+        without waiting. An input keeps its newest value, whose `Block.age` is 0 at a tick at which something came.
+    partial : bool
+        Input only: a message may carry a subset of the channels; the others keep their value, at first `safe`.
     dims : Dims
         Labels and sizes of the dimensions of a Float64MultiArray; the last one changes fastest.
     safe : tuple of float
@@ -66,16 +71,21 @@ class Port:
     frame_id: str = ""
     held: bool = False
     delayed: bool = False
+    sporadic: bool = False
+    partial: bool = False
     dims: Dims = ()
     safe: tuple[float, ...] = field(default=())
 
     def __post_init__(self) -> None:
         if len(self.units) != self.size:
             raise ValueError(f"port {self.name}: {len(self.units)} units for {self.size} values")
+        object.__setattr__(self, "safe", tuple(map(float, self.safe)))
         if not self.safe:
             object.__setattr__(self, "safe", (0.0,) * self.size)
         if len(self.safe) != self.size:
             raise ValueError(f"port {self.name}: {len(self.safe)} safe values for {self.size} values")
+        if self.partial and self.msgtype not in NAMED:
+            raise ValueError(f"port {self.name}: {self.msgtype} has no channel names, it cannot be partial")
 
     @cached_property
     def size(self) -> int:
@@ -98,6 +108,13 @@ class Port:
         return tuple(f"{c}/{f}" for f in self.fields for c in self.channels)
 
     @property
+    def initial(self) -> tuple[float, ...] | Sample | None:
+        """What an input gives before its first message: None when held, else the safe value."""
+        if self.held:
+            return None
+        return Sample(0, self.safe) if self.delayed else self.safe
+
+    @property
     def stamped(self) -> bool:
         """Whether its messages have a header with a stamp."""
         return "stamp" in SCHEMAS[self.msgtype]
@@ -113,16 +130,19 @@ class Port:
         return replace(self, topic=topic)
 
 
-def joint_state(name: str, topic: str, channels: Sequence[str], *, position: str = "", velocity: str = "",
-                effort: str = "", **options: object) -> Port:  # fmt: skip
-    """State of mechanical axes or named scalars; the fields are those whose unit is given ("1" for a pure number)."""
+Units = str | Sequence[str]  # one of all channels, or one a channel; "1" for a pure number
+
+
+def joint_state(name: str, topic: str, channels: Sequence[str], *, position: Units = "", velocity: Units = "",
+                effort: Units = "", **options: object) -> Port:  # fmt: skip
+    """State of mechanical axes or named scalars; the fields are those whose unit or units are given."""
     return _named(
         NAMED[0], name, topic, channels, {"position": position, "velocity": velocity, "effort": effort}, options
     )
 
 
-def command(name: str, topic: str, channels: Sequence[str], unit: str, **options: object) -> Port:
-    """Actuator command: a JointState whose effort holds the commanded values (V, N m, N, duty)."""
+def command(name: str, topic: str, channels: Sequence[str], unit: Units, **options: object) -> Port:
+    """Actuator command: a JointState whose effort holds the commanded values (V, N m, N, duty); one unit or many."""
     return joint_state(name, topic, channels, effort=unit, **options)  # type: ignore[arg-type]
 
 
@@ -131,9 +151,9 @@ def scalars(name: str, topic: str, units: Mapping[str, str], **options: object) 
     return Port(name, topic, NAMED[0], tuple(units), ("position",), tuple(units.values()), **options)  # type: ignore[arg-type]
 
 
-def reference(name: str, topic: str, channels: Sequence[str], *, position: str = "", velocity: str = "",
-              acceleration: str = "", **options: object) -> Port:  # fmt: skip
-    """Axis reference: a JointTrajectory of one point; the fields are those whose unit is given."""
+def reference(name: str, topic: str, channels: Sequence[str], *, position: Units = "", velocity: Units = "",
+              acceleration: Units = "", **options: object) -> Port:  # fmt: skip
+    """Axis reference: a JointTrajectory of one point; the fields are those whose unit or units are given."""
     units = {"position": position, "velocity": velocity, "acceleration": acceleration}
     return _named(NAMED[1], name, topic, channels, units, options)
 
@@ -174,8 +194,9 @@ def button(name: str, topic: str, **options: object) -> Port:
     return Port(name, topic, "std_msgs/msg/Bool", (), ("data",), ("",), **options)  # type: ignore[arg-type]
 
 
-def _named(msgtype: str, name: str, topic: str, channels: Sequence[str], units: Mapping[str, str],
+def _named(msgtype: str, name: str, topic: str, channels: Sequence[str], units: Mapping[str, Units],
            options: Mapping[str, object]) -> Port:  # fmt: skip
     fields = tuple(f for f, unit in units.items() if unit)
-    flat = tuple("" if units[f] == "1" else units[f] for f in fields for _ in channels)
+    each = {f: [unit] * len(channels) if isinstance(unit, str) else unit for f, unit in units.items()}
+    flat = tuple("" if unit == "1" else unit for f in fields for unit in each[f])
     return Port(name, topic, msgtype, tuple(channels), fields, flat, **options)  # type: ignore[arg-type]

@@ -85,9 +85,7 @@ class Adapter:
         self.options = options
         by_hand = Links(owns_clock=isinstance(block, Plant) and options.mode == "lockstep")
         self.links = Links.model_validate_json(options.links) if options.links else by_hand
-        self.schedule = Schedule(
-            block.p.period, self.links.base or None, options.duration, isinstance(block, Plant | Observer)
-        )
+        self.schedule = Schedule(block.p.period, self.links.base or None, options.duration, block.speaks_at_end())
         self.state: Literal["starting", "running", "done", "failed"] = "starting"
         self.ticks = 0
         self.t = 0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from copy import copy
 from typing import Any
 
 from ..errors import RunError, ScenarioError
@@ -18,27 +19,54 @@ class _Step:
 
     def __init__(self, member: Member, block: Block, slots: dict[str, int], topics: list[str]) -> None:
         self.block = block
+        self.schedule = copy(member.schedule)  # a block may end the run before its duration
         self.every = member.schedule.every
         self.name = member.name
         self.advance = block.advance if isinstance(block, Plant) else None
         self.answer = block.outputs if isinstance(block, Plant) else block.update
-        self.at_end = member.schedule.at_end
+        if block.finishes() and self.advance is None:
+            self.answer = self._last_or_update
         self.idle = {p.name: None for p in member.inputs if p.name not in member.links}
         self.reads = [
             (p.name, slots[p.topic], member.links[p.name].pick, p.delayed and not member.links[p.name].port.delayed,
-             member.links[p.name].source.schedule.held)
+             member.links[p.name].source.schedule.held, p.initial)
             for p in member.inputs if p.name in member.links
         ]  # fmt: skip
         self.writes = [(p, slots[p.topic], p.layout().encode, topics.index(p.topic)) for p in member.outputs]
 
     def gather(self, t: int, values: list[Any]) -> dict[str, Any]:
         inputs: dict[str, Any] = dict(self.idle)
-        for name, slot, pick, wrap, held in self.reads:
+        for name, slot, pick, wrap, held, initial in self.reads:
             value = values[slot]
+            if value is None:  # a sporadic sender has not spoken yet
+                inputs[name] = initial
+                continue
             if pick is not None:
                 value = Sample(value.stamp, pick(value.data)) if isinstance(value, Sample) else pick(value)
             inputs[name] = Sample(held(t), value) if wrap else value
         return inputs
+
+    def _last_or_update(self, t: int, **inputs: Any) -> Any:
+        return self.block.finish(t, **inputs) if t == self.schedule.last else self.block.update(t, **inputs)
+
+
+class _Ages:
+    """Answers `Block.age` for one block of a run in process."""
+
+    def __init__(self, step: _Step, member: Member, now: list[int], values: list[Any], sent: list[int | None]) -> None:
+        self._links = {p.name: member.links[p.name] for p in member.inputs if p.name in member.links}
+        self._slots = {name: slot for name, slot, *_ in step.reads}
+        self._now, self._values, self._sent = now, values, sent
+
+    def __call__(self, name: str) -> int | None:
+        link, slot = self._links.get(name), self._slots.get(name)
+        if link is None or slot is None or self._values[slot] is None:
+            return None
+        value = self._values[slot]
+        if isinstance(value, Sample):
+            return self._now[0] - value.stamp
+        stamp = self._sent[slot] if link.port.sporadic else link.source.schedule.awaited(self._now[0])
+        return None if stamp is None else self._now[0] - stamp
 
 
 def run_inprocess(
@@ -75,7 +103,12 @@ def run_inprocess(
     time, ticks = rig.clock.schedule.time, rig.ticks
     slots = {topic: i for i, topic in enumerate(topics)}
     values: list[Any] = [None] * len(slots)
+    sent: list[int | None] = [None] * len(slots)  # stamps of what sporadic ports gave last
+    now = [0]
     steps = [_Step(m, m.block(seed), slots, topics) for m in rig.members]
+    for step, member in zip(steps, rig.members, strict=True):
+        step.block.ages = _Ages(step, member, now, values, sent)
+    enders = [s for s in steps if s.block.ENDS]
     plants = [s for s in steps if s.advance]
     others = [s for s in steps if not s.advance]
     clock = CLOCK.layout()
@@ -88,11 +121,16 @@ def run_inprocess(
             raise RunError(f"{step.name} failed at t = {t / 1e9:.9g} s: {type(error).__name__}: {error}") from error
         for port, slot, encode, topic in step.writes:
             value = check(found, port, step.name, t)
+            if value is None:
+                continue
+            if port.sporadic:
+                sent[slot] = t
             values[slot] = value
             if add is not None:
                 add(topic, t, encode(value.stamp, value.data) if isinstance(value, Sample) else encode(t, value))
 
     def due(t: int, k: int) -> None:
+        now[0] = t
         if add is not None:
             add(0, t, clock.encode(t, ()))
         for step in plants:
@@ -100,12 +138,18 @@ def run_inprocess(
                 answer(step, t, {})
 
     stride = max(1, ticks // 100)
-    for k in range(ticks):
+    k = 0
+    while k < ticks:
         t = time(k)
         due(t, k)
         for step in others:
             if k % step.every == 0:
                 answer(step, t, step.gather(t, values))
+        for step in enders:
+            if k % step.every == 0 and step.block.ended:
+                ticks = min(ticks, k + rig.stride - k % rig.stride)
+                for each in steps:
+                    each.schedule.stop(ticks)
         for step in plants:
             if k % step.every == 0 and k + step.every <= ticks:
                 try:
@@ -115,17 +159,19 @@ def run_inprocess(
                                    ) from error  # fmt: skip
         if progress is not None and k % stride == 0:
             progress(t)
-    due(rig.end, ticks)
+        k += 1
+    end = time(ticks)
+    due(end, ticks)
     for step in others:
-        if step.at_end and ticks % step.every == 0:
-            answer(step, rig.end, step.gather(rig.end, values))
+        if step.schedule.last == end:
+            answer(step, end, step.gather(end, values))
     if progress is not None:
-        progress(rig.end)
+        progress(end)
     return {s.name: s.block for s in steps}
 
 
-def check(found: Any, port: Port, node: str, t: int) -> tuple[float, ...] | Sample:
-    """Make sure that a block's answer may leave it: right length, all finite, plain floats.
+def check(found: Any, port: Port, node: str, t: int) -> tuple[float, ...] | Sample | None:
+    """Make sure that a block's answer may leave it: right length, all finite, plain floats; None for silence.
 
     Raises
     ------
@@ -133,13 +179,15 @@ def check(found: Any, port: Port, node: str, t: int) -> tuple[float, ...] | Samp
         Names node, port, value and time.
     """
     try:
-        given: Any = found[port.name]
-    except (KeyError, TypeError):
+        given: Any = found[port.name] if not port.sporadic else found.get(port.name)
+    except (AttributeError, KeyError, TypeError):
         raise RunError(f"{node} gave no {port.name} at t = {t / 1e9:.9g} s") from None
     if type(given) is tuple and len(given) == port.size:  # what nearly every block gives, told in a fifth of the time
         total = sum(given)
         if type(total) is float and total - total == 0.0:
             return given
+    if given is None and port.sporadic:
+        return None
     data: Sequence[float] = given.data if isinstance(given, Sample) else given
     values = tuple(map(float, data))
     if len(values) != port.size:

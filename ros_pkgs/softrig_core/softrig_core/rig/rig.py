@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import importlib.metadata
+import math
 from collections.abc import Callable, Mapping
+from copy import copy
 from dataclasses import dataclass
 from typing import Any
 
 from pydantic import ValidationError
 
 from ..errors import ScenarioError
-from ..model.block import Block, Observer, Plant
-from ..model.params import BlockParams, ParameterError, flatten
+from ..model.block import Block, Plant
+from ..model.params import BlockParams, ParameterError, build, flatten
 from ..model.port import Port, Refused
 from ..model.schedule import Schedule
 from ..wire.cdr import Pick
 from ..wire.codec import selection
+from ..wire.recording import Recording
 from .node_parameters import NodeParameters
 from .scenario import Scenario, explain
 
@@ -80,13 +83,14 @@ class Rig:
                 known[name] = load_block(entry.package, entry.executable)
         params = NodeParameters(scenario, known)
         members = [_member(scenario, name, known[name], params) for name in scenario.nodes]
+        if scenario.clock is not None or not any(m.is_plant for m in members):
+            members.append(_clock(scenario, members))
         plants = [m for m in members if m.is_plant]
-        if not plants:
-            raise ScenarioError(f"{scenario.name}: no node is a plant, so nobody owns time")
         clock = min(plants, key=lambda m: m.schedule.period)
         for m in members:
             try:
-                m.schedule = Schedule(m.params.period, clock.params.period, scenario.duration, speaks_at_end(m))
+                m.schedule = Schedule(m.params.period, clock.params.period, scenario.duration,
+                                      m.block_class.speaks_at_end())  # fmt: skip
             except ValueError as error:
                 raise ScenarioError(f"{scenario.name}: node {m.name}: {error}, {clock.name}") from None
         _wire(scenario, members)
@@ -146,12 +150,31 @@ class Rig:
         return Rig.from_scenario(scenario, {m.name: m.block_class for m in self.members})
 
     @property
+    def stride(self) -> int:
+        """Number of clock ticks between those at which a block may end the run: all that have a last word are due."""
+        return math.lcm(*(m.schedule.every for m in self.members if m.block_class.finishes()))
+
+    @property
     def topics(self) -> dict[str, Port]:
         """Every published topic in the order in which one tick's messages follow from each other."""
         found = {"/clock": CLOCK} | {port.topic: port for m in self.members for port in m.outputs}
         for m in self.members:
             found |= {p.topic: p for p in m.inputs if p.topic not in found}
         return found
+
+    @property
+    def enders(self) -> list[Member]:
+        """Members that may end the run."""
+        return [m for m in self.members if m.block_class.ENDS]
+
+    def schedule_of(self, member: Member, recording: Recording) -> Schedule:
+        """Give the schedule of a member in a recorded run, which a block may have ended before its duration."""
+        schedule = copy(member.schedule)
+        clock = recording.topics.get(CLOCK.topic)
+        ticks = len(clock.times) - 1 if clock is not None and self.enders else 0
+        if ticks > 0 and ticks % self.stride == 0:
+            schedule.stop(ticks)
+        return schedule
 
     def readers(self, member: Member, port: Port) -> list[tuple[Member, Port]]:
         """Give the members that read an output."""
@@ -170,6 +193,7 @@ class Rig:
 
 
 CLOCK = Port("clock", "/clock", "rosgraph_msgs/msg/Clock")
+CLOCK_NODE = "clock"  # node and executable of a clock that is no plant
 
 
 def load_block(package: str, executable: str) -> type[Block]:
@@ -212,6 +236,20 @@ def _member(scenario: Scenario, name: str, block: type[Block], parameters: NodeP
     outputs = tuple(p.renamed(entry.remap.get(p.topic, p.topic)) for p in outputs)
     return Member(name, entry.package, entry.executable, block, params, inputs, outputs, entry.external,
                   dict(entry.remap), {}, Schedule(params.period))  # fmt: skip
+
+
+def _clock(scenario: Scenario, members: list[Member]) -> Member:
+    """Make the clock of a rig without a plant, or with a period of its own."""
+    if any(m.name == CLOCK_NODE for m in members):
+        raise ScenarioError(f"{scenario.name}: node {CLOCK_NODE}: that is the name of the rig's own clock")
+    block = load_block("softrig_core", CLOCK_NODE)
+    period = scenario.clock if scenario.clock is not None else min(m.params.period for m in members)
+    try:
+        params: Any = build(block.Params, {"period": period})
+    except ParameterError as error:
+        raise ScenarioError(f"{scenario.name}: clock: {error}") from None
+    schedule = Schedule(params.period)
+    return Member(CLOCK_NODE, "softrig_core", CLOCK_NODE, block, params, (), (), False, {}, {}, schedule)
 
 
 def _wire(scenario: Scenario, members: list[Member]) -> None:
@@ -263,8 +301,3 @@ def _sorted(members: list[Member]) -> list[Member]:
     for member in members:
         visit(member)
     return done
-
-
-def speaks_at_end(member: Member) -> bool:
-    """Whether the member has a tick at the end time of a run: plants, and observers for a last look."""
-    return issubclass(member.block_class, (Plant, Observer))

@@ -97,6 +97,7 @@ class Scenario(_Model):
     system: str
     source: str
     duration: float = Field(gt=0)
+    clock: float | str | None = Field(None, description="period in s of a clock that is no plant, also as 1/2880")
     seed: int = Field(0, ge=0)
     timeout: float = Field(10.0, gt=0, description="wall-clock s without progress before a lockstep run fails")
     start_timeout: float = Field(30.0, gt=0, description="wall-clock s to wait for all nodes, 0 < external ones")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from ..model.port import Port, Refused
 from .cdr import NAMED, CdrError, Message, Pick, getter, parse
 
@@ -13,6 +15,7 @@ class Decoder:
         self._port = port
         self._layout = port.layout()
         self._pick: Pick | None = None
+        self.kept = port.safe  # of a partial port: what channels that a message leaves out keep; its reader updates it
 
     def __call__(self, data: bytes) -> tuple[int, tuple[float, ...]]:
         """Give (stamp in ns, values).
@@ -30,7 +33,7 @@ class Decoder:
                 return self._slow(data)
         stamp, values = found
         if self._pick is not None:
-            values = self._pick(values)
+            values = self._pick(values + self.kept if self._port.partial else values)
         total = sum(values)
         if total - total != 0.0:  # NaN or infinity somewhere, or a sum beyond the range of float64
             self._check_finite(values)
@@ -46,12 +49,13 @@ class Decoder:
         message = self._parse(data)
         order = self._order(message)  # first: a layout that is refused must not be known the next time
         self._layout = message.layout(self._port.msgtype)
-        self._pick = None if order == tuple(range(self._layout.size)) else getter(order)
+        self._pick = None if order == tuple(range(self._layout.size)) and not self._port.partial else getter(order)
 
     def _slow(self, data: bytes) -> tuple[int, tuple[float, ...]]:
         message = self._parse(data)
         flat = [float(x) for values in message.fields.values() for x in values]
-        values = tuple(flat[i] for i in self._order(message))
+        order = self._order(message)
+        values = tuple([*flat, *self.kept][i] for i in order)
         self._check_finite(values)
         return message.stamp or 0, values
 
@@ -62,14 +66,16 @@ class Decoder:
             raise Refused(str(error)) from None
 
     def _order(self, message: Message) -> tuple[int, ...]:
-        """Where each value of the port stands among all numbers of the message."""
+        """Where each value of the port stands among all numbers of the message, followed by those kept."""
         port = self._port
         if port.frame_id and message.frame_id != port.frame_id:
             raise Refused(f"frame_id {message.frame_id!r}, expected {port.frame_id!r}")
         if (message.dims or ()) != port.dims:
             raise Refused(f"shape {dict(message.dims or ())}, expected {dict(port.dims)}")
         named = port.msgtype in NAMED
-        if named and sorted(message.names) != sorted(port.channels):
+        if port.partial:
+            _check_partial(message.names, port)
+        elif named and sorted(message.names) != sorted(port.channels):
             raise Refused(f"names {list(message.names)}, expected {list(port.channels)}")
         order: list[int] = []
         start = dict.fromkeys(message.fields, 0)
@@ -79,11 +85,19 @@ class Decoder:
             at += len(values)
         for name in port.fields:
             n = len(message.fields[name])
-            if named and n != len(port.channels):
-                raise Refused(f"{name} has {n} values, expected {len(port.channels)} ({', '.join(port.channels)})")
-            places = [message.names.index(c) for c in port.channels] if named else range(n)
-            order += [start[name] + i for i in places]
+            if named and n != len(message.names):
+                raise Refused(f"{name} has {n} values, expected {len(message.names)} ({', '.join(message.names)})")
+            if not named:
+                order += [start[name] + i for i in range(n)]
+                continue
+            place = {c: start[name] + i for i, c in enumerate(message.names)}
+            order += [place.get(c, at + len(order) + i) for i, c in enumerate(port.channels)]
         return tuple(order)
+
+
+def _check_partial(names: Sequence[str], port: Port) -> None:
+    if not names or len(set(names)) != len(names) or not set(names) <= set(port.channels):
+        raise Refused(f"names {list(names)}, expected some of {list(port.channels)}")
 
 
 def selection(source: Port, sink: Port) -> Pick | None:
@@ -100,10 +114,16 @@ def selection(source: Port, sink: Port) -> Pick | None:
         raise Refused(f"frame_id {source.frame_id!r}, expected {sink.frame_id!r}")
     if source.dims != sink.dims:
         raise Refused(f"shape {dict(source.dims)}, expected {dict(sink.dims)}")
-    if sorted(source.channels) != sorted(sink.channels):
+    if sink.partial:
+        _check_partial(source.channels, sink)
+    elif sorted(source.channels) != sorted(sink.channels):
         raise Refused(f"channels {list(source.channels)}, expected {list(sink.channels)}")
     missing = [f for f in sink.fields if f not in source.fields]
     if missing:
         raise Refused(f"fields {list(source.fields)} lack {missing[0]}")
+    if len(source.channels) < len(sink.channels):  # what this source never sends stays as it is
+        place = {label: i for i, label in enumerate(source.labels)}
+        some = getter([place.get(label, source.size + i) for i, label in enumerate(sink.labels)])
+        return lambda values: some(values + sink.safe)
     order = tuple(source.labels.index(label) for label in sink.labels)
     return None if order == tuple(range(source.size)) else getter(order)

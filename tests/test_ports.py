@@ -1,0 +1,175 @@
+"""Events, partial messages, records at the end, ends by a block, unit delays, clocks: alike in every runner."""
+
+import pytest
+from conftest import differences, in_process, make_scenario
+from hypothesis import given
+from hypothesis import strategies as st
+from softrig_bringup.run import gaps
+from softrig_core.errors import RunError, ScenarioError
+from softrig_core.model.block import Block
+from softrig_core.model.params import BlockParams, param
+from softrig_core.model.port import Refused, command, joint_state, wrench
+from softrig_core.model.schedule import Schedule
+from softrig_core.rig.inprocess import check
+from softrig_core.rig.processes import run_processes
+from softrig_core.rig.replay import feed
+from softrig_core.rig.rig import Rig
+from softrig_core.wire.cdr import Layout
+from softrig_core.wire.codec import Decoder, selection
+from softrig_core.wire.signals import Signals
+
+DELAY = {"package": "softrig_control", "executable": "unit_delay", "parameters": {
+    "topic_in": "loop/sum", "topic_out": "loop/back", "channels": ["y"], "fields": ["position"],
+    "initial": [4.0]}}  # fmt: skip
+BASIC = {"plant": "plant", "source": "source", "gain": "gain"}
+RIGS = {
+    "events": ({"plant": "plant", "burst": "burst", "gain": "burst_gain"}, 0.3, {}),
+    "record": (BASIC | {"record": "record", "analyst": "analyst"}, 0.1, {}),
+    "end": (
+        {
+            **BASIC, "ender": "ender", "watcher": "watcher",
+            "record": {"executable": "record", "parameters": {"period": 0.03}},
+            "second": {"executable": "plant", "parameters": {"period": 0.05},
+                       "remap": {"lag/state": "second/state", "lag/applied": "second/applied"}},
+        },
+        5.0,
+        {},
+    ),
+    "algebraic loop": ({"accumulator": "accumulator", "delay": DELAY}, 0.2, {}),
+    "no plant": ({"source": "source"}, 0.2, {"clock": "1/300"}),
+}  # fmt: skip
+RIGS["no plant"][0]["source"] = {"executable": "source", "parameters": {"period": "1/100"}}
+
+
+def rig(name):
+    nodes, duration, options = RIGS[name]
+    return Rig.from_scenario(make_scenario(nodes, duration, **options))
+
+
+@pytest.mark.parametrize("name", ["algebraic loop", "no plant"])
+@pytest.mark.processes
+def test_processes_and_open_loop_give_what_in_process_gives(name, tmp_path):
+    wired = rig(name)
+    expected = in_process(wired)
+    outcome = run_processes(wired, 0, tmp_path)
+    assert outcome.error == ""
+    assert differences(expected, outcome.recording) == []
+    assert gaps(wired, expected) == ""
+
+
+@pytest.mark.parametrize("name", RIGS)
+def test_open_loop_gives_what_in_process_gives(name):
+    wired = rig(name)
+    expected = in_process(wired)
+    for member in wired.members:
+        answers = feed(wired, member, 0, expected)
+        assert all(answers.topics[t].data == expected.topics[t].data for t in answers.topics), member.name
+
+
+def test_an_event_reaches_its_readers_at_its_tick_and_is_held():
+    recording = in_process(rig("events"))
+    assert recording.topics["lag/burst"].times == [50_000_000, 120_000_000]
+    signals = Signals(recording)
+    u, x = signals["lag/command/u/effort"], signals["lag/state/x/position"]
+    # channel a is never sent and keeps its safe 0.25; b changes its sign 30 ms after the event, at first it is -0.5
+    b = [-0.5] * 5 + [1.0] * 3 + [-1.0] * 4 + [2.0] * 3 + [-2.0] * 15
+    assert u.x + x.x[:-1] == pytest.approx([0.25 + value for value in b])
+
+
+def test_a_record_is_read_once_at_the_end():
+    recording = in_process(rig("record"))
+    signals = Signals(recording)
+    assert recording.topics["lag/record"].times == recording.topics["lag/result"].times == [100_000_000]
+    x = signals["lag/state/x/position"].x
+    assert list(signals["lag/result/x/position"].x) == [x[-1] - x[1]]
+    assert signals["lag/record/2"].x == [11.0]
+
+
+def test_a_block_ends_the_run_at_a_tick_at_which_all_who_have_a_last_word_are_due():
+    wired = rig("end")
+    recording = in_process(wired)
+    x = Signals(recording)["lag/state/x/position"].x
+    reached = int((x > 0.05).argmax())
+    end = reached + 3 - reached % 3  # the record is due every third tick
+    assert len(x) == end + 1 < wired.ticks
+    assert recording.topics["lag/record"].times == [end * 10_000_000]
+    assert recording.topics["second/state"].times[-1] <= end * 10_000_000
+    recording.topics["lag/state"].times.pop()
+    assert "lag/state" in gaps(wired, recording)
+
+
+def test_a_unit_delay_opens_an_algebraic_loop():
+    y = Signals(in_process(rig("algebraic loop")))["loop/sum/y/position"].x
+    assert list(y) == [2.0 + 2.0 * 0.5 ** (k + 1) if k else 3.0 for k in range(len(y))]
+    nodes = {"accumulator": {"executable": "accumulator", "remap": {"loop/back": "loop/sum"}}}
+    with pytest.raises(ScenarioError, match="cycle without a plant in it: accumulator -> accumulator"):
+        Rig.from_scenario(make_scenario(nodes))
+
+
+def test_a_rig_without_a_plant_has_a_clock():
+    recording = in_process(rig("no plant"))
+    assert recording.topics["/clock"].times == [Schedule("1/300").time(k) for k in range(61)]
+    assert len(recording.topics["lag/reference"].times) == 20
+    alone = Rig.from_scenario(make_scenario({"source": "source"}, 0.2))
+    assert (alone.clock.name, alone.ticks) == ("clock", 20)
+    with pytest.raises(ScenarioError, match="neither a number nor a fraction"):
+        Rig.from_scenario(make_scenario({"source": "source"}, 0.2, clock="1/x"))
+
+
+def test_only_a_block_that_says_so_may_end_a_run_or_be_silent():
+    with pytest.raises(RuntimeError, match="does not say ENDS"):
+        Block().done()
+    port = command("u", "u", ["a"], "N")
+    with pytest.raises(RunError, match="gave no u"):
+        check({}, port, "node", 0)
+    assert check({"u": None}, command("u", "u", ["a"], "N", sporadic=True), "node", 0) is None
+
+
+def test_units_by_channel():
+    port = command("u", "u", ["a", "b"], ["N", "1"])
+    assert port.units == ("N", "")
+    assert joint_state("x", "x", ["a", "b"], position=["rad", "m"], velocity="1").units == ("rad", "m", "", "")
+    with pytest.raises(ValueError, match="3 units for 2 values"):
+        command("u", "u", ["a", "b"], ["N", "V", "A"])
+
+
+@given(
+    st.lists(st.sampled_from("abc"), min_size=1, unique=True), st.lists(st.sampled_from("abc"), min_size=1, unique=True)
+)
+def test_absent_channels_of_a_partial_port_keep_their_value(first, second):
+    port = joint_state("e", "e", "abc", position="m", effort="N", partial=True, safe=range(6))
+    decode, kept = Decoder(port), dict(zip(port.labels, port.safe, strict=True))
+    for names, base in ((first, 10.0), (second, 20.0)):
+        n = len(names)
+        values = [base + i for i in range(2 * n)]
+        data = Layout(port.msgtype, "", names, {"position": n, "effort": n}).encode(7, values)
+        kept |= dict(zip([f"{c}/{f}" for f in ("position", "effort") for c in names], values, strict=True))
+        stamp, decode.kept = decode(data)
+        assert stamp == 7
+        assert decode.kept == tuple(kept[label] for label in port.labels)
+
+
+def test_a_partial_port_refuses_what_it_does_not_know():
+    port = command("e", "e", ["a", "b"], "N", partial=True)
+    for names in (["a", "c"], [], ["a", "a"]):
+        with pytest.raises(Refused, match="expected some of"):
+            Decoder(port)(Layout(port.msgtype, "", names, {"effort": len(names)}).encode(0, [1.0] * len(names)))
+        with pytest.raises(Refused, match="expected some of"):
+            selection(command("e", "e", names, "N"), port)
+    with pytest.raises(ValueError, match="cannot be partial"):
+        wrench("e", "e", partial=True)
+
+
+def test_a_block_of_parameters_has_them_as_its_params():
+    class Own(BlockParams):
+        k: float = param(3.0, "gain")
+
+    class Law(Block[Own]):
+        """Nothing."""
+
+    class Derived(Law):
+        """The same."""
+
+    assert Law(k=2.0).p.k == 2.0
+    assert Derived().p.k == 3.0
+    assert Block.Params is BlockParams
