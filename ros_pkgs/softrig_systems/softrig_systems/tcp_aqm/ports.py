@@ -1,0 +1,29 @@
+"""Topics of the network and its queue controller; a user's own controller only needs these."""
+
+from __future__ import annotations
+
+from softrig_core.model.port import Port, command, scalars
+
+STATE = scalars("state", "network/state", {"window": "packet", "queue": "packet", "rtt": "s"})
+TRUTH = scalars(
+    "truth",
+    "network/truth",
+    {
+        "window": "packet",
+        "queue": "packet",
+        "rtt": "s",
+        "window_delayed": "packet",
+        "rtt_delayed": "s",
+        "served": "packet",
+    },
+)
+COMMAND = command("command", "aqm/command", ("drop_probability",), "1")
+HEALTH = scalars("health", "aqm/health", {"s": "packet/s", "integral": "packet s", "saturated": ""})
+REFERENCE = command("reference", "aqm/reference", ("queue",), "packet", held=True)
+EVENT_UNITS = {"flows": "", "capacity": "packet/s", "propagation": "s", "disturbance": "packet/s"}
+
+
+def events(now: tuple[float, float, float, float]) -> Port:
+    """Give the port of the network's changes; `now` is what holds until the first one."""
+    names, units = tuple(EVENT_UNITS), tuple(EVENT_UNITS.values())
+    return Port("events", "network/events", COMMAND.msgtype, names, ("effort",), units, held=True, safe=now)
