@@ -1,0 +1,81 @@
+"""Measurement chain: anti-alias filter at the internal step, ratio errors, a terminal whose clock is late."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from softrig_core.model.jit import jit
+
+from .parameters import RATES, RigParams
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+ORDER = 4
+CUTOFF = 0.2  # of the sampling rate
+
+
+class Chain(NamedTuple):
+    """Numbers of the chain for the compiled step."""
+
+    sos: Array  # (sections, 5): b0, b1, b2, a1, a2; no sections for the raw profiles
+    ratio: Array  # (4,) of u_S, i_S, u_R, i_R
+    delay: NDArray[np.int64]  # (2,) steps by which the samples of S and R are old
+
+
+def chain(p: RigParams) -> Chain:
+    """Prepare the chain; a clock of R that is early is one of S that is late."""
+    m = p.measurement
+    sos = np.empty((0, 5))
+    if m.profile.startswith("m"):
+        from scipy.signal import butter
+
+        designed = butter(ORDER, CUTOFF * RATES[m.profile], fs=1.0 / p.step, output="sos")
+        sos = np.ascontiguousarray(designed[:, [0, 1, 2, 4, 5]])
+    ratio = 1.0 + np.array([m.ratio_err.u_s, m.ratio_err.i_s, m.ratio_err.u_r, m.ratio_err.i_r])
+    return Chain(sos, ratio, np.array([max(0, -p.shift), max(0, p.shift)], dtype=np.int64))
+
+
+@jit
+def filter_step(sos: Array, state: Array, x: Array) -> None:
+    """Filter one sample of every channel in place, second-order sections in transposed direct form II.
+
+    Parameters
+    ----------
+    sos : ndarray, shape (sections, 5)
+    state : ndarray, shape (channels, sections, 2)
+    x : ndarray, shape (channels,)
+    """
+    for channel in range(x.shape[0]):
+        v = x[channel]
+        for s in range(sos.shape[0]):
+            y = sos[s, 0] * v + state[channel, s, 0]
+            state[channel, s, 0] = sos[s, 1] * v - sos[s, 3] * y + state[channel, s, 1]
+            state[channel, s, 1] = sos[s, 2] * v - sos[s, 4] * y
+            v = y
+        x[channel] = v
+
+
+def steady_filter(sos: Array, phasors: Complex, omega: float, step: float) -> tuple[Array, Complex]:
+    """Give the filter's state after t = 0 and its output phasors for sinusoidal inputs.
+
+    Parameters
+    ----------
+    phasors : ndarray, shape (channels,)
+
+    Returns
+    -------
+    state : ndarray, shape (channels, sections, 2)
+    filtered : ndarray, shape (channels,)
+    """
+    back = np.exp(-1j * omega * step)
+    state = np.zeros((phasors.size, sos.shape[0], 2))
+    v = phasors.astype(complex)
+    for s, (b0, b1, b2, a1, a2) in enumerate(sos):
+        y = v * (b0 + b1 * back + b2 * back**2) / (1.0 + a1 * back + a2 * back**2)
+        second = b2 * v - a2 * y  # after t = 0, used at the next step
+        state[:, s, 0] = (b1 * v - a1 * y + second * back).real
+        state[:, s, 1] = second.real
+        v = y
+    return state, v

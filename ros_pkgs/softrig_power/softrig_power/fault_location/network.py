@@ -1,0 +1,122 @@
+"""Source - line - fault - line - source: the numbers of the stepped network and its sinusoidal steady state."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..lines.bergeron import Lines, branch, branch_impedance, discrete_two_port, lines, steady_history
+from ..lines.modal import CLARKE
+from .parameters import FaultParams, RigParams, grounded, phases
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+LEAST_RESISTANCE = 1e-3  # ohm, of a faulted phase and of the star point to ground
+S, R = 0, 1  # terminals
+
+
+class Network(NamedTuple):
+    """Constants of the compiled step; modes are 0, alpha, beta, sections are S-F of the three modes, then F-R."""
+
+    lines: Lines
+    source_conductance: Array  # (3,) modes
+    source_keep: Array  # (3,)
+    emf: Array  # (2, 2): terminal, amplitude of the modes (V) and angle (rad)
+    omega: float
+    step: float
+    closed: Array  # (8, 3, 3): fault currents from the open-circuit phase voltages, for each set of closed phases
+    on: int  # first step with the fault
+    off: int  # first step at which phases may open
+
+
+class Steady(NamedTuple):
+    """Phasors of the steady state before the fault, positive sequence, phase a, amplitudes; times cos(omega t)."""
+
+    u: Complex  # (3,): S, F, R
+    i: Complex  # (2,): into the line at S and at R
+    source: Complex  # (2,): current out of each source
+
+
+def network(p: RigParams) -> Network:
+    """Prepare the network for stepping.
+
+    Raises
+    ------
+    ValueError
+        A section is too short for the step.
+    """
+    src, h = p.source, p.step
+    x, rest = p.fault.x_km, p.line.length - p.fault.x_km
+    sections = [part.part(length) for length in (x, rest) for part in (p.line.ground, p.line.aerial, p.line.aerial)]
+    zero = branch(src.r0, src.x0 / src.omega, h)
+    positive = branch(src.r1, src.x1 / src.omega, h)
+    prepared = lines(sections, h)
+    amplitude = src.voltage  # sqrt(2/3) of a phase times sqrt(3/2) of the Clarke modes
+    return Network(
+        prepared,
+        np.array([b.conductance for b in (zero, positive, positive)]),
+        np.array([b.keep for b in (zero, positive, positive)]),
+        np.array([[amplitude, src.angle_s], [amplitude, src.angle_r]]),
+        src.omega,
+        h,
+        _fault_admittances(prepared, p.fault),
+        math.ceil(p.fault.t_on / h - 1e-6) if p.fault.type != "none" else 2**62,
+        math.ceil(p.fault.t_off / h - 1e-6),
+    )
+
+
+def _fault_admittances(prepared: Lines, fault: FaultParams) -> Array:
+    """Solve the fault branch behind the Thevenin resistance of the two line ends, for each set of closed phases."""
+    open_circuit = 1.0 / (prepared.conductance[:3] + prepared.conductance[3:])
+    thevenin = CLARKE.T @ np.diag(open_circuit) @ CLARKE
+    resistance = max(fault.rf_ohm, LEAST_RESISTANCE)
+    found = np.zeros((8, 3, 3))
+    for bits in range(1, 8):
+        closed = [phase for phase in phases(fault.type) if bits >> phase & 1]
+        if len(closed) != bits.bit_count() or (len(closed) == 1 and not grounded(fault.type)):
+            continue  # phases outside the fault never close; one phase of a floating star carries nothing
+        n = len(closed)
+        z = np.zeros((n + 1, n + 1))  # of the phases and the star point: u0 = (thevenin + R) i + u_star
+        z[:n, :n] = thevenin[np.ix_(closed, closed)] + resistance * np.eye(n)
+        z[:n, n], z[n, :n] = 1.0, 1.0
+        z[n, n] = -1.0 / LEAST_RESISTANCE if grounded(fault.type) else 0.0
+        inverse = np.linalg.inv(z)
+        found[bits][np.ix_(closed, closed)] = inverse[:n, :n]
+    return found
+
+
+def steady(p: RigParams) -> Steady:
+    """Solve the sinusoidal steady state of the discretised network, positive sequence."""
+    src, h = p.source, p.step
+    ports = [discrete_two_port(p.line.aerial.part(length), src.omega, h)
+             for length in (p.fault.x_km, p.line.length - p.fault.x_km)]  # fmt: skip
+    y = np.zeros((3, 3), dtype=complex)
+    y[:2, :2] += ports[0]
+    y[1:, 1:] += ports[1]
+    admittance = 1.0 / branch_impedance(src.r1, src.x1 / src.omega, src.omega, h)
+    y[0, 0] += admittance
+    y[2, 2] += admittance
+    peak = src.voltage * math.sqrt(2.0 / 3.0)
+    emf = peak * np.exp(1j * np.array([src.angle_s, src.angle_r]))
+    u = np.linalg.solve(y, admittance * np.array([emf[S], 0.0, emf[R]]))
+    i = np.array([(ports[0] @ u[:2])[0], (ports[1] @ u[1:])[1]])
+    return Steady(u, i, admittance * (emf - u[[0, 2]]))
+
+
+def to_modes(phasor: complex) -> Complex:
+    """Give the Clarke modes of a positive-sequence phasor of phase a: (0, sqrt(3/2) U, -j sqrt(3/2) U)."""
+    return np.array([0.0, phasor, -1j * phasor], dtype=complex) * math.sqrt(1.5)
+
+
+def line_history(p: RigParams, found: Steady, prepared: Lines) -> Array:
+    """Fill the histories of all six sections with the steady state up to t = 0."""
+    two = [discrete_two_port(p.line.aerial.part(length), p.source.omega, p.step)
+           for length in (p.fault.x_km, p.line.length - p.fault.x_km)]  # fmt: skip
+    u = np.stack([to_modes(v) for v in found.u])  # (node, mode)
+    currents = [two[0] @ found.u[:2], two[1] @ found.u[1:]]
+    voltages = np.concatenate([u[:2].T, u[1:].T])  # (section and mode, end)
+    flows = np.concatenate([np.stack([to_modes(c) for c in pair]).T for pair in currents])
+    return np.ascontiguousarray(steady_history(prepared, voltages, flows, p.source.omega, p.step).real)

@@ -1,0 +1,221 @@
+"""The faulted network in compiled steps, with the measurement chain; one function serves records and streams."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from softrig_core.model.jit import jit
+
+from ..lines.bergeron import histories, store
+from ..lines.modal import CLARKE
+from .measurement import Chain, chain, filter_step, steady_filter
+from .network import Network, line_history, network, steady
+from .parameters import RigParams, phases
+
+Array = NDArray[np.float64]
+CHANNELS = 12  # u_S, i_S, u_R, i_R, three phases each
+
+
+class State(NamedTuple):
+    """State of the network; arrays that the compiled step changes in place."""
+
+    ring: Array  # (6, 2, n) histories of the sections
+    source_current: Array  # (2, 3) terminal, mode
+    source_voltage: Array  # (2, 3) across the impedance
+    fault_current: Array  # (3,) phases
+    phase: NDArray[np.int64]  # (3,) 0 not yet, 1 closed, 2 opened
+    opened: Array  # (3,) s, when a phase opened
+    peak: Array  # (3,) A, largest |fault current| of each phase
+    filters: Array  # (12, sections, 2)
+    late: Array  # (12, n) the newest filtered values, for terminals whose clock is late
+    measured: Array  # (12,) what is sampled now, without noise
+
+
+@jit
+def advance(net: Network, chain: Chain, transform: Array, state: State, k: int, steps: int) -> None:
+    """Move the network from step k by a number of steps.
+
+    Parameters
+    ----------
+    net, chain : Network, Chain
+    transform : ndarray, shape (3, 3)
+        Clarke matrix.
+    state : State
+        Changed in place.
+    k : int
+        Step that the state belongs to.
+    steps : int
+    """
+    history, voltage, current = np.empty((6, 2)), np.empty((6, 2)), np.empty((6, 2))
+    sources = np.empty((2, 3))
+    node, open_circuit = np.empty(3), np.empty(3)
+    raw = np.empty(12)
+    g = net.lines.conductance
+    mask = state.late.shape[1] - 1
+    for n in range(k + 1, k + steps + 1):
+        histories(net.lines, state.ring, n, history)
+        for end in range(2):
+            angle = net.omega * (n * net.step) + net.emf[end, 1]
+            sources[end, 0] = 0.0
+            sources[end, 1] = net.emf[end, 0] * math.cos(angle)
+            sources[end, 2] = net.emf[end, 0] * math.sin(angle)
+            for mode in range(3):
+                section = 3 * end + mode
+                h = history[section, end]
+                gs = net.source_conductance[mode]
+                past = state.source_voltage[end, mode] + net.source_keep[mode] * state.source_current[end, mode]
+                u = (gs * (sources[end, mode] + past) - h) / (gs + g[section])
+                across = sources[end, mode] - u
+                state.source_current[end, mode] = gs * (across + past)
+                state.source_voltage[end, mode] = across
+                voltage[section, end] = u
+        for mode in range(3):
+            node[mode] = -(history[mode, 1] + history[3 + mode, 0]) / (g[mode] + g[3 + mode])
+        for ph in range(3):
+            open_circuit[ph] = (
+                transform[0, ph] * node[0] + transform[1, ph] * node[1] + transform[2, ph] * node[2]
+            )  # fmt: skip
+        _fault(net, state, open_circuit, n)
+        for mode in range(3):
+            i = (
+                transform[mode, 0] * state.fault_current[0] + transform[mode, 1] * state.fault_current[1]
+                + transform[mode, 2] * state.fault_current[2]
+            )  # fmt: skip
+            u = node[mode] - i / (g[mode] + g[3 + mode])
+            voltage[mode, 1] = u
+            voltage[3 + mode, 0] = u
+        store(net.lines, state.ring, n, voltage, history, current)
+        for end in range(2):
+            for ph in range(3):
+                u, i = 0.0, 0.0
+                for mode in range(3):
+                    u += transform[mode, ph] * voltage[3 * end + mode, end]
+                    i += transform[mode, ph] * current[3 * end + mode, end]
+                raw[6 * end + ph] = u
+                raw[6 * end + 3 + ph] = i
+        filter_step(chain.sos, state.filters, raw)
+        for channel in range(12):
+            state.late[channel, n & mask] = raw[channel]
+            delay = chain.delay[channel // 6]
+            state.measured[channel] = chain.ratio[channel // 3] * state.late[channel, (n - delay) & mask]
+
+
+@jit
+def _fault(net: Network, state: State, open_circuit: Array, n: int) -> None:
+    """Close all phases at `on`; open each at the first step after `off` whose current has changed its sign."""
+    if n < net.on:
+        return
+    bits = 0
+    for ph in range(3):
+        if state.phase[ph] == 0:
+            state.phase[ph] = 1
+        if state.phase[ph] == 1:
+            bits |= 1 << ph
+    for _ in range(3):  # an opening phase changes the others' currents of this step
+        changed = False
+        for ph in range(3):
+            i = (
+                net.closed[bits, ph, 0] * open_circuit[0] + net.closed[bits, ph, 1] * open_circuit[1]
+                + net.closed[bits, ph, 2] * open_circuit[2]
+            )  # fmt: skip
+            if n >= net.off and state.phase[ph] == 1 and i * state.fault_current[ph] <= 0.0:
+                state.phase[ph] = 2
+                state.opened[ph] = n * net.step
+                changed = True
+        if not changed:
+            break
+        bits = 0
+        for ph in range(3):
+            if state.phase[ph] == 1:
+                bits |= 1 << ph
+    for ph in range(3):
+        i = (
+            net.closed[bits, ph, 0] * open_circuit[0] + net.closed[bits, ph, 1] * open_circuit[1]
+            + net.closed[bits, ph, 2] * open_circuit[2]
+        )  # fmt: skip
+        state.fault_current[ph] = i
+        state.peak[ph] = max(state.peak[ph], abs(i))
+
+
+@jit
+def record(net: Network, chain: Chain, transform: Array, state: State, decimation: int, out: Array) -> None:
+    """Write one row of `measured` and fault current a sample into `out`, shape (samples, 15), from step 0."""
+    for row in range(out.shape[0]):
+        if row > 0:
+            advance(net, chain, transform, state, (row - 1) * decimation, decimation)
+        out[row, :12] = state.measured
+        out[row, 12:] = state.fault_current
+
+
+class FaultedLine:
+    """The simulated line from its steady state on.
+
+    Parameters
+    ----------
+    p : RigParams
+
+    Attributes
+    ----------
+    state : State
+    k : int
+        Step of the state.
+    """
+
+    def __init__(self, p: RigParams) -> None:
+        self.p = p
+        self.net = network(p)
+        self.chain = chain(p)
+        self.steady = steady(p)
+        self.reset()
+
+    def reset(self) -> None:
+        """Go back to the steady state at t = 0; nothing jumps."""
+        p, found = self.p, self.steady
+        omega, step = p.source.omega, p.step
+        self.k = 0
+        emf = self.net.emf
+        source_voltage = np.zeros((2, 3))
+        source_current = np.zeros((2, 3))
+        turn = math.sqrt(1.5) * np.array([0.0, 1.0, -1j])
+        for end in range(2):
+            modes = emf[end, 0] * np.exp(1j * emf[end, 1]) * np.array([0.0, 1.0, -1j])
+            source_voltage[end] = (modes - found.u[2 * end] * turn).real
+            source_current[end] = (found.source[end] * turn).real
+        a = np.exp(-2j * math.pi / 3.0 * np.arange(3))
+        phasors = np.concatenate([found.u[0] * a, found.i[0] * a, found.u[2] * a, found.i[1] * a])
+        filters, filtered = steady_filter(self.chain.sos, phasors, omega, step)
+        size = 1 << (int(np.max(self.chain.delay)) + 1).bit_length()
+        ages = -np.arange(size) % size
+        late = (filtered[:, None] * np.exp(-1j * omega * step * ages)).real
+        measured = (filtered * np.exp(-1j * omega * step * np.repeat(self.chain.delay, 6))).real
+        self.prefault_rms = np.abs(filtered) / math.sqrt(2.0) * np.repeat(self.chain.ratio, 3)
+        self.state = State(
+            line_history(p, found, self.net.lines), source_current, source_voltage, np.zeros(3),
+            np.array([0 if ph in phases(p.fault.type) else 2 for ph in range(3)]), np.full(3, np.inf), np.zeros(3),
+            filters, np.ascontiguousarray(late), measured * np.repeat(self.chain.ratio, 3),
+        )  # fmt: skip
+
+    def advance(self, steps: int) -> None:
+        """Move by internal steps."""
+        advance(self.net, self.chain, CLARKE, self.state, self.k, steps)
+        self.k += steps
+
+    def run(self, samples: int) -> Array:
+        """Sample from t = 0 on: shape (samples, 15), the 12 channels and the fault currents; without noise."""
+        self.reset()
+        out = np.empty((samples, CHANNELS + 3))
+        record(self.net, self.chain, CLARKE, self.state, self.p.decimation, out)
+        self.k = (samples - 1) * self.p.decimation
+        return out
+
+    def noise(self, rng: Any, samples: int) -> Array:
+        """Draw the noise of a number of samples, shape (samples, 12); drawn one by one they are the same."""
+        snr = self.p.measurement.noise_snr_db
+        if snr is None:
+            return np.zeros((samples, CHANNELS))
+        scale = self.prefault_rms * 10.0 ** (-snr / 20.0)
+        found: Array = scale * rng.standard_normal((samples, CHANNELS))
+        return found
