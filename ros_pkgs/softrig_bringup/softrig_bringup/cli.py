@@ -82,13 +82,14 @@ _FOREIGN = {
     "play": ("softrig_bags.cli", "main_play"),
     "compare": ("softrig_bags.cli", "main_compare"),
     "bag": ("softrig_bags.cli", "main_bag"),
+    "locate": ("softrig_bringup.locate", "main"),
 }
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="softrig", description="Closed loops over ROS 2 topics that come out the same every time.",
-        epilog="Further verbs: record, play, compare, bag (each with --help).",
+        epilog="Further verbs: record, play, compare, bag, locate (each with --help).",
     )  # fmt: skip
     verbs = parser.add_subparsers(required=True, metavar="VERB")
 

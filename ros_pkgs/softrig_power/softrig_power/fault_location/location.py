@@ -100,7 +100,7 @@ class Locator:
         self.warning = check_travel(self.travel, rate, p)
         self.first = math.ceil((p.window_start - record.start) * rate - 1e-6)
         self.count = math.floor((p.window_end - record.start) * rate + 1e-6) - self.first + 1
-        room = math.ceil(self.travel) + TAPS // 2
+        room = int(self.travel) + TAPS // 2
         if self.count < 1 or self.first < room or self.first + self.count + room > len(record.samples):
             end = record.start + (len(record.samples) - 1) / rate
             raise RecordError(
@@ -152,10 +152,10 @@ class Locator:
         measured = f"max F = {seen.f_max:.4g} V, min F = {seen.f_min:.4g} V in mode {mode}"
         if p.mode != "auto" and excited.any():
             best = int(np.argmax(highest)) + 1
-            return replace(seen, status=Status.MODE_NOT_EXCITED,
-                           text=f"mode_not_excited: {measured}, but {highest[best - 1]:.4g} V in mode {best}")  # fmt: skip
-        return replace(seen, status=Status.NO_FAULT, text=f"no_fault: {measured}, expected {p.f_threshold:g} V and a "
-                       f"ratio of {p.f_ratio:g}")  # fmt: skip
+            text = f"mode_not_excited: {measured}, but {highest[best - 1]:.4g} V in mode {best}"
+            return replace(seen, status=Status.MODE_NOT_EXCITED, text=text)
+        text = f"no_fault: {measured}, expected {p.f_threshold:g} V and a ratio of {p.f_ratio:g}"
+        return replace(seen, status=Status.NO_FAULT, text=text)
 
     def locate(self) -> Location:
         """Find the fault with the algorithm of the parameters."""

@@ -108,7 +108,9 @@ def steady(p: RigParams) -> Steady:
 
 def to_modes(phasor: complex) -> Complex:
     """Give the Clarke modes of a positive-sequence phasor of phase a: (0, sqrt(3/2) U, -j sqrt(3/2) U)."""
-    return np.array([0.0, phasor, -1j * phasor], dtype=complex) * math.sqrt(1.5)
+    modes: Complex = np.array([0.0, phasor, -1j * phasor], dtype=np.complex128)
+    modes *= math.sqrt(1.5)
+    return modes
 
 
 def line_history(p: RigParams, found: Steady, prepared: Lines) -> Array:

@@ -14,7 +14,7 @@ GROUPS = ("u_s", "i_s", "u_r", "i_r")
 CHANNELS = tuple(f"{group}/{phase}" for group in GROUPS for phase in "abc")
 COLUMNS = ("t", *CHANNELS)
 TOPICS = {"u_s": "line/s/voltage", "i_s": "line/s/current", "u_r": "line/r/voltage", "i_r": "line/r/current"}
-SYNC = 0.1  # samples, most that two ends may differ, or a sample from its place
+SYNC = 0.1 + 1e-6  # samples, most that two ends may differ, or a sample from its place
 
 
 class Status(IntEnum):

@@ -1,0 +1,137 @@
+"""`softrig locate`: a fault record from a COMTRADE file or a bag to the place of the fault, with its confidence."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from softrig_power.fault_location.location import LocatorParams
+    from softrig_power.fault_location.record import Record
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Read, locate, tell; 0 when the fault has a position, 1 when not, 2 for input that cannot be used."""
+    from softrig_core.errors import RunError, ScenarioError
+    from softrig_core.model.params import ParameterError
+    from softrig_power.fault_location.comtrade_file import ComtradeFileError
+    from softrig_power.fault_location.confidence import confidence, describe
+    from softrig_power.fault_location.inception import windowed
+    from softrig_power.fault_location.location import locate
+    from softrig_power.fault_location.record import RecordError
+
+    options = _parser().parse_args(arguments)
+    try:
+        p = _params(options)
+        budget = _budget(options)
+        record = read(options.source, [c for c in options.channels.split(",") if c])
+        if options.bag is not None:
+            to_bag(record, options.bag)
+        if options.window is None:
+            p = windowed(record, p)
+    except (ParameterError, ComtradeFileError) as error:
+        raise ScenarioError(str(error)) from None
+    except RecordError as error:
+        print(error, file=sys.stderr)
+        return 1
+    except KeyError as error:
+        raise RunError(str(error.args[0])) from None
+    found = locate(record, p)
+    trust = confidence(record, p, found, budget) if found.x_km is not None else None
+    print(describe(found, trust, p.line.length))
+    if options.pictures is not None:
+        from softrig_power.fault_location.pictures import objective, waveforms
+
+        options.pictures.mkdir(parents=True, exist_ok=True)
+        waveforms(record, p, options.pictures / "waveforms.png")
+        objective(record, p, found, options.pictures / "objective.png", truth=options.truth)
+    return 0 if found.x_km is not None else 1
+
+
+def read(sources: Sequence[Path], channels: Sequence[str] = ()) -> Record:
+    """Read a record from a bag (its record, else its four streams) or from one or two COMTRADE files."""
+    from softrig_power.fault_location.comtrade_file import read_comtrade
+    from softrig_power.fault_location.record import COLUMNS, Record
+
+    if len(sources) == 1 and sources[0].is_dir():
+        from softrig_bags.read import read_bag
+        from softrig_core.wire.cdr import parse
+        from softrig_core.wire.signals import Signals
+
+        recording = read_bag(sources[0])
+        topic = recording.topics.get("line/record")
+        if topic is not None and topic.data:
+            import numpy as np
+
+            values = np.array(parse(topic.msgtype, topic.data[-1]).fields["data"], dtype=np.float64)
+            return Record.from_table(values.reshape(-1, len(COLUMNS)))
+        return Record.from_signals(Signals(recording))
+    return read_comtrade(sources, channels)
+
+
+def to_bag(record: Record, path: Path) -> None:
+    """Write a record as the bag that `line_plant` would have left: the four streams."""
+    from softrig_bags.write import write_bag
+    from softrig_core.model.port import vector3
+    from softrig_core.wire.recording import Recording
+    from softrig_power.fault_location.record import GROUPS, TOPICS
+
+    ports = [vector3(name, TOPICS[name], "abc", "V" if name[0] == "u" else "A") for name in GROUPS]
+    recording = Recording((p.topic, p.msgtype) for p in ports)
+    stamps = [round(t * 1e9) for t in record.t.tolist()]
+    for k, port in enumerate(ports):
+        encode = port.layout().encode
+        for t, values in zip(stamps, record.group(port.name).tolist(), strict=True):
+            recording.add(k, t, encode(t, tuple(values)))
+    write_bag(path, recording)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="softrig locate", description="Locate a line fault from records of both ends.",
+        epilog="Parameters of the line and the locator by their names, e.g. --set line.length=87.5 line.l1=0.00101",
+    )  # fmt: skip
+    parser.add_argument("source", nargs="+", type=Path, metavar="FILE",
+                        help="a bag, a COMTRADE .cfg with both ends, or two: end S, end R")  # fmt: skip
+    parser.add_argument("--set", nargs="+", default=[], metavar="NAME=VALUE", help="parameters, see fault_locator")
+    parser.add_argument("--error", nargs="+", default=[], metavar="NAME=VALUE",
+                        help="uncertainties: sync_us, ratio, reactance, resistance")  # fmt: skip
+    parser.add_argument("--window", nargs=2, type=float, metavar=("START", "END"),
+                        help="s in the record; default: found from the fault's inception")  # fmt: skip
+    parser.add_argument("--channels", default="", metavar="A,B,...", help="the twelve COMTRADE channels, see the page")
+    parser.add_argument("--bag", type=Path, metavar="DIR", help="also write the record as a bag")
+    parser.add_argument("--pictures", type=Path, metavar="DIR", help="waveforms.png and objective.png go here")
+    parser.add_argument("--truth", type=float, metavar="KM", help="drawn into the picture")
+    return parser
+
+
+def _assignments(texts: Sequence[str]) -> dict[str, Any]:
+    from softrig_core.errors import ScenarioError
+
+    found: dict[str, Any] = {}
+    for text in texts:
+        name, equals, value = text.partition("=")
+        if not equals:
+            raise ScenarioError(f"{text!r}: expected NAME=VALUE")
+        found[name] = value
+    return found
+
+
+def _params(options: argparse.Namespace) -> LocatorParams:
+    from softrig_core.model.params import build
+    from softrig_power.fault_location.location import LocatorParams
+
+    given = _assignments(options.set)
+    if options.window is not None:
+        given |= {"window_start": options.window[0], "window_end": options.window[1]}
+    return build(LocatorParams, given)  # type: ignore[return-value]
+
+
+def _budget(options: argparse.Namespace) -> Any:
+    from softrig_core.model.params import build
+    from softrig_power.fault_location.confidence import ErrorBudget
+
+    return build(ErrorBudget, _assignments(options.error))

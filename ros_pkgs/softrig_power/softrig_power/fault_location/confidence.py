@@ -1,0 +1,132 @@
+"""How far an estimate can be trusted: its scatter inside the record, and what the instruments allow."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from softrig_core.model.params import Params, param
+
+from .equations import lagrange
+from .location import Location, Locator, LocatorParams, locate
+from .record import GROUPS, Record, Status
+
+Array = NDArray[np.float64]
+
+
+class ErrorBudget(Params):
+    """What the instruments and the line data may be wrong by, one standard uncertainty each."""
+
+    sync_us: float = param(1.0, "clocks of the two ends", "us", ge=0.0, le=1e5)
+    ratio: float = param(0.005, "each instrument transformer, relative", ge=0.0, le=0.5)
+    reactance: float = param(0.01, "line inductance, relative", ge=0.0, le=0.5)
+    resistance: float = param(0.05, "line resistance, relative", ge=0.0, le=1.0)
+
+
+@dataclass(frozen=True)
+class Confidence:
+    """Uncertainty of a position.
+
+    Parameters
+    ----------
+    scatter_km : float
+        Standard error of the position from the stretches of the window located one by one.
+    effects_km : dict of str to float
+        Shift of the position by each item of the budget.
+    contrast : float
+        max F / min F: how much deeper the minimum is than the rest of the line.
+    """
+
+    scatter_km: float
+    effects_km: dict[str, float]
+    contrast: float
+
+    @property
+    def total_km(self) -> float:
+        """Root of the sum of squares of the scatter and all effects."""
+        return float(np.sqrt(self.scatter_km**2 + sum(e * e for e in self.effects_km.values())))
+
+
+def confidence(record: Record, p: LocatorParams, found: Location, budget: ErrorBudget | None = None) -> Confidence:
+    """Say how far a position can be trusted.
+
+    Raises
+    ------
+    ValueError
+        The location has no position.
+    """
+    if found.x_km is None:
+        raise ValueError(f"there is no position: {found.text}")
+    fixed = p.model_copy(update={"mode": str(found.mode), "algorithm": "brent"})
+    base = locate(record, fixed)
+    effects = {}
+    for name, disturbed, settings in _disturbed(record, fixed, budget or ErrorBudget()):
+        moved = locate(disturbed, settings)
+        if moved.x_km is not None and base.x_km is not None:
+            effects[name] = abs(moved.x_km - base.x_km)
+    return Confidence(_scatter(Locator(record, fixed), found), effects, found.f_max / found.f_min)
+
+
+def _scatter(work: Locator, found: Location, blocks: int = 8) -> float:
+    """Locate on stretches of the window, each within 2 km of the answer; standard deviation over sqrt(blocks)."""
+    from scipy.optimize import minimize_scalar
+
+    assert found.x_km is not None
+    low, high = max(found.x_km - 2.0, 0.0), min(found.x_km + 2.0, work.section.length)
+    edges = np.linspace(work.first, work.first + work.count, blocks + 1).astype(int)
+    places = [
+        minimize_scalar(
+            lambda x, a=a, b=b: float(work.f(np.array([x]), found.mode, (int(a), int(b - a)))[0]),
+            bounds=(low, high), method="bounded", options={"xatol": 1e-4},
+        ).x
+        for a, b in pairwise(edges) if b > a
+    ]  # fmt: skip
+    return float(np.std(places, ddof=1) / np.sqrt(len(places)))
+
+
+def _disturbed(record: Record, p: LocatorParams, budget: ErrorBudget) -> Iterator[tuple[str, Record, LocatorParams]]:
+    if budget.sync_us:
+        late = replace(record, samples=np.hstack([record.samples[:, :6], shifted(record, budget.sync_us * 1e-6)]))
+        yield f"clocks {budget.sync_us:g} us", late, p
+    for k, group in enumerate(GROUPS):
+        if budget.ratio:
+            samples = record.samples.copy()
+            samples[:, 3 * k : 3 * k + 3] *= 1.0 + budget.ratio
+            yield f"{group} {100 * budget.ratio:g} %", replace(record, samples=samples), p
+    for name, key, error in (("L1", "l1", budget.reactance), ("R1", "r1", budget.resistance)):
+        if error:
+            line = p.line.model_copy(update={key: getattr(p.line, key) * (1.0 + error)})
+            yield f"{name} {100 * error:g} %", record, p.model_copy(update={"line": line})
+
+
+def shifted(record: Record, late: float) -> Array:
+    """Give the samples of end R as a clock that is late by `late` seconds (less than a sample) takes them."""
+    w = np.empty(6)
+    lagrange(late * record.rate, w)
+    r = np.pad(record.samples[:, 6:], ((3, 3), (0, 0)), mode="edge")
+    n = len(record.samples)
+    found: Array = np.sum([w[j] * r[5 - j : 5 - j + n] for j in range(6)], axis=0)
+    return found
+
+
+def describe(found: Location, trust: Confidence | None, length: float) -> str:
+    """Tell a location in a few lines for a person."""
+    if found.x_km is None or trust is None:
+        return found.text
+    lines = [
+        f"fault at {found.x_km:.3f} km from S ({length - found.x_km:.3f} km from R), "
+        f"standard uncertainty {_metres(trust.total_km)}",
+        f"  aerial mode {found.mode}, F from {found.f_min:.4g} to {found.f_max:.4g} V (contrast {trust.contrast:.3g})",
+        f"  scatter inside the record {_metres(trust.scatter_km)}",
+    ]
+    lines += [f"  {name} would move it by {_metres(e)}" for name, e in trust.effects_km.items()]
+    if found.status == Status.AT_TERMINAL:
+        lines.append(f"  {found.text}: the fault may be beyond the line")
+    return "\n".join(lines)
+
+
+def _metres(km: float) -> str:
+    return f"{1e3 * km:.1f} m" if km < 1.0 else f"{km:.2f} km"
