@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from softrig_core.model.port import Port, joint_state
 
 FIELDS = ("position", "velocity", "effort")
@@ -21,8 +23,8 @@ def split(signal: str) -> tuple[str, str, str]:
     return topic, channel, field
 
 
-def signal_port(name: str, signal: str, unit: str, *, held: bool = False) -> Port:
-    """Make a port of one channel of a JointState.
+def signal_port(name: str, signal: str, unit: str, *, also: Sequence[str] = (), held: bool = False) -> Port:
+    """Make a port of one channel of a JointState; it comes first.
 
     Parameters
     ----------
@@ -32,6 +34,8 @@ def signal_port(name: str, signal: str, unit: str, *, held: bool = False) -> Por
         ``topic/channel/field``.
     unit : str
         Empty for a pure number.
+    also : sequence of str
+        Channels that are in the same message.
     """
     topic, channel, field = split(signal)
-    return joint_state(name, topic, (channel,), held=held, **{field: unit or "1"})
+    return joint_state(name, topic, (channel, *also), held=held, **{field: unit or "1"})

@@ -45,6 +45,7 @@ class GpcLawParams(BlockParams):
     trip_low: float = param(-UNBOUNDED, "measured value at or below which the law trips", ge=-UNBOUNDED, le=UNBOUNDED)
     trip_high: float = param(UNBOUNDED, "measured value above which the law trips", ge=-UNBOUNDED, le=UNBOUNDED)
     measured: str = param("output/v_dc/position", "signal under control, topic/channel/field")
+    measured_also: tuple[str, ...] = param((), "channels that come in the same message as the measured signal")
     measured_unit: str = param("V", "its unit, and that of the reference")
     reference: str = param("reference/v_dc/position", "signal to be followed, topic/channel/field")
     command: str = param("command/u/effort", "signal that is commanded, topic/channel/field")
@@ -109,7 +110,7 @@ class GpcController(Block):
     def ports(cls, params: GpcLawParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
         """Ports named by the parameters."""
         return (
-            signal_port("measured", params.measured, params.measured_unit),
+            signal_port("measured", params.measured, params.measured_unit, also=params.measured_also),
             signal_port("reference", params.reference, params.measured_unit, held=True),
         ), (
             signal_port("command", params.command, params.command_unit),

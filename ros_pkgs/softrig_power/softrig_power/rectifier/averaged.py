@@ -3,62 +3,55 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 from softrig_core.model.jit import jit
+from softrig_core.model.ode import rk4_loop
 
 from .circuit import Circuit, Period, grid, limited, phases, wanted
+from .quality import PLAIN, WINDOWS, sample, turn_over
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    Array = NDArray[np.float64]
 
 
 @jit
-def derivative_dq(
-    t: float, i_d: float, i_q: float, v: float, circuit: Circuit, period: Period
-) -> tuple[float, float, float]:
-    """Equations in the frame of the grid voltage::
+def ode_dq(t: float, x: Array, p: tuple[Circuit, Period], dx: Array) -> None:
+    """Equations in the frame of the grid voltage, x = (i_d, i_q, v)::
 
         L i_d' = -R i_d + omega L i_q + v_gd - v_rd
         L i_q' = -R i_q - omega L i_d + v_gq - v_rq
         C v'   = 1.5 (v_rd i_d + v_rq i_q)/v - v/R_L
+        v_gd   = V_g - a5 cos(6 omega t),  v_gq = a5 sin(6 omega t)
 
-    The DC current is that of the power balance: the paper's (4), (8), (12) lack the angle between current and voltage.
+    The fifth harmonic is a negative sequence: sin(5 x) = sin(6 x) cos(x) - cos(6 x) sin(x). The DC current is that of
+    the power balance: the paper's (4), (8), (12) lack the angle between current and voltage.
     """
+    circuit, period = p
+    i_d, i_q, v = x[0], x[1], x[2]
     v_rd, v_rq = wanted(t, circuit, period)
     v_rd, v_rq = limited(v_rd, v_rq, v, period.reach)
     sixth = 6.0 * circuit.omega * t
-    v_gd = period.amplitude + period.fifth * math.cos(sixth)
-    v_gq = -period.fifth * math.sin(sixth)
+    v_gd = period.amplitude - period.fifth * math.cos(sixth)
+    v_gq = period.fifth * math.sin(sixth)
     wl = circuit.omega * circuit.L
-    d = (-circuit.R * i_d + wl * i_q + v_gd - v_rd) / circuit.L
-    q = (-circuit.R * i_q - wl * i_d + v_gq - v_rq) / circuit.L
-    return d, q, (1.5 * (v_rd * i_d + v_rq * i_q) / v - v / period.load) / circuit.C
+    dx[0] = (-circuit.R * i_d + wl * i_q + v_gd - v_rd) / circuit.L
+    dx[1] = (-circuit.R * i_q - wl * i_d + v_gq - v_rq) / circuit.L
+    dx[2] = (1.5 * (v_rd * i_d + v_rq * i_q) / v - v / period.load) / circuit.C
 
 
 @jit
-def step_dq(
-    t: float, h: float, i_d: float, i_q: float, v: float, circuit: Circuit, period: Period
-) -> tuple[float, float, float]:
-    """One Runge-Kutta step of order 4."""
-    a1, b1, c1 = derivative_dq(t, i_d, i_q, v, circuit, period)
-    k = 0.5 * h
-    a2, b2, c2 = derivative_dq(t + k, i_d + k * a1, i_q + k * b1, v + k * c1, circuit, period)
-    a3, b3, c3 = derivative_dq(t + k, i_d + k * a2, i_q + k * b2, v + k * c2, circuit, period)
-    a4, b4, c4 = derivative_dq(t + h, i_d + h * a3, i_q + h * b3, v + h * c3, circuit, period)
-    w = h / 6.0
-    return (
-        i_d + w * (a1 + 2.0 * (a2 + a3) + a4),
-        i_q + w * (b1 + 2.0 * (b2 + b3) + b4),
-        v + w * (c1 + 2.0 * (c2 + c3) + c4),
-    )
-
-
-@jit
-def derivative_abc(
-    t: float, i_a: float, i_b: float, i_c: float, v: float, circuit: Circuit, period: Period
-) -> tuple[float, float, float, float]:
-    """Equations by phase (paper eqs (15) to (17)); v_rx = m_x v/2 less the common mode::
+def ode_abc(t: float, x: Array, p: tuple[Circuit, Period], dx: Array) -> None:
+    """Equations by phase (paper eqs (15) to (17)), x = (i_a, i_b, i_c, v); v_rx = m_x v/2 less the common mode::
 
     L i_x' = -R i_x + v_gx - v_rx
     C v'   = sum s_x i_x - v/R_L,  s_x = (1 + m_x)/2
     """
+    circuit, period = p
+    i_a, i_b, i_c, v = x[0], x[1], x[2], x[3]
     v_rd, v_rq = wanted(t, circuit, period)
     v_a, v_b, v_c = phases(v_rd, v_rq, circuit.omega * t)
     size = math.sqrt((v_a * v_a + v_b * v_b + v_c * v_c) * 2.0 / 3.0)
@@ -67,27 +60,71 @@ def derivative_abc(
     m_a, m_b, m_c = 2.0 * scale * v_a / v, 2.0 * scale * v_b / v, 2.0 * scale * v_c / v
     mean = (m_a + m_b + m_c) / 3.0
     g_a, g_b, g_c = grid(t, circuit, period)
-    a = (-circuit.R * i_a + g_a - (m_a - mean) * 0.5 * v) / circuit.L
-    b = (-circuit.R * i_b + g_b - (m_b - mean) * 0.5 * v) / circuit.L
-    c = (-circuit.R * i_c + g_c - (m_c - mean) * 0.5 * v) / circuit.L
+    dx[0] = (-circuit.R * i_a + g_a - (m_a - mean) * 0.5 * v) / circuit.L
+    dx[1] = (-circuit.R * i_b + g_b - (m_b - mean) * 0.5 * v) / circuit.L
+    dx[2] = (-circuit.R * i_c + g_c - (m_c - mean) * 0.5 * v) / circuit.L
     link = 0.5 * ((1.0 + m_a) * i_a + (1.0 + m_b) * i_b + (1.0 + m_c) * i_c)
-    return a, b, c, (link - v / period.load) / circuit.C
+    dx[3] = (link - v / period.load) / circuit.C
+
+
+step_dq = rk4_loop(ode_dq)
+step_abc = rk4_loop(ode_abc)
 
 
 @jit
-def step_abc(
-    t: float, h: float, i_a: float, i_b: float, i_c: float, v: float, circuit: Circuit, period: Period
-) -> tuple[float, float, float, float]:
-    """One Runge-Kutta step of order 4."""
-    a1, b1, c1, d1 = derivative_abc(t, i_a, i_b, i_c, v, circuit, period)
-    k = 0.5 * h
-    a2, b2, c2, d2 = derivative_abc(t + k, i_a + k * a1, i_b + k * b1, i_c + k * c1, v + k * d1, circuit, period)
-    a3, b3, c3, d3 = derivative_abc(t + k, i_a + k * a2, i_b + k * b2, i_c + k * c2, v + k * d2, circuit, period)
-    a4, b4, c4, d4 = derivative_abc(t + h, i_a + h * a3, i_b + h * b3, i_c + h * c3, v + h * d3, circuit, period)
-    w = h / 6.0
-    return (
-        i_a + w * (a1 + 2.0 * (a2 + a3) + a4),
-        i_b + w * (b1 + 2.0 * (b2 + b3) + b4),
-        i_c + w * (c1 + 2.0 * (c2 + c3) + c4),
-        v + w * (d1 + 2.0 * (d2 + d3) + d4),
-    )
+def read(t: float, x: Array, circuit: Circuit) -> tuple[float, float, float, float]:
+    """Give i_a, i_b, i_c, v of either state."""
+    if x.size == 3:
+        i_a, i_b, i_c = phases(x[0], x[1], circuit.omega * t)
+        return i_a, i_b, i_c, x[2]
+    return x[0], x[1], x[2], x[3]
+
+
+@jit
+def advance(
+    x: Array, steps: int, window: float, p: tuple[Circuit, Period], sums: Array, complete: Array, trace: Array
+) -> float:
+    """Move a state over one period in `steps` Runge-Kutta steps.
+
+    Parameters
+    ----------
+    x : (3,) or (4,) ndarray
+        (i_d, i_q, v) or (i_a, i_b, i_c, v), changed in place.
+    steps : int
+    window : float
+        Length of a power-quality window, s; windows begin at multiples of it.
+    p : (Circuit, Period)
+    sums, complete : ndarray
+        See `quality`.
+    trace : (steps, 5) ndarray
+        Gets i_a, i_b, i_c, v_ga, v at the end of each step, when it has rows.
+    """
+    circuit, period = p
+    h = period.length / steps
+    for j in range(steps):
+        t, end = period.start + j * h, period.start + (j + 1) * h
+        while t < end:
+            border = (sums[PLAIN, WINDOWS] + 1.0) * window
+            stop = min(end, border)
+            piece(t, stop, x, p, sums)
+            if stop >= border:
+                turn_over(sums, complete)
+            t = stop
+        if trace.shape[0] > 0:
+            i_a, i_b, i_c, v = read(end, x, circuit)
+            trace[j, 0], trace[j, 1], trace[j, 2], trace[j, 4] = i_a, i_b, i_c, v
+            trace[j, 3] = grid(end, circuit, period)[0]
+    return x[x.size - 1]
+
+
+@jit
+def piece(t: float, stop: float, x: Array, p: tuple[Circuit, Period], sums: Array) -> None:
+    """One step, and what it adds to the sums by the trapezoidal rule: exact for whole cycles of smooth signals."""
+    circuit, period = p
+    h = stop - t
+    sample(sums, t, 0.5 * h, read(t, x, circuit), grid(t, circuit, period), circuit.omega)
+    if x.size == 3:
+        step_dq(t, x, h, 1, p)
+    else:
+        step_abc(t, x, h, 1, p)
+    sample(sums, stop, 0.5 * h, read(stop, x, circuit), grid(stop, circuit, period), circuit.omega)

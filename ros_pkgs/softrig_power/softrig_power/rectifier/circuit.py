@@ -65,7 +65,7 @@ def wanted(t: float, circuit: Circuit, period: Period) -> tuple[float, float]:
         v_rd = V_g - R i* - L di*/dt,  v_rq = -omega L i*
 
     V_g is the measured grid amplitude. A measured fifth harmonic, a negative sequence, adds
-    a5 cos(6 omega t), -a5 sin(6 omega t).
+    -a5 cos(6 omega t), a5 sin(6 omega t).
     """
     if period.decoupled:
         slope = (period.command - period.before) / period.length
@@ -77,8 +77,8 @@ def wanted(t: float, circuit: Circuit, period: Period) -> tuple[float, float]:
         v_rq = -period.command * math.sin(circuit.phi)
     if period.fifth != 0.0 and period.forward != 0.0:
         sixth = 6.0 * circuit.omega * t
-        v_rd += period.forward * period.fifth * math.cos(sixth)
-        v_rq -= period.forward * period.fifth * math.sin(sixth)
+        v_rd -= period.forward * period.fifth * math.cos(sixth)
+        v_rq += period.forward * period.fifth * math.sin(sixth)
     return v_rd, v_rq
 
 

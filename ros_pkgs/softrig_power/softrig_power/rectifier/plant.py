@@ -1,0 +1,171 @@
+"""The rectifier between grid and load, in three models."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Literal, Self
+
+from pydantic import model_validator
+from softrig_core.model.block import Level, Plant
+from softrig_core.model.params import BlockParams, param
+from softrig_core.model.port import Port
+from softrig_core.node import executable
+
+from . import averaged, ports, switched
+from .circuit import INJECTION, SPWM, Circuit, Period, grid, phases
+from .parameters import RectifierConstants
+from .quality import CYCLES, FIGURES, PLAIN, WINDOWS, empty, figures
+
+NOMINAL_CURRENT = 37.83218957482916  # A, of the published constants
+
+
+class RectifierPlantParams(RectifierConstants, BlockParams):
+    """Model, structure and modulator, and where to begin."""
+
+    period: float = param(0.00083, "control period T", "s", gt=0.0, le=0.1)
+    model: Literal["averaged_dq", "averaged_abc", "switched"] = param(
+        "averaged_dq", "averaged in the frame of the grid voltage or by phase, or with six switches"
+    )
+    structure: Literal["sensorless", "decoupled"] = param(
+        "sensorless", "command is the drop V' (channel v_drop) or a current reference (channel i_ref)"
+    )
+    feedforward: Literal["fundamental", "instantaneous"] = param(
+        "fundamental", "grid voltage that the modulator knows: the amplitude, or the measured fifth harmonic as well"
+    )
+    injection: bool = param(False, "min-max zero sequence: |v_r| up to 1.1547 v/2 instead of v/2")
+    carrier_hz: float = param(1e4, "frequency of the triangular carrier", "Hz", ge=100.0, le=1e6)
+    substep: float = param(1e-5, "longest internal step", "s", gt=0.0, le=1e-3)
+    v_start: float = param(400.0, "DC voltage at the start", "V", gt=0.0, le=1e4)
+    i_start: float = param(NOMINAL_CURRENT, "current i_d at the start (peak); i_q is 0", "A", ge=-1e4, le=1e4)
+    v_least: float = param(1.0, "DC voltage at which the converter is given up", "V", gt=0.0, le=1e3)
+    waveform: bool = param(False, "send the waveforms of each period")
+
+    @model_validator(mode="after")
+    def _carrier(self) -> Self:
+        if self.carrier_hz < 10.0 * self.f:
+            raise ValueError(f"carrier_hz = {self.carrier_hz:g} Hz: expected at least ten times f = {self.f:g} Hz")
+        return self
+
+    @property
+    def steps(self) -> int:
+        """Internal steps in one period."""
+        return max(1, math.ceil(self.period / self.substep - 1e-9))
+
+
+class RectifierPlant(Plant):
+    """Three-phase six-switch rectifier with its modulator.
+
+    The equations are in `averaged` and `switched`, the modulator's in `circuit`. The command of t_k acts from t_k on
+    for one period. Events (load resistance, grid amplitude, amplitude of the fifth harmonic) are taken with the command:
+    the first period that begins at or after an event sees the new value.
+
+    ``power_quality`` has the figures of the last whole six grid cycles (zeros before the first are over).
+
+    A command that is not finite or beyond 10,000 never gets here by a node; an event that is no possible value is
+    refused and the last good one holds. When the DC voltage collapses below `v_least` the converter is given up: its
+    switches open, the link discharges into the load.
+    """
+
+    Params = RectifierPlantParams
+    STALE_PERIODS = 20  # held until then; the drop is 0 afterwards
+
+    @classmethod
+    def ports(cls, params: RectifierPlantParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
+        """The command's channel depends on the structure."""
+        command = ports.I_REF if params.structure == "decoupled" else ports.V_DROP
+        outputs = [ports.DC_LINK, ports.GRID_CURRENT, ports.GRID_VOLTAGE, ports.POWER_QUALITY]
+        if params.waveform:
+            outputs.append(ports.waveform(params.steps))
+        return (command, ports.EVENTS), tuple(outputs)
+
+    def setup(self) -> None:
+        """Prepare the constants."""
+        p: RectifierPlantParams = self.p
+        self._circuit = Circuit(p.omega, p.L, p.R, p.C, p.phi)
+        self._reach = INJECTION if p.injection else SPWM
+        self._forward = 1.0 if p.feedforward == "instantaneous" else 0.0
+        self._window = CYCLES / p.f
+
+    def start(self) -> None:
+        """Begin at the given voltage and current, on the nominal grid and load."""
+        import numpy as np
+
+        p: RectifierPlantParams = self.p
+        abc = phases(p.i_start, 0.0, 0.0)
+        self._x = np.array((p.i_start, 0.0, p.v_start) if p.model == "averaged_dq" else (*abc, p.v_start))
+        self._legs = np.zeros(3)
+        self._sums, self._complete = empty(), empty()
+        self._trace = np.zeros((p.steps if p.waveform else 0, len(ports.WAVEFORM_CHANNELS)))
+        self._trace[:] = (*abc, 0.0, p.v_start)
+        self._before = p.i_start
+        self._load, self._amplitude, self._fifth = p.R_L, p.V_g, 0.0
+        self._figures: tuple[float, ...] = (0.0,) * len(FIGURES)
+        self.collapsed = False
+
+    @property
+    def state(self) -> tuple[float, ...]:
+        """(i_d, i_q, v) or (i_a, i_b, i_c, v)."""
+        return tuple(self._x.tolist())
+
+    def outputs(self, t: int) -> Mapping[str, tuple[float, ...]]:
+        """Give DC link, currents and voltages of the phases, power quality at t."""
+        seconds = t / 1e9
+        v = float(self._x[-1])
+        now = self._period_at(seconds, 0.0)
+        found: dict[str, tuple[float, ...]] = {
+            "dc_link": (v, v / self._load),
+            "grid_current": averaged.read(seconds, self._x, self._circuit)[:3],
+            "grid_voltage": grid(seconds, self._circuit, now),
+            "power_quality": self._figures,
+        }
+        if self.p.waveform:
+            found["waveform"] = tuple(self._trace.ravel().tolist())
+        return found
+
+    def _period_at(self, start: float, command: float) -> Period:
+        p = self.p
+        decoupled = p.structure == "decoupled"
+        return Period(start, p.period, self._amplitude, self._fifth, self._load, self._reach, self._forward, decoupled,
+                      self._before, command)  # fmt: skip
+
+    def advance(self, t: int, *, command: tuple[float, ...], events: tuple[float, ...] | None) -> None:
+        """Hold the command over one period."""
+        p: RectifierPlantParams = self.p
+        if events is not None:
+            self._take(events)
+        start = t / 1e9
+        if self.collapsed:
+            self._discharge()
+            return
+        both = (self._circuit, self._period_at(start, command[0]))
+        if p.model == "switched":
+            v = switched.advance(self._x, self._legs, p.steps, self._window, both, p.carrier_hz, p.injection,
+                                 self._sums, self._complete, self._trace)  # fmt: skip
+        else:
+            v = averaged.advance(self._x, p.steps, self._window, both, self._sums, self._complete, self._trace)
+        self._before = command[0]
+        if self._complete[PLAIN, WINDOWS] != self._figures[0]:
+            self._figures = tuple(figures(self._complete).values())
+        if not p.v_least < v < math.inf:
+            self._collapse(v)
+
+    def _take(self, events: tuple[float, ...]) -> None:
+        load, amplitude, fifth = events
+        if load > 0.0 and amplitude > 0.0:
+            self._load, self._amplitude, self._fifth = load, amplitude, fifth
+        else:
+            self.report(Level.ERROR, "bad_event", f"load {load:g} ohm, grid {amplitude:g} V: expected both positive; "
+                        "the last good ones hold")  # fmt: skip
+
+    def _collapse(self, v: float) -> None:
+        self.collapsed = True
+        self.report(Level.ERROR, "collapse", f"DC voltage {v:g} V, below {self.p.v_least:g} V: converter given up")
+        self._x[:] = 0.0
+        self._x[-1] = self.p.v_least
+
+    def _discharge(self) -> None:
+        self._x[-1] *= math.exp(-self.p.period / (self._load * self.p.C))
+
+
+main = executable(RectifierPlant)

@@ -1,0 +1,23 @@
+"""Topics of the rectifier."""
+
+from __future__ import annotations
+
+from softrig_core.model.port import Port, array, command, scalars, vector3
+
+from .quality import FIGURES
+
+DC_LINK = scalars("dc_link", "dc_link", {"voltage": "V", "current": "A"})
+GRID_CURRENT = vector3("grid_current", "grid/current", "abc", "A")
+GRID_VOLTAGE = vector3("grid_voltage", "grid/voltage", "abc", "V")
+POWER_QUALITY = scalars("power_quality", "power_quality", FIGURES)
+V_DROP = command("command", "v_drop/command", ("v_drop",), "V")
+I_REF = command("command", "v_drop/command", ("i_ref",), "A")
+EVENTS = scalars("events", "events", {"load_resistance": "ohm", "grid_amplitude": "V", "h5_amplitude": "V"}, held=True)
+
+WAVEFORM_CHANNELS = ("i_a", "i_b", "i_c", "v_ga", "v_dc")
+
+
+def waveform(samples: int) -> Port:
+    """Currents of the grid, voltage of its phase a and DC voltage over the period that ends at t."""
+    units = ("A", "A", "A", "V", "V") * samples
+    return array("waveform", "waveform", {"sample": samples, "channel": len(WAVEFORM_CHANNELS)}, units)
