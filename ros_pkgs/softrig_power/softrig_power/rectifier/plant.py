@@ -57,8 +57,8 @@ class RectifierPlant(Plant):
     """Three-phase six-switch rectifier with its modulator.
 
     The equations are in `averaged` and `switched`, the modulator's in `circuit`. The command of t_k acts from t_k on
-    for one period. Events (load resistance, grid amplitude, amplitude of the fifth harmonic) are taken with the command:
-    the first period that begins at or after an event sees the new value.
+    for one period. Events (load resistance, grid amplitude, amplitude of the fifth harmonic) are taken with the
+    command: the first period that begins at or after an event sees the new value.
 
     ``power_quality`` has the figures of the last whole six grid cycles (zeros before the first are over).
 
