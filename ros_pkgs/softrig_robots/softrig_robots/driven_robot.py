@@ -17,6 +17,7 @@ from pydantic import model_validator
 from softrig_core.errors import RunError
 from softrig_core.model.block import Level, Plant
 from softrig_core.model.compiled import Compiled
+from softrig_core.model.ode import rk4
 from softrig_core.model.params import BlockParams, Params, param
 from softrig_core.model.timebase import to_ns, to_s
 
@@ -255,11 +256,7 @@ def compile_robot(urdf: str, tip: str) -> tuple[Compiled, Compiled, int]:
     ode = ca.Function("ode", [x, inputs, load, force, plant], [derivative])
     held = [ca.MX.sym("V", n), ca.MX.sym("tau_d", n), ca.MX.sym("F_e", 3), ca.MX.sym("plant", 9 * n + 3)]
     now, h = ca.MX.sym("x", 3 * n), ca.MX.sym("h")
-    k1 = ode(now, *held)
-    k2 = ode(now + h / 2 * k1, *held)
-    k3 = ode(now + h / 2 * k2, *held)
-    k4 = ode(now + h * k3, *held)
-    step = ca.Function("robot_step", [now, *held, h], [now + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)])
+    step = ca.Function("robot_step", [now, *held, h], [rk4(lambda x: ode(x, *held), now, h)])
     torque = ca.Function("gear_torque", [x, load, force, plant], [transmitted])
     return Compiled(step), Compiled(torque), n
 

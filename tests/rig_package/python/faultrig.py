@@ -7,7 +7,8 @@ from typing import ClassVar
 
 from softrig_core.model.block import Block, Observer, Plant
 from softrig_core.model.params import BlockParams, param
-from softrig_core.model.port import Sample, array, button, command, joint_state, number, reference
+from softrig_core.model.port import Sample, array, button, command, joint_state, number, reference, scalars
+from softrig_core.model.solver import Solver, SolverParams
 from softrig_core.node import executable
 
 STATE = joint_state("state", "lag/state", ["x"], position="m", velocity="m/s")
@@ -243,7 +244,49 @@ class Accumulator(Block):
         return {"sum": (1.0 + 0.5 * back[0],)}
 
 
+class PlannerParams(SolverParams):
+    period: float = param(0.1, "sampling period", "s", gt=0.0)
+    work: float = param(0.0, "wall-clock time of one plan", "s", ge=0.0)
+    fault: str = param("", "raise, kill or hang in the second plan")
+
+
+class Planner(Solver[PlannerParams]):
+    """Plans the reference that puts the plant onto the wanted one; a plan takes longer than a tick may."""
+
+    INPUTS = (STATE, REFERENCE)
+    OUTPUTS = (
+        reference("inner", "lag/inner_reference", ["x"], position="m"),
+        scalars("plan", "lag/plan", {"asked_at": "s", "repeatable": ""}),
+    )
+
+    def start(self):
+        self.asked = 0
+
+    def request(self, t, state, reference):
+        self.asked += 1
+        return self.asked, state[0], reference[0], self.p.work, self.p.fault
+
+    @staticmethod
+    def solve(request, work):
+        number, x, wanted, seconds, fault = request
+        print("a solver that chatters", flush=True)
+        if number == 2 and fault == "raise":
+            raise ArithmeticError("deliberate")
+        if number == 2 and fault == "kill":
+            os.kill(os.getpid(), signal.SIGKILL)
+        work.status(bound=wanted, plan=float(number))
+        work.best(wanted + 0.25 * (wanted - x))
+        time.sleep(3600.0 if fault == "hang" and number == 2 else seconds)
+        return wanted + 0.5 * (wanted - x)
+
+    def answer(self, t, result, new):
+        if result is None:
+            return {"inner": (0.0,), "plan": (-1.0, 1.0)}
+        return {"inner": (result.answer,), "plan": (result.stamp * 1e-9, float(result.repeatable))}
+
+
 plant = executable(Lag)
+planner = executable(Planner)
 source = executable(Source)
 gain = executable(Gain)
 outer = executable(Outer)

@@ -54,6 +54,7 @@ class Block(Generic[P]):
     INPUTS: ClassVar[tuple[Port, ...]] = ()
     OUTPUTS: ClassVar[tuple[Port, ...]] = ()
     ENDS: ClassVar[bool] = False  # whether it may end the run, with `done`
+    realtime = False  # whether the wall clock drives it, as its runner says: nothing may then wait in `update`
     STALE_PERIODS: ClassVar[int] = 5  # realtime: age in its own periods at which a plant no longer trusts a command
 
     def __init_subclass__(cls, **keywords: Any) -> None:
@@ -126,6 +127,10 @@ class Block(Generic[P]):
     def speaks_at_end(cls) -> bool:
         """Whether the block has a tick at the end time of a run: plants, observers and who has a last word."""
         return issubclass(cls, (Plant, Observer)) or cls.finishes()
+
+    def health(self) -> Mapping[str, str]:
+        """Give name to text of what /diagnostics shows beside the reports, about once a second."""
+        return {}
 
     def latched(self) -> Mapping[str, str]:
         """Give topic to text (such as ``robot_description``) that a node publishes once, also for late joiners."""

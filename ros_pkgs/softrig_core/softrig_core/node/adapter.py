@@ -290,6 +290,10 @@ class Adapter:
     def progress(self) -> None:
         """Check for stalls and missing peers; called every `WATCH_PERIOD`."""
 
+    def busy(self) -> bool:
+        """Whether peers that wait for this node are to be patient."""
+        return False
+
     def statistics(self) -> dict[str, Any]:
         """Figures of the run for the status file."""
         return {}
@@ -313,7 +317,7 @@ class Adapter:
         text = next((i.last_refusal for i in self.inputs if i.refused), "") or self.state
         values = {"ticks": str(self.ticks), **{f"refused {i.port.topic}": str(i.refused) for i in self.inputs}}
         values |= {key: f"{count} x {text}" for key, (_, text, count) in self.block.reports.items()}
-        values |= {key: str(value) for key, value in self.statistics().items()}
+        values |= {key: str(value) for key, value in self.statistics().items()} | dict(self.block.health())
         now = time.time_ns()
         self._diagnostics.publish(diagnostic_array(now, self.node.get_fully_qualified_name(), level, text, values))
         if self._figures is not None and isinstance(self.block, Observer):
@@ -329,6 +333,7 @@ class Adapter:
             "error": str(self.error) if self.error else "", "waits_for": self.waits_for,
             "refused": {i.port.topic: [i.refused, i.last_refusal] for i in self.inputs if i.refused},
             "reports": {key: [int(level), text, n] for key, (level, text, n) in self.block.reports.items()},
+            "busy": self.busy(),
             "cpu_s": round(time.process_time(), 3),
             "peak_memory_mb": _peak_memory(),
             **self.statistics(),

@@ -17,12 +17,14 @@ from rclpy.node import Node, NodeNameNonExistentError
 from ..model.block import Block, Plant
 from ..model.port import Port, Refused, Sample
 from ..model.schedule import Schedule
+from ..model.solver import Solver
 from ..model.timebase import SECOND
 from ..rig.options import InputLink, RunOptions
 from ..wire.cdr import Layout
 from ..wire.codec import Decoder
 from .adapter import QOS, Adapter, Input, percentiles
 from .messages import message_class
+from .solving import Solving, hear_busy
 
 SETTLED = 10  # checks of 20 ms in a row in which the endpoints of external nodes have not changed
 GONE_AFTER = 0.5  # s without the awaited message after its only sender has vanished
@@ -92,6 +94,8 @@ class Lockstep(Adapter):
             self._pace(f"{name.rsplit('/', 1)[0]}/{peer}/tick", "builtin_interfaces/msg/Time", schedule, peer)
         self._await(0)
         self._starter = node.create_timer(0.02, self._start, clock=self._steady)
+        self._solving = Solving(node, block, self._steady, self._step) if isinstance(block, Solver) else None
+        hear_busy(node, self._patient)
 
     # peers -----------------------------------------------------------------------------------------------------
 
@@ -303,6 +307,8 @@ class Lockstep(Adapter):
         while not self.missing and self.state == "running":
             if self._is_plant:
                 self._advance(self.t)
+            elif self._solving is not None and not self._solving.finished(self.t, None if self.bad else self.values):
+                return
             else:
                 self._update(self.t)
 
@@ -354,6 +360,14 @@ class Lockstep(Adapter):
         self._tick += 1
         return self.schedule.time(self._tick)
 
+    def answer(self, t: int) -> Any:
+        """Give what a block that is not a plant sends; a solver has begun with this tick before."""
+        return super().answer(t) if self._solving is None or self.bad else self._solving.block.end(t)
+
+    def busy(self) -> bool:
+        """Whether a solver is at work."""
+        return self._solving is not None and self._solving.block.working
+
     def statistics(self) -> dict[str, Any]:
         """Wall-clock time of a plant's ticks: all in s, each in ms; once they are over, for sorting them takes time."""
         if self.state == "running":
@@ -361,6 +375,10 @@ class Lockstep(Adapter):
         return {"running_s": (self._sent - self._first) / 1e9} | percentiles("tick", self._durations)
 
     # stalls ----------------------------------------------------------------------------------------------------
+
+    def _patient(self) -> None:
+        """A solver is at work somewhere in the rig: the time without progress begins anew."""
+        self._heard += 1
 
     def progress(self) -> None:
         """End the run when a peer is gone, stalls or never came."""

@@ -40,6 +40,7 @@ class Realtime(Adapter):
         self._round_trip: deque[int] = deque(maxlen=5_000)
         self._sent_at: dict[int, int] = {}
         self._last_due: int | None = None
+        block.realtime = True
         super().__init__(node, block, options)
         self.epoch = options.epoch
         required = [i for i in self.inputs if not i.port.held]

@@ -299,7 +299,8 @@ def _watch(
         if not running:
             return ""
         t = _read_status(plant.status).get("t", 0)
-        if not realtime and (t != last or len(running) == len(children)):
+        busy = any(_read_status(c.status).get("busy") for c in running)
+        if not realtime and (t != last or busy or len(running) == len(children)):
             late = time.time() + rig.scenario.timeout
         if time.time() > late:
             names = ", ".join(c.member.name for c in running)

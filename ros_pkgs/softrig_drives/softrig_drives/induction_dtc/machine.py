@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
+from softrig_core.model.ode import rk4
 from softrig_core.model.params import Params, param
 
 if TYPE_CHECKING:
@@ -79,13 +80,7 @@ def step_function(substeps: int = 1) -> ca.Function:
             omega,
         )
 
-    after = x
-    for _ in range(substeps):
-        k1 = derivative(after)
-        k2 = derivative(after + 0.5 * h * k1)
-        k3 = derivative(after + 0.5 * h * k2)
-        k4 = derivative(after + h * k3)
-        after = after + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+    after = rk4(derivative, x, h, substeps)
     i_alpha, i_beta, T_e = electric(ca.vertsplit(after))
     i_b = -0.5 * i_alpha + 0.75**0.5 * i_beta
     y = ca.vertcat(i_alpha, i_b, -i_alpha - i_b, T_e)

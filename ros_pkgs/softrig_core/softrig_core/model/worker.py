@@ -1,0 +1,235 @@
+"""A process of its own for slow work: one call at a time, told about while it runs, killed when it is not wanted.
+
+`Worker` is the side of the caller; run as ``python -m softrig_core.model.worker`` this module is the process. Both talk
+in pickles over its standard input and output; what the work prints goes to the caller's standard error.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import importlib
+import os
+import pickle
+import queue
+import signal
+import struct
+import subprocess
+import sys
+import threading
+import time
+import traceback
+import weakref
+from collections.abc import Callable, Mapping
+from typing import IO, Any, Literal
+
+State = Literal["idle", "working", "done", "failed"]
+Figures = Mapping[str, "float | str"]
+LENGTH = struct.Struct("<Q")
+
+
+class Work:
+    """What a function that works in a `Worker` may say while it does."""
+
+    def __init__(self, send: Callable[[str, Any], None]) -> None:
+        self._send = send
+
+    def status(self, **figures: float | str) -> None:
+        """Tell how far it is; seen in the diagnostics of the node (bound, gap, iteration)."""
+        self._send("status", figures)
+
+    def best(self, answer: Any) -> None:
+        """Leave the best answer so far: it is the result when the time limit strikes."""
+        self._send("best", answer)
+
+
+class Worker:
+    """Calls one function in a process of its own.
+
+    Parameters
+    ----------
+    function : callable
+        ``function(request, work)`` of an importable module: request and answer can be pickled, `work` is a `Work`.
+
+    Raises
+    ------
+    ValueError
+        The function cannot be imported by name (defined at a prompt or within another function).
+    """
+
+    def __init__(self, function: Callable[[Any, Work], Any]) -> None:
+        if function.__module__ == "__main__" or "<" in function.__qualname__:
+            raise ValueError(f"{function.__qualname__} of {function.__module__} cannot be imported by another process; "
+                             "expected a function of a module")  # fmt: skip
+        self._call = (function.__module__, function.__qualname__)
+        self._process: subprocess.Popen[bytes] | None = None
+        self._changed = threading.Condition()
+        self._forget()
+
+    def _forget(self) -> None:
+        self.state: State = "idle"
+        self.answer: Any = None
+        self.best: Any = None
+        self.has_best = False
+        self.status: Figures = {}
+        self.error = ""
+        self.since: float | None = None
+
+    def elapsed(self) -> float:
+        """Wall-clock time of the work so far, s, without the start of its process."""
+        return 0.0 if self.since is None else time.monotonic() - self.since
+
+    def warm(self) -> None:
+        """Start the process, so that its imports are done when the first request comes."""
+        if self._process is not None and self._process.poll() is None:
+            return
+        variables = dict(os.environ)
+        # one thread each: a BLAS that splits sums by the number of cores would change last bits
+        for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+            variables.setdefault(name, "1")
+        command = [sys.executable, "-c", "from softrig_core.model.worker import main; main()"]
+        process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=variables)
+        self._process = process
+        self._end = weakref.finalize(self, _kill, process)
+        self._write((os.getpid(), sys.path, *self._call))
+        assert process.stdout is not None
+        listener = threading.Thread(target=_listen, args=(weakref.ref(self), process, process.stdout), daemon=True)
+        listener.start()
+
+    def submit(self, request: Any) -> None:
+        """Begin to work on a request.
+
+        Raises
+        ------
+        RuntimeError
+            It works on another one.
+        """
+        if self.state == "working":
+            raise RuntimeError("a worker does one thing at a time; cancel it first")
+        self.warm()
+        self._forget()
+        self.state = "working"
+        self._write(request)
+
+    def wait(self, seconds: float | None = None) -> bool:
+        """Wait until the work is over, at most so long (None: for ever); tells whether it is."""
+        with self._changed:
+            return self._changed.wait_for(lambda: self.state != "working", seconds)
+
+    def cancel(self) -> None:
+        """Kill the process, wherever it is; the next request gets a new one."""
+        if self._process is not None:
+            self._end()
+        self._process = None
+        self.state = "idle"
+
+    def _write(self, content: Any) -> None:
+        assert self._process is not None
+        assert self._process.stdin is not None
+        with contextlib.suppress(BrokenPipeError):  # the listener tells why
+            _send(self._process.stdin, content)
+
+    def _heard(self, process: subprocess.Popen[bytes], kind: str, content: Any) -> None:
+        with self._changed:
+            if process is not self._process:
+                return  # a killed one's last words
+            if kind == "begun":
+                self.since = time.monotonic()
+            elif kind == "status":
+                self.status = content
+            elif kind == "best":
+                self.best, self.has_best = content, True
+            elif kind == "done":
+                self.answer, self.state = content, "done"
+            elif self.state == "working":
+                self.error, self.state = content, "failed"
+            self._changed.notify_all()
+
+
+def _kill(process: subprocess.Popen[bytes]) -> None:
+    process.kill()
+    process.wait()
+    for pipe in (process.stdin, process.stdout):
+        if pipe is not None:
+            with contextlib.suppress(OSError):  # a request that it had not read yet
+                pipe.close()
+
+
+def _listen(owner: weakref.ref[Worker], process: subprocess.Popen[bytes], pipe: IO[bytes]) -> None:
+    """Hand on what a process says until its end; holds no reference to the worker, whose end is the process's too."""
+
+    def tell(kind: str, content: Any) -> None:
+        worker = owner()
+        if worker is not None:
+            worker._heard(process, kind, content)
+
+    try:
+        while True:
+            tell(*_receive(pipe))
+    except (EOFError, OSError, ValueError):  # ValueError: the pipe was closed under the reader
+        code = process.wait()
+        how = f"was killed by {signal.Signals(-code).name}" if code < 0 else f"ended with status {code}"
+        tell("failed", f"the process that works {how}")
+
+
+def _send(pipe: IO[bytes], content: Any) -> None:
+    data = pickle.dumps(content, pickle.HIGHEST_PROTOCOL)
+    pipe.write(LENGTH.pack(len(data)) + data)
+    pipe.flush()
+
+
+def _receive(pipe: IO[bytes]) -> Any:
+    head = pipe.read(LENGTH.size)
+    if len(head) < LENGTH.size:
+        raise EOFError
+    data = pipe.read(LENGTH.unpack(head)[0])
+    return pickle.loads(data)
+
+
+def main() -> None:
+    """Be the process: read requests until the caller's end of the pipe is closed."""
+    incoming = os.fdopen(os.dup(0), "rb")
+    outgoing = os.fdopen(os.dup(1), "wb")
+    os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
+    os.dup2(2, 1)  # a solver that prints must not break the pickles
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the caller's; it ends us
+    parent, path, module, name = _receive(incoming)
+    pr_set_pdeathsig = 1
+    ctypes.CDLL(None).prctl(pr_set_pdeathsig, signal.SIGKILL)
+    if os.getppid() != parent:
+        os._exit(0)
+    os.nice(5)  # a loop on the wall clock goes first
+    sys.path[:] = path
+    requests: queue.SimpleQueue[Any] = queue.SimpleQueue()
+
+    def listen() -> None:
+        try:
+            while True:
+                requests.put(_receive(incoming))
+        except (EOFError, OSError):
+            os._exit(0)
+
+    lock = threading.Lock()
+
+    def send(kind: str, content: Any) -> None:
+        with lock:
+            _send(outgoing, (kind, content))
+
+    function: Any = None
+    threading.Thread(target=listen, daemon=True).start()
+    while True:
+        request = None
+        try:
+            if function is None:
+                function = importlib.import_module(module)
+                for part in name.split("."):
+                    function = getattr(function, part)
+            request = requests.get()
+            send("begun", None)
+            send("done", function(request, Work(send)))
+        except Exception as error:
+            traceback.print_exc()
+            if function is None:
+                request = requests.get()
+            place = traceback.extract_tb(error.__traceback__)[-1]
+            send("failed", f"{type(error).__name__}: {error} ({os.path.basename(place.filename)}:{place.lineno})")

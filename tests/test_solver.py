@@ -1,0 +1,211 @@
+"""Solver nodes: when a result takes effect is decided by simulated time alone, whatever the work takes."""
+
+import itertools
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import differences, in_process, make_scenario
+from faultrig import Planner
+from softrig_core.errors import RunError
+from softrig_core.model.solver import Solver
+from softrig_core.model.worker import Worker
+from softrig_core.rig.processes import run_processes
+from softrig_core.rig.rig import Rig
+from softrig_core.wire.signals import Signals
+
+
+def rig(duration=1.0, timeout=10.0, **planner):
+    nodes = {
+        "plant": "plant",
+        "source": {"executable": "source", "parameters": {"period": 0.1}},
+        "planner": {"executable": "planner", "parameters": planner},
+        "gain": {"executable": "gain", "remap": {"lag/reference": "lag/inner_reference"}},
+    }
+    return Rig.from_scenario(make_scenario(nodes, duration, timeout=timeout))
+
+
+def asked_at(recording):
+    """Which request's plan is in effect at each tick of the planner, s; -1: none."""
+    return np.round(Signals(recording)["lag/plan/asked_at/position"].x, 9).tolist()
+
+
+def test_the_loop_waits_without_latency():
+    recording = in_process(rig())
+    assert asked_at(recording) == pytest.approx([0.1 * k for k in range(10)])
+    # the plan of a tick is from the state and the reference of that tick
+    signals = Signals(recording)
+    x = signals["lag/state/x/position"].x[::10][:10]
+    wanted = signals["lag/reference/x/position"].x
+    np.testing.assert_array_equal(signals["lag/inner_reference/x/position"].x, wanted + 0.5 * (wanted - x))
+
+
+def test_a_plan_takes_effect_its_latency_later_and_the_newest_request_is_next():
+    recording = in_process(rig(latency=0.25))
+    # asked at 0, in effect at 0.3; the newest request then is that of 0.3, in effect at 0.6
+    assert asked_at(recording) == [-1.0] * 3 + [0.0] * 3 + [0.3] * 3 + [0.6]
+
+
+def test_simulated_time_alone_decides():
+    """Work that takes no time and work that takes longer than the latency: the same bytes."""
+    quick, slow = (in_process(rig(0.7, latency=0.2, work=work)) for work in (0.0, 0.25))
+    assert differences(quick, slow) == []
+    assert asked_at(quick) == [-1.0] * 2 + [0.0] * 2 + [0.2] * 2 + [0.4]
+
+
+class Impatient(Planner):
+    CANCELS = True
+
+
+def drive(block, ticks, first=0):
+    found = []
+    for k in range(first, first + ticks):
+        x = 0.01 * k
+        found.append(block.update(round(k * 1e8), state=(x, 0.0), reference=(1.0,)))
+    return found
+
+
+def test_a_request_may_kill_the_work_under_way():
+    block = Impatient(latency=0.2, work=0.0)
+    assert [round(v["plan"][0], 9) for v in drive(block, 5)] == [-1.0] * 5  # asked anew at every tick: never a plan
+    block.request = lambda t, **_: None  # nobody asks any more: the last request is worked on
+    assert [round(v["plan"][0], 9) for v in drive(block, 3, 5)] == [-1.0, 0.4, 0.4]
+
+
+def test_reset_kills_the_work_and_repeats_the_run():
+    block = Planner(latency=0.2, work=0.1)
+    first = drive(block, 4)
+    pid = block._worker._process.pid
+    block.reset(0)
+    assert not os.path.exists(f"/proc/{pid}")
+    assert drive(block, 4) == first
+
+
+def test_a_limit_gives_the_best_so_far_and_says_that_it_does_not_repeat():
+    block = Planner(fault="hang", limit=1.0)
+    first, second, third = drive(block, 3)
+    assert first["plan"] == (0.0, 1.0)
+    assert second["plan"] == (0.1, 0.0)
+    assert second["inner"][0] == pytest.approx(1.0 + 0.25 * 0.99)
+    assert third["plan"] == pytest.approx((0.2, 1.0))
+    _, text, count = block.reports["limit"]
+    assert (text, count) == ("best answer so far after 1 s: this result does not repeat", 1)
+
+
+@pytest.mark.parametrize(("fault", "reason"), [
+    ("raise", r"request of t = 0.1 s failed: ArithmeticError: deliberate \(faultrig.py:\d+\)"),
+    ("kill", "request of t = 0.1 s failed: the process that works was killed by SIGKILL"),
+])  # fmt: skip
+def test_failed_work_ends_a_run_and_is_reported_against_the_wall_clock(fault, reason):
+    block = Planner(fault=fault)
+    with pytest.raises(RunError, match=reason):
+        drive(block, 2)
+    block.reset(0)
+    block.realtime = True
+    found = []
+    for k in range(5):
+        found += drive(block, 1, k)
+        assert block._worker.wait(20.0)
+    # each tick gives what the request of the tick before came to; the third plan comes from a new process
+    assert [round(v["plan"][0], 9) for v in found] == [-1.0, 0.0, 0.0, 0.2, 0.3]
+    assert block.reports["work"][2] == 1
+
+
+def test_against_the_wall_clock_nothing_waits():
+    block = Planner(work=0.5)
+    block.realtime = True
+    block._worker.warm()
+    since = time.perf_counter()
+    found = drive(block, 5)
+    assert time.perf_counter() - since < 0.2
+    assert [v["plan"][0] for v in found] == [-1.0] * 5
+    assert block._worker.wait(20.0)
+    assert drive(block, 1, 5)[0]["plan"] == (0.0, 1.0)
+    assert block._active[0] == 500_000_000, "the newest request is next, the four between are forgotten"
+    assert set(block.health()) >= {"work"}
+    while "plan" not in block.health():
+        block._worker.wait(0.01)
+    assert block.health()["plan"] == "6"
+
+
+def test_a_refused_request_asks_nothing():
+    block = Planner()
+    (first,) = drive(block, 1)
+    assert block.refused(100_000_000) == first
+    assert block.asked == 1
+
+
+def test_worker_ends_with_its_owner_and_with_the_process_that_started_it():
+    worker = Worker(Planner.solve)
+    worker.submit((1, 0.0, 1.0, 3600.0, ""))
+    pid = worker._process.pid
+    del worker
+    assert not os.path.exists(f"/proc/{pid}")
+    code = (
+        "import os, signal; from faultrig import Planner; from softrig_core.model.worker import Worker\n"
+        "worker = Worker(Planner.solve); worker.submit((1, 0.0, 1.0, 3600.0, ''))\n"
+        "while not worker.has_best: worker.wait(0.01)\n"
+        "print(worker._process.pid, flush=True); os.kill(os.getpid(), signal.SIGKILL)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], stdout=subprocess.PIPE, timeout=60)
+    assert done.returncode == -signal.SIGKILL
+    orphan = int(done.stdout)
+    deadline = time.monotonic() + 10.0
+    status = Path(f"/proc/{orphan}/status")
+    while status.exists() and "State:\tZ" not in status.read_text():
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+
+
+def test_a_function_that_no_other_process_can_import_is_refused():
+    def solve(request, work):
+        return request
+
+    with pytest.raises(ValueError, match="cannot be imported by another process"):
+        Worker(solve)
+
+
+def test_what_a_solver_must_give():
+    with pytest.raises(NotImplementedError):
+        Solver().update(0)
+
+
+@pytest.mark.processes
+def test_nodes_give_the_bits_of_the_blocks_while_the_work_is_longer_than_their_patience(tmp_path):
+    """A plan of 4.5 s against a timeout of 3 s: the others hear that the planner is busy."""
+    wired = rig(0.1, timeout=3.0, work=4.5)
+    outcome = run_processes(wired, 0, tmp_path)
+    assert outcome.error == ""
+    assert differences(in_process(rig(0.1)), outcome.recording) == []
+
+
+@pytest.mark.processes
+def test_with_latency_the_nodes_go_on_meanwhile(tmp_path):
+    wired = rig(0.8, latency=0.25, work=0.3)
+    outcome = run_processes(wired, 0, tmp_path)
+    assert outcome.error == ""
+    assert differences(in_process(rig(0.8, latency=0.25)), outcome.recording) == []
+
+
+@pytest.mark.processes
+def test_work_that_dies_ends_the_run_naming_it(tmp_path):
+    outcome = run_processes(rig(0.5, fault="kill"), 0, tmp_path)
+    assert "planner" in outcome.error
+    assert "request of t = 0.1 s failed: the process that works was killed by SIGKILL" in outcome.error
+
+
+@pytest.mark.processes
+def test_realtime_loop_never_waits_for_a_plan(tmp_path):
+    outcome = run_processes(rig(4.0, period=0.01, work=0.35), 0, tmp_path, mode="realtime")
+    assert outcome.error == ""
+    stamps = Signals(outcome.recording)["lag/plan/asked_at/position"]
+    gaps = np.diff(stamps.t)
+    assert np.median(gaps) == pytest.approx(0.01, abs=1e-6)
+    plans = [a for a, _ in itertools.groupby(stamps.x) if a >= 0.0]
+    assert len(plans) >= 2
+    assert min(np.diff(plans)) >= 0.35
