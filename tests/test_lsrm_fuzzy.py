@@ -7,12 +7,11 @@ import sys
 
 import numpy as np
 import pytest
-from conftest import differences, in_process
+from conftest import in_process
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from scipy.linalg import solve_continuous_are
-from softrig_bringup.run import execute
 from softrig_control.fuzzy import TakagiSugeno, sum_rules
 from softrig_core.model.block import Level
 from softrig_core.model.params import ParameterError
@@ -690,14 +689,6 @@ def test_overcurrent_trips_for_good():
     assert plant.reports["overcurrent"][2] == 1
     plant.reset(0)
     assert not plant.fault
-
-
-@pytest.mark.processes
-def test_the_same_bits_over_topics(tmp_path):
-    scenario = load_scenario("lsrm_fuzzy_short")
-    run = execute(scenario, "processes", tmp_path)
-    assert run.error == ""
-    assert differences(in_process(Rig.from_scenario(scenario), scenario.seed), run.recording) == []
 
 
 def test_every_scenario_runs():

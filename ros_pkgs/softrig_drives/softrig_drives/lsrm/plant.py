@@ -67,12 +67,11 @@ class LsrmPlant(Plant):
         p = self.p
         if load is not None and load != self._load:
             self._take(load)
+        if not self.fault and (max(phase_voltage) > p.U_dc or min(phase_voltage) < -p.U_dc):
+            self.report(Level.WARN, "clipped", f"voltages {phase_voltage} V clipped to the supply, {p.U_dc:g} V")
         (u_a, u_b, u_c, u_d), (added, friction) = phase_voltage, self._load
         self._tell(step(self.state, self._work, self._u, self._geometry, u_a, u_b, u_c, u_d, p.U_dc, self.fault, p.R,
                         p.M + added, p.C + p.k_p, friction, p.locked, self._h, p.substeps))  # fmt: skip
-        limit = p.U_dc
-        if not self.fault and (max(phase_voltage) > limit or min(phase_voltage) < -limit):
-            self.report(Level.WARN, "clipped", f"voltages {phase_voltage} V clipped to the supply, {limit:g} V")
 
     def _take(self, load: tuple[float, ...]) -> None:
         added, friction = load

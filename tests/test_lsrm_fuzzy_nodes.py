@@ -1,0 +1,99 @@
+"""Linear switched reluctance motor as nodes: equality to in-process, over-current trip, bad input by hand."""
+
+import numpy as np
+import pytest
+from conftest import differences, in_process
+from softrig_bringup.run import execute
+from softrig_core.rig.rig import Rig
+from softrig_core.rig.scenario import load_scenario
+
+pytestmark = pytest.mark.processes
+
+CURRENT_A = "phase_currents/a/position"
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["lsrm_fuzzy_short", *(pytest.param(n, marks=pytest.mark.long) for n in ("lsrm_fuzzy", "lsrm_fuzzy_n2_mrac"))],
+)
+def test_the_same_bits_over_topics(name, tmp_path):
+    scenario = load_scenario(name)
+    run = execute(scenario, "processes", tmp_path)
+    assert run.error == ""
+    assert differences(in_process(Rig.from_scenario(scenario), scenario.seed), run.recording) == []
+
+
+def test_overcurrent_trips_in_a_process(tmp_path):
+    scenario = load_scenario("lsrm_fuzzy_b5_trip")
+    run = execute(scenario, "processes", tmp_path)
+    assert run.error == ""
+    currents = np.array([run.signals[f"phase_currents/{k}/position"].x for k in "ab"])
+    tripped = int(np.argmax(currents.max(axis=0) > 12.0))
+    assert 12.0 < currents.max() < 13.0
+    assert tripped > 10
+    assert (np.diff(currents.max(axis=0)[tripped:]) <= 0.0).all()
+    assert currents[:, tripped + 60 :].max() == 0.0  # 3 ms later
+    assert run.signals["phase_voltage/a/effort"].x.min() == 150.0  # commanded all the time
+    assert run.status["lsrm_plant"]["reports"]["overcurrent"][2] == 1
+    assert differences(in_process(Rig.from_scenario(scenario), scenario.seed), run.recording) == []
+
+
+# Sends one command again and again until it is killed.
+PERSON = """
+import rclpy, sys
+from math import nan
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+rclpy.init()
+node = Node("person")
+topic, names, effort = sys.argv[1], sys.argv[2].split(), [float(x) for x in sys.argv[3].split()]
+publisher = node.create_publisher(JointState, topic, 10)
+def send():
+    message = JointState(name=names, effort=effort)
+    message.header.stamp = node.get_clock().now().to_msg()
+    publisher.publish(message)
+node.create_timer(0.005, send)
+rclpy.spin(node)
+"""
+
+
+class Hand:
+    """A clamped motor started by hand, and a person who commands it."""
+
+    def __init__(self, bench):
+        self.bench = bench
+        parameters = {"period": 0.01, "substeps": 1000, "locked": True, "x_0": 0.0415}
+        arguments = [a for k, v in parameters.items() for a in ("-p", f"{k}:={str(v).lower()}")]
+        bench.start("plant", "lsrm_plant", *arguments, package="softrig_drives")
+        bench.wait(lambda: bench.status("plant").get("ticks", 0) > 3, 30.0)
+
+    def sends(self, topic, names, effort, until):
+        """Command until something holds."""
+        code = f"import sys; sys.argv[1:] = {[topic, names, effort]!r}\n{PERSON}"
+        self.bench.python("person", code)
+        self.bench.wait(until, 30.0)
+        self.bench.kill("person")
+
+    def current(self):
+        return self.bench.signal("plant", CURRENT_A).x[-1]
+
+    def told(self, key):
+        return key in self.bench.status("plant")["reports"]
+
+    def refused(self, topic):
+        return self.bench.status("plant")["refused"].get(topic, [0, ""])
+
+
+def test_bad_commands_by_hand_are_refused_clipped_and_outlived(bench):
+    hand = Hand(bench)
+    hand.sends("phase_voltage", "a b c d", "15 0 0 0", lambda: hand.current() > 5.9)
+    bench.wait(lambda: hand.told("stale phase_voltage"))  # the person is gone: 0 V
+    bench.wait(lambda: hand.current() < 1e-3)
+    hand.sends("phase_voltage", "a b c d", "nan 0 0 0", lambda: "a/effort is nan" in hand.refused("phase_voltage")[1])
+    hand.sends("phase_voltage", "a b c", "9 9 9", lambda: "names ['a', 'b', 'c']" in hand.refused("phase_voltage")[1])
+    assert hand.current() < 1e-3
+    hand.sends("load", "mass friction", "-5 0", lambda: hand.told("bad_load"))
+    assert not hand.told("overcurrent")
+    hand.sends("phase_voltage", "d c b a", "0 0 0 900", lambda: hand.told("overcurrent"))  # in another order
+    assert hand.told("clipped")
+    bench.wait(lambda: hand.current() == 0.0)
