@@ -472,6 +472,21 @@ def test_without_a_state_the_command_is_held_then_0():
     assert controller.update(0, state=(15.0, 130.0, 0.2347), reference=None)["command"] == pytest.approx(held)
 
 
+def test_a_stale_state_is_not_used():
+    controller, good = AqmController(), (15.0, 130.0, 0.2347)
+    held = controller.update(0, state=good, reference=None)["command"]
+    for age, command in ((5, None), (6, held), (49, held), (50, (0.0,))):
+        controller.ages = lambda name, age=age: age * 10**6
+        found = controller.update(0, state=(16.0, 140.0, 0.237), reference=None)["command"]
+        if command is None:
+            held = found
+            assert held != (0.0,)
+        else:
+            assert found == (held if command[0] else (0.0,))
+    assert controller.reports["stale"][0] is Level.WARN
+    assert controller.reports["no_state"][0] is Level.ERROR
+
+
 def test_references_step_and_impossible_ones_are_ignored():
     controller = AqmController(law="pid")
     state = (15.0, 130.0, 0.2347)

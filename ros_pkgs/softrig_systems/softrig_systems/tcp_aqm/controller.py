@@ -10,6 +10,7 @@ from softrig_core.model.block import Block, Level
 from softrig_core.model.history import History, linear
 from softrig_core.model.jit import jit
 from softrig_core.model.params import BlockParams, param
+from softrig_core.model.timebase import to_ns
 from softrig_core.node import executable
 
 from .laws import LAWS, Gains, LawName, Measured
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
 
     Ring = NDArray[np.float64]
 
+STALE = 5  # periods beyond which a state is too old
 HOLD = 50  # ticks without a valid state after which nothing is dropped any more
 
 
@@ -62,8 +64,8 @@ class AqmController(Block):
     Window and round trip of one round trip ago come from the controller's own record of the state, interpolated
     linearly; before there is one, from the oldest value. The integral takes e in after the law has used it.
 
-    A state that is refused, not finite or negative is answered by the last command; after 50 ticks without a valid
-    one by 0, for then only a full queue may drop.
+    A state that is refused, not finite, negative or older than 5 periods is answered by the last command; after 50
+    ticks without a valid one by 0, for then only a full queue may drop.
     """
 
     Params = AqmControllerParams
@@ -77,6 +79,8 @@ class AqmController(Block):
         self._printed = p.phi_form == "printed"
         self._freezes = p.anti_windup or p.law == "robust"
         self._rate = 1.0 / p.period
+        self._period = to_ns(p.period)
+        self._stale = STALE * self._period
         self._history = History(p.period, p.history)
 
     def start(self) -> None:
@@ -92,6 +96,11 @@ class AqmController(Block):
         self, t: int, *, state: tuple[float, ...], reference: tuple[float, ...] | None
     ) -> Mapping[str, tuple[float, ...]]:
         """Give the drop probability."""
+        age = self.age("state") or 0
+        if age > self._stale:
+            self.report(Level.WARN, "stale", f"the state is older than {STALE} periods: the last command is held")
+            self._silent = max(self._silent, age // self._period - 1)
+            return self._hold()
         w, q, R = state
         total = w + q + R
         if total - total != 0.0 or w <= 0.0 or q < 0.0 or R <= 0.0:

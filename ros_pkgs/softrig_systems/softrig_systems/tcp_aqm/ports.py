@@ -20,10 +20,10 @@ TRUTH = scalars(
 COMMAND = command("command", "aqm/command", ("drop_probability",), "1")
 HEALTH = scalars("health", "aqm/health", {"s": "packet/s", "integral": "packet s", "saturated": ""})
 REFERENCE = command("reference", "aqm/reference", ("queue",), "packet", held=True)
-EVENT_UNITS = {"flows": "", "capacity": "packet/s", "propagation": "s", "disturbance": "packet/s"}
+EVENT_UNITS = {"flows": "1", "capacity": "packet/s", "propagation": "s", "disturbance": "packet/s"}
 
 
 def events(now: tuple[float, float, float, float]) -> Port:
-    """Give the port of the network's changes; `now` is what holds until the first one."""
-    names, units = tuple(EVENT_UNITS), tuple(EVENT_UNITS.values())
-    return Port("events", "network/events", COMMAND.msgtype, names, ("effort",), units, held=True, safe=now)
+    """Give the port of the network's changes: any of the channels; `now` is what holds until the first one."""
+    units = list(EVENT_UNITS.values())
+    return command("events", "network/events", tuple(EVENT_UNITS), units, held=True, partial=True, safe=now)
