@@ -14,17 +14,24 @@ from hypothesis import strategies as st
 from scipy import linalg, signal
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
+from scipy.special import jv
 from softrig_control.linear_plant import LinearPlant
 from softrig_control.predictive.carima import Carima, diophantine, multiply, predict
 from softrig_control.predictive.certificate import certify, check
+from softrig_control.predictive.certificate_node import CertificateNode
 from softrig_control.predictive.controller import GpcController
 from softrig_control.predictive.gpc import Gpc, Tuning, invert
 from softrig_control.predictive.qp import make_solver
 from softrig_core.model.block import Level
 from softrig_core.model.params import ParameterError
+from softrig_core.model.port import Refused, scalars
 from softrig_core.rig.processes import run_processes
 from softrig_core.rig.scenario import list_scenarios
 from softrig_core.rig.simulate import rig_of, simulate
+from softrig_core.wire.cdr import Layout
+from softrig_core.wire.codec import Decoder
+from softrig_power.rectifier import bench as rectifier_bench
+from softrig_power.rectifier import pictures
 from softrig_power.rectifier.averaged import ode_abc
 from softrig_power.rectifier.circuit import INJECTION, SPWM, Circuit, Period, grid, phases
 from softrig_power.rectifier.controller import RectifierGpc
@@ -32,7 +39,7 @@ from softrig_power.rectifier.metrics import RigMetrics
 from softrig_power.rectifier.models import SEED19_DEN, SEED19_NUM, d2, linearised, n3, seed19
 from softrig_power.rectifier.parameters import RectifierConstants
 from softrig_power.rectifier.plant import RectifierPlant
-from softrig_power.rectifier.ports import POWER_QUALITY
+from softrig_power.rectifier.ports import DC_LINK, POWER_QUALITY, V_DROP, events
 from softrig_power.rectifier.quality import FIGURES
 from softrig_power.rectifier.switched import carrier, modulation
 
@@ -641,3 +648,74 @@ def test_processes_give_the_same_bytes(name, tmp_path):
     outcome = run_processes(rig, rig.scenario.seed, tmp_path)
     assert not outcome.error
     assert differences(simulate(rig).recording, outcome.recording) == []
+
+
+def test_certificate_node_answers_a_press_once():
+    node = CertificateNode()
+    assert node.update(0, certify=None) == {}
+    found = node.update(1, certify=(1.0,))
+    assert found["gain"] == pytest.approx((-0.76362, 0.46805), abs=1e-5)
+    assert found["terminal"][1] == found["terminal"][2] == pytest.approx(-0.58845, abs=1e-5)
+    assert found["verdict"][0] == 1.0
+    assert node.update(2, certify=(1.0,)) == {}
+    assert node.update(3, certify=(0.0,)) == {}
+    assert node.update(4, certify=(1.0,)) == found
+    assert node.refused(5) == {}
+    printed = CertificateNode(K=(-1.833, 1.077), Qbar=(5.34, 1.83, 1.83, 1.0))
+    assert printed.update(0, certify=(1.0,))["verdict"][0] == 0.0
+    assert printed.reports["no_certificate"][0] == Level.WARN
+    with pytest.raises(ParameterError, match="K has 1"):
+        CertificateNode(K=(1.0,))
+
+
+JOINT_STATE = "sensor_msgs/msg/JointState"
+
+
+@pytest.mark.parametrize(
+    ("port", "names", "field", "values", "reason"),
+    [(V_DROP, ("v_drop",), "effort", (math.nan,), "nan"), (V_DROP, ("v_drop",), "effort", (math.inf,), "inf"),
+     (V_DROP, ("i_ref",), "effort", (20.0,), "names"), (V_DROP, ("v_drop",), "effort", (), "0 values"),
+     (DC_LINK, ("voltage", "current"), "position", (math.nan, 1.0), "nan"),
+     (DC_LINK, ("voltage",), "position", (400.0,), "names"),
+     (events(16.0, 180.0), ("load",), "position", (8.0,), "load")],
+)  # fmt: skip
+def test_bad_messages_are_refused_with_the_reason(port, names, field, values, reason):
+    data = Layout(JOINT_STATE, "", names, {field: len(values)}).encode(0, values)
+    with pytest.raises(Refused, match=reason):
+        Decoder(port)(data)
+
+
+def test_an_event_may_carry_one_channel():
+    decode = Decoder(events(16.0, 180.0))
+    channel = scalars("one", "events", {"h5_amplitude": "V"})
+    assert decode(channel.layout().encode(0, (36.0,)))[1] == (16.0, 180.0, 36.0)
+
+
+def test_a_late_command_is_held_with_a_warning():
+    plant = RectifierPlant()
+    for periods, warned in ((5, False), (6, True)):
+        plant.ages = lambda name, age=periods: age * NS
+        plant.advance(0, command=(CONSTANTS.drop,), events=None)
+        assert ("late" in plant.reports) == warned
+    assert plant.STALE_PERIODS == 20
+
+
+def test_bench_and_pictures_run(tmp_path, capsys):
+    assert rectifier_bench.main(["--steps", "20"]) == 0
+    out = capsys.readouterr().out
+    assert all(name in out for name in (*rectifier_bench.LAWS, *rectifier_bench.PLANTS))
+    assert pictures.main([str(tmp_path), "load_steps"]) == 0
+    assert (tmp_path / "rectifier_mpc_load_steps.png").read_bytes()[:4] == b"\x89PNG"
+
+
+def test_lines_of_the_spectrum_are_the_carriers_sidebands():
+    """Double Fourier series of natural sampling: J_0, J_2 and so on of pi m/2, over the reactance at that frequency."""
+    t, x = pictures.waveform("rectifier_mpc_n4")
+    f, amplitude = pictures.spectrum(t, x["i_a"], 6, 60.0)
+    c = CONSTANTS
+    m = math.hypot(c.V_g - c.drop * math.cos(c.phi), c.drop * math.sin(c.phi)) / 200.0
+    for n, k in ((1, 2), (1, -2), (2, 1), (2, -1)):
+        at = n * 1e4 + k * 60.0
+        bessel = abs(jv(k, n * math.pi * m / 2.0))
+        line = 400.0 * 2.0 / (n * math.pi) * bessel / (2.0 * math.pi * at * c.L)
+        assert amplitude[np.argmin(np.abs(f - at))] == pytest.approx(line, rel=0.02), (n, k)

@@ -10,8 +10,10 @@ from softrig_core.model.params import BlockParams, param
 from softrig_core.model.port import scalars
 from softrig_core.node import executable
 
-from .ports import DC_LINK, EVENTS
+from .parameters import RectifierConstants
+from .ports import DC_LINK, events
 
+NOMINAL = RectifierConstants()
 REFERENCE = scalars("reference", "reference", {"v_dc": "V"}, held=True)
 
 
@@ -31,7 +33,7 @@ class RigMetrics(Observer):
     """
 
     Params = RigMetricsParams
-    INPUTS = (DC_LINK, REFERENCE, EVENTS)
+    INPUTS = (DC_LINK, REFERENCE, events(NOMINAL.R_L, NOMINAL.V_g))
 
     def start(self) -> None:
         """No event yet."""

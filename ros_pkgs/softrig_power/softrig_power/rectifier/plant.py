@@ -10,6 +10,7 @@ from pydantic import model_validator
 from softrig_core.model.block import Level, Plant
 from softrig_core.model.params import BlockParams, param
 from softrig_core.model.port import Port
+from softrig_core.model.timebase import to_ns
 from softrig_core.node import executable
 
 from . import averaged, ports, switched
@@ -60,6 +61,8 @@ class RectifierPlant(Plant):
     for one period. Events (load resistance, grid amplitude, amplitude of the fifth harmonic) are taken with the
     command: the first period that begins at or after an event sees the new value.
 
+    In realtime a command older than 5 periods is held with a warning; one older than 20 is replaced by V' = 0.
+
     ``power_quality`` has the figures of the last whole six grid cycles (zeros before the first are over).
 
     A command that is not finite or beyond 10,000 never gets here by a node; an event that is no possible value is
@@ -68,7 +71,8 @@ class RectifierPlant(Plant):
     """
 
     Params = RectifierPlantParams
-    STALE_PERIODS = 20  # held until then; the drop is 0 afterwards
+    STALE_PERIODS = 20  # realtime: an older command is replaced by 0
+    LATE_PERIODS = 5  # older than this it is held with a warning
 
     @classmethod
     def ports(cls, params: RectifierPlantParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
@@ -77,7 +81,7 @@ class RectifierPlant(Plant):
         outputs = [ports.DC_LINK, ports.GRID_CURRENT, ports.GRID_VOLTAGE, ports.POWER_QUALITY]
         if params.waveform:
             outputs.append(ports.waveform(params.steps))
-        return (command, ports.EVENTS), tuple(outputs)
+        return (command, ports.events(params.R_L, params.V_g)), tuple(outputs)
 
     def setup(self) -> None:
         """Prepare the constants."""
@@ -86,6 +90,7 @@ class RectifierPlant(Plant):
         self._reach = INJECTION if p.injection else SPWM
         self._forward = 1.0 if p.feedforward == "instantaneous" else 0.0
         self._window = CYCLES / p.f
+        self._late = self.LATE_PERIODS * to_ns(p.period)
 
     def start(self) -> None:
         """Begin at the given voltage and current, on the nominal grid and load."""
@@ -135,6 +140,8 @@ class RectifierPlant(Plant):
         if events is not None:
             self._take(events)
         start = t / 1e9
+        if (self.age("command") or 0) > self._late:
+            self.report(Level.WARN, "late", f"command older than {self.LATE_PERIODS} periods is held")
         if self.collapsed:
             self._discharge()
             return

@@ -12,7 +12,13 @@ GRID_VOLTAGE = vector3("grid_voltage", "grid/voltage", "abc", "V")
 POWER_QUALITY = scalars("power_quality", "power_quality", FIGURES)
 V_DROP = command("command", "v_drop/command", ("v_drop",), "V")
 I_REF = command("command", "v_drop/command", ("i_ref",), "A")
-EVENTS = scalars("events", "events", {"load_resistance": "ohm", "grid_amplitude": "V", "h5_amplitude": "V"}, held=True)
+
+
+def events(load: float, amplitude: float) -> Port:
+    """Events, any of the three in a message; the others keep their value, at first the nominal one."""
+    units = {"load_resistance": "ohm", "grid_amplitude": "V", "h5_amplitude": "V"}
+    return scalars("events", "events", units, held=True, partial=True, safe=(load, amplitude, 0.0))
+
 
 WAVEFORM_CHANNELS = ("i_a", "i_b", "i_c", "v_ga", "v_dc")
 

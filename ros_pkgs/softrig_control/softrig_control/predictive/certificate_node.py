@@ -1,0 +1,97 @@
+"""The dual-mode certificate of a model as a node."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Self
+
+from pydantic import model_validator
+from softrig_core.model.block import Block, Level
+from softrig_core.model.params import BlockParams, param
+from softrig_core.model.port import Port, array, button, scalars
+from softrig_core.node import executable
+
+from .carima import Carima
+from .certificate import Certificate, certify, check, companion
+
+
+class CertificateParams(BlockParams):
+    """Model, weights, and optionally the K and Qbar of somebody else."""
+
+    period: float = param(0.1, "time between looks at the button", "s", gt=0.0, le=100.0)
+    num: tuple[float, ...] = param((2.8286, 2.8286 * 175100.0), "numerator, highest power of s first")
+    den: tuple[float, ...] = param((1.0, 51.17 + 125.7, 51.17 * 125.7), "denominator, highest power of s first")
+    T: float = param(0.001, "sampling time of the model", "s", gt=0.0, le=10.0)
+    Q: float = param(1.0, "weight of y: Q C'C", gt=0.0, le=1e12)
+    R: float = param(1.0, "weight of u", gt=0.0, le=1e12)
+    K: tuple[float, ...] = param((), "feedback u = K x to be checked, with Qbar; empty: solve the Riccati equation")
+    Qbar: tuple[float, ...] = param((), "terminal cost to be checked, row by row")
+
+    @model_validator(mode="after")
+    def _model(self) -> Self:
+        n = len(companion(self.carima())[0])
+        if (len(self.K), len(self.Qbar)) not in ((0, 0), (n, n * n)):
+            raise ValueError(f"K has {len(self.K)}, Qbar {len(self.Qbar)} values, expected {n} and {n * n}, or none")
+        return self
+
+    def carima(self) -> Carima:
+        """Sample the model."""
+        return Carima.from_continuous(self.num, self.den, self.T)
+
+
+class CertificateNode(Block[CertificateParams]):
+    """Answers each press of its button with K, Qbar, the moduli of the closed loop and the verdict.
+
+    ``certificate/verdict``: valid (1 or 0), smallest eigenvalue of Qbar, residual of the corrected (32), smallest
+    eigenvalue of its left side less Q + K'RK. A certificate that is none is reported as a warning.
+    """
+
+    @classmethod
+    def ports(cls, params: CertificateParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
+        """Arrays of the size of the model."""
+        n = len(companion(params.carima())[0])
+        verdict = {"valid": "", "definite": "", "residual": "", "decrease": ""}
+        return (button("certify", "certify", held=True),), (
+            array("gain", "certificate/gain", {"state": n}, "", sporadic=True),
+            array("terminal", "certificate/terminal", {"row": n, "column": n}, "", sporadic=True),
+            array("moduli", "certificate/moduli", {"pole": n}, "", sporadic=True),
+            scalars("verdict", "certificate/verdict", verdict, sporadic=True),
+        )
+
+    def start(self) -> None:
+        """Not pressed yet."""
+        self._down = False
+
+    def update(self, t: int, *, certify: tuple[float, ...] | None) -> Mapping[str, Any]:
+        """Answer when the button goes down."""
+        down = certify is not None and certify[0] != 0.0
+        pressed, self._down = down and not self._down, down
+        return self._answer() if pressed else {}
+
+    def refused(self, t: int) -> Mapping[str, Any]:
+        """A press that cannot be read gets silence."""
+        return {}
+
+    def _answer(self) -> Mapping[str, Any]:
+        found = self._certificate()
+        if not found.valid:
+            self.report(Level.WARN, "no_certificate", f"no certificate: |eig(A + BK)| = {found.moduli[0]:.4g}, "
+                        f"residual {found.residual:.3g}, Qbar's smallest eigenvalue {found.definite:.3g}")  # fmt: skip
+        return {
+            "gain": tuple(found.gain.ravel().tolist()),
+            "terminal": tuple(found.terminal.ravel().tolist()),
+            "moduli": tuple(found.moduli.tolist()),
+            "verdict": (float(found.valid), found.definite, found.residual, found.decrease),
+        }
+
+    def _certificate(self) -> Certificate:
+        p = self.p
+        model = p.carima()
+        if not p.K:
+            return certify(model, p.R, p.Q)
+        a, b, c = companion(model)
+        terminal = [p.Qbar[k : k + len(a)] for k in range(0, len(p.Qbar), len(a))]
+        return check(a, b, [p.K], terminal, p.Q * c.T @ c, p.R)
+
+
+main = executable(CertificateNode)
