@@ -3,11 +3,16 @@
 import math
 
 import casadi as ca
+import control
 import numpy as np
 import pytest
+from softrig_core.errors import RunError
 from softrig_core.model.compiled import Compiled
 from softrig_core.model.jit import jit
+from softrig_core.model.linear import equilibrium, linearise
 from softrig_core.model.ode import rk4, rk4_loop
+from softrig_drives.dc_motor.model import MotorConstants, state_space
+from softrig_drives.dc_motor.plant import DcMotorPlant
 
 TURN = ((-0.1, 2.0), (-2.0, -0.1))  # a damped turn: x = e^(-0.1 t) (cos 2t, -sin 2t)
 
@@ -71,3 +76,71 @@ def test_limit_holds_in_the_stages_too():
     x = np.array([0.0, 0.0])
     rk4_loop(falling, floor)(0.0, x, 0.1, 5, 1.0)
     assert x.tolist() == [0.0, 0.0]
+
+
+# linearisation and equilibrium -----------------------------------------------------------------------------------
+
+
+def pendulum(x, u):
+    """A driven pendulum with friction: angle, speed; torque; gives its height."""
+    return (x[1], -9.81 * math.sin(x[0]) - 0.3 * x[1] + u[0]), (1.0 - math.cos(x[0]),)
+
+
+def symbolic_pendulum():
+    x, u = ca.SX.sym("x", 2), ca.SX.sym("u")
+    return ca.Function("pendulum", [x, u], [ca.vertcat(x[1], -9.81 * ca.sin(x[0]) - 0.3 * x[1] + u),
+                                            1.0 - ca.cos(x[0])])  # fmt: skip
+
+
+@pytest.mark.parametrize("model", [pendulum, symbolic_pendulum()])
+def test_linearisation_has_the_analytic_jacobians(model):
+    found = linearise(model, (0.4, 1.0), (0.2,))
+    np.testing.assert_allclose(found.A, [[0.0, 1.0], [-9.81 * math.cos(0.4), -0.3]], atol=1e-10)
+    np.testing.assert_allclose(found.B, [[0.0], [1.0]], atol=1e-10)
+    np.testing.assert_allclose(found.C, [[math.sin(0.4), 0.0]], atol=1e-10)
+    np.testing.assert_allclose(found.D, [[0.0]], atol=1e-10)
+    assert found.y == pytest.approx([1.0 - math.cos(0.4)])
+
+
+@pytest.mark.parametrize("model", [pendulum, symbolic_pendulum()])
+def test_equilibrium_and_the_input_that_holds_a_state(model):
+    x, u = equilibrium(model, (0.1, 0.5), (4.0,))
+    assert x == pytest.approx((math.asin(4.0 / 9.81), 0.0), abs=1e-9)
+    x, u = equilibrium(model, (1.0, 0.5), (0.0,), held=[0], free=[0])
+    assert (*x, *u) == pytest.approx((1.0, 0.0, 9.81 * math.sin(1.0)), abs=1e-9)
+    x, u = equilibrium(model, (3.0, 0.0), (0.0,))
+    assert x[0] == pytest.approx(math.pi)
+
+
+def test_a_state_that_turns_may_move():
+    x, u = equilibrium(lambda x, u: ((x[1], u[0] - 0.5 * x[1]), ()), (7.0, 0.0), (1.0,), moving=[0])
+    assert (*x, *u) == pytest.approx((7.0, 2.0, 1.0))
+
+
+def test_where_there_is_no_rest_it_says_so():
+    with pytest.raises(RunError, match="the largest derivative left is"):
+        equilibrium(pendulum, (0.1, 0.0), (20.0,))
+    with pytest.raises(ValueError, match="1 states and 0 inputs are free, expected 2 in all"):
+        equilibrium(pendulum, (0.1, 0.0), (20.0,), held=[0])
+
+
+def test_dc_motor_in_the_tools_of_control():
+    """The plant's equations as a python-control system: poles, gain and step response are those of the motor."""
+    constants = MotorConstants()
+    A, B = (np.array(m) for m in state_space(constants))
+
+    def motor(x, u):
+        return A @ x + B @ u, x[1:2]
+
+    x, u = equilibrium(motor, (0.0, 0.0, 0.0), (0.0, 0.0), held=[1], free=[0], moving=[0])
+    assert x.tolist() == [0.0, 0.0, 0.0]
+    found = linearise(motor, x, u)
+    motor_system = found.system(states=["theta", "w", "i"], inputs=["u", "TL"], outputs=["w"])
+    assert sorted(control.poles(motor_system).real) == pytest.approx(sorted(np.linalg.eigvals(A).real), abs=1e-6)
+    response = control.step_response(motor_system["w", "u"], np.linspace(0.0, 2.0, 2001))
+    plant = DcMotorPlant(period=0.001)
+    speeds = [plant.outputs(0)["state"][1]]
+    for k in range(2000):
+        plant.advance(k * 1_000_000, command=(1.0,))
+        speeds.append(plant.outputs(0)["state"][1])
+    np.testing.assert_allclose(response.outputs, speeds, atol=1e-6 * max(speeds))

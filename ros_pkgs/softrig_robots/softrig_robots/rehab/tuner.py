@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import cache, lru_cache, partial
 from typing import NamedTuple, Self
 
 import numpy as np
 from pydantic import model_validator
-from softrig_core.model.block import Block
-from softrig_core.model.params import BlockParams, param
+from softrig_core.model.block import Values
+from softrig_core.model.params import param
 from softrig_core.model.port import Sample, array, button
+from softrig_core.model.solver import Result, Solver, SolverParams
 from softrig_core.model.timebase import to_ns
+from softrig_core.model.worker import Work
 from softrig_core.node import executable
 from softrig_optim.genetic import Genetic
 from softrig_optim.search import Evaluation, Point, run
@@ -146,7 +148,7 @@ def tune(seed: int = 0, *, guarded: bool = True, duration: float = 15.0, n_pop: 
     return run(search(seed, guarded=guarded, n_pop=n_pop, n_iter=n_iter), objective, mapper)
 
 
-class TunerParams(BlockParams):
+class TunerParams(SolverParams):
     """Published search: population 20, 10 generations."""
 
     period: float = param(0.5, "one candidate is tried a period", "s", gt=0.0)
@@ -168,15 +170,13 @@ class TunerParams(BlockParams):
         return self
 
 
-class Tuner(Block):
-    """Tunes alpha_hat while nobody waits for it: one candidate a tick, the result so far after each.
+class Tuner(Solver[TunerParams]):
+    """Tunes alpha_hat while nobody waits for it: candidate after candidate, the result so far after each.
 
     The result is generation, best alpha_hat (V s/rad) and its cost (deg^2); zeros before the
     first candidate that the robot endures.
     """
 
-    Params = TunerParams
-    p: TunerParams
     INPUTS = (button("start", "tuner/start", held=True),)
     OUTPUTS = (array("result", "tuner/result", {"generation, alpha_hat, cost": 3}, ("", "V s/rad", "deg^2")),)
 
@@ -184,6 +184,7 @@ class Tuner(Block):
         """Wait for the trigger."""
         self._pressed = False
         self._search: Genetic | None = None
+        self._candidate: Point | None = None
         if self.p.autostart:
             self._begin()
 
@@ -191,17 +192,36 @@ class Tuner(Block):
         p = self.p
         self._search = search(self.rng, guarded=p.guarded, lower=p.lower, upper=p.upper, n_pop=p.n_pop, n_iter=p.n_iter)
 
-    def update(self, t: int, *, start: tuple[float, ...] | None) -> Mapping[str, tuple[float, ...]]:
-        """Try the next candidate."""
+    def request(self, t: int, *, start: tuple[float, ...] | None) -> tuple[Point, float, bool] | None:
+        """Give the next candidate, when there is one and the last one has its cost."""
         pressed = start == (1.0,)
         if pressed and not self._pressed:
             self._begin()
+            self._candidate = None
         self._pressed = pressed
+        if self._search is None or self._search.done or self._candidate is not None:
+            return None
+        self._candidate = self._search.ask()
+        return self._candidate, self.p.duration, self.p.guarded
+
+    @staticmethod
+    def solve(request: tuple[Point, float, bool], work: Work) -> tuple[Point, float]:
+        """Give a candidate with its cost."""
+        candidate, duration, guarded = request
+        return candidate, cost(candidate, duration, guarded)
+
+    def answer(self, t: int, result: Result | None, new: bool) -> Values:
+        """Tell the best so far."""
         found = self._search
+        if new and result is not None and found is not None and self._candidate is not None:
+            # a candidate whose exercise took longer than the limit is worth nothing; one of a search that the
+            # button ended is nobody's
+            candidate, value = result.answer or (self._candidate, math.inf)
+            if candidate == self._candidate:
+                found.tell(value)
+                self._candidate = None
         if found is None:
             return {"result": (0.0, 0.0, 0.0)}
-        if not found.done:
-            found.tell(cost(found.ask(), self.p.duration, self.p.guarded))
         if found.best is None or math.isinf(found.best.value):
             return {"result": (float(found.iteration), 0.0, 0.0)}
         return {"result": (float(found.iteration), found.best.x[0], found.best.value)}
