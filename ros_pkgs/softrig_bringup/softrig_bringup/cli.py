@@ -119,6 +119,10 @@ def _parser() -> argparse.ArgumentParser:
     report = verb("report", _report, "one self-contained HTML page from one or more runs")
     report.add_argument("runs", nargs="+", type=Path, metavar="DIR")
     report.add_argument("--out", type=Path, default=Path("report.html"))
+    results = verb("results", _results, "hold every claim of the papers against what is measured now")
+    results.add_argument("systems", nargs="*", metavar="SYSTEM", help="default: all")
+    results.add_argument("--out", type=Path, default=Path("results"), metavar="DIR", help="results.html, results.md")
+    results.add_argument("--workers", type=int, metavar="N", help="processes (default: all cores)")
     golden = verb("golden", _golden, "make golden bags anew and show the difference to the old, or check them")
     golden.add_argument("names", nargs="*", metavar="SCENARIO", help="default: all that are there")
     golden.add_argument("--check", action="store_true", help="only compare; exit status 1 when one differs")
@@ -170,7 +174,7 @@ def _run(options: argparse.Namespace) -> int:
         print(f"softrig: what was recorded up to there is in {out}", file=sys.stderr)
         return 3
     _print_figures(scenario, run, out)
-    return 0 if all(f.passed for f in figures) else 1
+    return 0 if all(f.passed for f in figures) and all(c.holds is not False for c in run.claims) else 1
 
 
 def _repeat(options: argparse.Namespace) -> list[str]:
@@ -247,6 +251,9 @@ def _print_figures(scenario: Scenario, run: Run, out: Path) -> None:
         mark = ("[green]pass[/]" if f.judged else f.error) if f.passed else f"[red]MISS[/] {f.error}"
         table.add_row(f.name, _number(f.published), _number(f.value), accepted(f), f.unit, mark)
     console.print(table)
+    for claim in run.claims:
+        if claim.holds is False:
+            console.print(f"[red]claim {claim.key}[/]: {claim.false}")
     ticks = run.rig.ticks
     speed = "" if run.mode == "realtime" else f" ({scenario.duration / run.wall_s:.3g} x real time)"
     console.print(f"{run.mode}: {ticks} ticks, {scenario.duration:g} s simulated in {run.wall_s:.2f} s with start-up"
@@ -278,6 +285,12 @@ def _report(options: argparse.Namespace) -> int:
     write_report(options.runs, options.out)
     print(f"wrote {options.out}")
     return 0
+
+
+def _results(options: argparse.Namespace) -> int:
+    from .results import main as results
+
+    return results(options.systems, options.out, options.workers)
 
 
 def _golden(options: argparse.Namespace) -> int:

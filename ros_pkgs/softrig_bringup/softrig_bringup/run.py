@@ -119,6 +119,7 @@ def summary(run: Run, figures: Sequence[Result], command: str) -> dict[str, Any]
         "parameters": {m.name: flatten(m.params) for m in run.rig.members},
         "units": {m.name: {d.name: d.unit for d in declarations(type(m.params)) if d.unit} for m in run.rig.members},
         "metrics": [f.model_dump(by_alias=True) for f in figures],
+        "claims": [f.model_dump() for f in run.claims],
         "nodes": run.status,
         "plots": [p.model_dump() for p in scenario.plots],
     }

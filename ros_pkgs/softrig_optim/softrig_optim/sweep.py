@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 import multiprocessing
+import os
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
+from itertools import islice
 from typing import Any, TypeVar
 
 C = TypeVar("C")
 R = TypeVar("R")
+
+ATTEMPTS = 3  # of a case whose worker died under it
+AHEAD = 3  # cases handed to each worker at a time: none idles, and memory stays bounded
 
 
 def sweep(
@@ -45,46 +51,124 @@ def sweep(
     ImportError
         A scheduler is given, but `distributed` is not installed.
     """
-    with _progress(title, len(cases)) as advance:
-        if scheduler:
-            return _on_cluster(function, cases, scheduler, advance)
-        if workers == 1:
-            return [_counted(function(case), advance) for case in cases]
-        spawn = multiprocessing.get_context("spawn")
-        with ProcessPoolExecutor(workers, mp_context=spawn) as pool:
-            futures = [pool.submit(function, case) for case in cases]
+    found: dict[int, R] = {}
+    with progress(title, len(cases)) as advance:
+        for k, result in stream(function, cases, workers=workers, scheduler=scheduler):
+            found[k] = result
+            advance()
+    return [found[k] for k in range(len(cases))]
+
+
+def stream(
+    function: Callable[[C], R], cases: Iterable[C], *, workers: int | None = None, scheduler: str = ""
+) -> Iterator[tuple[int, R]]:
+    """Evaluate a function for every case and give each result with its case's number as soon as it is there.
+
+    Only a few cases a worker are taken from `cases` ahead of time. A worker that is killed costs time, not results:
+    the pool is made anew and what was under way is done again.
+
+    Parameters
+    ----------
+    function, workers, scheduler
+        See `sweep`.
+    cases : iterable
+        May be as long as one likes.
+
+    Raises
+    ------
+    RuntimeError
+        The worker of the same case died `ATTEMPTS` times.
+    """
+    numbered = enumerate(cases)
+    if scheduler:
+        yield from _on_cluster(function, numbered, scheduler)
+    elif workers == 1:
+        for k, case in numbered:
+            yield k, function(case)
+    else:
+        yield from _on_cores(function, numbered, workers or cores())
+
+
+def cores() -> int:
+    """Number of cores that this process may use."""
+    return len(os.sched_getaffinity(0))
+
+
+def _on_cores(function: Callable[[C], R], cases: Iterator[tuple[int, C]], workers: int) -> Iterator[tuple[int, R]]:
+    waiting: list[tuple[int, C, int]] = []  # number, case, how often its worker died
+    open_: dict[Future[R], tuple[int, C, int]] = {}
+    pool = _pool(workers)
+    try:
+        while True:
+            room = workers * AHEAD - len(open_) - len(waiting)
+            waiting += [(k, case, 0) for k, case in islice(cases, max(0, room))]
             try:
-                for future in as_completed(futures):
-                    _counted(future.result(), advance)
-            except BaseException:
-                pool.shutdown(wait=False, cancel_futures=True)
-                raise
-            return [future.result() for future in futures]
+                while waiting:
+                    open_[pool.submit(function, waiting[0][1])] = waiting[0]
+                    waiting.pop(0)
+                if not open_:
+                    return
+                for future in wait(open_, return_when=FIRST_COMPLETED).done:
+                    result = future.result()
+                    k = open_.pop(future)[0]
+                    yield k, result
+            except BrokenProcessPool:
+                again = [(k, case, died + 1) for k, case, died in open_.values()]
+                worst = max((died for *_, died in again), default=0)
+                if worst >= ATTEMPTS:
+                    k = next(k for k, _, died in again if died == worst)
+                    raise RuntimeError(f"the worker of case {k} died {worst} times") from None
+                waiting = again + waiting
+                open_.clear()
+                pool.shutdown(wait=False)
+                pool = _pool(workers)
+    finally:
+        pool.shutdown(wait=False, cancel_futures=True)
 
 
-def _on_cluster(function: Callable[[C], R], cases: Sequence[C], scheduler: str, advance: Callable[[], None]) -> list[R]:
+def _pool(workers: int) -> ProcessPoolExecutor:
+    return ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn"))
+
+
+def _on_cluster(function: Callable[[C], R], cases: Iterator[tuple[int, C]], scheduler: str) -> Iterator[tuple[int, R]]:
     try:
         import distributed
     except ImportError:
         raise ImportError(f"scheduler {scheduler}: needs the package 'distributed' (pip install distributed)") from None
     with distributed.Client(scheduler) as client:
-        futures: list[Future[R]] = client.map(function, cases, pure=False)
-        for _ in distributed.as_completed(futures):
-            advance()
-        return client.gather(futures)
-
-
-def _counted(result: R, advance: Callable[[], None]) -> R:
-    advance()
-    return result
+        numbers: dict[Any, int] = {}
+        size = max(1, sum(client.nthreads().values())) * AHEAD
+        done = distributed.as_completed()
+        for k, case in islice(cases, size):
+            future = client.submit(function, case, pure=False)
+            numbers[future.key] = k
+            done.add(future)
+        for future in done:
+            yield numbers.pop(future.key), future.result()
+            for k, case in islice(cases, 1):
+                new = client.submit(function, case, pure=False)
+                numbers[new.key] = k
+                done.add(new)
 
 
 @contextmanager
-def _progress(title: str, total: int) -> Iterator[Callable[[], None]]:
+def progress(title: str, total: int) -> Iterator[Callable[[], None]]:
+    """Show a progress bar on a terminal, a line every tenth elsewhere; gives a function to call for each case done."""
+    if not sys.stderr.isatty():
+        count = 0
+
+        def advance() -> None:
+            nonlocal count
+            count += 1
+            if total >= 20 and count * 10 // total != (count - 1) * 10 // total:
+                print(f"softrig: {title}: {count} of {total}", file=sys.stderr)
+
+        yield advance
+        return
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
     columns: list[Any] = [TextColumn(title), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()]
-    with Progress(*columns, console=Console(stderr=True), disable=not sys.stderr.isatty()) as bar:
+    with Progress(*columns, console=Console(stderr=True)) as bar:
         task = bar.add_task(title, total=total)
         yield lambda: bar.advance(task)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Mapping
 from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
@@ -80,36 +81,39 @@ class Claim(BaseModel):
             raise ValueError("a published value of 0 needs a tolerance")
         return self
 
-    @property
-    def width(self) -> float:
-        """Absolute tolerance around the published number, or of `equals`."""
-        if isinstance(self.tolerance, int | float):
-            return float(self.tolerance)
-        found = _PERCENT.fullmatch(self.tolerance) if self.tolerance else None
-        share = float(found[1]) / 100.0 if found else TOLERANCE
-        return share * abs(self.published or 0.0)
+    def compared(self) -> dict[str, float | str]:
+        """What it is compared with: ``below``, ``above``, ``equals`` to a number or a figure's name."""
+        kinds = (("below", self.below), ("above", self.above), ("equals", self.equals))
+        return {kind: x for kind, x in kinds if x is not None}
 
-    def agrees(self, value: float, other: float | None = None) -> bool:
+    def agrees(self, value: float, others: Mapping[str, float] | None = None) -> bool:
         """Whether the measurement agrees with the statement.
 
         Parameters
         ----------
         value : float
-            Of the claim's figure; infinity for what never happens.
-        other : float, optional
-            What it is compared with, for a comparison.
+            Of the claim's figure; infinity for what never happens, NaN for what could not be measured.
+        others : mapping, optional
+            The values behind `compared`.
         """
         if math.isnan(value):
             return False
         if self.published is not None:
-            return abs(value - self.published) <= self.width * (1.0 + 1e-9)
-        if other is None or math.isnan(other):
-            return False
+            return self._near(value, self.published)
+        given = others or {}
         return (
-            (self.below is None or value < other)
-            and (self.above is None or value > other)
-            and (self.equals is None or abs(value - other) <= self.width)
+            ("below" not in given or value < given["below"])
+            and ("above" not in given or value > given["above"])
+            and ("equals" not in given or self._near(value, given["equals"]))
         )
+
+    def _near(self, value: float, wanted: float) -> bool:
+        if isinstance(self.tolerance, int | float):
+            width = float(self.tolerance)
+        else:
+            found = _PERCENT.fullmatch(self.tolerance) if self.tolerance else None
+            width = (float(found[1]) / 100.0 if found else TOLERANCE) * abs(wanted)
+        return value == wanted or abs(value - wanted) <= width * (1.0 + 1e-9)
 
     def holds(self, agrees: bool) -> bool:
         """Whether the verdict fits: all but refuted need agreement; not_checkable says nothing."""
@@ -117,4 +121,4 @@ class Claim(BaseModel):
 
     def references(self) -> list[str]:
         """Figures that it is compared with."""
-        return [r for r in (self.below, self.above, self.equals) if isinstance(r, str)]
+        return [r for r in self.compared().values() if isinstance(r, str)]

@@ -53,6 +53,7 @@ class Result(BaseModel):
     at_least: float | None = None
     passed: bool = Field(alias="pass")
     error: str = ""
+    number: float = Field(math.nan, exclude=True)  # as measured: infinity too, which JSON cannot hold
 
     @property
     def judged(self) -> bool:
@@ -150,7 +151,7 @@ def evaluate(rig: Rig, signals: SignalMap) -> list[Result]:
         except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as broken:
             value, error = math.nan, str(broken) or type(broken).__name__
         passed = limits is None or limits.holds(value)
-        results.append(Result(value=value if not error else None, passed=passed, error=error, **about))
+        results.append(Result(value=None if error else value, number=value, passed=passed, error=error, **about))
     return results
 
 

@@ -12,6 +12,7 @@ from ..model.block import Block
 from ..wire.recording import Recording
 from ..wire.signals import Signals
 from .figures import Result, evaluate, figures_of
+from .findings import Finding, findings, values
 from .inprocess import run_inprocess
 from .rig import Rig
 from .scenario import Scenario, load_scenario
@@ -64,6 +65,13 @@ class Run:
     def figures(self) -> dict[str, float | None]:
         """Measured value of each figure by name; None for what could not be measured."""
         return {r.name: r.value for r in self.results}
+
+    @cached_property
+    def claims(self) -> list[Finding]:
+        """The scenario's claims held against this run; those that need another scenario's figures stay open."""
+        own, units = values(self.results), {r.name: r.unit for r in self.results}
+        name = self.rig.scenario.name
+        return findings(self.rig.scenario, lambda other: own if other == name else None, units)
 
     @property
     def missed(self) -> list[Result]:

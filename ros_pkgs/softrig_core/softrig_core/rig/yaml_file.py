@@ -22,20 +22,6 @@ class _Loader(_Base):  # type: ignore[misc]
 
     yaml_implicit_resolvers: dict[str, Any] = {}
 
-    def __init__(self, text: str) -> None:
-        super().__init__(text)
-        self._nodes = 0
-        self._depth = 0
-
-    def compose_node(self, parent: Any, index: Any) -> Any:
-        """Compose with a limit on the depth."""
-        self._depth += 1
-        if self._depth > DEPTH:
-            raise ScenarioError(f"nested deeper than {DEPTH} levels")
-        node = super().compose_node(parent, index)
-        self._depth -= 1
-        return node
-
     def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:
         """Refuse keys that come twice."""
         seen = set()
@@ -88,6 +74,7 @@ def read_yaml(text: str, where: str) -> Any:
         raise ScenarioError(f"{where}: {len(text)} characters, expected at most {SIZE}")
     loader = None
     try:
+        _limit_depth(text)  # the C parser recurses on its own stack: too late once it composes
         loader = _Loader(text)
         node = loader.get_single_node()
         if node is None:
@@ -100,6 +87,17 @@ def read_yaml(text: str, where: str) -> Any:
     finally:
         if loader is not None:
             loader.dispose()
+
+
+def _limit_depth(text: str) -> None:
+    depth = 0
+    for event in yaml.parse(text, _Loader):
+        if isinstance(event, yaml.CollectionStartEvent):
+            depth += 1
+            if depth > DEPTH:
+                raise ScenarioError(f"nested deeper than {DEPTH} levels")
+        elif isinstance(event, yaml.CollectionEndEvent):
+            depth -= 1
 
 
 def _count(root: Any) -> None:

@@ -1,0 +1,111 @@
+"""`softrig results`: every claim of the papers held against what is measured now."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from softrig_core.errors import RunError, ScenarioError
+from softrig_core.rig.findings import Finding, findings, needed, values
+from softrig_core.rig.scenario import Scenario, list_scenarios, load_scenario
+from softrig_core.rig.simulate import simulate
+from softrig_optim.sweep import progress, stream
+
+
+class Measured(NamedTuple):
+    """Figures of one scenario in process: values, units, which missed what the scenario expects, or why it broke."""
+
+    name: str
+    figures: dict[str, float]
+    units: dict[str, str]
+    missed: list[str]
+    error: str
+
+
+def measure(name: str) -> Measured:
+    """Run a scenario in this process and measure its figures."""
+    try:
+        run = simulate(name)
+    except (RunError, ScenarioError) as error:
+        return Measured(name, {}, {}, [], str(error))
+    results = run.results
+    units = {r.name: r.unit for r in results}
+    return Measured(name, values(results), units, [r.name for r in results if not r.passed], "")
+
+
+def claiming(systems: Sequence[str] = ()) -> list[Scenario]:
+    """Give the scenarios with claims, all or those of some systems.
+
+    Parameters
+    ----------
+    systems : sequence of str
+        Names of systems as scenarios give them, or beginnings of scenario names.
+
+    Raises
+    ------
+    ScenarioError
+        Nothing is called so.
+    """
+    scenarios = [load_scenario(name) for name in list_scenarios()]
+    for system in systems:
+        if not any(_belongs(s, system) for s in scenarios):
+            known = sorted({s.system for s in scenarios})
+            raise ScenarioError(f"no system {system!r}; there are {', '.join(known)}")
+    return [s for s in scenarios if s.claims and (not systems or any(_belongs(s, system) for system in systems))]
+
+
+def _belongs(scenario: Scenario, system: str) -> bool:
+    return scenario.system == system or scenario.name == system or scenario.name.startswith(f"{system}_")
+
+
+def gather(scenarios: Iterable[Scenario], workers: int | None = None) -> tuple[list[Finding], dict[str, Measured]]:
+    """Run what the claims of some scenarios need, on all cores, and hold each claim against it.
+
+    Returns
+    -------
+    findings : list of Finding
+        In the order of the scenarios and of the claims in them.
+    measured : dict of str to Measured
+        By scenario, what was run.
+    """
+    scenarios = list(scenarios)
+    names = sorted(set().union(*(needed(s) for s in scenarios)))
+    measured: dict[str, Measured] = {}
+    with progress("scenarios", len(names)) as advance:
+        for _, found in stream(measure, names, workers=workers):
+            measured[found.name] = found
+            advance()
+
+    def figures(name: str) -> dict[str, float] | None:
+        found = measured.get(name)
+        return None if found is None or found.error else found.figures
+
+    rows = [f for s in scenarios for f in findings(s, figures, measured[s.name].units)]
+    return rows, measured
+
+
+def main(systems: Sequence[str], out: Path, workers: int | None = None) -> int:
+    """Write results.html and results.md into a directory; 1 when a verdict is false or cannot be checked."""
+    from .results_page import counts, html, markdown
+
+    scenarios = claiming(systems)
+    if not scenarios:
+        raise ScenarioError("no scenario has claims")
+    rows, measured = gather(scenarios, workers)
+    out.mkdir(parents=True, exist_ok=True)
+    (out / "results.html").write_text(html(scenarios, rows), encoding="utf-8")
+    (out / "results.md").write_text(markdown(scenarios, rows), encoding="utf-8")
+    print(counts(rows))
+    status = 0
+    for found in measured.values():
+        if found.error or found.missed:
+            print(f"softrig: {found.name}: {found.error or 'missed: ' + ', '.join(found.missed)}", file=sys.stderr)
+            status = 3 if found.error else max(status, 1)
+    for row in rows:
+        if not row.holds:
+            print(f"softrig: {row.scenario}: claim {row.key}: {row.false}", file=sys.stderr)
+            status = max(status, 1)
+    print(f"wrote {out / 'results.html'} and {out / 'results.md'}")
+    return status

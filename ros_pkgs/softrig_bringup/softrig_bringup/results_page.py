@@ -1,0 +1,114 @@
+"""The page of `softrig results`: per paper every claim with what was measured, as HTML and as Markdown."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from itertools import groupby
+from xml.etree.ElementTree import Element
+
+from softrig_core.rig.claims import VERDICTS
+from softrig_core.rig.findings import Finding
+from softrig_core.rig.scenario import Scenario
+
+from .html import e, mark, page, table
+from .plots import pretty_unit
+
+HEADER = ("Claim", "Where", "Published", "Measured", "Unit", "Verdict", "")
+
+
+def counts(rows: Sequence[Finding]) -> str:
+    """Say how many claims have which verdict, and how many verdicts are false."""
+    found = Counter(row.verdict for row in rows)
+    text = ", ".join(f"{found[v]} {v.replace('_', ' ')}" for v in VERDICTS if found[v])
+    false = sum(not row.holds for row in rows)
+    return f"{len(rows)} claims: {text}; " + (f"{false} verdicts are not borne out" if false else "every verdict holds")
+
+
+def by_system(scenarios: Sequence[Scenario], rows: Sequence[Finding]) -> Iterator[tuple[str, list[str], list[Finding]]]:
+    """Give system, sources and findings, the systems by name."""
+    system = {s.name: s.system for s in scenarios}
+    for name, group in groupby(sorted(rows, key=lambda r: system[r.scenario]), lambda r: system[r.scenario]):
+        yield name, list(dict.fromkeys(s.source for s in scenarios if s.system == name)), list(group)
+
+
+def html(scenarios: Sequence[Scenario], rows: Sequence[Finding]) -> str:
+    """Make the HTML page."""
+    groups = list(by_system(scenarios, rows))
+    totals: list[tuple[Element | str, ...]] = [
+        (e("a", system, href=f"#{system}"), *(_count(group, v) for v in VERDICTS), _borne_out(group))
+        for system, _, group in groups
+    ]
+    header = ("System", *(v.replace("_", " ").capitalize() for v in VERDICTS), "")
+    body = [
+        e("header", e("h1", "What the papers say, and what holds"), e("p", counts(rows), class_="what")),
+        table(header, totals, " nnnnn "),
+        e("p", *(part for v, text in VERDICTS.items() for part in (e("b", v.replace("_", " ")), f": {text}. ")),
+          class_="note"),
+    ]  # fmt: skip
+    for system, sources, group in groups:
+        cells: list[tuple[Element | str, ...]] = [
+            (_claim(r), r.where, _number(r.published) or r.compared_text, r.measured_text, pretty_unit(r.unit),
+             _verdict(r), e("code", r.scenario))
+            for r in group
+        ]  # fmt: skip
+        names = list(dict.fromkeys(r.scenario for r in group))
+        body.append(
+            e("section", e("h2", system), *(e("p", source, class_="what") for source in sources),
+              table((*HEADER[:-1], "Scenario"), cells, "  nn   "),
+              e("details", e("summary", "Repeat"), e("pre", "\n".join(map(command, names)))), id=system)
+        )  # fmt: skip
+    return page("Results", body)
+
+
+def markdown(scenarios: Sequence[Scenario], rows: Sequence[Finding]) -> str:
+    """Make the Markdown page."""
+    lines = ["# What the papers say, and what holds", "", f"{counts(rows)}. Made by `scripts/softrig results`.", ""]
+    lines += ["| system | " + " | ".join(v.replace("_", " ") for v in VERDICTS) + " |", "|---" * 6 + "|"]
+    groups = list(by_system(scenarios, rows))
+    lines += [f"| {s} | " + " | ".join(_count(group, v) for v in VERDICTS) + " |" for s, _, group in groups]
+    lines += ["", *(f"- **{v.replace('_', ' ')}**: {text}" for v, text in VERDICTS.items())]
+    for system, sources, group in groups:
+        lines += ["", f"## {system}", "", *(f"{source}  " for source in sources), ""]
+        lines += ["| claim | where | published | measured | verdict | scenario |", "|---" * 6 + "|"]
+        for r in group:
+            verdict = r.verdict.replace("_", " ") + ("" if r.holds else " (NOT BORNE OUT)")
+            reason = f": {r.reason}" if r.reason else ""
+            numbers = [_with_unit(_number(r.published) or r.compared_text, r), _with_unit(r.measured_text, r)]
+            cells = [r.text, r.where, *numbers, f"**{verdict}**{reason}", f"`{r.scenario}`"]
+            lines.append("| " + " | ".join(c.replace("|", "\\|") for c in cells) + " |")
+    lines += ["", "A scenario's run is repeated by `scripts/softrig run SCENARIO --mode inprocess`.", ""]
+    return "\n".join(lines)
+
+
+def command(scenario: str) -> str:
+    """Give the command that repeats the measurement."""
+    return f"scripts/softrig run {scenario} --mode inprocess"
+
+
+def _claim(row: Finding) -> Element:
+    figure = row.figure.replace("_", " ")
+    return e("div", row.text, *([e("div", figure, class_="note")] if figure and figure != row.text else []))
+
+
+def _verdict(row: Finding) -> Element:
+    word = row.verdict.replace("_", " ")
+    shown = e("b", word) if row.holds else mark(False, f"{word}: not borne out")
+    return e("div", shown, *([e("div", row.reason, class_="note")] if row.reason else []))
+
+
+def _borne_out(group: Sequence[Finding]) -> Element:
+    false = sum(not r.holds for r in group)
+    return mark(not false, f"{false} not borne out" if false else "all hold")
+
+
+def _count(group: Sequence[Finding], verdict: str) -> str:
+    return str(sum(r.verdict == verdict for r in group) or "")
+
+
+def _number(value: float | None) -> str:
+    return "" if value is None else f"{value:.6g}"
+
+
+def _with_unit(text: str, row: Finding) -> str:
+    return f"{text} {row.unit}" if text and row.unit else text
