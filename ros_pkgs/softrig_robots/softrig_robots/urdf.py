@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import importlib.util
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
+
+from softrig_core.model.resource import resource
 
 Vector = tuple[float, float, float]
 
@@ -154,15 +153,4 @@ def read_urdf(source: str) -> str:
     ValueError
         There is no such file or package; says where it was looked for.
     """
-    if source.startswith("package://"):
-        package, _, rest = source.removeprefix("package://").partition("/")
-        prefixes = [p for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p]
-        places = [Path(prefix, "share", package, rest) for prefix in prefixes]
-        spec = importlib.util.find_spec(package) if package.isidentifier() else None
-        places += [Path(folder, rest) for folder in (spec and spec.submodule_search_locations) or ()]
-    else:
-        places = [Path(source)]
-    for place in places:
-        if place.is_file():
-            return place.read_text()
-    raise ValueError(f"no URDF file {source!r}; looked for {', '.join(map(str, places))}")
+    return resource(source).read_text()

@@ -1,0 +1,34 @@
+"""Files that come with packages: tables, robots."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+from pathlib import Path
+
+
+def resource(source: str) -> Path:
+    """Find a file.
+
+    Parameters
+    ----------
+    source : str
+        A file name, or ``package://NAME/path`` below the share folder or the Python package of an installed package.
+
+    Raises
+    ------
+    ValueError
+        There is no such file or package; says where it was looked for.
+    """
+    if source.startswith("package://"):
+        package, _, rest = source.removeprefix("package://").partition("/")
+        prefixes = [p for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p]
+        places = [Path(prefix, "share", package, rest) for prefix in prefixes]
+        spec = importlib.util.find_spec(package) if package.isidentifier() else None
+        places += [Path(folder, rest) for folder in (spec and spec.submodule_search_locations) or ()]
+    else:
+        places = [Path(source)]
+    for place in places:
+        if place.is_file():
+            return place
+    raise ValueError(f"no file {source!r}; looked for {', '.join(map(str, places))}")

@@ -1,0 +1,230 @@
+"""From demand to an answer that can be trusted: two stages, then a proof of how far the optimum can be."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from .branch import branch_and_bound, chord_excess
+from .two_stage import NoDispatch, breakpoints, milp, nlp
+from .units import Array, Units, balanced, infeasible, marginal_cost
+
+Method = Literal["two_stage", "certified", "enumeration", "baseline"]
+Progress = Callable[[float, float], object]
+
+
+class InfeasibleError(ValueError):
+    """No dispatch meets the demand; the text has both sums."""
+
+
+@dataclass
+class Dispatch:
+    """An answer.
+
+    Parameters
+    ----------
+    P : ndarray, shape (n,)
+        MW; limits kept exactly, balance to 1e-6 MW.
+    cost : float
+        F at P, $/h: never the objective of a model.
+    bound : float
+        Proven lower bound of every dispatch's cost, $/h; -inf when the method proves nothing.
+    price : (float, float)
+        What one MW less saves and one MW more costs, $/MWh.
+    stages : dict of str to float
+        Wall-clock s of each stage.
+    nodes, binaries : int
+        Boxes or nodes searched; binaries of the largest MILP.
+    stage : str
+        The last stage that ran.
+    reason : str
+        Why it ended.
+    trace : list of (float, float, float)
+        Wall-clock s, best cost and bound, as the proof closed.
+    """
+
+    P: Array
+    cost: float
+    bound: float = -np.inf
+    price: tuple[float, float] = (-np.inf, np.inf)
+    stages: dict[str, float] = field(default_factory=dict)
+    nodes: int = 0
+    binaries: int = 0
+    stage: str = ""
+    reason: str = ""
+    trace: list[tuple[float, float, float]] = field(default_factory=list)
+
+    @property
+    def gap(self) -> float:
+        """Cost less bound, $/h."""
+        return self.cost - self.bound
+
+
+class Solver:
+    """Dispatches one set of units.
+
+    Parameters
+    ----------
+    units : Units
+    nseg : int
+        Segments of a whole arch in the MILPs.
+    tol : float
+        Gap to prove, $/h.
+    mip_gap : float
+        Relative gap at which a MILP of the two-stage method stops.
+    time_limit : float
+        Wall-clock s; where it strikes the answer is the best so far with its true gap.
+    max_nodes : int
+        Boxes of the branch and bound before the adaptive MILPs take over.
+    """
+
+    def __init__(self, units: Units, *, nseg: int = 4, tol: float = 1e-3, mip_gap: float = 1e-7,
+                 time_limit: float = 120.0, max_nodes: int = 1_000_000) -> None:  # fmt: skip
+        self.units, self.nseg, self.tol, self.mip_gap = units, nseg, tol, mip_gap
+        self.time_limit, self.max_nodes = time_limit, max_nodes
+
+    def two_stage(self, demand: float, start: Array | None = None) -> Dispatch:
+        """Stages 1 and 2, as the paper; proves nothing.
+
+        Raises
+        ------
+        InfeasibleError, NoDispatch
+        """
+        self._check(demand)
+        begun = time.perf_counter()
+        first = milp(self.units, demand, breakpoints(self.units, self.nseg), gap=self.mip_gap,
+                     time_limit=self.time_limit, start=start)  # fmt: skip
+        between = time.perf_counter()
+        P, succeeded = nlp(self.units, demand, first.P)
+        found = self._answer(P)
+        found.stages = {"milp": between - begun, "nlp": time.perf_counter() - between}
+        found.nodes, found.binaries = first.nodes, first.binaries
+        found.stage = "nlp" if succeeded else "milp"
+        found.reason = ("two stages" if first.optimal else "time limit in the MILP") + (
+            "" if succeeded else "; the NLP failed: the MILP's dispatch"
+        )
+        return found
+
+    def certified(self, demand: float, start: Array | None = None, progress: Progress | None = None) -> Dispatch:
+        """Two stages, then a proof by branch and bound and, where that takes too many boxes, by adaptive MILPs.
+
+        Parameters
+        ----------
+        demand : float
+            MW.
+        start : ndarray, optional
+            A dispatch to begin with, such as that of the last demand.
+        progress : callable, optional
+            Called with the best cost and the bound.
+        """
+        self._check(demand)
+        begun = time.perf_counter()
+        guess = self._filled(demand) if start is None else balanced(self.units, start, demand)
+        found = self._answer(nlp(self.units, demand, guess)[0])
+
+        def note(stage: str, bound: float) -> None:
+            found.stage, found.bound = stage, max(found.bound, min(bound, found.cost))
+            found.stages[stage] = time.perf_counter() - begun - sum(t for s, t in found.stages.items() if s != stage)
+            found.trace.append((time.perf_counter() - begun, found.cost, found.bound))
+            if progress is not None:
+                progress(found.cost, found.bound)
+
+        if len(self.units) <= SMALL:
+            # half of the tolerance, for what is proven is the search's own best, which the NLP then betters a little
+            proof = branch_and_bound(self.units, demand, found.P, 0.5 * self.tol, self.max_nodes)
+            self._better(found, nlp(self.units, demand, proof.P)[0])
+            found.nodes += proof.nodes
+            note("branch and bound", proof.bound)
+        if found.gap > self.tol:
+            try:
+                plain = self.two_stage(demand, found.P)
+                self._better(found, plain.P)
+                found.nodes, found.binaries = found.nodes + plain.nodes, plain.binaries
+            except NoDispatch as error:
+                found.reason = str(error)
+            note("two stages", found.bound)
+            self._adapt(demand, found, begun, note)
+        found.reason = "proven" if found.gap <= self.tol else found.reason
+        return found
+
+    def _adapt(self, demand: float, found: Dispatch, begun: float, note: Callable[[str, float], None]) -> None:
+        """Lower every chord below the cost, solve, split where the model is too low at its own optimum, repeat."""
+        points = [p.copy() for p in breakpoints(self.units, self.nseg)]
+        groups = self.units.groups
+        while found.gap > self.tol:
+            left = self.time_limit - (time.perf_counter() - begun)
+            if left <= 0.0:
+                found.reason = "time limit"
+                return
+            low = [lowering(self.units, j, p) for j, p in enumerate(points)]
+            try:
+                model = milp(self.units, demand, points, low, gap=0.0, gap_abs=0.25 * self.tol, time_limit=left,
+                             start=found.P)  # fmt: skip
+            except NoDispatch as error:
+                found.reason = str(error)
+                return
+            found.nodes += model.nodes
+            found.binaries = max(found.binaries, model.binaries)
+            self._better(found, nlp(self.units, demand, model.P)[0])
+            note("adaptive MILP", model.bound)
+            if not model.optimal:
+                found.reason = "time limit in the MILP"
+                return
+            missing = [self._missing(j, model.P[j], points[j], low[j]) for j in range(len(self.units))]
+            splits = [(j, at) for j, (at, below) in enumerate(missing) if below > self.tol / (2 * len(self.units))]
+            for j, at in splits:
+                for k in np.flatnonzero(groups == groups[j]):  # identical units share their points
+                    if at not in points[k]:
+                        points[k] = np.sort(np.append(points[k], at))
+            if not splits:
+                found.reason = "the model is as exact as its numbers"
+                return
+
+    def _missing(self, j: int, p: float, points: Array, low: Array) -> tuple[float, float]:
+        """Where to split the segment that p lies in, and by how much the model is below the cost there, $/h."""
+        if len(points) < 2:
+            return p, 0.0
+        k = max(0, min(int(np.searchsorted(points, p, "right")) - 1, len(points) - 2))
+        x0, x1 = points[k], points[k + 1]
+        row = Units((self.units.ids[j],), self.units.table[j : j + 1])
+        y0, y, y1 = (row.total([x]) for x in (x0, p, x1))
+        below = y - (y0 + (y1 - y0) * (p - x0) / (x1 - x0)) + float(low[k])
+        if x1 - x0 < 1e-5:
+            return p, 0.0
+        near_end = min(p - x0, x1 - p) < 0.15 * (x1 - x0)
+        return (0.5 * (x0 + x1) if near_end else p), below
+
+    def _check(self, demand: float) -> None:
+        why = infeasible(self.units, demand)
+        if why:
+            raise InfeasibleError(why)
+
+    def _filled(self, demand: float) -> Array:
+        """Every unit at the same share of its range."""
+        low, high = self.units.p_min, self.units.p_max
+        room = float((high - low).sum())
+        return balanced(self.units, low + (high - low) * ((demand - low.sum()) / room if room else 0.0), demand)
+
+    def _answer(self, P: Array) -> Dispatch:
+        return Dispatch(P, self.units.total(P), price=marginal_cost(self.units, P))
+
+    def _better(self, found: Dispatch, P: Array) -> None:
+        cost = self.units.total(P)
+        if cost < found.cost:
+            found.P, found.cost, found.price = P, cost, marginal_cost(self.units, P)
+
+
+SMALL = 64  # units up to which the branch and bound is tried
+
+
+def lowering(units: Units, j: int, points: Array) -> Array:
+    """By how much each chord of unit j must be lowered to be below the cost, $/h, shape (segments,)."""
+    ends: Sequence[float] = points.tolist()
+    if len(ends) < 2:
+        return np.zeros(1)
+    row = units.table[j]
+    return np.array([chord_excess(row, x0, x1) for x0, x1 in zip(ends[:-1], ends[1:], strict=True)])

@@ -1,0 +1,119 @@
+"""Kink enumeration: exact if at most one unit rests off its valve points and limits. An independent check."""
+
+from __future__ import annotations
+
+import numpy as np
+from softrig_core.model.jit import jit
+
+from .certify import InfeasibleError
+from .units import NARROW, Array, Units, infeasible
+
+
+class TooManyError(ValueError):
+    """More combinations than can be enumerated; the text says how many."""
+
+
+def enumerate_kinks(units: Units, demand: float, most: int = 50_000_000) -> Array:
+    """Try every choice of the one free unit and every multiset of levels of the others.
+
+    Parameters
+    ----------
+    demand : float
+        MW.
+    most : int
+        Most combinations.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        The cheapest dispatch of this form, MW.
+
+    Raises
+    ------
+    InfeasibleError
+        The demand is beyond the limits, or no such dispatch meets it.
+    TooManyError
+    """
+    why = infeasible(units, demand)
+    if why:
+        raise InfeasibleError(why)
+    order = units.order
+    table, groups = np.ascontiguousarray(units.table[order]), units.groups[order]
+    found = [units.valve_points(j) for j in order]
+    sizes = np.array([len(p) for p in found], dtype=np.int64)
+    levels = np.zeros((len(units), int(sizes.max())))
+    for row, ends in zip(levels, found, strict=True):
+        row[: len(ends)] = ends
+    costs = np.array([[float(_cost(t, p)) for p in row] for t, row in zip(table, levels, strict=True)])
+    best, least, tried = np.zeros(len(units)), np.inf, 0
+    for free in range(len(units)):
+        if free and groups[free] == groups[free - 1]:
+            continue  # the same problem again
+        cost, count = _enumerate(table, groups, levels, costs, sizes, free, demand, least, best, most - tried, NARROW)
+        least, tried = min(least, cost), tried + count
+        if tried >= most:
+            raise TooManyError(f"more than {most} combinations of valve points; expected at most about 13 units")
+    if not np.isfinite(least):
+        raise InfeasibleError(f"no dispatch of {demand:g} MW has all units but one on valve points")
+    back = np.empty_like(best)
+    back[order] = best
+    return back
+
+
+@jit
+def _cost(unit, p):  # type: ignore[no-untyped-def]
+    p_min, a, b, c, e, f = unit[0], unit[2], unit[3], unit[4], unit[5], unit[6]
+    return a * p * p + b * p + c + abs(e * np.sin(f * (p_min - p)))
+
+
+@jit
+def _enumerate(table, groups, levels, costs, sizes, free, demand, least, best, most, narrow):  # type: ignore[no-untyped-def]
+    """Count through the levels of all units but `free` like an odometer; what cannot meet the demand is skipped."""
+    n = table.shape[0]
+    others = np.array([j for j in range(n) if j != free])
+    m = others.size
+    # what the units from i on can still give
+    low, high = np.zeros(m + 1), np.zeros(m + 1)
+    for i in range(m - 1, -1, -1):
+        low[i] = low[i + 1] + table[others[i], 0]
+        high[i] = high[i + 1] + table[others[i], 1]
+    pick = np.zeros(m, np.int64)
+    power, cost = np.zeros(m + 1), np.zeros(m + 1)
+    i, count, result = 0, 0, np.inf
+    pick[0] = 0
+    while i >= 0:
+        if i == m:
+            count += 1
+            rest = demand - power[m]
+            if table[free, 0] - narrow <= rest <= table[free, 1] + narrow:
+                rest = min(max(rest, table[free, 0]), table[free, 1])
+                total = cost[m] + _cost(table[free], rest)
+                if total < least:
+                    least = result = total
+                    for k in range(m):
+                        best[others[k]] = levels[others[k], pick[k]]
+                    best[free] = rest
+            if count >= most:
+                return result, count
+            i -= 1
+            pick[i] += 1
+            continue
+        j = others[i]
+        # identical units in falling order: the same multiset is counted once
+        last = sizes[j]
+        if i > 0 and groups[others[i - 1]] == groups[j]:
+            last = min(last, pick[i - 1] + 1)
+        if pick[i] >= last:
+            i -= 1
+            if i >= 0:
+                pick[i] += 1
+            continue
+        power[i + 1], cost[i + 1] = power[i] + levels[j, pick[i]], cost[i] + costs[j, pick[i]]
+        rest = demand - power[i + 1]
+        if rest < low[i + 1] + table[free, 0] - narrow or rest > high[i + 1] + table[free, 1] + narrow:
+            pick[i] += 1
+            continue
+        i += 1
+        if i < m:
+            pick[i] = 0
+    return result, count

@@ -1,0 +1,227 @@
+"""The cost model: thermal units whose cost has rectified-sine ripples (valve points), and tables of them."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from softrig_core.model.resource import resource
+
+Array = NDArray[np.float64]
+COLUMNS = (
+    "p_min_MW", "p_max_MW", "a_usd_per_MW2h", "b_usd_per_MWh", "c_usd_per_h", "e_usd_per_h", "f_rad_per_MW",
+)  # fmt: skip
+NARROW = 1e-6  # MW; a last arch shorter than this is part of the one before
+BALANCE = 1e-6  # MW; how far the sum may be from the demand
+
+
+class TableError(ValueError):
+    """A table of units that cannot be used; the text names row and column."""
+
+
+@dataclass(frozen=True, eq=False)
+class Units:
+    """Thermal units with the cost of equation (1).
+
+    F_j(P) = a_j P^2 + b_j P + c_j + |e_j sin(f_j (P_j,min - P))|
+
+    Parameters
+    ----------
+    ids : tuple of str
+        Name of each unit, n of them, all different.
+    table : ndarray, shape (n, 7)
+        p_min (MW), p_max (MW), a ($/MW^2 h), b ($/MWh), c ($/h), e ($/h), f (rad/MW).
+
+    Raises
+    ------
+    TableError
+        No unit, a name twice, a number that is not finite, p_min > p_max, or negative a, e or f.
+
+    References
+    ----------
+    H. Sharifzadeh, "Solving Economic Load Dispatch by a New Hybrid Optimization Method", 2020, equation (1).
+    """
+
+    ids: tuple[str, ...]
+    table: Array
+
+    def __post_init__(self) -> None:
+        table = np.array(self.table, dtype=float)
+        if table.ndim != 2 or table.shape[0] == 0 or table.shape[1] != len(COLUMNS):
+            raise TableError(f"a table of shape {table.shape}: expected one row or more of {', '.join(COLUMNS)}")
+        if len(self.ids) != table.shape[0]:
+            raise TableError(f"{len(self.ids)} names for {table.shape[0]} rows")
+        seen: set[str] = set()
+        for name, row in zip(self.ids, table, strict=True):
+            if name in seen:
+                raise TableError(f"unit {name}: its name stands twice")
+            seen.add(name)
+            for column, value in zip(COLUMNS, row, strict=True):
+                if not np.isfinite(value):
+                    raise TableError(f"unit {name}, column {column}: {value}, expected a finite number")
+                if value < 0.0 and column[0] in "aef":
+                    raise TableError(f"unit {name}, column {column}: {value:g}, expected at least 0")
+            if row[0] > row[1]:
+                raise TableError(f"unit {name}: p_min_MW {row[0]:g} is above p_max_MW {row[1]:g}")
+        table.setflags(write=False)
+        object.__setattr__(self, "table", table)
+
+    @classmethod
+    def read(cls, source: str) -> Units:
+        """Read a CSV table with a head: ``unit`` and `COLUMNS`, one row a unit.
+
+        Parameters
+        ----------
+        source : str
+            A file name, a ``package://`` URI, or the name of a table that comes with the package (``units_13``).
+        """
+        if "/" not in source and not source.endswith(".csv"):
+            source = f"package://softrig_power/dispatch/tables/{source}.csv"
+        path = resource(source)
+        ids, rows = [], []
+        with path.open(newline="") as file:
+            reader = csv.DictReader(file)
+            missing = [c for c in ("unit", *COLUMNS) if c not in (reader.fieldnames or ())]
+            if missing:
+                raise TableError(f"{path.name}: no column {', '.join(missing)}")
+            for number, row in enumerate(reader, 2):
+                ids.append(row["unit"])
+                values = []
+                for column in COLUMNS:
+                    try:
+                        values.append(float(row[column]))
+                    except (TypeError, ValueError):
+                        raise TableError(f"{path.name}, line {number}, column {column}: {row[column]!r} is no number"
+                                         ) from None  # fmt: skip
+                rows.append(values)
+        if not rows:
+            raise TableError(f"{path.name}: no unit in it")
+        return cls(tuple(ids), np.array(rows))
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+    @property
+    def p_min(self) -> Array:
+        """Lower limits, MW, shape (n,)."""
+        return self.table[:, 0]
+
+    @property
+    def p_max(self) -> Array:
+        """Upper limits, MW, shape (n,)."""
+        return self.table[:, 1]
+
+    def cost(self, P: ArrayLike) -> Array:
+        """Cost of each unit, equation (1).
+
+        Parameters
+        ----------
+        P : array_like, shape (..., n)
+            MW.
+
+        Returns
+        -------
+        ndarray, shape (..., n)
+            $/h.
+        """
+        P = np.asarray(P, dtype=float)
+        p_min, _, a, b, c, e, f = self.table.T
+        return a * P * P + b * P + c + np.abs(e * np.sin(f * (p_min - P)))
+
+    def total(self, P: ArrayLike) -> float:
+        """Cost of all units together, $/h."""
+        return float(self.cost(P).sum())
+
+    def slopes(self, P: ArrayLike) -> tuple[Array, Array]:
+        """One-sided derivatives of each unit's cost.
+
+        Returns
+        -------
+        (left, right) : ndarrays, shape (n,)
+            $/MWh; at a valve point they differ by 2 e f, at a limit the outward one is infinite.
+        """
+        P = np.asarray(P, dtype=float)
+        p_min, p_max, a, b, _, e, f = self.table.T
+        smooth = 2.0 * a * P + b
+        phase = f * (P - p_min)
+        near = np.abs(phase - np.pi * np.round(phase / np.pi)) < 1e-6
+        ripple = e * f * np.cos(phase) * np.sign(np.sin(phase))
+        left = np.where(near, smooth - e * f, smooth + ripple)
+        right = np.where(near, smooth + e * f, smooth + ripple)
+        return np.where(p_min + NARROW >= P, -np.inf, left), np.where(p_max - NARROW <= P, np.inf, right)
+
+    def valve_points(self, j: int) -> Array:
+        """Ends of the arches of unit j, limits included: P_min + k pi/f, MW, shape (arches + 1,)."""
+        p_min, p_max, _, _, _, e, f = self.table[j]
+        if e <= 0.0 or f <= 0.0:
+            inner = np.empty(0)
+        else:
+            inner = p_min + np.arange(1, int((p_max - p_min) * f / np.pi) + 2) * np.pi / f
+            inner = inner[inner < p_max - NARROW]
+        return np.array([p_min, *inner, p_max]) if p_max > p_min else np.array([p_min])
+
+    @cached_property
+    def order(self) -> NDArray[np.intp]:
+        """An order of the units that depends on their numbers alone, identical ones side by side, shape (n,)."""
+        return np.lexsort(self.table.T[::-1])
+
+    @cached_property
+    def groups(self) -> NDArray[np.int64]:
+        """Number of the group of identical units each one belongs to, shape (n,)."""
+        return np.unique(self.table, axis=0, return_inverse=True)[1].reshape(-1).astype(np.int64)
+
+    def sorted_copies(self, P: Array) -> Array:
+        """Give identical units their outputs in falling order, the first of them the largest."""
+        P = P.copy()
+        for group in range(int(self.groups.max()) + 1):
+            members = np.flatnonzero(self.groups == group)
+            P[members] = np.sort(P[members])[::-1]
+        return P
+
+
+def infeasible(units: Units, demand: float) -> str:
+    """Say why no dispatch can meet a demand in MW; empty when one can."""
+    low, high = float(units.p_min.sum()), float(units.p_max.sum())
+    if low - BALANCE <= demand <= high + BALANCE:
+        return ""
+    return f"infeasible: demand {demand:g} MW, but the units give {low:g} to {high:g} MW"
+
+
+def balanced(units: Units, P: Sequence[float] | Array, demand: float) -> Array:
+    """Put a dispatch exactly within the limits and onto the balance, moving as few units as little as possible.
+
+    Parameters
+    ----------
+    P : array_like, shape (n,)
+        MW, nearly feasible.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        The rest goes to the unit that costs least to move there.
+    """
+    P = np.clip(np.asarray(P, dtype=float), units.p_min, units.p_max)
+    for _ in range(len(units)):
+        rest = demand - float(P.sum())
+        if abs(rest) <= 1e-9 * max(1.0, abs(demand)):
+            break
+        moved = np.clip(P + rest, units.p_min, units.p_max)
+        full = np.abs(moved - P - rest) <= 1e-12
+        reach = np.where(full, units.cost(moved) - units.cost(P), np.inf)
+        j = int(np.argmin(reach)) if full.any() else int(np.argmax(np.abs(moved - P)))
+        P[j] = moved[j]
+    return P
+
+
+def marginal_cost(units: Units, P: Array) -> tuple[float, float]:
+    """Give the system's price: what one MW less would save and one MW more would cost, $/MWh.
+
+    The dual of the balance row of the problem inside the arches. The two are equal where a unit rests on a smooth
+    part of its cost; where all units rest on valve points or limits, every price between them supports the dispatch.
+    """
+    left, right = units.slopes(P)
+    return float(left.max()), float(right.min())
