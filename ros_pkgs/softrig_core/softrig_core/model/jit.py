@@ -171,7 +171,7 @@ def _tokens(function: Callable[..., Any], seen: set[int]) -> Iterator[str]:
 def _constant(value: Any, seen: set[int]) -> Iterator[str]:
     if isinstance(value, Jit):
         yield from _tokens(value.py_func, seen)
-    elif hasattr(value, "tobytes") and hasattr(value, "shape"):
+    elif hasattr(value, "tobytes") and not isinstance(value, type):  # an array or a number, not np.int64 itself
         yield f"{value.dtype}{value.shape}{value.tobytes().hex()}"
     elif hasattr(value, "__qualname__"):
         yield f"{value.__module__}.{value.__qualname__}{getattr(value, '_fields', '')}"

@@ -8,7 +8,9 @@ P_j >= P_{j+1}, which narrows their boxes together. Depth first, from the two-st
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from softrig_core.model.jit import jit
@@ -63,13 +65,14 @@ def branch_and_bound(units: Units, demand: float, P: Array, tol: float, max_node
 
 
 @jit
-def _cost(unit, p):  # type: ignore[no-untyped-def]
+def unit_cost(unit: Any, p: Any) -> Any:
+    """Cost of one unit, equation (1), $/h: `unit` is its row of the table."""
     p_min, a, b, c, e, f = unit[0], unit[2], unit[3], unit[4], unit[5], unit[6]
-    return a * p * p + b * p + c + abs(e * np.sin(f * (p_min - p)))
+    return a * p * p + b * p + c + abs(e * math.sin(f * (p_min - p)))
 
 
 @jit
-def chord_excess(unit, x0, x1):  # type: ignore[no-untyped-def]
+def chord_excess(unit: Any, x0: Any, x1: Any) -> Any:
     """Bound by how much the chord over [x0, x1], inside one arch, exceeds the cost in $/h.
 
     With g = F - chord, g'' = 2a - e f^2 |sin|. Where the ripple is weak, next to a valve point, g is convex: it stays
@@ -84,36 +87,36 @@ def chord_excess(unit, x0, x1):  # type: ignore[no-untyped-def]
     if strength <= 2.0 * a:
         return whole
     weak = 2.0 * a / strength
-    s0, s1 = abs(np.sin(f * (x0 - p_min))), abs(np.sin(f * (x1 - p_min)))
-    sign = 1.0 if np.sin(f * (0.5 * (x0 + x1) - p_min)) >= 0.0 else -1.0
-    chord = (_cost(unit, x1) - _cost(unit, x0)) / h
-    falls = s0 < weak and b + 2.0 * a * x0 + sign * e * f * np.cos(f * (x0 - p_min)) < chord
-    rises = s1 < weak and b + 2.0 * a * x1 + sign * e * f * np.cos(f * (x1 - p_min)) > chord
+    s0, s1 = abs(math.sin(f * (x0 - p_min))), abs(math.sin(f * (x1 - p_min)))
+    sign = 1.0 if math.sin(f * (0.5 * (x0 + x1) - p_min)) >= 0.0 else -1.0
+    chord = (unit_cost(unit, x1) - unit_cost(unit, x0)) / h
+    falls = s0 < weak and b + 2.0 * a * x0 + sign * e * f * math.cos(f * (x0 - p_min)) < chord
+    rises = s1 < weak and b + 2.0 * a * x1 + sign * e * f * math.cos(f * (x1 - p_min)) > chord
     if not (falls or rises):
         return 0.0
-    w = np.arcsin(weak) / f
+    w = math.asin(weak) / f
     return min(whole, a * w * w)
 
 
 @jit
-def _hull(unit, lo, hi, narrow, x, y):  # type: ignore[no-untyped-def]
+def _hull(unit: Any, lo: Any, hi: Any, narrow: Any, x: Any, y: Any) -> Any:
     """Write the corners of a convex function below the cost on [lo, hi] into x and y; give their number."""
     p_min, e, f = unit[0], unit[5], unit[6]
-    x[0], y[0] = lo, _cost(unit, lo)
+    x[0], y[0] = lo, unit_cost(unit, lo)
     if hi - lo <= narrow:
         # so narrow a box is one point: its cost can only be less by its width times the steepest slope
         y[0] -= (hi - lo) * (abs(unit[3]) + 2.0 * unit[2] * abs(hi) + e * f)
         return 1
     step = np.pi / f if e > 0.0 and f > 0.0 else 4.0 * (hi - lo)
     n = 1
-    k = np.floor((lo - p_min) / step + 1e-9) + 1.0
+    k = math.floor((lo - p_min) / step + 1e-9) + 1.0
     x0, y0 = lo, y[0]
     while x0 < hi:
         x1 = p_min + k * step
         k += 1.0
         if x1 > hi - narrow:
             x1 = hi
-        y1 = _cost(unit, x1)
+        y1 = unit_cost(unit, x1)
         low = chord_excess(unit, x0, x1)
         y[n - 1] = min(y[n - 1], y0 - low)  # the lower of the two chords that meet here
         while n > 2 and (y[n - 1] - y[n - 2]) * (x[n - 2] - x[n - 3]) <= (y[n - 2] - y[n - 3]) * (x[n - 1] - x[n - 2]):
@@ -129,7 +132,7 @@ def _hull(unit, lo, hi, narrow, x, y):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _value(x, y, n, p):  # type: ignore[no-untyped-def]
+def _value(x: Any, y: Any, n: Any, p: Any) -> Any:
     """Value of the piecewise linear function with n corners at p."""
     k = 0
     while k < n - 2 and x[k + 1] < p:
@@ -138,17 +141,38 @@ def _value(x, y, n, p):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _search(table, groups, demand, start, tol, max_nodes, corners, depth, narrow):  # type: ignore[no-untyped-def]
+def _order(values: Any, count: Any, index: Any) -> Any:
+    """Write into `index` the order of the first values by size: Shell's sort, for numbers nearly in order."""
+    for i in range(count):
+        index[i] = i
+    step = count // 2
+    while step > 0:
+        for i in range(step, count):
+            item = index[i]
+            j = i
+            while j >= step and values[index[j - step]] > values[item]:
+                index[j] = index[j - step]
+                j -= step
+            index[j] = item
+        step //= 2
+
+
+@jit
+def _search(
+    table: Any, groups: Any, demand: Any, start: Any, tol: Any, max_nodes: Any, corners: Any, depth: Any, narrow: Any
+) -> Any:
     n = table.shape[0]
     lo, hi = np.empty((depth, n)), np.empty((depth, n))
     x, y = np.empty((depth, n, corners)), np.empty((depth, n, corners))
     count = np.empty((depth, n), np.int64)
     bound = np.empty(depth)  # of the parent
     slope, width, owner = np.empty(n * corners), np.empty(n * corners), np.empty(n * corners, np.int64)
-    P, best = np.empty(n), start.copy()
+    by_slope = np.empty(n * corners, np.int64)
+    P, best = np.empty(n), np.empty(n)
     upper = 0.0
     for j in range(n):
-        upper += _cost(table[j], start[j])
+        best[j] = start[j]
+        upper += unit_cost(table[j], start[j])
         lo[0, j], hi[0, j] = table[j, 0], table[j, 1]
         count[0, j] = _hull(table[j], lo[0, j], hi[0, j], narrow, x[0, j], y[0, j])
     bound[0] = -np.inf
@@ -178,7 +202,9 @@ def _search(table, groups, demand, start, tol, max_nodes, corners, depth, narrow
             top -= 1
             continue
         rest = demand - filled
-        for i in np.argsort(slope[:pieces]):
+        _order(slope, pieces, by_slope)
+        for q in range(pieces):
+            i = by_slope[q]
             if rest <= 0.0:
                 break
             more = min(rest, width[i])
@@ -191,14 +217,15 @@ def _search(table, groups, demand, start, tol, max_nodes, corners, depth, narrow
             continue
         cost, gap, split = 0.0, -1.0, -1
         for j in range(n):
-            here = _cost(table[j], P[j])
+            here = unit_cost(table[j], P[j])
             cost += here
             missing = here - _value(x[t, j], y[t, j], count[t, j], P[j])
             if missing > gap and hi[t, j] - lo[t, j] > 4.0 * narrow:
                 gap, split = missing, j
         if cost < upper and rest <= 1e-9:
             upper = cost
-            best[:] = P
+            for j in range(n):
+                best[j] = P[j]
         if lower >= upper - tol or split < 0 or top >= depth - 1:
             closed = min(closed, lower)
             top -= 1
@@ -207,8 +234,8 @@ def _search(table, groups, demand, start, tol, max_nodes, corners, depth, narrow
         if min(at - lo[t, split], hi[t, split] - at) <= 2.0 * narrow:
             at = 0.5 * (lo[t, split] + hi[t, split])
         s = top
-        lo[s], hi[s], count[s] = lo[t], hi[t], count[t]
         for j in range(n):
+            lo[s, j], hi[s, j], count[s, j] = lo[t, j], hi[t, j], count[t, j]
             for i in range(count[t, j]):
                 x[s, j, i], y[s, j, i] = x[t, j, i], y[t, j, i]
         hi[t, split], lo[s, split] = at, at

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
@@ -45,6 +46,8 @@ class Dispatch:
         Why it ended.
     trace : list of (float, float, float)
         Wall-clock s, best cost and bound, as the proof closed.
+    limited : bool
+        Whether the wall-clock limit struck, so that another run may end elsewhere.
     """
 
     P: Array
@@ -57,6 +60,7 @@ class Dispatch:
     stage: str = ""
     reason: str = ""
     trace: list[tuple[float, float, float]] = field(default_factory=list)
+    limited: bool = False
 
     @property
     def gap(self) -> float:
@@ -64,7 +68,7 @@ class Dispatch:
         return self.cost - self.bound
 
 
-class Solver:
+class Optimiser:
     """Dispatches one set of units.
 
     Parameters
@@ -103,7 +107,7 @@ class Solver:
         found = self._answer(P)
         found.stages = {"milp": between - begun, "nlp": time.perf_counter() - between}
         found.nodes, found.binaries = first.nodes, first.binaries
-        found.stage = "nlp" if succeeded else "milp"
+        found.stage, found.limited = "nlp" if succeeded else "milp", not first.optimal
         found.reason = ("two stages" if first.optimal else "time limit in the MILP") + (
             "" if succeeded else "; the NLP failed: the MILP's dispatch"
         )
@@ -158,12 +162,13 @@ class Solver:
         while found.gap > self.tol:
             left = self.time_limit - (time.perf_counter() - begun)
             if left <= 0.0:
-                found.reason = "time limit"
+                found.reason, found.limited = "time limit", True
                 return
             low = [lowering(self.units, j, p) for j, p in enumerate(points)]
             try:
-                model = milp(self.units, demand, points, low, gap=0.0, gap_abs=0.25 * self.tol, time_limit=left,
-                             start=found.P)  # fmt: skip
+                # while the model is coarse, an exact optimum of it is worth little
+                gap = max(0.25 * self.tol, 0.1 * found.gap) if np.isfinite(found.gap) else 1.0
+                model = milp(self.units, demand, points, low, gap=0.0, gap_abs=gap, time_limit=left, start=found.P)
             except NoDispatch as error:
                 found.reason = str(error)
                 return
@@ -172,7 +177,7 @@ class Solver:
             self._better(found, nlp(self.units, demand, model.P)[0])
             note("adaptive MILP", model.bound)
             if not model.optimal:
-                found.reason = "time limit in the MILP"
+                found.reason, found.limited = "time limit in the MILP", True
                 return
             missing = [self._missing(j, model.P[j], points[j], low[j]) for j in range(len(self.units))]
             splits = [(j, at) for j, (at, below) in enumerate(missing) if below > self.tol / (2 * len(self.units))]
@@ -227,4 +232,4 @@ def lowering(units: Units, j: int, points: Array) -> Array:
     if len(ends) < 2:
         return np.zeros(1)
     row = units.table[j]
-    return np.array([chord_excess(row, x0, x1) for x0, x1 in zip(ends[:-1], ends[1:], strict=True)])
+    return np.array([chord_excess(row, x0, x1) for x0, x1 in pairwise(ends)])

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from softrig_core.model.jit import jit
 
+from .branch import unit_cost
 from .certify import InfeasibleError
 from .units import NARROW, Array, Units, infeasible
 
@@ -41,10 +44,10 @@ def enumerate_kinks(units: Units, demand: float, most: int = 50_000_000) -> Arra
     table, groups = np.ascontiguousarray(units.table[order]), units.groups[order]
     found = [units.valve_points(j) for j in order]
     sizes = np.array([len(p) for p in found], dtype=np.int64)
-    levels = np.zeros((len(units), int(sizes.max())))
+    levels = np.zeros((len(units), int(np.max(sizes))))
     for row, ends in zip(levels, found, strict=True):
         row[: len(ends)] = ends
-    costs = np.array([[float(_cost(t, p)) for p in row] for t, row in zip(table, levels, strict=True)])
+    costs = np.array([[unit_cost(t, p) for p in row] for t, row in zip(table, levels, strict=True)])
     best, least, tried = np.zeros(len(units)), np.inf, 0
     for free in range(len(units)):
         if free and groups[free] == groups[free - 1]:
@@ -61,17 +64,25 @@ def enumerate_kinks(units: Units, demand: float, most: int = 50_000_000) -> Arra
 
 
 @jit
-def _cost(unit, p):  # type: ignore[no-untyped-def]
-    p_min, a, b, c, e, f = unit[0], unit[2], unit[3], unit[4], unit[5], unit[6]
-    return a * p * p + b * p + c + abs(e * np.sin(f * (p_min - p)))
-
-
-@jit
-def _enumerate(table, groups, levels, costs, sizes, free, demand, least, best, most, narrow):  # type: ignore[no-untyped-def]
+def _enumerate(
+    table: Any,
+    groups: Any,
+    levels: Any,
+    costs: Any,
+    sizes: Any,
+    free: Any,
+    demand: Any,
+    least: Any,
+    best: Any,
+    most: Any,
+    narrow: Any,
+) -> Any:
     """Count through the levels of all units but `free` like an odometer; what cannot meet the demand is skipped."""
     n = table.shape[0]
-    others = np.array([j for j in range(n) if j != free])
-    m = others.size
+    m = n - 1
+    others = np.empty(m, np.int64)
+    for k in range(m):
+        others[k] = k if k < free else k + 1
     # what the units from i on can still give
     low, high = np.zeros(m + 1), np.zeros(m + 1)
     for i in range(m - 1, -1, -1):
@@ -87,7 +98,7 @@ def _enumerate(table, groups, levels, costs, sizes, free, demand, least, best, m
             rest = demand - power[m]
             if table[free, 0] - narrow <= rest <= table[free, 1] + narrow:
                 rest = min(max(rest, table[free, 0]), table[free, 1])
-                total = cost[m] + _cost(table[free], rest)
+                total = cost[m] + unit_cost(table[free], rest)
                 if total < least:
                     least = result = total
                     for k in range(m):

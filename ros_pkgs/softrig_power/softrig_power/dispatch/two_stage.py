@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
 
 import highspy
 import numpy as np
-from numpy.typing import NDArray
 
 from .units import Array, Units, balanced
 
@@ -62,7 +63,7 @@ def breakpoints(units: Units, nseg: int) -> list[Array]:
         _, _, _, _, _, e, f = units.table[j]
         whole = np.pi / f if e > 0.0 and f > 0.0 else np.inf
         points = [ends[:1]]
-        for x0, x1 in zip(ends[:-1], ends[1:], strict=True):
+        for x0, x1 in pairwise(ends):
             count = nseg if whole == np.inf else max(1, round(nseg * (x1 - x0) / whole))
             points.append(np.linspace(x0, x1, count + 1)[1:])
         found.append(np.concatenate(points))
@@ -128,7 +129,7 @@ def milp(
     lp.a_matrix_.start_ = np.concatenate([3 * np.arange(segments), 3 * segments + 2 * np.arange(segments + 1)])
     lp.a_matrix_.index_, lp.a_matrix_.value_ = index, value
     lp.integrality_ = [highspy.HighsVarType.kInteger] * segments + [highspy.HighsVarType.kContinuous] * segments
-    solver = highspy.Highs()
+    solver: Any = highspy.Highs()  # type: ignore[no-untyped-call]
     for option, setting in (("output_flag", False), ("threads", 1), ("random_seed", 0), ("mip_rel_gap", gap),
                             ("mip_abs_gap", gap_abs), ("mip_feasibility_tolerance", 1e-9),
                             ("primal_feasibility_tolerance", 1e-9), ("time_limit", min(time_limit, 1e9))):  # fmt: skip
@@ -188,8 +189,8 @@ def nlp(units: Units, demand: float, P: Array) -> tuple[Array, bool]:
     x = ca.SX.sym("P", len(units))
     cost = ca.sum1(a * x**2 + b * x + c + sign * e * ca.sin(f * (x - p_min)))
     problem: dict[str, ca.SX] = {"x": x, "f": cost, "g": ca.sum1(x)}
-    options = {"ipopt.tol": 1e-10, "ipopt.bound_relax_factor": 0.0, "ipopt.print_level": 0, "print_time": False,
-               "ipopt.sb": "yes", "ipopt.honor_original_bounds": "yes"}  # fmt: skip
+    options: dict[str, Any] = {"ipopt.tol": 1e-10, "ipopt.bound_relax_factor": 0.0, "ipopt.print_level": 0,
+               "print_time": False, "ipopt.sb": "yes", "ipopt.honor_original_bounds": "yes"}  # fmt: skip
     solver = ca.nlpsol("arches", "ipopt", problem, options)
     before = balanced(units, P, demand)
     try:
@@ -205,8 +206,3 @@ def nlp(units: Units, demand: float, P: Array) -> tuple[Array, bool]:
         after = np.where(np.abs(after - ends) < 1e-5, ends, after)
     after = balanced(units, after, demand)
     return (after if units.total(after) <= units.total(before) else before), True
-
-
-def as_indices(points: Sequence[Array]) -> NDArray[np.int64]:
-    """Number of segments of each unit, shape (n,)."""
-    return np.array([max(1, len(p) - 1) for p in points], dtype=np.int64)

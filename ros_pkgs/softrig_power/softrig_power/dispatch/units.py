@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -177,7 +176,7 @@ class Units:
     def sorted_copies(self, P: Array) -> Array:
         """Give identical units their outputs in falling order, the first of them the largest."""
         P = P.copy()
-        for group in range(int(self.groups.max()) + 1):
+        for group in range(int(np.max(self.groups)) + 1):
             members = np.flatnonzero(self.groups == group)
             P[members] = np.sort(P[members])[::-1]
         return P
@@ -191,12 +190,12 @@ def infeasible(units: Units, demand: float) -> str:
     return f"infeasible: demand {demand:g} MW, but the units give {low:g} to {high:g} MW"
 
 
-def balanced(units: Units, P: Sequence[float] | Array, demand: float) -> Array:
+def balanced(units: Units, given: ArrayLike, demand: float) -> Array:
     """Put a dispatch exactly within the limits and onto the balance, moving as few units as little as possible.
 
     Parameters
     ----------
-    P : array_like, shape (n,)
+    given : array_like, shape (n,)
         MW, nearly feasible.
 
     Returns
@@ -204,7 +203,7 @@ def balanced(units: Units, P: Sequence[float] | Array, demand: float) -> Array:
     ndarray, shape (n,)
         The rest goes to the unit that costs least to move there.
     """
-    P = np.clip(np.asarray(P, dtype=float), units.p_min, units.p_max)
+    P = np.clip(np.asarray(given, dtype=float), units.p_min, units.p_max)
     for _ in range(len(units)):
         rest = demand - float(P.sum())
         if abs(rest) <= 1e-9 * max(1.0, abs(demand)):
@@ -224,4 +223,4 @@ def marginal_cost(units: Units, P: Array) -> tuple[float, float]:
     part of its cost; where all units rest on valve points or limits, every price between them supports the dispatch.
     """
     left, right = units.slopes(P)
-    return float(left.max()), float(right.min())
+    return float(np.max(left)), float(np.min(right))

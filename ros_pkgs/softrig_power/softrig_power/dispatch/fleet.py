@@ -1,0 +1,74 @@
+"""The units themselves: they follow their set points, within limits and ramps."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from pydantic import field_validator
+from softrig_core.model.block import Plant
+from softrig_core.model.params import BlockParams, param
+from softrig_core.model.port import Port, command, joint_state, scalars
+from softrig_core.node import executable
+
+from .units import Units
+
+
+class FleetParams(BlockParams):
+    """Units and how fast they move."""
+
+    period: float = param(1.0, "sampling period", "s", gt=0.0, le=86400.0)
+    unit_table: str = param("units_13", "table of the units: a name of this package's, a file or a package:// URI")
+    ramp: float = param(0.0, "fastest change of a unit's output; 0: none, as in the paper", "MW/s", ge=0.0, le=1e6)
+
+    @field_validator("unit_table")
+    @classmethod
+    def _readable(cls, source: str) -> str:
+        Units.read(source)
+        return source
+
+
+class UnitFleet(Plant):
+    """Thermal units that start at their lower limits and go to their set points.
+
+    Outputs: output (MW) and marginal cost dF/dP ($/MWh) of each unit, the mean of both sides at a valve point; sum of
+    outputs and of costs.
+    """
+
+    Params = FleetParams
+    p: FleetParams
+
+    @classmethod
+    def ports(cls, params: FleetParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
+        """One channel a unit."""
+        units = Units.read(params.unit_table)
+        setpoints = command("setpoints", "dispatch/setpoints", units.ids, "MW", sporadic=True,
+                            safe=tuple(units.p_min.tolist()))  # fmt: skip
+        state = joint_state("state", "fleet/state", units.ids, position="MW", effort="$/MWh")
+        return (setpoints,), (state, scalars("total", "fleet/total", {"output": "MW", "cost": "$/h"}))
+
+    def setup(self) -> None:
+        """Read the table."""
+        self._units = Units.read(self.p.unit_table)
+
+    def start(self) -> None:
+        """All units at their lower limits."""
+        self.P = self._units.p_min.copy()
+
+    def outputs(self, t: int) -> Mapping[str, tuple[float, ...]]:
+        """Give outputs, marginal costs and sums."""
+        units = self._units
+        left, right = units.slopes(self.P)
+        slope = np.where(np.isinf(left), right, np.where(np.isinf(right), left, 0.5 * (left + right)))
+        slope = np.where(np.isfinite(slope), slope, 0.0)  # a fixed unit has none
+        total = (float(self.P.sum()), units.total(self.P))
+        return {"state": (*self.P.tolist(), *slope.tolist()), "total": total}
+
+    def advance(self, t: int, setpoints: tuple[float, ...]) -> None:
+        """Move towards the set points."""
+        wanted = np.clip(setpoints, self._units.p_min, self._units.p_max)
+        reach = self.p.ramp * self.p.period if self.p.ramp else np.inf
+        self.P = self.P + np.clip(wanted - self.P, -reach, reach)
+
+
+main = executable(UnitFleet)

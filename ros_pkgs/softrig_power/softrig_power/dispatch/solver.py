@@ -1,0 +1,179 @@
+"""The dispatch node: a demand in, set points, their cost and a proven bound out; the work in a process of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from pydantic import field_validator
+from softrig_core.model.block import Level
+from softrig_core.model.params import param
+from softrig_core.model.port import Port, array, button, command, scalars
+from softrig_core.model.solver import Result, Solver, SolverParams
+from softrig_core.model.worker import Work
+from softrig_core.node import executable
+
+from .baselines import Baseline, lambda_iteration, swarm, without_ripples
+from .certify import Dispatch, InfeasibleError, Method, Optimiser
+from .enumeration import TooManyError, enumerate_kinks
+from .two_stage import NoDispatch, arch_bounds
+from .units import TableError, Units, infeasible, marginal_cost
+
+
+class DispatchParams(SolverParams):
+    """Units, method and limits."""
+
+    period: float = param(1.0, "sampling period: how often a demand is looked for", "s", gt=0.0, le=86400.0)
+    unit_table: str = param("units_13", "table of the units: a name of this package's, a file or a package:// URI")
+    demand: float = param(0.0, "demand until a message comes; 0: none", "MW", ge=0.0, le=1e7)
+    method: Method = param("certified", "two_stage (the paper's), certified, enumeration or baseline")
+    algorithm: Baseline = param("pso", "search of the baseline")
+    n_pop: int = param(50, "population of the baseline", ge=4, le=10_000)
+    n_iter: int = param(300, "iterations of the baseline", ge=1, le=100_000)
+    seed: int = param(0, "seed of the baseline", ge=0, le=2**31 - 1)
+    nseg: int = param(4, "segments of a whole arch in the MILPs", ge=1, le=64)
+    tol: float = param(1e-3, "gap to prove", "$/h", gt=0.0, le=1e6)
+    mip_gap: float = param(1e-7, "relative gap at which the MILP of the two stages ends", ge=0.0, le=1.0)
+    time_limit: float = param(120.0, "wall-clock time of a solve; then the best so far with its true gap", "s",
+                              gt=0.0, le=86400.0)  # fmt: skip
+    warm_start: bool = param(True, "begin with the last dispatch")
+
+    @field_validator("unit_table")
+    @classmethod
+    def _readable(cls, source: str) -> str:
+        Units.read(source)
+        return source
+
+
+class Request(NamedTuple):
+    """What the working process gets."""
+
+    p: DispatchParams
+    units: Units
+    demand: float
+    start: Any
+
+
+class DispatchSolver(Solver[Request, "Dispatch | str"]):
+    """Economic dispatch on request.
+
+    A demand that has changed, other units or a press on `solve` ask for a dispatch. While one is worked on, the newest
+    request waits. A demand that no dispatch meets is told as an error and gets no set points: the last ones stay.
+
+    Notes
+    -----
+    ``dispatch/summary`` carries what a run repeats; times of the stages and how far the work is stand in /diagnostics.
+    """
+
+    Params = DispatchParams
+    p: DispatchParams
+
+    @classmethod
+    def ports(cls, params: DispatchParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
+        """One channel a unit."""
+        units = Units.read(params.unit_table)
+        n = len(units)
+        inputs = (
+            scalars("demand", "dispatch/demand", {"demand_MW": "MW"}, held=True),
+            array("units", "dispatch/units", {"unit": n, "column": 7}, ["MW", "MW", "", "", "$/h", "$/h", "rad"] * n,
+                  held=True),
+            button("solve", "dispatch/solve", held=True),
+        )  # fmt: skip
+        summary = {"demand": "MW", "cost": "$/h", "bound": "$/h", "gap": "$/h", "price_less": "$/MWh",
+                   "price_more": "$/MWh", "nodes": "", "binaries": "", "repeatable": ""}  # fmt: skip
+        outputs = (
+            command("setpoints", "dispatch/setpoints", units.ids, "MW", sporadic=True),
+            array("result", "dispatch/result", {"unit": n, "P_MW cost arch at_valve": 4}, ["MW", "$/h", "", ""] * n,
+                  sporadic=True),
+            scalars("summary", "dispatch/summary", summary, sporadic=True),
+        )  # fmt: skip
+        return inputs, outputs
+
+    def start(self) -> None:
+        """No demand seen, no dispatch known."""
+        self._units = Units.read(self.p.unit_table)
+        self._asked: tuple[float, Any] | None = None
+        self._pressed = False
+        self._last: Dispatch | None = None
+
+    def request(self, t: int, *, demand: Any = None, units: Any = None, solve: Any = None) -> Request | None:
+        """Ask when the demand or the table has changed, or at a press."""
+        pressed, self._pressed = solve == (1.0,) and not self._pressed, solve == (1.0,)
+        wanted = demand[0] if demand is not None else self.p.demand
+        if demand is None and not wanted:
+            return None
+        if (wanted, units) == self._asked and not pressed:
+            return None
+        self._asked = (wanted, units)
+        if units is not None:
+            try:
+                self._units = Units(self._units.ids, np.reshape(units, (-1, 7)))
+            except TableError as error:
+                self.report(Level.ERROR, "units", f"dispatch/units: {error}; the last table stays")
+        why = infeasible(self._units, wanted)
+        if why:
+            self.report(Level.ERROR, "infeasible", f"{why}; the last set points stay")
+            return None
+        start = self._last.P if self._last is not None and self.p.warm_start else None
+        return Request(self.p, self._units, wanted, start)
+
+    @staticmethod
+    def solve(request: Request, work: Work) -> Dispatch | str:
+        """Solve one demand by the method asked for; a text says why there is no dispatch."""
+        p, units, demand, start = request
+        optimiser = Optimiser(units, nseg=p.nseg, tol=p.tol, mip_gap=p.mip_gap, time_limit=p.time_limit)
+        try:
+            if p.method == "certified":
+                return optimiser.certified(demand, start, lambda cost, bound: work.status(cost=cost, bound=bound))
+            if p.method == "two_stage":
+                found = optimiser.two_stage(demand, start)
+            else:
+                if p.method == "enumeration":
+                    P = enumerate_kinks(units, demand)
+                else:
+                    P = swarm(units, demand, p.algorithm, p.seed, p.n_pop, p.n_iter)
+                found = Dispatch(P, units.total(P), price=marginal_cost(units, P), stage=p.method)
+        except (InfeasibleError, NoDispatch, TooManyError) as error:
+            return str(error)
+        # these methods prove nothing: what the same units without ripples would cost is a bound all the same
+        plain = without_ripples(units)
+        found.bound = plain.total(lambda_iteration(plain, demand))
+        return found
+
+    def answer(self, t: int, result: Result[Dispatch | str] | None, new: bool) -> Mapping[str, tuple[float, ...]]:
+        """Give a new dispatch once, nothing at other ticks."""
+        if not new or result is None:
+            return {}
+        found = result.answer
+        if found is None or isinstance(found, str):
+            self.report(Level.ERROR, "no dispatch", f"{found or 'no dispatch in time'}; the last set points stay")
+            return {}
+        if "failed" in found.reason:
+            self.report(Level.WARN, "NLP", found.reason)
+        if found.limited:
+            self.report(Level.WARN, "time limit", f"{found.reason}: gap {found.gap:.6g} $/h, not repeatable")
+        self._last = found
+        units = self._units
+        low, high = arch_bounds(units, found.P)
+        arches = [int(np.searchsorted(units.valve_points(j), low[j] + 1e-9, "right")) for j in range(len(units))]
+        at_valve = (np.abs(found.P - low) < 1e-6) | (np.abs(found.P - high) < 1e-6)
+        rows = np.column_stack([found.P, units.cost(found.P), arches, at_valve])
+        price = np.nan_to_num(found.price, posinf=1e9, neginf=-1e9)
+        repeatable = float(result.repeatable and not found.limited)
+        summary = (self._asked[0] if self._asked else 0.0, found.cost, found.bound, found.gap, float(price[0]),
+                   float(price[1]), float(found.nodes), float(found.binaries), repeatable)  # fmt: skip
+        return {"setpoints": tuple(found.P.tolist()), "result": tuple(rows.ravel().tolist()), "summary": summary}
+
+    def health(self) -> Mapping[str, str]:
+        """Add the stages of the last dispatch."""
+        last = self._last
+        if last is None:
+            return super().health()
+        figures = {f"stage {name}": f"{seconds:.3g} s" for name, seconds in last.stages.items()}
+        return {**super().health(), "cost": f"{last.cost:.9g} $/h", "lower bound": f"{last.bound:.9g} $/h",
+                "gap": f"{last.gap:.3g} $/h", "stage reached": last.stage, "stop reason": last.reason,
+                "nodes": str(last.nodes), "binaries": str(last.binaries), **figures}  # fmt: skip
+
+
+main = executable(DispatchSolver)

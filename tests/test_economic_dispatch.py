@@ -1,0 +1,329 @@
+"""Economic dispatch: the model, both stages, the proof and its independent checks, the node."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from softrig_power.dispatch.baselines import lambda_iteration, swarm, without_ripples
+from softrig_power.dispatch.branch import branch_and_bound, chord_excess
+from softrig_power.dispatch.certify import InfeasibleError, Optimiser, lowering
+from softrig_power.dispatch.enumeration import TooManyError, enumerate_kinks
+from softrig_power.dispatch.two_stage import breakpoints, milp, nlp
+from softrig_power.dispatch.units import TableError, Units, balanced, marginal_cost
+
+# table, demand (MW), optimal cost ($/h), its tolerance: the paper's cases, corrected (Sharifzadeh 2020, Tables II to VI)
+CASES = {
+    "I": ("units_3", 850.0, 8234.071730, 1e-4),
+    "II": ("units_13", 1800.0, 17963.829201, 1e-3),
+    "II, e_3 = 150": ("units_13_e3_150", 1800.0, 17960.366122, 1e-3),
+    "III": ("units_40", 10500.0, 121412.535519, 1e-3),
+}
+UNITS_13 = [628.3185, 149.5997, 222.7491, 109.8666, 109.8666, 109.8666, 109.8666, 109.8666, 60, 40, 40, 55, 55]
+
+
+@pytest.fixture(params=CASES.values(), ids=CASES.keys(), scope="module")
+def case(request):
+    table, demand, cost, tolerance = request.param
+    units = Units.read(table)
+    return units, demand, cost, tolerance, Optimiser(units).certified(demand)
+
+
+def feasible(units, P, demand):
+    return (abs(P.sum() - demand) <= 1e-6) and (units.p_min <= P).all() and (units.p_max >= P).all()
+
+
+# Model ----------------------------------------------------------------------------------------------
+
+
+def test_the_cost_is_equation_1_and_its_slopes_are_its_derivatives():
+    units = Units.read("units_13")
+    P = units.p_min + 0.37 * (units.p_max - units.p_min)
+    row = units.table[2]
+    assert units.cost(P)[2] == pytest.approx(
+        row[2] * P[2] ** 2 + row[3] * P[2] + row[4] + abs(row[5] * np.sin(row[6] * (row[0] - P[2]))), rel=1e-14
+    )
+    left, right = units.slopes(P)
+    numeric = (units.cost(P + 1e-5) - units.cost(P - 1e-5)) / 2e-5
+    assert left == pytest.approx(numeric, rel=1e-6)
+    assert right == pytest.approx(numeric, rel=1e-6)
+    P[0] = units.valve_points(0)[3]
+    left, right = units.slopes(P)
+    assert right[0] - left[0] == pytest.approx(2 * 300 * 0.035, rel=1e-9)  # 2 e f
+    assert units.slopes(units.p_min)[0].tolist() == [-np.inf] * 13
+
+
+def test_valve_points_are_where_the_ripple_is_zero():
+    units = Units.read("units_40")
+    for j in range(len(units)):
+        ends = units.valve_points(j)
+        ripple = units.table[j, 5] * np.abs(np.sin(units.table[j, 6] * (ends[:-1] - units.p_min[j])))
+        assert ripple == pytest.approx(0.0, abs=1e-9)
+        assert (np.diff(ends) > 0).all()
+
+
+def test_unusual_units_have_no_arches_or_merged_ones():
+    ranges = [(100, 100), (0, 200), (0, 200), (0, 2 * np.pi / 0.03 + 5e-7)]
+    ripples = [(300, 0.03), (0, 0.03), (300, 0), (300, 0.03)]
+    table = np.array([[*limits, 0.001, 8, 5, *ripple] for limits, ripple in zip(ranges, ripples, strict=True)])
+    units = Units(("fixed", "no e", "no f", "sliver"), table)
+    assert [len(units.valve_points(j)) for j in range(4)] == [1, 2, 2, 3]
+    assert units.valve_points(3)[-1] == table[3, 1]
+    assert [len(p) for p in breakpoints(units, 4)] == [1, 5, 5, 9]
+    found = Optimiser(units).certified(400.0)
+    assert feasible(units, found.P, 400.0)
+    assert found.P[0] == 100.0
+    assert found.gap <= 1e-3
+
+
+def test_a_broken_table_is_refused_by_row_and_column(tmp_path):
+    good = (["a", "b"], np.array([[0.0, 10, 0.1, 1, 1, 1, 1]] * 2))
+    broken = [
+        (1, 0, np.nan, "unit b, column p_min_MW: nan"),
+        (0, 5, -1.0, "unit a, column e_usd"),
+        (0, 2, -1.0, "unit a, column a_usd"),
+        (1, 6, -1.0, "unit b, column f_rad"),
+        (0, 0, 11.0, "unit a: p_min_MW 11 is above p_max_MW 10"),
+    ]
+    for row, column, value, text in broken:
+        table = good[1].copy()
+        table[row, column] = value
+        with pytest.raises(TableError, match=text):
+            Units(tuple(good[0]), table)
+    with pytest.raises(TableError, match="unit a: its name stands twice"):
+        Units(("a", "a"), good[1])
+    file = tmp_path / "units.csv"
+    head = "unit,p_min_MW,p_max_MW,a_usd_per_MW2h,b_usd_per_MWh,c_usd_per_h,e_usd_per_h,f_rad_per_MW\n"
+    files = [
+        (head, "no unit in it"),
+        (head.replace(",e_usd_per_h", "") + "a,1,2,3,4,5,6\n", "no column e_usd"),
+        (head + "a,1,2,3,4,5,x,7\n", "line 2, column e_usd_per_h: 'x' is no number"),
+    ]
+    for text, message in files:
+        file.write_text(text)
+        with pytest.raises(TableError, match=message):
+            Units.read(str(file))
+
+
+# The published cases ----------------------------------------------------------------------------------------------
+
+
+def test_cost_bound_and_balance_of_the_published_cases(case):
+    """The reported cost is F at the dispatch, and the bound proves the optimum to the tolerance."""
+    units, demand, cost, tolerance, found = case
+    assert found.cost == pytest.approx(cost, abs=tolerance)
+    assert found.cost == units.total(found.P)
+    assert found.bound <= found.cost
+    assert found.bound <= cost + 1e-6
+    assert found.gap <= 1e-3
+    assert found.reason == "proven"
+    assert feasible(units, found.P, demand)
+
+
+def test_dispatch_of_the_published_cases(case):
+    units, _, _, _, found = case
+    P = units.sorted_copies(found.P)
+    if len(units) == 3:
+        assert P == pytest.approx([300.2669, 149.7331, 400.0], abs=1e-3)
+    elif len(units) == 13:
+        assert P == pytest.approx(UNITS_13, abs=1e-3)
+    else:
+        assert P[[34, 35]] == pytest.approx([200.0, 194.3978], abs=1e-3)
+
+
+def test_kink_enumeration_agrees_with_the_proof():
+    """An independent method that is exact if at most one unit is off its valve points."""
+    for table in ("units_13", "units_13_e3_150"):
+        units = Units.read(table)
+        for demand in range(1500, 2501, 250):
+            found = Optimiser(units).certified(float(demand))
+            assert found.reason == "proven"
+            assert units.total(enumerate_kinks(units, float(demand))) == pytest.approx(found.cost, abs=1e-3)
+    with pytest.raises(TooManyError, match="more than 1000 combinations"):
+        enumerate_kinks(units, 1800.0, most=1000)
+
+
+@pytest.mark.long
+def test_scip_confirms_the_13_units():
+    """A global solver of other people's, the sine kept as it is."""
+    from pyscipopt import Model, quicksum
+    from pyscipopt import sin as scip_sin
+
+    for table, _, _, _ in list(CASES.values())[:3]:
+        units = Units.read(table)
+        demand = {3: 850.0, 13: 1800.0}[len(units)]
+        model = Model()
+        model.hideOutput()
+        P = [model.addVar(lb=row[0], ub=row[1]) for row in units.table]
+        s = [model.addVar(lb=0.0) for _ in P]
+        y = [model.addVar(lb=None) for _ in P]
+        for p, ripple, cost, (p_min, _, a, b, c, e, f) in zip(P, s, y, units.table, strict=True):
+            model.addCons(ripple >= e * scip_sin(f * (p - p_min)))
+            model.addCons(ripple >= -e * scip_sin(f * (p - p_min)))
+            model.addCons(cost >= a * p * p + b * p + c + ripple)
+        model.addCons(quicksum(P) == demand)
+        model.setObjective(quicksum(y))
+        model.setParam("limits/absgap", 1e-3)
+        model.setParam("limits/time", 120)
+        model.optimize()
+        found = Optimiser(units).certified(demand)
+        assert model.getDualbound() <= found.cost + 1e-3
+        assert model.getObjVal() == pytest.approx(found.cost, abs=2e-3)
+
+
+def test_the_plain_two_stages_are_no_proof():
+    """One segment an arch ends in other arches: the method of the paper finds the optimum only with luck."""
+    units = Units.read("units_3")
+    assert Optimiser(units, nseg=1).two_stage(850.0).cost == pytest.approx(8343.936, abs=1e-2)
+    assert Optimiser(units, nseg=4).two_stage(850.0).cost == pytest.approx(8234.071730, abs=1e-4)
+    first = milp(units, 850.0, breakpoints(units, 4))
+    assert first.objective == pytest.approx(8233.03, abs=0.01)  # chords: 1 $/h below any dispatch
+    assert first.binaries == 51
+    assert units.total(first.P) > 8234.07
+    forty = Units.read("units_40")
+    assert Optimiser(forty, nseg=2).two_stage(10500.0).cost == pytest.approx(121412.535519, abs=1e-3)
+    thirteen = Units.read("units_13")
+    assert Optimiser(thirteen, nseg=1).two_stage(1800.0).cost == pytest.approx(18222.932, abs=1e-2)
+
+
+# The proof ----------------------------------------------------------------------------------------------
+
+
+def test_no_chord_lowered_is_above_the_cost():
+    """Every segment of the 40 units, at 100 points; on units 27 to 29 plain chords overestimate by dollars."""
+    units = Units.read("units_40")
+
+    def alone(j):
+        return Units(("one",), units.table[j : j + 1])
+
+    worst = 0.0
+    for nseg in (1, 3):
+        for j, points in enumerate(breakpoints(units, nseg)):
+            low = lowering(units, j, points)
+            for (x0, x1), down in zip(pairwise(points), low, strict=True):
+                x = np.linspace(x0, x1, 100)
+                cost = alone(j).cost(x[:, None])[:, 0]
+                chord = np.interp(x, [x0, x1], cost[[0, -1]])
+                worst = max(worst, float((chord - cost).max()))
+                assert (chord - down <= cost + 1e-9).all()
+    assert worst > 1.0
+    assert chord_excess(units.table[26], *units.valve_points(26)[:2]) > 1.0
+
+
+def test_the_bound_holds_for_random_units():
+    """Against brute force on a fine grid: three random units, the third takes the residual."""
+    chance = np.random.default_rng(1)
+    for _ in range(20):
+        p_min = chance.uniform(0, 50, 3)
+        table = np.column_stack([p_min, p_min + chance.uniform(20, 300, 3), chance.uniform(0, 0.02, 3),
+                                 chance.uniform(2, 10, 3), chance.uniform(0, 500, 3), chance.uniform(0, 300, 3),
+                                 chance.uniform(0.0, 0.1, 3)])  # fmt: skip
+        units = Units(("a", "b", "c"), table)
+        demand = float(units.p_min.sum() + chance.uniform(0.1, 0.9) * (units.p_max - units.p_min).sum())
+        found = Optimiser(units).certified(demand)
+        x, y = np.meshgrid(np.linspace(table[0, 0], table[0, 1], 700), np.linspace(table[1, 0], table[1, 1], 700))
+        z = demand - x - y
+        inside = (z >= table[2, 0]) & (z <= table[2, 1])
+        brute = units.cost(np.stack([x[inside], y[inside], z[inside]], -1)).sum(-1).min()
+        assert found.bound <= brute + 1e-9
+        assert found.gap <= 1e-3
+        assert found.cost <= brute + 1e-3
+
+
+def test_order_and_copies_of_units_change_nothing():
+    units = Units.read("units_13")
+    cost = Optimiser(units).certified(1800.0).cost
+    shuffled = np.random.default_rng(3).permutation(13)
+    other = Units(tuple(units.ids[j] for j in shuffled), units.table[shuffled])
+    found = Optimiser(other).certified(1800.0)
+    assert found.cost == pytest.approx(cost, abs=1e-6)
+    assert feasible(other, found.P, 1800.0)
+    twice = Units(tuple(f"{c}{i}" for c in "ab" for i in units.ids), np.tile(units.table, (2, 1)))
+    double = Optimiser(twice).certified(3600.0)
+    assert double.reason == "proven"
+    assert double.cost <= 2 * cost + 1e-6  # two copies can share what one has to swallow
+    assert double.cost == pytest.approx(2 * cost, rel=2e-3)
+
+
+def test_where_boxes_run_out_the_adaptive_milps_prove_it():
+    """The certificate of the paper's own machinery: chords lowered below the cost and split where they are too low."""
+    units = Units.read("units_3")
+    optimiser = Optimiser(units, max_nodes=1, nseg=2)
+    found = optimiser.certified(850.0)
+    assert found.stage == "adaptive MILP"
+    assert found.reason == "proven"
+    assert found.cost == pytest.approx(8234.071730, abs=1e-4)
+    assert [b for _, _, b in found.trace] == sorted(b for _, _, b in found.trace)
+
+
+def test_a_time_limit_gives_the_best_so_far_with_its_true_gap():
+    units = Units(tuple(str(i) for i in range(80)), np.tile(Units.read("units_40").table, (2, 1)))
+    found = Optimiser(units, max_nodes=1, time_limit=1.0, nseg=2).certified(21000.0)
+    assert found.limited
+    assert "time limit" in found.reason
+    assert feasible(units, found.P, 21000.0)
+    assert found.cost == units.total(found.P)
+    assert 242700 < found.bound < found.cost < 245000
+
+
+def test_fewer_boxes_give_a_lower_bound_never_a_wrong_one():
+    units = Units.read("units_13")
+    start = balanced(units, lambda_iteration(units, 1800.0), 1800.0)
+    bounds = [branch_and_bound(units, 1800.0, start, 1e-3, n).bound for n in (1, 10, 100, 5000)]
+    assert bounds == sorted(bounds)
+    assert bounds[0] < 17950
+    assert bounds[-1] == pytest.approx(17963.829201, abs=1e-3)
+
+
+# Prices and baselines ----------------------------------------------------------------------------------------------
+
+
+def test_the_price_is_what_a_megawatt_more_or_less_changes(case):
+    units, demand, _, _, found = case
+    less, more = found.price
+    assert less <= more + 1e-9
+    for step, price in ((-1e-4, less), (1e-4, more)):
+        j = int(np.argmax(units.slopes(found.P)[0])) if step < 0 else int(np.argmin(units.slopes(found.P)[1]))
+        P = found.P.copy()
+        P[j] += step
+        assert (units.total(P) - found.cost) / step == pytest.approx(price, abs=2e-3)
+
+
+def test_lambda_iteration_meets_equal_slopes_and_bounds_the_cost():
+    units = Units.read("units_40")
+    plain = without_ripples(units)
+    P = lambda_iteration(units, 10500.0)
+    assert feasible(units, P, 10500.0)
+    left, right = plain.slopes(P)
+    assert left.max() == pytest.approx(right.min(), abs=1e-6)
+    # an independent solver of the same quadratic problem
+    assert plain.total(P) == pytest.approx(plain.total(nlp(plain, 10500.0, P * 0 + units.p_min)[0]), abs=1e-5)
+    assert plain.total(P) < 121412.5
+
+
+def test_a_swarm_is_feasible_and_misses_the_optimum():
+    units = Units.read("units_13")
+    P = swarm(units, 1800.0, "pso", seed=1, n_pop=30, n_iter=60)
+    assert feasible(units, P, 1800.0)
+    assert 17963.829 * 1.002 < units.total(P) < 17963.829 * 1.06
+    assert P.tolist() == swarm(units, 1800.0, "pso", seed=1, n_pop=30, n_iter=60).tolist()
+
+
+def test_a_demand_beyond_the_units_is_infeasible_with_both_sums():
+    units = Units.read("units_3")
+    for demand in (249.0, 1201.0):
+        with pytest.raises(InfeasibleError, match=f"demand {demand:g} MW, but the units give 250 to 1200 MW"):
+            Optimiser(units).certified(demand)
+    assert Optimiser(units).certified(250.0).P.tolist() == units.p_min.tolist()
+    assert Optimiser(units).certified(1200.0).P.tolist() == units.p_max.tolist()
+    assert marginal_cost(units, units.p_min)[0] == -np.inf
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("copies", "limit", "nseg"), [(2, 242800, 4), (25, 3034710, 2)])
+def test_many_units(copies, limit, nseg):
+    """80 and 1000 units within a minute by the two stages."""
+    base = Units.read("units_40")
+    units = Units(tuple(str(i) for i in range(40 * copies)), np.tile(base.table, (copies, 1)))
+    found = Optimiser(units, nseg=nseg, time_limit=55.0, mip_gap=1e-5).two_stage(10500.0 * copies)
+    assert feasible(units, found.P, 10500.0 * copies)
+    assert found.cost <= limit
