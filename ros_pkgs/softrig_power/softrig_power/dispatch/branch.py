@@ -17,7 +17,7 @@ from softrig_core.model.jit import jit
 
 from .units import NARROW, Array, Units
 
-DEPTH = 2000
+MEMORY = 30_000_000  # corners of all hulls on the stack
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,8 @@ def branch_and_bound(units: Units, demand: float, P: Array, tol: float, max_node
     table, groups = np.ascontiguousarray(units.table[order]), units.groups[order]
     corners = 4 + max(len(units.valve_points(j)) for j in range(len(units)))
     start = units.sorted_copies(P)[order]
-    cost, bound, nodes, found = _search(table, groups, float(demand), start, tol, max_nodes, corners, DEPTH, NARROW)
+    depth = max(2, min(2000, MEMORY // (len(units) * corners)))
+    cost, bound, nodes, found = _search(table, groups, float(demand), start, tol, max_nodes, corners, depth, NARROW)
     back = np.empty_like(found)
     back[order] = found
     return Proof(back, float(cost), float(min(bound, cost)), int(nodes))

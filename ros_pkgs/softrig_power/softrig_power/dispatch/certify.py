@@ -137,12 +137,13 @@ class Optimiser:
             if progress is not None:
                 progress(found.cost, found.bound)
 
-        if len(self.units) <= SMALL:
-            # half of the tolerance, for what is proven is the search's own best, which the NLP then betters a little
-            proof = branch_and_bound(self.units, demand, found.P, 0.5 * self.tol, self.max_nodes)
-            self._better(found, nlp(self.units, demand, proof.P)[0])
-            found.nodes += proof.nodes
-            note("branch and bound", proof.bound)
+        # Half of the tolerance, for what is proven is the search's own best, which the NLP then betters a little. Of
+        # many units only the first box: its bound costs nothing, the boxes to come would be too many.
+        boxes = self.max_nodes if len(self.units) <= SMALL else 1
+        proof = branch_and_bound(self.units, demand, found.P, 0.5 * self.tol, boxes)
+        self._better(found, nlp(self.units, demand, proof.P)[0])
+        found.nodes += proof.nodes
+        note("branch and bound", proof.bound)
         if found.gap > self.tol:
             try:
                 plain = self.two_stage(demand, found.P)
@@ -223,7 +224,7 @@ class Optimiser:
             found.P, found.cost, found.price = P, cost, marginal_cost(self.units, P)
 
 
-SMALL = 64  # units up to which the branch and bound is tried
+SMALL = 64  # units up to which the branch and bound goes beyond its first box
 
 
 def lowering(units: Units, j: int, points: Array) -> Array:

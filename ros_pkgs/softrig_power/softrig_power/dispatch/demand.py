@@ -28,11 +28,9 @@ class DemandParams(BlockParams):
         return self
 
 
-class DemandSource(Block):
+class DemandSource(Block[DemandParams]):
     """Demand of the system, in steps."""
 
-    Params = DemandParams
-    p: DemandParams
     OUTPUTS = (scalars("demand", "dispatch/demand", {"demand_MW": "MW"}),)
 
     def setup(self) -> None:

@@ -28,15 +28,12 @@ class FleetParams(BlockParams):
         return source
 
 
-class UnitFleet(Plant):
+class UnitFleet(Plant[FleetParams]):
     """Thermal units that start at their lower limits and go to their set points.
 
     Outputs: output (MW) and marginal cost dF/dP ($/MWh) of each unit, the mean of both sides at a valve point; sum of
     outputs and of costs.
     """
-
-    Params = FleetParams
-    p: FleetParams
 
     @classmethod
     def ports(cls, params: FleetParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:

@@ -55,7 +55,7 @@ class Request(NamedTuple):
     start: Any
 
 
-class DispatchSolver(Solver[Request, "Dispatch | str"]):
+class DispatchSolver(Solver[DispatchParams]):
     """Economic dispatch on request.
 
     A demand that has changed, other units or a press on `solve` ask for a dispatch. While one is worked on, the newest
@@ -65,9 +65,6 @@ class DispatchSolver(Solver[Request, "Dispatch | str"]):
     -----
     ``dispatch/summary`` carries what a run repeats; times of the stages and how far the work is stand in /diagnostics.
     """
-
-    Params = DispatchParams
-    p: DispatchParams
 
     @classmethod
     def ports(cls, params: DispatchParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
@@ -141,7 +138,7 @@ class DispatchSolver(Solver[Request, "Dispatch | str"]):
         found.bound = plain.total(lambda_iteration(plain, demand))
         return found
 
-    def answer(self, t: int, result: Result[Dispatch | str] | None, new: bool) -> Mapping[str, tuple[float, ...]]:
+    def answer(self, t: int, result: Result | None, new: bool) -> Mapping[str, tuple[float, ...]]:
         """Give a new dispatch once, nothing at other ticks."""
         if not new or result is None:
             return {}
