@@ -268,7 +268,7 @@ KEYS = {"casadi": "python3-casadi-pip", "ruamel": "python3-ruamel.yaml", "yaml":
     name: f"python3-{name}" for name in ("matplotlib", "numpy", "pyarrow", "pydantic", "rich", "scipy")
 }
 FROM_PIP = {  # no rosdep key; the README says so
-    "backports", "clarabel", "compression", "comtrade", "control", "cvxpy", "daqp", "distributed", "highspy", "lz4",
+    "backports", "clarabel", "compression", "comtrade", "control", "cvxpy", "daqp", "distributed", "highspy", "llvmlite", "lz4",
     "mcap", "numba", "optuna", "osqp", "pyscipopt", "rosbags",
 }  # fmt: skip
 OTHERS = {"motulator", "gym_electric_motor"}  # compared with where somebody has installed them
