@@ -264,12 +264,14 @@ def test_a_call_that_waited_for_the_set_up_of_another_runs_as_that_one(tmp_path)
     assert "export AMENT_PREFIX_PATH=/built" in first
 
 
-KEYS = {"casadi": "python3-casadi-pip", "ruamel": "python3-ruamel.yaml", "yaml": "python3-yaml"} | {
-    name: f"python3-{name}" for name in ("matplotlib", "numpy", "pyarrow", "pydantic", "rich", "scipy")
-}
+KEYS = (
+    {"casadi": "python3-casadi-pip", "ruamel": "python3-ruamel.yaml", "yaml": "python3-yaml"}
+    | {"typing_extensions": "python3-typing-extensions"}
+    | {name: f"python3-{name}" for name in ("matplotlib", "numpy", "pyarrow", "pydantic", "rich", "scipy")}
+)
 FROM_PIP = {  # no rosdep key; the README says so
-    "backports", "clarabel", "compression", "comtrade", "control", "cvxpy", "daqp", "distributed", "highspy", "llvmlite", "lz4",
-    "mcap", "numba", "optuna", "osqp", "pyscipopt", "rosbags",
+    "backports", "clarabel", "compression", "comtrade", "control", "cvxpy", "daqp", "distributed", "highspy",
+    "llvmlite", "lz4", "mcap", "numba", "optuna", "osqp", "pyscipopt", "rosbags",
 }  # fmt: skip
 OTHERS = {"motulator", "gym_electric_motor"}  # compared with where somebody has installed them
 
