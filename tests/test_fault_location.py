@@ -4,16 +4,31 @@ from __future__ import annotations
 
 import math
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from softrig_bags.read import read_bag
+from softrig_bags.write import write_bag
+from softrig_bringup.cli import main
+from softrig_bringup.locate import read
+from softrig_core.model.block import Level
 from softrig_core.model.params import ParameterError, build
-from softrig_power.fault_location import study
+from softrig_core.rig.processes import run_processes
+from softrig_core.rig.replay import feed
+from softrig_core.rig.simulate import simulate
+from softrig_core.wire.recording import Recording
+from softrig_power.fault_location import pictures, study
 from softrig_power.fault_location.cases import PUBLISHED, RESISTANCES, Case
+from softrig_power.fault_location.comtrade_file import ComtradeFileError, read_comtrade, write_comtrade
 from softrig_power.fault_location.confidence import ErrorBudget, confidence, shifted
 from softrig_power.fault_location.inception import inception, windowed
 from softrig_power.fault_location.location import Locator, LocatorParams, locate
+from softrig_power.fault_location.locator import FaultLocator
+from softrig_power.fault_location.marker import LocationMarker
+from softrig_power.fault_location.measurement import butterworth
 from softrig_power.fault_location.parameters import RATES, RigParams
+from softrig_power.fault_location.plant import LinePlant
 from softrig_power.fault_location.record import CHANNELS, Record, RecordError, Status
 from softrig_power.fault_location.simulation import FaultedLine
 
@@ -113,6 +128,19 @@ def test_noise_has_its_level():
     level = np.std(noisy.samples - clean.samples, axis=0)
     rms = np.sqrt(np.mean(clean.samples[:400] ** 2, axis=0))
     assert 20.0 * np.log10(rms / level) == pytest.approx(np.full(12, 40.0), abs=1.0)
+
+
+@pytest.mark.parametrize("rate", [4e3, 20e3, 100e3])
+def test_filter_is_a_butterworth(rate):
+    from scipy.signal import butter, sosfreqz
+
+    frequencies = np.array([50.0, 0.1 * rate, 0.2 * rate, 0.4 * rate])
+    wanted = sosfreqz(butter(4, rate / 5.0, fs=1e6, output="sos"), frequencies, fs=1e6)[1]
+    b0, b1, b2, a1, a2 = butterworth(0.2 * rate * 1e-6).T[:, :, None]
+    z = np.exp(-2j * math.pi * frequencies * 1e-6)
+    found = np.prod((b0 + b1 * z + b2 * z**2) / (1.0 + a1 * z + a2 * z**2), axis=0)
+    np.testing.assert_allclose(found, wanted, rtol=1e-7)
+    assert abs(found[2]) == pytest.approx(math.sqrt(0.5))
 
 
 def test_late_clock_and_ratio_errors():
@@ -483,3 +511,261 @@ def test_inception_of_a_healthy_line():
     with pytest.raises(RecordError) as caught:
         inception(simulated(Case("none", 50.0, 0.0)), 50.0)
     assert caught.value.status == Status.NO_FAULT
+
+
+# nodes: streams and records, in process, from a recording, through processes -----------------------------------------
+
+
+def position(recording):
+    """The bytes of what was located, to be compared bit by bit."""
+    return recording.topics["location"].data, recording.topics["verdict"].data
+
+
+@pytest.fixture(scope="module")
+def runs():
+    """Both forms at 4 kHz, in process."""
+    streams = simulate("fault_location_m4k")
+    forms = {"streams": streams}
+    forms["record"] = simulate("fault_location_m4k", overrides={"fault_locator.form": "record"})
+    return forms
+
+
+def test_both_forms_and_the_function_agree_bit_by_bit(runs):
+    direct = located(simulated(measurement__profile="m4k"))
+    for run in runs.values():
+        assert run.blocks["fault_locator"].result.x_km == direct.x_km
+        assert run.signals["location/0"].x.tolist() == [direct.x_km]
+    assert position(runs["streams"].recording) == position(runs["record"].recording)
+
+
+def test_replay_gives_the_same_bits(runs, tmp_path):
+    """The locator fed with the messages of a bag, and `softrig locate`'s reading of it."""
+    for form, run in runs.items():
+        write_bag(tmp_path / form, run.recording)
+        recording = read_bag(tmp_path / form)
+        member = next(m for m in run.rig.members if m.name == "fault_locator")
+        assert position(feed(run.rig, member, run.seed, recording)) == position(run.recording)
+        assert located(read([tmp_path / form])).x_km == run.signals["location/0"].x[0]
+    without = Recording(
+        (t.name, t.msgtype) for t in runs["streams"].recording.topics.values() if "record" not in t.name
+    )
+    numbers = {name: k for k, name in enumerate(without.topics)}
+    for t, topic, data in runs["streams"].recording.messages():
+        if topic.name in numbers:
+            without.add(numbers[topic.name], t, data)
+    write_bag(tmp_path / "bare", without)
+    np.testing.assert_array_equal(read([tmp_path / "bare"]).samples, read([tmp_path / "record"]).samples)
+
+
+@pytest.mark.processes
+@pytest.mark.parametrize("form", ["streams", "record"])
+def test_processes_give_the_same_bits(runs, tmp_path, form):
+    outcome = run_processes(runs[form].rig, runs[form].seed, tmp_path)
+    assert outcome.error == ""
+    assert position(outcome.recording) == position(runs[form].recording)
+
+
+VARIANTS = ["", "_record", "_woa", "_gwo", "_integer_grid", "_phasor", "_printed", "_printed_coefficient",
+            "_c_to_ground", "_not_excited", "_no_fault", "_noise", "_late", "_m4k"]  # fmt: skip
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_scenarios(variant):
+    run = simulate(f"fault_location{variant}")
+    assert [(r.name, r.value) for r in run.missed] == []
+    assert any(r.judged for r in run.results)
+
+
+def test_every_variant_is_tested():
+    from softrig_core.rig.scenario import list_scenarios
+
+    names = {n.removeprefix("fault_location") for n in list_scenarios() if n.startswith("fault_location")}
+    assert names == set(VARIANTS)
+
+
+def fed(locator, record, skip=(), until=None):
+    """Give a record to a locator block sample by sample; samples in `skip` are refused by its node."""
+    n = len(record.samples) if until is None else until
+    for k in range(n):
+        t = round(k * 1e9 / record.rate)
+        groups = {name: tuple(record.group(name)[k].tolist()) for name in ("u_s", "i_s", "u_r", "i_r")}
+        answer = locator.refused(t) if k in skip else locator.update(t, locate=None, **groups)
+        assert answer == {}
+    return locator
+
+
+def test_a_refused_sample_is_a_gap(record):
+    locator = fed(FaultLocator(), record, skip={600})
+    answer = locator.update(10**9, locate=(1.0,), **dict.fromkeys(("u_s", "i_s", "u_r", "i_r"), (1.0, 2.0, 3.0)))
+    assert answer == {"verdict": (float(Status.GAP), 0.0, 0.0)}
+    assert locator.result.text.startswith("gap at 0.03 s")
+    assert locator.reports["gap"][0] == Level.WARN
+
+
+def test_the_button_locates_what_is_there(record):
+    locator = fed(FaultLocator(truth_km=50.0), record, until=1100)
+    rows = {name: tuple(record.group(name)[1100].tolist()) for name in ("u_s", "i_s", "u_r", "i_r")}
+    answer = locator.update(55_000_000, locate=(1.0,), **rows)
+    assert answer["location"][0] == located(record).x_km
+    assert locator.update(55_050_000, locate=(1.0,), **rows) == {}  # still held down
+    assert "error -0.0084 % of the line (-10.1 m)" in locator.reports["ok"][1]
+
+
+def test_run_button_begins_a_new_record():
+    plant = LinePlant(measurement={"profile": "m4k"}, duration=0.01)
+    first = []
+    for k in range(60):
+        first.append(plant.outputs(k * 250_000))
+        plant.advance(k * 250_000, run=(1.0,) if k == 44 else None)
+    assert [k for k, answer in enumerate(first) if "record" in answer] == [39]
+    again = [plant.outputs(0)]
+    assert first[45]["u_s"] == first[0]["u_s"]
+    for k in range(24):
+        plant.advance(k * 250_000, run=None)
+        again.append(plant.outputs(k))
+    assert [k for k, answer in enumerate(again) if "record" in answer] == [24]
+    assert again[24]["record"] == first[39]["record"]
+
+
+def test_profile_and_period_belong_together():
+    assert LinePlant(measurement={"profile": "m4k"}).p.period == 2.5e-4
+    with pytest.raises(ParameterError, match=r"period = 5e-05 s, but m4k samples every 0\.00025 s"):
+        LinePlant(period=5e-5, measurement={"profile": "m4k"})
+
+
+def test_markers(runs):
+    marker = runs["streams"].blocks["location_marker"]
+    drawn = {m.name: m for m in marker.markers()}
+    assert set(drawn) == {"conductor", "towers", "fault"}
+    assert drawn["fault"].points[0][0] == pytest.approx(4.998, abs=1e-3)
+    assert marker.status()["x"] == (runs["streams"].signals["location/0"].x[0], "km")
+    assert {m.name for m in LocationMarker().markers()} == {"conductor", "towers"}
+
+
+# COMTRADE ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("file_format", "apart"), [("float32", 1e-4), ("ascii", 1e-3), ("binary", 2e-3)])
+def test_comtrade_there_and_back(record, tmp_path, file_format, apart):
+    best = located(record).x_km
+    write_comtrade(tmp_path / "both", record, file_format=file_format)
+    both = read_comtrade([tmp_path / "both.cfg"])
+    resolution = {"float32": 1e-7, "ascii": 1e-5, "binary": 3.1e-5}[file_format]
+    peak = np.abs(record.samples).max(axis=0)
+    assert (np.abs(both.samples - record.samples) / peak).max() < resolution
+    assert (both.rate, both.start) == (record.rate, record.start)
+    for end in "sr":
+        write_comtrade(tmp_path / end, record, end, file_format=file_format)
+    two = read_comtrade([tmp_path / "s.cfg", tmp_path / "r.cfg"])
+    np.testing.assert_array_equal(two.samples, both.samples)
+    assert located(two).x_km == pytest.approx(best, abs=apart)
+
+
+def test_comtrade_of_unequal_recorders(record, tmp_path):
+    later = Record(record.t[40], record.rate, record.samples[40:])
+    write_comtrade(tmp_path / "s", record, "s")
+    write_comtrade(tmp_path / "r", later, "r")
+    joined = read_comtrade([tmp_path / "s.cfg", tmp_path / "r.cfg"])
+    assert joined.start == pytest.approx(0.002)
+    assert located(joined).x_km == pytest.approx(located(record).x_km, abs=1e-4)
+    write_comtrade(tmp_path / "late", record, "r", clock_late=20e-6)
+    with pytest.raises(RecordError, match=r"R lies \+0\.4 samples off S"):
+        read_comtrade([tmp_path / "s.cfg", tmp_path / "late.cfg"])
+
+
+def test_comtrade_secondary_kilovolts_and_names(record, tmp_path):
+    write_comtrade(tmp_path / "both", record)
+    cfg = tmp_path / "both.cfg"
+    lines = cfg.read_text().splitlines()
+    fields = lines[2].split(",")  # u_S a, now in secondary kV of a 4000:1 transformer
+    fields[4], fields[5], fields[10:] = "kV", repr(float(fields[5]) / 4e6), ["4000", "1", "S"]
+    cfg.write_text("\n".join([*lines[:2], ",".join(fields), *lines[3:]]) + "\n")
+    np.testing.assert_allclose(read_comtrade([cfg]).samples, record.samples, rtol=1e-6, atol=1.0)
+    names = [line.split(",")[1] for line in lines[2:14]]
+    swapped = read_comtrade([cfg], [*names[6:], *names[:6]])
+    np.testing.assert_allclose(swapped.samples[:, :6], record.samples[:, 6:], rtol=1e-6, atol=1.0)
+
+
+def test_comtrade_that_cannot_be_used(record, tmp_path):
+    write_comtrade(tmp_path / "s", record, "s")
+    with pytest.raises(ComtradeFileError, match=r"expected 2 voltage\(s\) and 2 current\(s\) of each phase.*VA_S \(V"):
+        read_comtrade([tmp_path / "s.cfg"])
+    with pytest.raises(ComtradeFileError, match="no such file"):
+        read_comtrade([tmp_path / "x.cfg"])
+    (tmp_path / "bad.cfg").write_text("hello\n")
+    (tmp_path / "bad.dat").write_text("")
+    with pytest.raises(ComtradeFileError, match="not readable as COMTRADE"):
+        read_comtrade([tmp_path / "bad.cfg"])
+    with pytest.raises(ComtradeFileError, match="no channel nobody"):
+        read_comtrade([tmp_path / "s.cfg"], ["nobody"] * 12)
+    data = (tmp_path / "s.dat").read_bytes()
+    (tmp_path / "s.dat").write_bytes(data[: 32 * 700] + data[32 * 701 :])  # a sample is missing
+    write_comtrade(tmp_path / "r", record, "r")
+    with pytest.raises(RecordError, match=r"gap at 0\.035 s"):
+        read_comtrade([tmp_path / "s.cfg", tmp_path / "r.cfg"])
+
+
+def test_command_line(record, tmp_path, capsys):
+    for end in "sr":
+        write_comtrade(tmp_path / end, record, end)
+    files = [str(tmp_path / "s.cfg"), str(tmp_path / "r.cfg")]
+    assert main(["locate", *files, "--bag", str(tmp_path / "bag"), "--pictures", str(tmp_path), "--truth", "50"]) == 0
+    said = capsys.readouterr().out
+    assert said.startswith("fault at 49.99")
+    assert "standard uncertainty" in said
+    assert "u_s 0.5 % would move it by" in said
+    assert (tmp_path / "objective.png").stat().st_size > 10_000
+    assert (tmp_path / "waveforms.png").stat().st_size > 10_000
+    assert main(["locate", str(tmp_path / "bag"), "--window", "0.021", "0.0395"]) == 0
+    assert capsys.readouterr().out.startswith("fault at 49.990 km from S (70.010 km from R)")
+    assert main(["locate", *files, "--set", "algorithm=integer_grid", "line.r1=0.03"]) == 0
+    capsys.readouterr()
+    assert main(["locate", *files, "--set", "line.l1=-1"]) == 2
+    assert "line.l1" in capsys.readouterr().err
+    assert main(["locate", str(tmp_path / "nothing.cfg")]) == 2
+    assert "no such file" in capsys.readouterr().err
+    write_comtrade(tmp_path / "healthy", simulated(Case("none", 50.0, 0.0)))
+    assert main(["locate", str(tmp_path / "healthy.cfg")]) == 1
+    assert "no_fault" in capsys.readouterr().err
+    assert main(["locate", str(tmp_path / "healthy.cfg"), "--window", "0.021", "0.0395"]) == 1
+    assert "no_fault" in capsys.readouterr().out
+
+
+# long ----------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.long
+def test_48_cases_with_all_six_methods(tmp_path):
+    """On all cores, within ten minutes; the swarms beside Brent, the baselines in their class."""
+    begin = time.monotonic()
+    seen = []
+    rows = study.run(study.published_jobs(), progress=lambda done, total: seen.append((done, total)))
+    assert time.monotonic() - begin < 600.0
+    assert seen == [(k, 288) for k in range(1, 289)]
+    errors = {m: np.array([r.error_m for r in rows if r.method == m]) for m in study.METHODS}
+    assert np.abs(errors["brent"]).max() == pytest.approx(11.11, rel=0.01)
+    assert np.abs(errors["woa"] - errors["brent"]).max() < 0.05
+    assert np.abs(errors["gwo"] - errors["brent"]).max() < 0.5
+    assert 15.0 < np.abs(errors["travelling_wave"]).max() < 30.0
+    assert 500.0 < np.abs(errors["phasor"]).max() < 6000.0
+    assert np.abs(errors["integer_grid"]).max() > 2400.0
+    assert all(r.cpu_s < 15.0 for r in rows)
+    pictures.methods(rows, tmp_path / "methods.png")
+    assert (tmp_path / "methods.png").stat().st_size > 10_000
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("algorithm", "apart"), [("woa", 0.05), ("gwo", 0.5)])
+def test_swarms_find_the_minimum_with_every_seed(algorithm, apart):
+    jobs = [(case, {}, {"algorithm": algorithm, "seed": s}) for case in study.SENSITIVITY for s in range(20)]
+    rows = study.run(jobs)
+    best = {case: study.run_case(case, {}, {}).error_m for case in study.SENSITIVITY}
+    off = [abs(row.error_m - best[Case(row.type, row.x_km, row.rf_ohm)]) for row in rows]
+    assert max(off) < apart
+
+
+@pytest.mark.long
+def test_study_does_not_depend_on_the_processes():
+    jobs = study.published_jobs(["brent"])[:12]
+    strip = lambda rows: [replace(row, cpu_s=0.0) for row in rows]  # noqa: E731
+    assert strip(study.run(jobs, processes=2)) == strip(study.run(jobs, processes=1))

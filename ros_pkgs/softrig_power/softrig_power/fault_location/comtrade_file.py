@@ -71,7 +71,7 @@ def _load(path: Path) -> Any:
     if not path.is_file():
         raise ComtradeFileError(f"{path}: no such file")
     try:
-        file = comtrade.Comtrade(ignore_warnings=True, use_numpy_arrays=True)
+        file = comtrade.Comtrade(ignore_warnings=True, use_numpy_arrays=True, use_double_precision=True)
         file.load(str(path))
     except Exception as error:  # the reader raises whatever a broken line gives
         raise ComtradeFileError(f"{path}: not readable as COMTRADE: {type(error).__name__}: {error}") from error

@@ -114,10 +114,10 @@ class Record:
             )
         apart = np.abs(t_s - t_r)
         if apart.max() > room:
-            k = int(np.argmax(apart > room))
+            offset = float(t_r[0] - t_s[0]) / float(t_s[1] - t_s[0])
             raise RecordError(
-                Status.UNSYNCHRONISED, f"unsynchronised: S at {t_s[k]:.9g} s, R at {t_r[k]:.9g} s, "
-                f"{(t_r[k] - t_s[k]) / (t_s[1] - t_s[0]):.3g} samples apart"
+                Status.UNSYNCHRONISED, f"unsynchronised: R lies {offset - round(offset):+.3g} samples off S, "
+                f"near {t_s[int(np.argmax(apart > room))]:.9g} s"
             )  # fmt: skip
         return _checked(t_s, np.hstack([s, r]))
 

@@ -1,0 +1,47 @@
+"""Figures of a fault location run, for scenario files."""
+
+from __future__ import annotations
+
+import numpy as np
+from softrig_core.rig.metrics import SignalMap
+from softrig_core.rig.registry import figure
+
+from .ports import LOCATION, VERDICT
+from .record import Status
+
+
+def _last(signals: SignalMap, topic: str, names: tuple[str, ...], name: str) -> float:
+    _, values = signals[f"{topic}/{names.index(name)}"]
+    if not len(values):
+        raise ValueError(f"nothing came on {topic}")
+    return float(values[-1])
+
+
+@figure("m", reads=("location/0",))
+def location_error(signals: SignalMap, *, truth: float) -> float:
+    """Located less true distance (km), in m."""
+    return 1e3 * (_last(signals, "location", LOCATION, "x_km") - truth)
+
+
+@figure("%", reads=("location/0",))
+def location_error_percent(signals: SignalMap, *, truth: float, length: float) -> float:
+    """|located - true distance| in % of the length of the line (both km), as the paper's tables."""
+    return 100.0 * abs(_last(signals, "location", LOCATION, "x_km") - truth) / length
+
+
+@figure("", reads=("verdict/0",))
+def location_status(signals: SignalMap, *, status: str) -> float:
+    """1 when the locator's last verdict is `status` (ok, no_fault, mode_not_excited, ...), else 0."""
+    return float(_last(signals, "verdict", VERDICT, "status") == Status[status.upper()])
+
+
+@figure("", reads=("location/0",))
+def locations(signals: SignalMap) -> float:
+    """Number of positions told."""
+    return float(len(signals["location/0"][1]))
+
+
+@figure("A", reads=("line/fault_current/x",))
+def fault_peak(signals: SignalMap, *, phase: str) -> float:
+    """Largest sampled |fault current| of phase a, b or c."""
+    return float(np.abs(signals[f"line/fault_current/{'xyz'['abc'.index(phase)]}"][1]).max())

@@ -1,0 +1,70 @@
+"""Node: the line, its towers and the located fault as markers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from softrig_core.model.block import Observer
+from softrig_core.model.marker import Marker
+from softrig_core.model.params import BlockParams, param
+from softrig_core.model.port import Port
+from softrig_core.node import executable
+
+from .ports import LOCATION, location_port
+
+HEIGHT = 0.2  # of the towers, in units of the picture
+GREY, RED = (0.5, 0.5, 0.5, 1.0), (0.9, 0.1, 0.1, 1.0)
+
+
+class LocationMarkerParams(BlockParams):
+    """What is drawn."""
+
+    period: float = param(5e-5, "sampling period", "s", gt=0.0, le=1.0)
+    length: float = param(120.0, "length of the line", "km", gt=0.0, le=3000.0)
+    towers: int = param(61, "towers drawn", ge=2, le=10000)
+    scale: float = param(0.1, "units of the picture a kilometre", "m/km", gt=0.0, le=1000.0)
+
+
+class LocationMarker(Observer[LocationMarkerParams]):
+    """Line along x from bus S in the frame ``line``, towers, a ball at the newest location; it and F as figures."""
+
+    Params = LocationMarkerParams
+
+    @classmethod
+    def ports(cls, params: LocationMarkerParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
+        """Only the location."""
+        return (location_port(),), ()
+
+    def start(self) -> None:
+        """Nothing located yet."""
+        self._location: tuple[float, ...] | None = None
+
+    def update(self, t: int, location: tuple[float, ...]) -> Mapping[str, tuple[float, ...]]:
+        """Keep the newest location; before the first the input has an age of None."""
+        if self.age("location") == 0:
+            self._location = location
+        return {}
+
+    def status(self) -> Mapping[str, tuple[float, str]]:
+        """Give the location, when there is one."""
+        if self._location is None:
+            return {}
+        named = dict(zip(LOCATION, self._location, strict=True))
+        return {"x": (named["x_km"], "km"), "f_min": (named["f_min"], "V"), "scatter": (named["scatter_km"], "km")}
+
+    def markers(self) -> Sequence[Marker]:
+        """Draw conductor and towers, and the fault."""
+        p = self.p
+        x = (p.scale * np.linspace(0.0, p.length, p.towers)).tolist()
+        wire = tuple((place, 0.0, HEIGHT) for place in x)
+        poles = tuple(point for place in x for point in ((place, 0.0, 0.0), (place, 0.0, HEIGHT)))
+        found = [Marker("line", "conductor", "line_strip", wire, 0.02, GREY),
+                 Marker("line", "towers", "line_list", poles, 0.02, GREY)]  # fmt: skip
+        if self._location is not None:
+            place = p.scale * self._location[LOCATION.index("x_km")]
+            found.append(Marker("line", "fault", "sphere_list", ((place, 0.0, HEIGHT),), 0.2, RED))
+        return found
+
+
+main = executable(LocationMarker)

@@ -1,0 +1,89 @@
+"""`ros2 run softrig_power fault_study`: the 48 published cases by every method on all cores, table and pictures."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from .cases import PUBLISHED
+from .location import LocatorParams, locate
+from .parameters import FaultParams, RigParams
+from .study import METHODS, SENSITIVITY, Row, as_csv, published_jobs, run, sensitivity, simulate
+
+WIDTH = 40  # of the progress bar
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the study; 0 when it is complete."""
+    parser = argparse.ArgumentParser(prog="fault_study", description=__doc__)
+    parser.add_argument("--methods", nargs="+", choices=METHODS, default=list(METHODS))
+    parser.add_argument("--profile", default="m20k", choices=("m100k", "m20k", "m10k", "m4k", "raw100k", "raw20k"))
+    parser.add_argument("--processes", type=int, metavar="N", help="default: all cores")
+    parser.add_argument("--sensitivity", action="store_true", help="the disturbed records instead of the 48 cases")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="cases.csv and the pictures go here")
+    options = parser.parse_args(arguments)
+    if options.sensitivity:
+        print(sensitivity_table(sensitivity(processes=options.processes)))
+        return 0
+    began = time.monotonic()
+    rows = run(published_jobs(options.methods, options.profile), options.processes, _progress)
+    print(summary(rows))
+    print(f"{len(rows)} locations in {time.monotonic() - began:.0f} s")
+    if options.out is not None:
+        _save(rows, options.out)
+    return 0
+
+
+def summary(rows: Sequence[Row]) -> str:
+    """Give mean and largest |error| and the computation time of each method as a table, with the published ones."""
+    lines = [f"{'method':<18}{'mean |E| %':>12}{'max |E| %':>12}{'max m':>10}{'CPU s':>10}{'located':>9}"]
+    for method in dict.fromkeys(row.method for row in rows):
+        own = [row for row in rows if row.method == method]
+        errors = np.array([abs(row.error_percent) for row in own if row.error_percent is not None])
+        spent = np.mean([row.cpu_s for row in own])
+        lines.append(
+            f"{method:<18}{errors.mean():>12.4f}{errors.max():>12.4f}{errors.max() * 1200.0:>10.1f}{spent:>10.3f}"
+            f"{errors.size:>6}/{len(own)}"
+        )
+    for name, key in (("published WOA", "woa_error"), ("published GWO", "gwo_error")):
+        printed = np.array([abs(getattr(row, key)) for row in PUBLISHED.values()])
+        lines.append(f"{name:<18}{printed.mean():>12.4f}{printed.max():>12.4f}{printed.max() * 1200.0:>10.1f}")
+    return "\n".join(lines)
+
+
+def sensitivity_table(table: dict[str, list[float]]) -> str:
+    """Give the sensitivity table with a head."""
+    heads = [f"{c.type} {c.x_km:g} km {c.rf_ohm:g} ohm" for c in SENSITIVITY]
+    lines = ["error in m".ljust(24) + "".join(f"{head:>20}" for head in heads)]
+    lines += [name.ljust(24) + "".join(f"{value:>20.1f}" for value in values) for name, values in table.items()]
+    return "\n".join(lines)
+
+
+def _progress(done: int, total: int) -> None:
+    if sys.stderr.isatty():
+        bar = "#" * (WIDTH * done // total)
+        print(f"\r[{bar:<{WIDTH}}] {done}/{total}", end="\n" if done == total else "", file=sys.stderr, flush=True)
+
+
+def _save(rows: Sequence[Row], out: Path) -> None:
+    """Write the table and the four pictures of the system."""
+    from .pictures import methods, misprints, objective, waveforms
+
+    out.mkdir(parents=True, exist_ok=True)
+    (out / "cases.csv").write_text(as_csv(rows))
+    methods(rows, out / "methods.png")
+    rig, p = RigParams(), LocatorParams()
+    record, fault = simulate(rig), rig.fault
+    waveforms(record, p, out / "waveforms.png", (fault.t_on, fault.t_off))
+    objective(record, p, locate(record, p), out / "objective.png", truth=fault.x_km)
+    far = RigParams(fault=FaultParams(x_km=115.0, rf_ohm=15.0))
+    misprints(simulate(far), p, out / "misprints.png", truth=far.fault.x_km)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
