@@ -14,7 +14,6 @@ from softrig_bringup.cli import main
 from softrig_bringup.locate import read
 from softrig_core.model.block import Level
 from softrig_core.model.params import ParameterError, build
-from softrig_core.rig.processes import run_processes
 from softrig_core.rig.replay import feed
 from softrig_core.rig.simulate import simulate
 from softrig_core.wire.recording import Recording
@@ -555,14 +554,6 @@ def test_replay_gives_the_same_bits(runs, tmp_path):
             without.add(numbers[topic.name], t, data)
     write_bag(tmp_path / "bare", without)
     np.testing.assert_array_equal(read([tmp_path / "bare"]).samples, read([tmp_path / "record"]).samples)
-
-
-@pytest.mark.processes
-@pytest.mark.parametrize("form", ["streams", "record"])
-def test_processes_give_the_same_bits(runs, tmp_path, form):
-    outcome = run_processes(runs[form].rig, runs[form].seed, tmp_path)
-    assert outcome.error == ""
-    assert position(outcome.recording) == position(runs[form].recording)
 
 
 VARIANTS = ["", "_record", "_woa", "_gwo", "_integer_grid", "_phasor", "_printed", "_printed_coefficient",
