@@ -111,7 +111,7 @@ class PowerFlow:
         # the injections contain the Norton sources of the series transformers, whose impedances are in Y
         self._source = network.injection
 
-    def solve(self, references: References, tolerance: float = TOLERANCE) -> Solution | Diverged:
+    def solve(self, references: References, tolerance: float = TOLERANCE, surplus: float = 0.0) -> Solution | Diverged:
         """Find the operating point from a flat start.
 
         Parameters
@@ -119,6 +119,8 @@ class PowerFlow:
         references : References
         tolerance : float
             Largest residual that counts as solved, pu.
+        surplus : float
+            P_sh + P12 + P34, pu; not zero where the DC link has a source, or harmonics have losses of their own.
 
         Returns
         -------
@@ -127,23 +129,24 @@ class PowerFlow:
         """
         x = np.zeros(UNKNOWNS)
         x[:6] = 1.0
-        residual = self._residual(x, references)
+        target = [getattr(references, name) for name in ("p1", "q1", "p2", "q2", "v")] + [surplus]
+        residual = self._residual(x, target)
         mismatch = float(np.abs(residual).max())
         for iteration in range(ITERATIONS):
             if mismatch <= tolerance:
                 return self._solution(x, iteration, mismatch)
             try:
-                x = x - np.linalg.solve(self._jacobian(x, references), residual)
+                x = x - np.linalg.solve(self._jacobian(x, target), residual)
             except np.linalg.LinAlgError:
                 return Diverged(iteration, mismatch)
-            residual = self._residual(x, references)
+            residual = self._residual(x, target)
             found = float(np.abs(residual).max())
             if not np.isfinite(found):
                 return Diverged(iteration + 1, mismatch)
             mismatch = found
         return self._solution(x, ITERATIONS, mismatch) if mismatch <= tolerance else Diverged(ITERATIONS, mismatch)
 
-    def _residual(self, x: NDArray[Any], references: References) -> NDArray[Any]:
+    def _residual(self, x: NDArray[Any], target: list[float]) -> NDArray[Any]:
         """All 18 equations in real, analytic form; x and the result of shape (18,)."""
         v, a = x[0:6], x[6:12]
         (e12, f12, e34, f34), p_sh, q_sh = x[12:16], x[16], x[17]
@@ -165,22 +168,22 @@ class PowerFlow:
         flow2 = _flow(v[3], a[3], v[4], a[4], z)
         loss = self._loss * (p_sh * p_sh + q_sh * q_sh) / (v[1] * v[1])
         device = [
-            flow1[0] + device_p[2] - references.p1,
-            flow1[1] + device_q[2] - references.q1,
-            flow2[0] + device_p[4] - references.p2,
-            flow2[1] + device_q[4] - references.q2,
-            v[1] - references.v,
+            flow1[0] + device_p[2],
+            flow1[1] + device_q[2],
+            flow2[0] + device_p[4],
+            flow2[1] + device_q[4],
+            v[1],
             p_sh + loss + p12 + p34,
         ]
-        return np.concatenate([p - device_p, q - device_q, np.array(device)])
+        return np.concatenate([p - device_p, q - device_q, np.array(device) - target])
 
-    def _jacobian(self, x: Array, references: References) -> Array:
+    def _jacobian(self, x: Array, target: list[float]) -> Array:
         """Derivatives by complex steps, exact to the last digit; shape (18, 18)."""
         columns = []
         for k in range(UNKNOWNS):
             moved = x.astype(complex)
             moved[k] += 1e-30j
-            columns.append(self._residual(moved, references).imag / 1e-30)
+            columns.append(self._residual(moved, target).imag / 1e-30)
         return np.column_stack(columns)
 
     def _solution(self, x: Array, iterations: int, mismatch: float) -> Solution:

@@ -1,0 +1,126 @@
+"""Figure functions of the GUPFC: angle of the shunt converter, steadiness, power balance, distortion."""
+
+from __future__ import annotations
+
+import math
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from softrig_core.rig.metrics import SignalMap, window
+from softrig_core.rig.registry import figure
+
+from .ports import TRACE
+
+Array = NDArray[np.float64]
+
+STATUS = "gupfc/status"
+POWERS = tuple(f"{STATUS}/{name}/position" for name in ("p_sh", "p12", "p34"))
+ANGLE, U1_ALPHA, U1_BETA = "shunt/command/angle/effort", "u1/x", "u1/y"
+
+
+@figure("rad", (ANGLE, U1_ALPHA, U1_BETA))
+def shunt_angle(signals: SignalMap, *, start: float | None = None, end: float | None = None) -> float:
+    """Mean angle alpha of the shunt converter's voltage ahead of bus 1, rad."""
+    t, angle = window(signals, ANGLE, start, end)
+    alpha, beta = (signals[name] for name in (U1_ALPHA, U1_BETA))
+    at = np.searchsorted(alpha[0], t - 1e-9)
+    turned = np.exp(1j * angle) * (alpha[1][at] - 1j * beta[1][at])
+    return float(np.angle(turned.mean()))
+
+
+@figure("{signal}")
+def drift(
+    signals: SignalMap, signal: str, *, cycle: float, measure: Literal["mean", "repeat"] = "mean",
+    start: float | None = None, end: float | None = None,
+) -> float:  # fmt: skip
+    """How far a signal is from a periodic steady state, in its unit.
+
+    Parameters
+    ----------
+    cycle : float
+        Period, s.
+    measure : {"mean", "repeat"}
+        ``mean``: largest difference of the mean over any cycle from that over the first. ``repeat``: largest
+        difference of any sample from the one a cycle before.
+    """
+    t, x = window(signals, signal, start, end)
+    samples = round(cycle / (t[1] - t[0]))
+    if x.size < 2 * samples:
+        raise ValueError(f"{signal}: {x.size} samples in the window, two cycles are {2 * samples}")
+    if measure == "repeat":
+        return float(np.abs(x[samples:] - x[:-samples]).max())
+    total = np.concatenate([[0.0], np.cumsum(x)])
+    means = (total[samples:] - total[:-samples]) / samples
+    return float(np.abs(means - means[0]).max())
+
+
+@figure("pu", POWERS)
+def power_balance(
+    signals: SignalMap, *, statistic: Literal["mean", "peak"] = "mean", start: float | None = None,
+    end: float | None = None,
+) -> float:  # fmt: skip
+    """Sum of the active powers that the three converters deliver, pu: what the DC link gives or, negative, takes.
+
+    Parameters
+    ----------
+    statistic : {"mean", "peak"}
+        Mean, or largest magnitude.
+    """
+    total = sum(window(signals, name, start, end)[1] for name in POWERS)
+    return float(np.mean(total)) if statistic == "mean" else float(np.abs(total).max())
+
+
+def cycles(
+    signals: SignalMap, part: str, cycle: float, count: int, topic: str = "gupfc/trace"
+) -> NDArray[np.complex128]:
+    """Waveform of whole cycles at the end of a run, from the trace.
+
+    Parameters
+    ----------
+    signals : mapping
+    part : {"v_sh", "v12", "u1", "i_sh"}
+    cycle : float
+        s.
+    count : int
+        Cycles.
+
+    Returns
+    -------
+    ndarray, shape (count x steps of a cycle,)
+        Space vector, pu.
+    """
+    column = 2 * TRACE.index(part)
+    labels = [name for name in signals if name.startswith(topic + "/")]
+    steps = 1 + max(int(name.rsplit("/", 1)[1].split(",")[0]) for name in labels)
+    t = signals[f"{topic}/0,{column}"][0]
+    periods = round(cycle / (t[1] - t[0])) * count
+    if t.size < periods:
+        raise ValueError(f"{topic} has {t.size} messages, {count} cycles are {periods}")
+    found = np.empty((periods, steps), dtype=complex)
+    for step in range(steps):
+        found[:, step] = (
+            signals[f"{topic}/{step},{column}"][1][-periods:]
+            + 1j * signals[f"{topic}/{step},{column + 1}"][1][-periods:]
+        )
+    return found.ravel()
+
+
+@figure("%")
+def distortion(
+    signals: SignalMap, *, part: Literal["v_sh", "v12", "u1", "i_sh"], cycle: float, count: int = 3
+) -> float:
+    """Total harmonic distortion of a space vector over the last cycles, in % of its fundamental.
+
+    Parameters
+    ----------
+    part : {"v_sh", "v12", "u1", "i_sh"}
+        Waveform of the trace.
+    cycle : float
+        s.
+    count : int
+        Cycles.
+    """
+    spectrum = np.abs(np.fft.fft(cycles(signals, part, cycle, count)))
+    first = spectrum[count]
+    return float(100.0 * math.sqrt(max(0.0, float(np.square(spectrum).sum() - first**2))) / first)

@@ -1,0 +1,48 @@
+"""What the controllers get: means of space vectors over the control period, turned on to its end.
+
+The mean removes what 48 samples a cycle would fold onto the fundamental, the 47th and 49th, down to 2 % of them; it
+lags by half a period, by which it is turned forward, and is divided by its gain for a vector at nominal speed.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+class Weights:
+    """Weights of the samples of one period.
+
+    Parameters
+    ----------
+    omega : float
+        Nominal angular frequency, rad/s.
+    step : float
+        Time between samples, s.
+    steps : int
+        Steps in a period.
+    """
+
+    def __init__(self, omega: float, step: float, steps: int) -> None:
+        trapezoid = np.full(steps + 1, 1.0 / steps)
+        trapezoid[[0, -1]] *= 0.5
+        nominal = np.exp(-1j * omega * step * np.arange(steps, -1, -1))
+        self._w = trapezoid / (trapezoid @ nominal)
+        self._turn = omega * step * steps
+        self._steps = steps
+
+    def __call__(self, samples: NDArray[np.complex128]) -> Any:
+        """Give what is measured at the last sample of a period; samples of shape (steps + 1, ...)."""
+        return self._w @ samples
+
+    def record(self, samples: NDArray[np.complex128]) -> NDArray[np.complex128]:
+        """Give what is measured at the end of each of n periods, shape (n,); samples of shape (n steps + 1,)."""
+        ends = range(self._steps, samples.size, self._steps)
+        return np.array([self._w @ samples[e - self._steps : e + 1] for e in ends])
+
+    def phasor(self, samples: NDArray[np.complex128]) -> complex:
+        """Mean of `record`, each turned on to the last sample at nominal speed."""
+        found = self.record(samples)
+        return complex(np.mean(found * np.exp(1j * self._turn * np.arange(found.size - 1, -1, -1))))

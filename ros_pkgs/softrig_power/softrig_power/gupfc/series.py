@@ -1,0 +1,116 @@
+"""Controller of a series converter: active and reactive power of its circuit."""
+
+from __future__ import annotations
+
+import cmath
+import math
+from collections.abc import Mapping
+from typing import Any, Literal
+
+from softrig_control.filters import SecondOrderFilter
+from softrig_control.phase_locked_loop import PhaseLockedLoop, PllParams
+from softrig_core.model.block import Block, Level
+from softrig_core.model.params import param
+from softrig_core.model.port import Port
+from softrig_core.node import executable
+
+from .operating_point import DeviceParams, operating_point
+from .ports import SERIES, SERIES_REFERENCE, measured
+
+LEAST_VOLTAGE = 0.1  # pu; below it a current reference is not taken from the voltage any more
+
+
+class SeriesControllerParams(DeviceParams):
+    """Law and gains."""
+
+    circuit: Literal[1, 2] = param(1, "circuit 1 (u2, i12) or 2 (u4, i34)", ge=1, le=2)
+    law: Literal["integral", "printed"] = param("integral", "quadrature integral law, or PI axis by axis as printed")
+    kp: float = param(0.5, "proportional gain of the printed law", "pu/pu", ge=0.0, le=100.0)
+    ki: float = param(15.0, "integral gain", "1/s", ge=0.0, le=1e4)
+    filter_frequency: float = param(30.0, "natural frequency of the filters, integral law", "Hz", ge=1.0, le=500.0)
+    damping: float = param(0.7, "damping of the filters", ge=0.1, le=2.0)
+    pll: PllParams = PllParams()
+
+
+class SeriesController(Block):
+    r"""Current regulator in the frame of a phase-locked loop on the voltage behind the converter.
+
+    With the current reference :math:`i_{ref} = ((P_{ref} + jQ_{ref})/u)^*`:
+
+    - ``integral``: :math:`v = j K_i \int (i_{ref} - i)\,dt`, u and i filtered. The path is inductive, so that the d
+      error asks for q voltage and the q error for -d.
+    - ``printed``: :math:`v = K_p (i_{ref} - i) + K_i \int (i_{ref} - i)\,dt`, axis by axis, u and i as measured. With
+      the printed gains it excites the resonance of the half lines and ends in a limit cycle at the limiter.
+
+    \|v\| is at most `network.series_limit`; what is cut off is taken back from the integrator.
+    """
+
+    Params = SeriesControllerParams
+
+    @classmethod
+    def ports(cls, params: SeriesControllerParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
+        """Give the ports of its circuit."""
+        u, i = ("u2", "i12") if params.circuit == 1 else ("u4", "i34")
+        return (measured(u), measured(i), SERIES_REFERENCE[params.circuit]), (SERIES[params.circuit],)
+
+    def setup(self) -> None:
+        """Solve the power flow of the start."""
+        p: SeriesControllerParams = self.p
+        point, first = operating_point(p), p.circuit == 1
+        self._point = point
+        self._u, self._i, self._v = (point.u2, point.i12, point.v12) if first else (point.u4, point.i34, point.v34)
+        self._asked = complex(p.initial.p1, p.initial.q1) if first else complex(p.initial.p2, p.initial.q2)
+        self._voltage, self._current, _ = (port.name for port in self.ports(p)[0])
+        self._name = SERIES[p.circuit].name
+        # the direction of the voltage that an error of the current asks for
+        self._turn = 1j if p.law == "integral" else 1.0
+        self._kp = p.kp if p.law == "printed" else 0.0
+
+    def start(self) -> None:
+        """Integrator, filters and loop as in the steady state."""
+        p: SeriesControllerParams = self.p
+        theta = cmath.phase(self._u)
+        back = cmath.rect(1.0, -theta)
+        omega = 2.0 * math.pi * p.filter_frequency
+        self._pll = PhaseLockedLoop(p.pll, p.network.omega, p.period, theta)
+        self._u_filter = SecondOrderFilter[complex](omega, p.damping, p.period, self._u * back)
+        self._i_filter = SecondOrderFilter[complex](omega, p.damping, p.period, self._i * back)
+        for u, i in self._point.past(self._voltage, self._current):
+            back = cmath.rect(1.0, -self._pll(u))
+            self._u_filter(u * back)
+            self._i_filter(i * back)
+        self._integral = self._v * cmath.rect(1.0, -theta)
+        self._answer = {self._name: (abs(self._v), cmath.phase(self._v), p.network.omega)}
+
+    def update(self, t: int, reference: tuple[float, ...] | None, **inputs: Any) -> Mapping[str, tuple[float, ...]]:
+        """Answer one tick; P and Q are those of the parameters until a reference comes."""
+        p: SeriesControllerParams = self.p
+        asked = self._asked if reference is None else complex(reference[0], reference[1])
+        u, i = (complex(x[0], x[1]) for x in (inputs[self._voltage], inputs[self._current]))
+        theta = self._pll(u)
+        back = cmath.rect(1.0, -theta)
+        u, i = u * back, i * back
+        if p.law == "integral":
+            u, i = self._u_filter(u), self._i_filter(i)
+        if abs(u) < LEAST_VOLTAGE:
+            u = LEAST_VOLTAGE + 0j
+        error = self._turn * ((asked / u).conjugate() - i)
+        self._integral += p.ki * p.period * error
+        v = self._kp * error + self._integral
+        limit = p.network.series_limit
+        if abs(v) > limit:
+            self.report(Level.WARN, "limited", f"series voltage limited to {limit:g} pu: {asked:g} pu is not reached")
+            cut = v * (limit / abs(v))
+            self._integral += cut - v
+            v = cut
+        self._answer = {self._name: (abs(v), math.remainder(theta + cmath.phase(v), math.tau), self._pll.omega)}
+        return self._answer
+
+    def refused(self, t: int) -> Mapping[str, tuple[float, ...]]:
+        """Turn the last voltage on."""
+        magnitude, angle, omega = self._answer[self._name]
+        self._answer = {self._name: (magnitude, math.remainder(angle + self.p.period * omega, math.tau), omega)}
+        return self._answer
+
+
+main = executable(SeriesController)

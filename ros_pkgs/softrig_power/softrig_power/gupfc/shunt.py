@@ -1,0 +1,102 @@
+"""Controller of the shunt converter: voltage of bus 1 through the angle of the converter voltage."""
+
+from __future__ import annotations
+
+import cmath
+import math
+from collections.abc import Mapping
+
+from softrig_control.filters import SecondOrderFilter
+from softrig_control.phase_locked_loop import PhaseLockedLoop, PllParams
+from softrig_control.pid import Pid, PidParams
+from softrig_core.model.block import Block, Level
+from softrig_core.model.params import param
+from softrig_core.node import executable
+
+from .operating_point import DeviceParams, operating_point
+from .ports import SHUNT, SHUNT_REFERENCE, measured
+
+
+class ShuntControllerParams(DeviceParams):
+    """Gains of Table 1."""
+
+    pll: PllParams = PllParams()
+    filter_frequency: float = param(100.0, "natural frequency f_n of the filters", "Hz", ge=1.0, le=500.0)
+    damping: float = param(0.7, "damping of the filters", ge=0.1, le=2.0)
+    voltage_kp: float = param(12.0, "voltage regulator, pu of current a pu of voltage", ge=0.0, le=1e3)
+    voltage_ki: float = param(150.0, "voltage regulator, integral", "1/s", ge=0.0, le=1e5)
+    current_kp: float = param(5.0, "current regulator, deg a pu of current", "deg", ge=0.0, le=1e3)
+    current_ki: float = param(1.0, "current regulator, integral", "deg/s", ge=0.0, le=1e5)
+    current_limit: float = param(2.0, "limit of the reactive current", "pu", gt=0.0, le=100.0)
+    angle_limit: float = param(30.0, "limit of alpha", "deg", gt=0.0, le=90.0)
+
+
+class ShuntController(Block):
+    r"""Two cascaded regulators: the reactive current that the voltage needs, the angle that the current needs.
+
+    .. math::
+        i_{q,ref} &= PI(v_{ref} - |u_1|), & i_q &= -\Im(i_{sh} e^{-j\theta}) \\
+        \alpha &= -PI(i_{q,ref} - i_q), & \angle v_{sh} &= \theta + \alpha
+
+    An angle that lags draws active power and charges the DC link, which raises the converter voltage in proportion;
+    sigma stays. Magnitude and current are filtered, theta is that of a phase-locked loop on u1. The integrators start
+    at the operating point of the parameters.
+    """
+
+    Params = ShuntControllerParams
+    INPUTS = (measured("u1"), measured("i_sh"), SHUNT_REFERENCE)
+    OUTPUTS = (SHUNT,)
+
+    def setup(self) -> None:
+        """Solve the power flow of the start."""
+        self._point = operating_point(self.p)
+
+    def start(self) -> None:
+        """Integrators, filters and loop as in the steady state."""
+        p: ShuntControllerParams = self.p
+        u1, alpha = self._point.u1, math.degrees(cmath.phase(self._point.v_sh / self._point.u1))
+        i_q = -(self._point.i_sh * u1.conjugate()).imag / abs(u1)
+        omega = 2.0 * math.pi * p.filter_frequency
+        self._pll = PhaseLockedLoop(p.pll, p.network.omega, p.period, cmath.phase(u1))
+        self._magnitude = SecondOrderFilter(omega, p.damping, p.period, abs(u1))
+        self._reactive = SecondOrderFilter(omega, p.damping, p.period, i_q)
+        for u, i in self._point.past("u1", "i_sh"):
+            theta = self._pll(u)
+            self._magnitude(abs(u))
+            self._reactive(-(i * cmath.rect(1.0, -theta)).imag)
+        self._voltage = Pid(PidParams(kp=p.voltage_kp, ki=p.voltage_ki, u_max=p.current_limit), p.period)
+        self._current = Pid(PidParams(kp=p.current_kp, ki=p.current_ki, u_max=p.angle_limit), p.period)
+        self._voltage.preset(i_q)
+        self._current.preset(-alpha)
+        self._answer = {"shunt": (p.network.shunt_sigma, cmath.phase(self._point.v_sh), p.network.omega)}
+
+    def update(
+        self, t: int, u1: tuple[float, ...], i_sh: tuple[float, ...], reference: tuple[float, ...] | None
+    ) -> Mapping[str, tuple[float, ...]]:
+        """Answer one tick; v_ref is that of the parameters until a reference comes."""
+        p: ShuntControllerParams = self.p
+        v_ref = p.initial.v if reference is None else reference[0]
+        u = complex(u1[0], u1[1])
+        theta = self._pll(u)
+        v = self._magnitude(abs(u))
+        i_q = self._reactive(-(complex(i_sh[0], i_sh[1]) * cmath.rect(1.0, -theta)).imag)
+        i_q_ref = self._limited(self._voltage(v_ref - v), p.current_limit, "reactive current", "pu")
+        alpha = -self._limited(self._current(i_q_ref - i_q), p.angle_limit, "angle", "deg")
+        angle = math.remainder(theta + math.radians(alpha), math.tau)
+        self._answer = {"shunt": (p.network.shunt_sigma, angle, self._pll.omega)}
+        return self._answer
+
+    def _limited(self, x: float, limit: float, what: str, unit: str) -> float:
+        if -limit <= x <= limit:
+            return x
+        self.report(Level.WARN, "limited", f"{what} limited to {limit:g} {unit}: the voltage reference is out of reach")
+        return math.copysign(limit, x)
+
+    def refused(self, t: int) -> Mapping[str, tuple[float, ...]]:
+        """Turn the last voltage on."""
+        sigma, angle, omega = self._answer["shunt"]
+        self._answer = {"shunt": (sigma, math.remainder(angle + self.p.period * omega, math.tau), omega)}
+        return self._answer
+
+
+main = executable(ShuntController)

@@ -1,0 +1,160 @@
+"""Periodic steady state of the stepped circuit: the start of the plant in both waveforms.
+
+The circuit is linear for a given DC voltage, so each harmonic of the converter voltages over one cycle has its own
+phasors, exact for the discrete network (interpolated delay, trapezoidal branches); their sum is state and past.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..lines.bergeron import Lines, delay_factor, history_length
+from .circuit import I12, I34, I_SH, PULSE, SOURCE_A, SOURCE_B, A, B, Circuit, State, mean_voltage
+from .network import BUSES, HALVES, NetworkParams, admittance
+from .power_flow import Solution
+
+Complex = NDArray[np.complex128]
+ROUNDS = 4  # of the ripple of the DC voltage, each a thousandth of the one before
+
+
+class Start(NamedTuple):
+    """State at t = 0 and the past, rows at every step, the last at t = 0."""
+
+    state: State
+    bus: Complex  # (n + 1, 6)
+    current: Complex  # (n + 1, 5)
+    converter: Complex  # (n + 1, 3), mean voltages over the step that ends at the row
+    power: NDArray[np.float64]  # (3,), mean power of the converters over that past
+
+
+class Phasors:
+    """Response of the discrete network to one frequency.
+
+    Parameters
+    ----------
+    params : NetworkParams
+    step : float
+        s.
+    omega : float
+        rad/s, negative for vectors that turn backwards.
+    """
+
+    def __init__(self, params: NetworkParams, step: float, omega: float) -> None:
+        z = np.exp(1j * omega * step)
+        r, l = params.source_impedance  # noqa: E741
+        # R-L branch with sampled voltages at its ends: I = y (U1 - U2); driven by the mean over the step: I = V/d
+        branches = (r, l), (params.r_se, params.x_se / params.omega), (params.r_sh, params.x_sh / params.omega)
+        d = [R * 0.5 * (z + 1.0) + L * (z - 1.0) / step for R, L in branches]
+        self._d_se, self._d_sh = d[1], d[2]
+        self._y_source, self._y_se, self._y_sh = (0.5 * (z + 1.0) / x for x in d)
+        self._half = params.half.bergeron_two_port(omega, delay_factor(params.half, omega, step))
+        self._nodes = admittance(self._half, self._y_source, self._y_se, self._y_sh)
+
+    def __call__(self, e_a: complex, e_b: complex, v: Complex) -> tuple[Complex, Complex, Complex]:
+        """Solve.
+
+        Parameters
+        ----------
+        e_a, e_b : complex
+            Sources (sampled).
+        v : ndarray, shape (3,)
+            Shunt, series 12, series 34; means over the step that begins at the sample.
+
+        Returns
+        -------
+        bus : ndarray, shape (6,)
+        branch : ndarray, shape (5,)
+        line : ndarray, shape (4, 2)
+            Currents into the half lines at their ends.
+        """
+        j_sh, j12, j34 = v[0] / self._d_sh, v[1] / self._d_se, v[2] / self._d_se
+        source = np.array([self._y_source * e_a, j_sh - j12, j12, -j34, j34, self._y_source * e_b])
+        u = np.linalg.solve(self._nodes, source)
+        i = np.empty(5, dtype=complex)
+        i[SOURCE_A], i[SOURCE_B] = self._y_source * (e_a - u[A]), self._y_source * (e_b - u[B])
+        i[I12], i[I34] = j12 + self._y_se * (u[1] - u[2]), j34 + self._y_se * (u[3] - u[4])
+        i[I_SH] = j_sh - self._y_sh * u[1]
+        at = {name: k for k, name in enumerate(BUSES)}
+        line = np.array([self._half @ u[[at[k], at[m]]] for k, m in HALVES])
+        return u, i, line
+
+
+def start(params: NetworkParams, circuit: Circuit, lines: Lines, flow: Solution, sigma: NDArray[np.float64],
+          angle: NDArray[np.float64], pulse: int, samples: int) -> Start:  # fmt: skip
+    """Give the state at t = 0 as if the converters had turned with the sources for ever.
+
+    Parameters
+    ----------
+    params : NetworkParams
+    circuit, lines
+        From `circuit.circuit`.
+    flow : Solution
+        The magnitude of its V_sh is the mean of the DC voltage.
+    sigma, angle : ndarray, shape (3,)
+        Conduction angle and angle at t = 0 of the converters, rad.
+    pulse : {0, 1}
+        Waveform; with pulses a cycle must be a whole number of steps.
+    samples : int
+        Length of the past that is also given, steps.
+    """
+    h, omega = circuit.step, circuit.omega
+    steps = round(2.0 * np.pi / (omega * h))  # of a cycle; only the fundamental matters when it is not whole
+    turn = omega * h
+    scale = np.array([circuit.shunt_scale, circuit.series_scale, circuit.series_scale])
+    v_dc = np.full(steps, abs(flow.v_sh))
+    past = max(samples + 1, history_length(lines))
+    k = np.arange(-past, 1)
+    if pulse == PULSE:
+        shape = np.array([[mean_voltage(a + n * turn, turn, s, pulse) for a, s in zip(angle, sigma, strict=True)]
+                          for n in range(steps)])  # fmt: skip
+        rounds = ROUNDS
+    else:
+        first = np.array([mean_voltage(a, turn, s, pulse) for a, s in zip(angle, sigma, strict=True)])
+        rounds = 1
+    network: dict[int, Phasors] = {}
+    for _ in range(rounds):
+        if pulse == PULSE:
+            spectrum = np.fft.fft(scale * shape * v_dc[:, None], axis=0) / steps
+            orders = [n for n in range(steps) if n == 1 or np.abs(spectrum[n]).max() > 1e-13]
+        else:
+            spectrum, orders = {1: scale * first * v_dc[0]}, [1]  # type: ignore[assignment]
+        bus, current, line = (np.zeros((past + 1, *s), dtype=complex) for s in ((6,), (5,), (4, 2)))
+        mean = np.zeros((past + 1, 3), dtype=complex)
+        mean_current = np.zeros((steps, 3), dtype=complex)
+        for n in orders:
+            signed = n if n <= steps // 2 else n - steps
+            if n not in network:
+                network[n] = Phasors(params, h, signed * omega)
+            e = (circuit.source_a, circuit.source_b) if n == 1 else (0j, 0j)
+            found = network[n](*e, spectrum[n])
+            turned = np.exp(1j * signed * turn * k)
+            for past_values, x in zip((bus, current, line, mean), (*found, spectrum[n]), strict=True):
+                past_values += turned.reshape(-1, *[1] * x.ndim) * x
+            i = found[1][[I_SH, I12, I34]]
+            between = 0.5 * (1.0 + np.exp(1j * signed * turn)) * i
+            mean_current += np.exp(1j * signed * turn * np.arange(steps))[:, None] * between
+        if pulse == PULSE:
+            power = np.real(scale * shape * v_dc[:, None] * mean_current.conj()).sum(axis=1)
+            fall = np.cumsum(power - power.mean()) * h / circuit.dc_time
+            square = abs(flow.v_sh) ** 2 - np.concatenate([[0.0], fall[:-1]])
+            v_dc = np.sqrt(square - square.mean() + abs(flow.v_sh) ** 2)
+    rows = slice(past - samples, None)
+    converter = mean[past - samples - 1 : -1]
+    between = 0.5 * (current[rows][1:] + current[rows][:-1])[:, [I_SH, I12, I34]]
+    delivered = np.real(converter[1:] * between.conj()).mean(axis=0)
+    return Start(_state(lines, bus, current, line, float(v_dc[0])), bus[rows], current[rows], converter, delivered)
+
+
+def _state(lines: Lines, bus: Complex, current: Complex, line: Complex, v_dc: float) -> State:
+    """Fill the rings of the half lines as `lines.bergeron.store` would have."""
+    size = history_length(lines)
+    at = {name: k for k, name in enumerate(BUSES)}
+    ring = np.zeros((4, 2, size), dtype=complex)
+    for age in range(size):
+        u = np.array([bus[-1 - age][[at[a], at[b]]] for a, b in HALVES])
+        leaving = u + lines.z_minus[:, None] * line[-1 - age]
+        ring[:, :, -age % size] = lines.far[:, None] * leaving[:, ::-1] + lines.near[:, None] * leaving
+    return State(ring, bus[-1].copy(), current[-1].copy(), np.array([v_dc]))
