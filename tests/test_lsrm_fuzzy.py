@@ -89,10 +89,8 @@ def test_scenario_meets_the_sheet(name):
 @pytest.mark.parametrize("name", [n for n in SCENARIOS if load_scenario(n).claims])
 def test_verdicts_about_the_paper_hold(name):
     for key, claim in load_scenario(name).claims.items():
-        others = [
-            value(*r.rsplit(".", 1)) if "." in r else value(name, r) for r in claim.references()
-        ]  # a comparison names one
-        agrees = claim.agrees(value(name, claim.figure or key), *others)
+        others = {kind: value(*(r.rsplit(".", 1) if "." in r else (name, r))) for kind, r in claim.compared().items()}
+        agrees = claim.agrees(value(name, claim.figure or key), others)
         assert claim.holds(agrees), key
 
 

@@ -84,6 +84,25 @@ class Hand:
         return self.bench.status("plant")["refused"].get(topic, [0, ""])
 
 
+def test_nodes_started_by_hand_move_the_translator_in_real_time(bench):
+    slow = {"period": 0.005}  # what a busy machine can do against the wall clock
+    nodes = {
+        "lsrm_plant": ("lsrm_plant", slow | {"substeps": 500}),
+        "current_controller": ("current_controller", slow | {"K_pc": 0.01, "K_ic": 0.5}),
+        "speed_controller": ("lsrm_fuzzy", {"period": 0.01, "K_de": 0.1}),
+        "profile_generator": ("profile_generator", {"period": 0.01, "v_d": 0.1, "t_d": 1.0}),
+        "motion_monitor": ("motion_monitor", {"period": 0.01, "v_d": 0.1}),
+    }
+    for name, (executable, parameters) in nodes.items():
+        arguments = [a for k, v in parameters.items() for a in ("-p", f"{k}:={v}")]
+        bench.start(name, executable, *arguments, package="softrig_drives")
+    for name in nodes:
+        bench.wait(lambda name=name: bench.status(name).get("ticks", 0) > 20, 40.0)
+    bench.wait(lambda: bench.signal("lsrm_plant", "joint_states/translator/position").x[-1] > 0.1, 40.0)
+    assert "overcurrent" not in bench.status("lsrm_plant")["reports"]
+    assert bench.signal("speed_controller", "force_cmd/translator/effort").x.max() > 2.0  # it needs 2.4 N
+
+
 def test_bad_commands_by_hand_are_refused_clipped_and_outlived(bench):
     hand = Hand(bench)
     hand.sends("phase_voltage", "a b c d", "15 0 0 0", lambda: hand.current() > 5.9)

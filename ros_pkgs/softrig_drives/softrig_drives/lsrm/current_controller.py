@@ -59,6 +59,8 @@ class CurrentController(Block):
     def start(self) -> None:
         """No integral."""
         self._integral = np.zeros(N_PHASES)
+        # compiled now: the wall clock leaves no time at the first tick; without a force nothing is kept
+        regulate(self._integral, self._geometry, self._law, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
     def update(
         self, t: int, *, joint_states: tuple[float, ...], phase_currents: tuple[float, ...],
