@@ -46,7 +46,7 @@ def rig(name):
     return Rig.from_scenario(make_scenario(nodes, duration, **options))
 
 
-@pytest.mark.parametrize("name", ["algebraic loop", "no plant"])
+@pytest.mark.parametrize("name", RIGS)
 @pytest.mark.processes
 def test_processes_and_open_loop_give_what_in_process_gives(name, tmp_path):
     wired = rig(name)

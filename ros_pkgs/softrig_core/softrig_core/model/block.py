@@ -171,7 +171,8 @@ class Block(Generic[P]):
         Returns
         -------
         mapping or None
-            As `update`; None, the default, for the ports' safe values.
+            As `update`; None, the default: the values given last are held, at first the ports' safe ones, and
+            sporadic ports are silent.
         """
         return None
 

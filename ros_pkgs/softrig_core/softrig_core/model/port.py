@@ -97,7 +97,7 @@ class Port:
         """Name of each value below the topic, e.g. ``shaft/velocity``; ``x`` or ``data`` where one word says it."""
         if self.dims:
             return element_labels(self.dims)
-        if self.msgtype.startswith("std_msgs"):
+        if self.msgtype in ("std_msgs/msg/Float64", "std_msgs/msg/Bool"):
             return ("data",)
         if self.msgtype == "geometry_msgs/msg/PoseStamped":
             return (*(f"position/{c}" for c in XYZ), *(f"orientation/{c}" for c in (*XYZ, "w")))

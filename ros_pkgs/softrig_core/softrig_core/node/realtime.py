@@ -1,27 +1,30 @@
 """Realtime: a node against the wall clock, for people, hardware and other people's nodes.
 
-Stamps are ROS time: t_k = k * period counted from the Unix epoch, so all nodes of a host tick on one grid. A
-plant moves by its timer and holds the newest command; a block with required inputs answers each new message
-of its first one; a source has a timer.
+Stamps are ROS time: t_k = k * period counted from the Unix epoch, so all nodes of a host tick on one grid. A plant
+moves by its timer and holds the newest command. A source has a timer. A block with required inputs answers a tick when
+all of them that are due at its stamp are there, or, a stated part of its period after the first, with what it has.
 """
 
 from __future__ import annotations
 
-import time
 from collections import deque
 from collections.abc import Callable
 from typing import Any
 
-from rclpy.node import Node
-
 from ..model.block import Block, Level, Plant
-from ..model.port import Refused, Sample
-from ..model.schedule import Schedule
+from ..model.port import Port, Refused, Sample
 from ..model.timebase import SECOND, to_ns
 from ..rig.options import RunOptions
-from .adapter import Adapter, Input, percentiles
+from ..wire.recording import Sink
+from .adapter import Adapter
+from .endpoint import Input
+from .feed import Feed
+from .health import percentiles
+from .middleware import Middleware
+from .tick import END, TICK, TickReader
 
 CATCH_UP = SECOND  # a longer pause than this (a suspended host) is skipped, not simulated
+END_GRACE = SECOND  # a node that waits for a sender ends this much after the end of the run all the same
 
 
 class Realtime(Adapter):
@@ -29,108 +32,257 @@ class Realtime(Adapter):
 
     open_ended = True
 
-    def __init__(self, node: Node, block: Block, options: RunOptions) -> None:
-        self.arrived: dict[str, int] = {}
+    def __init__(self, middleware: Middleware, block: Block, options: RunOptions, sink: Sink | None = None) -> None:
+        self.feeds: dict[str, Feed] = {}
         self.stale: set[str] = set()
         self.tick_number: int | None = None
         self.missed = 0
+        self.incomplete = 0
         self.skipped = 0
+        self.is_plant = isinstance(block, Plant)
         # the newest: they are sorted for each status file, between two ticks
         self._lateness: deque[int] = deque(maxlen=5_000)
         self._round_trip: deque[int] = deque(maxlen=5_000)
         self._sent_at: dict[int, int] = {}
-        self._last_due: int | None = None
+        self._pending: deque[int] = deque()  # stamps of ticks that have begun, oldest first
+        self._last_stamp: int | None = None
+        self._window = to_ns(options.stamp_window)
+        self._started = middleware.now()
         block.realtime = True
-        super().__init__(node, block, options)
+        super().__init__(middleware, block, options, sink)
         self.epoch = options.epoch
-        required = [i for i in self.inputs if not i.port.held]
-        self._pacer = None if isinstance(block, Plant) or not required else required[0].port.name
-        self._required = [i.port.name for i in required]
-        if self._pacer is None:
-            self._timer = node.create_timer(0.001, self._tick, clock=self._steady)
+        self._period = self.schedule.time(1)
+        self._patience = round(options.patience * self._period)
+        self._awaited = [f for f in self.feeds.values() if f.awaited]
+        self._by_messages = not self.is_plant and bool(self._awaited)
+        if self._by_messages:
+            self._deadline = middleware.timer(SECOND, self._give_up)
+            self._deadline.cancel()
+        else:
+            self._timer = middleware.timer(SECOND // 1000, self._tick)
+        for node in self.links.enders:
+            if node != middleware.name:
+                self._follow_end(node)
         self.state = "running"
 
+    # messages --------------------------------------------------------------------------------------------------
+
     def receiver(self, item: Input) -> Callable[[bytes], None]:
-        """Keep the newest good value; the first required input of a controller makes it answer."""
-        name = item.port.name
-        self.values[name] = None if item.port.held else item.port.safe
-        plant = isinstance(self.block, Plant)
+        """Keep the newest good values by stamp; what is due makes a block answer."""
+        link = self.links.inputs.get(item.name)
+        silent = item.port.sporadic or (link is not None and link.sporadic)
+        feed = Feed(item, self.peer(link) if link else None, not item.port.held and not silent)
+        self.feeds[item.name] = feed
+        self.values[item.name] = item.port.initial
+        record = self.foreign.get(item.name)
+        delayed, stamped, partial = item.port.delayed, item.port.stamped, item.port.partial
 
         def receive(data: bytes) -> None:
             if item.publishers > 1:
                 self.refuse(item, f"{item.publishers} publishers at once ({self._who(item)}), expected one")
                 return
+            now = self.middleware.now()
+            stamp = 0
             try:
                 stamp, values = item.decode(data)
+                if stamped and stamp:
+                    self._check_window(stamp, now, delayed)
             except Refused as error:
                 self.refuse(item, str(error))
-                self.bad = True
-                if name == self._pacer:
-                    now = time.time_ns()
-                    self._answer(self.schedule.held(now))
+                if not self.is_plant:
+                    self._refused(feed, data, now)
                 return
-            now = time.time_ns()
             # A delayed message tells when it was measured, one without a stamp nothing: the answer is due now.
-            due = stamp if item.port.stamped and not item.port.delayed else self.schedule.held(now)
-            if not plant:
-                self.epoch = self.epoch or due
-            self.values[name] = Sample(stamp - self.epoch, values) if item.port.delayed else values
-            self.arrived[name] = now
-            if name in self.stale:
-                self.stale.discard(name)
-                self.block.report(Level.WARN, f"recovered {item.port.topic}", "commands are back")
-            if self.sink is not None and name in self.foreign:
-                self.sink.add(self.foreign[name], now, data)
-            if plant:
+            due = stamp if stamp and not delayed else self._grid_time(now)
+            if not self.is_plant:
+                self.epoch = self.epoch or self.schedule.held(due)
+            if partial:
+                item.decode.kept = values
+            value = Sample(stamp - self.epoch, values) if delayed else values
+            feed.put(due, value, now)
+            self._recovered(feed)
+            if record is not None and self.sink is not None:
+                self.sink.add(record, now, data)
+            if self._by_messages:
+                if feed.awaited:
+                    self._begin(due)
+                elif item.port.held:
+                    self.values[item.name] = value
+                return
+            self.values[item.name] = value
+            if self.is_plant:
                 sent = self._sent_at.get(stamp)
                 if sent is not None:
                     self._round_trip.append(now - sent)
-            elif name == self._pacer:
-                self._answer(due)
 
         return receive
 
-    def on_matched(self, item: Input | None) -> None:
+    def _check_window(self, stamp: int, now: int, delayed: bool) -> None:
+        if stamp - now > self._window or (now - stamp > self._window and not delayed):
+            off = (stamp - now) / SECOND
+            raise Refused(f"stamp is {off:+.3g} s from now, expected at most {self._window / SECOND:g} s")
+
+    def _refused(self, feed: Feed, data: bytes, now: int) -> None:
+        """A refused message counts as that of its tick, which the block then answers by `Block.refused`."""
+        stamp = 0
+        if feed.item.port.stamped and not feed.by_arrival and len(data) >= 12 and data[1] == 1:
+            stamp = int.from_bytes(data[4:8], "little", signed=True) * SECOND + int.from_bytes(data[8:12], "little")
+        if stamp and abs(stamp - now) > self._window:
+            return  # nobody knows of which tick it is
+        if not self._by_messages:
+            self.bad = True
+            return
+        due = stamp or self._grid_time(now)
+        if not self.epoch:
+            return
+        feed.refuse(due, now)
+        if feed.awaited:
+            self._begin(due)
+
+    def _grid_time(self, now: int) -> int:
+        return self.epoch + self.schedule.held(now - self.epoch)
+
+    def on_matched(self, item: Input) -> None:
         """Two publishers on one input: neither is believed until one of them has gone."""
-        if item is not None and item.publishers > 1 and not item.port.held:
+        if item.publishers > 1 and not item.port.held:
             self.refuse(item, f"{item.publishers} publishers at once ({self._who(item)}), expected one")
-            self.values[item.port.name] = item.port.safe
-            self.arrived.pop(item.port.name, None)
+            self.values[item.name] = item.port.safe
+            self.feeds[item.name].arrived = None
 
     def _who(self, item: Input) -> str:
-        infos = self.node.get_publishers_info_by_topic(item.port.topic)
-        return ", ".join(sorted({i.node_name for i in infos}))
+        return ", ".join(sorted({p.name for p in self.middleware.publishers(item.port.topic)}))
+
+    def _follow_end(self, node: str) -> None:
+        topic = f"{self.middleware.full_name.rsplit('/', 1)[0]}/{node}/tick"
+        item, read = Input(Port("stamp", topic, TICK)), TickReader()
+        self.paces.append(item)
+
+        def receive(data: bytes) -> None:
+            try:
+                _, sent = read(data)
+            except Refused as error:
+                self.refuse(item, str(error))
+                return
+            if END in sent:
+                self.finish()
+
+        self.middleware.subscribe(topic, TICK, receive, lambda count: None)
 
     # controllers -----------------------------------------------------------------------------------------------
 
+    def _begin(self, due: int) -> None:
+        """A message of the tick that `due` belongs to has come: answer what is complete, set the limit for the rest."""
+        stamp = self._grid_time(due)
+        newest = self._pending[-1] if self._pending else self._last_stamp
+        if stamp >= self.epoch and (newest is None or stamp > newest):
+            if not self._pending:
+                self._deadline.again(self._patience)
+            self._pending.append(stamp)
+        while self._pending and self.state == "running":
+            stamp = self._pending[0]
+            for feed in self._awaited:
+                if not (feed.complete(stamp - self.epoch, self.epoch, self._period) and feed.ready(stamp)):
+                    return
+            self._answer(self._pending.popleft())
+        if not self._pending:
+            self._deadline.cancel()
+
+    def _give_up(self) -> None:
+        """The oldest tick has waited long enough: answer with what is there."""
+        self._deadline.cancel()
+        if not self._pending or self.state != "running":
+            return
+        stamp = self._pending.popleft()
+        if all(f.ready(stamp) for f in self._awaited):  # else it lies before the first message
+            self.incomplete += 1
+            lacking = [
+                f.item.port.topic for f in self._awaited if not f.complete(stamp - self.epoch, self.epoch, self._period)
+            ]  # fmt: skip
+            text = f"answered without what was due on {', '.join(lacking)}"
+            self.block.report(Level.WARN, "incomplete", text)
+            self._answer(stamp)
+        if self._pending:
+            self._deadline.again(self._patience)
+
     def _answer(self, stamp: int) -> None:
-        if any(name not in self.arrived for name in self._required):
-            return
-        due = self.schedule.tick(stamp)
-        if due == self._last_due or stamp < self.epoch:
-            return
-        if self._last_due is not None and due > self._last_due + 1:
-            self.missed += due - self._last_due - 1
-        self._last_due = due
+        if self._last_stamp is not None:
+            self.missed += (
+                self.schedule.tick(stamp - self.epoch) - self.schedule.tick(self._last_stamp - self.epoch) - 1
+            )
+        self._last_stamp = stamp
         t = stamp - self.epoch
+        now = self.middleware.now()
+        for name, feed in self.feeds.items():
+            if feed.item.port.held and not feed.awaited:
+                continue
+            value = feed.take(stamp)
+            if value is not None:
+                self.values[name] = value
+            if feed.bad is not None and feed.bad <= stamp:
+                self.bad, feed.bad = True, None
+            if feed.awaited:
+                self._notice_silence(feed, now)
+        self.t = t
         self.publish(t, stamp, self.answer(t))
         self._advance_to(t)
 
+    def _notice_silence(self, feed: Feed, now: int) -> bool:
+        """Whether a sender has been silent for too long; reports it once."""
+        if feed.arrived is None:
+            return False
+        name, item = feed.item.name, feed.item
+        limit = to_ns(self.options.watchdog) if self.is_plant else 0
+        limit = limit or max(
+            self.schedule.time(self.block.STALE_PERIODS),
+            feed.limit(Block.STALE_PERIODS) if feed.schedule is not None or not self.is_plant else 0,
+        )
+        if now - feed.arrived <= limit:
+            return False
+        if name not in self.stale:
+            self.stale.add(name)
+            kind, rest = ("command", "safe input") if self.is_plant else ("message", "the last one is held")
+            text = f"no {kind} on {item.port.topic} for {limit / SECOND:g} s: {rest}"
+            self.block.report(Level.ERROR, f"stale {item.port.topic}", text)
+        return True
+
+    def _recovered(self, feed: Feed) -> None:
+        if feed.item.name in self.stale:
+            self.stale.discard(feed.item.name)
+            what = "commands are" if self.is_plant else "messages are"
+            self.block.report(Level.WARN, f"recovered {feed.item.port.topic}", f"{what} back")
+
     def now(self) -> int:
         """Wall-clock time."""
-        return time.time_ns()
+        return self.middleware.now()
+
+    def age(self, name: str) -> int | None:
+        """Age of an input at the tick under way: from the stamp of what the block got to the tick's."""
+        feed = self.feeds[name]
+        stamp = feed.used if self._by_messages and feed.used is not None else feed.stamp
+        value = self.values[name]
+        if isinstance(value, Sample):
+            return self.t - value.stamp
+        return None if stamp is None else max(0, self.epoch + self.t - stamp)
 
     def _advance_to(self, t: int) -> None:
         self.t = t
         self.ticks += 1
-        self.release()
-        if self.schedule.end is not None and t >= self.schedule.end:
+        self.buttons.release()
+        if (self.schedule.end is not None and t >= self.schedule.end) or self.block.ended:
+            self.finish()
+
+    def progress(self) -> None:
+        """A node whose senders have ended before it does not wait for them beyond the end of the run."""
+        end = self.schedule.end
+        if end is None or self.state != "running":
+            return
+        if self.middleware.now() > (self.epoch or self._started) + end + END_GRACE:
             self.finish()
 
     # plants and sources ----------------------------------------------------------------------------------------
 
     def _tick(self) -> None:
-        now = time.time_ns()
+        now = self.middleware.now()
         if self.tick_number is None:
             # The first tick is the next point of the grid, or the common start that the runner gave.
             self.epoch = self.epoch or self.schedule.next(now)
@@ -138,8 +290,7 @@ class Realtime(Adapter):
         due = self.schedule.held(now - self.epoch)
         number = self.schedule.tick(due)
         # Aimed at the next point of the wall clock's grid each time, so that no error adds up.
-        self._timer.timer_period_ns = max(1000, self.epoch + self.schedule.next(due) - now)
-        self._timer.reset()
+        self._timer.again(self.epoch + self.schedule.next(due) - now)
         if number <= self.tick_number:
             return
         self._lateness.append(now - self.epoch - due)
@@ -152,12 +303,14 @@ class Realtime(Adapter):
         if isinstance(self.block, Plant):
             inputs = self._fresh_inputs(now)
             for k in range(number - behind if self.tick_number >= 0 else number, number):
-                self.block.advance(self.schedule.time(k), **inputs)
+                self.t = self.schedule.time(k)
+                self.block.advance(self.t, **inputs)
         self.tick_number = number
-        t, stamp = due, self.epoch + due
+        self.t = t = due
+        stamp = self.epoch + due
         if isinstance(self.block, Plant):
             self.publish(t, stamp, self.block.outputs(t))
-            self._sent_at[stamp] = time.time_ns()
+            self._sent_at[stamp] = self.middleware.now()
             while len(self._sent_at) > 2 * self.block.STALE_PERIODS:
                 del self._sent_at[next(iter(self._sent_at))]
         else:
@@ -167,26 +320,16 @@ class Realtime(Adapter):
     def _fresh_inputs(self, now: int) -> dict[str, Any]:
         """Newest commands; the safe value in place of a stale one."""
         inputs = dict(self.values)
-        for item in self.inputs:
-            name = item.port.name
-            if item.port.held or name not in self.arrived:
-                continue
-            link = self.links.inputs.get(name)
-            limit = to_ns(self.options.watchdog) or max(
-                self.schedule.time(self.block.STALE_PERIODS),
-                Schedule(link.period).time(Block.STALE_PERIODS) if link else 0,
-            )
-            if now - self.arrived[name] > limit:
-                inputs[name] = item.port.safe
-                if name not in self.stale:
-                    self.stale.add(name)
-                    text = f"no command on {item.port.topic} for {limit / SECOND:g} s: safe input"
-                    self.block.report(Level.ERROR, f"stale {item.port.topic}", text)
+        for name, feed in self.feeds.items():
+            if feed.awaited and self._notice_silence(feed, now):
+                inputs[name] = feed.item.port.safe
         return inputs
 
     def statistics(self) -> dict[str, Any]:
-        """Missed deadlines, lateness of the timer and round trip from output to command, in ms."""
+        """Missed deadlines, incomplete ticks, lateness of the timer and round trip from output to command, in ms."""
         figures: dict[str, Any] = {"missed_deadlines": self.missed}
+        if self._by_messages:
+            figures["incomplete_ticks"] = self.incomplete
         if self.skipped:
             figures["skipped_periods"] = self.skipped
         figures |= percentiles("lateness", self._lateness) | percentiles("round_trip", self._round_trip)

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from rclpy.clock import Clock
-from rclpy.node import Node
-
 from ..model.solver import Solver
-from .messages import message_class
+from .middleware import Middleware
+from .tick import TICK, TickWriter
 
 BUSY = "/softrig/busy"  # std_msgs/Header, frame_id = the node: who waits for progress is to be patient
 TOLD_EVERY = 0.5  # s
-LOOK = 0.002  # s
+LOOK = 2_000_000  # ns
 
 
 class Solving:
@@ -22,22 +19,23 @@ class Solving:
 
     Parameters
     ----------
-    node : rclpy.node.Node
+    middleware : Middleware
     block : Solver
-    clock : rclpy.clock.Clock
-        Steady clock.
     resume : callable
         Called when the answer that was waited for is there.
     """
 
-    def __init__(self, node: Node, block: Solver, clock: Clock, resume: Callable[[], object]) -> None:
+    def __init__(self, middleware: Middleware, block: Solver, resume: Callable[[], object]) -> None:
         self.block = block
-        self._header = message_class("std_msgs/msg/Header")(frame_id=node.get_fully_qualified_name())
-        self._publisher = node.create_publisher(message_class("std_msgs/msg/Header"), BUSY, 10)
+        self._middleware = middleware
+        self._header = TickWriter()(0, [middleware.full_name])
+        self._publish = middleware.publisher(BUSY, TICK, lambda count: None)
         self._resume = resume
         self._tick: int | None = None  # whose begin the block has seen and whose end not yet
         self._told = 0.0
-        self._timer = node.create_timer(LOOK, self._look, clock=clock, autostart=False)
+        self._timer = middleware.timer(LOOK, self._look)
+        self._timer.cancel()
+        self._waits = False
 
     def finished(self, t: int, inputs: Mapping[str, Any] | None) -> bool:
         """Begin a tick if that is not done; tell whether its answer can be given.
@@ -56,23 +54,28 @@ class Solving:
             else:
                 self.block.begin(t, **inputs)
         if self.block.ready(t):
-            self._timer.cancel()
+            self._rest()
             return True
-        if self._timer.is_canceled():
-            self._told = time.monotonic()
-            self._timer.reset()
+        if not self._waits:
+            self._waits = True
+            self._told = self._middleware.steady()
+            self._timer.again(LOOK)
         return False
+
+    def _rest(self) -> None:
+        self._timer.cancel()
+        self._waits = False
 
     def _look(self) -> None:
         assert self._tick is not None
         if self.block.ready(self._tick):
-            self._timer.cancel()
+            self._rest()
             self._resume()
-        elif time.monotonic() - self._told > TOLD_EVERY:
-            self._told = time.monotonic()
-            self._publisher.publish(self._header)
+        elif self._middleware.steady() - self._told > TOLD_EVERY:
+            self._told = self._middleware.steady()
+            self._publish(self._header)
 
 
-def hear_busy(node: Node, heard: Callable[[], object]) -> None:
+def hear_busy(middleware: Middleware, heard: Callable[[], None]) -> None:
     """Call a function whenever a solver of the rig says that it is at work."""
-    node.create_subscription(message_class("std_msgs/msg/Header"), BUSY, lambda data: heard(), 10, raw=True)
+    middleware.subscribe(BUSY, TICK, lambda data: heard(), lambda count: None)

@@ -14,10 +14,13 @@ from rclpy.node import Node
 from ..model.block import Block
 from ..model.params import Declaration, build, declarations, flatten
 from ..rig.options import RunOptions
+from .faces import Faces
 from .leave import leave
 from .lockstep import Lockstep
 from .messages import range_descriptor
 from .realtime import Realtime
+from .ros import RosMiddleware
+from .spin import spin
 
 
 def run_node(block_class: type[Block], argv: Sequence[str]) -> NoReturn:
@@ -33,14 +36,15 @@ def run_node(block_class: type[Block], argv: Sequence[str]) -> NoReturn:
         params, options = _parameters(node, block_class)
         block = block_class(params, node.get_name())
         block.reset(options.seed)
-        adapter = (Lockstep if options.mode == "lockstep" else Realtime)(node, block, options)
+        adapter = (Lockstep if options.mode == "lockstep" else Realtime)(RosMiddleware(node), block, options)
+        Faces(node, adapter)
     except KeyboardInterrupt:
         leave(node, 0)
     except Exception as error:  # every start-up error ends in one line: what was wrong and where
         where = node.get_name() if node is not None else name
         print(f"{where}: {' '.join(str(error).split())}", file=sys.stderr, flush=True)
         leave(node, 2)
-    leave(node, adapter.run())
+    leave(node, spin(node, adapter))
 
 
 def usage(name: str, block_class: type[Block]) -> str:

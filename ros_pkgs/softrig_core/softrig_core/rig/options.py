@@ -16,6 +16,8 @@ class RunOptions(Params):
     seed: int = param(0, "rig seed of all random numbers", ge=0)
     duration: float = param(0.0, "length of the run, 0 = until stopped", "s", ge=0)
     timeout: float = param(10.0, "lockstep: wall-clock time without progress before the node gives up", "s", gt=0)
+    patience: float = param(0.8, "realtime: part of its period that a law waits for the inputs that are due", ge=0)
+    stamp_window: float = param(1.0, "realtime: distance from now at which a stamp is refused", "s", gt=0)
     start_timeout: float = param(30.0, "lockstep: wall-clock time to wait for all peers, 0 = for ever", "s", ge=0)
     paired: tuple[str, ...] = param((), "lockstep by hand: held inputs that are to be paired by stamp like the others")
     watchdog: float = param(0.0, "realtime: age at which a command is stale, 0 = the plant's number of periods", "s",
@@ -36,12 +38,18 @@ class InputLink(BaseModel):
     node : str
     at_end : bool
         Whether it also sends at the end time of the run, as plants do.
+    port : str
+        Name of the sender's port.
+    sporadic : bool
+        Whether that port may be silent, which the sender's acknowledgements tell.
     """
 
     model_config = ConfigDict(extra="forbid")
     period: str
     node: str
     at_end: bool = True
+    port: str = ""
+    sporadic: bool = False
 
 
 class Links(BaseModel):
@@ -64,7 +72,14 @@ class Links(BaseModel):
     owns_clock : bool
         Publishes /clock.
     acknowledges : bool
-        Sends each tick's stamp on ``<node>/tick`` so that the plant never runs ahead of it.
+        Sends each tick's stamp on ``<node>/tick``, so that the plant never runs ahead of it, and with it which sporadic
+        ports have spoken and whether the block ends the run.
+    tick_readers : list of str
+        Nodes that read these acknowledgements.
+    enders : by node name
+        Nodes whose block may end the run, with their period in s.
+    stride : int
+        Clock ticks between those at which a block may end the run.
     acks : by node name
         Nodes whose ticks the owner of the clock waits for, with their period in s.
     clock_readers : list of str
@@ -82,6 +97,9 @@ class Links(BaseModel):
     clock: InputLink | None = None
     owns_clock: bool = False
     acknowledges: bool = False
+    tick_readers: list[str] = []
+    enders: dict[str, str] = {}
+    stride: int = 1
     acks: dict[str, str] = {}
     clock_readers: list[str] = []
     plants: int = 1

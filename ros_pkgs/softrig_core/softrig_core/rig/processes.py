@@ -66,9 +66,11 @@ class _Child:
 def links(rig: Rig, member: Member) -> Links:
     """Work out what a node must know of its peers."""
     paired = {
-        port: InputLink(period=_seconds(link.source), node=link.source.name, at_end=link.source.schedule.at_end)
+        port: InputLink(period=_seconds(link.source), node=link.source.name, at_end=link.source.schedule.at_end,
+                        port=link.port.name, sporadic=link.port.sporadic)
         for port, link in member.links.items()
     }  # fmt: skip
+    tick_readers = _tick_readers(rig, member)
     acks = {m.name: _seconds(m) for m in _acknowledging(rig)} if member is rig.clock else {}
     return Links(
         base=_seconds(rig.clock),
@@ -78,7 +80,10 @@ def links(rig: Rig, member: Member) -> Links:
         outside=[p.topic for m in rig.members if m.external for p in m.outputs if rig.readers(m, p)],
         clock=InputLink(period=_seconds(rig.clock), node=rig.clock.name) if member in _clocked(rig) else None,
         owns_clock=member is rig.clock,
-        acknowledges=member in _acknowledging(rig),
+        acknowledges=bool(tick_readers),
+        tick_readers=tick_readers,
+        enders={m.name: _seconds(m) for m in rig.enders if not m.external},
+        stride=rig.stride,
         acks=acks,
         clock_readers=[m.name for m in _clocked(rig)] if member is rig.clock else [],
         plants=sum(m.is_plant for m in rig.members),
@@ -98,6 +103,16 @@ def _recorded_inputs(rig: Rig, member: Member) -> list[str]:
             if link is None or link.source.external:
                 first.setdefault(port.topic, m)
     return [p.name for p in member.inputs if first.get(p.topic) is member]
+
+
+def _tick_readers(rig: Rig, member: Member) -> list[str]:
+    """Name the nodes that read what a member says of its ticks."""
+    if member in rig.enders:
+        found = [m for m in rig.members if m is not member]
+    else:
+        found = [rig.clock] if member in _acknowledging(rig) else []
+        found += [m for p in member.outputs if p.sporadic for m, _ in rig.readers(member, p)]
+    return list(dict.fromkeys(m.name for m in found if not m.external))
 
 
 def _clocked(rig: Rig) -> list[Member]:

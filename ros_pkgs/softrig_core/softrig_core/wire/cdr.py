@@ -34,6 +34,7 @@ SCHEMAS: dict[str, tuple[str, ...]] = {
     "geometry_msgs/msg/PoseStamped": ("stamp", "frame", "xyz:position", "quat:orientation"),
     "rosgraph_msgs/msg/Clock": ("stamp",),
     "builtin_interfaces/msg/Time": ("stamp",),
+    "std_msgs/msg/Header": ("stamp", "frame"),
     "std_msgs/msg/Float64": ("f64:data",),
     "std_msgs/msg/Bool": ("bool:data",),
     "std_msgs/msg/Float64MultiArray": ("dims", "seq:data"),

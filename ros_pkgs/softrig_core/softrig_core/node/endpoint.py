@@ -1,0 +1,58 @@
+"""The endpoints of a node: a subscribed port and a published one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from ..model.port import Port
+from ..wire.codec import Decoder
+
+
+class Input:
+    """A subscribed port: decoder, writers and what was refused.
+
+    Attributes
+    ----------
+    publishers : int
+        Writers that are matched.
+    refused : int
+        Messages that never reached the block.
+    last_refusal : str
+    """
+
+    def __init__(self, port: Port) -> None:
+        self.port = port
+        self.name = port.name
+        self.decode = Decoder(port)
+        self.publishers = 0
+        self.refused = 0
+        self.last_refusal = ""
+
+
+class Output:
+    """A published port.
+
+    Attributes
+    ----------
+    readers : int
+        Readers that are matched, as the writer sees them.
+    """
+
+    def __init__(self, port: Port, topic: str, number: int) -> None:
+        self.port = port
+        self.name = port.name
+        self.delayed = port.delayed
+        self.sporadic = port.sporadic
+        self.topic = topic
+        self.number = number
+        self.encode: Callable[[int, Sequence[float]], bytes] = port.layout().encode
+        self.publish: Callable[[bytes], None] = _unbound
+        self.readers = 0
+
+    def matched(self, count: int) -> None:
+        """Note how many readers there are."""
+        self.readers = count
+
+
+def _unbound(data: bytes) -> None:
+    raise RuntimeError("output is not advertised yet")

@@ -1,0 +1,82 @@
+"""What people see of a node and do with it by usual ROS tools: diagnostics, figures, markers, texts, buttons."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
+
+from ..model.block import Block, Level, Observer
+from .adapter import WATCH_PERIOD, Adapter
+from .endpoint import Input
+from .messages import diagnostic_array, marker_array, message_class
+from .ros import QOS
+
+
+class Faces:
+    """Publishes /diagnostics each second, ``~/metrics`` of an observer, ``~/markers`` and latched texts; offers buttons.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+    adapter : Adapter
+    """
+
+    def __init__(self, node: Node, adapter: Adapter) -> None:
+        self._name = node.get_fully_qualified_name()
+        self._adapter = adapter
+        block = adapter.block
+        array = message_class("diagnostic_msgs/msg/DiagnosticArray")
+        self._diagnostics = node.create_publisher(array, "/diagnostics", QOS)
+        self._figures = node.create_publisher(array, "~/metrics", QOS) if isinstance(block, Observer) else None
+        shows = type(block).markers is not Block.markers
+        markers = message_class("visualization_msgs/msg/MarkerArray") if shows else None
+        self._markers = node.create_publisher(markers, "~/markers", QOS) if shows else None
+        _publish_latched(node, block)
+        for item in adapter.inputs:
+            if item.port.msgtype == "std_msgs/msg/Bool" and item.name not in adapter.links.inputs:
+                node.create_service(message_class("std_srvs/srv/Trigger"), f"~/{item.name}", self._presser(item))
+        self._looks = 0
+        node.create_timer(WATCH_PERIOD / 1e9, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def _presser(self, item: Input) -> Any:
+        def press(request: Any, response: Any) -> Any:
+            response.success, response.message = self._adapter.buttons.press(item)
+            return response
+
+        return press
+
+    def _look(self) -> None:
+        adapter = self._adapter
+        if self._markers is not None and adapter.state == "running":
+            self._markers.publish(marker_array(adapter.now(), adapter.block.markers()))
+        self._looks += 1
+        if self._looks % 4 == 0:
+            self._publish_diagnostics()
+
+    def _publish_diagnostics(self) -> None:
+        adapter, reports = self._adapter, self._adapter.block.reports
+        listened = adapter.inputs + adapter.paces
+        refused = sum(i.refused for i in listened)
+        level = Level.ERROR if refused else max((r[0] for r in reports.values()), default=Level.OK)
+        text = next((i.last_refusal for i in listened if i.refused), "") or adapter.state
+        values = {"ticks": str(adapter.ticks), **{f"refused {i.port.topic}": str(i.refused) for i in adapter.inputs}}
+        values |= {f"refused {i.port.topic}": str(i.refused) for i in adapter.paces if i.refused}
+        values |= {key: f"{count} x {text}" for key, (_, text, count) in reports.items()}
+        values |= {key: str(value) for key, value in adapter.statistics().items()} | dict(adapter.block.health())
+        self._diagnostics.publish(diagnostic_array(time.time_ns(), self._name, level, text, values))
+        if self._figures is not None and isinstance(adapter.block, Observer):
+            figures = {name: f"{value:.9g} {unit}".strip() for name, (value, unit) in adapter.block.status().items()}
+            name = adapter.middleware.name
+            self._figures.publish(diagnostic_array(adapter.t, name, Level.OK, "", figures))
+
+
+def _publish_latched(node: Node, block: Block) -> None:
+    """Publish the block's texts for whoever comes, now or later."""
+    profile = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    string = message_class("std_msgs/msg/String")
+    for topic, text in block.latched().items():
+        node.create_publisher(string, topic, profile).publish(string(data=text))

@@ -1,0 +1,85 @@
+"""The seam between a node's logic and what carries its messages.
+
+`Lockstep` and `Realtime` know nothing but this: bytes out, bytes in, who is matched, timers and two clocks. ROS stands
+behind it in `ros.RosMiddleware`; a test, a simulation or a container hands over its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple, Protocol
+
+from ..model.block import Level
+
+Receive = Callable[[bytes], None]
+Matched = Callable[[int], None]
+
+
+class Peer(NamedTuple):
+    """An endpoint as the graph shows it."""
+
+    name: str
+    namespace: str
+    msgtype: str
+
+    @property
+    def full_name(self) -> str:
+        """Namespace and name."""
+        return f"{self.namespace.rstrip('/')}/{self.name}"
+
+
+class Timer(Protocol):
+    """A timer that repeats until it is cancelled."""
+
+    def again(self, ns: int) -> None:
+        """Fire after `ns`, counted from now, and then with that period."""
+
+    def cancel(self) -> None:
+        """Never fire again, unless `again` is called."""
+
+
+class Middleware(Protocol):
+    """What one node needs of the world.
+
+    No method calls back before it returns: a message that a node sends reaches a reader, be it in the same process,
+    only after `publish` has returned. That is what keeps a tick from running inside another one.
+    """
+
+    name: str
+    full_name: str
+
+    def resolve(self, topic: str) -> str:
+        """Give the full name of a topic, remapping applied."""
+
+    def publisher(self, topic: str, msgtype: str, matched: Matched) -> Callable[[bytes], None]:
+        """Offer a topic and give the function that publishes; `matched` gets the number of readers at each change."""
+
+    def subscribe(self, topic: str, msgtype: str, receive: Receive, matched: Matched) -> None:
+        """Read a topic; `matched` gets the number of writers at each change."""
+
+    def timer(self, ns: int, callback: Callable[[], None]) -> Timer:
+        """Call back every `ns`."""
+
+    def now(self) -> int:
+        """Wall-clock time in ns: the stamps of real time."""
+
+    def steady(self) -> float:
+        """Time in s that nobody sets, for limits."""
+
+    def publishers(self, topic: str) -> list[Peer]:
+        """Writers of a topic, as the graph shows them."""
+
+    def subscribers(self, topic: str) -> list[Peer]:
+        """Readers of a topic, as the graph shows them."""
+
+    def subscriptions_of(self, peer: Peer) -> list[str]:
+        """Topics that a node reads; empty while the graph does not know the node."""
+
+    def types(self, topic: str) -> list[str]:
+        """Message types under which a topic exists."""
+
+    def log(self, level: Level, text: str) -> None:
+        """Say something to whoever operates the node."""
+
+    def drain(self) -> None:
+        """Wait, in bounded time, until every reader has what was sent."""

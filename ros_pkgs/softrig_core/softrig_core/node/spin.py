@@ -1,0 +1,61 @@
+"""Runs the adapter of a ROS node until it has finished, failed or was stopped."""
+
+from __future__ import annotations
+
+import gc
+import sys
+
+import rclpy
+from rclpy.executors import ExternalShutdownException
+from rclpy.node import Node
+from rclpy.task import Future
+
+from ..errors import RunError
+from ..model.timebase import SECOND
+from .adapter import Adapter
+from .health import write_status
+
+
+def spin(node: Node, adapter: Adapter) -> int:
+    """Spin; gives the exit status."""
+    from rclpy.experimental.events_executor import EventsExecutor
+
+    finished: Future[None] = Future()
+    adapter.on_finished = lambda: None if finished.done() else finished.set_result(None)
+    executor = EventsExecutor()
+    executor.add_node(node)
+    gc.collect()
+    gc.freeze()
+    stopped = False
+    try:
+        while rclpy.ok() and not finished.done():
+            # without a timeout this executor never delivers anything (rclpy 7.1)
+            executor.spin_until_future_complete(finished, 5.0)
+        if adapter.state == "done":
+            adapter.middleware.drain()
+        stopped = not finished.done()
+    except (KeyboardInterrupt, ExternalShutdownException):
+        stopped = True
+    except (RunError, OSError) as error:
+        adapter.error, adapter.state = error, "failed"
+    except Exception as error:  # a law or a plant that failed: the executor has printed the traceback
+        if rclpy.ok():
+            text = f"failed at t = {adapter.t / SECOND:.9g} s: {type(error).__name__}: {error}"
+            adapter.error, adapter.state = RunError(text), "failed"
+        else:  # a signal has shut the context down under a callback that was about to publish
+            stopped = True
+    if adapter.shard is not None:
+        try:
+            adapter.shard.close()
+        except OSError as error:
+            adapter.error, adapter.state = error, "failed"
+    if stopped and adapter.state != "failed":
+        adapter.state = "done" if adapter.schedule.end is None or adapter.open_ended else "failed"
+        adapter.error = None if adapter.state == "done" else RunError("stopped before the end of the run")
+    try:
+        write_status(adapter)
+    except OSError as error:
+        adapter.error, adapter.state = adapter.error or error, "failed"
+    if adapter.error is not None:
+        print(f"{node.get_name()}: {adapter.error}", file=sys.stderr, flush=True)
+    return 3 if adapter.state == "failed" else 0
