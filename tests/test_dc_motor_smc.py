@@ -331,15 +331,8 @@ def test_no_switching_before_the_first_reference_other_than_zero():
 
 def test_a_refused_reference_gives_the_surface_too():
     law = DcMotorSmc(publish_surface=True)
-    answer = law.update(0, state=(math.nan,), sensors=(0.0, 0.0), reference=None)
+    answer = law.refused(0)
     assert answer == {"command": (0.0,), "surface": (0.0,)}
-
-
-def test_a_voltage_that_is_not_finite_is_no_voltage():
-    motor = DcMotorPlant()
-    motor.advance(0, command=(math.nan,))
-    assert motor.outputs(10_000_000) == DcMotorPlant().outputs(0)
-    assert motor.reports["not_finite"][0] is Level.ERROR
 
 
 @pytest.mark.processes
@@ -471,18 +464,15 @@ MEASURED = [
 
 
 @pytest.mark.parametrize(("make", "inputs", "used"), MEASURED)
-@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
-def test_a_number_that_is_not_finite_gives_zero_volt_and_no_trace(make, inputs, used, bad):
+def test_a_tick_of_which_something_was_refused_gives_zero_volt_and_leaves_no_trace(make, inputs, used):
+    block, clean = make(), make()
     inputs = inputs | {"reference": (10.0,)}
-    for port, place in [*used, ("reference", 0)]:
-        block, clean = make(), make()
-        for b in (block, clean):
-            b.update(0, **inputs)
-        spoiled = tuple(bad if i == place else x for i, x in enumerate(inputs[port]))
-        assert block.update(1, **(inputs | {port: spoiled}))["command"] == (0.0,), port
-        assert block.reports["not_finite"][0] is Level.ERROR
-        after = inputs | {"reference": (9.0,)}
-        assert block.update(2, **after) == clean.update(2, **after)
+    for b in (block, clean):
+        b.update(0, **inputs)
+    assert block.refused(1)["command"] == (0.0,)
+    assert block.reports["refused"][0] is Level.ERROR
+    after = inputs | {"reference": (9.0,)}
+    assert block.update(2, **after) == clean.update(2, **after)
 
 
 @pytest.mark.parametrize(("make", "inputs", "used"), MEASURED)

@@ -507,11 +507,9 @@ def test_fluctuation_is_drawn_once_a_run():
 
 
 def test_bad_duty():
-    """NaN or infinite: the last one holds; outside the limits: clipped."""
+    """Outside the limits: clipped. (One that is not finite never reaches the plant.)"""
     plant, twin = PvPlant(), PvPlant()
-    for duty, meant, level in ((0.5, 0.5, None), (math.nan, 0.5, Level.ERROR), (1.7, 0.9, Level.WARN),
-                               (math.inf, 0.9, Level.ERROR), (-1.0, 0.1, Level.WARN),
-                               (-math.inf, 0.1, Level.ERROR)):  # fmt: skip
+    for duty, meant, level in ((0.5, 0.5, None), (1.7, 0.9, Level.WARN), (-1.0, 0.1, Level.WARN)):
         plant.reports.clear()
         plant.advance(0, (duty,), None)
         twin.advance(0, (meant,), None)

@@ -17,7 +17,7 @@ from .ros import QOS
 
 
 class Faces:
-    """Publishes /diagnostics each second, ``~/metrics`` of an observer, ``~/markers`` and latched texts; offers buttons.
+    """Publishes diagnostics each second, figures of an observer, markers and latched texts; offers buttons.
 
     Parameters
     ----------

@@ -81,6 +81,8 @@ class Realtime(Adapter):
             if item.publishers > 1:
                 self.refuse(item, f"{item.publishers} publishers at once ({self._who(item)}), expected one")
                 return
+            if self.state != "running":
+                return
             now = self.middleware.now()
             stamp = 0
             try:
@@ -282,6 +284,9 @@ class Realtime(Adapter):
     # plants and sources ----------------------------------------------------------------------------------------
 
     def _tick(self) -> None:
+        if self.state != "running":
+            self._timer.cancel()
+            return
         now = self.middleware.now()
         if self.tick_number is None:
             # The first tick is the next point of the grid, or the common start that the runner gave.

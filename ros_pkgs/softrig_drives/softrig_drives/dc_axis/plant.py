@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Self
 
 from pydantic import model_validator
-from softrig_core.model.block import Level, Plant
+from softrig_core.model.block import Plant
 from softrig_core.model.params import param
 from softrig_core.node import executable
 
@@ -81,9 +81,6 @@ class DcAxisPlant(Plant):
         del self._past[0]
         self._past.append(self._counts())
         u, limit = command[0], self.p.u_limit_v
-        if u - u != 0.0:
-            self.report(Level.ERROR, "not_finite", f"command {u} V is not finite; 0 V")
-            u = 0.0
         f = self._gain * min(max(u, -limit), limit)
         if self.p.friction:
             for _ in range(self._steps):

@@ -33,11 +33,8 @@ class SetPoint:
         self._reference: float | None = None
         self._forward = self._reverse = False
 
-    def update(self, reference: float | None, forward: bool, reverse: bool) -> bool:
-        """Take this period's inputs; False when the reference is not finite (the last one then holds)."""
-        if reference is not None and not math.isfinite(reference):
-            self._report(Level.ERROR, "reference", f"reference is {reference}: the last good one holds, 0 V")
-            return False
+    def update(self, reference: float | None, forward: bool, reverse: bool) -> None:
+        """Take this period's inputs."""
         before = self.value
         if reference is not None and reference != self._reference:
             self.value = self._reference = reference
@@ -46,7 +43,6 @@ class SetPoint:
             self._report(
                 Level.WARN, "step", f"step of {abs(self.value - before):g} mm without anti-windup: it will overshoot"
             )
-        return True
 
     def _pressed(self, forward: bool, reverse: bool) -> float:
         """Motion asked for by a button going down."""

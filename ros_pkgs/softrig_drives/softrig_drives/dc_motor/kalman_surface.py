@@ -65,9 +65,6 @@ class DcMotorSmcKalman(SurfaceControl):
         """Give the voltage."""
         count, current = sensors
         r = self.reference(reference)
-        known = r + count + current + applied[0]
-        if known - known != 0.0:
-            return self.refuse()
         w, i, _, load = self._filter(applied, (current, (count + 0.5) * self._rad_per_count))
         per_w, per_i, per_load = self._acceleration
         return self.law(r, w, per_w * w + per_i * i + per_load * load)

@@ -42,8 +42,6 @@ class DcMotorPid(SpeedControl):
     ) -> Mapping[str, tuple[float, ...]]:
         """Give the voltage."""
         e = self.reference(reference) - state[0]
-        if e - e != 0.0:
-            return self.refuse()
         return {"command": (self._pid(e),)}
 
 

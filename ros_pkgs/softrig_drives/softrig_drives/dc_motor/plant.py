@@ -98,10 +98,7 @@ class DcMotorPlant(Plant):
         """Apply the command over one period."""
         p = self.p
         u = command[0]
-        if u - u != 0.0:
-            self.report(Level.ERROR, "not_finite", f"command {u} V is not finite; 0 V")
-            u = 0.0
-        elif not -p.vmax <= u <= p.vmax:
+        if not -p.vmax <= u <= p.vmax:
             self.report(Level.WARN, "clipped", f"command {u:g} V clipped to the supply, {p.vmax:g} V")
             u = p.vmax if u > 0.0 else -p.vmax
         v = round(self._levels * u / p.vmax) * self._volts_per_level if p.rig else u

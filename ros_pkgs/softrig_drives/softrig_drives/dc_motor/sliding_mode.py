@@ -75,10 +75,6 @@ class SurfaceControl(SpeedControl):
         elif r:
             self._k_gain = p.k_per_ref * abs(r) / p.model_gain
 
-    def refuse(self) -> Mapping[str, tuple[float, ...]]:
-        """Give 0 V, and the surface when asked for."""
-        return {**super().refuse(), "surface": (0.0,)} if self._surface else super().refuse()
-
     def law(self, r: float, w: float, wd: float) -> Mapping[str, tuple[float, ...]]:
         """Answer for the reference r, the speed w and its derivative wd."""
         if r != self._scaled_to:
@@ -126,9 +122,6 @@ class DcMotorSmc(SurfaceControl):
         """Give the voltage."""
         w = state[0]
         r = self.reference(reference)
-        known = r + w + sensors[1]
-        if known - known != 0.0:
-            return self.refuse()
         if self._current:
             return self.law(r, w, self._wd_i * sensors[1] - self._wd_w * w)
         if self._w is not None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import Self
 
@@ -29,8 +28,8 @@ class SpeedControlParams(BlockParams):
 class SpeedControl(Block):
     """Base of the speed controllers.
 
-    A law calls `reference` for the reference that holds at this tick and, when a number that it is about to use is
-    not finite, answers `refuse` instead of touching its state.
+    A law calls `reference` for the reference that holds at this tick. A tick of which something was refused gets
+    0 V and leaves the state of the law as it is.
     """
 
     def start(self) -> None:
@@ -38,12 +37,10 @@ class SpeedControl(Block):
         self._r = self.p.set_point
 
     def reference(self, message: tuple[float, ...] | None) -> float:
-        """Give the reference to follow: the newest in range; NaN for one that is not finite."""
+        """Give the reference to follow: the newest in range."""
         if message is None or message[0] == self._r:
             return self._r
         r = message[0]
-        if not math.isfinite(r):
-            return math.nan
         if abs(r) > self.p.reference_limit:
             self.report(
                 Level.WARN, "reference_range",
@@ -53,7 +50,7 @@ class SpeedControl(Block):
         self._r = r
         return r
 
-    def refuse(self) -> Mapping[str, tuple[float, ...]]:
+    def refused(self, t: int) -> Mapping[str, tuple[float, ...]]:
         """Give 0 V and report the error."""
-        self.report(Level.ERROR, "not_finite", "measurement or reference is not finite; command 0 V")
-        return {"command": (0.0,)}
+        self.report(Level.ERROR, "refused", "measurement or reference was refused; command 0 V")
+        return {port.name: (0.0,) * port.size for port in self.ports(self.p)[1]}

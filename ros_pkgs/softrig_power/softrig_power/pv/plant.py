@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import ClassVar, Literal, Self
 
@@ -104,9 +103,7 @@ class PvPlant(Plant):
 
     def _limited(self, d: float) -> float:
         p: PvPlantParams = self.p
-        if not math.isfinite(d):
-            self.report(Level.ERROR, "duty", f"the duty is {d}, expected a finite number: {self._duty:g} holds")
-        elif p.d_min <= d <= p.d_max:
+        if p.d_min <= d <= p.d_max:
             self._duty = d
         else:
             self._duty = min(max(d, p.d_min), p.d_max)

@@ -1,0 +1,169 @@
+"""Real time and lockstep over a simulated middleware: which tick's inputs a law uses, with a clock the test moves."""
+
+import random
+
+import numpy as np
+import pytest
+from conftest import differences, in_process, make_scenario
+from simulated import SimulatedRig, World
+from softrig_core.rig.rig import Rig
+from softrig_core.rig.scenario import load_scenario
+from softrig_core.wire.signals import Signals
+from test_ports import RIGS
+
+BASIC = {"plant": "plant", "source": "source", "gain": "gain"}
+MS = 1_000_000
+
+
+def basic(duration=0.5, **changes):
+    return Rig.from_scenario(make_scenario(BASIC | changes, duration))
+
+
+def shortened(name, duration):
+    scenario = load_scenario(name)
+    return Rig.from_scenario(scenario.changed(duration=duration))
+
+
+def jitter(seed, low, high):
+    rng = random.Random(seed)
+    return lambda topic, writer, reader: rng.randrange(low, high)
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("name", ["dc_motor_smc_b2", "rehab_impedance"])
+def test_a_law_uses_the_inputs_of_its_tick(name, seed):
+    """Messages of one tick come in any order: real time gives the numbers of lockstep, bit for bit."""
+    rig = shortened(name, 0.3)
+    expected = Signals(in_process(rig))
+    fastest = rig.clock.schedule.time(1)
+    run = SimulatedRig(rig, World(jitter(seed, 1_000, fastest // 8)), "realtime")
+    assert set(run.run().values()) == {"done"}
+    found = Signals(run.recording, run.epoch)
+    for member in rig.members:
+        adapter = run.adapters[member.name]
+        assert adapter.missed == adapter.incomplete == 0, member.name
+        for port in member.outputs:
+            if port.held:
+                continue
+            for label in port.labels:
+                a, b = expected[f"{port.topic}/{label}"], found[f"{port.topic}/{label}"]
+                n = min(len(a.x), len(b.x))
+                assert n >= len(a.x) - 1
+                assert np.array_equal(a.x[:n], b.x[:n]), f"{port.topic}/{label}"
+
+
+def test_a_tick_without_all_its_inputs_is_answered_after_a_part_of_the_period_and_counted():
+    def late(topic, writer, reader):
+        return 9 * MS if topic == "/lag/reference" else MS // 10  # the period is 10 ms
+
+    rig = basic()
+    run = SimulatedRig(rig, World(late), "realtime", patience=0.5)
+    run.run()
+    gain = run.adapters["gain"]
+    assert gain.incomplete >= 48
+    assert gain.block.reports["incomplete"][1] == "answered without what was due on lag/reference"
+    assert gain.statistics()["incomplete_ticks"] == gain.incomplete
+    found = Signals(run.recording, run.epoch)
+    x, r, u = (
+        dict(zip((found[f"lag/{s}"].t * 100).round(), found[f"lag/{s}"].x, strict=True))
+        for s in ("state/x/position", "reference/x/position", "command/u/effort")
+    )
+    assert list(u)[:40] == list(range(40))
+    assert u[0] == 2.0 * (r[0] - x[0])  # before the first reference there is nothing to answer with
+    for k in range(1, 50):
+        assert u[k] == 2.0 * (r[k - 1] - x[k])  # the reference of the tick before
+
+
+def test_with_patience_for_it_the_late_reference_is_waited_for():
+    late = {"/lag/reference": 7 * MS}
+    rig = basic()
+    run = SimulatedRig(rig, World(lambda topic, *_: late.get(topic, MS // 10)), "realtime", patience=0.8)
+    run.run()
+    assert run.adapters["gain"].incomplete == 0
+    found = Signals(run.recording, run.epoch)
+    assert np.array_equal(found["lag/state/x/position"].x, Signals(in_process(rig))["lag/state/x/position"].x)
+
+
+def send(run, topic, msgtype, data):
+    node = next(iter(run.nodes.values()))
+    for reader in node.world.readers:
+        if reader.topic == topic and reader.msgtype == msgtype:
+            reader.receive(data)
+
+
+def test_a_stamp_from_the_future_is_refused_and_the_next_good_one_is_used():
+    rig = basic(1.0)
+    world = World()
+    run = SimulatedRig(rig, world, "realtime")
+    world.match()
+    world.run(run.epoch + 100 * MS)
+    gain, ticks = run.adapters["gain"], run.adapters["gain"].ticks
+    port = next(p for p in rig.clock.outputs if p.name == "state")
+    for off, text in ((3600, "+3.6e+03 s from now"), (-3600, "-3.6e+03 s from now")):
+        send(run, "/lag/state", port.msgtype, port.layout().encode(world.now + off * 1_000_000_000, (7.0, 7.0)))
+        assert text in gain.inputs[0].last_refusal
+    assert gain.inputs[0].refused == 2
+    assert any("stamp is" in text for _, text in run.nodes["gain"].logs)
+    world.run(run.epoch + 300 * MS)
+    assert gain.ticks == ticks + 20
+    run.run()
+    assert np.array_equal(Signals(run.recording, run.epoch)["lag/state/x/position"].x,
+                          Signals(in_process(rig))["lag/state/x/position"].x)  # fmt: skip
+
+
+def test_a_refused_measurement_is_answered_at_its_tick_by_what_was_said_before():
+    rig = basic(1.0)
+    world = World()
+    run = SimulatedRig(rig, world, "realtime", without=("plant",))
+    world.match()
+    port = next(p for p in rig.clock.outputs if p.name == "state")
+    world.run(run.epoch - 1)
+    for k in range(10):
+        world.run(run.epoch + k * 10 * MS + MS)
+        data = port.layout().encode(run.epoch + k * 10 * MS, (float("nan") if k == 6 else float(k), 0.0))
+        send(run, "/lag/state", port.msgtype, data)
+    world.run(run.epoch + 99 * MS)
+    u = Signals(run.recording, run.epoch)["lag/command/u/effort"].x
+    assert list(u) == pytest.approx([2.0 * (0.01 * k - k) for k in (0, 1, 2, 3, 4, 5, 5, 7, 8, 9)])
+
+
+def test_a_node_whose_senders_have_ended_ends_too():
+    run = SimulatedRig(basic(0.5), World(), "realtime", without=("plant",))
+    assert run.run(5.0)["gain"] == "done"
+
+
+def test_a_law_notices_a_source_that_has_stopped():
+    rig = basic(2.0)
+    world = World()
+    run = SimulatedRig(rig, world, "realtime", without=("source",))
+    source = SimulatedRig(basic(0.5), world, "realtime", without=("plant", "gain"))
+    assert source.epoch == run.epoch
+    run.run()
+    reports = run.adapters["gain"].block.reports
+    assert "no message on lag/reference for 0.05 s: the last one is held" in reports["stale lag/reference"][1]
+    assert run.adapters["gain"].ticks > 190
+
+
+@pytest.mark.parametrize("name", RIGS)
+def test_the_ports_of_the_rigs_work_in_lockstep_whatever_the_order_of_delivery(name):
+    nodes, duration, options = RIGS[name]
+    rig = Rig.from_scenario(make_scenario(nodes, duration, **options))
+    expected = in_process(rig)
+    for seed in range(20):
+        run = SimulatedRig(rig, World(jitter(seed, 1_000, 5 * MS)), "lockstep")
+        assert set(run.run(1000.0).values()) == {"done"}, (seed, {n: str(a.error) for n, a in run.adapters.items()})
+        assert differences(expected, run.recording) == [], seed
+
+
+def test_malformed_clocks_and_ticks_are_counted_and_do_no_harm():
+    rig = basic(0.2, watcher="watcher")
+    world = World()
+    run = SimulatedRig(rig, world, "lockstep")
+    world.match()
+    world.run(world.now + 30 * MS, lambda: run.adapters["plant"].t > 50 * MS)
+    send(run, "/clock", "rosgraph_msgs/msg/Clock", b"\0\1\0\0\1")
+    send(run, "/watcher/tick", "std_msgs/msg/Header", b"\0\1\0\0\1\2\3")
+    run.run()
+    assert differences(in_process(rig), run.recording) == []
+    refused = [i.refused for name in ("source", "plant") for i in run.adapters[name].paces]
+    assert refused == [1, 1]
