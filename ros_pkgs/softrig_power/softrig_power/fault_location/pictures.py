@@ -61,8 +61,11 @@ def objective(record: Record, p: LocatorParams, found: Location, path: Path, tru
             axis.axvline(truth, color="k", lw=0.8, ls="--", label=f"truth {truth:g} km")
         axis.set_yscale("log")
         axis.set_xlabel("x, km")
+        if found.x_km is not None:  # a mode that is not excited lies far below
+            axis.set_ylim(bottom=0.3 * found.f_min)
     axes[0, 0].set_ylabel("F(x), V")
     axes[0, 0].legend(fontsize=7)
+    axes[0, 1].locator_params(axis="x", nbins=5)
     figure.savefig(path, dpi=110)
 
 
