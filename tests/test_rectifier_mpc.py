@@ -5,6 +5,7 @@ import math
 import subprocess
 import sys
 import time
+from functools import cache
 
 import numpy as np
 import pytest
@@ -26,7 +27,7 @@ from softrig_core.model.block import Level
 from softrig_core.model.params import ParameterError
 from softrig_core.model.port import Refused, scalars
 from softrig_core.rig.processes import run_processes
-from softrig_core.rig.scenario import list_scenarios
+from softrig_core.rig.scenario import list_scenarios, load_scenario
 from softrig_core.rig.simulate import rig_of, simulate
 from softrig_core.wire.cdr import Layout
 from softrig_core.wire.codec import Decoder
@@ -68,9 +69,15 @@ ACCEPTANCE = {
 }
 
 
+@cache
+def run_of(name):
+    """A whole run, kept: several tests look at it."""
+    return simulate(name)
+
+
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_scenario_meets_its_figures(name):
-    run = simulate(name)
+    run = run_of(name)
     assert run.results
     assert [(row.name, row.value) for row in run.missed] == []
     for figure, (expected, tolerance) in ACCEPTANCE.get(name, {}).items():
@@ -93,6 +100,24 @@ def test_critical_weight_puts_a_pole_on_the_unit_circle(period, weight, toleranc
     model = seed19(period)
     found = brentq(lambda w: Gpc(model, Tuning(weight=w)).spectral_radius() - 1.0, 0.5 * weight, 2.0 * weight)
     assert found == pytest.approx(weight, abs=tolerance)
+
+
+def test_verdicts_on_the_papers_claims_hold():
+    runs = {name: run_of(name).figures for name in SCENARIOS}
+    judged = 0
+    for name in SCENARIOS:
+        for key, claim in load_scenario(name).claims.items():
+            other = None
+            for bound in (claim.below, claim.above, claim.equals):
+                if isinstance(bound, str):
+                    scenario, _, figure = bound.rpartition(".")
+                    other = runs[scenario or name][figure]
+                elif bound is not None:
+                    other = bound
+            value = runs[name][claim.figure or key]
+            assert claim.holds(claim.agrees(math.inf if value is None else value, other)), (name, key, value)
+            judged += 1
+    assert judged >= 19
 
 
 def test_poles_are_those_of_the_simulated_loop():
@@ -565,7 +590,7 @@ def test_absurd_commands_end_in_a_report_not_in_nan(model, command):
 
 
 def test_divergence_ends_as_a_reported_trip():
-    run = simulate("rectifier_mpc_l2_0p1ms")
+    run = run_of("rectifier_mpc_l2_0p1ms")
     law = run.blocks["gpc_controller"]
     assert law.tripped
     assert law.reports["trip"][0] == Level.ERROR
@@ -577,7 +602,7 @@ def test_divergence_ends_as_a_reported_trip():
 
 
 def test_metrics_by_event():
-    run = simulate("rectifier_mpc")
+    run = run_of("rectifier_mpc")
     found = run.blocks["rig_metrics"].status()
     v = run.signals["dc_link/voltage/position"]
     after = v.x[v.t >= 0.15]
@@ -596,8 +621,8 @@ def test_metrics_by_event():
 def test_the_certificate_of_the_papers_model_does_not_help_the_plant():
     """(19) has a valid certificate, its controller a limit cycle on the plant: the model is wrong, not the method."""
     assert certify(seed19(T)).valid
-    assert simulate("rectifier_mpc_seed19_lam1").figures["peak_to_peak"] > 160
-    assert simulate("rectifier_mpc_seed19").figures["peak_to_peak"] < 0.1
+    assert run_of("rectifier_mpc_seed19_lam1").figures["peak_to_peak"] > 160
+    assert run_of("rectifier_mpc_seed19").figures["peak_to_peak"] < 0.1
 
 
 def test_native_and_plain_code_give_the_same_bits(monkeypatch):
@@ -652,15 +677,16 @@ def test_processes_give_the_same_bytes(name, tmp_path):
 
 def test_certificate_node_answers_a_press_once():
     node = CertificateNode()
-    assert node.update(0, certify=None) == {}
-    found = node.update(1, certify=(1.0,))
+    found = node.update(0, certify=None)
     assert found["gain"] == pytest.approx((-0.76362, 0.46805), abs=1e-5)
     assert found["terminal"][1] == found["terminal"][2] == pytest.approx(-0.58845, abs=1e-5)
     assert found["verdict"][0] == 1.0
-    assert node.update(2, certify=(1.0,)) == {}
-    assert node.update(3, certify=(0.0,)) == {}
-    assert node.update(4, certify=(1.0,)) == found
-    assert node.refused(5) == {}
+    assert node.update(1, certify=None) == {}
+    assert node.update(2, certify=(1.0,)) == found
+    assert node.update(3, certify=(1.0,)) == {}
+    assert node.update(4, certify=(0.0,)) == {}
+    assert node.update(5, certify=(1.0,)) == found
+    assert node.refused(6) == {}
     printed = CertificateNode(K=(-1.833, 1.077), Qbar=(5.34, 1.83, 1.83, 1.0))
     assert printed.update(0, certify=(1.0,))["verdict"][0] == 0.0
     assert printed.reports["no_certificate"][0] == Level.WARN

@@ -40,17 +40,18 @@ class CertificateParams(BlockParams):
 
 
 class CertificateNode(Block[CertificateParams]):
-    """Answers each press of its button with K, Qbar, the moduli of the closed loop and the verdict.
+    """Answers at its first tick and at each press of its button: K, Qbar, the closed loop's moduli and the verdict.
 
-    ``certificate/verdict``: valid (1 or 0), smallest eigenvalue of Qbar, residual of the corrected (32), smallest
-    eigenvalue of its left side less Q + K'RK. A certificate that is none is reported as a warning.
+    ``certificate/verdict``: valid (1 or 0), largest modulus of the closed loop, smallest eigenvalue of Qbar, residual
+    of the corrected (32), smallest eigenvalue of its left side less Q + K'RK. A certificate that is none is reported as
+    a warning.
     """
 
     @classmethod
     def ports(cls, params: CertificateParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
         """Arrays of the size of the model."""
         n = len(companion(params.carima())[0])
-        verdict = {"valid": "", "definite": "", "residual": "", "decrease": ""}
+        verdict = {"valid": "", "modulus": "", "definite": "", "residual": "", "decrease": ""}
         return (button("certify", "certify", held=True),), (
             array("gain", "certificate/gain", {"state": n}, "", sporadic=True),
             array("terminal", "certificate/terminal", {"row": n, "column": n}, "", sporadic=True),
@@ -59,13 +60,14 @@ class CertificateNode(Block[CertificateParams]):
         )
 
     def start(self) -> None:
-        """Not pressed yet."""
-        self._down = False
+        """The first tick counts as a press."""
+        self._first, self._down = True, False
 
     def update(self, t: int, *, certify: tuple[float, ...] | None) -> Mapping[str, Any]:
         """Answer when the button goes down."""
         down = certify is not None and certify[0] != 0.0
-        pressed, self._down = down and not self._down, down
+        pressed = self._first or (down and not self._down)
+        self._first, self._down = False, down
         return self._answer() if pressed else {}
 
     def refused(self, t: int) -> Mapping[str, Any]:
@@ -81,7 +83,7 @@ class CertificateNode(Block[CertificateParams]):
             "gain": tuple(found.gain.ravel().tolist()),
             "terminal": tuple(found.terminal.ravel().tolist()),
             "moduli": tuple(found.moduli.tolist()),
-            "verdict": (float(found.valid), found.definite, found.residual, found.decrease),
+            "verdict": (float(found.valid), float(found.moduli[0]), found.definite, found.residual, found.decrease),
         }
 
     def _certificate(self) -> Certificate:
