@@ -641,8 +641,8 @@ def test_native_and_plain_code_give_the_same_bits(monkeypatch):
 
 def test_control_step_is_fast():
     """20 us the closed form, 250 us the constrained law; medians, of a block on a busy machine."""
-    for given, limit in (({}, 20e-6), ({"solver": "daqp", "du_max": 2.0}, 250e-6)):
-        law = RectifierGpc(**given)
+    for law_values, limit in (({}, 20e-6), ({"solver": "daqp", "du_max": 2.0}, 250e-6)):
+        law = RectifierGpc(**law_values)
         times = []
         for k in range(1500):
             y = (400.0 + 8.0 * math.sin(0.3 * k),)
