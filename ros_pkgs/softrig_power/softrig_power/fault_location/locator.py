@@ -35,8 +35,8 @@ class FaultLocator(Block[FaultLocatorParams]):
     """Two-terminal fault locator in the time domain; see `equations`, `location.Locator` and `search`.
 
     Answers once, at the end of the run, and whenever `locate` is pressed: ``verdict`` always, ``location`` and
-    ``objective`` only when there is a position. A tick that the node has refused (NaN) is silent and a gap of the record,
-    which is told and not located. Computation times go to the diagnostics, no number of a topic depends on them.
+    ``objective`` only when there is a position. A tick that the node has refused (NaN) is silent and a gap of the
+    record, which is told and not located. Computation times go to the diagnostics, no number of a topic depends on them.
     """
 
     Params = FaultLocatorParams
