@@ -127,8 +127,7 @@ class Optimiser:
         """
         self._check(demand)
         begun = time.perf_counter()
-        guess = self._filled(demand) if start is None else balanced(self.units, start, demand)
-        found = self._answer(nlp(self.units, demand, guess)[0])
+        found = self._answer(self.start(demand, start))
 
         def note(stage: str, bound: float) -> None:
             found.stage, found.bound = stage, max(found.bound, min(bound, found.cost))
@@ -209,11 +208,18 @@ class Optimiser:
         if why:
             raise InfeasibleError(why)
 
-    def _filled(self, demand: float) -> Array:
-        """Every unit at the same share of its range."""
+    def start(self, demand: float, given: Array | None = None) -> Array:
+        """Give a feasible dispatch to begin with: the given one, or each unit at the same share of its range.
+
+        Returns
+        -------
+        ndarray, shape (n,)
+            MW; the best inside its own arches.
+        """
         low, high = self.units.p_min, self.units.p_max
         room = float((high - low).sum())
-        return balanced(self.units, low + (high - low) * ((demand - low.sum()) / room if room else 0.0), demand)
+        even = low + (high - low) * ((demand - low.sum()) / room if room else 0.0)
+        return nlp(self.units, demand, balanced(self.units, even if given is None else given, demand))[0]
 
     def _answer(self, P: Array) -> Dispatch:
         return Dispatch(P, self.units.total(P), price=marginal_cost(self.units, P))
