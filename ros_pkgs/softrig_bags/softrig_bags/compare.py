@@ -15,9 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 from rosbags.typesys.store import Typestore
 from softrig_core.model.timebase import SECOND
-from softrig_core.wire.cdr import SCHEMAS, parse
+from softrig_core.wire.cdr import parse
 from softrig_core.wire.recording import Topic
 from softrig_core.wire.signals import Signals
+from softrig_core.wire.types import TYPES
 
 from .errors import BagError
 from .read import BagSignals, deserialised, flatten
@@ -285,13 +286,13 @@ def _keys(topic: Topic, stamped: bool) -> list[tuple[int, int]]:
 def _fields(signals: Signals, topic: Topic, rows: NDArray[np.intp]) -> dict[str, Any]:
     """Give chosen messages as columns: arrays for numbers, lists for names and texts, bytes if nothing is known."""
     columns: dict[str, Any]
-    if topic.msgtype in SCHEMAS:
+    if topic.msgtype in TYPES:
         with suppress(ValueError):  # of a known type, but used in another way than the suite does
             heads = [parse(topic.msgtype, topic.data[i]) for i in rows]
             columns = {k: v[rows] for k, v in signals.table(topic.name).columns.items()}
             columns["frame_id"] = [m.frame_id for m in heads]
             columns["name"] = [", ".join(m.names) for m in heads]
-            if SCHEMAS[topic.msgtype][-1] == "duration":  # no signal, and the end of the message
+            if TYPES[topic.msgtype].timed:  # no signal, and the end of the message
                 ends = [stamp(topic.data[i], len(topic.data[i]) - 8) for i in rows]
                 columns["time_from_start"] = np.array(ends) / SECOND
             return columns

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from rosbags.typesys.store import Typestore
 from softrig_core.model.timebase import SECOND
-from softrig_core.wire.cdr import SCHEMAS
 from softrig_core.wire.recording import Recording, Topic, relative
 from softrig_core.wire.signals import Signals, Table
+from softrig_core.wire.types import TYPES
 
 from .errors import BagError
 from .reader import BagReader
@@ -65,7 +65,7 @@ class BagSignals(Signals):
     def table(self, topic: str) -> Table:
         """Give all columns of a topic."""
         found = self.recording.topics.get(topic)
-        if found is not None and found.msgtype not in SCHEMAS and topic not in self._tables:
+        if found is not None and found.msgtype not in TYPES and topic not in self._tables:
             self._tables[topic] = self._foreign(topic)
         try:
             return super().table(topic)
@@ -93,7 +93,7 @@ class BagSignals(Signals):
     def decodable(self) -> list[str]:
         """Topics whose message type is defined in the bag or here."""
         topics = self.recording.topics.values()
-        return [t.name for t in topics if t.msgtype in SCHEMAS or self._stores[t.msgtype] is not None]
+        return [t.name for t in topics if t.msgtype in TYPES or self._stores[t.msgtype] is not None]
 
     def __iter__(self) -> Iterator[str]:
         for topic in self.decodable:

@@ -6,7 +6,7 @@ from struct import Struct
 
 from rosbags.typesys.store import Typestore
 from softrig_core.model.timebase import SECOND
-from softrig_core.wire.cdr import SCHEMAS
+from softrig_core.wire.types import TYPES
 
 from .topics import BagTopic
 
@@ -15,8 +15,8 @@ _LITTLE, _BIG = Struct("<iI"), Struct(">iI")
 
 def is_stamped(topic: BagTopic, store: Typestore | None = None) -> bool:
     """Whether messages of a topic begin with a header or a time; a store's definition comes before the topic's."""
-    if topic.msgtype in SCHEMAS:
-        return SCHEMAS[topic.msgtype][0] == "stamp"
+    if topic.msgtype in TYPES:
+        return TYPES[topic.msgtype].stamped
     if store is not None:
         fields = store.fielddefs[topic.msgtype][1]
         return bool(fields) and fields[0][1][1] in ("std_msgs/msg/Header", "builtin_interfaces/msg/Time")

@@ -10,6 +10,7 @@ from softrig_core.model.block import Plant
 from softrig_core.model.params import BlockParams, param
 from softrig_core.model.port import Port, joint_state, reference, vector3, wrench
 from softrig_core.node import executable
+from softrig_core.wire import types
 
 MessageType = Literal[
     "sensor_msgs/msg/JointState",
@@ -34,7 +35,7 @@ class LinkParams(BlockParams):
     def _names_fit(self) -> Self:
         if self.topic_in == self.topic_out:
             raise ValueError(f"topic_in and topic_out are both {self.topic_in!r}")
-        known = {"position", "velocity", "effort" if self.message.endswith("JointState") else "acceleration"}
+        known = {"position", "velocity", "effort" if self.message == types.JOINT_STATE.name else "acceleration"}
         if not self.fields or not known.issuperset(self.fields):
             raise ValueError(f"fields {list(self.fields)}, expected some of {sorted(known)} for {self.message}")
         self.check_size("initial")
@@ -48,11 +49,11 @@ class LinkParams(BlockParams):
 
     def port(self, name: str, topic: str, delayed: bool = False) -> Port:
         """Give one end of the link."""
-        if self.message == "geometry_msgs/msg/Vector3Stamped":
+        if self.message == types.VECTOR.name:
             return vector3(name, topic, self.frame_id, "", delayed=delayed)
-        if self.message == "geometry_msgs/msg/WrenchStamped":
+        if self.message == types.WRENCH.name:
             return wrench(name, topic, self.frame_id, delayed=delayed)
-        make = joint_state if self.message == "sensor_msgs/msg/JointState" else reference
+        make = joint_state if self.message == types.JOINT_STATE.name else reference
         units = dict.fromkeys(self.fields, "1")
         return make(name, topic, self.channels, frame_id=self.frame_id, delayed=delayed, **units)
 

@@ -7,7 +7,9 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import NamedTuple
 
-from ..wire.cdr import NAMED, SCHEMAS, Dims, Layout, element_labels
+from ..wire import types
+from ..wire.cdr import Layout
+from ..wire.types import TYPES, Dims, MessageType, element_labels
 
 XYZ = ("x", "y", "z")
 
@@ -37,7 +39,7 @@ class Port:
     topic : str
         Relative topic name.
     msgtype : str
-        ROS message type, one of `softrig_core.wire.cdr.SCHEMAS`.
+        ROS message type, one of `softrig_core.wire.types.TYPES`.
     channels : tuple of str
         Names inside the message (JointState.name, joint_names; x, y, z of a vector).
     fields : tuple of str
@@ -84,7 +86,7 @@ class Port:
             object.__setattr__(self, "safe", (0.0,) * self.size)
         if len(self.safe) != self.size:
             raise ValueError(f"port {self.name}: {len(self.safe)} safe values for {self.size} values")
-        if self.partial and self.msgtype not in NAMED:
+        if self.partial and not self.type.named:
             raise ValueError(f"port {self.name}: {self.msgtype} has no channel names, it cannot be partial")
 
     @cached_property
@@ -95,17 +97,14 @@ class Port:
     @cached_property
     def labels(self) -> tuple[str, ...]:
         """Name of each value below the topic, e.g. ``shaft/velocity``; ``x`` or ``data`` where one word says it."""
-        if self.dims:
-            return element_labels(self.dims)
-        if self.msgtype in ("std_msgs/msg/Float64", "std_msgs/msg/Bool"):
-            return ("data",)
-        if self.msgtype == "geometry_msgs/msg/PoseStamped":
-            return (*(f"position/{c}" for c in XYZ), *(f"orientation/{c}" for c in (*XYZ, "w")))
-        if self.msgtype == "geometry_msgs/msg/Vector3Stamped":
-            return XYZ
-        if self.msgtype == "geometry_msgs/msg/WrenchStamped":
-            return tuple(f"{f}/{c}" for f in ("force", "torque") for c in XYZ)
-        return tuple(f"{c}/{f}" for f in self.fields for c in self.channels)
+        sizes = self.type.sizes
+        counts = {name: sizes[name] or len(self.channels) for name in self.fields}
+        return self.type.labels(counts, self.channels if self.type.named else (), self.dims)
+
+    @property
+    def type(self) -> MessageType:
+        """What is known of its message type."""
+        return TYPES[self.msgtype]
 
     @property
     def initial(self) -> tuple[float, ...] | Sample | None:
@@ -117,11 +116,11 @@ class Port:
     @property
     def stamped(self) -> bool:
         """Whether its messages have a header with a stamp."""
-        return "stamp" in SCHEMAS[self.msgtype]
+        return self.type.stamped
 
     def layout(self) -> Layout:
         """Wire layout of what this port publishes."""
-        names = self.channels if self.msgtype in NAMED else ()
+        names = self.channels if self.type.named else ()
         count = self.size if self.dims else len(self.channels)
         return Layout(self.msgtype, self.frame_id, names, dict.fromkeys(self.fields, count), self.dims)
 
@@ -136,9 +135,8 @@ Units = str | Sequence[str]  # one of all channels, or one a channel; "1" for a 
 def joint_state(name: str, topic: str, channels: Sequence[str], *, position: Units = "", velocity: Units = "",
                 effort: Units = "", **options: object) -> Port:  # fmt: skip
     """State of mechanical axes or named scalars; the fields are those whose unit or units are given."""
-    return _named(
-        NAMED[0], name, topic, channels, {"position": position, "velocity": velocity, "effort": effort}, options
-    )
+    units = {"position": position, "velocity": velocity, "effort": effort}
+    return _named(types.JOINT_STATE.name, name, topic, channels, units, options)
 
 
 def command(name: str, topic: str, channels: Sequence[str], unit: Units, **options: object) -> Port:
@@ -148,50 +146,50 @@ def command(name: str, topic: str, channels: Sequence[str], unit: Units, **optio
 
 def scalars(name: str, topic: str, units: Mapping[str, str], **options: object) -> Port:
     """Named scalars of different units (channel to unit), in JointState.position."""
-    return Port(name, topic, NAMED[0], tuple(units), ("position",), tuple(units.values()), **options)  # type: ignore[arg-type]
+    return Port(name, topic, types.JOINT_STATE.name, tuple(units), ("position",), tuple(units.values()), **options)  # type: ignore[arg-type]
 
 
 def reference(name: str, topic: str, channels: Sequence[str], *, position: Units = "", velocity: Units = "",
               acceleration: Units = "", **options: object) -> Port:  # fmt: skip
     """Axis reference: a JointTrajectory of one point; the fields are those whose unit or units are given."""
     units = {"position": position, "velocity": velocity, "acceleration": acceleration}
-    return _named(NAMED[1], name, topic, channels, units, options)
+    return _named(types.JOINT_TRAJECTORY.name, name, topic, channels, units, options)
 
 
 def vector3(name: str, topic: str, frame_id: str, units: str | Sequence[str], **options: object) -> Port:
     """Three-phase (abc) or rotating-frame (alpha_beta, dq) quantity."""
     units = (units,) * 3 if isinstance(units, str) else tuple(units)
-    return Port(name, topic, "geometry_msgs/msg/Vector3Stamped", XYZ, ("vector",), units, frame_id, **options)  # type: ignore[arg-type]
+    return Port(name, topic, types.VECTOR.name, XYZ, ("vector",), units, frame_id, **options)  # type: ignore[arg-type]
 
 
 def wrench(name: str, topic: str, frame_id: str = "", **options: object) -> Port:
     """Force (N) and torque (N m) of a person or a load."""
     units = ("N",) * 3 + ("N m",) * 3
-    return Port(name, topic, "geometry_msgs/msg/WrenchStamped", XYZ, ("force", "torque"), units, frame_id, **options)  # type: ignore[arg-type]
+    return Port(name, topic, types.WRENCH.name, XYZ, ("force", "torque"), units, frame_id, **options)  # type: ignore[arg-type]
 
 
 def pose(name: str, topic: str, frame_id: str, **options: object) -> Port:
     """Position (m) and orientation (unit quaternion x, y, z, w) in a frame."""
     units = ("m",) * 3 + ("",) * 4
     fields = ("position", "orientation")
-    return Port(name, topic, "geometry_msgs/msg/PoseStamped", (), fields, units, frame_id, **options)  # type: ignore[arg-type]
+    return Port(name, topic, types.POSE.name, (), fields, units, frame_id, **options)  # type: ignore[arg-type]
 
 
 def array(name: str, topic: str, dims: Mapping[str, int], units: str | Sequence[str], **options: object) -> Port:
     """A vector or matrix (Float64MultiArray): label and size of each dimension, unit of all or of each value."""
     shape = tuple(dims.items())
     units = (units,) * len(element_labels(shape)) if isinstance(units, str) else tuple(units)
-    return Port(name, topic, "std_msgs/msg/Float64MultiArray", (), ("data",), units, dims=shape, **options)  # type: ignore[arg-type]
+    return Port(name, topic, types.ARRAY.name, (), ("data",), units, dims=shape, **options)  # type: ignore[arg-type]
 
 
 def number(name: str, topic: str, unit: str, **options: object) -> Port:
     """A set point or other single number from a person or an outside node (std_msgs/Float64)."""
-    return Port(name, topic, "std_msgs/msg/Float64", (), ("data",), (unit,), **options)  # type: ignore[arg-type]
+    return Port(name, topic, types.NUMBER.name, (), ("data",), (unit,), **options)  # type: ignore[arg-type]
 
 
 def button(name: str, topic: str, **options: object) -> Port:
     """A push button (std_msgs/Bool): 0.0 or 1.0."""
-    return Port(name, topic, "std_msgs/msg/Bool", (), ("data",), ("",), **options)  # type: ignore[arg-type]
+    return Port(name, topic, types.BUTTON.name, (), ("data",), ("",), **options)  # type: ignore[arg-type]
 
 
 def _named(msgtype: str, name: str, topic: str, channels: Sequence[str], units: Mapping[str, Units],

@@ -11,7 +11,7 @@ import math
 import struct
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import count, islice, product
+from itertools import count, islice
 from operator import itemgetter
 from typing import Any
 
@@ -19,32 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..model.timebase import SECOND
-
-# One entry a field, in wire order. "stamp": builtin_interfaces/Time; "frame"/"names": string(s);
-# "seq:x": float64[] named x; "xyz:x": three float64; "f64:x", "bool:x": one value; "one": a sequence
-# length that must be 1; "duration": a Duration that is not a signal; "quat:x": four float64; "dims": a
-# MultiArrayLayout.
-SCHEMAS: dict[str, tuple[str, ...]] = {
-    "sensor_msgs/msg/JointState": ("stamp", "frame", "names", "seq:position", "seq:velocity", "seq:effort"),
-    "trajectory_msgs/msg/JointTrajectory": (
-        "stamp", "frame", "names", "one", "seq:position", "seq:velocity", "seq:acceleration", "seq:effort", "duration",
-    ),
-    "geometry_msgs/msg/Vector3Stamped": ("stamp", "frame", "xyz:vector"),
-    "geometry_msgs/msg/WrenchStamped": ("stamp", "frame", "xyz:force", "xyz:torque"),
-    "geometry_msgs/msg/PoseStamped": ("stamp", "frame", "xyz:position", "quat:orientation"),
-    "rosgraph_msgs/msg/Clock": ("stamp",),
-    "builtin_interfaces/msg/Time": ("stamp",),
-    "std_msgs/msg/Header": ("stamp", "frame"),
-    "std_msgs/msg/Float64": ("f64:data",),
-    "std_msgs/msg/Bool": ("bool:data",),
-    "std_msgs/msg/Float64MultiArray": ("dims", "seq:data"),
-}  # fmt: skip
-
-
-NAMED = ("sensor_msgs/msg/JointState", "trajectory_msgs/msg/JointTrajectory")  # channels by name
+from .types import TYPES, Dims
 
 Pick = Callable[[tuple[Any, ...]], tuple[Any, ...]]  # takes some items
-Dims = tuple[tuple[str, int], ...]  # of an array: label and size of each dimension, the last one changing fastest
 
 
 class CdrError(ValueError):
@@ -67,18 +44,13 @@ class Message:
         return Layout(msgtype, self.frame_id, self.names, counts, self.dims or ())
 
 
-def element_labels(dims: Dims) -> tuple[str, ...]:
-    """Name the elements of an array by their indices: ``0,0``, ``0,1``, ..."""
-    return tuple(",".join(map(str, index)) for index in product(*(range(size) for _, size in dims)))
-
-
 class Layout:
     """Bytes of one message type with fixed frame, names and field lengths.
 
     Parameters
     ----------
     msgtype : str
-        One of `SCHEMAS`.
+        One of `softrig_core.wire.types.TYPES`.
     frame_id : str
     names : sequence of str
         Channel names.
@@ -122,8 +94,7 @@ class Layout:
                 slots.append((len(out), f"{n}{code}"))
                 out.extend(bytes(n * struct.calcsize(code)))
 
-        for item in SCHEMAS[msgtype]:
-            kind, _, name = item.partition(":")
+        for kind, name, size in TYPES[msgtype].schema:
             if kind == "stamp":
                 self.stamp_offset = len(out)
                 out.extend(bytes(8))
@@ -135,23 +106,19 @@ class Layout:
                     string(text)
             elif kind == "one":
                 length(1)
-            elif kind == "seq":
+            elif kind == "sequence":
                 length(counts.get(name, 0))
                 numbers(name, counts.get(name, 0))
-            elif kind == "xyz":
-                numbers(name, 3)
-            elif kind == "quat":
-                numbers(name, 4)
+            elif kind == "numbers":
+                numbers(name, size)
             elif kind == "dims":
                 length(len(dims))
-                for i, (label, size) in enumerate(dims):
+                for i, (label, extent) in enumerate(dims):
                     string(label)
-                    length(size)
+                    length(extent)
                     length(math.prod(size for _, size in dims[i:]))  # the stride
                 length(0)  # the offset of the data
-            elif kind == "f64":
-                numbers(name, 1)
-            elif kind == "bool":
+            elif kind == "flag":
                 numbers(name, 1, "?")
             elif kind == "duration":
                 align(4)
@@ -274,8 +241,7 @@ def parse(msgtype: str, data: bytes) -> Message:
     names: tuple[str, ...] = ()
     fields: dict[str, tuple[float, ...]] = {}
     dims: Dims | None = None
-    for item in SCHEMAS[msgtype]:
-        kind, _, name = item.partition(":")
+    for kind, name, size in TYPES[msgtype].schema:
         if kind == "stamp":
             stamp = int(take("i")[0]) * SECOND + int(take("I")[0])
         elif kind == "frame":
@@ -289,12 +255,10 @@ def parse(msgtype: str, data: bytes) -> Message:
             count = int(take("I")[0])
             if count != 1:
                 raise CdrError(f"{msgtype}: {count} points, expected exactly one")
-        elif kind == "seq":
+        elif kind == "sequence":
             fields[name] = sequence(name)
-        elif kind == "xyz":
-            fields[name] = take("d", 3)
-        elif kind == "quat":
-            fields[name] = take("d", 4)
+        elif kind == "numbers":
+            fields[name] = take("d", size)
         elif kind == "dims":
             count = int(take("I")[0])
             if count * 13 > len(data):
@@ -305,9 +269,7 @@ def parse(msgtype: str, data: bytes) -> Message:
                 take("I")
             dims = tuple(shape)
             take("I")
-        elif kind == "f64":
-            fields[name] = take("d")
-        elif kind == "bool":
+        elif kind == "flag":
             fields[name] = take("B")
         elif kind == "duration":
             take("i")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from ..model.port import Port, Refused
-from .cdr import NAMED, CdrError, Message, Pick, getter, parse
+from .cdr import CdrError, Message, Pick, getter, parse
 
 
 class Decoder:
@@ -72,7 +72,7 @@ class Decoder:
             raise Refused(f"frame_id {message.frame_id!r}, expected {port.frame_id!r}")
         if (message.dims or ()) != port.dims:
             raise Refused(f"shape {dict(message.dims or ())}, expected {dict(port.dims)}")
-        named = port.msgtype in NAMED
+        named = port.type.named
         if port.partial:
             _check_partial(message.names, port)
         elif named and sorted(message.names) != sorted(port.channels):

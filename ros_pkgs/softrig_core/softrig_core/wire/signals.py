@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..model.timebase import SECOND
-from .cdr import SCHEMAS, Layout, Message, element_labels, parse
+from .cdr import Layout, Message, parse
 from .recording import Recording, Topic
+from .types import TYPES
 
 Array = NDArray[np.float64]
 
@@ -70,7 +71,7 @@ class Signals(Mapping[str, Signal]):
 
     def __iter__(self) -> Iterator[str]:
         for topic in self.recording.topics.values():
-            if topic.msgtype in SCHEMAS:
+            if topic.msgtype in TYPES:
                 yield from (f"{topic.name}/{label}" for label in self.table(topic.name).columns)
 
     def __len__(self) -> int:
@@ -83,14 +84,16 @@ def _decode(topic: Topic, epoch: int) -> Table:
         return Table(t, t, {})
     first = parse(topic.msgtype, topic.data[0])
     layout = first.layout(topic.msgtype)
-    labels = _labels(first)
+    labels = _labels(topic.msgtype, first)
     size = len(topic.data[0])
     if all(len(d) == size for d in topic.data) and layout.decode(topic.data[0]) is not None:
         block = np.frombuffer(b"".join(topic.data), dtype=np.uint8).reshape(len(topic.data), size)
         if layout.same_shape(block):
             return Table(t, _stamps(layout, block, t, epoch), dict(zip(labels, layout.columns(block), strict=True)))
     messages = [parse(topic.msgtype, d) for d in topic.data]
-    rows = [dict(zip(_labels(m), (x for v in m.fields.values() for x in v), strict=True)) for m in messages]
+    rows = [
+        dict(zip(_labels(topic.msgtype, m), (x for v in m.fields.values() for x in v), strict=True)) for m in messages
+    ]
     for row in rows:
         if list(row) != labels and first.names:
             raise ValueError(f"{topic.name}: channels change from {labels} to {list(row)}")
@@ -108,16 +111,6 @@ def _stamps(layout: Layout, block: NDArray[np.uint8], t: Array, epoch: int) -> A
     return (parts[:, 0] * SECOND + parts[:, 1] - epoch) / SECOND
 
 
-def _labels(message: Message) -> list[str]:
-    named = len(message.names) > 0
-    labels = []
-    for name, values in message.fields.items():
-        if named:
-            labels += [f"{channel}/{name}" for channel in message.names[: len(values)]]
-        elif message.dims:
-            labels += element_labels(message.dims)
-        elif name == "data":
-            labels += ["data"] if message.dims is None else [f"data/{i}" for i in range(len(values))]
-        else:
-            labels += [axis if name == "vector" else f"{name}/{axis}" for axis in "xyzw"[: len(values)]]
-    return labels
+def _labels(msgtype: str, message: Message) -> list[str]:
+    counts = {name: len(values) for name, values in message.fields.items()}
+    return list(TYPES[msgtype].labels(counts, message.names, message.dims))

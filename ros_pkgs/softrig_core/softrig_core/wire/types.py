@@ -1,0 +1,139 @@
+"""The message types of the suite, each described once: fields in wire order, what is named, stamped, shaped, labelled.
+
+Codec, ports, signals, links and the comparison of bags all ask here; a new type is one entry of `TYPES`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import product
+from typing import Literal, NamedTuple
+
+Dims = tuple[tuple[str, int], ...]  # of an array: label and size of each dimension, the last one changing fastest
+Kind = Literal["stamp", "frame", "names", "dims", "one", "sequence", "numbers", "flag", "duration"]
+AXES = "xyzw"
+
+
+class Item(NamedTuple):
+    """One part of a message in wire order.
+
+    Its kind is "stamp" (builtin_interfaces/Time), "frame" (a string), "names" (strings), "dims" (a MultiArrayLayout),
+    "one" (a sequence length that must be 1), "sequence" (float64[]), "numbers" (so many float64), "flag" (a bool),
+    "duration" (a Duration that is no signal).
+    """
+
+    kind: Kind
+    name: str = ""
+    size: int = 0
+
+
+@dataclass(frozen=True)
+class MessageType:
+    """What the suite knows of a message type.
+
+    Parameters
+    ----------
+    name : str
+        ``package/msg/Type``.
+    schema : tuple of Item
+        All that is on the wire, in order.
+    """
+
+    name: str
+    schema: tuple[Item, ...]
+
+    def _has(self, kind: Kind) -> bool:
+        return any(item.kind == kind for item in self.schema)
+
+    @cached_property
+    def stamped(self) -> bool:
+        """Whether it begins with a header or a time."""
+        return self._has("stamp")
+
+    @cached_property
+    def named(self) -> bool:
+        """Whether its channels have names in the message."""
+        return self._has("names")
+
+    @cached_property
+    def shaped(self) -> bool:
+        """Whether it is an array with labelled dimensions."""
+        return self._has("dims")
+
+    @cached_property
+    def timed(self) -> bool:
+        """Whether it ends with a duration, which is no signal."""
+        return self._has("duration")
+
+    @cached_property
+    def sizes(self) -> dict[str, int | None]:
+        """Number of values of each field; None where the message says it."""
+        return {i.name: i.size or None for i in self.schema if i.kind in ("sequence", "numbers", "flag")}
+
+    def labels(self, fields: Mapping[str, int], names: Sequence[str] = (), dims: Dims | None = None) -> tuple[str, ...]:
+        """Name each value below the topic: ``shaft/velocity``, ``force/x``; ``x`` or ``data`` where one word says it.
+
+        Parameters
+        ----------
+        fields : mapping of str to int
+            Fields in the order of their values, with the number of values of each.
+        names : sequence of str
+            Names of the channels.
+        dims : Dims, optional
+            Shape of an array.
+        """
+        found: list[str] = []
+        for name, count in fields.items():
+            if names:
+                found += [f"{channel}/{name}" for channel in names[:count]]
+            elif dims:
+                found += element_labels(dims)
+            elif self.sizes[name] is None:
+                found += [f"{name}/{i}" for i in range(count)]
+            elif count == 1:
+                found.append(name)
+            else:
+                found += [axis if len(self.sizes) == 1 else f"{name}/{axis}" for axis in AXES[:count]]
+        return tuple(found)
+
+
+def element_labels(dims: Dims) -> tuple[str, ...]:
+    """Name the elements of an array by their indices: ``0,0``, ``0,1``, ..."""
+    return tuple(",".join(map(str, index)) for index in product(*(range(size) for _, size in dims)))
+
+
+_HEADER = (Item("stamp"), Item("frame"))
+
+
+def _sequences(*names: str) -> tuple[Item, ...]:
+    return tuple(Item("sequence", name) for name in names)
+
+
+JOINT_STATE = MessageType(
+    "sensor_msgs/msg/JointState", (*_HEADER, Item("names"), *_sequences("position", "velocity", "effort"))
+)
+JOINT_TRAJECTORY = MessageType(
+    "trajectory_msgs/msg/JointTrajectory",
+    (*_HEADER, Item("names"), Item("one"), *_sequences("position", "velocity", "acceleration", "effort"),
+     Item("duration")),
+)  # fmt: skip
+VECTOR = MessageType("geometry_msgs/msg/Vector3Stamped", (*_HEADER, Item("numbers", "vector", 3)))
+WRENCH = MessageType(
+    "geometry_msgs/msg/WrenchStamped", (*_HEADER, Item("numbers", "force", 3), Item("numbers", "torque", 3))
+)
+POSE = MessageType(
+    "geometry_msgs/msg/PoseStamped", (*_HEADER, Item("numbers", "position", 3), Item("numbers", "orientation", 4))
+)
+CLOCK = MessageType("rosgraph_msgs/msg/Clock", (Item("stamp"),))
+TIME = MessageType("builtin_interfaces/msg/Time", (Item("stamp"),))
+HEADER = MessageType("std_msgs/msg/Header", _HEADER)
+NUMBER = MessageType("std_msgs/msg/Float64", (Item("numbers", "data", 1),))
+BUTTON = MessageType("std_msgs/msg/Bool", (Item("flag", "data", 1),))
+ARRAY = MessageType("std_msgs/msg/Float64MultiArray", (Item("dims"), Item("sequence", "data")))
+
+TYPES = {
+    t.name: t
+    for t in (JOINT_STATE, JOINT_TRAJECTORY, VECTOR, WRENCH, POSE, CLOCK, TIME, HEADER, NUMBER, BUTTON, ARRAY)
+}  # fmt: skip
