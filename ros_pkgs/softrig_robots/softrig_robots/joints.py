@@ -62,3 +62,8 @@ class JointGains(Params):
             A gain has neither one value nor one a joint; names it with the prefix.
         """
         return {k: spread(f"{prefix}.{k}", getattr(self, k), joints)[joint] for k in type(self).model_fields}
+
+
+def motor_names(joints: tuple[str, ...]) -> tuple[str, ...]:
+    """Give the channel names of the motors, motor1 on."""
+    return tuple(f"motor{i + 1}" for i in range(len(joints)))

@@ -10,8 +10,9 @@ from softrig_core.model.params import BlockParams, param
 from softrig_core.model.port import Port, command, joint_state, reference
 from softrig_core.node import executable
 
-from .manipulator.plant import JOINTS, motor_names
+from .joints import motor_names
 
+JOINTS = ("joint1", "joint2", "joint3")
 Vector = tuple[float, ...]
 
 

@@ -11,9 +11,10 @@ from softrig_core.model.params import BlockParams, param
 from softrig_core.model.port import Port, command, joint_state, reference, scalars
 from softrig_core.node import executable
 
+from ..joints import motor_names
 from .adsmc import Adsmc, AdsmcGains
 from .dsmc import Dsmc, DsmcGains
-from .plant import JOINTS, motor_names
+from .plant import JOINTS
 from .smc import Smc, SmcGains
 
 Vector = tuple[float, ...]

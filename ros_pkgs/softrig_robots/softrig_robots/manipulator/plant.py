@@ -14,7 +14,7 @@ from softrig_core.model.timebase import to_ns
 from softrig_core.node import executable
 
 from ..driven_robot import DrivenRobot, DrivenRobotParams, Vector
-from ..joints import PerJoint, spread
+from ..joints import PerJoint, motor_names, spread
 from ..urdf import read_urdf
 from .model import Links, manipulator_urdf
 
@@ -88,11 +88,6 @@ class ManipulatorPlant(DrivenRobot):
     def loads(self, t: int) -> tuple[Vector, Vector]:
         """Give the disturbance voltages; no load torque."""
         return self._before if t < self._time else self._after
-
-
-def motor_names(joints: tuple[str, ...]) -> tuple[str, ...]:
-    """Give the channel names of the motors, motor1 on."""
-    return tuple(f"motor{i + 1}" for i in range(len(joints)))
 
 
 main = executable(ManipulatorPlant)

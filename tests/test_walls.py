@@ -1,0 +1,115 @@
+"""Who may import whom; every import counts, those inside functions too."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+PACKAGES = Path(__file__).parents[1] / "ros_pkgs"
+DOMAINS = ("softrig_drives", "softrig_power", "softrig_robots", "softrig_systems")
+INTERFACES = ("std_msgs", "sensor_msgs", "geometry_msgs", "diagnostic_msgs", "visualization_msgs", "trajectory_msgs")
+MIDDLEWARE = ("rclpy", "rcl_interfaces", "std_srvs", "rosgraph_msgs", "builtin_interfaces", *INTERFACES)
+# from the bottom up; a module imports those of its own layer and of the layers below. Ports know their wire layout,
+# so the bytes and types of messages stand below the blocks, what reads recordings above.
+LAYERS = (
+    ("softrig_core.errors", "softrig_core.model.timebase"),
+    ("softrig_core.wire.types", "softrig_core.wire.cdr"),
+    ("softrig_core.model",),
+    ("softrig_core.wire",),
+    ("softrig_core.rig",),
+    ("softrig_core.node",),
+)
+
+
+def imports(package):
+    """Module name to the modules that it imports, relative ones resolved."""
+    found = {}
+    for file in sorted((PACKAGES / package / package).rglob("*.py")):
+        parts = file.relative_to(PACKAGES / package).with_suffix("").parts
+        name = ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+        inside = parts[:-1]  # the package that relative imports count from
+        targets = set()
+        for node in ast.walk(ast.parse(file.read_text())):
+            if isinstance(node, ast.Import):
+                targets |= {alias.name for alias in node.names}
+            elif isinstance(node, ast.ImportFrom):
+                base = ".".join([*inside[: len(inside) - node.level + 1], *([node.module] if node.module else [])])
+                base = base if node.level else node.module
+                targets |= {f"{base}.{alias.name}" for alias in node.names}
+        found[name] = targets
+    return found
+
+
+ALL = {package.name: imports(package.name) for package in sorted(PACKAGES.glob("softrig_*"))}
+
+
+def within(module, *prefixes):
+    return any(module == p or module.startswith(p + ".") for p in prefixes)
+
+
+def layer(module):
+    """The layer of a module: that of the longest name which it begins with."""
+    names = {name: k for k, names in enumerate(LAYERS) for name in names if within(module, name)}
+    return names[max(names, key=len)] if names else None
+
+
+def test_the_walls_see_imports():
+    assert any(within(t, "rclpy") for t in ALL["softrig_core"]["softrig_core.node.ros"])
+    assert "softrig_core.wire.types.TYPES" in ALL["softrig_core"]["softrig_core.model.port"]
+    assert "casadi" in ALL["softrig_core"]["softrig_core.model.compiled"]  # within a function
+    assert layer("softrig_core.wire.types.TYPES") == 1
+    assert layer("softrig_core.wire.signals") == 3
+
+
+def test_only_the_nodes_know_the_middleware():
+    bags = [f"softrig_bags.{name}" for name in ("recorder", "player", "ros", "bench")]
+    may = ("softrig_core.node", *bags, "softrig_bringup.bench", "softrig_bringup.bench_peers")
+    breaches = [
+        f"{module} imports {target}"
+        for modules in ALL.values() for module, targets in modules.items() for target in sorted(targets)
+        if within(target, *MIDDLEWARE) and not within(module, *may)
+    ]  # fmt: skip
+    assert breaches == []
+
+
+def test_the_core_is_built_in_layers():
+    breaches = [
+        f"{module} imports {target}"
+        for module, targets in ALL["softrig_core"].items() for target in sorted(targets)
+        if layer(module) is not None and layer(target) is not None and layer(target) > layer(module)
+    ]  # fmt: skip
+    assert breaches == []
+
+
+@pytest.mark.parametrize("package", DOMAINS)
+def test_domains_and_their_systems_stand_alone(package):
+    systems = {f"{package}.{p.parent.name}" for p in (PACKAGES / package / package).glob("*/__init__.py")}
+    assert systems
+    breaches = []
+    for module, targets in ALL[package].items():
+        others = [d for d in DOMAINS if d != package]
+        own = next((s for s in systems if within(module, s)), None)
+        for target in sorted(targets):
+            hit = next((s for s in systems if within(target, s)), None)
+            if within(target, *others) or (hit is not None and hit != own and hit not in SHARED):
+                breaches.append(f"{module} imports {target}")
+    assert breaches == []
+
+
+SHARED = {"softrig_power.lines"}  # a sub-package that several systems are built of
+
+
+def test_packages_depend_one_way():
+    below = {
+        "softrig_core": (),
+        "softrig_control": ("softrig_core",),
+        "softrig_optim": ("softrig_core", "softrig_control"),
+    }
+    below |= dict.fromkeys(DOMAINS, ("softrig_core", "softrig_control", "softrig_optim"))
+    below["softrig_bags"] = ("softrig_core",)
+    breaches = [
+        f"{module} imports {target}"
+        for package, allowed in below.items() for module, targets in ALL[package].items() for target in sorted(targets)
+        if target.startswith("softrig_") and not within(target, package, *allowed)
+    ]  # fmt: skip
+    assert breaches == []
