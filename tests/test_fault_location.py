@@ -635,6 +635,12 @@ def test_profile_and_period_belong_together():
         LinePlant(period=5e-5, measurement={"profile": "m4k"})
 
 
+def test_line_too_short_for_the_period():
+    with pytest.raises(ParameterError, match=r"pass the line of 50 km in 3\.61 samples of 50 us, expected 4 or more"):
+        FaultLocator(line={"length": 50.0})
+    assert FaultLocator(period=2.5e-4).p.samples == 1200  # 4 kHz is allowed, with a warning
+
+
 def test_markers(runs):
     marker = runs["streams"].blocks["location_marker"]
     drawn = {m.name: m for m in marker.markers()}

@@ -5,16 +5,17 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Mapping
-from typing import Literal
+from typing import Literal, Self
 
 import numpy as np
+from pydantic import model_validator
 from softrig_core.model.block import Block, Level
 from softrig_core.model.params import BlockParams, param
 from softrig_core.model.port import Port, array, button
 from softrig_core.node import executable
 
 from .confidence import ErrorBudget, confidence
-from .location import Location, Locator, LocatorParams
+from .location import Location, Locator, LocatorParams, check_travel
 from .ports import LOCATION, OBJECTIVE, VERDICT, location_port, record_port, streams
 from .record import COLUMNS, GROUPS, Record, RecordError, Status
 
@@ -30,13 +31,22 @@ class FaultLocatorParams(LocatorParams, BlockParams):
     samples: int = param(1200, "samples of a record; of streams the newest so many are kept", ge=2, le=10_000_000)
     truth_km: float | None = param(None, "true distance, for the error in the diagnostics", "km", ge=0.0, le=3000.0)
 
+    @model_validator(mode="after")
+    def _fast_enough(self) -> Self:
+        try:
+            check_travel(self.line.aerial.tau / self.period, 1.0 / self.period, self)
+        except RecordError as error:
+            raise ValueError(str(error)) from None
+        return self
+
 
 class FaultLocator(Block[FaultLocatorParams]):
     """Two-terminal fault locator in the time domain; see `equations`, `location.Locator` and `search`.
 
     Answers once, at the end of the run, and whenever `locate` is pressed: ``verdict`` always, ``location`` and
     ``objective`` only when there is a position. A tick that the node has refused (NaN) is silent and a gap of the
-    record, which is told and not located. Computation times go to the diagnostics, no number of a topic depends on them.
+    record, which is told and not located. Computation times go to the diagnostics; no number of a topic depends on
+    them.
     """
 
     Params = FaultLocatorParams
