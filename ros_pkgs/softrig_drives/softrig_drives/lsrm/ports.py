@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from softrig_core.model.port import Port, command, joint_state, reference, scalars
+from softrig_core.model.port import command, joint_state, reference, scalars
 
 PHASES = ("a", "b", "c", "d")
 TRANSLATOR = ("translator",)
@@ -18,4 +18,4 @@ FORCE_PHASES = command("force_phases", "force_phases", PHASES, "N")  # to look a
 FORCE_CMD = command("force_cmd", "force_cmd", TRANSLATOR, "N")
 REFERENCE = reference("reference", "reference", TRANSLATOR, position="m", velocity="m/s", acceleration="m/s^2")
 THETA = scalars("theta", "theta", {"mass": "kg", "damping": "N s/m", "friction": "N"})
-LOAD = Port("load", "load", JOINT_STATES.msgtype, ("mass", "friction"), ("effort",), ("kg", "N"), held=True)
+LOAD = command("load", "load", ("mass", "friction"), ("kg", "N"), held=True)
