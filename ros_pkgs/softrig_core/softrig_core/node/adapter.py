@@ -62,7 +62,8 @@ class Adapter:
         self.on_finished: Callable[[], None] = lambda: None
         self._logged: set[str] = set()
         self._said: Any = {}  # the newest answer: what is held when an input is refused
-        self._finishes = block.finishes() and not isinstance(block, Plant)
+        finishes = block.finishes() and not isinstance(block, Plant)
+        self._respond = self._update_or_finish if finishes else block.update
         block.ages = self.age
         inputs, outputs = block.ports(block.p)
         self.inputs = [Input(p) for p in inputs]
@@ -146,9 +147,7 @@ class Adapter:
     def answer(self, t: int) -> Any:
         """Give what a block that is not a plant sends at `t`; it does not see a tick of which something was refused."""
         if not self.bad:
-            last = self._finishes and self.schedule.last is not None and t >= self.schedule.last
-            found = (self.block.finish if last else self.block.update)(t, **self.values)
-            self._said = found
+            self._said = found = self._respond(t, **self.values)
             return found
         self.bad = False
         own = self.block.refused(t)
@@ -158,6 +157,10 @@ class Adapter:
             o.name: self._said.get(o.name) or (Sample(t, o.port.safe) if o.delayed else o.port.safe)
             for o in self.outputs if not o.sporadic
         }  # fmt: skip
+
+    def _update_or_finish(self, t: int, **inputs: Any) -> Any:
+        last = self.schedule.last
+        return (self.block.update if last is None or t < last else self.block.finish)(t, **inputs)
 
     def publish(self, t: int, stamp: int, found: Mapping[str, Any]) -> None:
         """Check, encode, publish and record a block's answer of tick `t`, and acknowledge the tick.

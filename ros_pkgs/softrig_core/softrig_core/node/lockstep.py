@@ -108,17 +108,15 @@ class Lockstep(Adapter):
         record = self.foreign.get(name)
         schedule, own = pairing.schedule, self.schedule
 
-        def receive(data: bytes) -> None:
+        def receive_by_order(data: bytes) -> None:
             if announced:
                 pairing.queue.append(data)
                 self._serve(pairing, take)
-            elif by_order:
+            else:
                 pairing.received += 1
                 take(data, schedule.time(pairing.received - 1))
-            else:
-                take(data, -1)
 
-        def take(data: bytes, position: int) -> None:
+        def take(data: bytes, position: int = -1) -> None:
             if self.state in ("done", "failed"):
                 return
             try:
@@ -154,7 +152,7 @@ class Lockstep(Adapter):
                 self.refuse(item, f"stamp {got:.9g} s from {pairing.sender}, expected {want:.9g} s{twice}")
 
         self._takes[name] = take
-        return receive
+        return receive_by_order if by_order else take
 
     def _serve(self, pairing: Pairing, take: Callable[[bytes, int], None]) -> None:
         """Bring together messages without a stamp and the ticks at which their sender says it has spoken."""
@@ -295,9 +293,17 @@ class Lockstep(Adapter):
         for pairing in self.pairings:
             if t < pairing.holds:
                 continue  # a slower sender: its last message still holds
-            want = pairing.next_want(t, following)
-            if want is None:
-                continue
+            schedule = pairing.schedule
+            if pairing.earlier:
+                want = schedule.before(following)
+            else:
+                want = schedule.awaited(t)
+                pairing.holds = schedule.next(t)
+            if want == pairing.want and (t or pairing.earlier):
+                continue  # at the end time: what came at the last tick is held
+            if pairing.have:
+                pairing.held = pairing.want
+            pairing.want = want
             if pairing.ahead is not None and pairing.ahead[0] == want:
                 if pairing.carries and pairing.ahead[1] is not KEEP:
                     self.values[pairing.item.name] = pairing.ahead[1]

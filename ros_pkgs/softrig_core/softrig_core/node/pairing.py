@@ -58,23 +58,3 @@ class Pairing:
         self.excused = -1  # stamp of a refused message that was answered: a better one that follows is too late
         self.queue: deque[bytes] = deque()  # of a sporadic sender without stamps: messages and
         self.announced: deque[int] = deque()  # the ticks at which they were sent, as they come
-
-    def next_want(self, t: int, following: int) -> int | None:
-        """Set what is awaited for our tick `t`; None when what is there still serves.
-
-        Parameters
-        ----------
-        t : int
-        following : int
-            The time of what we shall send when it has come: `t` itself, for a plant its next tick.
-        """
-        if self.earlier:
-            want = self.schedule.before(following)
-        else:
-            want = self.schedule.awaited(t)
-            self.holds = self.schedule.next(t)
-        if want == self.want and (t or self.earlier):
-            return None
-        self.held = self.want if self.have else self.held
-        self.want = want
-        return want

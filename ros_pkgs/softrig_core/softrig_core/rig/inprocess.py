@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from typing import Any
 
@@ -27,20 +27,26 @@ class _Step:
         if block.finishes() and self.advance is None:
             self.answer = self._last_or_update
         self.idle = {p.name: None for p in member.inputs if p.name not in member.links}
-        self.reads = [
+        reads = [
             (p.name, slots[p.topic], member.links[p.name].pick, p.delayed and not member.links[p.name].port.delayed,
              member.links[p.name].source.schedule.held, p.initial)
             for p in member.inputs if p.name in member.links
         ]  # fmt: skip
-        self.writes = [(p, slots[p.topic], p.layout().encode, topics.index(p.topic)) for p in member.outputs]
+        silent = {p.name for p in member.inputs if p.name in member.links and member.links[p.name].port.sporadic}
+        self.reads = [r for r in reads if r[0] not in silent]
+        self.events = [r for r in reads if r[0] in silent]
+        self.slots = {name: slot for name, slot, *_ in reads}
+        self.writes = [
+            (p, slots[p.topic], p.layout().encode, topics.index(p.topic), p.sporadic) for p in member.outputs
+        ]  # fmt: skip
 
     def gather(self, t: int, values: list[Any]) -> dict[str, Any]:
         inputs: dict[str, Any] = dict(self.idle)
-        for name, slot, pick, wrap, held, initial in self.reads:
+        for name, _, _, _, _, initial in self.events:
+            inputs[name] = initial
+        events = [event for event in self.events if values[event[1]] is not None] if self.events else self.events
+        for name, slot, pick, wrap, held, _ in self.reads + events if events else self.reads:
             value = values[slot]
-            if value is None:  # a sporadic sender has not spoken yet
-                inputs[name] = initial
-                continue
             if pick is not None:
                 value = Sample(value.stamp, pick(value.data)) if isinstance(value, Sample) else pick(value)
             inputs[name] = Sample(held(t), value) if wrap else value
@@ -55,7 +61,7 @@ class _Ages:
 
     def __init__(self, step: _Step, member: Member, now: list[int], values: list[Any], sent: list[int | None]) -> None:
         self._links = {p.name: member.links[p.name] for p in member.inputs if p.name in member.links}
-        self._slots = {name: slot for name, slot, *_ in step.reads}
+        self._slots = step.slots
         self._now, self._values, self._sent = now, values, sent
 
     def __call__(self, name: str) -> int | None:
@@ -119,11 +125,11 @@ def run_inprocess(
             found = step.answer(t, **inputs)
         except Exception as error:
             raise RunError(f"{step.name} failed at t = {t / 1e9:.9g} s: {type(error).__name__}: {error}") from error
-        for port, slot, encode, topic in step.writes:
+        for port, slot, encode, topic, sporadic in step.writes:
             value = check(found, port, step.name, t)
             if value is None:
                 continue
-            if port.sporadic:
+            if sporadic:
                 sent[slot] = t
             values[slot] = value
             if add is not None:
@@ -145,7 +151,7 @@ def run_inprocess(
         for step in others:
             if k % step.every == 0:
                 answer(step, t, step.gather(t, values))
-        for step in enders:
+        for step in enders:  # mostly none
             if k % step.every == 0 and step.block.ended:
                 ticks = min(ticks, k + rig.stride - k % rig.stride)
                 for each in steps:
@@ -179,8 +185,10 @@ def check(found: Any, port: Port, node: str, t: int) -> tuple[float, ...] | Samp
         Names node, port, value and time.
     """
     try:
-        given: Any = found[port.name] if not port.sporadic else found.get(port.name)
-    except (AttributeError, KeyError, TypeError):
+        given: Any = found[port.name]
+    except (KeyError, TypeError):
+        if port.sporadic and isinstance(found, Mapping):
+            return None
         raise RunError(f"{node} gave no {port.name} at t = {t / 1e9:.9g} s") from None
     if type(given) is tuple and len(given) == port.size:  # what nearly every block gives, told in a fifth of the time
         total = sum(given)
