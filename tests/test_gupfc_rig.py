@@ -32,7 +32,9 @@ from softrig_power.gupfc.network import BUSES, Network, NetworkParams
 from softrig_power.gupfc.operating_point import DeviceParams, operating_point
 from softrig_power.gupfc.plant import GupfcPlant
 from softrig_power.gupfc.power_flow import PowerFlow, References
-from softrig_power.gupfc.pulses import distortion
+from softrig_power.gupfc.power_flow_node import DEVICE, PowerFlowNode
+from softrig_power.gupfc.pulse_generator import PulseGenerator
+from softrig_power.gupfc.pulses import distortion, gates, vector
 from softrig_power.gupfc.series import SeriesController
 from softrig_power.gupfc.shunt import ShuntController
 
@@ -54,14 +56,17 @@ def status(found, name):
 # scenarios ------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["gupfc", "gupfc_s2", "gupfc_s3", "gupfc_s4", "gupfc_stretch"])
+@pytest.mark.parametrize(
+    "name", ["gupfc", "gupfc_s2", "gupfc_s3", "gupfc_s4", "gupfc_s5", "gupfc_s5_sweep", "gupfc_stretch"]
+)
 def test_scenario(name):
     """Every figure as expected, every verdict of a claim borne out by the measurement."""
     found = run(name)
     assert [f"{r.name} = {r.value}" for r in found.missed] == []
     for key, claim in found.rig.scenario.claims.items():
         value = found.figures[claim.figure or key]
-        assert claim.holds(claim.agrees(value, claim.compared())), key
+        others = {kind: found.figures[x] if isinstance(x, str) else x for kind, x in claim.compared().items()}
+        assert claim.holds(claim.agrees(value, others)), key
 
 
 TRACE = {  # t: V1, v_dc, P1, P2
@@ -101,9 +106,9 @@ def test_start_in_steady_state(name, tolerance):
         assert np.abs(x[48:] - x[:-48]).max() < tolerance, part
         if name == "gupfc":
             assert np.abs(x - x[0]).max() < tolerance, part
-    for vector in ("u1", "u2", "u4", "i_sh", "i12", "i34"):
-        z = (found.signals[f"{vector}/x"].x + 1j * found.signals[f"{vector}/y"].x)[: before + 1]
-        assert np.abs(z[48:] - z[:-48]).max() < tolerance, vector
+    for name in ("u1", "u2", "u4", "i_sh", "i12", "i34"):
+        z = (found.signals[f"{name}/x"].x + 1j * found.signals[f"{name}/y"].x)[: before + 1]
+        assert np.abs(z[48:] - z[:-48]).max() < tolerance, name
     assert status(found, "v_dc")[:48].mean() == pytest.approx(0.98457, abs=2e-4)  # |V_sh|, not 1
 
 
@@ -519,6 +524,65 @@ def test_monitor():
     assert figures["p1_settling_time"] == pytest.approx(found.figures["p1_settling_third"], abs=PERIOD)
     assert figures["v_dc_min"] == pytest.approx(found.figures["v_dc_min"])
     assert abs(figures["power_balance"]) < 1e-3
+
+
+def test_power_flow_node():
+    """Answers at the start, on a press, on a new reference; diverged: status and mismatch, no voltages."""
+    node = PowerFlowNode()
+    still = {"request": None, "series_1": None, "series_2": None, "shunt": None}
+    first = node.update(0, **still)
+    assert node.update(0, **still) == {}
+    expected = PowerFlow(NETWORK).solve(References())
+    bus = np.reshape(first["bus"], (6, 4))
+    assert bus[:, 0] * np.exp(1j * bus[:, 1]) == pytest.approx(np.array([expected.bus[b] for b in BUSES]))
+    assert bus[1:5, 2].sum() == pytest.approx((NETWORK.r_se / abs(NETWORK.z_se) ** 2) * -sum(
+        abs(v) ** 2 + 2.0 * ((a - b) * v.conjugate()).real for v, a, b in
+        ((expected.v12, expected.bus["1"], expected.bus["2"]), (expected.v34, expected.bus["3"], expected.bus["4"]))),
+        abs=1e-9)  # fmt: skip
+    device = dict(zip(DEVICE, first["device"], strict=True))
+    assert (device["p12"], device["q_sh"]) == pytest.approx((-0.04174, -0.31516), abs=2e-5)
+    assert first["result"][:2] == (1.0, float(expected.iterations))
+    assert set(node.update(0, **still | {"request": (1.0,)})) == {"bus", "device", "result"}
+    assert node.update(0, **still | {"request": (1.0,)}) == {}  # held down
+    changed = still | {"series_1": (1.1, -0.3), "series_2": (0.9, -0.4), "shunt": (1.0,)}
+    assert dict(zip(DEVICE, node.update(0, **changed)["device"], strict=True))["p12"] == pytest.approx(
+        -0.03869, abs=2e-5
+    )
+    diverged = node.update(0, **still | {"series_1": (8.0, 0.0), "series_2": (8.0, 0.0)})
+    assert set(diverged) == {"result"}
+    assert diverged["result"][0] == 0.0
+    assert diverged["result"][2] > 0.1
+    assert node.reports["diverged"][0] is Level.ERROR
+    assert node.update(0, **still | {"shunt": (-1.0,)}) == {}
+    assert node.reports["references"][0] is Level.ERROR
+
+
+def test_pulse_generator():
+    """Gates of the angle at hand, turned on with omega between commands; a sigma that is none is refused."""
+    node = PulseGenerator(period=1.0 / 46080.0, command_period=PERIOD)
+    for k in range(40):
+        command = (2.0, 0.3 + (k // 16) * TURN, NETWORK.omega)
+        found = node.update(round(k * 1e9 / 46080.0), command=command)
+        theta = 0.3 + k * TURN / 16
+        assert np.reshape(found["gates"], (4, 12)) == pytest.approx(gates(theta, 2.0))
+        assert complex(*found["voltage"][:2]) == pytest.approx(vector(theta, 2.0), abs=1e-12)
+    assert found["quality"] == pytest.approx((2.0 / math.pi * math.sin(1.0), distortion(2.0), distortion(2.0, 50)))
+    before = node.update(0, command=(2.0, 0.0, NETWORK.omega))
+    for bad in ((0.0, 0.0, 377.0), (3.2, 0.0, 377.0), (math.nan, 0.0, 377.0), (1.0, math.inf, 377.0)):
+        assert node.update(0, command=bad) == before
+    assert node.reports["command"][0] is Level.ERROR
+
+
+def test_a_stale_command_blocks_the_converters():
+    """Real time: a command older than three periods is replaced by the port's safe value, which is no command."""
+    assert GupfcPlant.STALE_PERIODS == 3
+    plant = GupfcPlant()
+    for _ in range(3):
+        plant.advance(0, **{port.name: port.safe for port in GupfcPlant.ports(plant.p)[0]})
+    assert {k for k in plant.reports if k.endswith("blocked")} == {
+        f"{k}_blocked" for k in ("shunt", "series_1", "series_2")
+    }
+    assert all(math.isfinite(x) for values in plant.outputs(0).values() for x in values)
 
 
 # speed ----------------------------------------------------------------------------------------------------------

@@ -124,3 +124,41 @@ def distortion(
     spectrum = np.abs(np.fft.fft(cycles(signals, part, cycle, count)))
     first = spectrum[count]
     return float(100.0 * math.sqrt(max(0.0, float(np.square(spectrum).sum() - first**2))) / first)
+
+
+def _voltage_spectrum(signals: SignalMap, end: float | None) -> NDArray[np.float64]:
+    """Amplitudes of the generator's voltage over the window, which is to be one cycle; index n is order n."""
+    _, alpha = window(signals, "pulses/voltage/x", None, end)
+    _, beta = window(signals, "pulses/voltage/y", None, end)
+    found: NDArray[np.float64] = np.abs(np.fft.fft(alpha + 1j * beta)) / alpha.size
+    return found
+
+
+@figure("%", ("pulses/voltage/x", "pulses/voltage/y"))
+def voltage_harmonic(signals: SignalMap, *, order: int, end: float | None = None) -> float:
+    """Amplitude of one order of the sampled 48-step voltage in % of its fundamental, by FFT.
+
+    Parameters
+    ----------
+    order : int
+        Negative for what turns against the fundamental; 1 gives the fundamental itself in % of the DC voltage.
+    end : float
+        End of the first cycle, s.
+    """
+    spectrum = _voltage_spectrum(signals, end)
+    return float(100.0 * spectrum[order] / (1.0 if order == 1 else spectrum[1]))
+
+
+@figure("", ("pulses/voltage/x",))
+def voltage_levels(signals: SignalMap, *, end: float | None = None) -> float:
+    """Number of different values of phase a."""
+    return float(np.unique(np.round(window(signals, "pulses/voltage/x", None, end)[1], 9)).size)
+
+
+@figure("rad", ("pulses/quality/thd/position", "shunt/command/sigma/effort"))
+def best_sigma(signals: SignalMap) -> float:
+    """Conduction angle of the sweep with the least distortion, rad."""
+    t, thd = signals["pulses/quality/thd/position"]
+    when, sigma = signals["shunt/command/sigma/effort"]
+    best = float(t[int(np.argmin(thd))])
+    return float(sigma[int(np.searchsorted(when, best + 1e-9)) - 1])

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from softrig_core.model.port import Port, scalars, vector3
-
-JOINT_STATE = "sensor_msgs/msg/JointState"
+from softrig_core.model.port import Port, command, scalars, vector3
 
 
 def measured(name: str) -> Port:
@@ -12,7 +10,7 @@ def measured(name: str) -> Port:
     return vector3(name, name, "alpha_beta", "pu")
 
 
-def converter_command(name: str, topic: str, first: str, unit: str) -> Port:
+def converter_command(name: str, topic: str, first: str, unit: str, **options: object) -> Port:
     """Give the port of a converter command.
 
     Parameters
@@ -22,6 +20,8 @@ def converter_command(name: str, topic: str, first: str, unit: str) -> Port:
         What sets the amplitude: conduction angle (rad) or voltage (pu).
     unit : str
         Of `first`.
+    **options
+        Of the port.
 
     Returns
     -------
@@ -29,7 +29,7 @@ def converter_command(name: str, topic: str, first: str, unit: str) -> Port:
         Channels `first`, angle (rad, of the voltage at the tick) and omega (rad/s, with which the angle turns on).
         The safe value is no command at all (omega = 0), which blocks the converter.
     """
-    return Port(name, topic, JOINT_STATE, (first, "angle", "omega"), ("effort",), (unit, "rad", "rad/s"))
+    return command(name, topic, (first, "angle", "omega"), [unit, "rad", "rad/s"], **options)
 
 
 TRACE = ("v_sh", "v12", "u1", "i_sh")

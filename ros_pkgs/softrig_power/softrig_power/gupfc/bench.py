@@ -1,0 +1,60 @@
+"""Time of plant, controllers and power flow. A tool, not a node: ``softrig node softrig_power gupfc_bench``."""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable, Sequence
+from functools import partial
+
+from softrig_core.rig.simulate import rig_of, simulate
+
+from .network import NetworkParams
+from .plant import GupfcPlant
+from .power_flow import PowerFlow, References
+from .series import SeriesController
+from .shunt import ShuntController
+
+PERIODS = 4320  # 1.5 s
+
+
+def cpu(call: Callable[[], object]) -> float:
+    """Give the CPU time of a call in s."""
+    begin = time.process_time()
+    call()
+    return time.process_time() - begin
+
+
+def plant(waveform: str) -> float:
+    """CPU time in s of 1.5 simulated seconds, the plant alone under steady commands."""
+    block = GupfcPlant(waveform=waveform)
+    shunt, first, second = ShuntController(), SeriesController(circuit=1), SeriesController(circuit=2)
+    turn = NetworkParams().omega * block.p.period
+    commands = [next(iter(c.refused(0).values())) for c in (shunt, first, second)]
+
+    def run(periods: int = PERIODS) -> None:
+        for k in range(periods):
+            block.outputs(0)
+            block.advance(0, *((size, angle + turn * k, omega) for size, angle, omega in commands))
+
+    run(1)  # compiled now
+    block.reset(0)
+    return cpu(run)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Print the table."""
+    argparse.ArgumentParser(prog="gupfc_bench", description="CPU time of the GUPFC rig.").parse_args(arguments)
+    print("1.5 simulated seconds, 69,120 steps of the circuit, 4,320 control periods")
+    for waveform in ("average", "pulse"):
+        seconds = plant(waveform)
+        print(
+            f"plant alone, {waveform:8}          {seconds:7.3f} CPU s, {1e6 * seconds / (16 * PERIODS):5.2f} us a step"
+        )
+    for scenario in ("gupfc", "gupfc_s2"):
+        seconds = cpu(partial(simulate, rig_of(scenario)))
+        print(f"rig in process with recording, {scenario:9}{seconds:5.2f} CPU s")
+    solver = PowerFlow(NetworkParams())
+    seconds = cpu(lambda: [solver.solve(References()) for _ in range(100)])
+    print(f"power flow from a flat start       {10.0 * seconds:7.2f} ms")
+    return 0

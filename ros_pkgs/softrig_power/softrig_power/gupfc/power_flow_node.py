@@ -1,0 +1,106 @@
+"""Power flow on request."""
+
+from __future__ import annotations
+
+import cmath
+from collections.abc import Mapping
+from dataclasses import replace
+
+from softrig_core.model.block import Block, Level
+from softrig_core.model.params import BlockParams, param
+from softrig_core.model.port import array, button
+from softrig_core.node import executable
+
+from .network import BUSES, NetworkParams
+from .ports import SERIES_REFERENCE, SHUNT_REFERENCE
+from .power_flow import Diverged, PowerFlow, References, Solution
+
+DEVICE = {"v12": "pu", "v12_angle": "rad", "v34": "pu", "v34_angle": "rad", "v_sh": "pu", "v_sh_angle": "rad",
+          "p12": "pu", "p34": "pu", "p_sh": "pu", "q_sh": "pu"}  # fmt: skip
+RESULT = {"converged": "", "iterations": "", "mismatch": "pu"}
+
+
+class PowerFlowParams(BlockParams):
+    """Network, and the references as long as nobody sends any."""
+
+    period: float = param(0.1, "how often requests are looked for", "s", ge=1e-3, le=10.0)
+    network: NetworkParams = NetworkParams()
+    initial: References = References()
+
+
+class PowerFlowNode(Block):
+    """Operating point for the newest references, at the start, on each request and whenever a reference changes.
+
+    ``power_flow/bus``: a row a bus (A, 1, 2, 3, 4, B) with magnitude (pu), angle (rad) and the P and Q (pu) that the
+    device injects there. ``power_flow/device``: one value each of `DEVICE`. ``power_flow/result``: converged (1 or 0),
+    iterations, largest mismatch (pu). All are silent between answers; without a solution only the result speaks: a
+    diverged iteration has no voltages.
+    """
+
+    Params = PowerFlowParams
+    INPUTS = (
+        button("request", "power_flow/request", held=True),
+        *(replace(port, name=f"series_{k}") for k, port in SERIES_REFERENCE.items()),
+        replace(SHUNT_REFERENCE, name="shunt"),
+    )
+    OUTPUTS = (
+        array("bus", "power_flow/bus", {"bus": 6, "quantity": 4}, ["pu", "rad", "pu", "pu"] * 6, sporadic=True),
+        array("device", "power_flow/device", {"quantity": len(DEVICE)}, list(DEVICE.values()), sporadic=True),
+        array("result", "power_flow/result", {"quantity": len(RESULT)}, list(RESULT.values()), sporadic=True),
+    )
+
+    def setup(self) -> None:
+        """Prepare the network."""
+        self._solver = PowerFlow(self.p.network)
+
+    def start(self) -> None:
+        """Nothing answered yet."""
+        self._asked: References | None = None
+        self._pressed = False
+
+    def update(
+        self, t: int, request: tuple[float] | None, series_1: tuple[float, ...] | None,
+        series_2: tuple[float, ...] | None, shunt: tuple[float, ...] | None,
+    ) -> Mapping[str, tuple[float, ...]]:  # fmt: skip
+        """Answer if there is anything to answer."""
+        pressed = request == (1.0,)
+        asked = self._references(series_1, series_2, shunt)
+        due = asked is not None and (asked != self._asked or (pressed and not self._pressed))
+        self._pressed = pressed
+        if asked is None or not due:
+            return {}
+        self._asked = asked
+        found = self._solver.solve(asked)
+        if isinstance(found, Diverged):
+            text = f"diverged: mismatch {found.mismatch:.3g} pu after {found.iterations} iterations"
+            self.report(Level.ERROR, "diverged", text)
+            return {"result": (0.0, float(found.iterations), found.mismatch)}
+        return {"result": (1.0, float(found.iterations), found.mismatch), **self._tables(found)}
+
+    def _references(self, *given: tuple[float, ...] | None) -> References | None:
+        """Newest references; None, and a report, when they cannot be meant."""
+        changes: dict[str, float] = {}
+        for names, values in zip((("p1", "q1"), ("p2", "q2"), ("v",)), given, strict=True):
+            changes |= dict(zip(names, values or (), strict=False))
+        try:
+            return References(**{**self.p.initial.model_dump(), **changes})
+        except ValueError:
+            self.report(Level.ERROR, "references", f"references {changes} cannot be meant: nothing is solved")
+            return None
+
+    def _tables(self, found: Solution) -> dict[str, tuple[float, ...]]:
+        z = self.p.network.z_se
+        i12, i34 = found.v12 / z, found.v34 / z
+        injected = {
+            "1": found.s_sh - found.bus["1"] * i12.conjugate(),
+            "2": found.bus["2"] * i12.conjugate(),
+            "3": -found.bus["3"] * i34.conjugate(),
+            "4": found.bus["4"] * i34.conjugate(),
+        }
+        bus = [(*cmath.polar(found.bus[b]), injected.get(b, 0j).real, injected.get(b, 0j).imag) for b in BUSES]
+        device = (*cmath.polar(found.v12), *cmath.polar(found.v34), *cmath.polar(found.v_sh), found.p12, found.p34,
+                  found.s_sh.real, found.s_sh.imag)  # fmt: skip
+        return {"bus": tuple(x for row in bus for x in row), "device": device}
+
+
+main = executable(PowerFlowNode)

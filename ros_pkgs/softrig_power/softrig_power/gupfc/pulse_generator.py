@@ -1,0 +1,89 @@
+"""Switch states of the shunt converter and the spectrum of its voltage."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+from softrig_core.model.block import Block, Level
+from softrig_core.model.params import BlockParams, param
+from softrig_core.model.port import array, scalars, vector3
+from softrig_core.node import executable
+
+from . import pulses
+from .ports import converter_command
+
+SIGMA = math.radians(172.5)
+OMEGA = 2.0 * math.pi * 60.0
+ORDERS = (1, -23, 25, -47, 49, -71, 73, -95, 97)
+
+
+class PulseGeneratorParams(BlockParams):
+    """How often it looks, and how long a command turns on."""
+
+    period: float = param(1.0 / 2880.0, "sampling period", "s", ge=1e-6, le=0.1)
+    command_period: float = param(1.0 / 2880.0, "period of the commands, a multiple of `period`", "s", ge=1e-6, le=1.0)
+
+
+class PulseGenerator(Block):
+    """Gates of the four three-level bridges under the newest command, see `pulses`.
+
+    ``pulses/gates``: bridge by switch (Q1 to Q4 of phase a, b, c), 1 conducts. ``pulses/voltage``: the space vector
+    of the 48-step voltage for a DC voltage of 1. ``pulses/spectrum``: order (negative: turns against the fundamental)
+    and amplitude in % of the fundamental, up to the 97th. ``pulses/quality``: fundamental for a DC voltage of 1,
+    distortion over all harmonics and up to the 50th in %. A command may come in parts (sigma alone). A conduction
+    angle that is none is refused: the last one holds.
+    """
+
+    Params = PulseGeneratorParams
+    INPUTS = (
+        converter_command(
+            "command", "shunt/command", "sigma", "rad", held=True, partial=True, safe=(SIGMA, 0.0, OMEGA)
+        ),
+    )
+    OUTPUTS = (
+        array("gates", "pulses/gates", {"bridge": 4, "switch": 12}, ""),
+        vector3("voltage", "pulses/voltage", "alpha_beta", "pu"),
+        array("spectrum", "pulses/spectrum", {"harmonic": len(ORDERS), "quantity": 2}, ["", "%"] * len(ORDERS)),
+        scalars("quality", "pulses/quality", {"fundamental": "pu", "thd": "%", "thd_50": "%"}),
+    )
+
+    def setup(self) -> None:
+        """Ticks of a command."""
+        self._ticks = max(1, round(self.p.command_period / self.p.period))
+
+    def start(self) -> None:
+        """Nominal command."""
+        self._command: tuple[float, ...] = (SIGMA, 0.0, OMEGA)
+        self._judge()
+
+    def update(self, t: int, command: tuple[float, ...] | None) -> Mapping[str, tuple[float, ...]]:
+        """Answer one tick."""
+        if command is not None and command != self._command:
+            if 0.0 < command[0] <= math.pi * (1.0 + 1e-12) and all(map(math.isfinite, command)):
+                judged = command[0] == self._command[0]
+                self._command = command
+                if not judged:
+                    self._judge()
+            else:
+                self.report(Level.ERROR, "command", f"command {tuple(command)} refused, the last one holds")
+        sigma, angle, omega = self._command
+        since = round(t * 1e-9 / self.p.period) % self._ticks * self.p.period
+        theta = angle + omega * since
+        v = pulses.vector(theta, sigma)
+        return {
+            "gates": tuple(pulses.gates(theta, sigma).ravel().tolist()),
+            "voltage": (v.real, v.imag, 0.0),
+            "spectrum": self._spectrum,
+            "quality": self._quality,
+        }
+
+    def _judge(self) -> None:
+        """Spectrum and distortion of the conduction angle."""
+        sigma = self._command[0]
+        first, found = pulses.fundamental(sigma), pulses.harmonics(sigma, max(ORDERS))
+        self._spectrum = tuple(x for n in ORDERS for x in (float(n), 100.0 * found[n] / first))
+        self._quality = (first, pulses.distortion(sigma), pulses.distortion(sigma, 50))
+
+
+main = executable(PulseGenerator)
