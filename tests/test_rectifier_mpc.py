@@ -317,17 +317,18 @@ def test_constrained_without_bounds_is_the_closed_form():
 
 @pytest.mark.parametrize("solver", ["closed_form", "daqp"])
 def test_anti_windup(solver):
-    """Ten times longer on the bound: the way back from it is the same."""
-    ends = []
-    for held in (30, 300):
-        law = GpcController(set_point=400.0, u_min=0.0, u_max=3.0, period=T, solver=solver)
-        for k in range(held):
-            found = law.update(k, measured=(100.0,), reference=None)
-        assert found["command"] == (3.0,)
-        assert found["health"][0] == 1.0
-        ends.append([law.update(k, measured=(500.0,), reference=None)["command"][0] for k in range(5)])
-    assert ends[0] == pytest.approx(ends[1], abs=1e-9)
-    assert ends[0][0] < 3.0
+    """After any time on a bound the law is as if the bound had been its command from the start."""
+    values = {"set_point": 400.0, "u_min": 0.0, "u_max": 3.0, "period": T, "solver": solver}
+    law, fresh = GpcController(**values), GpcController(**values, u_start=3.0)
+    for k in range(30):
+        found = law.update(k, measured=(100.0,), reference=None)
+    assert found["command"] == (3.0,)
+    assert found["health"][0] == 1.0
+    fresh.update(0, measured=(100.0,), reference=None)
+    assert law.law.move(400.0) == pytest.approx(fresh.law.move(400.0), abs=1e-9)
+    back = [[x.update(k, measured=(500.0,), reference=None)["command"][0] for k in range(5)] for x in (law, fresh)]
+    assert back[0] == pytest.approx(back[1], abs=1e-9)
+    assert back[0][0] < 3.0
 
 
 @pytest.mark.parametrize(
@@ -739,3 +740,20 @@ def test_lines_of_the_spectrum_are_the_carriers_sidebands():
         bessel = abs(jv(k, n * math.pi * m / 2.0))
         line = 400.0 * 2.0 / (n * math.pi) * bessel / (2.0 * math.pi * at * c.L)
         assert amplitude[np.argmin(np.abs(f - at))] == pytest.approx(line, rel=0.02), (n, k)
+
+
+def test_time_may_jump():
+    """Realtime skips a pause of the host: the open power-quality window is dropped, the next whole one counts."""
+    plant = RectifierPlant(model="switched")
+    held(plant, 60)
+    for k in range(60, 301):
+        t = k * NS + 7_770_000_000
+        assert all(math.isfinite(x) for x in plant.outputs(t)["power_quality"])
+        plant.advance(t, command=(CONSTANTS.drop,), events=None)
+    found = dict(zip(FIGURES, plant.outputs(t)["power_quality"], strict=True))
+    assert found["windows"] == 80.0
+    assert found["current"] == pytest.approx(CONSTANTS.current, rel=0.5)
+    short = RectifierPlant()
+    for k in range(100):  # from the middle of a window to a tenth of a window beyond its end
+        short.advance(k * NS + 50_000_000, command=(CONSTANTS.drop,), events=None)
+    assert short.outputs(0)["power_quality"][0] == 0.0

@@ -16,7 +16,7 @@ from softrig_core.node import executable
 from . import averaged, ports, switched
 from .circuit import INJECTION, SPWM, Circuit, Period, grid, phases
 from .parameters import RectifierConstants
-from .quality import CYCLES, FIGURES, PLAIN, WINDOWS, empty, figures
+from .quality import CYCLES, FIGURES, PLAIN, TIME, WINDOWS, empty, figures
 
 NOMINAL_CURRENT = 37.83218957482916  # A, of the published constants
 
@@ -91,6 +91,9 @@ class RectifierPlant(Plant):
         self._forward = 1.0 if p.feedforward == "instantaneous" else 0.0
         self._window = CYCLES / p.f
         self._late = self.LATE_PERIODS * to_ns(p.period)
+        self.start()
+        self.outputs(0)  # native code is loaded or compiled before the first tick, not in it
+        self._move(0.0, 0.0)
 
     def start(self) -> None:
         """Begin at the given voltage and current, on the nominal grid and load."""
@@ -103,6 +106,7 @@ class RectifierPlant(Plant):
         self._sums, self._complete = empty(), empty()
         self._trace = np.zeros((p.steps if p.waveform else 0, len(ports.WAVEFORM_CHANNELS)))
         self._trace[:] = (*abc, 0.0, p.v_start)
+        self._end = 0.0
         self._before = p.i_start
         self._load, self._amplitude, self._fifth = p.R_L, p.V_g, 0.0
         self._figures: tuple[float, ...] = (0.0,) * len(FIGURES)
@@ -145,17 +149,30 @@ class RectifierPlant(Plant):
         if self.collapsed:
             self._discharge()
             return
-        both = (self._circuit, self._period_at(start, command[0]))
-        if p.model == "switched":
-            v = switched.advance(self._x, self._legs, p.steps, self._window, both, p.carrier_hz, p.injection,
-                                 self._sums, self._complete, self._trace)  # fmt: skip
-        else:
-            v = averaged.advance(self._x, p.steps, self._window, both, self._sums, self._complete, self._trace)
+        v = self._move(start, command[0])
         self._before = command[0]
-        if self._complete[PLAIN, WINDOWS] != self._figures[0]:
+        complete = self._complete[PLAIN]
+        if complete[WINDOWS] != self._figures[0] and complete[TIME] > 0.999 * self._window:
             self._figures = tuple(figures(self._complete).values())
         if not p.v_least < v < math.inf:
             self._collapse(v)
+
+    def _move(self, start: float, command: float) -> float:
+        """Move the state over the period from `start` (s); give the DC voltage."""
+        p = self.p
+        if abs(start - self._end) > 0.5 * p.period:
+            self._skip(start)
+        self._end = start + p.period
+        both = (self._circuit, self._period_at(start, command))
+        if p.model == "switched":
+            return switched.advance(self._x, self._legs, p.steps, self._window, both, p.carrier_hz, p.injection,
+                                    self._sums, self._complete, self._trace)  # fmt: skip
+        return averaged.advance(self._x, p.steps, self._window, both, self._sums, self._complete, self._trace)
+
+    def _skip(self, start: float) -> None:
+        """Begin with the sums anew: time does not go on where it was (realtime after a pause of the host)."""
+        self._sums = empty()
+        self._sums[PLAIN, WINDOWS] = math.floor(start / self._window + 1e-9)
 
     def _take(self, events: tuple[float, ...]) -> None:
         load, amplitude, fifth = events
