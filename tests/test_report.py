@@ -122,13 +122,13 @@ def draw(monkeypatch, tmp_path):
     """Draw the plots of a rig; gives title to figure, laid out as it was saved."""
 
     def draw(rig, recording):
-        figures, save = {}, plots._save
+        figures, save = {}, plots.save_figure
 
         def keep(figure, path, title, run):
             figures[title] = figure
             save(figure, path, title, run)
 
-        monkeypatch.setattr(plots, "_save", keep)
+        monkeypatch.setattr(plots, "save_figure", keep)
         paths = plot_run(Signals(recording), rig, tmp_path)
         assert [p.name for p in paths] == [
             *(plot_name(i, p.title) for i, p in enumerate(rig.scenario.plots, 1)),

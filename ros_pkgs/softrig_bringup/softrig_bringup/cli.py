@@ -122,7 +122,23 @@ def _parser() -> argparse.ArgumentParser:
     results = verb("results", _results, "hold every claim of the papers against what is measured now")
     results.add_argument("systems", nargs="*", metavar="SYSTEM", help="default: all")
     results.add_argument("--out", type=Path, default=Path("results"), metavar="DIR", help="results.html, results.md")
+    results.add_argument("--studies", action="store_true", help="the claims of studies too: hundreds of runs")
     results.add_argument("--workers", type=int, metavar="N", help="processes (default: all cores)")
+    study = verb("study", _study, "a scenario over grids, draws, seeds or a search; interrupted, the next call goes on")
+    study.add_argument("study", help="name or file of a study, or a scenario; `study list` shows the studies")
+    study.add_argument("--grid", action="append", default=[], metavar="NODE.PARAM=A,B,C", help="every combination")
+    study.add_argument("--draw", action="append", default=[], metavar="NODE.PARAM=LOW..HIGH", help="drawn uniformly")
+    study.add_argument("--draws", type=int, default=100, metavar="N", help="how many points are drawn (100)")
+    study.add_argument("--method", choices=("random", "latin_hypercube"), default="latin_hypercube")
+    study.add_argument("--search", metavar="FIGURE", help="minimise this figure over what --draw names")
+    study.add_argument("--maximise", action="store_true", help="with --search: maximise instead")
+    study.add_argument("--seeds", type=int, metavar="N", help="rig seeds 0 to N - 1 of each point")
+    study.add_argument("--duration", type=float, metavar="S", help="instead of the scenario's")
+    study.add_argument("--figures", nargs="+", default=[], metavar="FIGURE", help="only these")
+    study.add_argument("--signals", nargs="+", default=[], metavar="SIGNAL", help="keep and draw these")
+    study.add_argument("--out", type=Path, metavar="DIR", help="results go here (default runs/study_NAME)")
+    study.add_argument("--workers", type=int, metavar="N", help="processes (default: all cores)")
+    study.add_argument("--scheduler", default="", metavar="ADDRESS", help="a Dask cluster instead (tcp://host:8786)")
     golden = verb("golden", _golden, "make golden bags anew and show the difference to the old, or check them")
     golden.add_argument("names", nargs="*", metavar="SCENARIO", help="default: all that are there")
     golden.add_argument("--check", action="store_true", help="only compare; exit status 1 when one differs")
@@ -290,7 +306,20 @@ def _report(options: argparse.Namespace) -> int:
 def _results(options: argparse.Namespace) -> int:
     from .results import main as results
 
-    return results(options.systems, options.out, options.workers)
+    return results(options.systems, options.out, options.workers, studies=options.studies)
+
+
+def _study(options: argparse.Namespace) -> int:
+    from .study.definition import list_studies
+    from .study.options import study_of
+    from .study.page import main as study
+
+    if options.study == "list":
+        print("\n".join(sorted(list_studies())))
+        return 0
+    chosen = study_of(options)
+    out = options.out or Path("runs") / f"study_{chosen.name}"
+    return study(chosen, out, workers=options.workers, scheduler=options.scheduler)
 
 
 def _golden(options: argparse.Namespace) -> int:

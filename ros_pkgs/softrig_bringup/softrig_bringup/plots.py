@@ -32,7 +32,7 @@ _WIDTH = 10.0  # inch: 1100 pixels, the width of the report's column
 _MANY = 8  # more curves than this in one axes get a colour scale instead of a legend
 _PIXELS = 1100  # columns that a long signal is reduced to
 _AXES = {"alpha_beta": ("α", "β", "0"), "dq": ("d", "q", "0"), "abc": ("a", "b", "c")}
-_STYLE: dict[Any, Any] = {
+STYLE: dict[Any, Any] = {
     "font.size": 10.0,
     "axes.grid": True,
     "axes.axisbelow": True,
@@ -158,14 +158,14 @@ def plot_run(signals: Signals, rig: Rig, directory: Path) -> list[Path]:
     check_plots(rig)
     source = _Source(signals, rig)
     paths = []
-    with rc_context(_STYLE):
+    with rc_context(STYLE):
         for number, entry in enumerate(rig.scenario.plots, 1):
             figure = _xy_figure(source, entry) if entry.x else _time_figure(source, entry)
             paths.append(directory / plot_name(number, entry.title))
-            _save(figure, paths[-1], entry.title, rig.scenario.name)
-    with rc_context(_STYLE | {"lines.linewidth": 1.0}):
+            save_figure(figure, paths[-1], entry.title, rig.scenario.name)
+    with rc_context(STYLE | {"lines.linewidth": 1.0}):
         paths.append(directory / OVERVIEW)
-        _save(_overview(source), paths[-1], "Every recorded signal", rig.scenario.name)
+        save_figure(_overview(source), paths[-1], "Every recorded signal", rig.scenario.name)
     return paths
 
 
@@ -471,7 +471,8 @@ def _axis(label: str, unit: str) -> str:
     return f"{label} ({unit})" if unit else label
 
 
-def _save(figure: Figure, path: Path, title: str, run: str) -> None:
+def save_figure(figure: Figure, path: Path, title: str, run: str) -> None:
+    """Write a picture with its title and, small, the name of the run."""
     figure.suptitle(title, x=0.008, ha="left", fontsize=12, fontweight="bold")
     figure.text(0.992, 0.992, run, ha="right", va="top", fontsize=8, color="#888888")
     figure.savefig(path)

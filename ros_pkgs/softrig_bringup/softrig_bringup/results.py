@@ -86,7 +86,33 @@ def gather(scenarios: Iterable[Scenario], workers: int | None = None) -> tuple[l
     return rows, measured
 
 
-def main(systems: Sequence[str], out: Path, workers: int | None = None) -> int:
+def study_findings(
+    systems: Sequence[str], out: Path, workers: int | None = None
+) -> tuple[list[Scenario], list[Finding]]:
+    """Run the studies with claims, or go on with them, and hold their claims.
+
+    Returns
+    -------
+    scenarios : list of Scenario
+        Each study's scenario under the name of the study.
+    findings : list of Finding
+    """
+    from .study.definition import list_studies, load_study
+    from .study.engine import run_study
+    from .study.table import claims, results, without_signals
+
+    scenarios, rows = [], []
+    for study in map(load_study, list_studies()):
+        scenario = load_scenario(study.scenario)
+        if not study.claims or (systems and not any(_belongs(scenario, system) for system in systems)):
+            continue
+        done = without_signals(run_study(study, out / study.name, workers=workers).rows())
+        rows += claims(study, results(study, done))
+        scenarios.append(scenario.model_copy(update={"name": study.name, "source": study.source or scenario.source}))
+    return scenarios, rows
+
+
+def main(systems: Sequence[str], out: Path, workers: int | None = None, *, studies: bool = False) -> int:
     """Write results.html and results.md into a directory; 1 when a verdict is false or cannot be checked."""
     from .results_page import counts, html, markdown
 
@@ -94,6 +120,9 @@ def main(systems: Sequence[str], out: Path, workers: int | None = None) -> int:
     if not scenarios:
         raise ScenarioError("no scenario has claims")
     rows, measured = gather(scenarios, workers)
+    if studies:
+        more, found = study_findings(systems, out / "studies", workers)
+        scenarios, rows = scenarios + more, rows + found
     out.mkdir(parents=True, exist_ok=True)
     (out / "results.html").write_text(html(scenarios, rows), encoding="utf-8")
     (out / "results.md").write_text(markdown(scenarios, rows), encoding="utf-8")

@@ -13,6 +13,7 @@ from softrig_core.rig.scenario import Scenario
 
 from .html import e, mark, page, table
 from .plots import pretty_unit
+from .study.definition import list_studies
 
 HEADER = ("Claim", "Where", "Published", "Measured", "Unit", "Verdict", "")
 
@@ -77,12 +78,15 @@ def markdown(scenarios: Sequence[Scenario], rows: Sequence[Finding]) -> str:
             numbers = [_with_unit(_number(r.published) or r.compared_text, r), _with_unit(r.measured_text, r)]
             cells = [r.text, r.where, *numbers, f"**{verdict}**{reason}", f"`{r.scenario}`"]
             lines.append("| " + " | ".join(c.replace("|", "\\|") for c in cells) + " |")
-    lines += ["", "A scenario's run is repeated by `scripts/softrig run SCENARIO --mode inprocess`.", ""]
+    lines += ["", "A run is repeated by `scripts/softrig run SCENARIO --mode inprocess`, a study by `scripts/softrig study NAME`.",
+              ""]  # fmt: skip
     return "\n".join(lines)
 
 
 def command(scenario: str) -> str:
-    """Give the command that repeats the measurement."""
+    """Give the command that repeats the measurement of a scenario or study."""
+    if scenario in list_studies():
+        return f"scripts/softrig study {scenario}"
     return f"scripts/softrig run {scenario} --mode inprocess"
 
 

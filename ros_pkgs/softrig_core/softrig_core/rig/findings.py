@@ -74,7 +74,14 @@ def findings(scenario: Scenario, figures: Callable[[str], Figures | None], units
     units : mapping
         Unit of the scenario's own figures.
     """
-    return [_finding(scenario.name, key, claim, figures, units) for key, claim in scenario.claims.items()]
+    return hold(scenario.name, scenario.claims, figures, units)
+
+
+def hold(
+    name: str, claims: Mapping[str, Claim], figures: Callable[[str], Figures | None], units: Mapping[str, str]
+) -> list[Finding]:
+    """Hold claims, of a scenario or of a study, against measurements; see `findings`."""
+    return [_finding(name, key, claim, figures, units) for key, claim in claims.items()]
 
 
 def _finding(

@@ -36,8 +36,8 @@ from .registry import figure
 
 __all__ = [
     "error_overshoot", "error_settling_time", "final_value", "integral_absolute", "maximum", "mean", "mean_absolute",
-    "mean_error", "mean_square", "minimum", "overshoot", "peak", "peak_to_peak", "rise_time", "rms", "settling_time",
-    "sum_absolute", "total_variation",
+    "mean_error", "mean_square", "minimum", "overshoot", "peak", "peak_to_peak", "reach_time", "rise_time", "rms",
+    "settling_time", "sum_absolute", "total_variation",
 ]  # fmt: skip
 
 HALF_NS = 5e-10  # s; times are whole ns: what is nearer to an end of a window than this is inside
@@ -107,6 +107,16 @@ def settling_time(
         return float(t[k + 1] - zero)
     edge = np.copysign(band, error[k])
     return float(t[k] + (t[k + 1] - t[k]) * (error[k] - edge) / (error[k] - error[k + 1]) - zero)
+
+
+@figure("s")
+def reach_time(
+    signals: SignalMap, signal: str, *, level: float, start: float | None = None, end: float | None = None
+) -> float:
+    """Time in s of the first sample at `level` or above; inf when there is none."""
+    t, x = window(signals, signal, start, end)
+    reached = np.flatnonzero(x >= level)
+    return float(t[reached[0]]) if reached.size else float("inf")
 
 
 @figure("%")

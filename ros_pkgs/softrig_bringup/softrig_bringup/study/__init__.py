@@ -1,0 +1,1 @@
+"""Studies: a scenario over cases, grids, draws, seeds, or a search."""

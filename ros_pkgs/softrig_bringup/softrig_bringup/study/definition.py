@@ -1,0 +1,207 @@
+"""What a study is: validated data from a YAML file in ``config/studies`` or from the command line."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+from softrig_core.errors import ScenarioError
+from softrig_core.rig.claims import Claim
+from softrig_core.rig.expectation import Expected
+from softrig_core.rig.references import fill
+from softrig_core.rig.scenario import explain
+from softrig_core.rig.scenario_file import closest
+from softrig_core.rig.yaml_file import read_yaml
+
+
+class _Model(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+Bound = float | list[float]
+
+
+class Distribution(_Model):
+    """How one parameter is drawn; exactly one of the keys. Bounds may be lists: one for each element of a vector."""
+
+    uniform: tuple[Bound, Bound] | None = None
+    log_uniform: tuple[Bound, Bound] | None = None
+    normal: tuple[Bound, Bound] | None = Field(None, description="mean and standard deviation")
+    integers: tuple[int, int] | None = Field(None, description="both included")
+    choice: list[Any] | None = None
+
+    @model_validator(mode="after")
+    def _one(self) -> Distribution:
+        given = [k for k in type(self).model_fields if getattr(self, k) is not None]
+        if len(given) != 1:
+            raise ValueError(f"expected one of {', '.join(type(self).model_fields)}, got {', '.join(given) or 'none'}")
+        pair = getattr(self, given[0])
+        if given[0] == "log_uniform" and min(_flat(pair)) <= 0.0:
+            raise ValueError("log_uniform: expected bounds above 0")
+        if given[0] in ("uniform", "log_uniform", "integers"):
+            low, high = (_flat([side]) for side in pair)
+            if len(low) != len(high) or any(a > b for a, b in zip(low, high, strict=True)):
+                raise ValueError(f"{given[0]}: expected a lower and an upper bound, got {pair}")
+        return self
+
+
+def _flat(values: Any) -> list[float]:
+    return [x for v in values for x in (v if isinstance(v, list) else [v])]
+
+
+class Draws(_Model):
+    """Random parameters: `count` points by a generator of its own seed."""
+
+    count: int = Field(ge=1)
+    seed: int = Field(0, ge=0)
+    method: Literal["random", "latin_hypercube"] = "latin_hypercube"
+    parameters: dict[str, Distribution] = Field(min_length=1)
+
+
+class Search(_Model):
+    """A search for parameters that minimise (or maximise) a figure; a figure that cannot be measured is the worst.
+
+    Candidates come in batches, told in order: the result does not depend on the number of workers.
+    """
+
+    figure: str
+    aim: Literal["minimise", "maximise"] = "minimise"
+    count: int = Field(ge=1)
+    batch: int = Field(4, ge=1)
+    seed: int = Field(0, ge=0)
+    sampler: Literal["tpe", "random"] = "tpe"
+    parameters: dict[str, Distribution] = Field(min_length=1)
+
+
+class Summary(_Model):
+    """A number over many runs.
+
+    Parameters
+    ----------
+    figure : str
+    statistic : str
+        ``share`` counts the runs that meet `of`; a figure that could not be measured does not meet it.
+    q : float
+        Of ``quantile``.
+    of : Expectation
+        Of ``share``: ``at least 99``.
+    where : dict
+        Only the runs whose case (key ``case``) or parameters have these values.
+    """
+
+    figure: str
+    statistic: Literal["mean", "median", "std", "min", "max", "sum", "count", "quantile", "share"] = "mean"
+    q: float = Field(0.5, ge=0.0, le=1.0)
+    of: Expected | None = None
+    where: dict[str, Any] = {}
+
+    @model_validator(mode="after")
+    def _share(self) -> Summary:
+        if (self.of is not None) != (self.statistic == "share"):
+            raise ValueError("of: belongs to the statistic share, which needs it")
+        return self
+
+
+def _seeds(given: Any) -> Any:
+    return list(range(given)) if isinstance(given, int) and not isinstance(given, bool) else given
+
+
+class Study(_Model):
+    """A scenario many times: cases x grid x draws x seeds, or a search.
+
+    Parameters
+    ----------
+    scenario : str
+    cases : dict of str to dict
+        By name: parameters to change; the key ``scenario`` takes another scenario.
+    grid : dict of str to list
+        Every combination of the values.
+    seeds : int or list of int
+        Rig seeds; a number n stands for 0 to n - 1. Absent: the scenario's.
+    figures : list of str
+        Which figures are kept; all when empty.
+    signals : list of str
+        Signals that are kept, at `samples` times, and drawn with bands over the seeds.
+    summaries, expect, claims
+        Numbers over the runs, what they should be, what the paper says of them.
+    """
+
+    name: str
+    title: str
+    source: str = ""
+    scenario: str
+    duration: float | None = Field(None, gt=0)
+    cases: dict[str, dict[str, Any]] = {}
+    grid: dict[str, Annotated[list[Any], Field(min_length=1)]] = {}
+    draws: Draws | None = None
+    search: Search | None = None
+    seeds: Annotated[list[Annotated[int, Field(ge=0)]] | None, BeforeValidator(_seeds)] = None
+    figures: list[str] = []
+    signals: list[str] = []
+    samples: int = Field(200, ge=2, le=10_000)
+    summaries: dict[str, Summary] = {}
+    expect: dict[str, Expected] = {}
+    claims: dict[str, Claim] = {}
+
+    @model_validator(mode="after")
+    def _fits(self) -> Study:
+        if self.search is not None and (self.draws or self.grid or self.cases):
+            raise ValueError("search: goes with seeds alone, not with cases, grid or draws")
+        for kind, names in (("expect", list(self.expect)), ("claims", [c.figure or k for k, c in self.claims.items()])):
+            for name in names:
+                if name not in self.summaries and not (kind == "claims" and not name):
+                    known = ", ".join(self.summaries) or "none"
+                    raise ValueError(f"{kind}: no summary {name!r}; the summaries are {known}")
+        return self
+
+
+def study_folders() -> list[Path]:
+    """Where study files are looked for: ``studies`` beside each folder of scenarios."""
+    from softrig_core.rig.scenario_file import scenario_folders
+
+    folders = [folder.parent / "studies" for folder in scenario_folders()]
+    given = [Path(p) for p in os.environ.get("SOFTRIG_STUDIES", "").split(os.pathsep) if p]
+    return [f for f in (*given, *folders) if f.is_dir()]
+
+
+def list_studies() -> dict[str, Path]:
+    """Give every study's name and file."""
+    found: dict[str, Path] = {}
+    for folder in study_folders():
+        for path in sorted(folder.glob("*.yaml")):
+            found.setdefault(path.stem, path)
+    return found
+
+
+def load_study(name: str) -> Study:
+    """Read a study by name or file.
+
+    Raises
+    ------
+    ScenarioError
+        Unknown, not YAML, an unknown key or a bad value; names file and key.
+    """
+    path = Path(name)
+    if not (path.suffix in (".yaml", ".yml") and path.is_file()):
+        known = list_studies()
+        if name not in known:
+            raise ScenarioError(f"study {name!r} is unknown{closest(name, known)}; there are {', '.join(known)}")
+        path = known[name]
+    raw = read_yaml(path.read_text(encoding="utf-8"), path.name)
+    if not isinstance(raw, dict):
+        raise ScenarioError(f"{path.name}: expected a mapping of keys, got {type(raw).__name__}")
+    shared = raw.pop("shared", None) or {}
+    try:
+        return make_study({**fill(raw, shared), "name": path.stem})
+    except ScenarioError as error:
+        raise ScenarioError(f"{path.name}: {error}") from None
+
+
+def make_study(raw: dict[str, Any]) -> Study:
+    """Validate a study."""
+    try:
+        return Study.model_validate(raw)
+    except ValidationError as error:
+        raise ScenarioError(explain(error)) from None

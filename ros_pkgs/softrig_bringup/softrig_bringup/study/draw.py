@@ -1,0 +1,100 @@
+"""Points of a study: grids, random and Latin hypercube draws."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .definition import Distribution, Draws, Study
+
+Array = NDArray[np.float64]
+
+
+class Case(NamedTuple):
+    """One run: its number, the scenario and what is changed in it, and under which name of case."""
+
+    number: int
+    scenario: str
+    case: str
+    overrides: dict[str, Any]
+    seed: int | None
+
+
+def cases(study: Study) -> Iterator[Case]:
+    """Give the runs of a study one by one: cases outermost, then grid, draws, seeds."""
+    number = 0
+    points = draw(study.draws) if study.draws else [{}]
+    seeds: list[int | None] = [*study.seeds] if study.seeds else [None]
+    for name, changes in (study.cases or {"": {}}).items():
+        own = dict(changes)
+        scenario = own.pop("scenario", study.scenario)
+        for values in itertools.product(*study.grid.values()):
+            at = dict(zip(study.grid, values, strict=True))
+            for point in points:
+                for seed in seeds:
+                    yield Case(number, scenario, name, own | at | point, seed)
+                    number += 1
+
+
+def count(study: Study) -> int:
+    """Give the number of runs."""
+    if study.search:
+        return study.search.count * len(study.seeds or [0])
+    grid = int(np.prod([len(v) for v in study.grid.values()], dtype=int)) if study.grid else 1
+    points = study.draws.count if study.draws else 1
+    return max(1, len(study.cases)) * grid * points * len(study.seeds or [0])
+
+
+def draw(draws: Draws) -> list[dict[str, Any]]:
+    """Draw the points; the same every time."""
+    sizes = {name: size(d) for name, d in draws.parameters.items()}
+    dimensions = sum(sizes.values())
+    if draws.method == "latin_hypercube":
+        from scipy.stats import qmc
+
+        unit = qmc.LatinHypercube(dimensions, rng=np.random.default_rng(draws.seed)).random(draws.count)
+    else:
+        unit = np.random.default_rng(draws.seed).random((draws.count, dimensions))
+    return [_point(draws.parameters, sizes, row) for row in unit]
+
+
+def size(d: Distribution) -> int:
+    """Number of elements of a drawn parameter."""
+    pair = d.uniform or d.log_uniform or d.normal
+    return max((len(x) for x in pair if isinstance(x, list)), default=1) if pair else 1
+
+
+def _point(parameters: Mapping[str, Distribution], sizes: Mapping[str, int], unit: Array) -> dict[str, Any]:
+    at, point = 0, {}
+    for name, d in parameters.items():
+        u = unit[at : at + sizes[name]]
+        at += sizes[name]
+        values = _values(d, u)
+        pair = d.uniform or d.log_uniform or d.normal
+        vector = pair is not None and any(isinstance(x, list) for x in pair)
+        point[name] = values if vector else values[0]
+    return point
+
+
+def _values(d: Distribution, u: Array) -> list[Any]:
+    """Turn numbers in [0, 1) into values by the inverse of the distribution."""
+    if d.choice is not None:
+        return [d.choice[int(x * len(d.choice))] for x in u]
+    if d.integers is not None:
+        first, last = d.integers
+        return [first + int(x * (last - first + 1)) for x in u]
+    if d.normal is not None:
+        from scipy.special import ndtri
+
+        mean, deviation = (np.broadcast_to(np.asarray(x, float), u.shape) for x in d.normal)
+        return [float(v) for v in mean + deviation * ndtri(np.clip(u, 1e-12, 1.0 - 1e-12))]
+    pair = d.uniform or d.log_uniform
+    assert pair is not None
+    low, high = (np.broadcast_to(np.asarray(x, float), u.shape) for x in pair)
+    if d.uniform is not None:
+        return [float(v) for v in low + (high - low) * u]
+    return [float(v) for v in low * (high / low) ** u]

@@ -1,0 +1,160 @@
+"""Running a study: on all cores or a cluster, interrupted and resumed without loss."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from softrig_core.errors import ScenarioError
+from softrig_core.rig.figures import figures_of
+from softrig_core.rig.simulate import rig_of
+from softrig_optim.sweep import progress, stream
+
+from .definition import Search, Study
+from .draw import Case, cases, count
+from .work import Log, Work, run
+
+
+def run_study(study: Study, out: Path, *, workers: int | None = None, scheduler: str = "") -> Log:
+    """Run what is not yet done of a study.
+
+    Parameters
+    ----------
+    study : Study
+    out : Path
+        Gets ``study.json`` and ``rows.jsonl``; what an earlier call left there is kept and not run again.
+    workers, scheduler
+        See `softrig_optim.sweep.stream`.
+
+    Returns
+    -------
+    Log
+        The rows, closed.
+
+    Raises
+    ------
+    ScenarioError
+        Bad input, or the directory holds another study.
+    """
+    out.mkdir(parents=True, exist_ok=True)
+    _same(study, out / "study.json")
+    _check(study)
+    log = Log(out / "rows.jsonl")
+    total = count(study)
+    try:
+        with progress(study.name, total) as advance:
+            for _ in log.known:
+                advance()
+            if study.search:
+                _search(study, study.search, log, workers, scheduler, advance)
+            else:
+                todo = (_work(study, case) for case in cases(study) if case.number not in log.known)
+                for _, row in stream(run, todo, workers=workers, scheduler=scheduler):
+                    log.add(row)
+                    advance()
+    finally:
+        log.close()
+    return log
+
+
+def _work(study: Study, case: Case) -> Work:
+    return Work(case, study.duration, tuple(study.figures), tuple(study.signals), study.samples)
+
+
+def _same(study: Study, file: Path) -> None:
+    """Make sure that a directory holds this study or none; what the rows do not depend on may differ."""
+    free = ("title", "source", "summaries", "expect", "claims", "name")
+    content = study.model_dump(mode="json", exclude=set(free))
+    if file.exists():
+        try:
+            there = json.loads(file.read_text())
+        except ValueError:
+            there = None
+        if there != content:
+            raise ScenarioError(f"{file.parent} holds another study; choose another --out, or remove it")
+    file.write_text(json.dumps(content, indent=1) + "\n")
+
+
+def _check(study: Study) -> None:
+    """Build the rig of the first run of each case, so that what is misspelt is said at once."""
+    seen = set()
+    first = _first(study, study.search) if study.search else cases(study)
+    for case in first:
+        if case.case in seen:
+            continue
+        seen.add(case.case)
+        rig = rig_of(case.scenario, duration=study.duration, overrides=case.overrides)
+        known = [f.name for f in figures_of(rig)]
+        wanted = {*study.figures, *(s.figure for s in study.summaries.values())}
+        wanted |= {study.search.figure} if study.search else set()
+        unknown = sorted(wanted - set(known))
+        if unknown:
+            raise ScenarioError(
+                f"{study.name}: {case.scenario} has no figure {unknown[0]!r}; it has {', '.join(known)}"
+            )
+        topics = {f"{topic}/{label}" for topic, port in rig.topics.items() for label in port.labels}
+        for name in study.signals:
+            if name not in topics:
+                raise ScenarioError(f"{study.name}: no signal {name!r}; {case.scenario} has {', '.join(topics)}")
+        if len(seen) == max(1, len(study.cases)):
+            return
+
+
+def _first(study: Study, search: Search) -> Iterator[Case]:
+    middle = {name: _suggest_middle(d) for name, d in search.parameters.items()}
+    yield Case(0, study.scenario, "", middle, None)
+
+
+def _suggest_middle(d: Any) -> Any:
+    from .draw import _values
+
+    return _values(d, np.array([0.5]))[0]
+
+
+def _search(study: Study, search: Search, log: Log, workers: int | None, scheduler: str, advance: Any) -> None:
+    """Ask and tell in batches; rows that are there already are told again in the same order."""
+    import optuna
+
+    optuna.logging.set_verbosity(optuna.logging.WARNING)
+    samplers: dict[str, Any] = {
+        "tpe": lambda: optuna.samplers.TPESampler(seed=search.seed, constant_liar=True),
+        "random": lambda: optuna.samplers.RandomSampler(seed=search.seed),
+    }
+    direction: Literal["minimize", "maximize"] = "minimize" if search.aim == "minimise" else "maximize"
+    asked = optuna.create_study(direction=direction, sampler=samplers[search.sampler]())
+    space = {name: _optuna(name, d) for name, d in search.parameters.items()}
+    rows = {row["number"]: row for row in log.rows()}
+    seeds: list[int | None] = [*study.seeds] if study.seeds else [None]
+    worst = math.inf if search.aim == "minimise" else -math.inf
+    for start in range(0, search.count, search.batch):
+        trials = [asked.ask(space) for _ in range(min(search.batch, search.count - start))]
+        batch = [
+            Case((start + i) * len(seeds) + k, study.scenario, "", dict(trial.params), seed)
+            for i, trial in enumerate(trials) for k, seed in enumerate(seeds)
+        ]  # fmt: skip
+        todo = [_work(study, case) for case in batch if case.number not in rows]
+        for _, row in stream(run, todo, workers=workers, scheduler=scheduler) if todo else ():
+            log.add(row)
+            rows[row["number"]] = row
+            advance()
+        for i, trial in enumerate(trials):
+            mine = [rows[(start + i) * len(seeds) + k]["figures"].get(search.figure) for k in range(len(seeds))]
+            value = worst if None in mine else float(np.mean(mine))
+            asked.tell(trial, value if math.isfinite(value) else math.copysign(1e300, value))
+
+
+def _optuna(name: str, d: Any) -> Any:
+    from optuna import distributions
+
+    if d.choice is not None:
+        return distributions.CategoricalDistribution(d.choice)
+    if d.integers is not None:
+        return distributions.IntDistribution(*d.integers)
+    pair = d.uniform or d.log_uniform
+    if pair is None or any(isinstance(x, list) for x in pair):
+        raise ScenarioError(f"search: parameter {name}: expected uniform, log_uniform, integers or choice of numbers")
+    return distributions.FloatDistribution(pair[0], pair[1], log=d.log_uniform is not None)

@@ -1,0 +1,65 @@
+"""A study from the command line."""
+
+from __future__ import annotations
+
+from argparse import Namespace
+from pathlib import Path
+from typing import Any
+
+from softrig_core.errors import ScenarioError
+from softrig_core.rig.scenario_file import list_scenarios, locate
+from softrig_core.rig.yaml_file import read_yaml
+
+from .definition import Study, list_studies, load_study, make_study
+
+
+def study_of(options: Namespace) -> Study:
+    """Give the study of a name or file, with the command line's changes; or make one of a scenario.
+
+    Raises
+    ------
+    ScenarioError
+        Neither a study nor a scenario, or an option that cannot be read.
+    """
+    name: str = options.study
+    changes = _changes(options)
+    path = Path(name)
+    file = path.suffix in (".yaml", ".yml") and path.is_file()
+    if name in list_studies() or (file and "scenario" in (read_yaml(path.read_text(), path.name) or {})):
+        return make_study(load_study(name).model_dump() | changes)
+    if not file and name not in list_scenarios():
+        raise ScenarioError(
+            f"{name!r} is neither a study nor a scenario; `softrig study list`, `softrig list` show them"
+        )
+    slug = locate(name)[0]
+    return make_study({"name": slug, "title": f"Study of {slug}", "scenario": name} | changes)
+
+
+def _changes(options: Namespace) -> dict[str, Any]:
+    changes: dict[str, Any] = {k: getattr(options, k) for k in ("figures", "signals") if getattr(options, k)}
+    changes |= {k: getattr(options, k) for k in ("duration", "seeds") if getattr(options, k) is not None}
+    grid = dict(_pair(text, "--grid", "NODE.PARAM=A,B,C") for text in options.grid)
+    if grid:
+        changes["grid"] = {name: read_yaml(f"[{values}]", f"--grid {name}") for name, values in grid.items()}
+    drawn = {}
+    for name, span in (_pair(text, "--draw", "NODE.PARAM=LOW..HIGH") for text in options.draw):
+        low, dots, high = span.partition("..")
+        try:
+            drawn[name] = {"uniform": (float(low), float(high))}
+        except ValueError:
+            raise ScenarioError(f"--draw {name}={span}: expected two numbers as LOW..HIGH") from None
+        if not dots:
+            raise ScenarioError(f"--draw {name}={span}: expected two numbers as LOW..HIGH")
+    if options.search:
+        aim = "maximise" if options.maximise else "minimise"
+        changes["search"] = {"figure": options.search, "aim": aim, "count": options.draws, "parameters": drawn}
+    elif drawn:
+        changes["draws"] = {"count": options.draws, "method": options.method, "parameters": drawn}
+    return changes
+
+
+def _pair(text: str, option: str, form: str) -> tuple[str, str]:
+    name, equals, value = text.partition("=")
+    if not equals or not value:
+        raise ScenarioError(f"{option} {text!r}: expected {form}")
+    return name, value

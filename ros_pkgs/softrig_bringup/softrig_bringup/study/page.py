@@ -1,0 +1,149 @@
+"""`softrig study`: run, table, numbers, pictures, page."""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+from xml.etree.ElementTree import Element
+
+from softrig_core.rig.figures import Result, figures_of
+from softrig_core.rig.findings import Finding
+from softrig_core.rig.simulate import rig_of
+
+from ..html import e, mark, table, write_page
+from ..report import accepted
+from .definition import Study
+from .engine import run_study
+from .pictures import chosen, draw_study, label
+from .table import Row, claims, command, results, without_signals, write_table
+
+LONGEST = 200  # rows on the page; the table files have them all
+
+
+def main(study: Study, out: Path, *, workers: int | None = None, scheduler: str = "") -> int:
+    """Run a study and write its results; 1 when an expectation or a claim does not hold, 3 when a run broke."""
+    log = run_study(study, out, workers=workers, scheduler=scheduler)
+    rows = without_signals(log.rows())
+    write_table(rows, out, study.duration)
+    found = results(study, rows)
+    held = claims(study, found)
+    units = _units(study, rows)
+    pictures = draw_study(study, rows, log.rows() if study.signals else (), out, units)
+    content = {
+        "study": study.name,
+        "runs": len(rows),
+        "broken": sum(bool(r["error"]) for r in rows),
+        "summaries": [r.model_dump(by_alias=True) for r in found],
+        "claims": [c.model_dump() for c in held],
+    }
+    (out / "summaries.json").write_text(json.dumps(content, indent=1) + "\n")
+    write_page(out / "report.html", study.title, list(_page(study, rows, found, held, pictures, units)))
+    _print(study, rows, found, held, out)
+    if any(row["error"] for row in rows):
+        return 3
+    return 0 if all(r.passed for r in found) and all(c.holds is not False for c in held) else 1
+
+
+def _units(study: Study, rows: Sequence[Row]) -> dict[str, str]:
+    """Units of the figures, from the scenarios that the study runs."""
+    units: dict[str, str] = {}
+    for scenario in dict.fromkeys(row["scenario"] for row in rows):
+        units |= {f.name: f.unit for f in figures_of(rig_of(scenario))}
+    return units
+
+
+def best(study: Study, rows: Sequence[Row]) -> Row | None:
+    """Give the best run of a search."""
+    if study.search is None:
+        return None
+    name, sign = study.search.figure, 1.0 if study.search.aim == "minimise" else -1.0
+    sure = [row for row in rows if row["figures"].get(name) is not None]
+    return min(sure, key=lambda r: sign * r["figures"][name], default=None)
+
+
+def _print(study: Study, rows: Sequence[Row], found: Sequence[Result], held: Sequence[Finding], out: Path) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    console = Console(highlight=False)
+    shown = Table("summary", "value", "expected", "published", "", title=study.title, title_justify="left", box=None)
+    for r in found:
+        verdict = ("[green]pass[/]" if r.judged else "") if r.passed else f"[red]MISS[/] {r.error}"
+        shown.add_row(r.name, _number(r.value), accepted(r), _number(r.published), verdict)
+    console.print(shown)
+    for claim in held:
+        if claim.holds is False:
+            console.print(f"[red]claim {claim.key}[/]: {claim.false}")
+    winner = best(study, rows)
+    if winner is not None and study.search is not None:
+        console.print(f"best: {study.search.figure} {winner['figures'][study.search.figure]:.6g}")
+        console.print(command(winner, study.duration), soft_wrap=True)
+    broken = [row for row in rows if row["error"]]
+    for row in broken[:3]:
+        console.print(f"run {row['number']} broke: {row['error']}; {command(row, study.duration)}", soft_wrap=True)
+    console.print(f"{len(rows)} runs, {len(broken)} broke; results in {out}")
+
+
+def _page(
+    study: Study, rows: Sequence[Row], found: Sequence[Result], held: Sequence[Finding], pictures: Sequence[Path],
+    units: dict[str, str],
+) -> list[Element]:  # fmt: skip
+    wall = sum(row["wall_s"] for row in rows)
+    facts = [("runs", str(len(rows))), ("broken", str(sum(bool(r["error"]) for r in rows))),
+             ("scenario", study.scenario), ("computing time", f"{wall:.3g} s")]  # fmt: skip
+    body = [
+        e("header", e("h1", study.title), e("p", study.source, class_="what"),
+          e("dl", *(e("div", e("dt", k), e("dd", v)) for k, v in facts), class_="facts")),
+    ]  # fmt: skip
+    if found:
+        lines: list[tuple[Element | str, ...]] = [
+            (r.name.replace("_", " "), _number(r.published), _number(r.value), accepted(r),
+             mark(r.passed, "pass" if r.passed else "miss") if r.judged else "") for r in found
+        ]  # fmt: skip
+        body += [e("h2", "Over all runs"), table(("Summary", "Published", "Value", "Accepted", ""), lines, " nnn ")]
+    if held:
+        lines = [
+            (c.text, c.where, _number(c.published) or c.compared_text, c.measured_text,
+             e("div", e("b", c.verdict.replace("_", " ")) if c.holds else mark(False, f"{c.verdict}: not borne out"),
+               e("div", c.reason, class_="note"))) for c in held
+        ]  # fmt: skip
+        body += [e("h2", "Claims"), table(("Claim", "Where", "Published", "Measured", "Verdict"), lines, "  nn ")]
+    winner = best(study, rows)
+    if winner is not None:
+        body += [e("h2", "Best run"), e("pre", command(winner, study.duration))]
+    body.append(e("h2", "Pictures"))
+    for path in pictures:
+        source = "data:image/png;base64," + base64.b64encode(path.read_bytes()).decode()
+        body.append(e("figure", e("img", src=source, alt=path.stem.replace("_", " "))))
+    names = chosen(study, rows)
+    header = ("Run", "Changed", "Seed", *(n.replace("_", " ") for n in names), "Broke")
+    lines = [
+        (str(row["number"]), _changes(study, row), str(row["seed"]), *(_number(row["figures"].get(n)) for n in names),
+         row["error"]) for row in rows[:LONGEST]
+    ]  # fmt: skip
+    body += [e("h2", "Runs"), table(header, lines, "n n" + "n" * len(names))]
+    note = "table.parquet and table.csv have every run with the command that repeats it."
+    if len(rows) > LONGEST:
+        note = f"The first {LONGEST} of {len(rows)} runs. {note}"
+    body.append(e("p", note, class_="note"))
+    return body
+
+
+def _changes(study: Study, row: Row) -> str:
+    """Label of a row by all that was changed in it."""
+    if not study.draws and not study.search:
+        return label(study, row)
+    return ", ".join(([row["case"]] if row["case"] else []) + [
+        f"{k.rpartition('.')[2]} {_text(v)}" for k, v in row["overrides"].items()
+    ])  # fmt: skip
+
+
+def _text(value: Any) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def _number(value: float | None) -> str:
+    return "" if value is None else f"{value:.6g}"

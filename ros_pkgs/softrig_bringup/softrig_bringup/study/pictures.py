@@ -1,0 +1,262 @@
+"""Pictures of a study: figures over what was changed, distributions, maps, searches, bands of signals."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..plots import STYLE, plot_name, pretty_unit, save_figure
+from .definition import Search, Study
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Row = Mapping[str, Any]
+Array = NDArray[np.float64]
+MOST = 6  # figures, and groups of curves, that a picture can hold
+
+
+def draw_study(
+    study: Study, rows: Sequence[Row], signals: Iterable[Row], folder: Path, units: Mapping[str, str]
+) -> list[Path]:
+    """Draw what the study's form asks for.
+
+    Parameters
+    ----------
+    study : Study
+    rows : sequence
+        By number.
+    signals : iterable
+        Rows with the key ``signals``; read once.
+    folder : Path
+    units : mapping
+        Unit of each figure.
+
+    Returns
+    -------
+    list of Path
+        Of the pictures, in their order.
+    """
+    from matplotlib import rc_context
+
+    paths = []
+    with rc_context(STYLE):
+        for number, (title, figure) in enumerate(_figures(study, rows, signals, units), 1):
+            paths.append(folder / plot_name(number, title))
+            save_figure(figure, paths[-1], title, study.name)
+    return paths
+
+
+def _figures(
+    study: Study, rows: Sequence[Row], signals: Iterable[Row], units: Mapping[str, str]
+) -> Iterator[tuple[str, Figure]]:
+    names = chosen(study, rows)
+    varied = numeric(rows)
+    if not names:
+        return
+    if study.search:
+        yield f"Search: {study.search.figure.replace('_', ' ')}", _history(study.search, rows, units)
+        yield "Search: parallel coordinates", _parallel(study.search, rows)
+    for parameter in varied[:3]:
+        yield f"Figures over {parameter}", _over(rows, parameter, names, units, banded=parameter in study.grid)
+    if len(varied) == 2:
+        yield f"Map of {names[0].replace('_', ' ')}", _map(rows, varied, names[0], units)
+    if len(rows) > 4 and not study.search and (not varied or study.grid):
+        yield "Distribution over the runs", _distribution(study, rows, names, units)
+    if study.signals:
+        yield from _bands(study, signals)
+
+
+def chosen(study: Study, rows: Sequence[Row]) -> list[str]:
+    """Figures that are drawn: those that the study names, or the first that were measured."""
+    measured = list(dict.fromkeys(k for row in rows for k, v in row["figures"].items() if v is not None))
+    named = [*study.figures, *(s.figure for s in study.summaries.values())]
+    return [n for n in dict.fromkeys(named or measured) if n in measured][:MOST]
+
+
+def numeric(rows: Sequence[Row]) -> list[str]:
+    """Parameters that have more than one value, all of them numbers."""
+    seen: dict[str, set[Any]] = {}
+    for row in rows:
+        for name, value in row["overrides"].items():
+            number = isinstance(value, int | float) and not isinstance(value, bool)
+            seen.setdefault(name, set()).add(value if number else None)
+    return [name for name, values in seen.items() if None not in values and len(values) > 1]
+
+
+def label(study: Study, row: Row) -> str:
+    """Say what was changed in a run, but its seed and what was drawn at random."""
+    drawn = study.draws.parameters if study.draws else {}
+    changes = [f"{k.rpartition('.')[2]} {_short(v)}" for k, v in row["overrides"].items()
+               if k in study.grid and k not in drawn]  # fmt: skip
+    return ", ".join(([row["case"]] if row["case"] else []) + changes) or "all runs"
+
+
+def _short(value: Any) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def _axes(count: int, height: float = 2.6) -> tuple[Figure, list[Axes]]:
+    from matplotlib.figure import Figure as New
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
+
+    columns = min(2, count)
+    lines = -(-count // columns)
+    figure = New(
+        figsize=(9.0, height * lines + 0.6),
+        layout=ConstrainedLayoutEngine(rect=(0.0, 0.0, 1.0, 1.0 - 0.35 / (height * lines + 0.6))),
+    )
+    axes = list(np.atleast_1d(figure.subplots(lines, columns)).ravel())
+    for spare in axes[count:]:
+        spare.set_axis_off()
+    return figure, axes[:count]
+
+
+def _name(figure: str, units: Mapping[str, str]) -> str:
+    unit = pretty_unit(units.get(figure, ""))
+    return f"{figure.replace('_', ' ')}" + (f" / {unit}" if unit else "")
+
+
+def _columns(rows: Iterable[Row], parameter: str, figure: str) -> tuple[Array, Array]:
+    pairs = [(row["overrides"][parameter], row["figures"].get(figure)) for row in rows if parameter in row["overrides"]]
+    found = [(x, y) for x, y in pairs if y is not None]
+    return np.array([x for x, _ in found], float), np.array([y for _, y in found], float)
+
+
+def _over(
+    rows: Sequence[Row], parameter: str, names: Sequence[str], units: Mapping[str, str], *, banded: bool
+) -> Figure:
+    figure, axes = _axes(len(names))
+    groups: dict[str, list[Row]] = {}
+    for row in rows:
+        groups.setdefault(row["case"], []).append(row)
+    for ax, name in zip(axes, names, strict=True):
+        for case, mine in list(groups.items())[:MOST]:
+            x, y = _columns(mine, parameter, name)
+            if not x.size:
+                continue
+            if not banded:
+                ax.plot(x, y, ".", markersize=3, alpha=0.6, label=case or None)
+                continue
+            at = np.unique(x)
+            low, middle, high = (np.array([f(y[x == v]) for v in at]) for f in (np.min, np.median, np.max))
+            (line,) = ax.plot(at, middle, "o-", markersize=3, label=case or None)
+            ax.fill_between(at, low, high, color=line.get_color(), alpha=0.2, linewidth=0)
+        ax.set_xlabel(parameter)
+        ax.set_ylabel(_name(name, units))
+        ax.margins(x=0.03)
+    if len(groups) > 1:
+        axes[0].legend(fontsize=8)
+    return figure
+
+
+def _map(rows: Sequence[Row], varied: Sequence[str], name: str, units: Mapping[str, str]) -> Figure:
+    figure, (ax,) = _axes(1, 4.5)
+    sure = [row for row in rows if row["figures"].get(name) is not None and all(p in row["overrides"] for p in varied)]
+    x, y = (np.array([row["overrides"][p] for row in sure], float) for p in varied)
+    z = np.array([row["figures"][name] for row in sure], float)
+    at_x, at_y = np.unique(x), np.unique(y)
+    if at_x.size * at_y.size <= 4 * x.size:  # a grid
+        mean = np.full((at_y.size, at_x.size), np.nan)
+        for i, v in enumerate(at_y):
+            for j, u in enumerate(at_x):
+                here = z[(x == u) & (y == v)]
+                mean[i, j] = here.mean() if here.size else np.nan
+        drawn: Any = ax.pcolormesh(at_x, at_y, mean, shading="nearest", cmap="viridis")
+    else:
+        drawn = ax.scatter(x, y, c=z, s=8, cmap="viridis")
+    ax.grid(False)
+    ax.set_xlabel(varied[0])
+    ax.set_ylabel(varied[1])
+    figure.colorbar(drawn, ax=ax, label=_name(name, units))
+    return figure
+
+
+def _distribution(study: Study, rows: Sequence[Row], names: Sequence[str], units: Mapping[str, str]) -> Figure:
+    figure, axes = _axes(len(names))
+    groups: dict[str, list[Row]] = {}
+    for row in rows:
+        groups.setdefault(label(study, row), []).append(row)
+    for ax, name in zip(axes, names, strict=True):
+        values = [[v for r in mine if (v := r["figures"].get(name)) is not None] for mine in groups.values()]
+        if len(groups) == 1:
+            ax.hist(values[0], bins=min(40, max(8, len(values[0]) // 10)), color="#4477aa")
+            ax.set_xlabel(_name(name, units))
+            ax.set_ylabel("runs")
+        else:
+            ax.boxplot(values, orientation="horizontal", tick_labels=list(groups), flierprops={"markersize": 3})
+            ax.set_xlabel(_name(name, units))
+            ax.tick_params(axis="y", labelsize=7)
+        ax.margins(x=0.03)
+    return figure
+
+
+def _history(search: Search, rows: Sequence[Row], units: Mapping[str, str]) -> Figure:
+    figure, (ax,) = _axes(1, 3.5)
+    pairs = [(row["number"], row["figures"].get(search.figure)) for row in rows]
+    n, y = (np.array(c, float) for c in zip(*[(n, y) for n, y in pairs if y is not None], strict=True))
+    ax.plot(n, y, ".", markersize=4, alpha=0.5, label="run")
+    best = np.minimum.accumulate(y) if search.aim == "minimise" else np.maximum.accumulate(y)
+    ax.step(n, best, where="post", label="best so far")
+    ax.set_xlabel("run")
+    ax.set_ylabel(_name(search.figure, units))
+    ax.margins(x=0.03)
+    ax.legend()
+    return figure
+
+
+def _parallel(search: Search, rows: Sequence[Row]) -> Figure:
+    from matplotlib import colormaps
+
+    figure, (ax,) = _axes(1, 4.0)
+    names = [n for n in numeric(rows) if n in search.parameters]
+    sure = [row for row in rows if row["figures"].get(search.figure) is not None]
+    if search.aim == "minimise":
+        sure = sure[::-1]
+    sure.sort(key=lambda r: r["figures"][search.figure], reverse=search.aim == "minimise")  # the best on top
+    columns = [np.array([r["overrides"][n] for r in sure], float) for n in names]
+    columns.append(np.array([r["figures"][search.figure] for r in sure], float))
+    spans = [(c.min(), np.ptp(c) or 1.0) for c in columns]
+    shares = np.linspace(0.0, 1.0, max(2, len(sure)))
+    for k in range(len(sure)):
+        ax.plot(range(len(columns)), [(c[k] - lo) / span for c, (lo, span) in zip(columns, spans, strict=True)],
+                color=colormaps["viridis"](shares[k]), alpha=0.2 + 0.6 * shares[k], linewidth=0.8)  # fmt: skip
+    ticks = [f"{n}\n{lo:.4g} to {lo + span:.4g}" for n, (lo, span) in
+             zip([*names, search.figure], spans, strict=True)]  # fmt: skip
+    ax.set_xticks(range(len(columns)), ticks, fontsize=8)
+    ax.set_yticks([])
+    ax.margins(x=0.05)
+    return figure
+
+
+def _bands(study: Study, signals: Iterable[Row]) -> Iterator[tuple[str, Figure]]:
+    """Median and whole range over the seeds of each group, and thin lines of a few runs."""
+    groups: dict[str, dict[str, list[dict[str, Any]]]] = {}
+    for row in signals:
+        name = label(study, row)
+        if "signals" not in row or (name not in groups and len(groups) >= MOST):
+            continue
+        for signal, kept in row["signals"].items():
+            if kept["x"]:
+                groups.setdefault(name, {}).setdefault(signal, []).append(kept)
+    for signal in study.signals:
+        figure, (ax,) = _axes(1, 3.8)
+        for name, kept in groups.items():
+            mine = [k for k in kept.get(signal, []) if len(k["x"]) == study.samples]
+            if not mine:
+                continue
+            t = np.linspace(0.0, mine[0]["end"], study.samples)
+            x = np.array([k["x"] for k in mine])
+            (line,) = ax.plot(t, np.median(x, axis=0), label=f"{name} ({len(mine)})" if len(mine) > 1 else name)
+            if len(mine) > 1:
+                ax.fill_between(t, x.min(axis=0), x.max(axis=0), color=line.get_color(), alpha=0.2, linewidth=0)
+        ax.set_xlabel("t / s")
+        ax.set_ylabel(signal)
+        if len(groups) > 1:
+            ax.legend(fontsize=8)
+        yield f"Signal {signal}", figure

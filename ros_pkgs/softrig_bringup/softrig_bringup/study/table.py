@@ -1,0 +1,106 @@
+"""The table of a study: a row a run, as parquet and CSV, and the numbers over the runs."""
+
+from __future__ import annotations
+
+import json
+import math
+import shlex
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from softrig_core.rig.expectation import Expectation
+from softrig_core.rig.figures import Result
+from softrig_core.rig.findings import Finding, hold
+
+from .definition import Study, Summary
+
+Row = Mapping[str, Any]
+
+
+def without_signals(rows: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Give the rows by number, without what is only drawn."""
+    return sorted(({k: v for k, v in row.items() if k != "signals"} for row in rows), key=lambda r: int(r["number"]))
+
+
+def write_table(rows: Sequence[Row], folder: Path, duration: float | None = None) -> None:
+    """Write ``table.parquet`` and ``table.csv``: number, scenario, case, seed, parameters, figures, command."""
+    import pyarrow
+    import pyarrow.csv
+    import pyarrow.parquet
+
+    parameters = list(dict.fromkeys(name for row in rows for name in row["overrides"]))
+    figures = list(dict.fromkeys(name for row in rows for name in row["figures"]))
+    columns: dict[str, list[Any]] = {k: [row[k] for row in rows] for k in ("number", "scenario", "case", "seed")}
+    columns |= {name: _column([row["overrides"].get(name) for row in rows]) for name in parameters}
+    columns |= {f"figure.{name}": [row["figures"].get(name) for row in rows] for name in figures}
+    columns |= {k: [row[k] for row in rows] for k in ("passed", "error", "wall_s")}
+    columns["command"] = [command(row, duration) for row in rows]
+    table = pyarrow.table(columns)
+    pyarrow.parquet.write_table(table, folder / "table.parquet", compression="zstd")
+    pyarrow.csv.write_csv(table, folder / "table.csv")
+
+
+def _column(values: list[Any]) -> list[Any]:
+    """Numbers stay numbers; what is a vector or mixed becomes text."""
+    kinds = {type(v) for v in values if v is not None}
+    if kinds <= {int, float} and bool not in kinds:
+        return [None if v is None else float(v) for v in values]
+    return values if kinds in ({str}, {bool}) else [None if v is None else json.dumps(v) for v in values]
+
+
+def command(row: Row, duration: float | None = None) -> str:
+    """Give the command that repeats a run."""
+    words = ["scripts/softrig", "run", row["scenario"], "--mode", "inprocess", "--seed", str(row["seed"])]
+    words += ["--duration", repr(duration)] if duration is not None else []
+    for name, value in row["overrides"].items():
+        words += ["--set", f"{name}={value if isinstance(value, str) else json.dumps(value)}"]
+    return shlex.join(words)
+
+
+def summarise(rows: Sequence[Row], summary: Summary) -> float:
+    """Compute a number over the runs; NaN without runs, or when one it needs could not be measured."""
+    chosen = [row for row in rows if all(_value(row, k) == v for k, v in summary.where.items())]
+    values = np.array([_number(row["figures"].get(summary.figure)) for row in chosen])
+    if summary.statistic == "count":
+        return float(len(chosen))
+    if not len(chosen):
+        return math.nan
+    if summary.of is not None:
+        return float(np.mean([summary.of.holds(v) for v in values]))
+    if summary.statistic == "quantile":
+        return float(np.quantile(values, summary.q))
+    functions: dict[str, Callable[..., Any]] = {"mean": np.mean, "median": np.median, "std": np.std, "min": np.min,
+                                                "max": np.max, "sum": np.sum}  # fmt: skip
+    return float(functions[summary.statistic](values))
+
+
+def _value(row: Row, key: str) -> Any:
+    return row[key] if key in ("case", "scenario", "seed") else row["overrides"].get(key)
+
+
+def _number(value: float | None) -> float:
+    return math.nan if value is None else value
+
+
+def results(study: Study, rows: Sequence[Row]) -> list[Result]:
+    """Judge the summaries of a study."""
+    found = []
+    for name, summary in study.summaries.items():
+        value = summarise(rows, summary)
+        limits = study.expect.get(name)
+        published = next((c.published for k, c in study.claims.items() if (c.figure or k) == name), None)
+        sure = math.isfinite(value)
+        found.append(
+            Result(name=name, value=value if sure else None, number=value, published=published,
+                   passed=limits is None or limits.holds(value), error="" if sure else f"the result is {value}",
+                   **(limits or Expectation()).model_dump())
+        )  # fmt: skip
+    return found
+
+
+def claims(study: Study, found: Sequence[Result]) -> list[Finding]:
+    """Hold the claims of a study against its summaries."""
+    values = {r.name: r.number for r in found}
+    return hold(study.name, study.claims, lambda name: values if name == study.name else None, {})

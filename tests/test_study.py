@@ -1,0 +1,297 @@
+"""Studies: points, rows, interruption and resumption, searches, summaries, pictures."""
+
+import csv
+import json
+import math
+import os
+import shlex
+import signal
+import subprocess
+import threading
+import time
+
+import numpy as np
+import pyarrow.parquet
+import pytest
+from softrig_bringup.cli import main
+from softrig_bringup.study.definition import list_studies, load_study, make_study
+from softrig_bringup.study.draw import cases, count, draw
+from softrig_bringup.study.engine import _check, run_study
+from softrig_bringup.study.table import summarise, without_signals
+from softrig_bringup.study.work import Log
+from softrig_core.errors import ScenarioError
+
+LAG = """
+title: First-order lag
+system: lag
+source: none
+duration: 0.5
+nodes:
+  plant: {package: faultrig, executable: plant}
+  source: {package: faultrig, executable: source}
+  gain: {package: faultrig, executable: gain}
+figures:
+  last: {function: final_value, arguments: {signal: lag/state/x/position}}
+  never: {function: rise_time, arguments: {signal: lag/state/x/position, final: 1e9}}
+variants:
+  breaks: {nodes: {gain: {executable: killed, parameters: {how: raise, at: 0.2}}}}
+"""
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path, monkeypatch):
+    (tmp_path / "scenarios").mkdir()
+    (tmp_path / "studies").mkdir()
+    monkeypatch.setenv("SOFTRIG_SCENARIOS", str(tmp_path / "scenarios"))
+    monkeypatch.setenv("AMENT_PREFIX_PATH", "")
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "scenarios" / "lag.yaml").write_text(LAG)
+    return tmp_path
+
+
+def study(**keys):
+    return make_study({"name": "demo", "title": "Demo", "scenario": "lag"} | keys)
+
+
+def rows_of(study, out, **keys):
+    return without_signals(run_study(study, out, **({"workers": 1} | keys)).rows())
+
+
+# points -----------------------------------------------------------------------------------------------------------
+
+
+def test_runs_are_cases_times_grid_times_draws_times_seeds():
+    demo = study(cases={"a": {}, "b": {"plant.gain": 2.0}}, grid={"gain.k": [1, 2, 3]}, seeds=2,
+                 draws={"count": 4, "parameters": {"plant.limit": {"uniform": [1, 2]}}})  # fmt: skip
+    found = list(cases(demo))
+    assert count(demo) == len(found) == 2 * 3 * 4 * 2
+    assert [c.number for c in found] == list(range(48))
+    assert {(c.case, c.overrides["gain.k"], c.seed) for c in found} == {
+        (case, k, s) for case in "ab" for k in (1, 2, 3) for s in (0, 1)
+    }
+    assert all(("plant.gain" in c.overrides) == (c.case == "b") for c in found)
+
+
+@pytest.mark.parametrize("method", ["random", "latin_hypercube"])
+def test_draws_follow_their_distributions(method):
+    parameters = {
+        "u": {"uniform": [2.0, 4.0]}, "l": {"log_uniform": [0.01, 100.0]}, "n": {"normal": [5.0, 0.5]},
+        "i": {"integers": [1, 3]}, "c": {"choice": ["x", "y"]}, "v": {"uniform": [[0.0, 10.0], [1.0, 20.0]]},
+    }  # fmt: skip
+    draws = study(draws={"count": 2000, "seed": 3, "method": method, "parameters": parameters}).draws
+    points = draw(draws)
+    assert draw(draws) == points
+    columns = {k: np.array([p[k] for p in points]) for k in ("u", "l", "n", "i", "v")}
+    assert (columns["u"].min() >= 2.0, columns["u"].max() < 4.0) == (True, True)
+    assert columns["u"].mean() == pytest.approx(3.0, abs=0.05)
+    assert np.median(columns["l"]) == pytest.approx(1.0, rel=0.35)
+    assert (columns["n"].mean(), columns["n"].std()) == pytest.approx((5.0, 0.5), abs=0.05)
+    assert sorted(set(columns["i"])) == [1, 2, 3]
+    assert columns["v"].mean(axis=0) == pytest.approx([0.5, 15.0], rel=0.05)
+    assert 0.4 < np.mean([p["c"] == "x" for p in points]) < 0.6
+
+
+def test_a_latin_hypercube_has_one_point_in_each_slice():
+    draws = study(draws={"count": 50, "parameters": {"u": {"uniform": [0, 1]}, "w": {"uniform": [0, 1]}}}).draws
+    for name in "uw":
+        assert sorted(int(p[name] * 50) for p in draw(draws)) == list(range(50))
+
+
+@pytest.mark.parametrize(
+    ("keys", "message"),
+    [
+        ({"draws": {"count": 0, "parameters": {"a": {"uniform": [0, 1]}}}}, "draws.count"),
+        ({"draws": {"count": 1, "parameters": {"a": {"uniform": [1, 0]}}}}, "expected a lower and an upper bound"),
+        ({"draws": {"count": 1, "parameters": {"a": {}}}}, "expected one of uniform"),
+        ({"draws": {"count": 1, "parameters": {"a": {"log_uniform": [0, 1]}}}}, "bounds above 0"),
+        ({"grid": {"a": []}}, "grid.a"),
+        ({"seeds": [-1]}, "seeds"),
+        ({"summaries": {"s": {"figure": "last", "statistic": "share"}}}, "share, which needs it"),
+        ({"expect": {"s": "at most 1"}}, "expect: no summary 's'"),
+        ({"grid": {"a": [1]}, "search": {"figure": "f", "count": 1, "parameters": {"a": {"uniform": [0, 1]}}}},
+         "not with cases, grid or draws"),
+    ],
+)  # fmt: skip
+def test_a_study_that_makes_no_sense_is_refused(keys, message):
+    with pytest.raises(ScenarioError, match=message):
+        study(**keys)
+
+
+@pytest.mark.parametrize(
+    ("keys", "message"),
+    [
+        ({"figures": ["lost"]}, "lag has no figure 'lost'; it has last, never"),
+        ({"summaries": {"s": {"figure": "lost"}}}, "no figure 'lost'"),
+        ({"signals": ["lag/state/y"]}, "no signal 'lag/state/y'"),
+        ({"grid": {"pump.k": [1]}}, "override 'pump.k'"),
+        ({"cases": {"a": {}, "b": {"gain.k": "x"}}}, "node gain: parameter k = 'x'"),
+        ({"scenario": "leg"}, "scenario 'leg' is unknown"),
+    ],
+)
+def test_what_no_run_could_do_is_said_before_the_first(folder, keys, message):
+    with pytest.raises(ScenarioError, match=message):
+        run_study(study(**keys), folder / "out", workers=1)
+    assert (folder / "out" / "rows.jsonl").exists() is False
+
+
+# rows -------------------------------------------------------------------------------------------------------------
+
+
+def test_a_row_tells_how_to_repeat_its_run(folder):
+    assert main(["study", "lag", "--grid", "gain.k=1,2.5", "--seeds", "2", "--duration", "0.25", "--out", "out"]) == 0
+    table = pyarrow.parquet.read_table(folder / "out" / "table.parquet").to_pylist()
+    with (folder / "out" / "table.csv").open() as file:
+        assert [r["command"] for r in csv.DictReader(file)] == [r["command"] for r in table]
+    assert [(r["gain.k"], r["seed"]) for r in table] == [(1.0, 0), (1.0, 1), (2.5, 0), (2.5, 1)]
+    assert all(r["figure.never"] is None for r in table)
+    words = shlex.split(table[3]["command"])
+    assert words[:2] == ["scripts/softrig", "run"]
+    assert main([*words[1:], "--no-plots", "--no-record", "--out", "again"]) == 0
+    again = json.loads((folder / "again" / "metrics.json").read_text())
+    assert again["metrics"][0]["value"] == table[3]["figure.last"]
+    assert again["seed"] == 1
+    page = (folder / "out" / "report.html").read_text()
+    assert "Study of lag" in page
+    assert "k 2.5" in page
+
+
+def test_a_run_that_breaks_is_a_row_with_its_reason(folder, capsys):
+    assert main(["study", "lag_breaks", "--grid", "plant.gain=1,2", "--workers", "1", "--out", "out"]) == 3
+    rows = [json.loads(line) for line in (folder / "out" / "rows.jsonl").read_text().splitlines()]
+    assert len(rows) == 2
+    assert all("gain" in r["error"] for r in rows)
+
+
+def test_an_interrupted_study_goes_on_where_it_was(folder):
+    demo = study(grid={"gain.k": [1.0, 2.0, 3.0]}, seeds=2)
+    whole = rows_of(demo, folder / "whole")
+    part = folder / "part"
+    run_study(demo, part, workers=1)
+    lines = (part / "rows.jsonl").read_bytes().splitlines(keepends=True)
+    (part / "rows.jsonl").write_bytes(b"".join(lines[:3]) + lines[3][:20])  # killed while it wrote the fourth
+    kept = lines[:3]
+    resumed = rows_of(demo, part)
+    assert [(r["number"], r["figures"]) for r in resumed] == [(r["number"], r["figures"]) for r in whole]
+    assert (part / "rows.jsonl").read_bytes().splitlines(keepends=True)[:3] == kept
+    with pytest.raises(ScenarioError, match="holds another study"):
+        run_study(study(grid={"gain.k": [1.0]}), part, workers=1)
+
+
+def test_a_log_without_rows_is_empty(folder):
+    assert list(Log(folder / "log").rows()) == []
+
+
+def test_workers_do_not_matter_and_a_killed_one_costs_nothing(folder):
+    demo = study(grid={"gain.k": [0.5 + 0.05 * k for k in range(40)]}, duration=20.0)
+    here = rows_of(demo, folder / "here")
+    out, killed = folder / "there", []
+
+    def kill():
+        file = out / "rows.jsonl"
+        while not (file.exists() and file.stat().st_size > 0):
+            time.sleep(0.01)
+        children = subprocess.run(["pgrep", "-P", str(os.getpid()), "-f", "spawn_main"], capture_output=True, text=True)
+        killed.append(int(children.stdout.split()[0]))
+        os.kill(killed[0], signal.SIGKILL)
+
+    thread = threading.Thread(target=kill)
+    thread.start()
+    there = rows_of(demo, out, workers=2)
+    thread.join(30.0)
+    assert killed
+    assert [(r["number"], r["figures"]) for r in there] == [(r["number"], r["figures"]) for r in here]
+
+
+# over the runs ----------------------------------------------------------------------------------------------------
+
+
+def test_summaries_by_hand():
+    rows = [{"case": c, "seed": s, "scenario": "lag", "overrides": {"k": k}, "figures": {"f": f}}
+            for c, s, k, f in [("a", 0, 1, 1.0), ("a", 1, 1, 3.0), ("b", 0, 2, 8.0), ("b", 1, 2, None)]]  # fmt: skip
+
+    def value(**keys):
+        return summarise(rows, study(summaries={"s": {"figure": "f"} | keys}).summaries["s"])
+
+    assert value(where={"case": "a"}) == 2.0
+    assert value(where={"k": 1}, statistic="max") == 3.0
+    assert value(where={"case": "a"}, statistic="quantile", q=0.25) == 1.5
+    assert value(where={"seed": 0}, statistic="sum") == 9.0
+    assert value(statistic="share", of="at most 4") == 0.5
+    assert value(statistic="count") == 4.0
+    assert math.isnan(value())
+    assert math.isnan(value(where={"case": "c"}))
+
+
+def test_expectations_and_claims_of_a_study_are_held(folder, capsys):
+    text = """
+title: Gains
+scenario: lag
+grid: {gain.k: [1.0, 2.0]}
+summaries: {largest: {figure: last, statistic: max}}
+expect: {largest: at least LIMIT}
+claims: {largest: {published: 0.1, where: Table I, verdict: refuted, reason: larger}}
+"""
+    file = folder / "studies" / "gains.yaml"
+    file.write_text(text.replace("LIMIT", "0.001"))
+    assert list(list_studies()) == ["gains"]
+    assert main(["study", "gains", "--workers", "1"]) == 0
+    file.write_text(text.replace("LIMIT", "1000"))
+    assert main(["study", "gains", "--workers", "1"]) == 1
+    file.write_text(text.replace("LIMIT", "0.001").replace("published: 0.1,", "published: 0.1, tolerance: 10.0,"))
+    capsys.readouterr()
+    assert main(["study", "gains", "--workers", "1"]) == 1
+    assert "the verdict refuted does not hold" in capsys.readouterr().out
+    content = json.loads((folder / "runs" / "study_gains" / "summaries.json").read_text())
+    assert (content["runs"], content["claims"][0]["holds"]) == (2, False)
+
+
+def test_a_search_finds_the_best_gain_whatever_the_workers_and_goes_on(folder):
+    parameters = {"gain.k": {"uniform": [0.5, 4.0]}}
+    search = {"figure": "last", "aim": "maximise", "count": 24, "batch": 4, "seed": 2, "parameters": parameters}
+    whole = rows_of(study(search=search), folder / "whole")
+    assert len(whole) == 24
+    best = max(whole, key=lambda r: r["figures"]["last"])
+    assert best["overrides"]["gain.k"] > 3.0  # the more gain, the farther
+    file = folder / "whole" / "rows.jsonl"
+    file.write_bytes(b"".join(file.read_bytes().splitlines(keepends=True)[:18]))
+    again = rows_of(study(search=search), folder / "whole", workers=2)
+    assert [(r["number"], r["overrides"], r["figures"]) for r in again] == [
+        (r["number"], r["overrides"], r["figures"]) for r in whole
+    ]
+
+
+@pytest.mark.parametrize(
+    ("keys", "pictures"),
+    [
+        ({"grid": {"gain.k": [1, 2, 3]}, "seeds": 3, "signals": ["lag/state/x/position"]},
+         ["figures_over_gain_k", "distribution", "signal_lag_state_x"]),
+        ({"grid": {"gain.k": [1, 2], "plant.gain": [1, 2]}},
+         ["figures_over_gain_k", "figures_over_plant", "map_of_last"]),
+        ({"seeds": 6}, ["distribution"]),
+        ({"draws": {"count": 6, "parameters": {"gain.k": {"uniform": [1, 2]}}}}, ["figures_over_gain_k"]),
+        ({"search": {"figure": "last", "count": 4, "parameters": {"gain.k": {"uniform": [1, 2]}}}},
+         ["search_last", "search_parallel"]),
+    ],
+)  # fmt: skip
+def test_pictures_follow_from_the_form(folder, keys, pictures):
+    (folder / "studies" / "demo.yaml").write_text(json.dumps({"title": "Demo", "scenario": "lag"} | keys))
+    assert main(["study", "demo", "--workers", "1", "--out", "out"]) == 0
+    drawn = [p.name for p in sorted((folder / "out").glob("*.png"))]
+    for name in pictures:
+        assert any(name in d for d in drawn), drawn
+    page = (folder / "out" / "report.html").read_text()
+    assert page.count("data:image/png") == len(drawn)
+
+
+def test_an_unknown_name_or_option_is_one_line(capsys):
+    for arguments in (["leg"], ["lag", "--grid", "k"], ["lag", "--draw", "gain.k=1"], ["lag", "--grid", "gain.k=[1"]):
+        assert main(["study", *arguments, "--workers", "1"]) == 2
+        assert len(capsys.readouterr().err.splitlines()) == 1
+
+
+def test_every_shipped_study_can_run(monkeypatch):
+    monkeypatch.undo()
+    names = list_studies()
+    assert {"dc_motor_gains", "pv_mppt_hits"} <= set(names)
+    for name in names:
+        _check(load_study(name))
