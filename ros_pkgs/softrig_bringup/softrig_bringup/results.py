@@ -121,8 +121,8 @@ def main(systems: Sequence[str], out: Path, workers: int | None = None, *, studi
         raise ScenarioError("no scenario has claims")
     rows, measured = gather(scenarios, workers)
     if studies:
-        more, found = study_findings(systems, out / "studies", workers)
-        scenarios, rows = scenarios + more, rows + found
+        more, held = study_findings(systems, out / "studies", workers)
+        scenarios, rows = scenarios + more, rows + held
     out.mkdir(parents=True, exist_ok=True)
     (out / "results.html").write_text(html(scenarios, rows), encoding="utf-8")
     (out / "results.md").write_text(markdown(scenarios, rows), encoding="utf-8")

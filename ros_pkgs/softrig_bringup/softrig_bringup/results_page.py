@@ -78,8 +78,11 @@ def markdown(scenarios: Sequence[Scenario], rows: Sequence[Finding]) -> str:
             numbers = [_with_unit(_number(r.published) or r.compared_text, r), _with_unit(r.measured_text, r)]
             cells = [r.text, r.where, *numbers, f"**{verdict}**{reason}", f"`{r.scenario}`"]
             lines.append("| " + " | ".join(c.replace("|", "\\|") for c in cells) + " |")
-    lines += ["", "A run is repeated by `scripts/softrig run SCENARIO --mode inprocess`, a study by `scripts/softrig study NAME`.",
-              ""]  # fmt: skip
+    lines += [
+        "",
+        "Repeat with `scripts/softrig run SCENARIO --mode inprocess`; a study with `scripts/softrig study NAME`.",
+    ]
+    lines.append("")
     return "\n".join(lines)
 
 
