@@ -79,6 +79,26 @@ def test_nan_from_outside_is_refused_and_counted(bench):
     assert (bench.signal("plant", "lag/state/x/position").x == 0.0).all()
 
 
+LISTENER = """
+import rclpy
+from rclpy.node import Node
+from rcl_interfaces.msg import Log
+rclpy.init()
+node = Node("listener")
+heard = []
+node.create_subscription(Log, "/rosout", lambda m: heard.append((m.name, m.msg)), 100)
+while not any(name == "plant" and "refused on lag/command: u/effort is nan" in text for name, text in heard):
+    rclpy.spin_once(node)
+"""
+
+
+def test_the_usual_tools_hear_of_a_refusal(bench):
+    listener = bench.python("listener", LISTENER)
+    bench.start("plant", "plant")
+    bench.python("intruder", PUBLISHER.replace("VALUE", "float('nan')"))
+    assert listener.wait(30) == 0
+
+
 def test_a_person_moves_a_held_input(bench):
     code = """
 import rclpy

@@ -32,7 +32,7 @@ def run_node(block_class: type[Block], argv: Sequence[str]) -> NoReturn:
     node = None
     try:
         rclpy.init(args=list(argv))
-        node = Node(name, automatically_declare_parameters_from_overrides=True, enable_rosout=False)
+        node = Node(name, automatically_declare_parameters_from_overrides=True)
         params, options = _parameters(node, block_class)
         block = block_class(params, node.get_name())
         block.reset(options.seed)
