@@ -15,6 +15,7 @@ from softrig_core.model.port import Port, array, button
 from softrig_core.node import executable
 
 from .confidence import ErrorBudget, confidence
+from .equations import TAPS, model, objectives
 from .location import Location, Locator, LocatorParams, check_travel
 from .ports import LOCATION, OBJECTIVE, VERDICT, location_port, record_port, streams
 from .record import COLUMNS, GROUPS, Record, RecordError, Status
@@ -60,6 +61,14 @@ class FaultLocator(Block[FaultLocatorParams]):
         verdict = array("verdict", "verdict", {", ".join(VERDICT): len(VERDICT)}, ("", "", "V"), sporadic=True)
         objective = array("objective", "objective", dims, units, sporadic=True)
         return (*inputs, button("locate", "locate", held=True)), (verdict, location_port(), objective)
+
+    def setup(self) -> None:
+        """Compile and import what an answer needs, before the first tick."""
+        import scipy.optimize  # noqa: F401
+
+        line, rate = model(self.p.line.aerial, self.p.equations), 1.0 / self.p.period
+        reach = int(self.p.line.aerial.tau * rate) + TAPS
+        objectives(line, np.zeros((4, 2 * reach + 1)), rate, reach, 1, np.zeros(1), np.empty(1))
 
     def start(self) -> None:
         """No samples yet."""

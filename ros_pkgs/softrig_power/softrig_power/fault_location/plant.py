@@ -65,8 +65,9 @@ class LinePlant(Plant[LinePlantParams]):
         return (button("run", "line/run", held=True),), (*outputs, *((record_port(params.samples),) * params.record))
 
     def setup(self) -> None:
-        """Prepare the network."""
+        """Prepare the network; compile the step before the first tick."""
         self.line = FaultedLine(self.p)
+        self.line.advance(1)
 
     def start(self) -> None:
         """Begin a record in the steady state."""
