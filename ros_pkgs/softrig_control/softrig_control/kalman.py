@@ -69,12 +69,29 @@ class SteadyKalman:
         self.x = [0.0] * len(self._rows)
 
     def __call__(self, u: Sequence[float], y: Sequence[float]) -> list[float]:
-        """Give the estimate of x_k from the input u_(k-1) held since the last sample and the measurement y_k."""
+        """Give the estimate of x_k.
+
+        Parameters
+        ----------
+        u : sequence of float
+            Input u_(k-1), held since the last sample.
+        y : sequence of float
+            Measurement y_k.
+
+        Returns
+        -------
+        list of float
+
+        Raises
+        ------
+        ValueError
+            Wrong number of inputs or measurements.
+        """
         known = (*self.x, *u, *y)
         x = []
         for row in self._rows:
             total = 0.0
-            for m, z in zip(row, known):
+            for m, z in zip(row, known, strict=True):
                 total += m * z
             x.append(total)
         self.x = x

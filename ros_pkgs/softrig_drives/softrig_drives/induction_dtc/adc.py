@@ -26,6 +26,21 @@ class AdcParams(Params):
     dither_p: float = param(0.5, "probability p_d of the dither bit being 1", ge=0.0, le=1.0)
 
     @property
+    def quantised(self) -> bool:
+        """Whether there is a converter at all."""
+        return self.adc_mode != "none"
+
+    @property
+    def offset(self) -> float:
+        """Offset delta in LSB; 0 in the modes without."""
+        return self.offset_lsb if self.adc_mode in ("offset", "dither") else 0.0
+
+    @property
+    def dithered(self) -> bool:
+        """Whether a random bit is added."""
+        return self.adc_mode == "dither"
+
+    @property
     def lsb(self) -> float:
         """Least significant bit q in A."""
         return self.full_scale / float(2 ** (self.bits - 1))
@@ -53,18 +68,19 @@ class Converter:
     """
 
     def __init__(self, p: AdcParams) -> None:
-        self._ideal = p.adc_mode == "none"
+        self._quantised = p.quantised
         self._q = p.lsb
-        self._shift = 0.5 - (p.offset_lsb if p.adc_mode in ("offset", "dither") else 0.0)
+        self._shift = 0.5 - p.offset
         self._low, self._high = -(2 ** (p.bits - 1)), 2 ** (p.bits - 1) - 1
         self._p_d = p.dither_p
+        self._dithered = p.dithered
         self._bits: Iterator[int] | None = None
         self.clipped = 0
 
-    def start(self, rng: np.random.Generator | None) -> None:
-        """Begin a run; `rng` draws the dither bits, None for the modes without."""
+    def start(self, rng: np.random.Generator) -> None:
+        """Begin a run; `rng` draws the dither bits, if the mode has some."""
         self.clipped = 0
-        self._bits = None if rng is None else self._draw(rng)
+        self._bits = self._draw(rng) if self._dithered else None
 
     def _draw(self, rng: np.random.Generator) -> Iterator[int]:
         while True:
@@ -72,7 +88,7 @@ class Converter:
 
     def __call__(self, x: float) -> float:
         """Convert one sample (A)."""
-        if self._ideal:
+        if not self._quantised:
             return x
         code = floor(x / self._q + self._shift)
         if self._low <= code <= self._high:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from softrig_core.model.ode import rk4
 from softrig_core.model.params import Params, param
@@ -24,7 +24,18 @@ class MachineConstants(Params):
     B: float = param(0.0, "viscous friction B", "N m s/rad", ge=0.0)
 
 
-STATES = 6
+class State(NamedTuple):
+    """Stator and rotor flux linkage in the stator frame (Wb), speed (rad/s), angle (rad)."""
+
+    psi_s_alpha: float
+    psi_s_beta: float
+    psi_R_alpha: float  # noqa: N815
+    psi_R_beta: float  # noqa: N815
+    omega: float
+    theta: float
+
+
+STATES = len(State._fields)
 INPUTS = 3
 OUTPUTS = 4
 

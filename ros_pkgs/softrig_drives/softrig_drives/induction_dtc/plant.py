@@ -10,7 +10,7 @@ from softrig_core.model.params import BlockParams, param
 from softrig_core.node import executable
 
 from .adc import AdcParams, Converter
-from .machine import STATES, MachineConstants, numbers, step_function
+from .machine import STATES, MachineConstants, State, numbers, step_function
 from .ports import CURRENTS_MEAS, CURRENTS_TRUE, DC_LINK, FLUX_TRUE, JOINT_STATES, LOAD_TORQUE, SWITCHES
 from .switching import VECTORS, voltage
 
@@ -56,11 +56,11 @@ class ImPlant(Plant):
     def start(self) -> None:
         """Rest without flux; the inverter in V0."""
         for converter in self._converters:
-            converter.start(self.rng if self.p.adc_mode == "dither" else None)
+            converter.start(self.rng)
         self._u = self._voltages[V0]
         self._refused = False
         self.fault = False
-        self._sense((0.0,) * STATES, 0.0, 0.0, 0.0, 0.0)
+        self._sense(State(*(0.0,) * STATES), 0.0, 0.0, 0.0, 0.0)
 
     def outputs(self, t: int) -> Mapping[str, tuple[float, ...]]:
         """Give speed, currents and fluxes at t."""
@@ -71,7 +71,7 @@ class ImPlant(Plant):
         u = self._inverter(switches)
         load = 0.0 if load_torque is None else load_torque[0]
         found = self._step((*self.state, *u, load, *self._constants))
-        self._sense(found[:STATES], *found[STATES:])
+        self._sense(State(*found[:STATES]), *found[STATES:])
 
     def _inverter(self, switches: tuple[float, ...]) -> tuple[float, float]:
         """Give u_alpha, u_beta (V)."""
@@ -93,16 +93,16 @@ class ImPlant(Plant):
         self.report(Level.ERROR, "bad_switches", f"{text}: command refused, the previous one held")
         return self._u
 
-    def _sense(self, state: tuple[float, ...], i_a: float, i_b: float, i_c: float, T_e: float) -> None:
+    def _sense(self, state: State, i_a: float, i_b: float, i_c: float, T_e: float) -> None:
         """Prepare the outputs, convert the currents, supervise them."""
         self.state = state
         convert_a, convert_b = self._converters
         y_a, y_b = convert_a(i_a), convert_b(i_b)
         self._answer = {
-            "joint_states": (state[5], state[4], T_e),
+            "joint_states": (state.theta, state.omega, T_e),
             "currents_true": (i_a, i_b, i_c),
             "currents_meas": (y_a, y_b, -y_a - y_b),
-            "flux_true": (state[0], state[1], 0.0),
+            "flux_true": (state.psi_s_alpha, state.psi_s_beta, 0.0),
             "dc_link": self._dc_link,
         }
         if convert_a.clipped > SATURATED_SAMPLES or convert_b.clipped > SATURATED_SAMPLES:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from softrig_core.model.jit import jit
+from softrig_core.model.ode import rk4_loop
 from softrig_core.model.params import Params, param
 
 from .module import Array
@@ -74,38 +76,30 @@ class Converter:
         self.p = p
 
     def step(self, x: State, source: Characteristic, d: float, h: float, n: int) -> State:
-        """Advance by n steps of the classical Runge-Kutta method of h seconds each under the duty d.
-
-        Plain floats, one expression a line: about 1 us a step.
-        """
-        v, i, o = x
+        """Advance by n steps of the classical Runge-Kutta method of h seconds each under the duty d."""
         p = self.p
-        a, b = source.lines
-        low, scale, top = float(source.v[0]), float((source.v.size - 1) / (source.v[-1] - source.v[0])), len(b) - 1
         per_C, d_C = 1.0 / p.C_i, d / p.C_i
         d_L, e_L, r_L = d / p.L, (1.0 - d) / p.L, p.r / p.L
         e_o, g_o = (1.0 - d) / p.C_o, 1.0 / (p.R_L * p.C_o)
-        # of each stage: its weight in the step, and how far its slope reaches to the next one
-        stages = ((h / 6.0, 0.5 * h), (h / 3.0, 0.5 * h), (h / 3.0, h), (h / 6.0, 0.0))
-        for _ in range(n):
-            v0, i0, o0 = w, j, q = v, i, o
-            for weight, reach in stages:
-                k = int((w - low) * scale)
-                if k > top:
-                    k = top
-                dv = (a[k] + b[k] * w) * per_C - d_C * j
-                di = d_L * w - e_L * q - r_L * j
-                do = e_o * j - g_o * q
-                w, j, q = v0 + reach * dv, i0 + reach * di, o0 + reach * do
-                if j < 0.0:
-                    j = 0.0
-                if w < low:
-                    w = low
-                v += weight * dv
-                i += weight * di
-                o += weight * do
-            if i < 0.0:
-                i = 0.0
-            if v < low:
-                v = low
-        return State(v, i, o)
+        found = np.array(x)
+        _advance(0.0, found, h, n, (*source.segments, per_C, d_C, d_L, e_L, r_L, e_o, g_o))
+        return State(*found.tolist())
+
+
+@jit
+def _slopes(t: float, x: Array, p: Any, dx: Array) -> None:
+    a, b, low, scale, per_C, d_C, d_L, e_L, r_L, e_o, g_o = p
+    v, i, o = x[0], x[1], x[2]
+    k = min(int((v - low) * scale), a.size - 1)
+    dx[0] = (a[k] + b[k] * v) * per_C - d_C * i
+    dx[1] = d_L * v - e_L * o - r_L * i
+    dx[2] = e_o * i - g_o * o
+
+
+@jit
+def _limits(x: Array, p: Any) -> None:
+    """Diode and bypass diodes: i_L >= 0, v >= the first voltage of the characteristic."""
+    x[0], x[1] = max(x[0], p[2]), max(x[1], 0.0)
+
+
+_advance = rk4_loop(_slopes, _limits)

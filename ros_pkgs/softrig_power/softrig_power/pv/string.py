@@ -42,6 +42,13 @@ class Characteristic:
         b = np.diff(self.i) / np.diff(self.v)
         return (self.i[:-1] - b * self.v[:-1]).tolist(), b.tolist()
 
+    @cached_property
+    def segments(self) -> tuple[Array, Array, float, float]:
+        """The same for native loops, with the voltage at which the first segment begins and the segments per V."""
+        a, b = self.lines
+        low, high = float(self.v[0]), float(self.v[-1])
+        return np.array(a), np.array(b), low, float((self.v.size - 1) / (high - low))
+
     def current(self, v: float) -> float:
         """Give the current in A; beyond the table the end segments go on."""
         a, b = self.lines
