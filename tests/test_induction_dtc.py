@@ -396,7 +396,7 @@ def test_flux_error_is_drawn_as_a_difference(monkeypatch, tmp_path):
     rig = Rig.from_scenario(scenario.model_copy(update={"plots": (entry,)}))
     signals = Signals(in_process(rig, 1))
     figures = []
-    monkeypatch.setattr(plots, "_save", lambda figure, *_: figures.append(figure))
+    monkeypatch.setattr(plots, "save_figure", lambda figure, *_: figures.append(figure))
     plots.plot_run(signals, rig, tmp_path)
     (axes,) = figures[0].axes
     assert axes.get_ylabel() == "Wb"
