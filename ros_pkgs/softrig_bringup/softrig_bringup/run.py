@@ -132,6 +132,8 @@ def _plant_ticks(run: Run) -> int:
 def versions() -> dict[str, str]:
     """Give what a run depends on."""
     found = {"python": platform.python_version(), "machine": platform.machine()}
+    libc = " ".join(platform.libc_ver()).strip()
+    found |= {"libc": libc} if libc else {}
     for name in ("softrig_core", "numpy", "scipy", "casadi", "pin", "rosbags", "ros-jazzy-rclpy"):
         try:
             found[name] = importlib.metadata.version(name)
