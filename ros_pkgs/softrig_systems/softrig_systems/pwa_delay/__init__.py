@@ -1,0 +1,1 @@
+"""Piecewise affine systems with delay: proven margins, checked certificates, and plants that confirm them."""

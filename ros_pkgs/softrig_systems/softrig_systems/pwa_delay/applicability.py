@@ -1,0 +1,82 @@
+"""Whether the theorems say anything about a system: equilibrium at the origin, and no sliding on a face."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .system import PwaSystem
+
+
+class NotApplicable(ValueError):
+    """The theorem says nothing of this system; the text names the reason, cell and face."""
+
+
+def require_equilibrium(system: PwaSystem) -> PwaSystem:
+    """Make sure that the origin is an equilibrium of every cell, or shift it there.
+
+    Returns
+    -------
+    PwaSystem
+        With a_i = 0: conditions (11) to (13) for cells without the origin are unusable as printed.
+
+    Raises
+    ------
+    NotApplicable
+        An offset that no shift of the origin removes.
+    """
+    if all(np.allclose(a, 0.0, atol=1e-12) for a in system.a):
+        if all(np.allclose(e, 0.0, atol=1e-12) for e in system.e):
+            return system
+        raise NotApplicable("a cell does not hold the origin; conditions (11) to (13) are unusable as printed")
+    for i in range(system.cells):
+        rest, *_ = np.linalg.lstsq(system.A[i] + system.Ad[i], -system.a[i], rcond=None)
+        z = np.concatenate([rest, rest])
+        remains = [np.abs((system.A[j] + system.Ad[j]) @ rest + system.a[j]).max() for j in range(system.cells)]
+        edges = [np.abs(system.E[j] @ z + system.e[j]).max(initial=0.0) for j in range(system.cells)]
+        if max(remains) < 1e-9 and max(edges) < 1e-9:
+            zero = tuple(np.zeros(system.n) for _ in system.a)
+            none = tuple(np.zeros_like(e) for e in system.e)
+            return PwaSystem(system.A, system.Ad, zero, system.E, none, system.F, system.lines, system.lines_delayed)
+    worst = max(range(system.cells), key=lambda i: float(np.abs(system.a[i]).max()))
+    raise NotApplicable(
+        f"no equilibrium: the offset {np.round(system.a[worst], 6).tolist()} of cell {worst} stays, wherever the "
+        "origin is put; the conditions (11) to (13) for such cells are unusable as printed"
+    )
+
+
+def require_no_sliding(system: PwaSystem, h: float, *, samples: int = 200) -> None:
+    """Make sure that the vector field crosses every face on x, by samples.
+
+    On a face c'x = 0, for |x| = 1 and every x_d with |x_d - x| <= h max |x'|, the velocities c'x' on both sides must
+    not point at each other nor away from each other. Faces on x_d are crossed by what has already happened.
+
+    Raises
+    ------
+    NotApplicable
+        Names the face and a point where both sides disagree.
+    """
+    n = system.n
+    rng = np.random.default_rng(4)
+    fastest = max(
+        float(np.linalg.norm(system.A[i], 2) + np.linalg.norm(system.Ad[i], 2) + np.linalg.norm(system.a[i]))
+        for i in range(system.cells)
+    )
+    radius = min(h * fastest, 2.0)
+    for i, row, j in system.faces():
+        normal = system.E[i][row]
+        if np.any(normal[n:] != 0.0) or j < i:
+            continue
+        c = normal[:n]
+        for z in system.on_face(i, row, rng, samples):
+            x = z[:n] / max(float(np.linalg.norm(z[:n])), 1e-9) if n > 1 else z[:n]
+            step = rng.normal(size=n)
+            x_d = x + radius * rng.random() * step / np.linalg.norm(step)
+            here = float(c @ (system.A[i] @ x + system.Ad[i] @ x_d + system.a[i]))
+            there = float(c @ (system.A[j] @ x + system.Ad[j] @ x_d + system.a[j]))
+            if here * there < -1e-18:
+                kind = "sliding" if here < 0.0 < there else "repelling"
+                raise NotApplicable(
+                    f"{kind} on the face {np.round(c, 3).tolist()} x = 0 of cells {i} and {j}: at x = "
+                    f"{np.round(x, 3).tolist()}, x_d = {np.round(x_d, 3).tolist()} the velocities across it are "
+                    f"{here:.3g} and {there:.3g}"
+                )

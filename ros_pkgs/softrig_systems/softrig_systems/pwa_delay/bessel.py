@@ -1,0 +1,79 @@
+"""Constant delay: a tighter and faster criterion from the Bessel-Legendre integral inequality.
+
+In the time in which the delay is 1, with the Legendre polynomials P_k::
+
+    Omega_k  = int_0^1 P_k(2 s - 1) x(t - 1 + s) ds,   k = 0 ... N-1
+    Omega_k' = x - (-1)^k x_d - sum_{j = k-1, k-3, ... >= 0} 2 (2 j + 1) Omega_j = zeta_k     (also int P_k x')
+    eta      = (features of x and x_d, Omega_0 ... Omega_{N-1})
+    V        = eta' L eta + int (x, x')' Q (x, x') + int int x'' R x'
+
+    Q > 0, R > 0
+    L over the cell + sum (2 k + 1) Omega_k Q11 Omega_k' - [E_i Ed_i]' H_i [E_i Ed_i] > 0
+    Sym(eta' L eta') + (x, x')' Q (x, x') - (x_d, x_d')' Q (x_d, x_d') + x'' R x'
+        - sum_{k=0}^N (2 k + 1) zeta_k' R zeta_k + [E_i Ed_i]' U_i [E_i Ed_i] < 0      on the null space of the dynamics
+
+A certificate at one delay says nothing of shorter ones: they are asked for one by one, or Theorem 1 is.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .lmi import Array, Problem, Term, quadratic
+from .system import PwaSystem
+
+
+def bessel(system: PwaSystem, order: int, *, cell_terms: bool = False) -> Problem:
+    """Write the inequalities for the constant delay 1; scale the system by h first.
+
+    Parameters
+    ----------
+    system : PwaSystem
+        Equilibrium at the origin, offsets zero.
+    order : int
+        N, number of integrals; >= 1.
+    cell_terms : bool
+        With the matrices U_i.
+    """
+    n, hinges = system.n, system.F[0].shape[0] - 2 * system.n
+    size = (3 + order) * n  # of (x, x_d, x_d', Omega_0 ...): x' follows
+    columns: list[Array] = list(np.hsplit(np.eye(size), 3 + order))
+    x, x_d, slope_d, *omega = columns
+    zeta = [_zeta(k, x, x_d, omega) for k in range(order + 1)]
+    stays = np.r_[0 : 2 * n, 3 * n : size]
+    p = Problem()
+    p.symmetric("L", hinges + (2 + order) * n)
+    p.symmetric("Q", 2 * n)
+    p.symmetric("R", n)
+    p.positive("Q", [quadratic("Q", np.eye(2 * n))], traced=True)
+    p.positive("R", [quadratic("R", np.eye(n))], traced=True)
+    for i in range(system.cells):
+        E, F = system.E[i].T, system.F[i]
+        eta = np.hstack([np.hstack([x, x_d]) @ F.T, *omega])
+        slope = x @ system.A[i].T + x_d @ system.Ad[i].T
+        eta_slope = np.hstack([np.hstack([slope, slope_d]) @ F.T, *zeta[:order]])
+        terms = [quadratic("L", eta[stays])]
+        terms += [quadratic("Q", omega[k][stays] @ np.eye(2 * n)[:n], 2.0 * k + 1.0) for k in range(order)]
+        if E.size:
+            p.symmetric(f"H{i}", E.shape[1], positive=True)
+            terms.append(quadratic(f"H{i}", np.hstack([x, x_d])[stays] @ E, -1.0))
+        p.positive(f"V > 0 cell {i}", terms, traced=True)
+        falls = [
+            Term("L", eta, eta_slope),
+            quadratic("Q", np.hstack([x, slope])),
+            quadratic("Q", np.hstack([x_d, slope_d]), -1.0),
+            quadratic("R", slope),
+            *(quadratic("R", zeta[k], -(2.0 * k + 1.0)) for k in range(order + 1)),
+        ]
+        if cell_terms and E.size:
+            p.symmetric(f"U{i}", E.shape[1], positive=True)
+            falls.append(quadratic(f"U{i}", np.hstack([x, x_d]) @ E))
+        p.positive(f"V' < 0 cell {i}", [Term(t.name, -t.left, t.right) for t in falls])
+    return p
+
+
+def _zeta(k: int, x: Array, x_d: Array, omega: list[Array]) -> Array:
+    total = x - (-1.0) ** k * x_d
+    for j in range(k - 1, -1, -2):
+        total = total - 2.0 * (2.0 * j + 1.0) * omega[j]
+    return total

@@ -1,0 +1,174 @@
+"""The certificate as a node: solver work in its own process, matrices and verdict on topics."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Literal, NamedTuple, Self
+
+import numpy as np
+from pydantic import model_validator
+from softrig_core.model.block import Level
+from softrig_core.model.params import param
+from softrig_core.model.port import Port, array, button, scalars
+from softrig_core.model.solver import Result, Solver, SolverParams
+from softrig_core.model.worker import Work
+from softrig_core.node import executable
+
+from .applicability import NotApplicable
+from .certify import Certificate, Criterion, certified_margin, certify
+from .level import level_bound, level_margin
+from .lmi import Array
+from .params import SystemParams
+
+VERDICT = {"h": "s", "valid": "", "t": "", "smallest": "", "inequalities": ""}
+
+
+class CriterionParams(SystemParams):
+    """System and criterion."""
+
+    method: Literal["theorem1", "constant", "level"] = param(
+        "theorem1", "Theorem 1, the criterion for constant delays, or the level of the tank"
+    )
+    mu: float = param(0.0, "bound of the rate of the delay; 0: any constant delay up to h", ge=0.0, le=100.0)
+    order: int = param(2, "constant: number of Legendre integrals", ge=1, le=8)
+    cell_terms: bool = param(False, "with the matrices U_i, slower and a little better")
+
+    @property
+    def criterion(self) -> Criterion:
+        """The criterion of the linear matrix inequalities."""
+        return Criterion("constant" if self.method == "constant" else "theorem1", self.mu, self.order, self.cell_terms)
+
+    def shapes(self) -> dict[str, tuple[int, int]]:
+        """Give name and shape of every matrix of a certificate, in the order of the topic."""
+        if self.method == "level" or self.system == "tank":
+            return {}
+        unknowns = self.criterion.problem(self.build()).unknowns
+        return {name: u.shape for name, u in unknowns.items()}
+
+    def padded(self) -> tuple[int, int, int]:
+        """Give the size of the array that holds all matrices, each filled up with zeros."""
+        shapes = self.shapes().values()
+        return len(shapes), max(s[0] for s in shapes), max(s[1] for s in shapes)
+
+    def pad(self, matrices: Mapping[str, Array]) -> tuple[float, ...]:
+        """Lay matrices into the array."""
+        total = np.zeros(self.padded())
+        for k, name in enumerate(self.shapes()):
+            rows, columns = matrices[name].shape
+            total[k, :rows, :columns] = matrices[name]
+        return tuple(total.ravel().tolist())
+
+    def unpad(self, values: tuple[float, ...]) -> dict[str, Array]:
+        """Take the matrices out of the array."""
+        total = np.array(values).reshape(self.padded())
+        return {name: total[k, :r, :c].copy() for k, (name, (r, c)) in enumerate(self.shapes().items())}
+
+    def matrices_port(self, **options: Any) -> Port:
+        """Give the topic of the matrices."""
+        count, rows, columns = self.padded()
+        sizes = {"matrix": count, "row": rows, "column": columns}
+        return array("matrices", "certificate/matrices", sizes, "", **options)
+
+
+class CertificateParams(CriterionParams, SolverParams):
+    """What is asked."""
+
+    h: float = param(0.0, "delay bound; 0: the largest that can be certified", "s", ge=0.0, le=1e6)
+    low: float = param(0.0, "where the search begins; 0: found by itself", "s", ge=0.0, le=1e6)
+    high: float = param(0.0, "where it ends at first; 0: found by itself", "s", ge=0.0, le=1e6)
+    width: float = param(1e-4, "relative width at which the search ends", gt=0.0, le=0.1)
+    at_start: bool = param(True, "ask once at the start; later at each press of the button")
+
+    @model_validator(mode="after")
+    def _tank(self) -> Self:
+        if self.method == "level" and self.system != "tank":
+            raise ValueError("method = level: expected system = tank")
+        return self
+
+
+class Answer(NamedTuple):
+    """What comes back from the work: certificate or None, and why not."""
+
+    certificate: Certificate | None
+    reason: str
+
+
+class CertificateNode(Solver[CertificateParams]):
+    """Certifies a delay bound, or searches the largest; what it publishes was checked from the matrices themselves.
+
+    ``certificate/verdict``: h, valid (1 or 0), the solver's margin t, the smallest eigenvalue of any inequality as a
+    share of its largest, and the number of inequalities. ``certificate/matrices``: every unknown in the order of the
+    problem, in the time t/h, filled up with zeros; names are in the diagnostics. A system to which the theorem does not
+    apply gets valid = 0, h = 0 and the reason as a warning, never a margin.
+    """
+
+    @classmethod
+    def ports(cls, params: CertificateParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
+        """Matrices only where there are some."""
+        verdict = scalars("verdict", "certificate/verdict", VERDICT, sporadic=True)
+        outputs = (params.matrices_port(sporadic=True), verdict) if params.shapes() else (verdict,)
+        return (button("certify", "certify", held=True),), outputs
+
+    def start(self) -> None:
+        """Not asked yet."""
+        self._down = False
+        self._asked = False
+
+    def request(self, t: int, *, certify: tuple[float, ...] | None = None) -> CertificateParams | None:
+        """Ask at the start and when the button goes down."""
+        down = certify is not None and certify[0] != 0.0
+        wanted = (down and not self._down) or (self.p.at_start and not self._asked)
+        self._down = down
+        self._asked = True
+        return self.p if wanted else None
+
+    @staticmethod
+    def solve(request: CertificateParams, work: Work) -> Answer:
+        """Solve in another process."""
+        p = request
+        try:
+            if p.method == "level":
+                return Answer(_level(p.h or level_margin()), "")
+            system = p.build()
+            if p.h > 0.0:
+                found: Certificate | None = certify(system, p.h, p.criterion)
+            else:
+                found = certified_margin(system, p.criterion, low=p.low, high=p.high, width=p.width,
+                                         tell=lambda c: work.status(h=c.h, t=c.t, valid=float(c.valid)))  # fmt: skip
+        except NotApplicable as reason:
+            return Answer(None, f"not applicable: {reason}")
+        return Answer(found, "" if found is not None and found.valid else "no certificate")
+
+    def answer(self, t: int, result: Result | None, new: bool) -> Mapping[str, Any]:
+        """Publish what is new."""
+        if result is None or not new:
+            return {}
+        found, reason = result.answer if result.answer is not None else (None, "no answer before the limit")
+        if reason:
+            self.report(Level.WARN, "no_certificate", reason)
+        if found is None:
+            return {"verdict": (0.0,) * len(VERDICT)}
+        smallest = min((e.smallest / max(abs(e.largest), 1e-300) for e in found.eigenvalues), default=0.0)
+        verdict = (found.h, float(found.valid), found.t, smallest, float(len(found.eigenvalues)))
+        if not self.p.shapes():
+            return {"verdict": verdict}
+        if not found.valid:  # never the last iterate
+            return {"verdict": verdict, "matrices": (0.0,) * int(np.prod(self.p.padded()))}
+        return {"verdict": verdict, "matrices": self.p.pad(found.matrices)}
+
+    def health(self) -> Mapping[str, str]:
+        """Tell which matrices are published, and the eigenvalues of the newest certificate."""
+        figures = {**super().health(), "matrices": ", ".join(self.p.shapes())}
+        found = self._result.answer.certificate if self._result is not None and self._result.answer else None
+        if found is not None:
+            figures |= {"status": found.status, "seconds": f"{found.seconds:.3g}"}
+            figures |= {e.name: f"{e.smallest:.4g} to {e.largest:.4g}" for e in found.eigenvalues}
+        return figures
+
+
+def _level(h: float) -> Certificate:
+    bound = level_bound(h)
+    return Certificate(h, bound.certified, bound.lowest, {}, [], "closed form", 0.0)
+
+
+main = executable(CertificateNode)

@@ -1,0 +1,142 @@
+"""Controllers of tank and pendulum, and the delay between a sensor and its controller."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Literal
+
+from softrig_core.model.block import Block, Level
+from softrig_core.model.history import History
+from softrig_core.model.params import BlockParams, param
+from softrig_core.model.port import Port, joint_state
+from softrig_core.node import executable
+
+from .params import DelayParams
+from .ports import INFLOW, LEVEL, SEEN, TORQUE
+from .profiles import delay_at, profile
+
+
+class TankControllerParams(BlockParams):
+    """Gains."""
+
+    period: float = param(0.01, "sampling period", "s", gt=0.0, le=10.0)
+    switch: float = param(0.5, "level at which the gain changes", ge=0.0, le=10.0)
+    k_low: float = param(0.2, "gain below it", "1/s", ge=0.0, le=10.0)
+    k_high: float = param(0.1, "gain above it, taken away", "1/s", ge=0.0, le=10.0)
+    A: float = param(10.0, "area of the tank", "m^2", gt=0.0, le=1e4)
+    phi: float = param(1000.0, "density", "kg/m^3", gt=0.0, le=1e5)
+
+
+class TankController(Block[TankControllerParams]):
+    """u = 0.2 A phi x below the switching level, -0.1 A phi x from there on, as the paper's law."""
+
+    INPUTS = (LEVEL,)
+    OUTPUTS = (INFLOW,)
+
+    def start(self) -> None:
+        """No inflow before a level."""
+        self._answer: Mapping[str, tuple[float, ...]] = {"inflow": (0.0,)}
+
+    def update(self, t: int, *, level: tuple[float, ...]) -> Mapping[str, tuple[float, ...]]:
+        """Give the inflow."""
+        p, x = self.p, level[0]
+        if x - x != 0.0:
+            return self.refused(t)
+        self._answer = {"inflow": (p.A * p.phi * x * (p.k_low if x < p.switch else -p.k_high),)}
+        return self._answer
+
+    def refused(self, t: int) -> Mapping[str, tuple[float, ...]]:
+        """Hold the last inflow."""
+        self.report(Level.ERROR, "bad_level", "no valid level: the last inflow is held")
+        return self._answer
+
+
+class PendulumControllerParams(BlockParams):
+    """Gains."""
+
+    period: float = param(0.001, "sampling period", "s", gt=0.0, le=1.0)
+    k_negative: float = param(1.0, "gain k while theta <= 0", ge=0.0, le=1e3)
+    k_positive: float = param(5.0, "gain k while theta > 0", ge=0.0, le=1e3)
+
+
+class PendulumController(Block[PendulumControllerParams]):
+    """u = -k (theta + omega) of the state that it sees, k by the sign of theta."""
+
+    INPUTS = (SEEN,)
+    OUTPUTS = (TORQUE,)
+
+    def start(self) -> None:
+        """No torque before a state."""
+        self._answer: Mapping[str, tuple[float, ...]] = {"torque": (0.0,)}
+
+    def update(self, t: int, *, state: tuple[float, ...]) -> Mapping[str, tuple[float, ...]]:
+        """Give the torque."""
+        theta, omega = state
+        total = theta + omega
+        if total - total != 0.0:
+            return self.refused(t)
+        self._answer = {"torque": (-(self.p.k_positive if theta > 0.0 else self.p.k_negative) * total,)}
+        return self._answer
+
+    def refused(self, t: int) -> Mapping[str, tuple[float, ...]]:
+        """Hold the last torque."""
+        self.report(Level.ERROR, "bad_state", "no valid state: the last torque is held")
+        return self._answer
+
+
+class DelayLineParams(DelayParams, BlockParams):
+    """What is delayed, and how."""
+
+    period: float = param(0.001, "sampling period", "s", gt=0.0, le=1.0)
+    channels: tuple[str, ...] = param(("joint",), "names of the channels", min_length=1)
+    fields: tuple[Literal["position", "velocity", "effort"], ...] = param(
+        ("position", "velocity"), "fields that are delayed", min_length=1
+    )
+    unit: str = param("rad", "unit of a position or effort; a velocity is in this per s")
+
+
+class DelayLine(Block[DelayLineParams]):
+    """Any JointState, a delay d(t) later, linear between its samples; before there is one, the first."""
+
+    @classmethod
+    def ports(cls, params: DelayLineParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
+        """The same channels and fields in and out."""
+        units = {f: params.unit + ("/s" if f == "velocity" else "") for f in params.fields}
+        return (
+            (joint_state("state", "state", params.channels, **units),),  # type: ignore[arg-type]
+            (joint_state("delayed", "delayed_state", params.channels, **units),),  # type: ignore[arg-type]
+        )
+
+    def start(self) -> None:
+        """Remember nothing."""
+        p = self.p
+        h = min(p.delay, p.max_delay)
+        if p.delay > p.max_delay:
+            self.report(Level.WARN, "delay", f"delay {p.delay:g} s clamped to max_delay = {p.max_delay:g} s")
+        self._profile = profile(p.profile, h, p.mu, seed=p.seed, horizon=p.horizon)
+        self._line: History | None = None
+        self._h = h
+
+    def update(self, t: int, *, state: tuple[float, ...]) -> Mapping[str, tuple[float, ...]]:
+        """Give the delayed values."""
+        if self._line is None:
+            self._line = History(self.p.period, self._h, state)
+        else:
+            self._line.put(state)
+        return self._out(t)
+
+    def refused(self, t: int) -> Mapping[str, tuple[float, ...]] | None:
+        """Take the last value again."""
+        if self._line is None:
+            return None
+        self._line.put(self._line.at(0.0))
+        return self._out(t)
+
+    def _out(self, t: int) -> Mapping[str, tuple[float, ...]]:
+        assert self._line is not None
+        return {"delayed": self._line.at(min(delay_at(self._profile, t / 1e9), self._h))}
+
+
+tank = executable(TankController)
+pendulum = executable(PendulumController)
+delay_line = executable(DelayLine)

@@ -1,0 +1,29 @@
+"""Figures of the functional over time; called as ``f(signals, **arguments)``."""
+
+from __future__ import annotations
+
+import numpy as np
+from softrig_core.rig.metrics import SignalMap
+from softrig_core.rig.registry import figure
+
+V = "lyapunov/V/position"
+
+
+@figure("", reads=[V])
+def largest_rise(signals: SignalMap, *, delay: float) -> float:
+    """Largest relative rise of V over one delay (s), 0 if it only falls."""
+    return max(0.0, float(np.max(_over_a_delay(signals, delay))))
+
+
+@figure("", reads=[V])
+def fall(signals: SignalMap, *, delay: float) -> float:
+    """Median relative fall of V over one delay (s); negative when it rises."""
+    return -float(np.median(_over_a_delay(signals, delay)))
+
+
+def _over_a_delay(signals: SignalMap, delay: float) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+    t, v = signals[V]
+    m = round(delay / float(t[1] - t[0]))
+    if v.size <= m:
+        raise ValueError(f"V is recorded for {t[-1] - t[0]:g} s, needed more than the delay {delay:g} s")
+    return v[m:] / v[:-m] - 1.0

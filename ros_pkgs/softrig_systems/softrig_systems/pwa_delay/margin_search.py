@@ -1,0 +1,92 @@
+"""The search for the true margin as a node: simulations in its own process, the bracket on a topic."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Self
+
+from pydantic import model_validator
+from softrig_core.model.block import Level
+from softrig_core.model.params import param
+from softrig_core.model.port import button, scalars
+from softrig_core.model.solver import Result, Solver, SolverParams
+from softrig_core.model.worker import Work
+from softrig_core.node import executable
+
+from .params import SystemParams
+from .profiles import profile
+from .search import Margin, find_margin, growth_rate, simulate_pwa
+
+
+class MarginSearchParams(SystemParams, SolverParams):
+    """System, bracket and length of the runs."""
+
+    low: float = param(0.0195, "delay at which it is stable", "s", gt=0.0, le=1e3)
+    high: float = param(0.021, "delay at which it is not", "s", gt=0.0, le=1e3)
+    width: float = param(1e-5, "width of the answer", "s", gt=0.0, le=1.0)
+    duration: float = param(60.0, "length of a run; growth is taken from its second half", "s", gt=0.0, le=1e6)
+    steps: int = param(50, "integration steps in a delay", ge=10, le=100000)
+    x0: tuple[float, ...] = param((-2.0, 0.0), "state at and before the start")
+    at_start: bool = param(True, "search once at the start; later at each press of the button")
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        if len(self.x0) != self.states:
+            raise ValueError(f"x0 has {len(self.x0)} values, expected {self.states}")
+        if not self.low < self.high:
+            raise ValueError(f"low = {self.low:g} s: expected less than high = {self.high:g} s")
+        return self
+
+
+class MarginSearch(Solver[MarginSearchParams]):
+    """Bisects the growth rate of simulated trajectories over constant delays.
+
+    ``margin``: the margin, its bracket (s) and the growth rate there (1/s). A bracket without a change of sign is a
+    warning, and the margin 0.
+    """
+
+    INPUTS = (button("search", "search", held=True),)
+    OUTPUTS = (scalars("margin", "margin", {"margin": "s", "low": "s", "high": "s", "growth": "1/s"}, sporadic=True),)
+
+    def start(self) -> None:
+        """Not asked yet."""
+        self._down = False
+        self._asked = False
+
+    def request(self, t: int, *, search: tuple[float, ...] | None = None) -> MarginSearchParams | None:
+        """Ask at the start and when the button goes down."""
+        down = search is not None and search[0] != 0.0
+        wanted = (down and not self._down) or (self.p.at_start and not self._asked)
+        self._down = down
+        self._asked = True
+        return self.p if wanted else None
+
+    @staticmethod
+    def solve(request: MarginSearchParams, work: Work) -> Margin | str:
+        """Simulate in another process."""
+        p = request
+        system = p.build()
+
+        def growth(h: float) -> float:
+            run = simulate_pwa(system, profile("constant", h), p.x0, p.duration, steps=p.steps)
+            rate = growth_rate(run)
+            work.status(h=h, growth=rate)
+            return rate
+
+        try:
+            return find_margin(growth, p.low, p.high, width=p.width)
+        except ValueError as reason:
+            return str(reason)
+
+    def answer(self, t: int, result: Result | None, new: bool) -> Mapping[str, Any]:
+        """Publish what is new."""
+        if result is None or not new:
+            return {}
+        found = result.answer
+        if not isinstance(found, Margin):
+            self.report(Level.WARN, "no_margin", str(found))
+            return {"margin": (0.0, self.p.low, self.p.high, 0.0)}
+        return {"margin": (found.h, found.low, found.high, found.growth.get(found.h, 0.0))}
+
+
+main = executable(MarginSearch)

@@ -1,0 +1,87 @@
+"""Parameters that several nodes share: which system, and how its delay varies."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Literal, Self
+
+from pydantic import model_validator
+from softrig_core.model.params import Params, param
+
+from .profiles import Kind
+from .system import PwaSystem, continuous_tank, from_lines, linear, pendulum, switched, tank
+
+SystemName = Literal["switched", "tank", "continuous_tank", "pendulum", "benchmark", "scalar", "user"]
+BENCHMARK = ([[-2.0, 0.0], [0.0, -0.9]], [[-1.0, 0.0], [-1.0, -1.0]])
+
+
+class SystemParams(Params):
+    """A published system by name, or your own by its matrices, row after row, cell after cell."""
+
+    system: SystemName = param("switched", "published example, or user: the matrices below")
+    n: int = param(1, "user: number of states", ge=1, le=12)
+    A: tuple[float, ...] = param((0.0,), "user: A_i of every cell", "1/s")
+    Ad: tuple[float, ...] = param((-1.0,), "user: Ad_i of every cell", "1/s")
+    lines: tuple[float, ...] = param((), "user: switching lines c of c'x = 0; the first one's sign changes slowest")
+    lines_delayed: tuple[float, ...] = param((), "user: switching lines c of c'x_d = 0, after those on x")
+    offsets: tuple[float, ...] = param((), "user: a_i of every cell; none")
+
+    @model_validator(mode="after")
+    def _builds(self) -> Self:
+        if self.system == "user":
+            self.build()
+        return self
+
+    def build(self) -> PwaSystem:
+        """Make the system.
+
+        Raises
+        ------
+        ValueError
+            The matrices do not fit; names cell and face.
+        """
+        return _build(self.system, self.n, self.A, self.Ad, self.lines, self.lines_delayed, self.offsets)
+
+    @property
+    def states(self) -> int:
+        """Number of states."""
+        sizes = {"switched": 2, "tank": 1, "continuous_tank": 1, "pendulum": 2, "benchmark": 2, "scalar": 1}
+        return sizes.get(self.system, self.n)
+
+
+@lru_cache(maxsize=32)
+def _build(
+    name: str, n: int, A: tuple[float, ...], Ad: tuple[float, ...], lines: tuple[float, ...],
+    lines_delayed: tuple[float, ...], offsets: tuple[float, ...],
+) -> PwaSystem:  # fmt: skip
+    published = {"switched": switched, "tank": tank, "continuous_tank": continuous_tank, "pendulum": pendulum}
+    if name in published:
+        return published[name]()
+    if name == "benchmark":
+        return linear(*BENCHMARK)
+    if name == "scalar":
+        return linear(0.0, -1.0)
+    for what, values, unit in (("A", A, n * n), ("Ad", Ad, n * n), ("lines", lines, n),
+                               ("lines_delayed", lines_delayed, n), ("offsets", offsets, n)):  # fmt: skip
+        if len(values) % unit:
+            raise ValueError(f"{what} has {len(values)} values, expected a multiple of {unit} for {n} states")
+
+    def rows(values: tuple[float, ...]) -> list[tuple[float, ...]]:
+        return [values[k : k + n] for k in range(0, len(values), n)]
+
+    def squares(values: tuple[float, ...]) -> list[list[tuple[float, ...]]]:
+        every = rows(values)
+        return [every[k : k + n] for k in range(0, len(every), n)]
+
+    return from_lines(squares(A), squares(Ad), rows(lines), rows(lines_delayed), rows(offsets) or None)
+
+
+class DelayParams(Params):
+    """How a delay varies, and its bound."""
+
+    delay: float = param(0.02, "largest delay h", "s", ge=0.0, le=1000.0)
+    max_delay: float = param(1000.0, "longest delay that is allowed; beyond it is clamped", "s", gt=0.0, le=1000.0)
+    profile: Kind = param("constant", "constant, sine of rate mu, or telegraph: jumps between 0 and h at random times")
+    mu: float = param(0.0, "bound of the rate of a sine", ge=0.0, le=100.0)
+    seed: int = param(0, "of the telegraph", ge=0, le=2**31 - 1)
+    horizon: float = param(1000.0, "time for which a telegraph has jumps", "s", gt=0.0, le=1e6)

@@ -1,0 +1,231 @@
+"""The plants: a piecewise affine system, the water tank with its pipe, the pendulum."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any, Literal, Self
+
+import numpy as np
+from pydantic import model_validator
+from softrig_core.model.block import Level, Plant
+from softrig_core.model.dde import trajectory
+from softrig_core.model.params import BlockParams, param
+from softrig_core.model.port import Port
+from softrig_core.node import executable
+
+from .motion import (
+    FREE,
+    PendulumConstants,
+    TankConstants,
+    constants,
+    pendulum_cell,
+    pwa_cell,
+    run_pendulum,
+    run_pwa,
+    run_tank,
+    tank_cell,
+)  # fmt: skip
+from .params import DelayParams, SystemParams
+from .ports import INFLOW, LEVEL, PENDULUM, TORQUE, mode, state
+from .profiles import delay_at, profile
+from .system import TANK_C
+
+BEYOND = 1e6  # size of a state at which a run ends
+
+
+class DelayPlantParams(DelayParams, BlockParams):
+    """Delay, step and period."""
+
+    period: float = param(0.001, "sampling period", "s", gt=0.0, le=100.0)
+    step: float = param(1e-4, "largest integration step; a whole part of the period is taken", "s", gt=0.0, le=100.0)
+
+
+class DelayPlant(Plant):
+    """A plant whose delay equation is stepped with located switches; a constant history is the start.
+
+    A delay beyond `max_delay` is clamped and told; a state beyond 1e6 ends the run.
+    """
+
+    ENDS = True
+    loop: Callable[..., int]
+    cell_of: Callable[..., int]
+    p: Any
+
+    def setup(self) -> None:
+        """Count the steps in a period."""
+        self._steps = max(1, math.ceil(self.p.period / self.p.step - 1e-9))
+        self._h = self.p.period / self._steps
+        self._nothing = np.empty(0)
+
+    def start(self) -> None:
+        """Stand still in the past."""
+        p = self.p
+        h = min(p.delay, p.max_delay)
+        if p.delay > p.max_delay:
+            self.report(Level.WARN, "delay", f"delay {p.delay:g} s clamped to max_delay = {p.max_delay:g} s")
+        self._profile = profile(p.profile, h, p.mu, seed=p.seed, horizon=p.horizon)
+        self._k = 0
+        self._x = np.array(self.first(), dtype=float)
+        self._past = trajectory(self._h, h + 2.0 * self._h, tuple(self._x), spare=64)
+        self._constants: Any = self.constants()
+        self.switches = 0
+        self._sense()
+
+    def outputs(self, t: int) -> Mapping[str, tuple[float, ...]]:
+        """Give state, cell and delay at t."""
+        return self._answer
+
+    def move(self) -> None:
+        """Step over one period."""
+        self.switches += type(self).loop(self._past, self._k * self.p.period, self._x, self._h, self._steps,
+                                         self._constants, self._nothing)  # fmt: skip
+        self._k += 1
+        largest = float(np.abs(self._x).max())
+        if not largest < BEYOND and not self.ended:
+            self.report(Level.ERROR, "beyond", f"a state is {largest:g}, beyond {BEYOND:g}: the run ends")
+            self.done()
+        self._sense()
+
+    def _sense(self) -> None:
+        t = self._k * self.p.period
+        cell = int(type(self).cell_of(t, self._x, self._past, self._constants))
+        self._answer = {**self.measured(), "mode": (float(cell), float(delay_at(self._profile, t)))}
+
+    def first(self) -> tuple[float, ...]:
+        """Give the state at and before the start."""
+        raise NotImplementedError
+
+    def constants(self) -> Any:
+        """Pack what the native loop needs."""
+        raise NotImplementedError
+
+    def measured(self) -> dict[str, tuple[float, ...]]:
+        """Give the outputs besides cell and delay."""
+        raise NotImplementedError
+
+
+class SwitchedDelayPlantParams(SystemParams, DelayPlantParams):
+    """System, delay and start."""
+
+    x0: tuple[float, ...] = param((-2.0, 0.0), "state at and before the start")
+
+    @model_validator(mode="after")
+    def _start(self) -> Self:
+        if len(self.x0) != self.states:
+            raise ValueError(f"x0 has {len(self.x0)} values, expected {self.states}")
+        return self
+
+
+class SwitchedDelayPlant(DelayPlant):
+    """x' = A_i x + Ad_i x(t - d) + a_i, any piecewise affine system whose cells come from lines."""
+
+    Params = SwitchedDelayPlantParams
+    loop = run_pwa
+    cell_of = pwa_cell
+
+    @classmethod
+    def ports(cls, params: SwitchedDelayPlantParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
+        """As many states as the system has."""
+        return (), (state(params.states), mode("pwa/mode"))
+
+    def first(self) -> tuple[float, ...]:
+        """x0."""
+        return tuple(self.p.x0)
+
+    def constants(self) -> Any:
+        """Matrices and lines."""
+        return constants(self.p.build(), self._profile)
+
+    def measured(self) -> dict[str, tuple[float, ...]]:
+        """The state."""
+        return {"state": tuple(self._x.tolist())}
+
+    def advance(self, t: int) -> None:
+        """Move on by one period."""
+        self.move()
+
+
+class TankPlantParams(DelayPlantParams):
+    """Tank, pipe and start."""
+
+    period: float = param(0.01, "sampling period", "s", gt=0.0, le=1.0)
+    step: float = param(0.01, "largest integration step", "s", gt=0.0, le=1.0)
+    delay: float = param(5.0, "largest delay h of the pipe", "s", ge=0.0, le=1000.0)
+    x0: float = param(0.2, "level at and before the start, in the unit of the paper", ge=0.0, le=10.0)
+    A: float = param(10.0, "area of the tank", "m^2", gt=0.0, le=1e4)
+    phi: float = param(1000.0, "density", "kg/m^3", gt=0.0, le=1e5)
+    c: float = param(TANK_C, "drain c of c sqrt(x): sqrt(phi g)/(A phi H), units mixed as in the paper", gt=0.0, le=1.0)
+    model: Literal["pwa", "nonlinear"] = param("nonlinear", "drain of two slopes, or of the root")
+
+
+class TankPlant(DelayPlant):
+    """x' = -c sqrt(x) + u(t - d)/(A phi): a tank at the end of a pipe; an empty one stays at 0 (DRY, an error)."""
+
+    Params = TankPlantParams
+    INPUTS = (INFLOW,)
+    OUTPUTS = (LEVEL, mode("tank/mode"))
+    loop = run_tank
+    cell_of = tank_cell
+
+    def first(self) -> tuple[float, ...]:
+        """The level, and what the law gives for it."""
+        x = self.p.x0
+        return x, x * (0.2 if x < 0.5 else -0.1)
+
+    def constants(self) -> Any:
+        """The tank with the inflow as a command."""
+        p = self.p
+        return TankConstants(p.c, 0.5, 0.2, 0.1, 0.0, float(p.model == "pwa"), np.array([FREE]), self._profile)
+
+    def measured(self) -> dict[str, tuple[float, ...]]:
+        """The level."""
+        return {"level": (float(self._x[0]),)}
+
+    def advance(self, t: int, *, inflow: tuple[float, ...]) -> None:
+        """Hold the command for one period; it arrives a delay later."""
+        self._x[1] = inflow[0] / (self.p.A * self.p.phi)
+        self.move()
+        if self._x[0] <= 0.0:
+            self.report(Level.ERROR, "dry", "the tank is DRY: its level stays at 0")
+
+
+class PendulumPlantParams(DelayPlantParams):
+    """Pendulum and start; its delay is in the loop's delay_line, not here."""
+
+    delay: float = param(0.0, "unused: the pendulum itself has no delay", "s", ge=0.0, le=0.0)
+    step: float = param(0.001, "largest integration step", "s", gt=0.0, le=1.0)
+    x0: tuple[float, ...] = param((1.0, 0.0), "angle and speed at the start", min_length=2, max_length=2)
+    model: Literal["pwa", "nonlinear"] = param("pwa", "two slopes, or sin(theta)")
+
+
+class PendulumPlant(DelayPlant):
+    """theta'' = a theta + u, a = -0.825 or -0.4875 by the sign of theta; or theta'' = -sin(theta) + u (per M L^2)."""
+
+    Params = PendulumPlantParams
+    INPUTS = (TORQUE,)
+    OUTPUTS = (PENDULUM, mode("pendulum/mode"))
+    loop = run_pendulum
+    cell_of = pendulum_cell
+
+    def first(self) -> tuple[float, ...]:
+        """Angle, speed, no torque."""
+        return (*self.p.x0, 0.0)
+
+    def constants(self) -> Any:
+        """The pendulum with the torque as a command."""
+        return PendulumConstants(float(self.p.model == "nonlinear"), 0.0, np.array([FREE]), self._profile)
+
+    def measured(self) -> dict[str, tuple[float, ...]]:
+        """Angle and speed."""
+        return {"state": (float(self._x[0]), float(self._x[1]))}
+
+    def advance(self, t: int, *, torque: tuple[float, ...]) -> None:
+        """Hold the torque for one period."""
+        self._x[2] = torque[0]
+        self.move()
+
+
+switched = executable(SwitchedDelayPlant)
+tank = executable(TankPlant)
+pendulum = executable(PendulumPlant)

@@ -1,0 +1,22 @@
+"""Topics of the plants with delay, their controllers and their certificates."""
+
+from __future__ import annotations
+
+from softrig_core.model.port import Port, command, joint_state, scalars
+
+LEVEL = scalars("level", "tank/level", {"level": ""})
+INFLOW = command("inflow", "tank/inflow", ("inflow",), "kg/s")
+PENDULUM = joint_state("state", "pendulum/state", ("joint",), position="rad", velocity="rad/s")
+SEEN = joint_state("state", "pendulum/delayed_state", ("joint",), position="rad", velocity="rad/s")
+TORQUE = command("torque", "pendulum/torque", ("joint",), "N m")
+VALUE = scalars("value", "lyapunov", {"V": "", "dV": "1/s"}, sporadic=True)
+
+
+def mode(topic: str) -> Port:
+    """Cell in force and delay, of a plant."""
+    return scalars("mode", topic, {"cell": "", "delay": "s"})
+
+
+def state(n: int) -> Port:
+    """State x1 ... xn of a piecewise affine plant."""
+    return scalars("state", "pwa/state", {f"x{k + 1}": "" for k in range(n)})

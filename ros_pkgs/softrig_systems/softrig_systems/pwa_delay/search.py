@@ -1,0 +1,150 @@
+"""True margins by simulation: the delay at which the growth rate of a trajectory changes its sign."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from softrig_core.model.dde import trajectory
+
+from .lmi import Array
+from .motion import FREE, PendulumConstants, TankConstants, constants, run_pendulum, run_pwa, run_tank
+from .profiles import Profile, profile
+from .system import TANK_C, PwaSystem
+
+
+class Run(NamedTuple):
+    """A simulated trajectory: times (s), largest size of a state at each, the last state, switches located."""
+
+    t: Array
+    sizes: Array
+    x: Array
+    switches: int
+
+
+class Margin(NamedTuple):
+    """A bracket of the delay margin (s), its best estimate, and the growth rates (1/s) that were found by delay."""
+
+    h: float
+    low: float
+    high: float
+    growth: dict[float, float]
+
+
+def _run(loop: Callable[..., int], p: object, start: Sequence[float], h: float, duration: float, steps: int) -> Run:
+    step = h / steps
+    count = round(duration / step)
+    past, x, sizes = trajectory(step, h + 2.0 * step, tuple(start), spare=64), np.array(start, float), np.empty(count)
+    switches = loop(past, 0.0, x, step, count, p, sizes)
+    return Run(np.arange(1, count + 1, dtype=np.float64) * step, sizes, x, switches)
+
+
+def simulate_pwa(system: PwaSystem, delay: Profile, x0: Sequence[float], duration: float, *, steps: int = 50) -> Run:
+    """Simulate from a constant history.
+
+    Parameters
+    ----------
+    delay : Profile
+        With h > 0.
+    x0 : sequence of float
+    duration : float
+        s.
+    steps : int
+        Steps in the longest delay.
+    """
+    return _run(run_pwa, constants(system, delay), [float(v) for v in x0], delay.h, duration, steps)
+
+
+def simulate_tank(h: float, level: float, duration: float, *, steps: int = 400, pwa: bool = False) -> Run:
+    """Simulate P2 under its own law with a constant delay h (s) from a constant level."""
+    p = TankConstants(TANK_C, 0.5, 0.2, 0.1, 1.0, float(pwa), np.array([FREE]), profile("constant", h))
+    return _run(run_tank, p, [level, 0.0], h, duration, steps)
+
+
+def simulate_pendulum(h: float, x0: Sequence[float], duration: float, *, steps: int = 100, sine: bool = False) -> Run:
+    """Simulate P3 under its own law with a constant delay h (s) from a constant (theta, omega)."""
+    p = PendulumConstants(float(sine), 1.0, np.array([FREE]), profile("constant", h))
+    return _run(run_pendulum, p, [float(v) for v in (*x0, 0.0)], h, duration, steps)
+
+
+def growth_rate(run: Run) -> float:
+    """Give the slope (1/s) of the logarithm of the maxima over time in the second half of a run.
+
+    Raises
+    ------
+    ValueError
+        Fewer than three maxima: the run is too short.
+    """
+    half = run.t.size // 2
+    x, t = run.sizes[half:], run.t[half:]
+    peak = np.flatnonzero((x[1:-1] >= x[:-2]) & (x[1:-1] > x[2:])) + 1
+    peak = peak[x[peak] > 0.0]
+    if peak.size < 3:
+        raise ValueError(f"{peak.size} maxima in {t[-1] - t[0]:g} s: the run is too short for a growth rate")
+    return float(np.polyfit(t[peak], np.log(x[peak]), 1)[0])
+
+
+def find_margin(growth: Callable[[float], float], low: float, high: float, *, width: float = 1e-5) -> Margin:
+    """Find the delay at which a growth rate changes from negative to positive (regula falsi, Illinois).
+
+    Parameters
+    ----------
+    growth : callable
+        Delay (s) to growth rate (1/s).
+    low, high : float
+        Bracket, s.
+    width : float
+        Absolute width of the bracket, or change of the estimate, at which it ends, s.
+
+    Raises
+    ------
+    ValueError
+        The rates at the ends have the same sign.
+    """
+    found = {low: growth(low), high: growth(high)}
+    at_low, at_high = found[low], found[high]
+    if not at_low < 0.0 < at_high:
+        raise ValueError(f"growth {at_low:.3g} 1/s at {low:g} s and {at_high:.3g} 1/s at {high:g} s: no margin between")
+    h = before = low
+    side = 0
+    while high - low > width:
+        h = (low * at_high - high * at_low) / (at_high - at_low)
+        rate = growth(h)
+        found[h] = rate
+        if rate < 0.0:
+            low, at_low = h, rate
+            at_high *= 0.5 if side < 0 else 1.0
+            side = -1
+        else:
+            high, at_high = h, rate
+            at_low *= 0.5 if side > 0 else 1.0
+            side = 1
+        if abs(h - before) < 0.2 * width:
+            break
+        before = h
+    return Margin(h, low, high, found)
+
+
+def pwa_margin(system: PwaSystem, low: float, high: float, x0: Sequence[float], duration: float, *,
+               steps: int = 50, width: float = 1e-5) -> Margin:  # fmt: skip
+    """Find the margin of constant delays of a system from one start."""
+    return find_margin(lambda h: growth_rate(simulate_pwa(system, profile("constant", h), x0, duration, steps=steps)),
+                       low, high, width=width)  # fmt: skip
+
+
+def dry_margin(level: float, low: float, high: float, *, width: float = 1e-3, pwa: bool = False) -> float:
+    """Find the shortest delay (s) at which the tank runs empty from a constant level."""
+
+    def dry(h: float) -> bool:
+        return float(np.min(simulate_tank(h, level, 30.0 * h, steps=4000, pwa=pwa).sizes)) <= 1e-5
+
+    if dry(low) or not dry(high):
+        raise ValueError(f"the tank does not begin to run empty between {low:g} s and {high:g} s")
+    while high - low > width:
+        middle = 0.5 * (low + high)
+        if dry(middle):
+            high = middle
+        else:
+            low = middle
+    return 0.5 * (low + high)

@@ -1,0 +1,516 @@
+"""Piecewise affine systems with delay: certificates, their checks, simulated margins, nodes, bad input."""
+
+import functools
+import math
+import time
+
+import numpy as np
+import pytest
+from conftest import differences, in_process
+from softrig_core.model.block import Level
+from softrig_core.model.dde import trajectory
+from softrig_core.model.params import ParameterError
+from softrig_core.rig.processes import run_processes
+from softrig_core.rig.rig import Rig
+from softrig_core.rig.scenario import list_scenarios, load_scenario
+from softrig_core.rig.simulate import simulate
+from softrig_systems.pwa_delay.applicability import NotApplicable, require_no_sliding
+from softrig_systems.pwa_delay.bessel import bessel
+from softrig_systems.pwa_delay.certificate import CertificateNode, CriterionParams
+from softrig_systems.pwa_delay.certify import Criterion, certified_margin, certify
+from softrig_systems.pwa_delay.controllers import DelayLine, PendulumController, TankController
+from softrig_systems.pwa_delay.level import level_bound, level_margin
+from softrig_systems.pwa_delay.lyapunov import LyapunovMonitor
+from softrig_systems.pwa_delay.margin_search import MarginSearch
+from softrig_systems.pwa_delay.motion import constants
+from softrig_systems.pwa_delay.params import BENCHMARK
+from softrig_systems.pwa_delay.plants import PendulumPlant, SwitchedDelayPlant, TankPlant
+from softrig_systems.pwa_delay.profiles import delay_at, profile
+from softrig_systems.pwa_delay.search import (
+    dry_margin,
+    find_margin,
+    growth_rate,
+    pwa_margin,
+    simulate_pendulum,
+    simulate_pwa,
+    simulate_tank,
+)
+from softrig_systems.pwa_delay.system import (
+    BadSystem,
+    PwaSystem,
+    continuous_tank,
+    from_lines,
+    linear,
+    pendulum,
+    switched,
+    tank,
+)
+from softrig_systems.pwa_delay.theorem1 import theorem1
+
+NAMES = sorted(n for n in list_scenarios() if n.startswith("pwa_delay"))
+EXACT = 6.17258  # margin of the linear benchmark
+
+
+@functools.cache
+def margin(name, low, high, mu=0.0, cell_terms=False, order=0, width=1e-4):
+    system = {"switched": switched, "pendulum": pendulum, "tank": continuous_tank,
+              "benchmark": lambda: linear(*BENCHMARK), "scalar": lambda: linear(0.0, -1.0)}[name]()  # fmt: skip
+    criterion = Criterion("constant" if order else "theorem1", mu, order or 2, cell_terms)
+    found = certified_margin(system, criterion, low=low, high=high, width=width)
+    assert found.valid
+    assert all(e.positive for e in found.eigenvalues)  # C4, of every certificate in this file
+    return found.h
+
+
+@functools.cache
+def run(name):
+    return simulate(name)
+
+
+# C1, C2, C3, C5: certified margins
+
+
+def test_theorem_1_on_the_switched_system():
+    assert 0.01925 <= margin("switched", 0.0190, 0.0196) <= 0.01930
+    assert round(margin("switched", 0.0190, 0.0196), 4) >= 0.0193
+
+
+TABLE = [
+    ("switched", 0.1, False, 0.01824, 5e-5), ("switched", 0.3, False, 0.01728, 5e-5),
+    ("switched", 0.5, False, 0.01691, 5e-5), ("switched", 0.9, False, 0.01671, 5e-5),
+    ("switched", 0.0, True, 0.019283, 5e-5),
+    ("pendulum", 0.0, False, 0.2630, 0.0026), ("pendulum", 0.1, False, 0.2580, 0.0026),
+    ("pendulum", 0.3, False, 0.2451, 0.0025), ("pendulum", 0.5, False, 0.2370, 0.0024),
+    ("pendulum", 0.9, False, 0.2288, 0.0023), ("pendulum", 0.1, True, 0.2600, 0.0026),
+    ("pendulum", 0.3, True, 0.2471, 0.0025), ("pendulum", 0.5, True, 0.2395, 0.0024),
+    ("pendulum", 0.9, True, 0.2308, 0.0023),
+    ("tank", 0.0, False, 7.849, 0.039), ("tank", 0.1, False, 7.576, 0.038), ("tank", 0.3, False, 7.154, 0.036),
+    ("tank", 0.6, False, 6.951, 0.035), ("tank", 0.0, True, 7.849, 0.039), ("tank", 0.1, True, 7.713, 0.039),
+    ("tank", 0.3, True, 7.535, 0.038), ("tank", 0.6, True, 7.31, 0.037),
+    ("benchmark", 0.0, False, 6.058, 0.006), ("benchmark", 0.1, False, 4.816, 0.005),
+    ("benchmark", 0.5, False, 3.082, 0.003), ("benchmark", 0.8, False, 2.673, 0.003),
+    ("scalar", 0.0, False, 1.567, 0.001), ("scalar", 0.1, False, 1.513, 0.001), ("scalar", 0.3, False, 1.429, 0.001),
+    ("scalar", 0.6, False, 1.389, 0.001),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("name", "mu", "cell_terms", "expected", "tolerance"),
+    [pytest.param(*row, marks=[pytest.mark.long] * (row[:3] not in (("scalar", 0.3, False), ("tank", 0.6, False))))
+     for row in TABLE],
+)  # fmt: skip
+def test_theorem_1_table(name, mu, cell_terms, expected, tolerance):
+    found = margin(name, 0.98 * expected, 1.02 * expected, mu, cell_terms)
+    assert found == pytest.approx(expected, abs=tolerance)
+
+
+@pytest.mark.long
+def test_theorem_1_on_the_pendulum_with_cell_terms():
+    assert margin("pendulum", 0.262, 0.27) >= 0.262
+    assert 0.265 <= margin("pendulum", 0.262, 0.27, 0.0, True) <= 0.4192
+
+
+@pytest.mark.parametrize(
+    ("name", "order", "cell_terms", "low", "high", "least", "most"),
+    [("switched", 2, False, 0.0193, 0.0196, 0.01940, 0.020005),
+     pytest.param("pendulum", 2, True, 0.26, 0.27, 0.2655, 0.4192, marks=pytest.mark.long),
+     pytest.param("switched", 1, False, 0.019, 0.020, 0.01936, 0.01938, marks=pytest.mark.long),
+     pytest.param("switched", 3, False, 0.019, 0.020, 0.01942, 0.01944, marks=pytest.mark.long),
+     pytest.param("pendulum", 1, True, 0.26, 0.27, 0.2655, 0.2660, marks=pytest.mark.long),
+     pytest.param("pendulum", 3, True, 0.26, 0.27, 0.2657, 0.26617, marks=pytest.mark.long),
+     ("tank", 2, False, 7.5, 8.2, 7.82, 7.90),
+     ("benchmark", 1, False, 6.0, 6.1, 6.0583, 6.0593), ("benchmark", 2, False, 6.1, 6.2, 6.1677, 6.1697)],
+)  # fmt: skip
+def test_constant_delay_criterion(name, order, cell_terms, low, high, least, most):
+    assert least <= margin(name, low, high, 0.0, cell_terms, order) <= most
+
+
+def test_constant_delay_criterion_approaches_the_exact_margin_from_below():
+    found = margin("benchmark", 6.17, 6.18, order=3, width=1e-6)
+    assert found == pytest.approx(6.172, abs=0.001)
+    assert found < EXACT + 1e-5
+
+
+def test_exact_margin_of_the_benchmark():
+    """s = i w: the second state alone, -0.9 - exp(-s h) = s, decides."""
+    w = math.sqrt(1.0 - 0.81)
+    assert (math.pi - math.atan2(w, 0.9)) / w == pytest.approx(EXACT, abs=2e-5)
+
+
+@pytest.mark.parametrize(("make", "h"), [(switched, 0.0201), (lambda: linear(*BENCHMARK), 6.2)])
+@pytest.mark.parametrize("method", ["theorem1", "constant"])
+def test_no_certificate_beyond_the_true_margin(make, h, method):
+    assert not certify(make(), h, Criterion(method, order=3)).valid
+
+
+def test_a_damaged_certificate_fails_its_check():
+    found = certify(switched(), 0.0185)
+    assert found.valid
+    problem = theorem1(switched().scaled(0.0185), 0.0)
+    assert all(e.positive for e in problem.check(found.matrices))
+    for name in ("R", "L1", "H0"):
+        broken = {**found.matrices, name: -found.matrices[name]}
+        assert not all(e.positive for e in problem.check(broken)), name
+    # the matrices of one delay are no certificate of another one far beyond
+    assert not all(e.positive for e in theorem1(switched().scaled(0.0300), 0.0).check(found.matrices))
+
+
+def test_level_of_the_tank():
+    assert level_margin() == pytest.approx(5.9716, abs=0.001)
+    for h, lowest in ((2.0, 0.3846), (4.0, 0.2251), (5.0, 0.1212)):
+        assert level_bound(h).lowest == pytest.approx(lowest, abs=1e-4)
+    assert level_bound(5.97).certified
+    assert not level_bound(5.98).certified
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_no_delay_empties_the_tank_below_its_certified_level(seed):
+    """Adversarial: the delay jumps between nothing and all of it, in the tank's own loop, from the highest level."""
+    h = 5.97
+    bound = level_bound(h)
+    plant = TankPlant(delay=h, profile="telegraph", seed=seed, x0=min(bound.highest, 0.99), period=0.05, step=0.05)
+    controller, lowest = TankController(period=0.05), 1.0
+    for k in range(4000):
+        level = plant.outputs(k)["level"]
+        lowest = min(lowest, level[0])
+        plant.advance(k, inflow=controller.update(k, level=level)["inflow"])
+    assert bound.lowest - 1e-3 <= lowest < 0.5
+
+
+# C6: simulated margins
+
+
+def test_margin_of_the_switched_system():
+    found = pwa_margin(switched(), 0.0195, 0.021, (-2.0, 0.0), 60.0)
+    assert found.h == pytest.approx(0.020005, abs=3e-5)
+
+
+@pytest.mark.parametrize(("h", "rate"), [(0.0193, -0.00351), (0.020, -2.5e-5), (0.0205, 0.00246), (0.021, 0.00494),
+                                         (0.022, 0.0099)])  # fmt: skip
+def test_growth_of_the_switched_system(h, rate):
+    found = growth_rate(simulate_pwa(switched(), profile("constant", h), (-2.0, 0.0), 60.0, steps=25))
+    assert found == pytest.approx(rate, abs=6e-5)
+
+
+def test_located_switches_converge_and_unlocated_do_not():
+    ends = [simulate_pwa(switched(), profile("constant", 0.02), (-2.0, 0.0), 2.0, steps=n).x for n in (50, 200)]
+    assert ends[0] == pytest.approx(ends[1], abs=1e-6)
+    assert ends[1] == pytest.approx([1.9811344, 0.1155911], abs=2e-5)  # 6400 steps without location, itself off by 1e-5
+    assert ends[1] == pytest.approx([1.98112413, 0.11559048], abs=3e-7)  # 25,600 steps without location
+    from softrig_core.model.dde import integrator
+    from softrig_systems.pwa_delay.motion import pwa_slopes
+
+    free, x = constants(switched(), profile("constant", 0.02)), np.array([-2.0, 0.0])
+    integrator(pwa_slopes)(trajectory(1e-4, 0.021, (-2.0, 0.0)), 0.0, x, 1e-4, 20000, free)
+    assert 1e-5 < abs(x[0] - ends[1][0]) < 4e-4
+
+
+@pytest.mark.parametrize("sine", [False, pytest.param(True, marks=pytest.mark.long)])
+def test_margin_of_the_pendulum(sine):
+    if sine:
+        rates = [growth_rate(simulate_pendulum(h, (1.0, 0.0), 400.0, sine=True)) for h in (0.40, 0.42)]
+        assert rates[0] < -0.01 < rates[1]  # beyond 0.4149 its amplitude stays, sin bounds it
+        return
+    found = pwa_margin(pendulum(), 0.40, 0.43, (1.0, 0.0), 200.0, width=1e-4)
+    assert found.h == pytest.approx(0.4192, abs=0.001)
+
+
+def test_margins_of_linear_systems_are_exact():
+    found = pwa_margin(linear(*BENCHMARK), 6.0, 6.4, (1.0, 1.0), 1500.0, width=1e-4)
+    assert found.h == pytest.approx(EXACT, abs=2e-4)
+    assert pwa_margin(linear(0.0, -1.0), 1.5, 1.65, (1.0,), 400.0).h == pytest.approx(math.pi / 2.0, abs=1e-5)
+    assert pwa_margin(continuous_tank(), 11.0, 12.0, (1.0,), 3000.0, width=1e-3).h == pytest.approx(11.49, abs=0.005)
+
+
+@pytest.mark.long
+def test_delay_at_which_the_tank_runs_empty():
+    assert dry_margin(0.2, 6.5, 6.56) == pytest.approx(6.531, abs=0.005)
+    assert dry_margin(0.2, 6.5, 6.56, pwa=True) == pytest.approx(6.5303, abs=0.005)
+    assert dry_margin(1.0, 6.1, 6.3) == pytest.approx(6.219, abs=0.005)
+
+
+@pytest.mark.parametrize(("h", "low", "high"), [(2.0, 0.386, 0.671), (4.0, 0.241, 0.790), (5.0, 0.149, 0.890),
+                                                (6.0, 0.052, 0.954)])  # fmt: skip
+def test_limit_cycles_of_the_tank(h, low, high):
+    found = simulate_tank(h, 0.2, 60.0 * h)
+    late = found.sizes[found.sizes.size // 2 :]
+    assert late.min() == pytest.approx(low, abs=0.003)
+    assert late.max() == pytest.approx(high, abs=0.003)
+
+
+@pytest.mark.long
+@pytest.mark.filterwarnings("ignore")
+def test_motion_agrees_with_an_adaptive_solver_of_delay_equations(tmp_path, monkeypatch):
+    """The scalar system and the benchmark, which have no switches to smooth."""
+    monkeypatch.chdir(tmp_path)
+    module = pytest.importorskip("jitcdde")
+    for system, h, x0 in ((linear(0.0, -1.0), 1.5, [1.0]), (linear(*BENCHMARK), 6.0, [1.0, 1.0])):
+        A, Ad, n = system.A[0], system.Ad[0], system.n
+        slopes = [sum(A[i, j] * module.y(j) + Ad[i, j] * module.y(j, module.t - h) for j in range(n)) for i in range(n)]
+        solver = module.jitcdde(slopes, verbose=False)
+        solver.constant_past(x0)
+        solver.set_integration_parameters(rtol=1e-9, atol=1e-10)
+        solver.step_on_discontinuities()
+        exact = solver.integrate(5.0 * h)
+        found = simulate_pwa(system, profile("constant", h), x0, 5.0 * h, steps=200)
+        assert found.x == pytest.approx(exact, abs=1e-6)
+
+
+def test_profiles():
+    sine, jumps = profile("sine", 2.0, 0.3), profile("telegraph", 2.0, seed=3, horizon=500.0)
+    t = np.linspace(0.0, 100.0, 20001)
+    d = np.array([delay_at(sine, s) for s in t])
+    assert d.min() >= 0.0
+    assert d.max() <= 2.0
+    assert np.abs(np.diff(d) / np.diff(t)).max() == pytest.approx(0.3, rel=1e-4)
+    assert {delay_at(jumps, s) for s in t} == {0.0, 2.0}
+    assert delay_at(profile("constant", 2.0), 5.0) == 2.0
+    for bad in ((-1.0, 0.0), (math.nan, 0.0), (1.0, -0.1)):
+        with pytest.raises(ValueError, match="expected finite"):
+            profile("sine", *bad)
+
+
+# C7: over topics; C8
+
+
+SLOW = {f"pwa_delay_{n}" for n in (
+    "margin", "margin_constant", "margin_scalar", "margin_user", "p2c_constant", "p3", "p3_nonlinear", "p3_sine",
+    "p3_unstable",
+)}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.long] * (n in SLOW)) for n in NAMES])
+def test_figures_of_the_scenarios(name):
+    assert [f"{r.name} = {r.value}" for r in run(name).missed] == []
+
+
+@pytest.mark.parametrize(
+    ("system", "x0", "stable", "unstable", "mu", "seconds"),
+    [("switched", (-2.0, 0.0), 0.0192, 1.03 * 0.020005, 0.0, 60.0),
+     ("switched", (-2.0, 0.0), 0.01728, 1.03 * 0.020005, 0.3, 60.0),
+     ("continuous_tank", (0.3,), 7.84, 1.03 * 11.49, 0.0, 1000.0),
+     ("continuous_tank", (0.3,), 7.5, 1.03 * 11.49, 0.3, 1000.0),
+     ("pendulum", (1.0, 0.0), 0.2657, 1.03 * 0.4192, 0.0, 60.0),
+     ("pendulum", (1.0, 0.0), 0.2451, 1.03 * 0.4192, 0.3, 60.0)],
+)  # fmt: skip
+def test_plants_fall_at_the_certified_delay_and_grow_beyond_their_margin(system, x0, stable, unstable, mu, seconds):
+    def sizes(delay, kind):
+        plant = SwitchedDelayPlant(system=system, x0=x0, delay=delay, period=delay / 2.0, step=delay / 50.0,
+                                   profile=kind, mu=mu)  # fmt: skip
+        found = []
+        for k in range(round(seconds / plant.p.period)):
+            plant.advance(k)
+            found.append(max(map(abs, plant.outputs(k)["state"])))
+        quarters = np.array_split(np.array(found), 4)
+        return quarters[1].max(), quarters[3].max()
+
+    before, after = sizes(stable, "sine" if mu else "constant")
+    assert after < 0.95 * before
+    before, after = sizes(unstable, "constant")
+    assert after > 1.03 * before
+
+
+def test_functional_falls_along_the_certified_trajectory_and_rises_beyond():
+    assert run("pwa_delay").figures["largest_rise"] < 7e-4
+    warned = run("pwa_delay_beyond").blocks["lyapunov_monitor"]
+    assert warned.reports["rises"][0] is Level.WARN
+    assert "rises" not in run("pwa_delay").blocks["lyapunov_monitor"].reports
+
+
+@pytest.mark.long
+def test_a_finer_monitor_sees_a_smoother_fall():
+    found = simulate("pwa_delay", overrides={"switched_delay_plant.period": 1e-4, "lyapunov_monitor.period": 1e-4})
+    assert found.figures["largest_rise"] == 0.0
+    assert found.figures["fall"] == pytest.approx(1.5e-4, abs=0.3e-4)
+
+
+def test_asymptotic_stability_of_the_tank_is_refused():
+    with pytest.raises(NotApplicable, match=r"no equilibrium: the offset .* of cell 0"):
+        certify(tank(), 1.0)
+    with pytest.raises(NotApplicable, match="no equilibrium"):
+        certified_margin(tank())
+    with pytest.raises(NotApplicable, match=r"sliding on the face .* of cells 0 and 1"):
+        require_no_sliding(tank(), 1.0)
+    assert "not applicable: no equilibrium" in run("pwa_delay_margin_tank_refused").blocks["certificate"].reports[
+        "no_certificate"][1]  # fmt: skip
+
+
+def test_sliding_is_found_and_crossing_is_not():
+    into = from_lines([[[0.0, 1.0], [0.0, 0.0]]] * 2, [[[-1.0, 0.0], [0.0, -1.0]]] * 2, [[1.0, 0.0]])
+    require_no_sliding(into, 0.1)
+    slides = from_lines([np.zeros((2, 2))] * 2, [[[0.0, 1.0], [-1.0, 0.0]], [[0.0, -1.0], [-1.0, 0.0]]], [[1.0, 0.0]])
+    with pytest.raises(NotApplicable, match="on the face"):
+        certify(slides, 0.1)
+    require_no_sliding(switched(), 0.02)
+
+
+def test_an_offset_that_a_shift_removes_is_no_obstacle():
+    shifted = PwaSystem((np.array([[-2.0]]),), (np.array([[-1.0]]),), (np.array([3.0]),), (np.zeros((0, 2)),),
+                        (np.zeros(0),), (np.eye(2),), np.zeros((0, 1)), np.zeros((0, 1)))  # fmt: skip
+    assert certify(shifted, 1.0).valid
+
+
+# Bad input
+
+
+def cells(**changes):
+    s = switched()
+    parts = {k: getattr(s, k) for k in ("A", "Ad", "a", "E", "e", "F", "lines", "lines_delayed")} | changes
+    return PwaSystem(**parts)
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"Ad": switched().Ad[:3]}, "3 matrices Ad for 4 cells"),
+        ({"Ad": (*switched().Ad[:3], np.eye(3))}, r"Ad of cell 3 has the shape \(3, 3\), expected \(2, 2\)"),
+        ({"A": (*switched().A[:3], np.full((2, 2), np.nan))}, "A of cell 3 is not finite"),
+        ({"E": (switched().E[1], *switched().E[1:])}, "cells 0 and 1 overlap at"),
+        ({"E": (*switched().E[:3], np.vstack([switched().E[3], [1.0, 0.0, -1.0, 0.0]])),
+          "e": (*switched().e[:3], np.zeros(3))}, "the cells leave a gap"),
+        ({"F": (2.0 * switched().F[0], *switched().F[1:])}, r"features of cells 0 and \d differ by .* on their face"),
+    ],
+)  # fmt: skip
+def test_bad_systems_are_refused(changes, reason):
+    with pytest.raises(BadSystem, match=reason):
+        cells(**changes)
+
+
+@pytest.mark.parametrize(("h", "mu", "named"), [(0.0, 0.0, "h"), (-1.0, 0.0, "h"), (math.nan, 0.0, "h"),
+                                                (1.0, -0.1, "mu"), (1.0, math.inf, "mu")])  # fmt: skip
+def test_bad_delays_are_refused(h, mu, named):
+    with pytest.raises(ValueError, match=f"{named} = "):
+        certify(switched(), h, Criterion(mu=mu))
+
+
+def test_rates_from_1_on_are_allowed_but_never_certified():
+    """The block of x_d' alone in (10) is g (Z22 - Q22), and g takes both signs: no certificate can exist."""
+    for mu in (1.0, 1.5):
+        assert not certify(linear(-2.0, -0.5), 0.5, Criterion(mu=mu)).valid
+    assert certify(linear(-2.0, -0.5), 0.5, Criterion(mu=0.95)).valid
+
+
+@pytest.mark.parametrize(
+    ("make", "named"),
+    [(lambda: SwitchedDelayPlant(system="user", n=2, A=[1.0], Ad=[1.0] * 4, x0=(0.0, 0.0)), "A has 1 values"),
+     (lambda: SwitchedDelayPlant(system="user", n=1, A=[1.0, 2.0], Ad=[1.0], x0=(0.0,)), "2 matrices A and 1 Ad"),
+     (lambda: SwitchedDelayPlant(system="user", n=1, A=[1.0] * 2, Ad=[1.0] * 2, lines=[0.0], x0=(0.0,)),
+      "line is zero"),
+     (lambda: SwitchedDelayPlant(x0=(1.0,)), "x0 has 1 values, expected 2"),
+     (lambda: CertificateNode(mu=-1.0), "mu"), (lambda: CertificateNode(h=-1.0), "h"),
+     (lambda: CertificateNode(method="level"), "expected system = tank"),
+     (lambda: MarginSearch(low=0.03, high=0.02), "expected less than high"),
+     (lambda: TankPlant(c=0.0), "c = 0.0"), (lambda: PendulumPlant(delay=0.1), "delay")],
+)  # fmt: skip
+def test_bad_parameters_are_refused(make, named):
+    with pytest.raises(ParameterError, match=named):
+        make()
+
+
+def test_an_empty_tank_stays_empty_and_says_so():
+    plant = TankPlant(x0=0.001, delay=1.0)
+    for k in range(400):
+        plant.advance(k, inflow=(-1000.0,))
+    assert plant.outputs(0)["level"] == (0.0,)
+    assert plant.reports["dry"][0] is Level.ERROR
+    for k in range(400):
+        plant.advance(k, inflow=(1000.0,))
+    assert plant.outputs(0)["level"][0] > 0.1
+
+
+def test_a_state_beyond_reach_ends_the_run():
+    plant = SwitchedDelayPlant(system="user", n=1, A=[50.0], Ad=[0.0], x0=(1.0,))
+    for k in range(300):
+        plant.advance(k)
+    assert plant.ended
+    assert plant.reports["beyond"][0] is Level.ERROR
+
+
+def test_a_delay_beyond_its_limit_is_clamped():
+    for block in (SwitchedDelayPlant(delay=0.1, max_delay=0.05), DelayLine(delay=0.1, max_delay=0.05)):
+        assert block.reports["delay"][0] is Level.WARN
+    assert SwitchedDelayPlant(delay=0.1, max_delay=0.05).outputs(0)["mode"][1] == 0.05
+
+
+def test_delay_line_interpolates_and_begins_with_the_first_value():
+    line = DelayLine(delay=0.0025)
+    found = [line.update(k * 10**6, state=(float(k), -float(k)))["delayed"][0] for k in range(6)]
+    assert found == pytest.approx([0.0, 0.0, 0.0, 0.5, 1.5, 2.5])
+    assert line.refused(6 * 10**6)["delayed"] == pytest.approx((3.5, -3.5))
+
+
+@pytest.mark.parametrize("controller", [TankController(), PendulumController()])
+def test_controllers_hold_their_command_without_a_state(controller):
+    tank_like = isinstance(controller, TankController)
+    good, bad = ((0.4,), (math.nan,)) if tank_like else ((0.2, 0.1), (math.nan, 0.0))
+    name = "level" if tank_like else "state"
+    held = controller.update(0, **{name: good})
+    assert controller.update(0, **{name: bad}) == held
+    assert controller.refused(0) == held
+    assert len(controller.reports) == 1
+
+
+def test_laws_of_tank_and_pendulum():
+    assert TankController().update(0, level=(0.4,))["inflow"] == pytest.approx((800.0,))
+    assert TankController().update(0, level=(0.5,))["inflow"] == pytest.approx((-500.0,))
+    assert PendulumController().update(0, state=(-0.1, 0.3))["torque"] == pytest.approx((-0.2,))
+    assert PendulumController().update(0, state=(0.1, 0.3))["torque"] == pytest.approx((-2.0,))
+
+
+def test_a_monitor_that_is_too_coarse_says_so():
+    monitor = LyapunovMonitor(period=1e-3)
+    size = int(np.prod(monitor.p.padded()))
+    verdict = (0.0192, 1.0, 1e-4, 1e-6, 20.0)
+    assert monitor.update(0, state=(1.0, 0.0), mode=(0.0, 0.02), matrices=(0.0,) * size, verdict=verdict) == {}
+    assert monitor.reports["coarse"][0] is Level.ERROR
+
+
+def test_matrices_survive_their_topic():
+    p = CriterionParams()
+    found = certify(switched(), 0.018)
+    back = p.unpad(p.pad(found.matrices))
+    assert all(np.array_equal(back[name], m) for name, m in found.matrices.items())
+    assert set(back) == set(found.matrices)
+
+
+def test_a_bracket_without_a_margin_is_told():
+    with pytest.raises(ValueError, match="no margin between"):
+        find_margin(lambda h: -1.0, 0.1, 0.2)
+    with pytest.raises(ValueError, match="too short"):
+        growth_rate(simulate_pwa(linear(-1.0, 0.0), profile("constant", 1.0), (1.0,), 5.0))
+
+
+# Speed
+
+
+@pytest.mark.long
+def test_speed_of_theorem_1_and_of_the_search():
+    begin = time.process_time()
+    certify(switched(), 0.0192)
+    assert time.process_time() - begin <= 1.0
+    begin = time.process_time()
+    certified_margin(switched(), low=0.018, high=0.021)
+    assert time.process_time() - begin <= 12.0
+    begin = time.process_time()
+    pwa_margin(switched(), 0.0195, 0.021, (-2.0, 0.0), 60.0)
+    assert time.process_time() - begin <= 5.0
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("n", range(1, 7))
+def test_constant_criterion_grows_with_the_state_and_stays_below_5_seconds(n):
+    rng = np.random.default_rng(n)
+    system = linear(-2.0 * np.eye(n) + 0.1 * rng.normal(size=(n, n)), -0.5 * np.eye(n) + 0.1 * rng.normal(size=(n, n)))
+    begin = time.process_time()
+    assert certify(system, 0.5, Criterion("constant", order=2)).valid
+    assert time.process_time() - begin <= 5.0
+    assert bessel(system, 2).size < theorem1(system, 0.1).size
+
+
+@pytest.mark.processes
+@pytest.mark.parametrize("name", ["pwa_delay_p2_d2", "pwa_delay_p2c"])
+def test_processes_give_the_bits_of_in_process(name, tmp_path):
+    rig = Rig.from_scenario(load_scenario(name).model_copy(update={"duration": 20.0}))
+    outcome = run_processes(rig, 1, tmp_path)
+    assert outcome.error == ""
+    assert differences(in_process(rig, 1), outcome.recording) == []
