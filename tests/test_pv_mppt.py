@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 from scipy.special import lambertw
+from simulated import SimulatedRig, World
 from softrig_bringup.study.definition import load_study, make_study
 from softrig_bringup.study.draw import cases
 from softrig_bringup.study.table import results
@@ -296,23 +297,26 @@ def static_runs(algorithm, n=400, **settings):
 
 
 @pytest.mark.parametrize(
-    ("algorithm", "settings", "hits", "tolerance", "close"),
+    ("algorithm", "settings", "hits", "close"),
     [
-        ("issa", {}, 54, 8, 49),
-        ("ssa", {}, 72, 7, 62),
-        ("pso", {}, 67, 7, 66),
-        ("de_rand1", {}, 66, 7, None),
-        ("de_best1", {}, 51, 8, None),
-        ("fa", {}, 70, 7, 46),
-        ("issa", {"c3_threshold": 0.0}, 13, 5, None),
+        ("issa", {}, 230, 203),
+        ("ssa", {}, 293, 253),
+        ("pso", {}, 254, 247),
+        ("de_rand1", {}, 259, 225),
+        ("de_best1", {}, 220, 198),
+        ("fa", {}, 269, 201),
+        ("issa", {"c3_threshold": 0.0}, 51, 41),
     ],
 )
-def test_hit_rates(algorithm, settings, hits, tolerance, close):
-    """Acceptance 3: share of 400 seeds in the global basin of pattern 2, and of those above 99 % of its power."""
+def test_hit_rates(algorithm, settings, hits, close):
+    """Acceptance 3: how many of 400 seeds end in the global basin of pattern 2, and above 99 % of its power.
+
+    The sheet's own shares are 54, 72, 67, 66, 51, 70 and 13 %. A run repeats bit for bit; another C library may decide
+    a draw or two at an edge.
+    """
     duty, power, _ = static_runs(algorithm, **settings)
-    assert 100.0 * np.mean((duty > 0.4555) & (duty < 0.5764)) == pytest.approx(hits, abs=tolerance)
-    if close is not None:
-        assert 100.0 * np.mean(power > 0.99 * 98.224) == pytest.approx(close, abs=8)
+    assert np.sum((duty > 0.4555) & (duty < 0.5764)) == pytest.approx(hits, abs=2)
+    assert np.sum(power > 0.99 * 98.224) == pytest.approx(close, abs=2)
 
 
 @pytest.mark.parametrize("algorithm", ["issa", "ssa", "pso", "de_rand1", "de_best1"])
@@ -498,9 +502,20 @@ def test_bad_duty():
         assert (plant.reports["duty"][0] if plant.reports else None) == level
 
 
-def test_plant_waits_for_a_slow_tracker():
+@pytest.mark.parametrize(("gap", "stale"), [(0.15, False), (0.3, True)])
+def test_plant_waits_for_a_slow_tracker(gap, stale):
     """In real time a duty is stale after 0.2 s, not after a few samples of the sensors."""
-    assert PvPlant.STALE_PERIODS * PvPlant.Params().period == pytest.approx(0.2)
+    world = World()
+    rig = Rig.from_scenario(load_scenario("pv_mppt").changed(duration=0.8))
+    run = SimulatedRig(rig, world, "realtime")
+    begin, end = run.epoch + 300_000_000, run.epoch + 300_000_000 + round(gap * 1e9)
+    world.latency = lambda topic, *_: (
+        end - world.now if topic == "/converter/duty" and begin < world.now < end else 10_000
+    )
+    assert set(run.run().values()) == {"done"}
+    reports = run.adapters["pv_plant"].block.reports
+    assert ("stale converter/duty" in reports) == stale
+    assert ("recovered converter/duty" in reports) == stale
 
 
 @pytest.mark.parametrize(
