@@ -63,7 +63,7 @@ def run(*arguments):
 
 def test_a_run_leaves_bag_metrics_plots_and_report(folder, capsys):
     assert run("lag", "--mode", "inprocess", "--seed", "4", "--set", "gain.k=1.5") == 0
-    out = folder / "runs" / "lag"
+    out = folder / "runs" / "lag-gain.k=1.5-seed_4"
     content = json.loads((out / "metrics.json").read_text())
     assert (content["scenario"], content["mode"], content["seed"], content["ticks"]) == ("lag", "inprocess", 4, 100)
     assert content["parameters"]["gain"]["k"] == 1.5
@@ -134,7 +134,7 @@ def test_metrics_and_pictures_share_the_decoded_signals(monkeypatch):
 def test_the_command_of_a_run_repeats_it():
     arguments = ["lag", "--mode", "realtime", "--set", "gain.k=2", "--external", "gain", "--duration", "0.5",
                  "--seed", "3", "--domain", "42"]  # fmt: skip
-    assert _repeat(_parser().parse_args(["run", *arguments, "--out", "x"])) == arguments
+    assert _repeat(_parser().parse_args(["run", *arguments, "--out", "x"])) == [*arguments, "--out", "x"]
 
 
 @pytest.mark.processes

@@ -244,8 +244,10 @@ def mackey_glass(t, x, past, p, dx):
 
 
 @pytest.mark.long
-def test_against_an_independent_integrator():
+def test_against_an_independent_integrator(tmp_path, monkeypatch):
     import jitcdde
+
+    monkeypatch.chdir(tmp_path)  # its build would take our checkout for its own
 
     past, x = trajectory(0.05, 17.0, 0.5), np.array([0.5])
     integrator(mackey_glass)(past, 0.0, x, 0.05, 4000, 0.0)

@@ -6,11 +6,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from softrig_bringup.run import gaps
 from softrig_core.errors import RunError, ScenarioError
+from softrig_core.model.answer import check
 from softrig_core.model.block import Block
 from softrig_core.model.params import BlockParams, param
 from softrig_core.model.port import Refused, command, joint_state, wrench
 from softrig_core.model.schedule import Schedule
-from softrig_core.rig.inprocess import check
 from softrig_core.rig.processes import run_processes
 from softrig_core.rig.replay import feed
 from softrig_core.rig.rig import Rig

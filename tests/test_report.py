@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from softrig_bringup import plots
+from softrig_bringup.folder import ResultsFolder
 from softrig_bringup.plots import OVERVIEW, envelope, plot_name, plot_run, pretty_unit, units
 from softrig_bringup.report import write_report
 from softrig_bringup.run import save, summary
@@ -340,7 +341,7 @@ def make_run(make_rig, tmp_path):
         run = Run(rig, 3, record(rig), 0.05, **keys)
         directory = tmp_path / name
         content = summary(run, [Result(**m) for m in metrics], "scripts/softrig run flux_demo --set 'a.b=<c>'")
-        save(run, content, directory, record=False, plots=picture)
+        save(run, content, ResultsFolder(directory), record=False, plots=picture)
         write_report([directory], directory / "report.html")
         return directory
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 import shlex
 import sys
 from collections.abc import Callable, Sequence
@@ -109,7 +110,9 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument("--seed", type=int, metavar="N", help="instead of the scenario's")
     run.add_argument("--external", action="append", default=[], metavar="NODE", help="somebody else starts this node")
     run.add_argument("--domain", type=int, metavar="N", help="ROS_DOMAIN_ID (default: a free one)")
-    run.add_argument("--out", type=Path, metavar="DIR", help="results go here (default runs/SCENARIO)")
+    run.add_argument(
+        "--out", type=Path, metavar="DIR", help="results go here (default runs/SCENARIO and what was changed)"
+    )
     run.add_argument("--no-record", action="store_true", help="no bag")
     run.add_argument("--no-plots", action="store_true", help="only metrics.json and the bag")
     node = verb("node", _node, "start one executable, as `ros2 run` does")
@@ -167,6 +170,7 @@ def _list(options: argparse.Namespace) -> int:
 def _run(options: argparse.Namespace) -> int:
     from softrig_core.rig.scenario import load_scenario, merge
 
+    from .folder import ResultsFolder
     from .run import execute, save, summary
 
     scenario = load_scenario(options.scenario, dict(_assignment(text) for text in options.set))
@@ -178,19 +182,39 @@ def _run(options: argparse.Namespace) -> int:
         changes = merge(changes, {"nodes": {name: {"external": True}}})
     if changes:
         scenario = _changed(scenario, changes)
-    out = (options.out or Path("runs") / scenario.name).absolute()
+    changed = _changes(options)
+    out = (options.out or Path("runs") / _folder_name(scenario.name, options, changed)).absolute()
+    folder = ResultsFolder(out)
+    if folder.replaced:
+        _say(f"replacing {folder.replaced} in {os.path.relpath(out)}")
+    folder.clear()
     with _progress(scenario) as progress:
         run = execute(scenario, options.mode, out / "log", domain=options.domain, progress=progress,
                       announce=lambda text: print(f"softrig: {text}", file=sys.stderr))  # fmt: skip
     figures = [] if run.error else run.results
     command = shlex.join(["scripts/softrig", "run", *_repeat(options)])
-    save(run, summary(run, figures, command), out, record=not options.no_record, plots=not options.no_plots)
+    content = summary(run, figures, command) | {"changed": changed}
+    save(run, content, folder, record=not options.no_record, plots=not options.no_plots)
     if run.error:
         print(f"softrig: the run broke: {run.error}", file=sys.stderr)
         print(f"softrig: what was recorded up to there is in {out}", file=sys.stderr)
         return 3
-    _print_figures(scenario, run, out)
+    _print_figures(scenario, run, out, changed)
+    if changed:  # the paper's numbers are for its own set-up: shown for comparison, not judged
+        return 0
     return 0 if all(f.passed for f in figures) and all(c.holds is not False for c in run.claims) else 1
+
+
+def _changes(options: argparse.Namespace) -> list[str]:
+    """Say what of a scenario was changed on the command line, in words."""
+    found = [*options.set, *(f"{name} outside, its parameters unknown" for name in options.external)]
+    return found + [f"{name} {value}" for name in ("duration", "seed") if (value := getattr(options, name)) is not None]
+
+
+def _folder_name(scenario: str, options: argparse.Namespace, changed: Sequence[str]) -> str:
+    """Name the folder of a run so that runs that differ do not replace each other."""
+    parts = [scenario] + (["realtime"] if options.mode == "realtime" else []) + list(changed)
+    return re.sub(r"[^A-Za-z0-9_.=+-]+", "_", "-".join(parts))[:120]
 
 
 def _repeat(options: argparse.Namespace) -> list[str]:
@@ -200,7 +224,7 @@ def _repeat(options: argparse.Namespace) -> list[str]:
         arguments += ["--set", text]
     for name in options.external:
         arguments += ["--external", name]
-    for name in ("duration", "seed", "domain"):
+    for name in ("duration", "seed", "domain", "out"):
         if getattr(options, name) is not None:
             arguments += [f"--{name}", str(getattr(options, name))]
     return arguments
@@ -252,23 +276,24 @@ def _progress(scenario: Scenario) -> Iterator[Callable[[int], None] | None]:
         yield lambda t: bar.update(task, completed=t / 1e9)
 
 
-def _print_figures(scenario: Scenario, run: Run, out: Path) -> None:
+def _print_figures(scenario: Scenario, run: Run, out: Path, changed: Sequence[str]) -> None:
     from rich.console import Console
     from rich.table import Table
 
     from .report import accepted
 
     console = Console(highlight=False, width=None if sys.stdout.isatty() else 140)
-    title = f"{scenario.name}: {scenario.title}"
+    title = f"{scenario.name}: {scenario.title}" + (f", changed: {', '.join(changed)}" if changed else "")
     table = Table("figure", title=title, title_justify="left", box=None, pad_edge=False)
     for name in ("published", "measured", "expected", "unit", ""):
         table.add_column(name, justify="left" if name in ("unit", "") else "right")
     for f in run.results:
-        mark = ("[green]pass[/]" if f.judged else f.error) if f.passed else f"[red]MISS[/] {f.error}"
+        missed = f"[yellow]differs[/] {f.error}" if changed else f"[red]MISS[/] {f.error}"
+        mark = ("[green]pass[/]" if f.judged else f.error) if f.passed else missed
         table.add_row(f.name, _number(f.published), _number(f.value), accepted(f), f.unit, mark)
     console.print(table)
     for claim in run.claims:
-        if claim.holds is False:
+        if claim.holds is False and not changed:
             console.print(f"[red]claim {claim.key}[/]: {claim.false}")
     ticks = run.rig.ticks
     speed = "" if run.mode == "realtime" else f" ({scenario.duration / run.wall_s:.3g} x real time)"

@@ -11,15 +11,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from softrig_bags.compare import Comparison, Tolerance, compare
 from softrig_bags.read import read_bag
 from softrig_bags.write import write_bag
 from softrig_core.errors import RunError, ScenarioError
-from softrig_core.rig.inprocess import run_inprocess
+from softrig_core.model.params import flatten
 from softrig_core.rig.replay import feed
 from softrig_core.rig.rig import Rig
 from softrig_core.rig.scenario import load_scenario
+from softrig_core.rig.simulate import simulate
 from softrig_core.wire.recording import Recording
 from softrig_core.wire.signals import Signals
 
@@ -47,6 +49,9 @@ class Recipe(BaseModel):
         For every signal without a pattern of its own.
     tolerances : dict of str to Allowed
         By pattern of the signal name (``motor/state/*``).
+    elsewhere : dict of str to Allowed
+        As `tolerances`, for other versions than those that wrote the bag (another C library, numpy, casadi, machine;
+        never another Python): what a change of the last bits does to this rig, measured when the bag was made.
     why : str
         Why the tolerances are what they are.
     made_with : dict of str to str
@@ -59,6 +64,7 @@ class Recipe(BaseModel):
     seed: int = Field(0, ge=0)
     default: Allowed = Allowed()
     tolerances: dict[str, Allowed] = {}
+    elsewhere: dict[str, Allowed] = {}
     why: str = ""
     made_with: dict[str, str] = {}
 
@@ -82,13 +88,58 @@ class Golden:
 
     def rerun(self) -> Recording:
         """Run the scenario as it is now."""
-        recording = Recording((t, p.msgtype) for t, p in self.rig.topics.items())
-        run_inprocess(self.rig, self.recipe.seed, recording)
-        return recording
+        return simulate(self.rig, seed=self.recipe.seed).recording
 
-    def compare(self, new: Recording, topics: Sequence[str] | None = None) -> Comparison:
-        """Compare a new recording with the golden one within the recipe's tolerances."""
-        limits = {name: Tolerance(a.absolute, a.relative) for name, a in self.recipe.tolerances.items()}
+    def shaken(self, bits: float) -> Recording:
+        """Run the scenario with the parameters of its plants changed by `bits` of their last place.
+
+        Another build of a library changes results by about as much.
+        """
+        changed: dict[str, Any] = {}
+        for member in self.rig.members:
+            for name, value in flatten(member.params).items() if member.is_plant else ():
+                if isinstance(value, float) and value and name != "period":
+                    new = value * (1.0 + bits * 2.0**-52)
+                    if _allowed(self.rig, f"{member.name}.{name}", new):
+                        changed[f"{member.name}.{name}"] = new
+        return simulate(self.rig, seed=self.recipe.seed, overrides=changed).recording
+
+    def sensitivity(self) -> dict[str, Allowed]:
+        """Measure what a change of the last bits does: ten times the largest deviation of each topic, above 1e-9."""
+        first = Signals(self.rerun())
+        largest: dict[str, float] = {}
+        for bits in (4.0, -4.0):
+            other = Signals(self.shaken(bits))
+            for name in first:
+                a, b = first[name].x, other[name].x
+                if a.size and a.size == b.size:
+                    topic = _topic(name, self.rig)
+                    largest[topic] = max(largest.get(topic, 0.0), float(np.nanmax(np.abs(a - b), initial=0.0)))
+        return {f"{topic}/*": Allowed(absolute=float(f"{10.0 * d:.1e}")) for topic, d in sorted(largest.items())
+                if 10.0 * d > 1e-9}  # fmt: skip
+
+    @property
+    def made_here(self) -> bool:
+        """Whether the versions that decide the bits are those that wrote the bag; Python's own is not among them."""
+        now = versions()
+        there = self.recipe.made_with
+        return all(there.get(k) == now.get(k) for k in {*now, *there} - {"python", "softrig_core", "ros-jazzy-rclpy"})
+
+    def compare(
+        self, new: Recording, topics: Sequence[str] | None = None, *, elsewhere: bool | None = None
+    ) -> Comparison:
+        """Compare a new recording with the golden one within the recipe's tolerances.
+
+        Parameters
+        ----------
+        new : Recording
+        topics : sequence of str, optional
+        elsewhere : bool, optional
+            Whether to allow what another build may change; found out when absent.
+        """
+        wider = not self.made_here if elsewhere is None else elsewhere
+        allowed = (self.recipe.elsewhere if wider else {}) | self.recipe.tolerances
+        limits = {name: Tolerance(a.absolute, a.relative) for name, a in allowed.items()}
         default = Tolerance(self.recipe.default.absolute, self.recipe.default.relative)
         return compare(Signals(self.recording()), Signals(new), default=default, tolerances=limits, topics=topics)
 
@@ -102,11 +153,24 @@ class Golden:
         """Write the golden bag anew; gives the comparison of the new with the old, if there was one."""
         new = self.rerun()
         difference = self.compare(new) if self.bag.exists() else None
-        recipe = self.recipe.model_copy(update={"made_with": versions()})
+        recipe = self.recipe.model_copy(update={"made_with": versions(), "elsewhere": self.sensitivity()})
         shutil.rmtree(self.bag, ignore_errors=True)
         write_bag(self.bag, new, compression="zstd")
         _write(self.folder / "golden.yaml", recipe)
         return difference
+
+
+def _allowed(rig: Rig, name: str, value: float) -> bool:
+    """Whether a changed parameter is still within its bounds."""
+    try:
+        rig.changed(overrides={name: value})
+    except ScenarioError:
+        return False
+    return True
+
+
+def _topic(signal: str, rig: Rig) -> str:
+    return max((t for t in rig.topics if signal.startswith(f"{t}/")), key=len)
 
 
 def load(folder: Path, **changes: Any) -> Golden:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib.metadata
 import json
 import platform
-import shutil
 import time
 from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
@@ -21,6 +20,7 @@ from softrig_core.rig.scenario import Scenario
 from softrig_core.rig.simulate import Run
 from softrig_core.wire.recording import Recording
 
+from .folder import ResultsFolder
 from .plots import check_plots, plot_run
 
 Mode = Literal["processes", "inprocess", "realtime"]
@@ -132,6 +132,8 @@ def _plant_ticks(run: Run) -> int:
 def versions() -> dict[str, str]:
     """Give what a run depends on."""
     found = {"python": platform.python_version(), "machine": platform.machine()}
+    libc = " ".join(platform.libc_ver()).strip()
+    found |= {"libc": libc} if libc else {}
     for name in ("softrig_core", "numpy", "scipy", "casadi", "pin", "rosbags", "ros-jazzy-rclpy"):
         try:
             found[name] = importlib.metadata.version(name)
@@ -140,14 +142,25 @@ def versions() -> dict[str, str]:
     return found
 
 
-def save(run: Run, content: Mapping[str, Any], directory: Path, *, record: bool = True, plots: bool = True) -> None:
-    """Write bag/, metrics.json, plots and report.html into a directory, replacing those of an earlier run."""
-    clear(directory)
+def save(
+    run: Run, content: Mapping[str, Any], folder: ResultsFolder, *, record: bool = True, plots: bool = True
+) -> None:
+    """Write bag/, metrics.json, plots and report.html into a folder, and the list of what was written."""
+    directory = folder.path
+    directory.mkdir(parents=True, exist_ok=True)
+    try:
+        _write(run, content, directory, record=record, plots=plots)
+    finally:
+        folder.close()
+
+
+def _write(run: Run, content: Mapping[str, Any], directory: Path, *, record: bool, plots: bool) -> None:
+    # first: if the disk is full, this is what tells why
+    (directory / "metrics.json").write_text(json.dumps(content, indent=1) + "\n")
     if record:
         from softrig_bags.write import write_bag
 
         write_bag(directory / "bag", run.recording, custom_data=_provenance(content))
-    (directory / "metrics.json").write_text(json.dumps(content, indent=1) + "\n")
     if not plots:
         return
     from .report import write_report
@@ -155,14 +168,6 @@ def save(run: Run, content: Mapping[str, Any], directory: Path, *, record: bool 
     if any(topic.times for topic in run.recording.topics.values()):
         plot_run(run.signals, run.rig, directory)
     write_report([directory], directory / "report.html")
-
-
-def clear(directory: Path) -> None:
-    """Remove the results of an earlier run, and nothing else."""
-    directory.mkdir(parents=True, exist_ok=True)
-    shutil.rmtree(directory / "bag", ignore_errors=True)
-    for file in (directory / "metrics.json", directory / "report.html", *directory.glob("*.png")):
-        file.unlink(missing_ok=True)
 
 
 def _provenance(content: Mapping[str, Any]) -> dict[str, str]:

@@ -12,11 +12,11 @@ from pathlib import Path
 from typing import Any, Literal
 
 from ..errors import RunError
+from ..model.answer import check
 from ..model.block import Block, Level, Plant
 from ..model.port import Port, Sample
 from ..model.schedule import Schedule
 from ..model.timebase import SECOND
-from ..rig.inprocess import check
 from ..rig.options import InputLink, Links, RunOptions
 from ..wire.recording import ShardWriter, Sink, relative
 from .buttons import Buttons

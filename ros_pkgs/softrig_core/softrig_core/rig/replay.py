@@ -6,11 +6,11 @@ from bisect import bisect_right
 from typing import Any
 
 from ..errors import RunError
+from ..model.answer import check
 from ..model.block import Block, Plant
 from ..model.port import Sample
 from ..wire.codec import Decoder
 from ..wire.recording import Recording
-from .inprocess import check
 from .rig import Member, Rig
 
 

@@ -16,6 +16,11 @@ from .scenario_file import list_scenarios, locate, merge, resolve
 __all__ = ["FigureEntry", "NodeEntry", "PlotEntry", "Scenario", "list_scenarios", "load_scenario", "merge"]
 
 
+# What ROS takes for names; they become names of files and of topics, so nothing else may be in them.
+NodeName = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_]*$", max_length=200)]
+TopicName = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*$", max_length=200)]
+
+
 class _Model(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -23,10 +28,10 @@ class _Model(BaseModel):
 class NodeEntry(_Model):
     """One node: which executable, with which parameters and remapped topics."""
 
-    package: str
-    executable: str
+    package: str = Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")
+    executable: str = Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*$")
     parameters: dict[str, Any] = {}
-    remap: dict[str, str] = {}
+    remap: dict[str, TopicName] = {}
     external: bool = Field(False, description="somebody else starts it; our executable only tells its ports")
 
 
@@ -102,7 +107,7 @@ class Scenario(_Model):
     timeout: float = Field(10.0, gt=0, description="wall-clock s without progress before a lockstep run fails")
     start_timeout: float = Field(30.0, gt=0, description="wall-clock s to wait for all nodes, 0 < external ones")
     shared: Annotated[dict[str, Any], BeforeValidator(_or_empty)] = {}
-    nodes: dict[str, NodeEntry] = Field(min_length=1)
+    nodes: dict[NodeName, NodeEntry] = Field(min_length=1)
     figures: Annotated[dict[str, FigureEntry], BeforeValidator(_or_empty)] = {}
     expect: Annotated[dict[str, Expected], BeforeValidator(_or_empty)] = {}
     claims: Annotated[dict[str, Claim], BeforeValidator(_or_empty)] = {}

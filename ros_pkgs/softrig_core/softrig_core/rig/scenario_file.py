@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import os
+import re
 from collections.abc import Iterable, Iterator, Mapping
 from functools import lru_cache
 from pathlib import Path
@@ -162,6 +163,9 @@ def _variants(path: Path, raw: Mapping[str, Any]) -> dict[str, Any]:
     variants = raw.get("variants") or {}
     if not isinstance(variants, dict):
         raise ScenarioError(f"{path.name}: variants: expected a mapping of name to changes, got {variants!r}")
+    for name in variants:
+        if not re.fullmatch(r"\w+", str(name)):
+            raise ScenarioError(f"{path.name}: variant {name!r}: expected letters, digits and _ only")
     return variants
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -60,7 +60,7 @@ def main(arguments: Sequence[str]) -> int:
     folder.mkdir(parents=True, exist_ok=True)
     thirteen, forty = Units.read("units_13"), Units.read("units_40")
     steps = [2**k for k in range(13)]
-    pictures = {
+    pictures: dict[str, Callable[[Any], None]] = {
         "cost_curve": lambda axes: cost_curve(axes, thirteen, 0, np.arange(800.0, 2801.0, 100.0).tolist()),
         "stacked": lambda axes: stacked(axes, thirteen, np.arange(600.0, 2951.0, 25.0).tolist()),
         "proof_13": lambda axes: proof(axes, thirteen, 1800.0, steps),

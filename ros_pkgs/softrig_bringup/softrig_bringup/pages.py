@@ -1,0 +1,136 @@
+"""The generated parts of the doc pages: ``python -m softrig_bringup.pages [--check] PAGE...``.
+
+A page holds pairs of markers; what stands between them is made from the code and the scenario files::
+
+    <!-- nodes: softrig_drives dc_motor_plant dc_motor_smc -->      topics and parameters of executables
+    <!-- claims: dc_motor_smc -->                                   what the paper says, by beginning of scenario names
+    <!-- scenarios: dc_motor_smc -->                                scenarios, by beginning of their names
+    <!-- verdicts: all -->                                          claims of each system by their verdicts
+    <!-- end -->
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+
+from softrig_core.model.params import Declaration, declarations
+from softrig_core.model.port import Port
+from softrig_core.rig.claims import VERDICTS
+from softrig_core.rig.rig import load_block
+from softrig_core.rig.scenario import list_scenarios, load_scenario
+
+from .study.definition import list_studies, load_study
+
+_PART = re.compile(r"(<!-- (nodes|claims|scenarios|verdicts): ([^>]*?) -->\n).*?(<!-- end -->)", re.DOTALL)
+
+
+def generate(page: str) -> str:
+    """Give a page with its generated parts made anew."""
+
+    def part(found: re.Match[str]) -> str:
+        first, *words = found[3].split()
+        made = {"nodes": lambda: nodes(first, words), "claims": lambda: claims([first, *words]),
+                "scenarios": lambda: scenarios([first, *words]), "verdicts": verdicts}[found[2]]()  # fmt: skip
+        return f"{found[1]}\n{made}\n\n{found[4]}"
+
+    return _PART.sub(part, page)
+
+
+def nodes(package: str, executables: Sequence[str]) -> str:
+    """Topics and parameters of the executables of a package."""
+    parts = []
+    for executable in executables:
+        block = load_block(package, executable)
+        inputs, outputs = block.ports(block.Params())
+        text = [f"#### `{executable}`", "", (block.__doc__ or "").strip().splitlines()[0], ""]
+        text += ["| topic | | type | values |", "|---|---|---|---|"]
+        text += [_topic(port, "reads") for port in inputs] + [_topic(port, "publishes") for port in outputs]
+        text += ["", "| parameter | default | unit | bounds | |", "|---|---|---|---|---|"]
+        text += [_parameter(d) for d in declarations(block.Params)]
+        parts.append("\n".join(text))
+    return "\n\n".join(parts)
+
+
+def _topic(port: Port, direction: str) -> str:
+    kind = port.msgtype.replace("/msg/", "/")
+    values = [f"{label} ({unit})" if unit else label for label, unit in zip(port.labels, port.units, strict=True)]
+    shown = ", ".join(values[:12]) + (f" and {len(values) - 12} more" if len(values) > 12 else "")
+    marks = [word for word, given in (("held", port.held), ("delayed", port.delayed)) if given]
+    return f"| `{port.topic}` | {', '.join([direction, *marks])} | {kind} | {shown} |"
+
+
+def _parameter(d: Declaration) -> str:
+    bounds = " to ".join(("" if x is None else f"{x:g}") for x in (d.lower, d.upper)).strip()
+    bounds = {"to": ""}.get(bounds, bounds)
+    default = str(list(d.default) if isinstance(d.default, tuple) else d.default)
+    return f"| `{d.name}` | {default or ' '} | {d.unit} | {bounds} | {d.doc} |".replace("|delta|", "\\|delta\\|")
+
+
+def chosen(prefixes: Sequence[str]) -> list[str]:
+    """Names of the scenarios that begin so, in order; a name of its own begins with itself."""
+    return [n for n in sorted(list_scenarios()) if any(n == p or n.startswith(f"{p}_") for p in prefixes)]
+
+
+def claims(prefixes: Sequence[str]) -> str:
+    """Claims of the paper with their verdicts; `softrig results` adds what is measured."""
+    lines = ["| the paper says | where | published | verdict | scenario |", "|---|---|---|---|---|"]
+    for name in chosen(prefixes):
+        for key, claim in load_scenario(name).claims.items():
+            compared = ", ".join(f"{kind} {x}" for kind, x in claim.compared().items())
+            number = f"{claim.published:.6g}" if claim.published is not None else compared
+            verdict = f"**{claim.verdict.replace('_', ' ')}**" + (f": {claim.reason}" if claim.reason else "")
+            cells = [claim.text or key.replace("_", " "), claim.where, number, verdict, f"`{name}`"]
+            lines.append("| " + " | ".join(c.replace("|", "\\|") for c in cells) + " |")
+    return "\n".join(lines)
+
+
+def scenarios(prefixes: Sequence[str]) -> str:
+    """Scenarios with title and length."""
+    lines = ["| scenario | | s |", "|---|---|---|"]
+    for name in chosen(prefixes):
+        scenario = load_scenario(name)
+        lines.append(f"| `{name}` | {scenario.title} | {scenario.duration:g} |")
+    return "\n".join(lines)
+
+
+def verdicts() -> str:
+    """How many claims of each system have which verdict."""
+    counts: dict[str, Counter[str]] = {}
+    for name in sorted(list_scenarios()):
+        scenario = load_scenario(name)
+        counts.setdefault(scenario.system, Counter()).update(c.verdict for c in scenario.claims.values())
+    for name in list_studies():
+        study = load_study(name)
+        counts[load_scenario(study.scenario).system].update(c.verdict for c in study.claims.values())
+    lines = ["| system | " + " | ".join(v.replace("_", " ") for v in VERDICTS) + " |", "|---" * 6 + "|"]
+    lines += [
+        f"| {system} | " + " | ".join(str(found[v] or "") for v in VERDICTS) + " |"
+        for system, found in sorted(counts.items()) if found
+    ]  # fmt: skip
+    return "\n".join(lines)
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Write the generated parts of pages, or check that they are as the code says; 1 when one is not."""
+    parser = argparse.ArgumentParser(prog="python -m softrig_bringup.pages", description=main.__doc__)
+    parser.add_argument("pages", nargs="+", type=Path, metavar="PAGE")
+    parser.add_argument("--check", action="store_true")
+    given = parser.parse_args(args)
+    status = 0
+    for path in given.pages:
+        old = path.read_text(encoding="utf-8")
+        new = generate(old)
+        if new != old:
+            print(f"{path}: {'is not as the code says' if given.check else 'written'}")
+            status = 1 if given.check else status
+            if not given.check:
+                path.write_text(new, encoding="utf-8")
+    return status
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,100 @@
+"""Where results go: what a former run of ours wrote is replaced, nothing else is touched."""
+
+import json
+
+import pytest
+from softrig_bringup.cli import main
+from softrig_bringup.folder import MANIFEST, ResultsFolder
+from softrig_core.errors import ScenarioError
+
+RUN = ["run", "dc_motor_smc_b2", "--mode", "inprocess"]
+
+
+def names(path):
+    return sorted(str(p.relative_to(path)) for p in path.rglob("*") if p.is_file())
+
+
+def test_a_run_replaces_the_one_before_and_says_so(tmp_path, capsys):
+    out = tmp_path / "out"
+    assert main([*RUN, "--out", str(out)]) == 0
+    first = names(out)
+    assert sorted(json.loads((out / MANIFEST).read_text())) == first
+    assert "replacing" not in capsys.readouterr().err
+    assert main([*RUN, "--out", str(out), "--seed", "1", "--no-plots"]) == 0
+    assert "replacing dc_motor_smc_b2 (inprocess, seed 0)" in capsys.readouterr().err
+    assert names(out) == ["bag/bag_0.mcap", "bag/metadata.yaml", "metrics.json", MANIFEST]
+
+
+def test_files_of_others_stay_and_stop_a_run_where_they_are_in_its_way(tmp_path, capsys):
+    out = tmp_path / "out"
+    (out / "mine").mkdir(parents=True)
+    (out / "mine/notes.txt").write_text("mine")
+    (out / "photo.png").write_text("mine")
+    assert main([*RUN, "--out", str(out), "--no-plots"]) == 0
+    assert main([*RUN, "--out", str(out), "--no-plots"]) == 0
+    assert (out / "mine/notes.txt").read_text() == (out / "photo.png").read_text() == "mine"
+    for name in ("bag/theirs", "plot_01_x.png", "metrics.json"):
+        other = tmp_path / name.replace("/", "_")
+        (other / name).parent.mkdir(parents=True)
+        (other / name).write_text("theirs")
+        assert main([*RUN, "--out", str(other)]) == 2
+        assert "was not written by a run of softrig" in capsys.readouterr().err
+        assert (other / name).read_text() == "theirs"
+
+
+def test_nothing_outside_the_folder_is_removed(tmp_path):
+    """A list that somebody has edited, or links put in the place of our folders, lead nowhere."""
+    precious = tmp_path / "precious"
+    precious.mkdir()
+    (precious / "file").write_text("keep")
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "log").symlink_to(precious)
+    listed = ["../precious/file", str(precious / "file"), "log/file", "log", "bag/../../precious/file", 3]
+    (out / MANIFEST).write_text(json.dumps([*listed, MANIFEST]))
+    ResultsFolder(out).clear()
+    assert (precious / "file").read_text() == "keep"
+    assert names(out) == []
+
+
+def test_a_file_in_the_place_of_the_folder_is_refused(tmp_path):
+    (tmp_path / "out").write_text("")
+    with pytest.raises(ScenarioError, match="out is a file, expected a folder"):
+        ResultsFolder(tmp_path / "out")
+
+
+def test_runs_that_differ_have_folders_of_their_own(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main([*RUN, "--no-plots", "--no-record"]) == 0
+    assert main([*RUN, "--no-plots", "--no-record", "--set", "dc_motor_smc.delta=1.0"]) == 0
+    assert main([*RUN, "--no-plots", "--no-record", "--seed", "3", "--duration", "5"]) == 0
+    assert sorted(p.name for p in (tmp_path / "runs").iterdir()) == [
+        "dc_motor_smc_b2", "dc_motor_smc_b2-dc_motor_smc.delta=1.0", "dc_motor_smc_b2-duration_5.0-seed_3",
+    ]  # fmt: skip
+
+
+def test_a_changed_gain_is_no_failure(tmp_path, capsys):
+    """The paper's numbers are shown for comparison; metrics.json says what was changed."""
+    assert main([*RUN, "--no-plots", "--set", "dc_motor_smc.delta=20.0", "--out", str(tmp_path)]) == 0
+    said = capsys.readouterr().out
+    assert "differs" in said
+    assert "MISS" not in said
+    assert json.loads((tmp_path / "metrics.json").read_text())["changed"] == ["dc_motor_smc.delta=20.0"]
+
+
+@pytest.mark.parametrize(("old", "new", "message"), [
+    ("  dc_motor_plant:", "  ../../evil:", "nodes.../../evil"),
+    ("executable: dc_motor_plant", "executable: ../../../bin/sh", "executable"),
+    ("{reference: motor/reference}", "{reference: ../x}", "remap"),
+])  # fmt: skip
+def test_names_that_are_no_ros_names_are_refused(tmp_path, capsys, monkeypatch, old, new, message):
+    from softrig_core.rig.scenario import list_scenarios
+
+    text = list_scenarios()["dc_motor_smc"].read_text()
+    assert old in text
+    (tmp_path / "x.yaml").write_text(text.replace(old, new))
+    monkeypatch.chdir(tmp_path)
+    assert main(["run", "x.yaml", "--mode", "inprocess"]) == 2
+    said = capsys.readouterr().err
+    assert message in said
+    assert names(tmp_path) == ["x.yaml"]

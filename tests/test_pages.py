@@ -1,0 +1,110 @@
+"""The doc pages are true: generated parts are as the code says, commands, links and examples work."""
+
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+from ruamel.yaml import YAML
+from softrig_bringup import pages
+from softrig_bringup.cli import _FOREIGN, _parser, main
+from softrig_bringup.study.definition import list_studies, make_study
+from softrig_core.rig.figures import figures_of
+from softrig_core.rig.processes import find_executable
+from softrig_core.rig.rig import Rig
+from softrig_core.rig.scenario import list_scenarios, load_scenario
+from softrig_core.rig.simulate import simulate
+
+ROOT = Path(__file__).parents[1]
+PAGES = sorted(p.relative_to(ROOT) for p in (*ROOT.glob("ros_pkgs/*/doc/*.md"),))
+SIX = ("dc_motor_smc", "dc_motor_fsfb", "induction_dtc", "pv_mppt", "manipulator_adsmc", "rehab_impedance")
+GENERATED = [p for p in PAGES if p.stem in SIX]
+WRITE = "run scripts/softrig python -m softrig_bringup.pages {}"
+
+
+def test_every_landed_system_has_its_page():
+    assert {p.stem for p in GENERATED} == set(SIX)
+    for page in GENERATED:
+        text = (ROOT / page).read_text()
+        assert all(f"<!-- {part}: " in text for part in ("nodes", "claims", "scenarios")), page
+
+
+@pytest.mark.parametrize("page", GENERATED, ids=str)
+def test_generated_parts_are_as_the_code_says(page):
+    text = (ROOT / page).read_text()
+    assert pages.generate(text) == text, WRITE.format(page)
+
+
+@pytest.mark.long
+def test_the_counts_of_the_readme_are_as_the_scenarios_say():
+    text = (ROOT / "README.md").read_text()
+    assert pages.generate(text) == text, WRITE.format("README.md")
+
+
+def test_a_stale_page_is_told_and_mended(tmp_path, capsys):
+    source = ROOT / GENERATED[0]
+    page = tmp_path / "page.md"
+    page.write_text(source.read_text().replace("| `period` |", "| `periode` |", 1))
+    assert pages.main([str(page), "--check"]) == 1
+    assert "is not as the code says" in capsys.readouterr().out
+    assert pages.main([str(page)]) == 0
+    assert page.read_text() == source.read_text()
+
+
+@pytest.mark.parametrize("page", [Path("README.md"), *PAGES], ids=str)
+def test_commands_and_links_of_a_page_exist(page):
+    text = (ROOT / page).read_text()
+    verbs = set(_FOREIGN) | set(_parser()._subparsers._group_actions[0].choices) | {"python", "setup"}
+    names, studies = set(list_scenarios()), set(list_studies())
+    for verb, rest in re.findall(r"^    scripts/softrig (\w+)([^#\n]*)", text, re.M):
+        assert verb in verbs, verb
+        word = rest.split()[0] if rest.split() else ""
+        if verb == "run":
+            assert word in names, rest
+        if verb == "study":
+            assert word in names | studies, rest
+        if verb == "node":
+            assert find_executable(*rest.split()[:2])
+    for link in re.findall(r"\]\(([^)\s#]+)\)", text):
+        assert link.startswith("http") or (ROOT / page).parent.joinpath(link).exists(), link
+
+
+def test_the_worked_example_of_the_scenario_file_runs(tmp_path, monkeypatch):
+    text = (ROOT / "ros_pkgs/softrig_bringup/doc/scenario_file.md").read_text()
+    example = text[text.index("## From an empty file") : text.index("## Keys")]
+    parts = re.findall(r"```yaml\n(.*?)```", example, re.S)
+    assert len(parts) == 5
+    file = tmp_path / "mine.yaml"
+    monkeypatch.chdir(tmp_path)
+    for k in range(1, len(parts) + 1):  # it runs after every step
+        file.write_text("".join(parts[:k]))
+        assert main(["run", "mine.yaml", "--mode", "inprocess", "--no-plots", "--no-record"]) == 0, parts[k - 1]
+    monkeypatch.setenv("SOFTRIG_SCENARIOS", str(tmp_path))
+    assert simulate("mine_soft").missed == []
+    shutil.rmtree(tmp_path / "runs")
+
+
+def test_every_key_of_the_scenario_file_is_on_its_page():
+    from softrig_core.rig.claims import Claim
+    from softrig_core.rig.scenario import NodeEntry, PlotEntry, Scenario
+
+    text = (ROOT / "ros_pkgs/softrig_bringup/doc/scenario_file.md").read_text()
+    for model in (Scenario, NodeEntry, PlotEntry, Claim):
+        for key in model.model_fields:
+            assert key == "name" or f"`{key}`" in text or f"`{key}:" in text, key
+
+
+def test_the_study_of_the_page_is_one():
+    text = (ROOT / "ros_pkgs/softrig_bringup/doc/studies.md").read_text()
+    (example,) = re.findall(r"```yaml\n(.*?)```", text, re.S)
+    study = make_study({"name": "example", **YAML(typ="safe").load(example)})
+    figures_of(Rig.from_scenario(load_scenario(study.scenario)))
+
+
+def test_the_first_example_in_python_says_what_comes_out():
+    text = (ROOT / "README.md").read_text()
+    code = next(c for c in re.findall(r"```python\n(.*?)```", text, re.S) if "simulate" in c)
+    said = re.search(r"# ([\d.]+)\.\.\.", code)[1]
+    printed = []
+    exec(code, {"print": printed.append})
+    assert repr(printed[0]).startswith(said)
