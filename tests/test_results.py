@@ -51,12 +51,12 @@ def test_pages_show_each_claim_with_its_measurement(folder):
 
 def test_a_false_verdict_fails_the_page_and_the_run(folder, capsys):
     assert main(["results", "lag", "--workers", "1"]) == 0
-    assert (folder / "results" / "results.html").is_file()
+    assert (folder / "runs" / "results" / "results.html").is_file()
     (folder / "lag.yaml").write_text(LAG.replace("VERDICT", "refuted"))
     capsys.readouterr()
     assert main(["results", "--workers", "1"]) == 1
     assert "softrig: lag: claim last: the verdict refuted does not hold: measured 0.45" in capsys.readouterr().err
-    assert "NOT BORNE OUT" in (folder / "results" / "results.md").read_text()
+    assert "NOT BORNE OUT" in (folder / "runs" / "results" / "results.md").read_text()
     assert main(["run", "lag", "--mode", "inprocess", "--no-record", "--no-plots"]) == 1
     assert "claim last: the verdict refuted does not hold" in capsys.readouterr().out
     claims = json.loads((folder / "runs" / "lag" / "metrics.json").read_text())["claims"]

@@ -122,6 +122,26 @@ def test_a_shared_value_can_be_set_and_reaches_all_who_refer_to_it(folder):
         load_scenario("lag", {"kk": 7.0})
 
 
+def test_a_change_goes_over_a_mapping_that_is_shared(folder):
+    shared, node = "shared: {k: 2.0,", "{package: faultrig, executable: plant, parameters: {gain: 0.75}}"
+    for whole, value in (
+        ("{package: faultrig, executable: plant, parameters: $all}", "{gain: 0.75, limit: 3.0}"),
+        ("$all", "{package: faultrig, executable: plant, parameters: {gain: 0.75, limit: 3.0}}"),
+    ):
+        text = BASE.replace(shared, f"shared: {{all: {value}, k: 2.0,").replace(node, whole)
+        (folder / "lag.yaml").write_text(text)
+        plant = load_scenario("lag", {"plant.gain": 0.5}).nodes["plant"]
+        assert (plant.executable, plant.parameters) == ("plant", {"gain": 0.5, "limit": 3.0})
+        (folder / "child.yaml").write_text(
+            "extends: lag\nnodes: {plant: {parameters: {gain: 0.25, limit: null}}}\n"
+            "variants: {more: {shared: {k: 5.0}, nodes: {plant: {parameters: {limit: $k}}}}}\n"
+        )
+        assert load_scenario("child").nodes["plant"].parameters == {"gain": 0.25}
+        assert load_scenario("child_more").nodes["plant"].parameters == {"gain": 0.25, "limit": 5.0}
+        assert load_scenario("child_more", {"k": 4.0, "plant.gain": 0.1}).nodes["plant"].parameters == {
+            "gain": 0.1, "limit": 4.0}  # fmt: skip
+
+
 def test_a_file_that_changed_is_read_again(folder):
     assert load_scenario("lag").duration == 1.0
     assert change(folder, "duration: 1.0", "duration: 22.0").duration == 22.0

@@ -124,7 +124,8 @@ def _parser() -> argparse.ArgumentParser:
     report.add_argument("--out", type=Path, default=Path("report.html"))
     results = verb("results", _results, "hold every claim of the papers against what is measured now")
     results.add_argument("systems", nargs="*", metavar="SYSTEM", help="default: all")
-    results.add_argument("--out", type=Path, default=Path("results"), metavar="DIR", help="results.html, results.md")
+    results.add_argument("--out", type=Path, default=Path("runs/results"), metavar="DIR",
+                         help="results.html and results.md go here (default runs/results)")  # fmt: skip
     results.add_argument("--studies", action="store_true", help="the claims of studies too: hundreds of runs")
     results.add_argument("--workers", type=int, metavar="N", help="processes (default: all cores)")
     study = verb("study", _study, "a scenario over grids, draws, seeds or a search; interrupted, the next call goes on")

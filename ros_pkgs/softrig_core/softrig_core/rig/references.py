@@ -7,8 +7,8 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from ..errors import ScenarioError
+from .scenario_file import SHARED, Over, merge
 
-_SHARED = re.compile(r"\$([A-Za-z_]\w*)")
 _PARAMETER = re.compile(r"\$([A-Za-z_]\w*)\.([\w.]+)")
 
 
@@ -32,8 +32,13 @@ def fill(value: Any, shared: Mapping[str, Any]) -> Any:
         return copy(shared[name], (*path, name))
 
     def copy(value: Any, path: tuple[str, ...]) -> Any:
+        if isinstance(value, Over):
+            below = copy(value.below, path)
+            for change in value.changes:
+                below = merge(below if isinstance(below, Mapping) else {}, copy(change, path))
+            return below
         if isinstance(value, str):
-            found = _SHARED.fullmatch(value)
+            found = SHARED.fullmatch(value)
             return known(found[1], path) if found else value
         if isinstance(value, Mapping):
             return {copy(k, path) if isinstance(k, str) else k: copy(v, path) for k, v in value.items()}

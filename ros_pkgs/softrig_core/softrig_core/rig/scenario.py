@@ -181,14 +181,15 @@ def load_scenario(name: str, overrides: Mapping[str, Any] | None = None) -> Scen
 def _override(raw: dict[str, Any], key: str, value: Any) -> None:
     """Lay one changed parameter or shared value over a resolved scenario."""
     node, _, parameter = key.partition(".")
-    nodes, shared = raw.get("nodes") or {}, raw.get("shared") or {}
+    nodes, shared = raw.get("nodes"), raw.get("shared") or {}
+    nodes = nodes if isinstance(nodes, Mapping) else {}
     if not parameter and key in shared:
         raw["shared"] = shared | {key: value}
         return
     if node not in nodes or not parameter:
         also = f", or a shared value ({', '.join(shared)})" if shared else ""
         raise ScenarioError(f"override {key!r}: expected node.parameter with node one of {', '.join(nodes)}{also}")
-    raw["nodes"] = nodes | {node: merge(nodes[node] or {}, {"parameters": {parameter: value}})}
+    raw["nodes"] = merge({**nodes, node: nodes[node] or {}}, {node: {"parameters": {parameter: value}}})
 
 
 def explain(error: ValidationError) -> str:

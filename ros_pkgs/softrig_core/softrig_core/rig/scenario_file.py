@@ -8,11 +8,12 @@ import re
 from collections.abc import Iterable, Iterator, Mapping
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from ..errors import ScenarioError
 from .yaml_file import SIZE, read_yaml
 
+SHARED = re.compile(r"\$([A-Za-z_]\w*)")  # a reference to a shared value
 OWN = ("expect", "claims")  # what a scenario is judged by stands in its own entry: never inherited
 
 
@@ -139,15 +140,35 @@ def _without(old: Any, new: Any, what: str, lost: tuple[str, ...]) -> Any:
     return {k: v for k, v in old.items() if k not in lost}
 
 
+class Over(NamedTuple):
+    """Changes to a mapping that is written ``$name``: merged when the shared values are filled in."""
+
+    below: str
+    changes: tuple[Mapping[str, Any], ...]
+
+
 def merge(base: Mapping[str, Any], change: Mapping[str, Any]) -> dict[str, Any]:
-    """Lay one mapping over another, level by level; null removes a key."""
+    """Lay one mapping over another, level by level; null removes a key.
+
+    Parameters
+    ----------
+    base : mapping
+        What lies below; left as it is.
+    change : mapping
+        What goes over it. A mapping over a reference ``$name`` becomes an `Over`.
+    """
     merged = dict(base)
     for key, value in change.items():
         if value is None:
             merged.pop(key, None)
         elif isinstance(value, Mapping):
             below = merged.get(key)
-            merged[key] = merge(below if isinstance(below, Mapping) else {}, value)
+            if isinstance(below, Over):
+                merged[key] = Over(below.below, (*below.changes, value))
+            elif isinstance(below, str) and SHARED.fullmatch(below):
+                merged[key] = Over(below, (value,))
+            else:
+                merged[key] = merge(below if isinstance(below, Mapping) else {}, value)
         else:
             merged[key] = value
     return merged
