@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.metadata
 import json
+import math
 import platform
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -12,6 +13,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from softrig_core.errors import RunError
+from softrig_core.model.block import Block, Observer
 from softrig_core.model.params import declarations, flatten
 from softrig_core.rig.figures import Result, figures_of
 from softrig_core.rig.inprocess import run_inprocess
@@ -58,10 +60,7 @@ def execute(
         status: dict[str, dict[str, Any]] = {}
         try:
             blocks = run_inprocess(rig, scenario.seed, recording, progress)
-            status = {
-                name: {"reports": {k: [int(level), text, n] for k, (level, text, n) in block.reports.items()}}
-                for name, block in blocks.items()
-            }
+            status = {name: _status(block) for name, block in blocks.items()}
         except RunError as broken:
             error = str(broken)
         run = Run(rig, scenario.seed, recording, time.perf_counter() - started, status=status, error=error)
@@ -75,6 +74,14 @@ def execute(
     if not run.error and mode != "realtime":
         run.error = gaps(rig, run.recording)
     return run
+
+
+def _status(block: Block) -> dict[str, Any]:
+    """What a block says of itself at the end of a run in process, as a node's status file does."""
+    status: dict[str, Any] = {"reports": {k: [int(level), text, n] for k, (level, text, n) in block.reports.items()}}
+    if isinstance(block, Observer):
+        status["figures"] = {k: [v, unit] for k, (v, unit) in block.status().items() if math.isfinite(v)}
+    return status
 
 
 def gaps(rig: Rig, recording: Recording) -> str:

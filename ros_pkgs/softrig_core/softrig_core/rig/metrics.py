@@ -169,30 +169,42 @@ def peak(
 
 
 @figure("{signal}^2")
-def mean_square(signals: SignalMap, signal: str, *, start: float | None = None, end: float | None = None) -> float:
-    """Mean of the squares (MSE of an error)."""
-    return float(np.mean(window(signals, signal, start, end)[1] ** 2))
+def mean_square(
+    signals: SignalMap, signal: str, *, reference: float | str = 0.0, start: float | None = None,
+    end: float | None = None,
+) -> float:  # fmt: skip
+    """Mean of the squares of signal - reference (MSE of an error)."""
+    return float(np.mean(_error(signals, signal, reference, start, end)[1] ** 2))
 
 
 @figure("{signal}")
-def mean_absolute(signals: SignalMap, signal: str, *, start: float | None = None, end: float | None = None) -> float:
-    """Mean of the absolute values (MAE of an error, MAC of a current, MAV of a voltage)."""
-    return float(np.abs(window(signals, signal, start, end)[1]).mean())
+def mean_absolute(
+    signals: SignalMap, signal: str, *, reference: float | str = 0.0, start: float | None = None,
+    end: float | None = None,
+) -> float:  # fmt: skip
+    """Mean of the absolute values of signal - reference (MAE of an error, MAC of a current, MAV of a voltage)."""
+    return float(np.abs(_error(signals, signal, reference, start, end)[1]).mean())
 
 
 @figure("{signal}")
-def sum_absolute(signals: SignalMap, signal: str, *, start: float | None = None, end: float | None = None) -> float:
+def sum_absolute(
+    signals: SignalMap, signal: str, *, reference: float | str = 0.0, start: float | None = None,
+    end: float | None = None,
+) -> float:  # fmt: skip
     """Sum of the absolute values of all samples (SAE); grows with their number."""
-    return float(np.abs(window(signals, signal, start, end)[1]).sum())
+    return float(np.abs(_error(signals, signal, reference, start, end)[1]).sum())
 
 
 @figure("{signal} s")
 def integral_absolute(
-    signals: SignalMap, signal: str, *, start: float | None = None, end: float | None = None
-) -> float:
+    signals: SignalMap, signal: str, *, reference: float | str = 0.0, start: float | None = None,
+    end: float | None = None,
+) -> float:  # fmt: skip
     """Integral of the absolute value (IAE of an error), each sample held until the next."""
-    t, x = window(signals, signal, start, end, least=2)
-    return float(np.abs(x).sum() * (t[1] - t[0]))
+    t, e = _error(signals, signal, reference, start, end)
+    if t.size < 2:
+        raise ValueError(f"{signal} has {t.size} samples, needed 2")
+    return float(np.abs(e).sum() * (t[1] - t[0]))
 
 
 @figure("{signal}")

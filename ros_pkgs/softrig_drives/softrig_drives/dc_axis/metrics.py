@@ -2,24 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
-from softrig_core.model.block import Observer
-from softrig_core.model.params import BlockParams, param
+from softrig_core.model.params import param
 from softrig_core.node import executable
+from softrig_core.rig import metrics
+from softrig_core.rig.watch import Measure, Watch, WatchParams
 
-from ..step_figures import StepFigures
 from .ports import COMMAND, CONTROLLER_STATE, TRUE_STATE
 
+Y, V = "axis/true_state/axis/position", "axis/true_state/axis/velocity"
+SET_POINT = "axis/controller_state/set_point/position"
 
-class AxisMetricsParams(BlockParams):
+
+class AxisMetricsParams(WatchParams):
     """Settling band."""
 
     band: float = param(0.02, "settling band as a fraction of the step", gt=0.0)
 
 
-class AxisMetrics(Observer):
+class AxisMetrics(Watch[AxisMetricsParams]):
     """Step response of the true position to the newest change of the set point."""
 
     Params = AxisMetricsParams
@@ -27,38 +30,30 @@ class AxisMetrics(Observer):
 
     def start(self) -> None:
         """No step yet."""
-        self._set_point: float | None = None
-        self._step: StepFigures | None = None
-        self._peaks = (0.0, 0.0)
-        self._error = 0.0
+        super().start()
+        self._step: tuple[float, float, float] | None = None  # time, position before, set point
 
-    def update(
-        self, t: int, *, true_state: tuple[float, float], command: tuple[float], controller_state: tuple[float, ...]
-    ) -> Mapping[str, Any]:
+    def update(self, t: int, **inputs: Any) -> Mapping[str, Any]:
         """Take one sample in."""
-        position, velocity = true_state
-        set_point = controller_state[0]
-        if set_point != self._set_point:
-            self._set_point = set_point
-            self._step = StepFigures(t / 1e9, position, set_point, self.p.band) if set_point != position else None
-            self._peaks = (0.0, 0.0)
-        if self._step is not None:
-            self._step.add(t / 1e9, position)
-        self._peaks = max(self._peaks[0], abs(command[0])), max(self._peaks[1], abs(velocity))
-        self._error = set_point - position
-        return {}
+        set_point = inputs["controller_state"][0]
+        if self._step is None or set_point != self._step[2]:
+            self._step = t / 1e9, inputs["true_state"][0], set_point
+        return super().update(t, **inputs)
 
-    def status(self) -> Mapping[str, tuple[float, str]]:
-        """Give the figures known so far."""
-        if self._set_point is None:
-            return {}
-        return {
-            **(self._step.status() if self._step is not None else {}),
-            "set_point": (self._set_point, "mm"),
-            "error": (self._error, "mm"),
-            "peak_voltage": (self._peaks[0], "V"),
-            "peak_speed": (self._peaks[1], "mm/s"),
-        }
+    def measures(self) -> Iterator[Measure]:
+        """Figures of the step under way."""
+        if self._step is None:
+            return
+        at, before, set_point = self._step
+        step = {"signal": Y, "start": at, "initial": before, "final": set_point}
+        yield Measure("rise_time", metrics.rise_time, step)
+        yield Measure("settling_time", metrics.settling_time, step | {"band": self.p.band})
+        yield Measure("overshoot", metrics.overshoot, step)
+        yield Measure("set_point", metrics.final_value, {"signal": SET_POINT})
+        now = self.now / 1e9
+        yield Measure("error", metrics.mean_error, {"signal": Y, "reference": set_point, "start": now})
+        yield Measure("peak_voltage", metrics.peak, {"signal": "axis/command/armature/effort", "start": at})
+        yield Measure("peak_speed", metrics.peak, {"signal": V, "start": at})
 
 
 main = executable(AxisMetrics)

@@ -2,30 +2,32 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
-from softrig_core.model.block import Observer
-from softrig_core.model.params import BlockParams, param
+from softrig_core.model.params import param
 from softrig_core.node import executable
+from softrig_core.rig import metrics
+from softrig_core.rig.watch import Measure, Watch, WatchParams
 
-from ..step_figures import StepFigures
 from .ports import COMMAND, REFERENCE, SENSORS, SPEED
 
+SPEED_NOW, VOLTAGE = "motor/state/shaft/velocity", "motor/command/armature/effort"
+CURRENT = "motor/sensors/current_a/position"
 
-class DcMotorMetricsParams(BlockParams):
+
+class DcMotorMetricsParams(WatchParams):
     """Settling band and late window."""
 
     band: float = param(0.02, "settling band as a fraction of the step", gt=0.0)
     late: float = param(3.0, "steady figures are taken from this time after a step on", "s", ge=0.0)
 
 
-class DcMotorMetrics(Observer):
-    """Step response and chattering figures of the newest step of the reference, in constant memory.
+class DcMotorMetrics(Watch[DcMotorMetricsParams]):
+    """Step response and chattering figures of the newest step of the reference.
 
-    The definitions are those of `softrig_core.rig.metrics`, which sees the whole recording. On the rig, remap
-    ``motor/state`` to ``motor/true_state`` and ``motor/command`` to ``motor/applied`` for the true figures.
+    On the rig, remap ``motor/state`` to ``motor/true_state`` and ``motor/command`` to ``motor/applied`` for the true
+    figures.
     """
 
     Params = DcMotorMetricsParams
@@ -33,66 +35,32 @@ class DcMotorMetrics(Observer):
 
     def start(self) -> None:
         """No step yet."""
-        self._r: float | None = None
-        self._step: StepFigures | None = None
-        self._late: _LateFigures | None = None
+        super().start()
+        self._step: tuple[float, float, float] | None = None  # time, speed before, reference
 
-    def update(
-        self, t: int, *, state: tuple[float, ...], sensors: tuple[float, ...], command: tuple[float, ...],
-        reference: tuple[float, ...] | None,
-    ) -> Mapping[str, Any]:  # fmt: skip
+    def update(self, t: int, **inputs: Any) -> Mapping[str, Any]:
         """Take one sample in."""
-        if reference is None:
-            return {}
-        seconds, w, r = t / 1e9, state[0], reference[0]
-        if r != self._r:
-            self._r, self._from, self._current = r, seconds, 0.0
-            self._step = StepFigures(seconds, w, r, self.p.band) if r != w else None
-            self._late = None
-        if self._step is not None:
-            self._step.add(seconds, w)
-        self._current = max(self._current, abs(sensors[1]))
-        if self._late is not None:
-            self._late.add(seconds, r - w, command[0])
-        elif seconds - self._from >= self.p.late:
-            self._late = _LateFigures(seconds, r - w, command[0])
-        return {}
+        reference = inputs["reference"]
+        if reference is not None and (self._step is None or reference[0] != self._step[2]):
+            self._step = t / 1e9, inputs["state"][0], reference[0]
+        return super().update(t, **inputs)
 
-    def status(self) -> Mapping[str, tuple[float, str]]:
-        """Give the figures that are known so far."""
-        if self._r is None:
-            return {}
-        step = self._step.status() if self._step is not None else {}
-        late = self._late.status() if self._late is not None else {}
-        return {**step, **late, "peak_current": (self._current, "A")}
-
-
-class _LateFigures:
-    """Figures of the speed error e and the voltage v once the step is over; the first sample makes one."""
-
-    def __init__(self, t: float, e: float, v: float) -> None:
-        self._first = self._last = t
-        self._n, self._sum, self._squares = 1, e, e * e
-        self._least = self._most = e
-        self._v, self._variation = v, 0.0
-
-    def add(self, t: float, e: float, v: float) -> None:
-        self._n += 1
-        self._sum += e
-        self._squares += e * e
-        self._least, self._most = min(self._least, e), max(self._most, e)
-        self._variation += abs(v - self._v)
-        self._last, self._v = t, v
-
-    def status(self) -> Mapping[str, tuple[float, str]]:
-        figures = {
-            "mean_error": (self._sum / self._n, "rad/s"),
-            "rms_error": (math.sqrt(self._squares / self._n), "rad/s"),
-            "peak_to_peak": (self._most - self._least, "rad/s"),
-        }
-        if self._last > self._first:
-            figures["total_variation"] = (self._variation / (self._last - self._first), "V/s")
-        return figures
+    def measures(self) -> Iterator[Measure]:
+        """Figures of the step under way, and late ones once it is over."""
+        if self._step is None:
+            return
+        at, before, r = self._step
+        step = {"signal": SPEED_NOW, "start": at, "initial": before, "final": r}
+        yield Measure("rise_time", metrics.rise_time, step)
+        yield Measure("settling_time", metrics.settling_time, step | {"band": self.p.band})
+        yield Measure("overshoot", metrics.overshoot, step)
+        yield Measure("peak_current", metrics.peak, {"signal": CURRENT, "start": at})
+        late = at + self.p.late
+        if self.now / 1e9 >= late:
+            yield Measure("mean_error", metrics.mean_error, {"signal": SPEED_NOW, "reference": r, "start": late})
+            yield Measure("rms_error", metrics.rms, {"signal": SPEED_NOW, "reference": r, "start": late})
+            yield Measure("peak_to_peak", metrics.peak_to_peak, {"signal": SPEED_NOW, "start": late})
+            yield Measure("total_variation", metrics.total_variation, {"signal": VOLTAGE, "start": late})
 
 
 main = executable(DcMotorMetrics)

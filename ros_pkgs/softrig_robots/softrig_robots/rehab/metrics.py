@@ -2,35 +2,31 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
+from collections.abc import Iterator
 
-from softrig_core.model.block import Observer
-from softrig_core.model.params import BlockParams, param
+from softrig_core.model.params import param
 from softrig_core.model.port import command, joint_state, reference
 from softrig_core.node import executable
+from softrig_core.rig import metrics
+from softrig_core.rig.watch import Measure, Watch, WatchParams
 
 from .model import JOINTS
 
-Vector = tuple[float, ...]
 
-
-class RehabMetricsParams(BlockParams):
+class RehabMetricsParams(WatchParams):
     """From when on the late figures count."""
 
     period: float = param(0.001, "sampling period", "s", gt=0.0)
     late: float = param(3.0, "begin of the late window", "s", ge=0.0)
 
 
-class RehabMetrics(Observer):
+class RehabMetrics(Watch[RehabMetricsParams]):
     """MSE, SAE, IAE of the error, MAC of the currents, MAV of the voltages, rms of the late error; angles in degrees.
 
-    In constant memory. Remap ``reference`` to ``regenerated`` behind an impedance law. A sample counts when the next
-    one has come: at the end of a run the plant gives outputs that no reference belongs to.
+    Remap ``reference`` to ``regenerated`` behind an impedance law.
     """
 
     Params = RehabMetricsParams
-    p: RehabMetricsParams
     INPUTS = (
         joint_state("joint_states", "joint_states", JOINTS, position="rad"),
         joint_state("motor_states", "motor_states", JOINTS, effort="A"),
@@ -38,50 +34,16 @@ class RehabMetrics(Observer):
         reference("reference", "reference", JOINTS, position="rad"),
     )
 
-    def start(self) -> None:
-        """Nothing seen yet."""
-        n = len(JOINTS)
-        self._count = self._late = 0
-        self._squares, self._late_squares, self._absolute = [0.0] * n, [0.0] * n, [0.0] * n
-        self._current, self._voltage = [0.0] * n, [0.0] * n
-        self._waiting: tuple[int, Vector, Vector, Vector, Vector] | None = None
-
-    def update(
-        self, t: int, *, joint_states: Vector, motor_states: Vector, motor_command: Vector, reference: Vector
-    ) -> Mapping[str, Vector]:
-        """Take one sample in."""
-        if self._waiting is not None:
-            self._account(*self._waiting)
-        self._waiting = (t, joint_states, motor_states, motor_command, reference)
-        return {}
-
-    def _account(
-        self, t: int, joint_states: Vector, motor_states: Vector, motor_command: Vector, reference: Vector
-    ) -> None:
-        late = t >= self.p.late * 1e9
-        self._count += 1
-        self._late += late
-        for i in range(len(JOINTS)):
-            e = math.degrees(reference[i] - joint_states[i])
-            self._squares[i] += e * e
-            self._late_squares[i] += e * e * late
-            self._absolute[i] += abs(e)
-            self._current[i] += abs(motor_states[i])
-            self._voltage[i] += abs(motor_command[i])
-
-    def status(self) -> Mapping[str, tuple[float, str]]:
-        """Give the figures so far."""
-        figures = {}
-        n = self._count
-        for i, joint in enumerate(JOINTS if n else ()):
-            figures[f"mse {joint}"] = (self._squares[i] / n, "deg^2")
-            figures[f"sae {joint}"] = (self._absolute[i], "deg")
-            figures[f"iae {joint}"] = (self._absolute[i] * self.p.period, "deg s")
-            figures[f"mac {joint}"] = (self._current[i] / n, "A")
-            figures[f"mav {joint}"] = (self._voltage[i] / n, "V")
-            if self._late:
-                figures[f"late_rms_error {joint}"] = (math.sqrt(self._late_squares[i] / self._late), "deg")
-        return figures
+    def measures(self) -> Iterator[Measure]:
+        """Figures of each joint."""
+        for joint in JOINTS:
+            error = {"signal": f"joint_states/{joint}/position", "reference": f"reference/{joint}/position"}
+            yield Measure(f"mse {joint}", metrics.mean_square, error, "deg^2")
+            yield Measure(f"sae {joint}", metrics.sum_absolute, error, "deg")
+            yield Measure(f"iae {joint}", metrics.integral_absolute, error, "deg s")
+            yield Measure(f"mac {joint}", metrics.mean_absolute, {"signal": f"motor_states/{joint}/effort"})
+            yield Measure(f"mav {joint}", metrics.mean_absolute, {"signal": f"motor_command/{joint}/effort"})
+            yield Measure(f"late_rms_error {joint}", metrics.rms, error | {"start": self.p.late}, "deg")
 
 
 main = executable(RehabMetrics)

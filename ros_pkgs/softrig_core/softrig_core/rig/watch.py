@@ -1,0 +1,126 @@
+"""Observers as a window and a list of figures: the functions that a recording is measured with, on a running rig."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any, NamedTuple, TypeVar
+
+import numpy as np
+
+from ..model.block import Observer
+from ..model.params import BlockParams, param
+from ..model.port import Port
+from ..model.timebase import SECOND
+from ..wire.signals import Signal
+from .registry import Function
+from .units import compose, factor
+
+
+class WatchParams(BlockParams):
+    """How far back the figures look."""
+
+    window: float = param(60.0, "the figures are those of this last time", "s", gt=0.0, le=3600.0)
+
+
+W = TypeVar("W", bound=WatchParams)
+
+
+class Measure(NamedTuple):
+    """One figure of an observer: its name, a figure function, the arguments, and its unit if it is to be converted."""
+
+    name: str
+    function: Function
+    arguments: Mapping[str, Any] = {}
+    unit: str | None = None
+
+
+class Watch(Observer[W]):
+    """An observer that keeps what it saw in a window and measures it with figure functions when it is asked.
+
+    Subclasses say `measures`; signals are named ``topic/channel/field`` with the port's own topic, whatever it is
+    remapped to. Each message counts once, at its own stamp: a slower input is not repeated, and at the end of a run,
+    where plants speak once more, a command of the tick before is not paired with them.
+    """
+
+    def start(self) -> None:
+        """Nothing seen yet."""
+        inputs, _ = self.ports(self.p)
+        self._ports = {port.name: port for port in inputs}
+        self._rows: dict[str, deque[tuple[int, tuple[float, ...]]]] = {port.name: deque() for port in inputs}
+        self._reach = round(self.p.window * SECOND)
+        self.now = 0
+
+    def update(self, t: int, **inputs: Any) -> Mapping[str, tuple[float, ...]]:
+        """Keep what is new."""
+        self.now = t
+        for name, values in inputs.items():
+            if values is None:
+                continue
+            stamp, rows = t - (self.age(name) or 0), self._rows[name]
+            if not rows or stamp > rows[-1][0]:
+                rows.append((stamp, getattr(values, "data", values)))
+                while rows[0][0] < t - self._reach:
+                    rows.popleft()
+        return {}
+
+    def measures(self) -> Iterable[Measure]:
+        """Give the figures; asked each time, so that they may depend on what was seen."""
+        raise NotImplementedError
+
+    def status(self) -> Mapping[str, tuple[float, str]]:
+        """Give the figures that can be measured so far."""
+        signals = Seen(self._ports, self._rows)
+        found = {}
+        for m in self.measures():
+            given = compose(getattr(m.function, "unit", m.unit or ""), signals.unit(m.arguments.get("signal")))
+            scale = 1.0 if m.unit is None else factor(given, m.unit)
+            if scale is None:
+                raise ValueError(f"figure {m.name}: unit {m.unit!r}, but it is in {given!r}")
+            try:
+                value = scale * float(m.function(signals, **m.arguments))
+            except (KeyError, ValueError):  # not enough samples yet
+                continue
+            if math.isfinite(value):
+                found[m.name] = (value, given if m.unit is None else m.unit)
+        return found
+
+
+class Seen(Mapping[str, Signal]):
+    """What a `Watch` keeps, as the signals that figure functions take."""
+
+    def __init__(self, ports: Mapping[str, Port], rows: Mapping[str, Iterable[tuple[int, tuple[float, ...]]]]) -> None:
+        self._ports = {port.topic: (port, rows[name]) for name, port in ports.items()}
+        self._tables: dict[str, tuple[Any, Any]] = {}
+
+    def unit(self, name: Any) -> str:
+        """Unit of a signal; empty for what is none."""
+        topic = self._topic(name) if isinstance(name, str) else None
+        if topic is None:
+            return ""
+        port = self._ports[topic][0]
+        return port.units[port.labels.index(name[len(topic) + 1 :])]
+
+    def _topic(self, name: str) -> str | None:
+        return max((t for t in self._ports if name.startswith(f"{t}/")), key=len, default=None)
+
+    def __getitem__(self, name: str) -> Signal:
+        topic = self._topic(name)
+        if topic is None or name[len(topic) + 1 :] not in self._ports[topic][0].labels:
+            raise KeyError(name)
+        port, rows = self._ports[topic]
+        if topic not in self._tables:
+            kept = list(rows)
+            times = np.array([t for t, _ in kept], dtype=np.int64) / SECOND
+            values = np.array([v for _, v in kept], dtype=np.float64).reshape(len(kept), port.size)
+            self._tables[topic] = times, values
+        times, values = self._tables[topic]
+        return Signal(times, values[:, port.labels.index(name[len(topic) + 1 :])])
+
+    def __iter__(self) -> Iterator[str]:
+        for topic, (port, _) in self._ports.items():
+            yield from (f"{topic}/{label}" for label in port.labels)
+
+    def __len__(self) -> int:
+        return sum(1 for _ in self)
