@@ -133,7 +133,7 @@ class Rig:
         >>> simulate(rig).signals["motor/state/shaft/velocity"]
         """
         nodes = {
-            node: {"package": "", "executable": type(block).__name__, "parameters": flatten(block.p),
+            node: {"package": "none", "executable": type(block).__name__.strip("_"), "parameters": flatten(block.p),
                    "remap": dict((remap or {}).get(node, {}))}
             for node, block in blocks.items()
         }  # fmt: skip

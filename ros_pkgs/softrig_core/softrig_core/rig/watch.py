@@ -61,8 +61,8 @@ class Watch(Observer[W]):
             stamp, rows = t - (self.age(name) or 0), self._rows[name]
             if not rows or stamp > rows[-1][0]:
                 rows.append((stamp, getattr(values, "data", values)))
-                while rows[0][0] < t - self._reach:
-                    rows.popleft()
+            while rows and rows[0][0] < t - self._reach:
+                rows.popleft()
         return {}
 
     def measures(self) -> Iterable[Measure]:

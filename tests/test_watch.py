@@ -1,0 +1,66 @@
+"""Observers as windows with figures: each message once, nothing paired that does not belong together."""
+
+import pytest
+from conftest import in_process, make_scenario
+from faultrig import COMMAND, REFERENCE, STATE, Gain, Lag, Source
+from softrig_core.rig import metrics
+from softrig_core.rig.inprocess import run_inprocess
+from softrig_core.rig.rig import Rig
+from softrig_core.rig.watch import Measure, Watch, WatchParams
+from softrig_core.wire.signals import Signals
+
+X, U, R = "lag/state/x/position", "lag/command/u/effort", "lag/reference/x/position"
+
+
+class Eye(Watch[WatchParams]):
+    INPUTS = (STATE, COMMAND, REFERENCE)
+
+    def measures(self):
+        yield Measure("rms_error", metrics.rms, {"signal": X, "reference": R})
+        yield Measure("mean_command", metrics.mean, {"signal": U})
+        yield Measure("variation", metrics.total_variation, {"signal": U})
+        yield Measure("last", metrics.final_value, {"signal": X})
+        yield Measure("never", metrics.rise_time, {"signal": X, "final": 1e9})
+
+
+@pytest.mark.parametrize("period", [0.01, 0.05])
+def test_running_figures_equal_those_of_the_recording_to_the_last_bit(period):
+    """A command five times as slow is not counted five times, and the last output is not paired with old inputs."""
+    rig = Rig.from_blocks(
+        {"plant": Lag(), "source": Source(), "gain": Gain(period=period, noise=0.1), "eye": Eye()}, 1.0
+    )
+    status = run_inprocess(rig, 3)["eye"].status()
+    signals = Signals(in_process(rig, 3))
+    assert status == {
+        "rms_error": (metrics.rms(signals, X, reference=R), "m"),
+        "mean_command": (metrics.mean(signals, U), "N"),
+        "variation": (metrics.total_variation(signals, U), "N/s"),
+        "last": (signals[X].x[-1], "m"),
+    }
+
+
+def test_the_window_moves_and_forgets():
+    rig = Rig.from_blocks({"plant": Lag(), "source": Source(), "gain": Gain(), "eye": Eye(window=0.25)}, 1.0)
+    status = run_inprocess(rig, 0)["eye"].status()
+    signals = Signals(in_process(rig))
+    assert status["mean_command"][0] == metrics.mean(signals, U, start=0.75)
+    assert status["mean_command"][0] != metrics.mean(signals, U)
+
+
+def test_nothing_seen_gives_no_figures_and_reset_forgets():
+    eye = Eye()
+    assert eye.status() == {}
+    eye.update(0, state=(1.0, 0.0), command=(2.0,), reference=(3.0,))
+    assert eye.status()["last"] == (1.0, "m")
+    eye.reset(0)
+    assert eye.status() == {}
+
+
+def test_an_offline_reference_is_not_paired_with_the_output_at_the_end():
+    signals = Signals(
+        in_process(Rig.from_scenario(make_scenario({"plant": "plant", "source": "source", "gain": "gain"})))
+    )
+    t, x = signals[X]
+    when, r = signals[R]
+    assert t.size == when.size + 1
+    assert metrics.peak(signals, X, reference=R) == abs(x[:-1] - r).max()
