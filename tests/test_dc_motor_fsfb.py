@@ -131,7 +131,7 @@ def test_5_delay_without_compensation(delay):
 
 @pytest.mark.parametrize("delay", range(40, 141, 10))
 def test_5_predictor_that_assumes_80_ms(delay):
-    assert overshoot(axis("dc_motor_fsfb_s5", delay__delay_ms=float(delay)), 10.0) <= 0.5
+    assert overshoot(axis("dc_motor_fsfb_s5", delay__delay=1e-3 * delay), 10.0) <= 0.5
 
 
 def test_6_set_p_needs_the_predictor():
@@ -302,13 +302,13 @@ def test_stretch_long_steps_do_not_overshoot_with_anti_windup(step):
 
 
 def test_stretch_any_delay_up_to_300_ms():
-    found = {d: overshoot(axis(delay__delay_ms=float(d), **FINE), 10.0) for d in range(0, 301, 20)}
+    found = {d: overshoot(axis(delay__delay=1e-3 * d, **FINE), 10.0) for d in range(0, 301, 20)}
     assert max(found.values()) <= 0.3
 
 
 @pytest.mark.parametrize(("step", "limit"), [(10.0, 0.5), (40.0, 0.15)])
 def test_stretch_random_delay_of_6_to_10_periods(step, limit):
-    late = {"delay__delay_ms": 60.0, "delay__jitter_ms": 40.0, "controller__step_mm": step}
+    late = {"delay__delay": 0.06, "delay__jitter": 0.04, "controller__step_mm": step}
     found = [overshoot(axis(seed=seed, **late, **FINE), step) for seed in range(10)]
     assert len(set(found)) == 10  # ten different runs
     assert max(found) <= limit
@@ -616,9 +616,9 @@ def test_after_a_long_gap_the_commands_are_not_trusted(moving):
 
 
 def test_fixed_delay_is_rounded_up_and_reported():
-    block = controller(delay_from="fixed", delay_ms=75.0)
+    block = controller(delay_from="fixed", delay=0.075)
     assert "rounded up to 8" in block.reports["delay"][1]
-    same = axis("dc_motor_fsfb_s5", controller__delay_ms=75.0)
+    same = axis("dc_motor_fsfb_s5", controller__delay=0.075)
     assert (same[Y].x == run("dc_motor_fsfb_s5")[Y].x).all()
 
 
@@ -638,7 +638,7 @@ def test_a_long_step_without_anti_windup_is_reported(aw, step, warned):
         (FsfbController, {"kp": math.inf}, "kp"),
         (FsfbController, {"kv": math.nan}, "kv"),
         (FsfbController, {"compensation": "smith"}, "'none', 'velocity' or 'predictor'"),
-        (FsfbController, {"delay_from": "fixed", "delay_ms": 600.0}, "beyond max_age"),
+        (FsfbController, {"delay_from": "fixed", "delay": 0.6}, "beyond max_age"),
         (FsfbController, {"u_limit_v": 0.0}, "u_limit_v"),
         (FsfbController, {"gian": 1.0}, "gian is unknown"),
         (DcAxisPlant, {"counts_per_rev": 0.0}, "counts_per_rev"),

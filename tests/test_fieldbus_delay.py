@@ -24,15 +24,15 @@ def pass_through(link, ticks=200, seed=0, data=lambda k: (float(k), -float(k))):
 @given(delay=st.integers(0, 30))
 @settings(max_examples=10, deadline=None)
 def test_a_sample_arrives_whole_periods_later_under_its_own_stamp(delay):
-    arrived = pass_through(FieldbusDelay(delay_ms=10.0 * delay), 60)
+    arrived = pass_through(FieldbusDelay(delay=0.01 * delay), 60)
     for k, sample in enumerate(arrived):
         j = max(0, k - delay)  # before the first arrival: the initial sample, under its stamp
         assert sample == Sample(j * PERIOD, (float(j), -float(j)))
 
 
 def test_a_delay_between_periods_is_rounded_up_and_reported():
-    link = FieldbusDelay(delay_ms=71.0)
-    assert pass_through(link) == pass_through(FieldbusDelay(delay_ms=80.0))
+    link = FieldbusDelay(delay=0.071)
+    assert pass_through(link) == pass_through(FieldbusDelay(delay=0.08))
     assert link.reports["delay"][0] == Level.WARN
     assert "rounded up to 8 and 0 periods" in link.reports["delay"][1]
 
@@ -42,7 +42,7 @@ def ages(link, seed=0, ticks=2000):
 
 
 def test_jitter_is_uniform_over_whole_periods_and_keeps_the_newest():
-    link = FieldbusDelay(name="link", delay_ms=60.0, jitter_ms=40.0)
+    link = FieldbusDelay(name="link", delay=0.06, jitter=0.04)
     found = ages(link, ticks=20_000)
     assert min(found) == 6
     # age 6 when the sample sent 6 periods ago had no extra delay; 7 when that of 7 had at most one; ...
@@ -53,36 +53,36 @@ def test_jitter_is_uniform_over_whole_periods_and_keeps_the_newest():
 
 
 def test_stamps_never_go_back():
-    stamps = [s.stamp for s in pass_through(FieldbusDelay(name="link", delay_ms=10.0, jitter_ms=200.0), 500)]
+    stamps = [s.stamp for s in pass_through(FieldbusDelay(name="link", delay=0.01, jitter=0.2), 500)]
     assert stamps == sorted(stamps)
 
 
 def test_a_lost_sample_leaves_the_one_before():
-    found = ages(FieldbusDelay(name="link", delay_ms=20.0, loss=0.3), ticks=20_000)
+    found = ages(FieldbusDelay(name="link", delay=0.02, loss=0.3), ticks=20_000)
     assert found.count(2) / len(found) == pytest.approx(0.7, abs=0.01)
     assert found.count(3) / len(found) == pytest.approx(0.3 * 0.7, abs=0.01)
 
 
 def test_random_numbers_come_from_seed_and_name_only():
     def make(name, **options):
-        return FieldbusDelay(name=name, delay_ms=20.0, **options)
+        return FieldbusDelay(name=name, delay=0.02, **options)
 
-    link = make("link", jitter_ms=50.0)
+    link = make("link", jitter=0.05)
     found = ages(link, seed=3)
     assert ages(link, seed=4) != found
     assert ages(link, seed=3) == found  # a reset forgets everything
-    assert ages(make("other", jitter_ms=50.0), seed=3) != found
+    assert ages(make("other", jitter=0.05), seed=3) != found
 
 
 def test_values_are_rounded_to_their_steps():
-    link = FieldbusDelay(delay_ms=0.0, quantum=(0.5, 0.0))
+    link = FieldbusDelay(delay=0.0, quantum=(0.5, 0.0))
     arrived = pass_through(link, 4, data=lambda k: (0.3 * k - 0.5, 0.3 * k))
     assert [s.data[0] for s in arrived] == [-0.5, 0.0, 0.0, 0.5]
     assert [s.data[1] for s in arrived] == pytest.approx([0.0, 0.3, 0.6, 0.9])
 
 
 def test_a_slow_sender_is_not_sent_twice():
-    link = FieldbusDelay(name="link", delay_ms=30.0, loss=0.5)
+    link = FieldbusDelay(name="link", delay=0.03, loss=0.5)
     link.reset(0)
     stamps = []
     for k in range(400):
@@ -94,7 +94,7 @@ def test_a_slow_sender_is_not_sent_twice():
 
 
 def test_out_of_order_input_is_dropped_and_reported():
-    link = FieldbusDelay(delay_ms=0.0)
+    link = FieldbusDelay(delay=0.0)
     link.update(0, sent=Sample(5, (1.0, 0.0)))
     assert link.update(PERIOD, sent=Sample(4, (2.0, 0.0)))["arrived"] == Sample(5, (1.0, 0.0))
     assert link.reports["order"][0] == Level.WARN
@@ -111,7 +111,7 @@ MESSAGES = {
 @pytest.mark.parametrize("message", MESSAGES)
 @pytest.mark.parametrize("restamp", [False, True])
 def test_ports_of_every_message_type(message, restamp):
-    link = FieldbusDelay(message=message, restamp=restamp, delay_ms=10.0, **MESSAGES[message])
+    link = FieldbusDelay(message=message, restamp=restamp, delay=0.01, **MESSAGES[message])
     (sent,), (arrived,) = FieldbusDelay.ports(link.p)
     assert sent.layout().msgtype == arrived.layout().msgtype == message
     assert (sent.topic, arrived.topic) == ("axis/state", "axis/feedback")
@@ -128,7 +128,7 @@ def test_ports_of_every_message_type(message, restamp):
 @pytest.mark.parametrize(
     ("parameters", "text"),
     [
-        ({"delay_ms": -1.0}, "delay_ms"),
+        ({"delay": -1.0}, "parameter delay"),
         ({"loss": 1.0}, "loss"),
         ({"topic_out": "axis/state"}, "topic_in and topic_out are both 'axis/state'"),
         ({"message": "std_msgs/msg/Bool"}, "message"),
@@ -160,7 +160,7 @@ COMMAND = {"channels": ["armature"], "fields": ["effort"], "restamp": True, "ini
 
 
 def test_a_link_before_a_plants_command():
-    late = with_link("dc_motor_fsfb", "dc_axis_plant", "axis/command", 1.0, delay_ms=30.0, **COMMAND)
+    late = with_link("dc_motor_fsfb", "dc_axis_plant", "axis/command", 1.0, delay=0.03, **COMMAND)
     signals = Signals(in_process(Rig.from_scenario(late)))
     t, sent = signals["axis/command/armature/effort"]
     arrived = signals["axis/command_late/armature/effort"].x
@@ -179,7 +179,7 @@ def test_a_link_in_another_rig_whose_controller_knows_nothing_of_links():
     member = next(m for m in rig.members if m.name == "dc_motor_smc")
     port = next(p for p in member.inputs if p.topic == topic)
     options = {"channels": list(port.channels), "fields": list(port.fields), "period": member.params.period}
-    late = with_link(name, "dc_motor_smc", topic, 0.5, delay_ms=20.0, restamp=True, **options)
+    late = with_link(name, "dc_motor_smc", topic, 0.5, delay=0.02, restamp=True, **options)
     signals = Signals(in_process(Rig.from_scenario(late)))
     label = f"{port.channels[0]}/{port.fields[0]}"
     periods = round(0.02 / member.params.period)
@@ -190,6 +190,6 @@ def test_a_link_in_another_rig_whose_controller_knows_nothing_of_links():
 
 
 def test_two_links_in_a_row_add_up():
-    late = with_link("dc_motor_fsfb", "fsfb_controller", "axis/feedback", 1.0, delay_ms=30.0)
+    late = with_link("dc_motor_fsfb", "fsfb_controller", "axis/feedback", 1.0, delay=0.03)
     table = Signals(in_process(Rig.from_scenario(late))).table("axis/feedback_late")
     assert table.t[11:] - table.stamp[11:] == pytest.approx(0.11)

@@ -382,7 +382,7 @@ rclpy.spin(node)
 
 def test_a_link_loses_a_refused_measurement_and_the_run_goes_on(tmp_path):
     """Messages that are paired by counting: one that cannot be read counts too."""
-    parameters = {"topic_in": "lag/state", "topic_out": "lag/late_state", "channels": ["x"], "delay_ms": 30.0}
+    parameters = {"topic_in": "lag/state", "topic_out": "lag/late_state", "channels": ["x"], "delay": 0.03}
     link = {"package": "softrig_control", "executable": "fieldbus_delay", "parameters": parameters}
     nodes = {"plant": {"executable": "plant", "external": True}, "source": "source", "link": link, "gain": "late_gain"}
     wired = rig(nodes, 0.3, timeout=1.5)

@@ -20,9 +20,9 @@ from .unit_delay import LinkParams
 class FieldbusDelayParams(LinkParams):
     """Which messages the link carries and what it does to them."""
 
-    delay_ms: float = param(80.0, "delay, rounded up to whole periods", "ms", ge=0.0)
-    jitter_ms: float = param(0.0, "largest additional delay; whole periods from 0 up to it are equally likely", "ms",
-                             ge=0.0)  # fmt: skip
+    delay: float = param(0.08, "delay, rounded up to whole periods", "s", ge=0.0)
+    jitter: float = param(0.0, "largest additional delay; whole periods from 0 up to it are equally likely", "s",
+                          ge=0.0)  # fmt: skip
     loss: float = param(0.0, "probability that a message is lost", ge=0.0, lt=1.0)
     quantum: tuple[float, ...] = param((), "step to which each value is rounded, 0 for none; empty: no rounding")
     restamp: bool = param(False, "stamp with the time of delivery, for a receiver that pairs messages by stamp")
@@ -59,8 +59,8 @@ class FieldbusDelay(Block[FieldbusDelayParams]):
         """Turn times into whole periods."""
         p = self.p
         self._period = to_ns(p.period)
-        self._delay, self._rounded = whole_periods(p.delay_ms, p.period)
-        self._jitter, rounded = whole_periods(p.jitter_ms, p.period)
+        self._delay, self._rounded = whole_periods(p.delay, p.period)
+        self._jitter, rounded = whole_periods(p.jitter, p.period)
         self._rounded |= rounded
         self._random = self._jitter > 0 or p.loss > 0.0
 
@@ -71,7 +71,7 @@ class FieldbusDelay(Block[FieldbusDelayParams]):
         self._held: Sample | None = None
         if self._rounded:
             self.report(
-                Level.WARN, "delay", f"delay {self.p.delay_ms:g} ms and jitter {self.p.jitter_ms:g} ms are not whole "
+                Level.WARN, "delay", f"delay {self.p.delay:g} s and jitter {self.p.jitter:g} s are not whole "
                 f"periods of {self.p.period:g} s: rounded up to {self._delay} and {self._jitter} periods",
             )  # fmt: skip
 
@@ -115,15 +115,15 @@ class FieldbusDelay(Block[FieldbusDelayParams]):
         heapq.heappush(self._line, (t + periods * self._period, sample.stamp, data))
 
 
-def whole_periods(time_ms: float, period: float) -> tuple[int, bool]:
-    """Round a time in ms up to whole periods (s).
+def whole_periods(time: float, period: float) -> tuple[int, bool]:
+    """Round a time up to whole periods, both in s.
 
     Returns
     -------
     (int, bool)
         Number of periods, and whether the time was not a multiple.
     """
-    exact = time_ms * 1e-3 / period
+    exact = time / period
     periods = math.ceil(exact - 1e-9)
     return periods, abs(periods - exact) > 1e-9 * max(1.0, exact)
 

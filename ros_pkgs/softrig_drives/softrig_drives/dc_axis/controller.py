@@ -34,8 +34,8 @@ class FsfbControllerParams(MotorParams):
     ki: float = param(73.199977, "gain of the integrator", "1/s")
     integral: bool = param(True, "integrator on; off: u = r - kv v - kp y")
     compensation: Literal["none", "velocity", "predictor"] = param("predictor", "treatment of the feedback delay")
-    delay_from: Literal["stamps", "fixed"] = param("stamps", "delay of a sample: its age, or delay_ms")
-    delay_ms: float = param(80.0, "feedback delay where it is not taken from the stamps", "ms", ge=0.0)
+    delay_from: Literal["stamps", "fixed"] = param("stamps", "delay of a sample: its age, or the parameter delay")
+    delay: float = param(0.08, "feedback delay where it is not taken from the stamps", "s", ge=0.0)
     max_age: float = param(0.5, "age from which feedback is refused", "s", gt=0.0)
     count_mm: float = param(0.0, "encoder count: half of it is added to a reading that is rounded down; 0: as read",
                             "mm", ge=0.0)  # fmt: skip
@@ -44,8 +44,8 @@ class FsfbControllerParams(MotorParams):
 
     @model_validator(mode="after")
     def _works(self) -> Self:
-        if self.delay_from == "fixed" and self.delay_ms > 1e3 * self.max_age:
-            raise ValueError(f"delay_ms = {self.delay_ms:g} ms is beyond max_age = {self.max_age:g} s")
+        if self.delay_from == "fixed" and self.delay > self.max_age:
+            raise ValueError(f"delay = {self.delay:g} s is beyond max_age = {self.max_age:g} s")
         k = self.kv / self.mm_per_volt, self.kp / self.mm_per_volt
         ki = self.ki / self.mm_per_volt if self.integral else None
         require_stable(closed_loop_poles(self.a, self.b, (0.0, 1.0), k, ki))
@@ -111,7 +111,7 @@ class FsfbController(Block):
         self._replay = CommandReplay(phi, gamma, math.ceil(p.max_age / p.period))
         self._set_point = SetPoint(p.step_mm, self.report, math.inf if p.aw else LARGEST_STEP)
         self._half_count = 0.5 * p.count_mm
-        self._fixed, self._rounded = whole_periods(p.delay_ms, p.period)
+        self._fixed, self._rounded = whole_periods(p.delay, p.period)
 
     def _make_law(self) -> StateFeedback:
         p, scale = self.p, self.p.mm_per_volt
@@ -135,7 +135,7 @@ class FsfbController(Block):
             for _ in range(self._fixed):  # before the first command the drive holds 0 V
                 self._replay.record(0.0)
             if self._rounded:
-                self.report(Level.WARN, "delay", f"delay_ms = {self.p.delay_ms:g} is not a whole number of periods: "
+                self.report(Level.WARN, "delay", f"delay = {self.p.delay:g} s is not a whole number of periods: "
                                                  f"rounded up to {self._fixed}")  # fmt: skip
 
     def update(
