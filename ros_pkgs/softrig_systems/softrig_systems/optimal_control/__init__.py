@@ -1,0 +1,1 @@
+"""Optimal control by modified variational iteration, against direct collocation and exact answers."""

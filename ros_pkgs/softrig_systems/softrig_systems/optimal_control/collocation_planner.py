@@ -1,0 +1,55 @@
+"""The collocation planner: the same topics as the series planner, rows sampled over time instead of coefficients."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from softrig_core.model.params import param
+from softrig_core.model.worker import Work
+from softrig_core.node import executable
+
+from .collocation import sampled, solve
+from .mvim import END
+from .planning import Planned, Planner, PlannerParams, Request
+
+
+class CollocationParams(PlannerParams):
+    """Grid of the collocation."""
+
+    intervals: int = param(20, "intervals of equal length", ge=1, le=1000)
+    degree: int = param(3, "Legendre points in each", ge=1, le=9)
+    samples: int = param(101, "columns of the plan, equidistant in time", ge=4, le=10_001)
+    warm_start: bool = param(True, "begin with what the last plan says of the time left")
+
+
+class CollocationPlanner(Planner):
+    """Direct collocation by casadi and ipopt: see `collocation`."""
+
+    Params = CollocationParams
+    LABEL = "time"
+
+    @classmethod
+    def shape(cls, params: Any) -> tuple[int, int]:
+        """One column a sample."""
+        return 1, params.samples
+
+    @staticmethod
+    def solve(request: Request, work: Work) -> Planned:
+        """Solve one problem."""
+        p: CollocationParams = request.p
+        problem = p.statement().changed(x0=request.x, horizon=request.horizon)
+        guess = None
+        if p.warm_start and request.before is not None:
+            rows, horizon = request.before
+            guess = sampled(rows, horizon, request.horizon, len(problem.states))
+        found = solve(problem, intervals=p.intervals, degree=p.degree, samples=p.samples, guess=guess)
+        scale = max(map(abs, (*problem.x0, *(problem.x_end or ())))) or 1.0
+        details = {"J": f"{found.J:.12g}", "iterations": str(found.iterations), "ipopt": found.reason,
+                   "residual": f"{found.residual:.3g}", "alpha": " ".join(map(str, found.alpha))}  # fmt: skip
+        return Planned(tuple(found.rows.ravel().tolist()), p.degree, found.J, found.residual, found.end_error,
+                       found.success and found.end_error <= END * scale,
+                       found.success and found.residual < p.eps_res, found.reason, details,
+                       (found.rows, request.horizon))  # fmt: skip
+
+
+main = executable(CollocationPlanner)

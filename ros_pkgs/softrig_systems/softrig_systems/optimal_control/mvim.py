@@ -1,0 +1,306 @@
+r"""Modified variational iteration: Pontryagin's conditions as an initial value problem, solved by power series.
+
+The paper's step is
+
+.. math:: V_{n+1} = V_n - \int_0^t \{R(V_n - V_{n-1}) + (G_n - G_{n-1})\} d\tau, \quad V_{-1} = 0, \quad V_0 = V(0)
+
+with :math:`G_n` the Maclaurin polynomial up to :math:`t^n` of the nonlinear term. (The inhomogeneous term "- g" of its
+step (8) belongs to n = 0 only: as printed it would be added at every step.) :math:`V_n` is exactly the Maclaurin
+polynomial of degree n of the solution, so it is computed by recursion on the coefficients, in scaled time s = t/T,
+at a cost of n^2 a product. The initial costate alpha = lambda(0) follows from the end conditions by Newton's method;
+the derivative of the polynomial with respect to alpha is the polynomial of the variational equations, so the Jacobian
+is exact.
+
+Beyond the radius of convergence the horizon is cut into stages of equal length, each with a polynomial of its own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from softrig_core.model.jit import jit
+
+from .series import slope, value
+from .tape import evaluate, expand
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from .problem import Problem
+    from .tape import Tape
+
+    Array = NDArray[np.float64]
+
+NEWTON = 40  # steps at most
+HALVINGS = 12  # of a step that makes the end error larger
+SHARES = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)  # of the horizon
+AROUND = (-2.0, -1.0, 1.0, 2.0)  # where other roots are looked for, in sizes of alpha
+JUMP = 0.5  # change of alpha from one order to the next, of its size, that is taken for the same branch
+NODES, WEIGHTS = (0.5 * (v + shift) for v, shift in zip(np.polynomial.legendre.leggauss(64), (1.0, 0.0), strict=True))
+GRID = np.linspace(0.0, 1.0, 65)
+END = 1e-8  # end error allowed, of the size of the states
+
+
+@dataclass
+class Solution:
+    """An extremal in polynomials, and how it came about.
+
+    Parameters
+    ----------
+    coefficients : ndarray, (stages, states + costates + controls, order + 1)
+        Of powers of s = (t - t_stage)/(T/stages).
+    horizon : float
+        T, s.
+    order : int
+    alpha : ndarray, (states,)
+        lambda(0).
+    J : list of float
+        Integral of the running cost along the polynomials, for each order from 1 on. Not what a plant pays: it can
+        lie below the true minimum.
+    ratio : list of float
+        abs(J_n - J_(n-1)) / abs(J_n); infinite at order 1.
+    residual : list of float
+        Largest T abs(dz/dt - F(z)), relative to the largest state or to the largest costate.
+    state_residual : list of float
+        Largest abs(dx/dt - f(x, u)), in the states' unit per s.
+    end_error : float
+        Largest violation of the end conditions.
+    accurate : bool
+        Whether the end error is within 1e-8 of the size of the states.
+    converged : bool
+        Sound rule: two ratios in a row below eps, and the residual below eps_res.
+    seed_order : int
+        Order at which the paper's rule (one ratio below eps) would have stopped; 0: at none so far.
+    reason : str
+    """
+
+    coefficients: Array
+    horizon: float
+    order: int
+    alpha: Array
+    J: list[float] = field(default_factory=list)
+    ratio: list[float] = field(default_factory=list)
+    residual: list[float] = field(default_factory=list)
+    state_residual: list[float] = field(default_factory=list)
+    alphas: list[Array] = field(default_factory=list)
+    end_error: float = np.inf
+    accurate: bool = False
+    converged: bool = False
+    seed_order: int = 0
+    reason: str = ""
+
+    def __call__(self, t: float) -> Array:
+        """Values of states, costates and controls at t (s)."""
+        return polynomials(self.coefficients, t / self.horizon)
+
+
+def polynomials(coefficients: Array, s: float) -> Array:
+    """Values of a plan of stages x variables x powers at s in [0, 1] of its horizon."""
+    stages = coefficients.shape[0]
+    stage = min(max(int(s * stages), 0), stages - 1)
+    local = s * stages - stage
+    return np.array([value(row, local) for row in coefficients[stage]])
+
+
+@jit
+def chain(tape: Tape, start: Array, T: float, stages: int, z: Array, more: Array) -> None:
+    """Expand stage after stage, each from where the one before ends; z (stages, n, k), more (stages, m, k)."""
+    for stage in range(stages):
+        for i in range(start.shape[0]):
+            z[stage, i, 0] = start[i] if stage == 0 else value(z[stage - 1, i], 1.0)
+        expand(tape, z[stage], more[stage], T / stages)
+
+
+@jit
+def sample(z: Array, grid: Array, values: Array, slopes: Array) -> None:
+    """Values and derivatives (by s) of polynomials z (n, k) on a grid, into (points, n) each."""
+    for p in range(grid.shape[0]):
+        for i in range(z.shape[0]):
+            values[p, i] = value(z[i], grid[p])
+            slopes[p, i] = slope(z[i], grid[p])
+
+
+def _ends(problem: Problem, alpha: Array, order: int, stages: int, T: float) -> tuple[Array, Array]:
+    """End error after T s and its Jacobian with respect to alpha."""
+    n = alpha.size
+    start = np.concatenate([problem.x0, alpha, np.zeros(2 * n * n)])
+    for i in range(n):
+        start[2 * n + i * 2 * n + n + i] = 1.0
+    z = np.zeros((stages, start.size, order + 1))
+    chain(problem.extremal.variational, start, T, stages, z, np.zeros((stages, 0, order + 1)))
+    end = z[-1].sum(axis=1)
+    S = end[2 * n :].reshape(n, 2 * n).T
+    return problem.end_error(end[: 2 * n]), S[n:] if problem.x_end is None else S[:n]
+
+
+def newton(
+    problem: Problem, alpha: Array, order: int, stages: int, T: float, accurate: float, halvings: int = 0
+) -> tuple[Array, float]:
+    """Solve the end conditions for alpha by Newton's method.
+
+    Parameters
+    ----------
+    accurate : float
+        Error from which on steps that no longer halve it are counted, to stop where only rounding changes.
+    halvings : int
+        A step that makes the error larger is halved so often at most; 0: full steps, come what may.
+
+    Returns
+    -------
+    alpha : ndarray
+    error : float
+        Largest violation that is left.
+    """
+    error, jacobian = _ends(problem, alpha, order, stages, T)
+    size = float(np.max(np.abs(error)))
+    best, least, idle = alpha, size, 0
+    for _ in range(NEWTON):
+        if not np.isfinite(size) or not np.all(np.isfinite(jacobian)) or least == 0.0 or idle > 1:
+            break
+        try:
+            step = np.linalg.solve(jacobian, -error)
+        except np.linalg.LinAlgError:
+            break
+        before = size
+        for _ in range(halvings + 1):
+            tried = alpha + step
+            error, jacobian = _ends(problem, tried, order, stages, T)
+            size = float(np.max(np.abs(error)))
+            if size < before or not halvings:
+                break
+            step = 0.5 * step
+        alpha = tried
+        if least <= accurate and size > 0.5 * least:
+            idle += 1
+        if size < least:
+            best, least = alpha, size
+    return best, least
+
+
+def costate(problem: Problem, alpha: Array, order: int, stages: int, accurate: float) -> Array:
+    """Solve the end conditions of an order from the alpha of the order before.
+
+    Polynomials of high order have several roots. One that is further off than half of alpha may be of another branch:
+    Newton's method is then begun all around alpha, too, and the nearest root taken. Where there is none, horizons that
+    grow to T, from alpha = 0 on.
+    """
+    T = problem.horizon
+    found, error = newton(problem, alpha, order, stages, T, accurate)
+    size = float(np.linalg.norm(alpha))
+    if error <= accurate and (size == 0.0 or np.linalg.norm(found - alpha) <= JUMP * size):
+        return found
+    roots = [found] if error <= accurate else []
+    for start in alpha + max(size, 1.0) * np.vstack([d for r in AROUND for d in (r * np.eye(alpha.size))]):
+        tried, missing = newton(problem, start, order, stages, T, accurate, HALVINGS)
+        if missing <= accurate:
+            roots.append(tried)
+    if roots:
+        return min(roots, key=lambda root: float(np.linalg.norm(root - alpha)))
+    grown = np.zeros_like(alpha)
+    for share in SHARES:
+        grown, missing = newton(problem, grown, order, stages, share * T, accurate, HALVINGS)
+        if not missing <= accurate:
+            return found
+    return grown
+
+
+def _judge(problem: Problem, z: Array, u: Array) -> tuple[float, float, float]:
+    """Cost along the polynomials, relative residual of all equations, absolute one of the states' equations."""
+    extremal, stages = problem.extremal, z.shape[0]
+    n, T = len(problem.states), problem.horizon / z.shape[0]
+    J = 0.0
+    off, sizes = np.zeros(2 * n), np.zeros(2 * n)
+    both = np.concatenate([z, u], axis=1)
+    for stage in range(stages):
+        at, rate = np.empty((NODES.size, both.shape[1])), np.empty((NODES.size, both.shape[1]))
+        sample(both[stage], NODES, at, rate)
+        L = np.empty((NODES.size, 1))
+        evaluate(extremal.cost, np.concatenate([at[:, :n], at[:, 2 * n :]], axis=1), L)
+        J += T * float(WEIGHTS @ L[:, 0])
+        at, rate = np.empty((GRID.size, 2 * n)), np.empty((GRID.size, 2 * n))
+        sample(z[stage], GRID, at, rate)
+        F = np.empty((GRID.size, 2 * n))
+        evaluate(extremal.tape, at, F)
+        off = np.maximum(off, np.max(np.abs(rate / T - F), axis=0))
+        sizes = np.maximum(sizes, np.max(np.abs(at), axis=0))
+    states, costates = float(np.max(off[:n])), float(np.max(off[n:]))
+    tiny = np.finfo(float).tiny
+    relative = problem.horizon * max(states / max(np.max(sizes[:n]), tiny), costates / max(np.max(sizes[n:]), tiny))
+    return J, float(relative), states
+
+
+def solve(
+    problem: Problem, order: int = 8, order_max: int | None = None, *, eps: float = 1e-3, eps_res: float = 1e-4,
+    stages: int = 1, alpha_mode: Literal["own", "frozen"] = "own", frozen_order: int = 0,
+    frozen_alpha: Sequence[float] = (),
+) -> Solution:  # fmt: skip
+    """Solve a problem by series of rising order.
+
+    Parameters
+    ----------
+    problem : Problem
+    order : int
+        Least order of the answer.
+    order_max : int, optional
+        From `order` on it goes on until the sound rule is met, at most to here; `order` when absent.
+    eps, eps_res : float
+        Of the stopping rule.
+    stages : int
+        Parts of the horizon, each with polynomials of its own.
+    alpha_mode : {"own", "frozen"}
+        Solve for alpha at each order, starting from that of the order before, or take one alpha at all of them.
+    frozen_order : int
+        Order whose alpha is the frozen one; 0: `order`.
+    frozen_alpha : sequence of float
+        Instead: the frozen alpha itself.
+
+    Returns
+    -------
+    Solution
+    """
+    n, m = len(problem.states), len(problem.controls)
+    extremal, last = problem.extremal, order if order_max is None else order_max
+    scale = max(map(abs, (*problem.x0, *(problem.x_end or ())))) or 1.0
+    alpha = np.zeros(n)
+    if alpha_mode == "frozen":
+        if len(frozen_alpha):
+            alpha = np.array(frozen_alpha, dtype=float)
+        else:
+            for k in range(1, (frozen_order or order) + 1):
+                alpha = costate(problem, alpha, k, stages, END * scale)
+    found = Solution(np.zeros((stages, 2 * n + m, 1)), problem.horizon, 0, alpha)
+    for k in range(1, last + 1):
+        if alpha_mode == "own":
+            alpha = costate(problem, alpha, k, stages, END * scale)
+        z, u = np.zeros((stages, 2 * n, k + 1)), np.zeros((stages, m, k + 1))
+        chain(extremal.tape, np.concatenate([problem.x0, alpha]), problem.horizon, stages, z, u)
+        J, residual, state_residual = _judge(problem, z, u)
+        found.ratio.append(abs(J - found.J[-1]) / max(abs(J), np.finfo(float).tiny) if found.J else np.inf)
+        found.J.append(J)
+        found.residual.append(residual)
+        found.state_residual.append(state_residual)
+        found.alphas.append(alpha)
+        if not found.seed_order and found.ratio[-1] < eps:
+            found.seed_order = k
+        found.converged = k > 2 and max(found.ratio[-2:]) < eps and residual < eps_res
+        if k >= order and found.converged:
+            break
+    found.order, found.alpha, found.coefficients = k, alpha, np.concatenate([z, u], axis=1)
+    found.end_error = float(np.max(np.abs(problem.end_error(z[-1].sum(axis=1)))))
+    found.accurate = bool(found.end_error <= END * scale)
+    found.reason = _reason(found, eps, eps_res)
+    return found
+
+
+def _reason(found: Solution, eps: float, eps_res: float) -> str:
+    if not found.accurate:
+        return f"end conditions missed by {found.end_error:.3g}"
+    if found.residual[-1] >= eps_res:
+        return f"residual {found.residual[-1]:.3g} is not below {eps_res:g}"
+    if not found.converged:
+        return f"cost has not settled: ratios {', '.join(f'{r:.3g}' for r in found.ratio[-2:])} against {eps:g}"
+    return f"converged at order {found.order}"

@@ -1,0 +1,83 @@
+"""The series planner: a measured state in, polynomials of states, costates and controls out."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Literal, Self
+
+import numpy as np
+from pydantic import model_validator
+from softrig_core.model.params import param
+from softrig_core.model.worker import Work
+from softrig_core.node import executable
+
+from .mvim import Solution, solve
+from .planning import Planned, Planner, PlannerParams, Request
+
+
+class MvimParams(PlannerParams):
+    """Orders, stopping rule and how alpha is found."""
+
+    order: int = param(8, "least order of the polynomials", ge=1, le=60)
+    order_max: int | None = param(None, "go on to it until the rule is met; order when absent", ge=1, le=60)
+    stages: int = param(1, "parts of the horizon with polynomials of their own", ge=1, le=64)
+    eps: float = param(1e-3, "change of the cost, relative, below which it counts as settled", gt=0.0, le=1.0)
+    alpha_mode: Literal["own", "frozen"] = param("own", "alpha solved for at each order, or one for all (the paper)")
+    frozen_order: int = param(0, "order whose alpha is the frozen one; 0: order", ge=0, le=60)
+    frozen_alpha: tuple[float, ...] = param((), "instead: the frozen alpha itself; it ends where it ends")
+
+    @model_validator(mode="after")
+    def _orders(self) -> Self:
+        if self.order_max is not None and self.order_max < self.order:
+            raise ValueError(f"order_max = {self.order_max}: expected at least order = {self.order}")
+        n = len(self.statement().states)
+        if self.frozen_alpha and (len(self.frozen_alpha) != n or not all(map(math.isfinite, self.frozen_alpha))):
+            raise ValueError(f"frozen_alpha = {self.frozen_alpha}: expected {n} finite numbers")
+        return self
+
+    @property
+    def last(self) -> int:
+        """Highest order."""
+        return self.order_max or self.order
+
+
+class MvimPlanner(Planner):
+    """Modified variational iteration: see `mvim`.
+
+    Rows of the plan are states, costates and controls; columns the coefficients of powers of s = (t - start)/horizon,
+    in each stage of its own length. Orders below `order_max` leave the last columns 0.
+    """
+
+    Params = MvimParams
+
+    @classmethod
+    def shape(cls, params: Any) -> tuple[int, int]:
+        """One column a power."""
+        return params.stages, params.last + 1
+
+    @staticmethod
+    def solve(request: Request, work: Work) -> Planned:
+        """Solve one problem."""
+        p: MvimParams = request.p
+        problem = p.statement().changed(x0=request.x, horizon=request.horizon)
+        found = solve(problem, p.order, p.last, eps=p.eps, eps_res=p.eps_res, stages=p.stages, alpha_mode=p.alpha_mode,
+                      frozen_order=p.frozen_order, frozen_alpha=p.frozen_alpha)  # fmt: skip
+        values = np.zeros((p.stages, found.coefficients.shape[1], p.last + 1))
+        values[:, :, : found.order + 1] = found.coefficients
+        # a frozen alpha is what somebody claims: its plan is given out to be judged
+        accurate = found.accurate or p.alpha_mode == "frozen"
+        return Planned(tuple(values.ravel().tolist()), found.order, found.J[-1], found.residual[-1], found.end_error,
+                       accurate, found.converged, found.reason, _details(found))  # fmt: skip
+
+
+def _details(found: Solution) -> dict[str, str]:
+    def row(values: Any) -> str:
+        return " ".join(f"{v:.10g}" for v in values)
+
+    return {"order": str(found.order), "alpha": row(found.alpha), "J per order": row(found.J),
+            "ratio per order": row(found.ratio), "residual": f"{found.residual[-1]:.3g}",
+            "end error": f"{found.end_error:.3g}", "converged": str(found.converged),
+            "order of the paper's rule": str(found.seed_order), "reason": found.reason}  # fmt: skip
+
+
+main = executable(MvimPlanner)

@@ -1,0 +1,43 @@
+"""What all nodes of a problem have in common: which problem, over which time, to which end."""
+
+from __future__ import annotations
+
+from typing import Self
+
+from pydantic import model_validator
+from softrig_core.model.params import BlockParams, param
+
+from .problem import Problem, ProblemError, find
+from .problems import INERTIA, spacecraft
+
+
+class ProblemParams(BlockParams):
+    """Statement of the problem; what is left out is the problem's own."""
+
+    period: float = param(1.0, "sampling period", "s", gt=0.0, le=100.0)
+    problem: str = param("spacecraft", "scalar, spacecraft, two_state, reactor, or package.module:NAME of a Problem")
+    x0: tuple[float, ...] = param((), "start of the plant; the problem's own when empty")
+    x_end: tuple[float, ...] = param((), "end state; the problem's own, or a free end, when empty")
+    horizon: float | None = param(None, "T; the problem's own when absent", "s", gt=0.0, le=1e6)
+    R: tuple[float, ...] = param((), "weight of the control, u'Ru/2, row by row; the problem's own when empty")
+    inertia: tuple[float, ...] = param(INERTIA, "spacecraft: principal moments", "kg m^2")
+
+    @model_validator(mode="after")
+    def _stated(self) -> Self:
+        self.statement().extremal  # noqa: B018  (raises for a weight that is not definite)
+        return self
+
+    def statement(self) -> Problem:
+        """Give the problem with these parameters.
+
+        Raises
+        ------
+        ProblemError
+            It cannot be stated so.
+        """
+        problem = find(self.problem)
+        if problem.name == "spacecraft":
+            problem = spacecraft(self.inertia)
+        if self.x_end and problem.x_end is None:
+            raise ProblemError(f"x_end: the end of {problem.name} is free")
+        return problem.changed(x0=self.x0 or None, horizon=self.horizon, x_end=self.x_end or None, R=self.R)

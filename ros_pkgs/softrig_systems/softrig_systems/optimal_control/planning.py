@@ -1,0 +1,138 @@
+"""What every planner node does: when it plans, what it asks, what it makes known; the mathematics is the subclass's."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from softrig_core.model.block import Level
+from softrig_core.model.params import param
+from softrig_core.model.port import Port, button
+from softrig_core.model.solver import Result, Solver, SolverParams
+from softrig_core.model.timebase import to_s
+
+from .parameters import ProblemParams
+from .ports import plan, state, summary
+
+LEAST = 2  # periods: with less time left the old plan stays
+
+
+class PlannerParams(SolverParams, ProblemParams):
+    """When to plan, and what is demanded of a plan."""
+
+    period: float = param(1.0, "sampling period", "s", gt=0.0, le=100.0)
+    k_replan: int = param(0, "plan again from the measured state each so many periods; 0: once", ge=0, le=1_000_000)
+    eps_res: float = param(1e-4, "largest residual, T |dz/dt - F| relative to the largest state or costate",
+                           gt=0.0, le=1e3)  # fmt: skip
+
+
+class Request(NamedTuple):
+    """What the working process gets."""
+
+    p: Any
+    x: tuple[float, ...]
+    horizon: float
+    before: Any
+    """The last plan, for a warm start; None at first."""
+
+
+class Planned(NamedTuple):
+    """What it gives back."""
+
+    values: tuple[float, ...]
+    """The plan as on its topic."""
+
+    order: int
+    J: float
+    residual: float
+    end_error: float
+    accurate: bool
+    converged: bool
+    reason: str
+    details: Mapping[str, str]
+    """For the diagnostics."""
+
+    memory: Any = None
+    """For the next request."""
+
+
+class Planner(Solver[PlannerParams]):
+    """Plans from the first measured state to the end of the horizon, and again from later ones on what is left of it.
+
+    A press on `replan`, or each `k_replan` periods, asks for a new plan, unless less than two periods are left. A state
+    that is refused or not finite asks for nothing: the last plan stays. A plan that misses the end conditions by more
+    than 1e-8 of the state is not published (ERROR); one with too large a residual is, as not converged (WARN).
+    """
+
+    LABEL = "power"
+
+    @classmethod
+    def shape(cls, params: Any) -> tuple[int, int]:
+        """Give (stages, columns) of a plan."""
+        raise NotImplementedError
+
+    @classmethod
+    def ports(cls, params: Any) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
+        """Channels of the problem."""
+        problem = params.statement()
+        stages, columns = cls.shape(params)
+        inputs = (state(problem), button("replan", "~/replan", held=True))
+        return inputs, (plan(problem, columns, stages=stages, label=cls.LABEL, out=True), summary(out=True))
+
+    def start(self) -> None:
+        """Nothing planned."""
+        self._begin: int | None = None
+        self._ticks = 0
+        self._pressed = False
+        self._last: Planned | None = None
+        self._n = len(self.p.statement().states)
+        self._T = self.p.statement().horizon
+
+    def request(self, t: int, *, state: tuple[float, ...], replan: Any = None) -> Request | None:
+        """Ask at the first state, at a press, and each `k_replan` periods."""
+        pressed, self._pressed = replan == (1.0,) and not self._pressed, replan == (1.0,)
+        x = state[: self._n]
+        if not all(map(math.isfinite, x)):
+            self.report(Level.ERROR, "state", "state is not finite: the last plan stays")
+            return None
+        first = self._begin is None
+        if first:
+            self._begin = t
+        else:
+            self._ticks += 1
+        again = self.p.k_replan > 0 and self._ticks % self.p.k_replan == 0
+        if not (first or again or pressed):
+            return None
+        left = self._T - to_s(t - (self._begin or 0))
+        if not first and left < LEAST * self.p.period * (1.0 - 1e-9):
+            return None
+        return Request(self.p, x, left, self._last.memory if self._last else None)
+
+    def answer(self, t: int, result: Result | None, new: bool) -> Mapping[str, tuple[float, ...]]:
+        """Give a new plan once."""
+        if not new or result is None:
+            return {}
+        found: Planned | None = result.answer
+        if found is None:
+            self.report(Level.ERROR, "limit", "no plan in time: the last one stays")
+            return {}
+        if not found.accurate or not np.all(np.isfinite(found.values)):
+            self.report(Level.ERROR, "no_plan", f"no plan: {found.reason}")
+            return {}
+        if not found.converged:
+            self.report(Level.WARN, "not_converged", f"not converged: {found.reason}")
+        self._last = found
+        left = self._T - to_s(result.stamp - (self._begin or 0))
+        trusted = float(found.residual < self.p.eps_res)
+        return {
+            "plan": found.values,
+            "summary": (to_s(result.stamp), left, float(found.order), found.J, found.residual, found.end_error,
+                        float(found.converged), trusted),
+        }  # fmt: skip
+
+    def health(self) -> Mapping[str, str]:
+        """Add what is known of the plan in effect."""
+        last = self._last
+        return {**super().health(), **(last.details if last else {})}

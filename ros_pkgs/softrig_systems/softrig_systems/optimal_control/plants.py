@@ -1,0 +1,135 @@
+"""Plants of the problems: the statement's own equations under a held command."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any, Self
+
+from pydantic import model_validator
+from softrig_core.model.block import Level, Plant
+from softrig_core.model.compiled import Compiled
+from softrig_core.model.ode import rk4
+from softrig_core.model.params import param
+from softrig_core.model.port import Port
+from softrig_core.node import executable
+
+from .parameters import ProblemParams
+from .ports import control, state
+from .problem import Problem
+
+ESCAPED = 1e3  # a state beyond it stops the plant
+
+
+class OcpPlantParams(ProblemParams):
+    """Problem, disturbance and steps."""
+
+    substeps: int = param(4, "Runge-Kutta steps in a period", ge=1, le=1000)
+    bias: tuple[float, ...] = param((), "added to each command, in its unit; nothing when empty")
+    torque_limit: float | None = param(None, "largest absolute command; without limit when absent", gt=0.0, le=1e9)
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        controls = self.statement().controls
+        if self.bias and (len(self.bias) != len(controls) or not all(map(math.isfinite, self.bias))):
+            raise ValueError(f"bias = {self.bias}: expected {len(controls)} finite numbers")
+        return self
+
+
+def step_function(name: str, problem: Problem, substeps: int) -> Compiled:
+    """Compile (x, u, h) to (x after h s, what L has added), by so many steps of the Runge-Kutta method of order 4."""
+    import casadi as ca
+
+    x, u, dx, L = problem.expressions()
+    h = ca.SX.sym("h")
+    rate = ca.Function("rate", [x, u], [ca.vertcat(dx, L)])
+    n = x.numel()
+    end = rk4(lambda y: rate(y[:n], u), ca.vertcat(x, 0), h / substeps, substeps)
+    return Compiled(ca.Function(name, [x, u, h], [end[:n], end[n]]))
+
+
+class OcpPlant(Plant[OcpPlantParams]):
+    """Any problem's equations, integrated by Runge-Kutta steps of order 4 with the command held.
+
+    A state that leaves [-1000, 1000] (the scalar and the two-state problem can escape in finite time) stops the plant:
+    it keeps the last state inside and says ERROR; nothing that is not finite is ever published.
+    """
+
+    @classmethod
+    def ports(cls, params: OcpPlantParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
+        """Channels of the problem."""
+        problem = params.statement()
+        return (control(problem),), (state(problem),)
+
+    def setup(self) -> None:
+        """Compile the step."""
+        self._problem = self.p.statement()
+        self._step = step_function("ocp_step", self._problem, self.p.substeps)
+        m = len(self._problem.controls)
+        self._bias = self.p.bias or (0.0,) * m
+        self._limit = math.inf if self.p.torque_limit is None else self.p.torque_limit
+
+    def start(self) -> None:
+        """The problem's start."""
+        self.x = self._problem.x0
+        self._applied = (0.0,) * len(self._problem.controls)
+        self._stopped = False
+
+    def outputs(self, t: int) -> Mapping[str, tuple[float, ...]]:
+        """Give the state; with velocities the command that was applied until now."""
+        return {"state": (*self.x, *self._applied) if self._problem.carrier == "velocity" else self.x}
+
+    def advance(self, t: int, **inputs: Any) -> None:
+        """Move on by a period."""
+        if self._stopped:
+            return
+        u = inputs["command"]
+        if not all(map(math.isfinite, u)):
+            self.report(Level.ERROR, "not_finite", "command is not finite: the one before is held")
+            u = self._applied
+        if max(map(abs, u)) > self._limit:
+            self.report(Level.WARN, "limited", f"command beyond {self._limit:g}: limited")
+            u = tuple(min(max(v, -self._limit), self._limit) for v in u)
+        self._applied = tuple(u)
+        *x, _ = self._step((*self.x, *(v + b for v, b in zip(u, self._bias, strict=True)), self.p.period))
+        if all(abs(v) <= ESCAPED for v in x):  # not so for NaN, too
+            self.x = tuple(x)
+        else:
+            self._stopped = True
+            self.report(Level.ERROR, "escaped", f"a state has left [-{ESCAPED:g}, {ESCAPED:g}]: the plant has stopped")
+
+
+class ScalarPlantParams(OcpPlantParams):
+    """The scalar problem."""
+
+    period: float = param(0.01, "sampling period", "s", gt=0.0, le=1.0)
+    problem: str = param("scalar", "the problem")
+
+
+class TwoStatePlantParams(OcpPlantParams):
+    """The two-state problem."""
+
+    period: float = param(0.01, "sampling period", "s", gt=0.0, le=1.0)
+    problem: str = param("two_state", "the problem")
+
+
+class ScalarPlant(OcpPlant):
+    r""":math:`\dot x = x^2 \sin(x)/2 + u`."""
+
+    Params = ScalarPlantParams
+
+
+class SpacecraftPlant(OcpPlant):
+    r"""Rates of a rigid spacecraft, :math:`I_1 \dot w_1 = (I_2 - I_3) w_2 w_3 + u_1`, cyclic."""
+
+
+class TwoStatePlant(OcpPlant):
+    r""":math:`\dot x_1 = x_2 + x_1 x_2`, :math:`\dot x_2 = -x_1 + x_2 + x_2^2 + u`."""
+
+    Params = TwoStatePlantParams
+
+
+ocp_main = executable(OcpPlant)
+scalar_main = executable(ScalarPlant)
+spacecraft_main = executable(SpacecraftPlant)
+two_state_main = executable(TwoStatePlant)

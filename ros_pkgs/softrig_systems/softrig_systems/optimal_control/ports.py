@@ -1,0 +1,45 @@
+"""Topics of the problems; a user's own planner or player only needs these."""
+
+from __future__ import annotations
+
+from softrig_core.model.port import Port, array, command, joint_state, scalars
+
+from .problem import Problem
+
+SUMMARY = {
+    "start": "s",
+    "horizon": "s",
+    "order": "",
+    "J_series": "",
+    "residual": "",
+    "end_error": "",
+    "converged": "",
+    "trusted": "",
+}
+"""What comes with a plan: when it begins, how long it is, its cost by its own account, whether it is to be trusted."""
+
+
+def state(problem: Problem) -> Port:
+    """Give the port of the measured state; with velocities comes the effort that was applied before."""
+    units = [unit or "1" for unit in problem.states.values()]
+    if problem.carrier == "velocity":
+        efforts = [unit or "1" for unit in problem.controls.values()]
+        return joint_state("state", "ocp/state", tuple(problem.states), velocity=units, effort=efforts)
+    return joint_state("state", "ocp/state", tuple(problem.states), position=units)
+
+
+def control(problem: Problem) -> Port:
+    """Give the port of the command."""
+    return command("command", "ocp/command", tuple(problem.controls), [u or "1" for u in problem.controls.values()])
+
+
+def plan(problem: Problem, columns: int, *, stages: int = 1, label: str = "power", out: bool = False) -> Port:
+    """Give the port of a plan: rows are states, costates and controls; a leading dimension where there are stages."""
+    rows = 2 * len(problem.states) + len(problem.controls)
+    dims = {"stage": stages} if stages > 1 else {}
+    return array("plan", "ocp/plan", {**dims, "variable": rows, label: columns}, "", sporadic=out)
+
+
+def summary(*, out: bool = False) -> Port:
+    """Give the port of what is known of a plan."""
+    return scalars("summary", "ocp/summary", SUMMARY, sporadic=out)

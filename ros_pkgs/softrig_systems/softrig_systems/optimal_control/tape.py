@@ -1,0 +1,191 @@
+"""Equations written as casadi expressions, carried out on power series: the tape of a function and its player.
+
+A casadi SX function is a list of scalar instructions. `Tape.of` takes it over with one place for each result, and
+`expand` goes through it once for each power, so that the solution of dz/ds = T F(z) comes out coefficient by
+coefficient: z_(k+1) = T F_k / (k + 1).
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from softrig_core.model.jit import jit
+
+from .series import exp_at, log_at, power_at, product_at, quotient_at, sin_cos_at
+
+if TYPE_CHECKING:
+    import casadi as ca
+    from numpy.typing import NDArray
+
+    Array = NDArray[np.float64]
+    Index = NDArray[np.int64]
+
+CONST, INPUT, ADD, SUB, NEG, MUL, DIV, SIN, COS, EXP, LOG, POWER, PARTNER, COPY = range(14)
+
+
+class Tape(NamedTuple):
+    """Instructions of a function of one vector, in the order in which they are carried out."""
+
+    code: Index
+    """(instructions,) what to do."""
+
+    left: Index
+    """(instructions,) place of the first operand; of an input its number."""
+
+    right: Index
+    """(instructions,) place of the second operand."""
+
+    constant: Array
+    """(instructions,) number of a constant, exponent of a power."""
+
+    out: Index
+    """(outputs,) place of each output."""
+
+    @classmethod
+    def of(cls, function: ca.Function) -> Tape:
+        """Take a casadi SX function of one vector with one output vector over.
+
+        Raises
+        ------
+        ValueError
+            The function uses an operation that has no series here.
+        """
+        import casadi as ca
+
+        binary = {ca.OP_ADD: ADD, ca.OP_SUB: SUB, ca.OP_MUL: MUL, ca.OP_DIV: DIV}
+        unary = {ca.OP_NEG: NEG, ca.OP_SIN: SIN, ca.OP_COS: COS, ca.OP_EXP: EXP, ca.OP_LOG: LOG, ca.OP_ASSIGN: COPY}
+        rows: list[tuple[int, int, int, float]] = []
+        at: dict[int, int] = {}  # casadi's working place, which it uses again, to ours
+        number: dict[int, float] = {}  # our place to the constant there
+        out = [-1] * function.nnz_out(0)
+
+        def add(code: int, left: int = 0, right: int = 0, constant: float = 0.0) -> int:
+            rows.append((code, left, right, constant))
+            if code in (SIN, COS):
+                rows.append((PARTNER, 0, 0, 0.0))  # its cosine or sine, right behind it
+                return len(rows) - 2
+            if code == CONST:
+                number[len(rows) - 1] = constant
+            return len(rows) - 1
+
+        for k in range(function.n_instructions()):
+            op = function.instruction_id(k)
+            given, to = function.instruction_input(k), function.instruction_output(k)
+            if op == ca.OP_OUTPUT:
+                out[to[1]] = at[given[0]]
+                continue
+            operands = [] if op in (ca.OP_INPUT, ca.OP_CONST) else [at[i] for i in given]
+            if op == ca.OP_INPUT:
+                place = add(INPUT, given[1])
+            elif op == ca.OP_CONST:
+                place = add(CONST, constant=function.instruction_constant(k))
+            elif op in binary:
+                place = add(binary[op], *operands)
+            elif op in unary:
+                place = add(unary[op], operands[0])
+            elif op == ca.OP_SQ:
+                place = add(MUL, operands[0], operands[0])
+            elif op == ca.OP_TWICE:
+                place = add(ADD, operands[0], operands[0])
+            elif op == ca.OP_INV:
+                place = add(DIV, add(CONST, constant=1.0), operands[0])
+            elif op == ca.OP_SQRT:
+                place = add(POWER, operands[0], constant=0.5)
+            elif op in (ca.OP_POW, ca.OP_CONSTPOW) and operands[1] in number:
+                place = _power(add, operands[0], number[operands[1]])
+            else:
+                raise ValueError(f"{function.name()} uses casadi operation {op}, which has no power series here: "
+                                 "expected + - * /, sin, cos, exp, log, sqrt and constant powers")  # fmt: skip
+            at[to[0]] = place
+        # outputs that are structurally zero are written by no instruction
+        if -1 in out:
+            zero = add(CONST)
+            out = [zero if place < 0 else place for place in out]
+        columns = list(zip(*rows, strict=True))
+        code, left, right = (np.array(c, dtype=np.int64) for c in columns[:3])
+        return cls(code, left, right, np.array(columns[3], dtype=float), np.array(out, dtype=np.int64))
+
+
+def _power(add: object, base: int, exponent: float) -> int:
+    """Whole powers as products, which know no singular point at 0; others by their own recursion."""
+    if exponent != int(exponent) or not 1 <= exponent <= 16:
+        return add(POWER, base, constant=exponent)  # type: ignore[operator, no-any-return]
+    place = base
+    for _ in range(int(exponent) - 1):
+        place = add(MUL, place, base)  # type: ignore[operator]
+    return place
+
+
+@jit
+def play(tape: Tape, z: Array, work: Array, k: int) -> None:
+    """Carry out the tape for coefficient k; those below k stand in `work`, one row a place, those of z up to k in z."""
+    code, left, right = tape.code, tape.left, tape.right
+    for i in range(code.shape[0]):
+        op, a, b = code[i], left[i], right[i]
+        if op == CONST:
+            work[i, k] = tape.constant[i] if k == 0 else 0.0
+        elif op == INPUT:
+            work[i, k] = z[a, k]
+        elif op == ADD:
+            work[i, k] = work[a, k] + work[b, k]
+        elif op == SUB:
+            work[i, k] = work[a, k] - work[b, k]
+        elif op == NEG:
+            work[i, k] = -work[a, k]
+        elif op == COPY:
+            work[i, k] = work[a, k]
+        elif op == MUL:
+            work[i, k] = product_at(work[a], work[b], k)
+        elif op == DIV:
+            work[i, k] = quotient_at(work[a], work[b], work[i], k)
+        elif op == SIN:
+            work[i, k], work[i + 1, k] = sin_cos_at(work[a], work[i], work[i + 1], k)
+        elif op == COS:
+            work[i + 1, k], work[i, k] = sin_cos_at(work[a], work[i + 1], work[i], k)
+        elif op == EXP:
+            work[i, k] = exp_at(work[a], work[i], k)
+        elif op == LOG:
+            work[i, k] = log_at(work[a], work[i], k)
+        elif op == POWER:
+            work[i, k] = power_at(work[a], tape.constant[i], work[i], k)
+
+
+@jit
+def expand(tape: Tape, z: Array, more: Array, T: float) -> None:
+    """Fill the series of dz/ds = T F(z), z(0) given in its column 0.
+
+    The first outputs of the tape are F; the others, functions of z such as the control, go to `more`.
+
+    Parameters
+    ----------
+    tape : Tape
+    z : ndarray, (n_z, order + 1)
+        Changed in place.
+    more : ndarray, (outputs - n_z, order + 1)
+        Changed in place.
+    T : float
+        Length of the time that s = 0 to 1 stands for, s.
+    """
+    n, columns = z.shape
+    work = np.zeros((tape.code.shape[0], columns))
+    for k in range(columns):
+        play(tape, z, work, k)
+        if k + 1 < columns:
+            for i in range(n):
+                z[i, k + 1] = T * work[tape.out[i], k] / (k + 1)
+        for i in range(more.shape[0]):
+            more[i, k] = work[tape.out[n + i], k]
+
+
+@jit
+def evaluate(tape: Tape, points: Array, result: Array) -> None:
+    """Evaluate a tape as an ordinary function: points (n, inputs) to result (n, outputs), changed in place."""
+    work = np.zeros((tape.code.shape[0], 1))
+    z = np.zeros((points.shape[1], 1))
+    for row in range(points.shape[0]):
+        for i in range(points.shape[1]):
+            z[i, 0] = points[row, i]
+        play(tape, z, work, 0)
+        for i in range(result.shape[1]):
+            result[row, i] = work[tape.out[i], 0]

@@ -1,0 +1,332 @@
+"""Optimal control: series arithmetic, planners against exact answers, the paper's tables."""
+
+import functools
+import math
+
+import casadi as ca
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from softrig_core.rig.simulate import simulate
+from softrig_systems.optimal_control import collocation, exact, series
+from softrig_systems.optimal_control.mvim import solve
+from softrig_systems.optimal_control.problem import Problem, ProblemError, find
+from softrig_systems.optimal_control.problems import INERTIA, spacecraft
+from softrig_systems.optimal_control.tape import Tape, evaluate, expand
+
+SCALAR, SPACECRAFT, TWO_STATE, REACTOR = (find(n) for n in ("scalar", "spacecraft", "two_state", "reactor"))
+PRINTED = (0.7436866718, 0.3617355350, 0.1206193519)  # the paper's alpha of example 2
+
+
+# Series
+
+settings.register_profile("busy", deadline=None, max_examples=40)
+settings.load_profile("busy")  # the first call compiles
+small = st.floats(-1.0, 1.0, allow_subnormal=False)
+polynomial = st.lists(small, min_size=7, max_size=7).map(np.array)
+unit = polynomial.map(lambda a: np.concatenate([[1.5], a[1:]]))  # a constant term far from 0
+NEAR = {"rel": 1e-9, "abs": 1e-9}
+
+
+@given(polynomial, polynomial, polynomial)
+def test_products_commute_associate_and_distribute(a, b, c):
+    assert series.product(a, b) == pytest.approx(series.product(b, a), **NEAR)
+    assert series.product(series.product(a, b), c) == pytest.approx(series.product(a, series.product(b, c)), **NEAR)
+    assert series.product(a, b + c) == pytest.approx(series.product(a, b) + series.product(a, c), **NEAR)
+    assert series.product(a, b) == pytest.approx(np.convolve(a, b)[:7], **NEAR)
+
+
+@given(polynomial, unit)
+def test_division_undoes_the_product(a, b):
+    assert series.product(series.quotient(a, b), b) == pytest.approx(a, rel=1e-7, abs=1e-7)
+
+
+@given(polynomial)
+def test_sine_and_cosine_lie_on_the_circle_and_are_each_others_derivative(a):
+    s, c = series.sin_cos(a)
+    assert series.product(s, s) + series.product(c, c) == pytest.approx(np.eye(7)[0], **NEAR)
+    k = np.arange(1, 7)
+    derivative = np.append(k * a[1:], 0.0)
+    assert k * s[1:] == pytest.approx(series.product(c, derivative)[:6], **NEAR)
+
+
+@given(unit)
+def test_exp_log_and_powers_undo_each_other(a):
+    wide = {"rel": 1e-7, "abs": 1e-7}
+    assert series.exp(series.log(a)) == pytest.approx(a, **wide)
+    root = series.constant_power(a, 0.5)
+    assert series.product(root, root) == pytest.approx(a, **wide)
+    assert series.constant_power(a, -1.0) == pytest.approx(series.quotient(np.eye(7)[0], a), **wide)
+
+
+@given(polynomial, st.floats(-0.5, 0.5))
+def test_values_and_slopes_are_those_of_the_polynomial(a, s):
+    assert series.value(a, s) == pytest.approx(np.polynomial.Polynomial(a)(s), **NEAR)
+    assert series.slope(a, s) == pytest.approx(np.polynomial.Polynomial(a).deriv()(s), **NEAR)
+
+
+def test_a_series_without_constant_term_divides_nothing():
+    with pytest.raises(ZeroDivisionError):
+        series.quotient(np.ones(3), np.array([0.0, 1.0, 0.0]))
+
+
+def everything(x):
+    """Each operation that has a series."""
+    return ca.vertcat(
+        x[0] * x[1] - 2.0 / (x[0] + 3.0), ca.sin(x[0]) + ca.cos(x[1]) * 2, ca.exp(-x[1]) + ca.log(2.0 + x[0]),
+        ca.sqrt(2.0 + x[1]) + x[0] ** 3 + (2.0 + x[1]) ** 1.5 + x[0] ** 2 - 1 / (4.0 + x[1]), -x[0] + (x[0] + x[0]),
+    )  # fmt: skip
+
+
+@given(st.floats(-0.9, 0.9), st.floats(-0.9, 0.9))
+def test_a_tape_gives_the_values_of_its_function(x0, x1):
+    x = ca.SX.sym("x", 2)
+    f = ca.Function("f", [x], [everything(x)])
+    result = np.empty((1, 5))
+    evaluate(Tape.of(f), np.array([[x0, x1]]), result)
+    assert result[0] == pytest.approx(np.array(f([x0, x1])).ravel(), rel=1e-13)
+
+
+def test_the_series_of_an_equation_is_its_solution():
+    """x'' = -sin x - 0.1 exp(x) / (2 + x), against an integration with tight tolerances."""
+    from scipy.integrate import solve_ivp
+
+    z = ca.SX.sym("z", 2)
+    F = ca.vertcat(z[1], -ca.sin(z[0]) - 0.1 * ca.exp(z[0]) / (2 + z[0]))
+    f = ca.Function("f", [z], [F])
+    table = np.zeros((2, 31))
+    table[:, 0] = 0.4, -0.2
+    expand(Tape.of(f), table, np.zeros((0, 31)), 0.7)
+    exactly = solve_ivp(lambda t, x: np.array(f(x)).ravel(), (0.0, 0.7), [0.4, -0.2], rtol=1e-12, atol=1e-13).y[:, -1]
+    assert table.sum(axis=1) == pytest.approx(exactly, abs=1e-10)
+
+
+def test_operations_without_a_series_are_refused():
+    x = ca.SX.sym("x")
+    with pytest.raises(ValueError, match="no power series"):
+        Tape.of(ca.Function("f", [x], [ca.fabs(x)]))
+
+
+# C1 to C6, S6 and the stretch: the planners by themselves
+
+
+def test_example_1():
+    found = solve(SCALAR, 20)
+    assert found.J[:5] == pytest.approx([0.25, 0.25, 0.2349330357, 0.2349330357, 0.2353315110], abs=1e-9)
+    assert [a[0] for a in found.alphas[:6]] == pytest.approx([-1.0] * 6, abs=1e-12)
+    assert found.J[-1] == pytest.approx(0.2353270772, abs=1e-9)
+    assert found.alpha[0] == pytest.approx(-0.9989582066, abs=5e-9)
+    # the "maximum state error" of the paper is a residual
+    assert found.state_residual[4] == pytest.approx(3.2359e-5, abs=1e-9)
+    assert found.ratio[4] == pytest.approx(1.69e-3, abs=1e-5)
+    assert found.ratio[7] == pytest.approx(1.4e-4, abs=1e-5)
+    assert found.ratio[8] == pytest.approx(5.5e-5, abs=1e-6)
+
+
+def test_the_papers_rule_misfires_and_the_sound_one_does_not():
+    found = solve(SCALAR, 1, 20, eps_res=1e-2)
+    assert found.seed_order == 2  # even orders change nothing
+    assert (found.converged, found.order) == (True, 9)
+    assert solve(SCALAR, 1, 4).converged is False
+    assert solve(SCALAR, 1, 20, eps_res=1e-12).converged is False  # the residual counts
+
+
+def test_example_1_polynomials():
+    """x5 = -alpha t/2, lambda5 = alpha - alpha^3 t^3/8 + alpha^5 t^5/192."""
+    x, lam, u = solve(SCALAR, 5).coefficients[0]
+    assert x == pytest.approx([0.0, 0.5, 0.0, 0.0, 0.0, 0.0], abs=1e-14)
+    assert lam == pytest.approx([-1.0, 0.0, 0.0, 1 / 8, 0.0, -1 / 192], abs=1e-14)
+    assert u == pytest.approx(-lam / 2)
+
+
+OWN = {1: 0.00468912900, 2: 0.00467836610, 3: 0.00469251885, 4: 0.00468699624, 5: 0.00468761434, 6: 0.00468781643,
+       8: 0.00468779497, 10: 0.00468779536, 12: 0.0046877953529}  # fmt: skip
+
+
+def test_example_2():
+    found = solve(SPACECRAFT, 12)
+    for n, J in OWN.items():
+        assert found.J[n - 1] == pytest.approx(J, abs=1e-10 if n > 1 else 1.3e-10), n  # the list has 11 digits
+    assert found.alphas[3] == pytest.approx([0.74359199, 0.36195558, 0.12909877], abs=1e-8)
+    assert found.alpha == pytest.approx(np.array(INERTIA) ** 2 * SPACECRAFT.x0 / 100.0, abs=1e-8)
+    assert found.J[-1] == pytest.approx(exact.least_cost(SPACECRAFT), abs=1e-12)
+    assert found.state_residual[3] == pytest.approx(9.66e-8, abs=1e-10)
+
+
+def test_example_2_tables_are_of_a_frozen_alpha():
+    found = solve(SPACECRAFT, 4, alpha_mode="frozen", frozen_alpha=PRINTED)
+    assert found.J[:3] == pytest.approx([0.00468052, 0.00467797, 0.00467903], abs=5e-9)
+    assert found.J[3] == pytest.approx(0.0046788970, abs=1e-10)  # printed 0.00467886
+    assert max(found.J) < exact.least_cost(SPACECRAFT)
+    assert not found.accurate
+
+
+@pytest.mark.parametrize("horizon", [30.0, 100.0])
+@pytest.mark.parametrize("inertia", [INERTIA, (50.0, 90.0, 70.0)])
+def test_the_closed_form_of_the_spacecraft_holds_for_every_inertia_and_horizon(inertia, horizon):
+    problem = spacecraft(inertia).changed(horizon=horizon, x0=(0.01, -0.004, 0.006))
+    found = solve(problem, 24, stages=2)
+    moments = np.array(inertia)
+    assert found.J[-1] == pytest.approx(exact.least_cost(problem), rel=1e-10)
+    assert found.alpha == pytest.approx(moments**2 * problem.x0 / horizon, rel=1e-9)
+    h0 = np.linalg.norm(moments * problem.x0)
+    for t in np.linspace(0.0, horizon, 7):
+        assert np.linalg.norm(moments * found(t)[:3]) == pytest.approx(h0 * (1.0 - t / horizon), abs=1e-9 * h0)
+
+
+TWO_STATE_J = {1: 0.853333, 2: 0.4102739, 3: 0.4303945, 4: 0.4372652, 6: 0.4411141, 8: 0.4425915, 10: 0.4430709,
+               15: 0.4432739, 20: 0.4432853, 30: 0.44328597}  # fmt: skip
+
+
+def test_example_3():
+    found = solve(TWO_STATE, 30)
+    assert found.alphas[0] == pytest.approx([0.0, -0.8], abs=1e-9)
+    assert found.alphas[1] == pytest.approx([-1.39061579, 0.53603619], abs=1e-7)
+    for n, J in TWO_STATE_J.items():
+        assert found.J[n - 1] == pytest.approx(J, abs=1e-6), n
+    assert found.J[-1] == pytest.approx(0.4432859766, abs=1e-8)
+    second = solve(TWO_STATE, 2)
+    assert second.coefficients[0, 4] == pytest.approx([-0.53603619, 0.25791303, 0.27812316], abs=1e-7)
+    wrong = max(abs(second(t)[:2] - found(t)[:2]).max() for t in np.linspace(0.0, 1.0, 101))
+    assert wrong == pytest.approx(0.308, abs=1e-3)
+
+
+def test_example_3_tables_are_of_a_frozen_alpha():
+    found = solve(TWO_STATE, 4, alpha_mode="frozen", frozen_order=2)
+    assert found.J[:3] == pytest.approx([0.417241, 0.410274, 0.427145], abs=1e-6)
+    assert found.J[3] == pytest.approx(0.4346129, abs=1e-6)  # printed 0.431156
+
+
+def test_exact_answers():
+    answer = exact.scalar(0.5)
+    assert answer.c == pytest.approx(0.2494793746470, abs=1e-12)
+    assert answer.alpha == pytest.approx(-0.9989582066272, abs=1e-12)
+    assert answer.cost == pytest.approx(0.2353270772277, abs=1e-12)
+    assert exact.least_cost(SPACECRAFT) == pytest.approx(0.00468779535300, abs=1e-14)
+    third = exact.tpbvp(TWO_STATE)
+    assert third.cost == pytest.approx(0.44328597663, abs=1e-10)
+    assert third.z[:2, -1] == pytest.approx([-0.73903054, 0.83265206], abs=1e-7)
+    assert third.z[2:, 0] == pytest.approx([-1.1961759, 0.59869327], abs=1e-7)
+
+
+@pytest.mark.parametrize("problem", [SCALAR, SPACECRAFT], ids=["scalar", "spacecraft"])
+def test_the_boundary_value_solver_agrees_with_the_exact_answers(problem):
+    assert exact.tpbvp(problem).cost == pytest.approx(exact.least_cost(problem), rel=1e-8)
+
+
+@pytest.mark.parametrize(("problem", "off"), [(SCALAR, 1e-9), (SPACECRAFT, 1e-9), (TWO_STATE, 2e-10)],
+                         ids=["scalar", "spacecraft", "two_state"])  # fmt: skip
+def test_collocation(problem, off):
+    found = collocation.solve(problem)
+    least = exact.tpbvp(problem).cost if problem is TWO_STATE else exact.least_cost(problem)
+    assert found.success
+    assert abs(found.J - least) < off
+    assert found.alpha == pytest.approx(solve(problem, 30).alpha, abs=2e-7)  # the multipliers are the costates
+    n = len(problem.states)
+    along = np.array([solve(problem, 30)(t) for t in np.linspace(0.0, problem.horizon, 101)]).T
+    assert found.rows[:n] == pytest.approx(along[:n], abs=1e-5)
+    assert found.rows[n : 2 * n] == pytest.approx(along[n : 2 * n], abs=1e-4)
+
+
+def test_a_warm_start_saves_iterations():
+    cold = collocation.solve(TWO_STATE)
+    guess = collocation.sampled(cold.rows, 1.0, 0.9, 2)
+    later = TWO_STATE.changed(x0=cold.rows[:2, 10], horizon=0.9)
+    warm = collocation.solve(later, guess=guess)
+    assert warm.iterations < collocation.solve(later).iterations
+    assert abs(warm.J - solve(later, 30).J[-1]) < 1e-9
+
+
+@pytest.mark.parametrize(("times", "order", "stages", "off"), [
+    (1, 8, 1, 4.1e-8), (3, 8, 1, 4.4e-6), (5, 8, 1, 5.3e-5), (10, 8, 1, 1.5e-3), (20, 8, 1, 9.9e-2),
+    (3, 16, 1, 5.6e-11), (5, 16, 1, 5.1e-9), (10, 16, 1, 3.5e-6), (20, 16, 1, 4.7e-3),
+    (10, 24, 1, 8.2e-9), (20, 24, 1, 3.2e-4),
+])  # fmt: skip
+def test_end_error_over_rate(times, order, stages, off):
+    assert true_end_error(times, order, stages) == pytest.approx(off, rel=0.05)
+
+
+@pytest.mark.parametrize("times", [1, 5, 20])
+def test_stages_reach_beyond_the_radius_of_convergence(times):
+    assert true_end_error(times, 16, 8) < 1e-11  # 1e-8 was asked for at 20 times the rates
+
+
+def true_end_error(times, order, stages):
+    """Rate left at the end under the planned control, without any hold, in parts of the rate at the start."""
+    from scipy.integrate import solve_ivp
+
+    problem = SPACECRAFT.changed(x0=tuple(times * w for w in SPACECRAFT.x0))
+    found = solve(problem, order, stages=stages)
+    x, u, dx, _ = problem.expressions()
+    f = ca.Function("f", [x, u], [dx])
+    end = solve_ivp(lambda t, w: np.array(f(w, found(t)[6:])).ravel(), (0.0, 100.0), problem.x0, rtol=1e-12,
+                    atol=1e-16, method="DOP853", max_step=100.0 / stages).y[:, -1]  # fmt: skip
+    return np.linalg.norm(end) / np.linalg.norm(problem.x0)
+
+
+@pytest.mark.parametrize(("problem", "order"), [(SCALAR, 18), (SPACECRAFT, 8), (TWO_STATE, 40)],
+                         ids=["scalar", "spacecraft", "two_state"])  # fmt: skip
+def test_the_true_state_error_is_below_1e_9(problem, order):
+    n, T = len(problem.states), problem.horizon
+    fine = solve(problem, 30, stages=4)
+    found = solve(problem, order)
+    assert max(np.abs(found(t)[:n] - fine(t)[:n]).max() for t in np.linspace(0.0, T, 201)) < 1e-9
+    coarse = solve(problem, order - 4)  # the bound is not met by just any order
+    assert max(np.abs(coarse(t)[:n] - fine(t)[:n]).max() for t in np.linspace(0.0, T, 201)) > 1e-9
+
+
+# A problem stated once: the fourth one, and one of a user's own
+
+
+def test_the_reactor_by_three_methods():
+    least = exact.tpbvp(REACTOR)
+    assert least.cost == pytest.approx(0.0266, abs=1e-4)  # Kirk, and many after him
+    staged = solve(REACTOR, 16, stages=16)
+    assert staged.converged
+    assert staged.J[-1] == pytest.approx(least.cost, abs=1e-8)
+    assert staged.alpha == pytest.approx(least.z[2:, 0], abs=1e-6)
+    assert abs(collocation.solve(REACTOR).J - least.cost) < 1e-8
+
+
+def test_one_stage_is_beyond_the_reactors_radius_of_convergence():
+    assert not solve(REACTOR, 12).converged
+
+
+def test_a_problem_of_ones_own_needs_dynamics_and_cost_alone():
+    """A double integrator moved by 1 in 2 s: u = 1.5 (1 - t), J = 1/2 int u^2 = 6/T^3 = 0.75."""
+    own = Problem("integrator", {"q": "m", "v": "m/s"}, {"u": "m/s^2"}, lambda x, u: [x[1], u[0]],
+                  lambda x, u: u[0] ** 2 / 2, x0=(0.0, 0.0), horizon=2.0, x_end=(1.0, 0.0))  # fmt: skip
+    for J in (solve(own, 4).J[-1], collocation.solve(own).J, exact.least_cost(own)):
+        assert abs(J - 0.75) < 1e-9
+    assert solve(own, 4).coefficients[0, 4] == pytest.approx([1.5, -3.0, 0.0, 0.0, 0.0], abs=1e-12)
+
+
+@pytest.mark.parametrize(("ode", "cost", "why"), [
+    (lambda x, u: [u[0] ** 2], lambda x, u: u[0] ** 2, "linearly"),
+    (lambda x, u: [u[0]], lambda x, u: x[0] ** 2, "R: the cost"),
+    (lambda x, u: [u[0]], lambda x, u: -(u[0] ** 2), "R: the cost"),
+    (lambda x, u: [u[0], u[0]], lambda x, u: u[0] ** 2, "ode: expected 1"),
+])  # fmt: skip
+def test_problems_that_cannot_be_stated_are_refused(ode, cost, why):
+    with pytest.raises(ProblemError, match=why):
+        _ = Problem("bad", {"x": ""}, {"u": ""}, ode, cost, x0=(0.0,), horizon=1.0).extremal
+
+
+def test_a_weight_of_the_control_replaces_the_problems_own():
+    plain, doubled = solve(SPACECRAFT, 8), solve(SPACECRAFT.changed(R=(2.0, 0, 0, 0, 2.0, 0, 0, 0, 2.0)), 8)
+    assert doubled.J[-1] == pytest.approx(2.0 * plain.J[-1], rel=1e-9)
+    assert math.isclose(doubled.alpha[0], 2.0 * plain.alpha[0], rel_tol=1e-9)
+
+
+# In a rig: the headline and its variants
+
+
+@functools.cache
+def run(name):
+    return simulate(name)
+
+
+@pytest.mark.parametrize("name", ["optimal_control_mvim", "optimal_control_mvim_n4", "optimal_control_mvim_start"])
+def test_figures_of_the_scenarios(name):
+    assert [f"{r.name} = {r.number} {r.error}" for r in run(name).missed] == []
