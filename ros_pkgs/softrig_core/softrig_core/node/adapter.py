@@ -51,6 +51,8 @@ class Adapter:
         self.schedule = Schedule(
             block.p.period, self.links.base or None, options.duration, block.speaks_at_end()
         )  # fmt: skip
+        self.is_plant = isinstance(block, Plant)
+        self.namespace = middleware.full_name.rsplit("/", 1)[0]
         self.state: Literal["starting", "running", "done", "failed"] = "starting"
         self.ticks = 0
         self.t = 0
@@ -59,6 +61,7 @@ class Adapter:
         self.error: BaseException | None = None
         self.bad = False  # an input of this tick was refused
         self.waits_for: list[str] = []  # the senders whose silence ended the run
+        self.lacking: list[str] = []  # topics of external nodes that nobody publishes yet
         self.on_finished: Callable[[], None] = lambda: None
         self._logged: set[str] = set()
         self._said: Any = {}  # the newest answer: what is held when an input is refused

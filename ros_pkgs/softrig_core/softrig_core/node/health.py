@@ -23,6 +23,7 @@ def write_status(adapter: Adapter) -> None:
     status = {
         "state": adapter.state, "t": adapter.t, "ticks": adapter.ticks,
         "error": str(adapter.error) if adapter.error else "", "waits_for": adapter.waits_for,
+        "lacking": adapter.lacking, "epoch": adapter.epoch,
         "refused": {i.port.topic: [i.refused, i.last_refusal] for i in adapter.inputs + adapter.paces if i.refused},
         "reports": {key: [int(level), text, n] for key, (level, text, n) in block.reports.items()},
         "busy": adapter.busy(),

@@ -10,7 +10,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any
 
-from ..model.block import Block, Plant
+from ..model.block import Block
 from ..model.port import Port, Refused, Sample
 from ..model.schedule import Schedule
 from ..model.solver import Solver
@@ -25,12 +25,11 @@ from .health import percentiles
 from .middleware import Middleware
 from .pairing import KEEP, Pairing
 from .solving import Solving, hear_busy
-from .start import Handshake
+from .start import CHECK, Handshake
 from .tick import END, TICK, TickReader
 
 CLOCK = Port("clock", "/clock", "rosgraph_msgs/msg/Clock")
 GONE_AFTER = 0.5  # s without the awaited message after its only sender has vanished
-START_CHECK = SECOND // 50  # ns
 
 
 class Lockstep(Adapter):
@@ -42,7 +41,6 @@ class Lockstep(Adapter):
         self._takes: dict[str, Callable[[bytes, int], None]] = {}
         self.missing = 0
         self.ready = False
-        self.is_plant = isinstance(block, Plant)
         self._tick = 0
         self._since = middleware.steady()
         self._heard = 0  # messages of faster peers between two ticks
@@ -63,8 +61,14 @@ class Lockstep(Adapter):
         self._follow_ticks()
         self._by_port = {p.item.name: p for p in self.pairings if p.carries}
         self._await(0)
-        self._handshake = Handshake(self)
-        self._starter = middleware.timer(START_CHECK, self._start)
+        readers = self.links.readers
+        wanted = [(o, list(readers.get(o.name, []))) for o in self.outputs]
+        if self.links.owns_clock:
+            wanted.append((self.clock_output, self.links.clock_readers))
+        if self.links.acknowledges:
+            wanted.append((self.tick_output, self.links.tick_readers))
+        self._handshake = Handshake(self, [(p.item, p.sender) for p in [*self.pairings, *self.unpaced]], wanted)
+        self._starter = middleware.timer(CHECK, self._start)
         self._solving = Solving(middleware, block, self._step) if isinstance(block, Solver) else None
         hear_busy(middleware, self._patient)
 
@@ -197,7 +201,7 @@ class Lockstep(Adapter):
         for node in dict.fromkeys([*links.acks, *links.enders, *silent]):
             if node == self.middleware.name:
                 continue
-            topic = f"{self.middleware.full_name.rsplit('/', 1)[0]}/{node}/tick"
+            topic = f"{self.namespace}/{node}/tick"
             port = Port("stamp", topic, TICK)
             paced = []
             if node in links.acks:
@@ -273,7 +277,11 @@ class Lockstep(Adapter):
 
     def _start(self) -> None:
         """Begin when every declared peer is matched, both ways."""
-        if self.ready or self.state != "starting" or self._handshake.absent():
+        if self.ready or self.state != "starting":
+            return
+        absent = self._handshake.absent()
+        self.lacking = self._handshake.lacking
+        if absent:
             return
         self._starter.cancel()
         self.ready = True
@@ -423,20 +431,27 @@ class Lockstep(Adapter):
         """A solver is at work somewhere in the rig: the time without progress begins anew."""
         self._heard += 1
 
+    def _begun(self) -> bool:
+        """Whether the rig has sent anything: before that, somebody still waits for an outside node."""
+        return (
+            self.is_plant or self.ticks > 0 or self._heard > 0 or any(p.have and not p.earlier for p in self.pairings)
+        )
+
     def progress(self) -> None:
         """End the run when a peer is gone, stalls or never came."""
         now = self.middleware.steady()
         if self._rivals is not None:
             topic = self._rivals.port.topic
-            names = sorted({p.full_name for p in self.middleware.publishers(topic)})
-            count = len(self.middleware.publishers(topic))
+            rivals = self.middleware.publishers(self.middleware.resolve(topic))
+            names, count = sorted({p.full_name for p in rivals}), len(rivals)
             if not any("UNKNOWN" in n for n in names) or now - self._since > self.options.timeout:
                 self.fail(f"{count} publishers on {topic} ({', '.join(names)}), expected exactly one")
             return
-        if self.state == "starting":
+        if self.state == "starting" or (self.state == "running" and not self._begun()):
             limit = self.options.start_timeout
             if limit and now - self._since > limit:
-                self.fail(f"not all peers after {limit:g} s: {'; '.join(self._handshake.absent())}")
+                absent = self._handshake.absent() or [f"nothing on {p.topic} yet" for p in self.pairings if not p.have]
+                self.fail(f"not all peers after {limit:g} s: {'; '.join(absent)}")
             return
         if self.state != "running":
             return

@@ -67,16 +67,16 @@ class Middleware(Protocol):
         """Time in s that nobody sets, for limits."""
 
     def publishers(self, topic: str) -> list[Peer]:
-        """Writers of a topic, as the graph shows them."""
+        """Writers of a topic, by its full name, as the graph shows them."""
 
     def subscribers(self, topic: str) -> list[Peer]:
-        """Readers of a topic, as the graph shows them."""
+        """Readers of a topic, by its full name, as the graph shows them."""
 
     def subscriptions_of(self, peer: Peer) -> list[str]:
         """Topics that a node reads; empty while the graph does not know the node."""
 
     def types(self, topic: str) -> list[str]:
-        """Message types under which a topic exists."""
+        """Message types under which a topic, by its full name, exists."""
 
     def log(self, level: Level, text: str) -> None:
         """Say something to whoever operates the node."""

@@ -17,10 +17,12 @@ from ..model.timebase import SECOND, to_ns
 from ..rig.options import RunOptions
 from ..wire.recording import Sink
 from .adapter import Adapter
+from .departure import Departure
 from .endpoint import Input
 from .feed import Feed
 from .health import percentiles
 from .middleware import Middleware
+from .start import Handshake
 from .tick import END, TICK, TickReader
 
 CATCH_UP = SECOND  # a longer pause than this (a suspended host) is skipped, not simulated
@@ -39,7 +41,6 @@ class Realtime(Adapter):
         self.missed = 0
         self.incomplete = 0
         self.skipped = 0
-        self.is_plant = isinstance(block, Plant)
         # the newest: they are sorted for each status file, between two ticks
         self._lateness: deque[int] = deque(maxlen=5_000)
         self._round_trip: deque[int] = deque(maxlen=5_000)
@@ -60,10 +61,28 @@ class Realtime(Adapter):
             self._deadline.cancel()
         else:
             self._timer = middleware.timer(SECOND // 1000, self._tick)
+            self._timer.cancel()
         for node in self.links.enders:
             if node != middleware.name:
                 self._follow_end(node)
+        self._departure = self._wait_for_others() if self.links.starter and not self.epoch else None
+        if self._departure is None:
+            self._begin_at(self.epoch)
+
+    def _wait_for_others(self) -> Departure:
+        readers, inputs = self.links.readers, self.links.inputs
+        wanted = [(o, list(readers.get(o.name, []))) for o in self.outputs]
+        if self.block.ENDS:
+            wanted.append((self.tick_output, self.links.tick_readers))
+        handshake = Handshake(self, [(i, inputs[i.name].node) for i in self.inputs if i.name in inputs], wanted)
+        return Departure(self, handshake, self._begin_at)
+
+    def _begin_at(self, epoch: int) -> None:
+        """Run from now on; t = 0 is at `epoch`, or with the first tick when that is 0."""
+        self.epoch = epoch
         self.state = "running"
+        if not self._by_messages:
+            self._timer.again(SECOND // 1000)
 
     # messages --------------------------------------------------------------------------------------------------
 
@@ -152,10 +171,10 @@ class Realtime(Adapter):
             self.feeds[item.name].arrived = None
 
     def _who(self, item: Input) -> str:
-        return ", ".join(sorted({p.name for p in self.middleware.publishers(item.port.topic)}))
+        return ", ".join(sorted({p.name for p in self.middleware.publishers(self.middleware.resolve(item.port.topic))}))
 
     def _follow_end(self, node: str) -> None:
-        topic = f"{self.middleware.full_name.rsplit('/', 1)[0]}/{node}/tick"
+        topic = f"{self.namespace}/{node}/tick"
         item, read = Input(Port("stamp", topic, TICK)), TickReader()
         self.paces.append(item)
 
@@ -275,6 +294,8 @@ class Realtime(Adapter):
 
     def progress(self) -> None:
         """A node whose senders have ended before it does not wait for them beyond the end of the run."""
+        if self._departure is not None:
+            self.lacking = self._departure.handshake.lacking
         end = self.schedule.end
         if end is None or self.state != "running":
             return

@@ -11,6 +11,7 @@ from rclpy._rclpy_pybind11 import RCLError
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
+from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.node import Node, NodeNameNonExistentError
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
@@ -42,6 +43,7 @@ class RosMiddleware:
         self.name: str = node.get_name()
         self.full_name: str = node.get_fully_qualified_name()
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._behind = time.time_ns() - time.monotonic_ns()  # once: a system clock that is set later stalls nothing
 
     def resolve(self, topic: str) -> str:
         """Give the full name of a topic, remapping applied."""
@@ -66,7 +68,7 @@ class RosMiddleware:
 
     def now(self) -> int:
         """Wall-clock time in ns."""
-        return time.time_ns()
+        return self._behind + time.monotonic_ns()
 
     def steady(self) -> float:
         """Monotonic time in s."""
@@ -74,11 +76,17 @@ class RosMiddleware:
 
     def publishers(self, topic: str) -> list[Peer]:
         """Writers of a topic, as the graph shows them."""
-        return [_peer(i) for i in self.node.get_publishers_info_by_topic(topic)]
+        return self._endpoints(_rclpy.rclpy_get_publishers_info_by_topic, topic)
 
     def subscribers(self, topic: str) -> list[Peer]:
         """Readers of a topic, as the graph shows them."""
-        return [_peer(i) for i in self.node.get_subscriptions_info_by_topic(topic)]
+        return self._endpoints(_rclpy.rclpy_get_subscriptions_info_by_topic, topic)
+
+    def _endpoints(self, ask: Callable[..., list[dict[str, Any]]], topic: str) -> list[Peer]:
+        # rclpy's own method would apply this node's remaps to a name that is one already
+        with self.node.handle:
+            found = ask(self.node.handle, topic, False)
+        return [Peer(i["node_name"], i["node_namespace"], i["topic_type"]) for i in found]
 
     def subscriptions_of(self, peer: Peer) -> list[str]:
         """Topics that a node reads."""
@@ -88,7 +96,7 @@ class RosMiddleware:
 
     def types(self, topic: str) -> list[str]:
         """Message types under which a topic exists."""
-        return list(dict(self.node.get_topic_names_and_types()).get(self.resolve(topic), []))
+        return list(dict(self.node.get_topic_names_and_types()).get(topic, []))
 
     def log(self, level: Level, text: str) -> None:
         """Log by the node's logger: terminal, log file and /rosout."""
@@ -104,7 +112,3 @@ class RosMiddleware:
         """Wait until every reader has the last messages, 2 s at most for each publisher."""
         for publisher in self.node.publishers:
             publisher.wait_for_all_acked(Duration(seconds=2))
-
-
-def _peer(info: Any) -> Peer:
-    return Peer(info.node_name, info.node_namespace, info.topic_type)

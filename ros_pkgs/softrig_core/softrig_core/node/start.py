@@ -1,44 +1,60 @@
-"""The start of a lockstep node: nobody sends before all readers of a message are matched, as the writer sees them."""
+"""The start of a node of a rig: nobody sends before all readers of a message are matched, as the writer sees them."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from .endpoint import Output
+from .endpoint import Input, Output
 from .middleware import Peer
 
 if TYPE_CHECKING:
-    from .lockstep import Lockstep
+    from .adapter import Adapter
 
-SETTLED = 10  # checks of 20 ms in a row in which what the graph says has not changed
+CHECK = 1_000_000_000 // 50  # ns between two checks
+SETTLED = 10  # checks in a row in which what the graph says has not changed
 
 
 class Handshake:
-    """Says who is not there yet."""
+    """Says who is not there yet.
 
-    def __init__(self, node: Lockstep) -> None:
+    Parameters
+    ----------
+    node : Adapter
+    awaited : sequence of (Input, str)
+        What must have a writer, and whose.
+    wanted : sequence of (Output, list of str)
+        What must be matched with its readers, and the readers that the rig names.
+
+    Attributes
+    ----------
+    lacking : list of str
+        Topics of external nodes that nobody publishes yet.
+    """
+
+    def __init__(
+        self, node: Adapter, awaited: Sequence[tuple[Input, str]], wanted: Sequence[tuple[Output, list[str]]]
+    ) -> None:
         self._node = node
+        self._awaited = awaited
+        self._wanted = wanted
         self._settled = 0
         self._seen: list[tuple[str, str]] = []
+        self.lacking: list[str] = []
 
     def absent(self) -> list[str]:
         """Describe the peers that are not there yet; nothing when the node may begin."""
         node, links = self._node, self._node.links
         absent = [
-            f"no publisher on {p.topic} (expected from {p.sender}{self._other_type(p.topic, p.item.port.msgtype)})"
-            for p in [*node.pairings, *node.unpaced] if not p.item.publishers
+            f"no publisher on {i.port.topic} (expected from {sender}{self._other_type(i)})"
+            for i, sender in self._awaited if not i.publishers
         ]  # fmt: skip
-        wanted: list[tuple[Output, list[str]]] = [(o, list(links.readers.get(o.name, []))) for o in node.outputs]
-        if links.owns_clock:
-            wanted.append((node.clock_output, links.clock_readers))
-        if links.acknowledges:
-            wanted.append((node.tick_output, links.tick_readers))
         found: list[tuple[str, str]] = []
         for peer in self._outside(absent):
             topics = node.middleware.subscriptions_of(peer)
-            found += [(o.topic, peer.name) for o, _ in wanted if o.topic in topics]
-        for output, names in wanted:
-            names += [name for topic, name in found if topic == output.topic and name not in names]
+            found += [(o.topic, peer.name) for o, _ in self._wanted if o.topic in topics]
+        for output, known in self._wanted:
+            names = known + [name for topic, name in found if topic == output.topic and name not in known]
             there = [i.name for i in node.middleware.subscribers(output.topic) if i.msgtype == output.port.msgtype]
             absent += [f"{name} does not subscribe {output.topic}" for name in names if name not in there]
             # The graph knows a reader before the writer is matched with it; only what the writer says counts.
@@ -59,13 +75,17 @@ class Handshake:
     def _outside(self, absent: list[str]) -> list[Peer]:
         """Give the external nodes behind the topics that they publish."""
         peers = []
-        for topic in self._node.links.outside:
-            found = self._node.middleware.publishers(topic)
+        self.lacking = []
+        for name in self._node.links.outside:
+            # a name of the rig, not one of the node's own to be remapped
+            found = self._node.middleware.publishers(f"{self._node.namespace}/{name}")
             if not found:
-                absent.append(f"no publisher on {topic} (expected from an external node)")
+                self.lacking.append(name)
+                absent.append(f"no publisher on {name} (expected from an external node)")
             peers += found[:1]
-        return peers
+        return list(dict.fromkeys(peers))
 
-    def _other_type(self, topic: str, msgtype: str) -> str:
-        other = [t for t in self._node.middleware.types(topic) if t != msgtype]
+    def _other_type(self, item: Input) -> str:
+        middleware, port = self._node.middleware, item.port
+        other = [t for t in middleware.types(middleware.resolve(port.topic)) if t != port.msgtype]
         return f"; the topic exists with type {', '.join(other)}" if other else ""

@@ -41,6 +41,8 @@ def run_node(block_class: type[Block], argv: Sequence[str]) -> NoReturn:
     except KeyboardInterrupt:
         leave(node, 0)
     except Exception as error:  # every start-up error ends in one line: what was wrong and where
+        if node is not None and not rclpy.ok():  # a signal has shut the context down under it
+            leave(node, 0)
         where = node.get_name() if node is not None else name
         print(f"{where}: {' '.join(str(error).split())}", file=sys.stderr, flush=True)
         leave(node, 2)

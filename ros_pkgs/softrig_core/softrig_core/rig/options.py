@@ -18,13 +18,13 @@ class RunOptions(Params):
     timeout: float = param(10.0, "lockstep: wall-clock time without progress before the node gives up", "s", gt=0)
     patience: float = param(0.8, "realtime: part of its period that a law waits for the inputs that are due", ge=0)
     stamp_window: float = param(1.0, "realtime: distance from now at which a stamp is refused", "s", gt=0)
-    start_timeout: float = param(30.0, "lockstep: wall-clock time to wait for all peers, 0 = for ever", "s", ge=0)
+    start_timeout: float = param(30.0, "wall-clock time to wait for all peers of a rig, 0 = for ever", "s", ge=0)
     paired: tuple[str, ...] = param((), "lockstep by hand: held inputs that are to be paired by stamp like the others")
     watchdog: float = param(0.0, "realtime: age at which a command is stale, 0 = the plant's number of periods", "s",
                             ge=0)  # fmt: skip
     shard: str = param("", "file to record published messages in")
     status: str = param("", "file for the state of the node, as JSON")
-    epoch: int = param(0, "realtime: wall-clock time in ns that is t = 0, 0 = the first tick")
+    epoch: int = param(0, "realtime: wall-clock time in ns that is t = 0, 0 = when all nodes of the rig are up")
     links: str = param("", "JSON of `Links`, written by the runner")
 
 
@@ -86,6 +86,12 @@ class Links(BaseModel):
         Nodes that pace themselves by /clock.
     plants : int
         Number of plants: with more than one, a sender may be one tick ahead.
+    starter : str
+        Realtime: the node that says when t = 0 is.
+    starts : list of str
+        Realtime: the nodes that it waits for.
+    grid : str
+        Longest period of the rig in s, of which t = 0 in real time is a multiple.
     """
 
     model_config = ConfigDict(extra="forbid")
@@ -103,3 +109,6 @@ class Links(BaseModel):
     acks: dict[str, str] = {}
     clock_readers: list[str] = []
     plants: int = 1
+    starter: str = ""
+    starts: list[str] = []
+    grid: str = ""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import json
+import math
 import os
 import select
 import signal
@@ -18,10 +19,13 @@ from typing import Any, Literal
 
 from ..errors import ScenarioError
 from ..model.params import flatten
+from ..model.port import Port
 from ..wire.recording import Recording
 from .domain import free_domain
 from .options import InputLink, Links
 from .rig import Member, Rig
+from .shared_memory import remove_leftovers
+from .stopping import signal_of, stoppable
 
 GRACE = 1.5  # s: after one node fails, how long the others may take to say what they saw
 LIBC = ctypes.CDLL(None)  # loaded here: between fork and exec another thread may hold the loader's lock
@@ -44,6 +48,8 @@ class Outcome:
         Wall-clock ns of t = 0 (realtime), 0 in lockstep.
     error : str
         Why the run broke, naming the node; empty when it did not.
+    stopped : int
+        Number of the signal that ended it before its time; 0 when none did.
     """
 
     recording: Recording
@@ -51,6 +57,7 @@ class Outcome:
     domain: int
     epoch: int = 0
     error: str = ""
+    stopped: int = 0
 
 
 @dataclass
@@ -61,6 +68,7 @@ class _Child:
     log: Path
     status: Path
     shard: Path
+    interrupted: bool = False  # by this runner: how it ends then says nothing
 
 
 def links(rig: Rig, member: Member) -> Links:
@@ -77,7 +85,7 @@ def links(rig: Rig, member: Member) -> Links:
         inputs=paired,
         records=_recorded_inputs(rig, member),
         readers={p.name: [m.name for m, _ in rig.readers(member, p) if not m.external] for p in member.outputs},
-        outside=[p.topic for m in rig.members if m.external for p in m.outputs if rig.readers(m, p)],
+        outside=[p.topic for m in rig.members if m.external for p in m.outputs if _ours(rig.readers(m, p))],
         clock=InputLink(period=_seconds(rig.clock), node=rig.clock.name) if member in _clocked(rig) else None,
         owns_clock=member is rig.clock,
         acknowledges=bool(tick_readers),
@@ -87,7 +95,15 @@ def links(rig: Rig, member: Member) -> Links:
         acks=acks,
         clock_readers=[m.name for m in _clocked(rig)] if member is rig.clock else [],
         plants=sum(m.is_plant for m in rig.members),
+        starter=starter(rig).name,
+        starts=[m.name for m in rig.members if not m.external],
+        grid=str(max(m.schedule.period for m in rig.members)),
     )
+
+
+def starter(rig: Rig) -> Member:
+    """Give the node that says when a run in real time starts: the clock, or the first that is ours."""
+    return next((m for m in (rig.clock, *rig.members) if not m.external), rig.clock)
 
 
 def _seconds(member: Member) -> str:
@@ -136,6 +152,7 @@ def run_processes(
     record: bool = True,
     progress: Callable[[int], object] | None = None,
     announce: Callable[[str], object] | None = None,
+    wait: float | None = None,
 ) -> Outcome:
     """Start all nodes of a rig, wait for them, gather what they recorded.
 
@@ -153,50 +170,60 @@ def run_processes(
     progress : callable, optional
         Called with the plant's time in ns.
     announce : callable, optional
-        Called with a text when an external node is waited for.
+        Called with a text when an external node is waited for, and when it has come.
+    wait : float, optional
+        Limit in s of the wait for all nodes, 0 for none; by default the scenario's, and none for external nodes.
 
     Returns
     -------
     Outcome
-        With `error` set when a node failed; what was recorded up to there is in it.
+        With `error` set when a node failed and `stopped` when a signal or an interrupt ended the run; what was
+        recorded up to there is in it.
 
     Raises
     ------
     ScenarioError
         A node refused its parameters.
-    KeyboardInterrupt
-        After all nodes were stopped.
     """
     directory.mkdir(parents=True, exist_ok=True)
     children: list[_Child] = []
+    external = [m for m in rig.members if m.external]
+    if wait is None:
+        wait = 0.0 if external else rig.scenario.start_timeout
+    error, stopped = "", 0
     with ExitStack() as stack:
+        own_domain = domain is None
         domain = stack.enter_context(free_domain()) if domain is None else domain
-        epoch = 0
-        if mode == "realtime":
-            slowest = max((m.schedule for m in rig.members), key=lambda s: s.period)
-            epoch = slowest.held(time.time_ns() + 3_000_000_000)
+        remove_leftovers()
         variables = environment(domain, directory)
-        external = [m for m in rig.members if m.external]
-        if external and announce is not None:
-            announce(_invitation(external, domain))
+        guests = _Guests(rig, announce)
         try:
-            for member in rig.members:
-                if not member.external:
-                    children.append(_start(rig, member, seed, directory, mode, epoch, record, variables))
-            error = _watch(rig, children, progress, epoch)
+            with stoppable():
+                try:
+                    guests.invite(domain)
+                    for member in rig.members:
+                        if not member.external:
+                            options = {"run.mode": mode, "run.start_timeout": wait}
+                            children.append(_start(rig, member, seed, directory, options, record, variables))
+                    error = _watch(rig, children, progress, guests, mode == "realtime")
+                except KeyboardInterrupt as interrupt:
+                    stopped = signal_of(interrupt)
+                finally:
+                    _stop(children)
         finally:
-            _stop(children)
             for child in children:
                 os.close(child.end)
+        remove_leftovers(domain if own_domain and not external else None)
     status = {c.member.name: _read_status(c.status) for c in children}
     recording = Recording((t, p.msgtype) for t, p in rig.topics.items())
     for child in children:
         if child.shard.exists():
             recording.read_shard(child.shard)
-    refused = next((c for c in children if c.process.returncode == 2), None)
+    refused = next((c for c in children if c.process.returncode == 2 and not c.interrupted), None)
     if refused is not None:
         raise ScenarioError(_last_line(refused.log))
-    return Outcome(recording, status, domain, epoch, error)
+    epoch = int(status.get(starter(rig).name, {}).get("epoch", 0))
+    return Outcome(recording, status, domain, epoch, error, stopped)
 
 
 def environment(domain: int, directory: Path) -> dict[str, str]:
@@ -217,13 +244,47 @@ def environment(domain: int, directory: Path) -> dict[str, str]:
     return variables
 
 
-def _invitation(external: list[Member], domain: int) -> str:
-    lines = [f"waiting for {', '.join(m.name for m in external)}; in another terminal:",
-             f"  export ROS_DOMAIN_ID={domain} ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST"]  # fmt: skip
-    for m in external:
-        lines += [f"  {m.name} must publish {p.topic} ({p.msgtype}, {', '.join(p.labels)})" for p in m.outputs]
-        lines += [f"  {m.name} can read {p.topic} ({p.msgtype})" for p in m.inputs]
-    return "\n".join(lines)
+class _Guests:
+    """The external nodes of a run: says what they are to do, and when they have come."""
+
+    def __init__(self, rig: Rig, announce: Callable[[str], object] | None) -> None:
+        self._announce = announce
+        self._needed = {
+            m.name: {p.topic for p in m.outputs if _ours(rig.readers(m, p))} for m in rig.members if m.external
+        }  # fmt: skip
+        self._rig = rig
+        self._awaited = [name for name, topics in self._needed.items() if topics]
+
+    def invite(self, domain: int) -> None:
+        """Say who is expected, where, and with what."""
+        if self._announce is None or not self._needed:
+            return
+        who = ", ".join(self._awaited or self._needed)
+        lines = [f"waiting for {who} (as long as it takes or --wait says; Ctrl-C ends); in another terminal:",
+                 f"  export ROS_DOMAIN_ID={domain} ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST"]  # fmt: skip
+        for m in self._rig.members:
+            for p in m.outputs if m.external else ():
+                verb = "must publish" if p.topic in self._needed[m.name] else "may publish"
+                lines.append(f"  {m.name} {verb} {p.topic} ({p.msgtype}, {', '.join(p.labels)})")
+            lines += [f"  {m.name} can read {p.topic} ({p.msgtype})" for p in m.inputs if m.external]
+        self._announce("\n".join(lines))
+
+    def look(self, children: list[_Child]) -> None:
+        """Say who has come since the last look."""
+        if not self._awaited:
+            return
+        states = [_read_status(c.status) for c in children]
+        if any("lacking" not in s for s in states):
+            return  # not all of ours are there themselves
+        lacking = {topic for s in states for topic in s["lacking"]}
+        for name in [n for n in self._awaited if not self._needed[n] & lacking]:
+            self._awaited.remove(name)
+            if self._announce is not None:
+                self._announce(f"{name} is there")
+
+
+def _ours(readers: list[tuple[Member, Port]]) -> bool:
+    return any(not m.external for m, _ in readers)
 
 
 def find_executable(package: str, executable: str) -> Path:
@@ -260,17 +321,16 @@ def node_parameters(rig: Rig, member: Member, seed: int, mode: str) -> dict[str,
     }
 
 
-def _start(rig: Rig, member: Member, seed: int, directory: Path, mode: str, epoch: int,
+def _start(rig: Rig, member: Member, seed: int, directory: Path, options: dict[str, Any],
            record: bool, variables: dict[str, str]) -> _Child:  # fmt: skip
     stem = directory / member.name
     status, shard, log = stem.with_suffix(".status"), stem.with_suffix(".shard"), stem.with_suffix(".log")
     for stale in (status, shard):
         stale.unlink(missing_ok=True)
-    parameters = node_parameters(rig, member, seed, mode) | {
+    parameters = node_parameters(rig, member, seed, options["run.mode"]) | options | {
         "run.shard": str(shard) if record else "",
         "run.status": str(status),
-        "run.epoch": epoch,
-    }
+    }  # fmt: skip
     file = stem.with_suffix(".params.yaml")
     lines = [f"    {name}: {json.dumps(value)}" for name, value in parameters.items()]
     file.write_text("/**:\n  ros__parameters:\n" + "\n".join(lines) + "\n")
@@ -295,16 +355,16 @@ def _die_with_parent() -> None:
 
 
 def _watch(
-    rig: Rig, children: list[_Child], progress: Callable[[int], object] | None, epoch: int
-) -> str:  # fmt: skip
+    rig: Rig, children: list[_Child], progress: Callable[[int], object] | None, guests: _Guests, realtime: bool
+) -> str:
     """Wait until all have ended or one has failed; gives the reason of a failure.
 
     A node may wait for ever for a peer that has ended: it has the scenario's timeout, in realtime from the end of the
     run, in lockstep from the end of a node or the last progress.
     """
-    realtime = epoch > 0
-    late = epoch / 1e9 + rig.scenario.duration + rig.scenario.timeout
-    plant = next((c for c in children if c.member is rig.clock), children[0])
+    late = math.inf
+    first = starter(rig)
+    plant = next(c for c in children if c.member is first)
     last = -1
     while True:
         running = [c for c in children if c.process.poll() is None]
@@ -313,11 +373,17 @@ def _watch(
             return _reason(children, failed)
         if not running:
             return ""
-        t = _read_status(plant.status).get("t", 0)
+        guests.look(children)
+        state = _read_status(plant.status)
+        t = state.get("t", 0)
         busy = any(_read_status(c.status).get("busy") for c in running)
-        if not realtime and (t != last or busy or len(running) == len(children)):
-            late = time.time() + rig.scenario.timeout
-        if time.time() > late:
+        if realtime:
+            if late == math.inf and state.get("epoch"):
+                to_start = state["epoch"] / 1e9 - time.time()
+                late = time.monotonic() + to_start + rig.scenario.duration + rig.scenario.timeout
+        elif t != last or busy or len(running) == len(children):
+            late = time.monotonic() + rig.scenario.timeout
+        if time.monotonic() > late:
             names = ", ".join(c.member.name for c in running)
             return f"node {names} did not reach the end of the run within {rig.scenario.timeout:g} s after it"
         if t != last and progress is not None:
@@ -353,6 +419,8 @@ def _reason(children: list[_Child], failed: list[_Child]) -> str:
 
 def _stop(children: list[_Child]) -> None:
     """Stop what still runs: SIGINT, then SIGTERM, then SIGKILL."""
+    for child in children:
+        child.interrupted = child.process.poll() is None
     for number, patience in STOP_STEPS:
         running = [c for c in children if c.process.poll() is None]
         if not running:

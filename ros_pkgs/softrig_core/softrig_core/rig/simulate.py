@@ -37,6 +37,8 @@ class Run:
         What each node said of itself.
     error : str
         Why it broke; empty when it did not.
+    stopped : int
+        Number of the signal that ended it before its time; 0 when none did.
     blocks : dict of str to Block
         The blocks in their final state, after a run in process.
     """
@@ -49,6 +51,7 @@ class Run:
     epoch: int = 0
     status: dict[str, dict[str, Any]] = field(default_factory=dict)
     error: str = ""
+    stopped: int = 0
     blocks: dict[str, Block] = field(default_factory=dict)
 
     @cached_property

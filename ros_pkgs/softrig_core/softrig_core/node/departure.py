@@ -1,0 +1,99 @@
+"""The common start of a rig in real time: t = 0 is set when all its nodes are up and matched, outside ones included.
+
+Each node says again and again that it is ready (`READY`, a Header with its name). One of them, the starter, has heard
+all of them and is ready itself: it sets the time of t = 0 and says it (`START`, a Header with that time), again for
+each node that still says that it is ready. Neither needs a message to arrive at the first try.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from ..model.port import Port, Refused
+from ..model.schedule import Schedule
+from ..model.timebase import SECOND
+from .adapter import Adapter
+from .endpoint import Input
+from .start import CHECK, Handshake
+from .tick import TICK, TickReader, TickWriter
+
+READY, START = "softrig/ready", "softrig/start"
+LEAD = SECOND // 2  # from saying when to t = 0
+REPEAT = 5  # checks between two times that a node says it is ready
+
+
+class Departure:
+    """Waits for the common start of one node.
+
+    Parameters
+    ----------
+    node : Adapter
+    handshake : Handshake
+    begin : callable
+        Called once with the wall-clock time of t = 0, ns.
+    """
+
+    def __init__(self, node: Adapter, handshake: Handshake, begin: Callable[[int], object]) -> None:
+        self._node = node
+        self._begin = begin
+        self.handshake = handshake
+        self.absent: list[str] = []  # who is not there yet
+        self._is_starter = node.links.starter == node.middleware.name
+        self._silent = set(node.links.starts) - {node.middleware.name}
+        self._epoch = 0
+        self._checks = 0
+        self._header, self._read = TickWriter(), TickReader()
+        self._since = node.middleware.steady()
+        middleware = node.middleware
+        heard = START if not self._is_starter else READY
+        self._input = Input(Port("stamp", heard, TICK))
+        node.paces.append(self._input)
+        self._publish = middleware.publisher(READY if not self._is_starter else START, TICK, lambda count: None)
+        middleware.subscribe(
+            heard, TICK, self._hear_ready if self._is_starter else self._hear_start, lambda count: None
+        )
+        self._timer = middleware.timer(CHECK, self._look)
+
+    def _hear_ready(self, data: bytes) -> None:
+        try:
+            _, names = self._read(data)
+        except Refused as error:
+            self._node.refuse(self._input, str(error))
+            return
+        self._silent -= names
+        if self._epoch:
+            self._say_start()  # it has not heard it yet
+
+    def _hear_start(self, data: bytes) -> None:
+        try:
+            epoch, _ = self._read(data)
+        except Refused as error:
+            self._node.refuse(self._input, str(error))
+            return
+        if self._epoch or epoch <= 0:
+            return
+        self._timer.cancel()
+        self._epoch = epoch
+        self._begin(epoch)
+
+    def _say_start(self) -> None:
+        self._publish(self._header(self._epoch, ()))
+
+    def _look(self) -> None:
+        self.absent = self.handshake.absent()
+        self._checks += 1
+        if self._is_starter:
+            self.absent += [f"{name} is not ready" for name in sorted(self._silent)]
+            if not self.absent:
+                self._timer.cancel()
+                grid = Schedule(self._node.links.grid)
+                self._epoch = grid.held(self._node.middleware.now() + LEAD + grid.time(1))
+                self._say_start()
+                self._begin(self._epoch)
+        elif not self.absent and self._checks % REPEAT == 0:
+            self._publish(self._header(0, [self._node.middleware.name]))
+        limit = self._node.options.start_timeout
+        if limit and not self._epoch and self._node.middleware.steady() - self._since > limit:
+            waits = "; ".join(self.absent) or f"{self._node.links.starter} has not said when to start"
+            self._timer.cancel()
+            self._node.fail(f"not all peers after {limit:g} s: {waits}")

@@ -1,0 +1,56 @@
+"""What Fast DDS leaves in shared memory when a process is killed: 20 files and 2.4 MB for each."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import time
+from contextlib import suppress
+from pathlib import Path
+
+FOLDER = Path("/dev/shm")
+AGE = 2.0  # s: between making a segment and locking it pass some microseconds
+
+
+def remove_leftovers(domain: int | None = None, folder: Path = FOLDER) -> int:
+    """Remove the segments and ports whose owner is dead; gives how many files that were.
+
+    As `fastdds shm clean` does: an owner holds a lock on ``NAME_el`` (or, with others, on ``NAME_sl``), which the
+    operating system drops when the process ends. What belongs to other users is left alone.
+
+    Parameters
+    ----------
+    domain : int, optional
+        A ROS_DOMAIN_ID that nobody uses any more: its ports go also where nobody has ever held a lock on them.
+    folder : Path
+    """
+    removed = 0
+    stems = {p.name[:-3] for p in (*folder.glob("fastrtps_*_el"), *folder.glob("fastrtps_*_sl"))}
+    if domain is not None:
+        first = 7400 + 250 * domain  # RTPS 9.6.1
+        stems |= {f"fastrtps_port{n}" for n in range(first, first + 250) if (folder / f"fastrtps_port{n}").exists()}
+    for stem in sorted(stems):
+        locks = [p for p in (folder / f"{stem}_el", folder / f"{stem}_sl") if p.exists()]
+        if not all(_ownerless(lock) for lock in locks):
+            continue
+        for path in (*locks, folder / stem, folder / f"sem.{stem}_mutex"):
+            with suppress(OSError):
+                path.unlink()
+                removed += 1
+    return removed
+
+
+def _ownerless(lock: Path) -> bool:
+    try:
+        if time.time() - lock.stat().st_mtime < AGE:
+            return False
+        file = os.open(lock, os.O_RDWR | os.O_NOFOLLOW | os.O_CLOEXEC)
+    except OSError:
+        return False
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        return False
+    finally:
+        os.close(file)
+    return True

@@ -1,0 +1,53 @@
+"""Being stopped from outside: SIGINT, SIGTERM and SIGHUP end a run in the same orderly way."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import FrameType
+
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+
+class Stopped(KeyboardInterrupt):
+    """A signal asks for the end.
+
+    Attributes
+    ----------
+    number : int
+        Of the signal; a process that ends because of it has the status 128 + number.
+    """
+
+    def __init__(self, number: int) -> None:
+        super().__init__(signal.Signals(number).name)
+        self.number = number
+
+
+def signal_of(error: KeyboardInterrupt) -> int:
+    """Give the number of the signal behind an interrupt."""
+    return error.number if isinstance(error, Stopped) else int(signal.SIGINT)
+
+
+@contextmanager
+def stoppable() -> Iterator[None]:
+    """Turn the first signal into `Stopped` raised in the main thread, and let no later one disturb the clearing up.
+
+    In other threads, which get no signals, it does nothing.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def handle(number: int, frame: FrameType | None) -> None:
+        for other in SIGNALS:
+            signal.signal(other, signal.SIG_IGN)
+        raise Stopped(number)
+
+    before = {number: signal.signal(number, handle) for number in SIGNALS}
+    try:
+        yield
+    finally:
+        for number, old in before.items():
+            signal.signal(number, old)
