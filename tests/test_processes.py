@@ -16,7 +16,6 @@ from softrig_core.errors import ScenarioError
 from softrig_core.rig.domain import free_domain
 from softrig_core.rig.processes import environment, find_executable, run_processes
 from softrig_core.rig.rig import Rig
-from softrig_core.wire.recording import Recording
 from softrig_core.wire.signals import Signals
 
 pytestmark = pytest.mark.processes
@@ -142,11 +141,10 @@ def test_a_press_by_service_in_lockstep_is_recorded_at_the_tick_that_saw_it(tmp_
             if people and people[0].poll() is not None:
                 raise KeyboardInterrupt
 
-        with pytest.raises(KeyboardInterrupt):
-            run_processes(wired, 0, tmp_path, domain=domain, progress=progress)
+        outcome = run_processes(wired, 0, tmp_path, domain=domain, progress=progress)
     assert people[0].returncode == 0
-    recording = Recording((t, p.msgtype) for t, p in wired.topics.items())
-    recording.read_shard(tmp_path / "plant.shard")
+    assert (outcome.error, outcome.stopped) == ("", signal.SIGINT)
+    recording = outcome.recording
     pressed, released = recording.topics["lag/kick"].times
     assert released - pressed == 10_000_000
     assert Signals(recording)["lag/applied/u/effort"].x.sum() != 0.0
@@ -299,21 +297,26 @@ rclpy.spin(node)
 """
 
 
-def with_outside_controller(extra, directory, duration=1.0, before=None):
+def with_outside_controller(extra, directory, duration=1.0, mode="lockstep"):
     """Run the basic rig with a plain rclpy controller that imports nothing of softrig."""
     wired = rig(BASIC | {"gain": {"executable": "gain", "external": True}}, duration, timeout=1.5)
     with free_domain() as domain:
         script = directory / "outside.py"
         script.write_text(OUTSIDE.replace("EXTRA", extra))
-        outside = []
+        outside, said = [], []
 
         def announce(text):
+            said.append(text)
+            if outside:
+                return
             assert f"ROS_DOMAIN_ID={domain}" in text
             assert "lag/command" in text
             outside.append(subprocess.Popen([sys.executable, str(script)], env=environment(domain, directory)))
 
         try:
-            return wired, run_processes(wired, 0, directory, domain=domain, announce=announce)
+            outcome = run_processes(wired, 0, directory, domain=domain, announce=announce, mode=mode)
+            assert said[1:] == ["gain is there"]
+            return wired, outcome
         finally:
             for process in outside:
                 process.kill()
@@ -327,6 +330,16 @@ def test_an_outside_controller_takes_the_place_of_ours(tmp_path):
     ours = in_process(rig(BASIC))
     assert outcome.recording.topics["lag/state"].data == ours.topics["lag/state"].data
     assert len(outcome.recording.topics["lag/command"].data) == 100
+
+
+def test_real_time_begins_when_the_outside_controller_has_come(tmp_path):
+    """And not a fixed time after the start: it is started only when the rig already waits for it."""
+    _, outcome = with_outside_controller("", tmp_path, 2.0, "realtime")
+    assert outcome.error == ""
+    command = Signals(outcome.recording, outcome.epoch)["lag/command/u/effort"]
+    assert command.t[0] < 0.5
+    assert "stale lag/command" not in outcome.status["plant"]["reports"] or len(command.t) > 20
+    assert len({s["epoch"] for s in outcome.status.values()}) == 1
 
 
 @pytest.mark.parametrize(
@@ -424,8 +437,8 @@ def test_a_second_publisher_ends_the_run_naming_both(tmp_path):
 
 
 def test_a_peer_that_never_comes_is_named(tmp_path):
-    wired = rig(BASIC | {"gain": {"executable": "gain", "external": True}}, start_timeout=1.0)
-    outcome = run_processes(wired, 0, tmp_path)
+    wired = rig(BASIC | {"gain": {"executable": "gain", "external": True}})
+    outcome = run_processes(wired, 0, tmp_path, wait=1.0)
     assert "not all peers after 1 s" in outcome.error
     assert "gain" in outcome.error
 

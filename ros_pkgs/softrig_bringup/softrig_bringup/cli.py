@@ -109,6 +109,7 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument("--duration", type=float, metavar="S", help="instead of the scenario's")
     run.add_argument("--seed", type=int, metavar="N", help="instead of the scenario's")
     run.add_argument("--external", action="append", default=[], metavar="NODE", help="somebody else starts this node")
+    run.add_argument("--wait", type=float, metavar="S", help="limit of the wait for external nodes (default: none)")
     run.add_argument("--domain", type=int, metavar="N", help="ROS_DOMAIN_ID (default: a free one)")
     run.add_argument(
         "--out", type=Path, metavar="DIR", help="results go here (default runs/SCENARIO and what was changed)"
@@ -190,8 +191,9 @@ def _run(options: argparse.Namespace) -> int:
         _say(f"replacing {folder.replaced} in {os.path.relpath(out)}")
     folder.clear()
     with _progress(scenario) as progress:
-        run = execute(scenario, options.mode, out / "log", domain=options.domain, progress=progress,
+        run = execute(scenario, options.mode, out / "log", domain=options.domain, progress=progress, wait=options.wait,
                       announce=lambda text: print(f"softrig: {text}", file=sys.stderr))  # fmt: skip
+    changed += [run.stopped_at] if run.stopped else []
     figures = [] if run.error else run.results
     command = shlex.join(["scripts/softrig", "run", *_repeat(options)])
     content = summary(run, figures, command) | {"changed": changed}
@@ -201,6 +203,9 @@ def _run(options: argparse.Namespace) -> int:
         print(f"softrig: what was recorded up to there is in {out}", file=sys.stderr)
         return 3
     _print_figures(scenario, run, out, changed)
+    if run.stopped:
+        _say(run.stopped_at)
+        return 128 + run.stopped
     if changed:  # the paper's numbers are for its own set-up: shown for comparison, not judged
         return 0
     return 0 if all(f.passed for f in figures) and all(c.holds is not False for c in run.claims) else 1

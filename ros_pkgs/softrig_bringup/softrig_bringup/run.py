@@ -20,6 +20,7 @@ from softrig_core.rig.inprocess import run_inprocess
 from softrig_core.rig.rig import CLOCK, Rig
 from softrig_core.rig.scenario import Scenario
 from softrig_core.rig.simulate import Run
+from softrig_core.rig.stopping import signal_of, stoppable
 from softrig_core.wire.recording import Recording
 
 from .folder import ResultsFolder
@@ -36,8 +37,9 @@ def execute(
     domain: int | None = None,
     progress: Callable[[int], object] | None = None,
     announce: Callable[[str], object] | None = None,
+    wait: float | None = None,
 ) -> Run:
-    """Run a scenario; a run that broke comes back with `error` set and what was recorded.
+    """Run a scenario; one that broke or was stopped says so in `error` or `stopped` and has what was recorded.
 
     Parameters
     ----------
@@ -48,6 +50,7 @@ def execute(
     domain : int, optional
         ROS_DOMAIN_ID instead of a free one.
     progress, announce : callable, optional
+    wait : float, optional
         See `softrig_core.rig.processes.run_processes`.
     """
     rig = Rig.from_scenario(scenario)
@@ -56,22 +59,26 @@ def execute(
     started = time.perf_counter()
     if mode == "inprocess":
         recording = Recording((t, p.msgtype) for t, p in rig.topics.items())
-        error = ""
+        error, stopped = "", 0
         status: dict[str, dict[str, Any]] = {}
         try:
-            blocks = run_inprocess(rig, scenario.seed, recording, progress)
+            with stoppable():
+                blocks = run_inprocess(rig, scenario.seed, recording, progress)
             status = {name: _status(block) for name, block in blocks.items()}
         except RunError as broken:
             error = str(broken)
-        run = Run(rig, scenario.seed, recording, time.perf_counter() - started, status=status, error=error)
+        except KeyboardInterrupt as interrupt:
+            stopped = signal_of(interrupt)
+        wall_s = time.perf_counter() - started
+        run = Run(rig, scenario.seed, recording, wall_s, status=status, error=error, stopped=stopped)
     else:
         from softrig_core.rig.processes import run_processes
 
         outcome = run_processes(rig, scenario.seed, directory, mode="lockstep" if mode == "processes" else "realtime",
-                                domain=domain, progress=progress, announce=announce)  # fmt: skip
+                                domain=domain, progress=progress, announce=announce, wait=wait)  # fmt: skip
         run = Run(rig, scenario.seed, outcome.recording, time.perf_counter() - started, mode, outcome.epoch,
-                  outcome.status, outcome.error)  # fmt: skip
-    if not run.error and mode != "realtime":
+                  outcome.status, outcome.error, outcome.stopped)  # fmt: skip
+    if not run.error and not run.stopped and mode != "realtime":
         run.error = gaps(rig, run.recording)
     return run
 
@@ -87,9 +94,10 @@ def _status(block: Block) -> dict[str, Any]:
 def gaps(rig: Rig, recording: Recording) -> str:
     """Say which topics of a lockstep run lack or double a tick; empty when none does."""
     found = []
-    expected = {CLOCK.topic: rig.schedule_of(rig.clock, recording)}
+    expected = {} if rig.clock.external else {CLOCK.topic: rig.schedule_of(rig.clock, recording)}
     for member in rig.members:
-        read = [p for p in member.outputs if not member.external or rig.readers(member, p)]
+        readers = {p.name: [m for m, _ in rig.readers(member, p)] for p in member.outputs}
+        read = [p for p in member.outputs if not member.external or any(not m.external for m in readers[p.name])]
         expected |= {p.topic: rig.schedule_of(member, recording) for p in read}
     sporadic = {p.topic for m in rig.members for p in m.outputs if p.sporadic}
     for topic, schedule in expected.items():
@@ -121,6 +129,7 @@ def summary(run: Run, figures: Sequence[Result], command: str) -> dict[str, Any]
         "ticks": max(0, len(run.recording.topics[CLOCK.topic].times) - 1) or _plant_ticks(run),
         "wall_s": round(run.wall_s, 3),
         "error": run.error,
+        "stopped": run.stopped_at,
         "command": command,
         "versions": versions(),
         "parameters": {m.name: flatten(m.params) for m in run.rig.members},

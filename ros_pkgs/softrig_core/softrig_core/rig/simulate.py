@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -53,6 +54,14 @@ class Run:
     error: str = ""
     stopped: int = 0
     blocks: dict[str, Block] = field(default_factory=dict)
+
+    @property
+    def stopped_at(self) -> str:
+        """How far a run came that was stopped from outside, in words; empty when it was not."""
+        if not self.stopped:
+            return ""
+        newest = max((t.times[-1] for t in self.recording.topics.values() if t.times), default=self.epoch)
+        return f"stopped by {signal.Signals(self.stopped).name} at t = {(newest - self.epoch) / 1e9:.9g} s"
 
     @cached_property
     def signals(self) -> Signals:

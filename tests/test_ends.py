@@ -1,0 +1,98 @@
+"""How a run ends that is stopped from outside: nodes leave, what was recorded is kept, the status says what it was."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+from conftest import make_scenario
+from softrig_core.rig.inprocess import run_inprocess
+from softrig_core.rig.processes import run_processes
+from softrig_core.rig.rig import Rig
+from softrig_core.rig.shared_memory import remove_leftovers
+from softrig_core.rig.stopping import Stopped, stoppable
+
+BASIC = {"plant": "plant", "source": "source", "gain": "gain"}
+
+
+def test_a_signal_becomes_an_interrupt_once_and_the_handlers_come_back():
+    before = signal.getsignal(signal.SIGTERM)
+
+    def stopped_twice():
+        try:
+            os.kill(os.getpid(), signal.SIGTERM)
+            time.sleep(5)
+        finally:
+            os.kill(os.getpid(), signal.SIGTERM)  # impatience while things are cleared up
+
+    with pytest.raises(Stopped) as caught, stoppable():
+        stopped_twice()
+    assert caught.value.number == signal.SIGTERM
+    assert signal.getsignal(signal.SIGTERM) is before
+
+
+def test_a_run_in_process_can_be_stopped():
+    rig = Rig.from_scenario(make_scenario(BASIC, 10.0))
+    with pytest.raises(Stopped), stoppable():
+        run_inprocess(rig, 0, None, lambda t: os.kill(os.getpid(), signal.SIGHUP))
+
+
+def test_leftovers_of_the_dead_go_and_those_of_the_living_stay(tmp_path):
+    names = ["fastrtps_00aa", "fastrtps_00aa_el", "fastrtps_port7411", "fastrtps_port7411_el",
+             "sem.fastrtps_port7411_mutex", "fastrtps_00bb", "fastrtps_00bb_el", "fastrtps_00cc", "fastrtps_00cc_el",
+             "fastrtps_port7661", "other"]  # fmt: skip
+    for name in names:
+        (tmp_path / name).touch()
+        os.utime(tmp_path / name, (0, 0))
+    os.utime(tmp_path / "fastrtps_00cc_el")  # just made: its owner may be about to lock it
+    lock = f"f = open('{tmp_path}/fastrtps_00bb_el'); fcntl.flock(f, fcntl.LOCK_EX)"
+    code = f"import fcntl; {lock}; print(1, flush=True); input()"
+    owner = subprocess.Popen([sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+    owner.stdout.readline()
+    assert remove_leftovers(folder=tmp_path) == 5
+    left = {"fastrtps_00bb", "fastrtps_00bb_el", "fastrtps_00cc", "fastrtps_00cc_el", "other"}
+    assert {p.name for p in tmp_path.iterdir()} == left | {"fastrtps_port7661"}
+    owner.communicate(b"\n")
+    assert remove_leftovers(1, tmp_path) == 3  # of a domain that is over: ports that nobody had locked, too
+    assert {p.name for p in tmp_path.iterdir()} == {"fastrtps_00cc", "fastrtps_00cc_el", "other"}
+
+
+@pytest.mark.processes
+@pytest.mark.parametrize("mode", ["lockstep", "realtime"])
+def test_an_interrupted_run_gives_what_it_has(mode, tmp_path):
+    rig = Rig.from_scenario(make_scenario(BASIC, 1e4))
+
+    def progress(t):
+        if t > 100_000_000:
+            os.kill(os.getpid(), signal.SIGTERM)
+
+    outcome = run_processes(rig, 0, tmp_path, mode=mode, progress=progress)
+    assert (outcome.error, outcome.stopped) == ("", signal.SIGTERM)
+    assert len(outcome.recording.topics["lag/state"].times) > 10
+    assert all("Traceback" not in log.read_text() for log in tmp_path.glob("*.log"))
+
+
+@pytest.mark.processes
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGHUP, 129)])
+def test_a_stopped_run_has_bag_and_metrics_and_its_status(number, status, tmp_path):
+    out = tmp_path / "run"
+    command = [sys.executable, "-m", "softrig_bringup", "run", "dc_motor_smc", "--duration", "500", "--out", str(out),
+               "--no-plots"]  # fmt: skip
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    deadline = time.monotonic() + 60
+    while not any(shard.stat().st_size > 100_000 for shard in (out / "log").glob("*.shard")):
+        assert process.poll() is None, process.stderr.read()
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    process.send_signal(number)
+    _, said = process.communicate(timeout=60)
+    assert process.returncode == status, said
+    name = signal.Signals(number).name
+    content = json.loads((out / "metrics.json").read_text())
+    assert content["stopped"].startswith(f"stopped by {name} at t = ")
+    assert content["stopped"] in said
+    assert content["metrics"]
+    assert list((out / "bag").glob("*.mcap"))
