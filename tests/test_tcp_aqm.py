@@ -13,6 +13,7 @@ from conftest import differences, in_process
 from softrig_core.model.block import Level
 from softrig_core.model.params import ParameterError
 from softrig_core.rig.figures import evaluate
+from softrig_core.rig.findings import findings, values
 from softrig_core.rig.inprocess import run_inprocess
 from softrig_core.rig.processes import run_processes
 from softrig_core.rig.rig import Rig
@@ -40,6 +41,11 @@ def figures(name, **overrides):
     return {r.name: r for r in evaluate(rig, signals)}
 
 
+def measured(name):
+    """Figures of a scenario by name, for its claims and those of others."""
+    return values(figures(name).values())
+
+
 def loop(plant, controller, seconds):
     """Queue, window and command of a closed loop at every tick of the plant, the end included."""
     period, every = plant.p.period, round(controller.p.period / plant.p.period)
@@ -55,23 +61,6 @@ def loop(plant, controller, seconds):
 
 
 # B1 to B8 and the stretch: what the files expect
-
-
-@functools.cache
-def claims(name):
-    """Every claim with the figure it is about and the number it is compared with."""
-    found = []
-    for key, claim in run(name)[0].scenario.claims.items():
-        about, value = claim.figure or key, None
-        if claim.verdict != "not_checkable":
-            scenario, _, figure = about.rpartition(".")
-            value = figures(scenario or name)[figure].value
-        other = next((r for r in (claim.below, claim.above, claim.equals) if r is not None), None)
-        if isinstance(other, str):
-            scenario, _, figure = other.rpartition(".")
-            other = figures(scenario or name)[figure].value
-        found.append((key, claim, value, other))
-    return found
 
 
 # each way to run is among the daily ones; the rest differs in numbers only
@@ -90,16 +79,10 @@ def test_figures_of_the_scenarios(name):
 
 
 def test_verdicts_on_the_paper_hold():
-    wrong, seen = [], set()
-    for name in NAMES:
-        if name in LATER - {"tcp_aqm_smc_pi_raw"}:
-            continue
-        for key, claim, value, other in claims(name):
-            seen.add(claim.verdict)
-            if claim.verdict != "not_checkable" and not claim.holds(claim.agrees(value, other)):
-                wrong.append(f"{name}.{key}: {value} against {claim.published or other}, {claim.verdict}")
-    assert wrong == []
-    assert seen == {"reproduced", "refuted", "not_checkable"}
+    names = [n for n in NAMES if n not in LATER - {"tcp_aqm_smc_pi_raw"}]
+    found = [f for n in names for f in findings(run(n)[0].scenario, measured, {})]
+    assert [f"{f.scenario}.{f.key}: {f.false}" for f in found if f.holds is not True] == []
+    assert {f.verdict for f in found} == {"reproduced", "refuted", "not_checkable"}
 
 
 @pytest.mark.parametrize("law", ["sspd", "sspid"])
