@@ -153,4 +153,4 @@ def read_urdf(source: str) -> str:
     ValueError
         There is no such file or package; says where it was looked for.
     """
-    return resource(source).read_text()
+    return resource(source, "URDF file").read_text()

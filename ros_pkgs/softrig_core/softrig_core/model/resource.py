@@ -7,13 +7,15 @@ import os
 from pathlib import Path
 
 
-def resource(source: str) -> Path:
+def resource(source: str, kind: str = "file") -> Path:
     """Find a file.
 
     Parameters
     ----------
     source : str
         A file name, or ``package://NAME/path`` below the share folder or the Python package of an installed package.
+    kind : str
+        What an error calls it.
 
     Raises
     ------
@@ -31,4 +33,4 @@ def resource(source: str) -> Path:
     for place in places:
         if place.is_file():
             return place
-    raise ValueError(f"no file {source!r}; looked for {', '.join(map(str, places))}")
+    raise ValueError(f"no {kind} {source!r}; looked for {', '.join(map(str, places))}")
