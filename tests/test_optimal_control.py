@@ -1,6 +1,5 @@
 """Optimal control: series arithmetic, planners against exact answers, the paper's tables."""
 
-import functools
 import math
 
 import casadi as ca
@@ -8,7 +7,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from softrig_core.rig.simulate import simulate
 from softrig_systems.optimal_control import collocation, exact, series
 from softrig_systems.optimal_control.mvim import solve
 from softrig_systems.optimal_control.problem import Problem, ProblemError, find
@@ -317,16 +315,3 @@ def test_a_weight_of_the_control_replaces_the_problems_own():
     plain, doubled = solve(SPACECRAFT, 8), solve(SPACECRAFT.changed(R=(2.0, 0, 0, 0, 2.0, 0, 0, 0, 2.0)), 8)
     assert doubled.J[-1] == pytest.approx(2.0 * plain.J[-1], rel=1e-9)
     assert math.isclose(doubled.alpha[0], 2.0 * plain.alpha[0], rel_tol=1e-9)
-
-
-# In a rig: the headline and its variants
-
-
-@functools.cache
-def run(name):
-    return simulate(name)
-
-
-@pytest.mark.parametrize("name", ["optimal_control_mvim", "optimal_control_mvim_n4", "optimal_control_mvim_start"])
-def test_figures_of_the_scenarios(name):
-    assert [f"{r.name} = {r.number} {r.error}" for r in run(name).missed] == []

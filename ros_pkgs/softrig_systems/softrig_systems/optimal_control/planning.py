@@ -78,7 +78,7 @@ class Planner(Solver[PlannerParams]):
         """Channels of the problem."""
         problem = params.statement()
         stages, columns = cls.shape(params)
-        inputs = (state(problem), button("replan", "~/replan", held=True))
+        inputs = (state(problem), button("replan", "ocp/replan", held=True))
         return inputs, (plan(problem, columns, stages=stages, label=cls.LABEL, out=True), summary(out=True))
 
     def start(self) -> None:

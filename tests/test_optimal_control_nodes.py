@@ -1,0 +1,333 @@
+"""Optimal control in a rig: what the scenario files expect and claim, the nodes on bad input, processes, speed."""
+
+import functools
+import math
+import time
+
+import numpy as np
+import pytest
+from conftest import differences, in_process
+from softrig_core.model.block import Level
+from softrig_core.model.params import ParameterError
+from softrig_core.model.solver import Result
+from softrig_core.rig.processes import run_processes
+from softrig_core.rig.rig import Rig
+from softrig_core.rig.scenario import list_scenarios, load_scenario
+from softrig_core.rig.simulate import simulate
+from softrig_systems.optimal_control import collocation
+from softrig_systems.optimal_control.collocation_planner import CollocationPlanner
+from softrig_systems.optimal_control.evaluator import FIGURES, OcpEvaluator
+from softrig_systems.optimal_control.momentum_feedback import MomentumFeedback
+from softrig_systems.optimal_control.mvim import solve
+from softrig_systems.optimal_control.mvim_planner import MvimPlanner
+from softrig_systems.optimal_control.planning import Request
+from softrig_systems.optimal_control.plants import OcpPlant, ScalarPlant, SpacecraftPlant, TwoStatePlant
+from softrig_systems.optimal_control.player import OcpPlayer
+from softrig_systems.optimal_control.problem import find
+
+S = 10**9
+W0 = (0.01, 0.005, 0.001)
+STATE = (*W0, 0.0, 0.0, 0.0)
+NAMES = sorted(n for n in list_scenarios() if n.startswith("optimal_control_mvim"))
+LATER = {f"optimal_control_mvim_{n}" for n in (
+    "n12", "dt01", "s1", "s3", "s3_n6", "s4", "s4_bias", "s6_n24", "a2_5s", "a4_dt01_bias", "a4_dt01_inertia",
+)}  # fmt: skip
+
+
+@functools.cache
+def run(name):
+    return simulate(name)
+
+
+@pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.long] * (n in LATER)) for n in NAMES])
+def test_figures_of_the_scenarios(name):
+    assert [f"{r.name} = {r.number} {r.error}" for r in run(name).missed] == []
+    assert [(f.key, f.measured_text) for f in run(name).claims if f.holds is False] == []
+
+
+def test_the_verdicts_on_the_paper():
+    found = [f for n in ("", "_printed", "_s3_n2", "_s1_n5") for f in run(f"optimal_control_mvim{n}").claims]
+    assert all(f.holds for f in found)
+    assert sorted(f.verdict for f in found) == ["refuted"] * 4 + ["reproduced"] * 3
+
+
+def end_error(name):
+    return run(f"optimal_control_mvim_{name}").figures["end_error"]
+
+
+def test_the_exact_feedback_beats_the_plan_made_again():
+    assert end_error("a4_inertia") < end_error("s4_1s") < end_error("s4_5s")
+    assert end_error("a4_bias") < end_error("s4_bias_5s")
+
+
+# Bad input of the plants
+
+
+@pytest.mark.parametrize("kind", [ScalarPlant, TwoStatePlant, SpacecraftPlant])
+def test_a_command_that_is_not_finite_is_held(kind):
+    plant, same = kind(), kind()
+    m = len(plant.ports(plant.p)[0][0].channels)
+    for k, u in enumerate((0.1, math.nan, math.inf)):
+        plant.advance(k, command=(u,) * m)
+        same.advance(k, command=(0.1,) * m)
+    assert plant.outputs(0) == same.outputs(0)
+    assert plant.reports["not_finite"][0] is Level.ERROR
+
+
+@pytest.mark.parametrize("kind", [ScalarPlant, TwoStatePlant])
+def test_a_state_that_escapes_stops_the_plant(kind):
+    plant = kind()
+    for k in range(400):
+        plant.advance(k, command=(1e6,))
+        assert all(abs(x) <= 1e3 for x in plant.outputs(0)["state"])
+    assert plant.reports["escaped"][0] is Level.ERROR
+    stopped = plant.outputs(0)
+    plant.advance(400, command=(0.0,))
+    assert plant.outputs(0) == stopped
+
+
+def test_torques_are_limited_and_biased():
+    plant, same = SpacecraftPlant(torque_limit=0.5, bias=(0.1, 0.0, 0.0)), SpacecraftPlant()
+    plant.advance(0, command=(2.0, 0.1, -3.0))
+    same.advance(0, command=(0.6, 0.1, -0.5))
+    assert plant.outputs(0)["state"][:3] == same.outputs(0)["state"][:3]
+    assert plant.outputs(0)["state"][3:] == (0.5, 0.1, -0.5)  # what the actuator gave, without the disturbance
+    assert plant.reports["limited"][0] is Level.WARN
+
+
+@pytest.mark.parametrize("name", ["scalar", "spacecraft", "two_state", "reactor"])
+def test_half_the_step_changes_nothing(name):
+    period = find(name).horizon / 100.0
+    ends = []
+    for substeps in (4, 8):
+        plant = OcpPlant(problem=name, period=period, substeps=substeps)
+        for k in range(100):
+            plant.advance(k, command=(0.2,) * len(find(name).controls))
+        ends.append(np.array(plant.outputs(0)["state"]))
+    assert ends[0] == pytest.approx(ends[1], rel=1e-6 if name == "reactor" else 1e-9)
+
+
+@pytest.mark.parametrize(("kind", "values", "named"), [
+    (MvimPlanner, {"order": 0}, "order"), (MvimPlanner, {"order": 61}, "order"),
+    (MvimPlanner, {"horizon": 0.0}, "horizon"), (MvimPlanner, {"horizon": -1.0}, "horizon"),
+    (MvimPlanner, {"order_max": 7}, "order_max"),
+    (MvimPlanner, {"inertia": (86.24, 0.0, 113.59)}, "inertia"),
+    (SpacecraftPlant, {"inertia": (-1.0, 1.0, 1.0)}, "inertia"),
+    (MvimPlanner, {"R": (1.0, 0, 0, 0, 1.0, 0, 0, 0, 0.0)}, "R"), (MvimPlanner, {"R": (1.0, 2.0)}, "R"),
+    (CollocationPlanner, {"R": (1.0, 0, 0, 0, -1.0, 0, 0, 0, 1.0)}, "R"), (MvimPlanner, {"problem": "none"}, "problem"),
+    (MvimPlanner, {"problem": "softrig_systems.optimal_control.problem:find"}, "problem"),
+    (MvimPlanner, {"problem": "two_state", "x_end": (0.0, 0.0)}, "x_end"), (SpacecraftPlant, {"x0": (1.0,)}, "x0"),
+    (SpacecraftPlant, {"x0": (1.0, math.nan, 0.0)}, "x0"), (SpacecraftPlant, {"bias": (1.0,)}, "bias"),
+    (MvimPlanner, {"frozen_alpha": (1.0,)}, "frozen_alpha"), (MomentumFeedback, {"problem": "scalar"}, "problem"),
+])  # fmt: skip
+def test_impossible_parameters_are_refused_by_name(kind, values, named):
+    with pytest.raises((ParameterError, ValueError), match=rf"\b{named}\b"):
+        kind.ports(kind(**values).p)
+
+
+# Planner
+
+
+def asked(planner, t=0, state=STATE, **more):
+    return planner.request(t, state=state, **more)
+
+
+def answered(planner, request, t=0):
+    result = Result(t, type(planner).solve(request, None), True)
+    return planner.answer(t, result, True)
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf])
+def test_a_state_that_is_not_finite_asks_for_nothing(bad):
+    planner = MvimPlanner()
+    assert asked(planner, state=(bad, 0.0, 0.0, 0.0, 0.0, 0.0)) is None
+    assert planner.reports["state"][0] is Level.ERROR
+    assert asked(planner) is not None  # the first good one
+
+
+def test_when_a_planner_plans():
+    planner = MvimPlanner(k_replan=5)
+    plans = [k for k in range(101) if asked(planner, k * S) is not None]
+    assert plans == list(range(0, 100, 5))
+    planner = MvimPlanner(k_replan=1)
+    assert [k for k in range(101) if asked(planner, k * S) is not None] == list(range(99))  # not in the last 2 s
+    planner = MvimPlanner()
+    assert [k for k in range(101) if asked(planner, k * S) is not None] == [0]
+
+
+def test_a_press_asks_for_a_plan_once():
+    planner = MvimPlanner()
+    given = [asked(planner, k * S, replan=(float(k in (3, 4)),)) for k in range(6)]
+    assert [r is not None for r in given] == [True, False, False, True, False, False]
+    assert given[3].horizon == 97.0
+    assert asked(planner, 99 * S, replan=(1.0,)) is None  # less than two periods left
+
+
+def test_a_plan_that_misses_the_end_is_not_published():
+    planner = MvimPlanner()
+    answered(planner, asked(planner))
+    request = Request(planner.p.model_copy(update={"order": 2}), (1e6, 1e6, 1e6), 1e6, None)  # no root to be found
+    assert answered(planner, request) == {}
+    assert planner.reports["no_plan"][0] is Level.ERROR
+
+
+def test_a_plan_with_a_large_residual_is_published_as_not_converged():
+    planner = MvimPlanner(order=4)
+    values = answered(planner, asked(planner))
+    assert planner.reports["not_converged"][0] is Level.WARN
+    assert values["summary"][-2:] == (0.0, 0.0)
+    player = OcpPlayer(order=4)
+    silent = player.update(0, state=STATE, plan=values["plan"], summary=values["summary"])
+    assert silent["command"] == (0.0, 0.0, 0.0)
+    assert player.reports["plan_refused"][0] is Level.ERROR
+    player = OcpPlayer(order=4, allow_unconverged=True)
+    assert player.update(0, state=STATE, plan=values["plan"], summary=values["summary"])["command"] != (0.0, 0.0, 0.0)
+
+
+def test_diagnostics_name_alpha_and_the_costs_of_all_orders():
+    planner = MvimPlanner()
+    answered(planner, asked(planner))
+    health = planner.health()
+    assert len(health["alpha"].split()) == 3
+    assert len(health["J per order"].split()) == len(health["ratio per order"].split()) == 8
+    assert health["order of the paper's rule"] == "5"
+    assert "converged" in health["reason"]
+
+
+def test_orders_rise_until_the_rule_is_met():
+    planner = MvimPlanner(order=2, order_max=20)
+    values = answered(planner, asked(planner))
+    assert dict(zip(("start", "horizon", "order"), values["summary"], strict=False))["order"] == 6.0
+    table = np.reshape(values["plan"], (9, 21))
+    assert np.all(table[:, 7:] == 0.0)
+    assert np.any(table[:, 6] != 0.0)
+
+
+def test_a_planner_without_an_answer_keeps_the_last_plan():
+    planner = CollocationPlanner()
+    assert planner.answer(0, Result(0, None, False), True) == {}
+    assert planner.reports["limit"][0] is Level.ERROR
+
+
+# Player
+
+
+def planned(horizon=100.0, start=0.0, x=W0):
+    problem = find("spacecraft").changed(x0=x, horizon=horizon)
+    found = solve(problem, 8)
+    return tuple(found.coefficients.ravel()), (start, horizon, 8.0, found.J[-1], 1e-7, 0.0, 1.0, 1.0)
+
+
+def fed(player, t, plan=None, summary=None, state=STATE):
+    """Without a plan: nothing new has come."""
+    player.ages = (lambda name: 0) if plan is not None else (lambda name: 1)
+    return player.update(t, state=state, plan=plan or (0.0,) * 81, summary=summary or (0.0,) * 8)
+
+
+def test_the_player_holds_the_middle_of_each_period_and_zero_after_the_horizon():
+    found = solve(find("spacecraft"), 8)
+    player = OcpPlayer()
+    assert fed(player, 0)["command"] == (0.0, 0.0, 0.0)
+    assert fed(player, 0, *planned())["command"] == pytest.approx(found(0.5)[6:], rel=1e-12)
+    assert fed(player, 37 * S)["command"] == pytest.approx(found(37.5)[6:], rel=1e-12)
+    assert fed(player, 37 * S)["progress"] == (37.0, 63.0)
+    assert fed(player, 100 * S) == {"command": (0.0, 0.0, 0.0), "progress": (100.0, 0.0)}
+    assert player.refused(38 * S)["command"] == pytest.approx(found(38.5)[6:], rel=1e-12)
+    player = OcpPlayer(sampling="start")
+    assert fed(player, 0, *planned())["command"] == pytest.approx(found(0.0)[6:], rel=1e-12)
+
+
+def test_a_plan_that_is_over_or_another_problems_is_refused():
+    for plan, why in ((planned(start=-100.0), "over"), (planned(x=(0.02, 0.0, 0.0)), "another problem")):
+        player = OcpPlayer()
+        assert fed(player, 0, *plan)["command"] == (0.0, 0.0, 0.0)
+        assert player.reports["plan_refused"][0] is Level.ERROR
+        assert why in player.reports["plan_refused"][1]
+    player = OcpPlayer()
+    held = fed(player, 0, *planned())["command"]
+    assert fed(player, 0, *planned(x=(0.02, 0.0, 0.0)))["command"] == held  # the plan before goes on
+
+
+def test_ports_refuse_plans_and_states_of_another_length():
+    problem_ports = {p.name: p for p in OcpPlayer.ports(OcpPlayer(problem="scalar", order=8).p)[0]}
+    ours = {p.name: p for p in OcpPlayer.ports(OcpPlayer().p)[0]}
+    assert problem_ports["plan"].size != ours["plan"].size
+    assert problem_ports["state"].channels != ours["state"].channels
+
+
+def test_the_feedback_is_zero_after_the_horizon_and_bounded_in_the_last_period():
+    feedback = MomentumFeedback()
+    feedback.update(0, state=STATE)
+    last = feedback.update(99_500_000_000, state=STATE)["command"]
+    assert last == pytest.approx([-m * w for m, w in zip(feedback.p.inertia, W0, strict=True)])
+    assert feedback.update(100 * S, state=STATE)["command"] == (0.0, 0.0, 0.0)
+
+
+# Evaluator
+
+
+def evaluated(problem, order, **mode):
+    """What the evaluator says of a plan of a given order."""
+    found = solve(find(problem), order, **mode)
+    about = (0.0, found.horizon, float(order), found.J[-1], found.residual[-1], found.end_error, 0.0, 0.0)
+    evaluator = OcpEvaluator(problem=problem, order=order)
+    n = len(find(problem).states)
+    state = (*find(problem).x0, *((0.0,) * n if problem == "spacecraft" else ()))
+    control = (0.0,) * len(find(problem).controls)
+    answer = evaluator.update(0, state=state, command=control, plan=tuple(found.coefficients.ravel()), summary=about)
+    return dict(zip(FIGURES, answer["evaluation"], strict=True)), evaluator
+
+
+@pytest.mark.parametrize(("problem", "order", "mode", "flag"), [
+    ("spacecraft", 4, {"alpha_mode": "frozen", "frozen_alpha": (0.7436866718, 0.3617355350, 0.1206193519)}, 1.0),
+    ("two_state", 2, {}, 1.0), ("scalar", 5, {}, 1.0), ("spacecraft", 8, {}, 0.0), ("two_state", 30, {}, 0.0),
+    ("scalar", 20, {}, 0.0),
+])  # fmt: skip
+def test_impossible_optima_are_flagged(problem, order, mode, flag):
+    found, evaluator = evaluated(problem, order, **mode)
+    assert found["infeasible"] == flag
+    assert ("infeasible" in evaluator.reports) == bool(flag)
+    if flag:
+        assert evaluator.reports["infeasible"][1].startswith("infeasible: not an optimum")
+
+
+def test_a_cost_below_the_least_is_flagged_whatever_the_residual():
+    evaluator = OcpEvaluator()
+    plan, about = planned()
+    said = (*about[:3], 0.00467886, *about[4:])
+    evaluator.update(0, state=STATE, command=(0.0, 0.0, 0.0), plan=plan, summary=said)
+    assert evaluator.status()["infeasible"] == (1.0, "")
+
+
+# Speed: the least of several, which other work on the machine does not change
+
+
+def test_planners_are_fast_enough():
+    problem, begin, best = find("spacecraft"), 0.0, math.inf
+    solve(problem, 8)
+    for _ in range(10):
+        begin = time.process_time()
+        solve(problem, 8)
+        best = min(best, time.process_time() - begin)
+    assert best <= 0.02
+    cold = collocation.solve(problem)
+    guess, best = collocation.sampled(cold.rows, 100.0, 90.0, 3), math.inf
+    later = problem.changed(x0=cold.rows[:3, 10], horizon=90.0)
+    for _ in range(5):
+        begin = time.process_time()
+        warm = collocation.solve(later, guess=guess)
+        best = min(best, time.process_time() - begin)
+    assert warm.iterations <= 2
+    assert best <= 0.1
+
+
+# Through processes
+
+
+@pytest.mark.processes
+@pytest.mark.parametrize("name", ["optimal_control_mvim", "optimal_control_mvim_s4_1s"])
+def test_processes_give_the_bits_of_in_process(name, tmp_path):
+    rig = Rig.from_scenario(load_scenario(name).changed(duration=20.0))
+    outcome = run_processes(rig, 1, tmp_path)
+    assert outcome.error == ""
+    assert differences(in_process(rig, 1), outcome.recording) == []
