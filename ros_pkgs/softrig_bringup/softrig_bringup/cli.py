@@ -35,12 +35,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         if arguments and arguments[0] in _FOREIGN:
             import importlib
 
-            module, function = _FOREIGN[arguments[0]]
+            module, function, _ = _FOREIGN[arguments[0]]
             return int(getattr(importlib.import_module(module), function)(arguments[1:]))
         options = _parser().parse_args(arguments)
         return int(options.verb(options))
     except ScenarioError as error:
-        _say(error)
+        # from another exception: the code of a user's package, whose traceback tells more than a line
+        _say(f"{error}; the traceback is in {_traceback()}" if error.__cause__ else error)
         return 2
     except BrokenPipeError:  # whoever read our output has enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -79,18 +80,24 @@ def _traceback() -> Path:
 
 # verbs with their own command line
 _FOREIGN = {
-    "record": ("softrig_bags.cli", "main_record"),
-    "play": ("softrig_bags.cli", "main_play"),
-    "compare": ("softrig_bags.cli", "main_compare"),
-    "bag": ("softrig_bags.cli", "main_bag"),
-    "locate": ("softrig_bringup.locate", "main"),
+    "record": ("softrig_bags.cli", "main_record", "record topics of a running graph into a bag"),
+    "play": ("softrig_bags.cli", "main_play", "play a bag back"),
+    "compare": ("softrig_bags.cli", "main_compare", "find the first difference between two bags"),
+    "bag": ("softrig_bags.cli", "main_bag", "info, repair, export of a bag"),
+    "locate": ("softrig_bringup.locate", "main", "locate the fault in a COMTRADE record of a transmission line"),
+}
+# verbs of scripts/softrig itself, which never get here
+_SCRIPT = {
+    "setup": "only set up what is missing: .venv from the lock file, .ws by colcon",
+    "env": 'print the environment, for a shell of your own: eval "$(scripts/softrig env)"',
+    "python": "the Python of the set-up, with everything importable: scripts/softrig python my_script.py",
 }
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="softrig", description="Closed loops over ROS 2 topics that come out the same every time.",
-        epilog="Further verbs: record, play, compare, bag, locate (each with --help).",
+        epilog="Before the verb: --workspace DIR, also the packages that colcon has built in DIR.",
     )  # fmt: skip
     verbs = parser.add_subparsers(required=True, metavar="VERB")
 
@@ -150,9 +157,28 @@ def _parser() -> argparse.ArgumentParser:
     golden.add_argument("--duration", type=float, metavar="S", help="another length of the golden run")
     golden.add_argument("--seed", type=int, metavar="N", help="another seed")
     golden.add_argument("--bags", type=Path, default=Path("bags"), metavar="DIR", help="where they are")
+    new = verb("new", _new, "write a package with a plant, a law, a scenario and tests, to begin with")
+    new.add_argument("name", metavar="NAME", help="of the package: lower-case letters, digits and _")
+    new.add_argument("--into", type=Path, default=Path(), metavar="DIR", help="where its folder is made (here)")
     bench = verb("bench", _bench, "measure: ratios against a raw ping-pong of the same run")
     bench.add_argument("parts", nargs="*", metavar="PART", help="which parts (default all); `bench list` names them")
+    for name, (_, _, text) in _FOREIGN.items():
+        verbs.add_parser(name, help=text)
+    for name, text in _SCRIPT.items():
+        verb(name, _script, text)
     return parser
+
+
+def _script(options: argparse.Namespace) -> int:
+    from softrig_core.errors import ScenarioError
+
+    raise ScenarioError("setup, env and python are verbs of scripts/softrig, which has not been used here")
+
+
+def _new(options: argparse.Namespace) -> int:
+    from .new import main as new
+
+    return new(options.name, options.into)
 
 
 def _list(options: argparse.Namespace) -> int:

@@ -1,5 +1,11 @@
 """The two ways in which a run can fail; the command line turns each into one line and an exit status."""
 
+from __future__ import annotations
+
+import sysconfig
+import traceback
+from pathlib import Path
+
 
 class ScenarioError(ValueError):
     """Bad input: the text says what was wrong, where, and what was expected (exit status 2)."""
@@ -7,3 +13,19 @@ class ScenarioError(ValueError):
 
 class RunError(RuntimeError):
     """A run broke: the text names the node and topic (exit status 3)."""
+
+
+_LIBRARIES = tuple({sysconfig.get_path(name) for name in ("stdlib", "platstdlib", "purelib", "platlib")})
+_OURS = str(Path(__file__).parent)
+
+
+def describe(error: BaseException) -> str:
+    """Say what an exception is and where in its author's code it came up, in one line.
+
+    The place is the last one outside Python's libraries and softrig_core; of a syntax error, the line itself.
+    """
+    what = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+    if isinstance(error, SyntaxError) and error.filename:
+        return f"{error.filename}, line {error.lineno}: {type(error).__name__}: {error.msg}"
+    frames = [f for f in traceback.extract_tb(error.__traceback__) if not f.filename.startswith((*_LIBRARIES, _OURS, "<"))]
+    return f"{frames[-1].filename}, line {frames[-1].lineno}: {what}" if frames else what

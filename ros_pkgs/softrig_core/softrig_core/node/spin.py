@@ -10,7 +10,7 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.task import Future
 
-from ..errors import RunError
+from ..errors import RunError, describe
 from ..model.timebase import SECOND
 from .adapter import Adapter
 from .health import write_status
@@ -40,7 +40,7 @@ def spin(node: Node, adapter: Adapter) -> int:
         adapter.error, adapter.state = error, "failed"
     except Exception as error:  # a law or a plant that failed: the executor has printed the traceback
         if rclpy.ok():
-            text = f"failed at t = {adapter.t / SECOND:.9g} s: {type(error).__name__}: {error}"
+            text = f"failed at t = {adapter.t / SECOND:.9g} s: {describe(error)}"
             adapter.error, adapter.state = RunError(text), "failed"
         else:  # a signal has shut the context down under a callback that was about to publish
             stopped = True

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from copy import copy
 from typing import Any
 
-from ..errors import RunError, ScenarioError
+from ..errors import RunError, ScenarioError, describe
 from ..model.answer import check
 from ..model.block import Block, Plant
 from ..model.port import Sample
@@ -124,7 +124,7 @@ def run_inprocess(
         try:
             found = step.answer(t, **inputs)
         except Exception as error:
-            raise RunError(f"{step.name} failed at t = {t / 1e9:.9g} s: {type(error).__name__}: {error}") from error
+            raise RunError(f"{step.name} failed at t = {t / 1e9:.9g} s: {describe(error)}") from error
         for port, slot, encode, topic, sporadic in step.writes:
             value = check(found, port, step.name, t)
             if value is None:
@@ -161,7 +161,7 @@ def run_inprocess(
                 try:
                     step.advance(t, **step.gather(t, values))  # type: ignore[misc]
                 except Exception as error:
-                    raise RunError(f"{step.name} failed after t = {t / 1e9:.9g} s: {type(error).__name__}: {error}"
+                    raise RunError(f"{step.name} failed after t = {t / 1e9:.9g} s: {describe(error)}"
                                    ) from error  # fmt: skip
         if progress is not None and k % stride == 0:
             progress(t)

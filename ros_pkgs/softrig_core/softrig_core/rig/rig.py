@@ -11,7 +11,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from ..errors import ScenarioError
+from ..errors import ScenarioError, describe
 from ..model.block import Block, Plant
 from ..model.params import BlockParams, ParameterError, build, flatten
 from ..model.port import Port, Refused
@@ -21,6 +21,7 @@ from ..wire.codec import selection
 from ..wire.recording import Recording
 from .node_parameters import NodeParameters
 from .scenario import Scenario, explain
+from .scenario_file import closest
 
 
 @dataclass(frozen=True)
@@ -207,11 +208,16 @@ def load_block(package: str, executable: str) -> type[Block]:
     try:
         points = importlib.metadata.distribution(package).entry_points.select(group="console_scripts")
     except importlib.metadata.PackageNotFoundError:
-        raise ScenarioError(f"package {package!r} is not installed in this environment") from None
+        near = closest(package, (d.name for d in importlib.metadata.distributions()))
+        raise ScenarioError(f"package {package!r} is not installed in this environment{near}") from None
     names = sorted(points.names)
     if executable not in names:
-        raise ScenarioError(f"package {package} has no executable {executable!r}; it has {', '.join(names)}")
-    main: Callable[[], int] = points[executable].load()
+        raise ScenarioError(f"package {package} has no executable {executable!r}{closest(executable, names)}; it has "
+                            f"{', '.join(names)}")  # fmt: skip
+    try:
+        main: Callable[[], int] = points[executable].load()
+    except (Exception, SystemExit) as error:
+        raise ScenarioError(f"{package}/{executable} cannot be loaded: {describe(error)}") from error
     block: type[Block] | None = getattr(main, "block", None)
     if block is None:
         raise ScenarioError(f"{package}/{executable} is a tool, not the node of a block")

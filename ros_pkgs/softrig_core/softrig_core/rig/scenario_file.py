@@ -18,11 +18,11 @@ OWN = ("expect", "claims")  # what a scenario is judged by stands in its own ent
 
 
 def scenario_folders() -> list[Path]:
-    """Where scenario files are looked for: SOFTRIG_SCENARIOS, then the installed share folder."""
+    """Where scenario files are looked for: SOFTRIG_SCENARIOS, then ``share/PACKAGE/scenarios`` of what is installed."""
     folders = [Path(p) for p in os.environ.get("SOFTRIG_SCENARIOS", "").split(os.pathsep) if p]
     for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
         if prefix:
-            folders.append(Path(prefix) / "share" / "softrig_bringup" / "scenarios")
+            folders += sorted(Path(prefix).glob("share/*/scenarios"))
     return [f for f in folders if f.is_dir()]
 
 
