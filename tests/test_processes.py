@@ -240,7 +240,7 @@ def test_bad_parameters_stop_a_node_with_one_line(tmp_path):
     executable = str(find_executable("faultrig", "plant"))
     for argument, text in [
         ("gain:=-1.0", "parameter gain = -1.0: input should be greater than 0"),
-        ("gian:=1.0", "parameter gian is unknown; this block has period, gain, limit"),
+        ("gian:=1.0", "parameter gian is unknown (did you mean 'gain'?); this block has period, gain, limit"),
         ("gain:=high", "parameter gain = 'high': input should be a valid number"),
         ("run.mode:=fast", "run.mode"),
     ]:

@@ -199,7 +199,7 @@ def _run(options: argparse.Namespace) -> int:
     from softrig_core.rig.scenario import load_scenario, merge
 
     from .folder import ResultsFolder
-    from .run import execute, save, summary
+    from .run import checked, execute, save, summary
 
     scenario = load_scenario(options.scenario, dict(_assignment(text) for text in options.set))
     changes: dict[str, Any] = {}
@@ -210,6 +210,7 @@ def _run(options: argparse.Namespace) -> int:
         changes = merge(changes, {"nodes": {name: {"external": True}}})
     if changes:
         scenario = _changed(scenario, changes)
+    checked(scenario)  # before anything of an earlier run is replaced
     changed = _changes(options)
     out = (options.out or Path("runs") / _folder_name(scenario.name, options, changed)).absolute()
     folder = ResultsFolder(out)

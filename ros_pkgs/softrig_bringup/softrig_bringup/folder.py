@@ -47,11 +47,16 @@ class ResultsFolder:
 
     def clear(self) -> None:
         """Remove what the former run listed, and the folders that this leaves empty; never what a link points to."""
-        self.path.mkdir(parents=True, exist_ok=True)
-        for file in self._old:
-            place = self.path / file
-            if _inside(self.path, place):
-                place.unlink(missing_ok=True)
+        try:
+            self.path.mkdir(parents=True, exist_ok=True)
+            for file in self._old:
+                place = self.path / file
+                if _inside(self.path, place):
+                    place.unlink(missing_ok=True)
+        except OSError as error:
+            raise ScenarioError(f"{error.filename}: {error.strerror}; choose another --out") from None
+        if not os.access(self.path, os.W_OK | os.X_OK):
+            raise ScenarioError(f"{self.path}: cannot be written into; choose another --out")
         for folder in sorted({p for f in self._old for p in Path(f).parents}, key=lambda p: -len(p.parts)):
             place = self.path / folder
             if folder.parts and place.is_dir() and not place.is_symlink() and not any(place.iterdir()):

@@ -53,9 +53,7 @@ def execute(
     wait : float, optional
         See `softrig_core.rig.processes.run_processes`.
     """
-    rig = Rig.from_scenario(scenario)
-    figures_of(rig)  # what is misspelt or does not fit is found before the run, not after it
-    check_plots(rig)
+    rig = checked(scenario)
     started = time.perf_counter()
     if mode == "inprocess":
         recording = Recording((t, p.msgtype) for t, p in rig.topics.items())
@@ -89,6 +87,14 @@ def _status(block: Block) -> dict[str, Any]:
     if isinstance(block, Observer):
         status["figures"] = {k: [v, unit] for k, (v, unit) in block.status().items() if math.isfinite(v)}
     return status
+
+
+def checked(scenario: Scenario) -> Rig:
+    """Build the rig of a scenario; what is misspelt or does not fit is found before the run, not after it."""
+    rig = Rig.from_scenario(scenario)
+    figures_of(rig)
+    check_plots(rig)
+    return rig
 
 
 def gaps(rig: Rig, recording: Recording) -> str:

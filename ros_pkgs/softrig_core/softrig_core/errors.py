@@ -26,6 +26,7 @@ def describe(error: BaseException) -> str:
     """
     what = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
     if isinstance(error, SyntaxError) and error.filename:
-        return f"{error.filename}, line {error.lineno}: {type(error).__name__}: {error.msg}"
-    frames = [f for f in traceback.extract_tb(error.__traceback__) if not f.filename.startswith((*_LIBRARIES, _OURS, "<"))]
-    return f"{frames[-1].filename}, line {frames[-1].lineno}: {what}" if frames else what
+        return f"{type(error).__name__}: {error.msg} ({error.filename}, line {error.lineno})"
+    ours = (*_LIBRARIES, _OURS, "<")
+    places = [f for f in traceback.extract_tb(error.__traceback__) if not f.filename.startswith(ours)]
+    return f"{what} ({places[-1].filename}, line {places[-1].lineno})" if places else what

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, get_args
@@ -140,8 +141,10 @@ def build(model: type[Params], values: Mapping[str, Any]) -> Params:
 def _explain(model: type[Params], error: Any) -> str:
     name = ".".join(str(part) for part in error["loc"]) or model.__qualname__
     if error["type"] == "extra_forbidden":
-        known = ", ".join(d.name for d in declarations(model))
-        return f"parameter {name} is unknown; this block has {known}"
+        known = [d.name for d in declarations(model)]
+        near = difflib.get_close_matches(name, known, 1)
+        hint = f" (did you mean {near[0]!r}?)" if near else ""
+        return f"parameter {name} is unknown{hint}; this block has {', '.join(known)}"
     message = error["msg"].removeprefix("Value error, ")
     if error["type"] == "value_error" and not error["loc"]:
         return f"parameters: {message}"

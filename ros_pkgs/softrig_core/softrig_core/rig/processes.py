@@ -23,7 +23,8 @@ from ..model.port import Port
 from ..wire.recording import Recording
 from .domain import free_domain
 from .options import InputLink, Links
-from .rig import Member, Rig
+from .rig import Member, Rig, load_main
+from .scenario_file import closest
 from .shared_memory import remove_leftovers
 from .stopping import signal_of, stoppable
 
@@ -304,7 +305,8 @@ def find_executable(package: str, executable: str) -> Path:
     if not there:
         raise ScenarioError(f"package {package!r} has no executables in AMENT_PREFIX_PATH; is the workspace built "
                             "and sourced?")  # fmt: skip
-    raise ScenarioError(f"package {package} has no executable {executable!r}; it has {', '.join(there)}")
+    raise ScenarioError(f"package {package} has no executable {executable!r}{closest(executable, there)}; it has "
+                        f"{', '.join(there)}")  # fmt: skip
 
 
 def node_parameters(rig: Rig, member: Member, seed: int, mode: str) -> dict[str, Any]:
@@ -447,8 +449,19 @@ def _last_line(log: Path) -> str:
 
 
 def node_main(package: str, executable: str, arguments: list[str]) -> int:
-    """Replace this process by an executable: what ``ros2 run`` does, signals and exit status exact."""
+    """Become an executable: what ``ros2 run`` does. One of Python runs in this process, so that what stops its module
+    from being imported is told with its place; any other replaces it.
+
+    Raises
+    ------
+    ScenarioError
+        No such executable, or its module cannot be imported.
+    """
     path = find_executable(package, executable)
     os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(PROFILE))
+    main = load_main(package, executable)
     sys.stdout.flush()
-    os.execv(path, [str(path), *arguments])
+    if main is None:
+        os.execv(path, [str(path), *arguments])
+    sys.argv = [str(path), *arguments]
+    return int(main() or 0)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib.metadata
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from copy import copy
 from dataclasses import dataclass
 from typing import Any
@@ -197,13 +197,33 @@ CLOCK = Port("clock", "/clock", "rosgraph_msgs/msg/Clock")
 CLOCK_NODE = "clock"  # node and executable of a clock that is no plant
 
 
+def load_main(package: str, executable: str) -> Any:
+    """Import the main function of an installed Python executable; None when the package has none of this name.
+
+    Raises
+    ------
+    ScenarioError
+        Its module cannot be imported; says why and where.
+    """
+    try:
+        points = importlib.metadata.distribution(package).entry_points.select(group="console_scripts")
+    except importlib.metadata.PackageNotFoundError:
+        return None
+    if executable not in points.names:
+        return None
+    try:
+        return points[executable].load()
+    except (Exception, SystemExit) as error:
+        raise ScenarioError(f"{package}/{executable} cannot be loaded: {describe(error)}") from error
+
+
 def load_block(package: str, executable: str) -> type[Block]:
     """Find the block class behind an installed executable.
 
     Raises
     ------
     ScenarioError
-        The package or executable is not installed, or is not a softrig node.
+        The package or executable is not installed, cannot be imported, or is not a softrig node.
     """
     try:
         points = importlib.metadata.distribution(package).entry_points.select(group="console_scripts")
@@ -214,11 +234,7 @@ def load_block(package: str, executable: str) -> type[Block]:
     if executable not in names:
         raise ScenarioError(f"package {package} has no executable {executable!r}{closest(executable, names)}; it has "
                             f"{', '.join(names)}")  # fmt: skip
-    try:
-        main: Callable[[], int] = points[executable].load()
-    except (Exception, SystemExit) as error:
-        raise ScenarioError(f"{package}/{executable} cannot be loaded: {describe(error)}") from error
-    block: type[Block] | None = getattr(main, "block", None)
+    block: type[Block] | None = getattr(load_main(package, executable), "block", None)
     if block is None:
         raise ScenarioError(f"{package}/{executable} is a tool, not the node of a block")
     return block

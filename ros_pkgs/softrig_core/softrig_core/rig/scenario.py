@@ -11,7 +11,7 @@ from ..errors import ScenarioError
 from .claims import Claim
 from .expectation import Expected
 from .references import fill
-from .scenario_file import list_scenarios, locate, merge, resolve
+from .scenario_file import closest, list_scenarios, locate, merge, resolve
 
 __all__ = ["FigureEntry", "NodeEntry", "PlotEntry", "Scenario", "list_scenarios", "load_scenario", "merge"]
 
@@ -188,7 +188,10 @@ def _override(raw: dict[str, Any], key: str, value: Any) -> None:
         return
     if node not in nodes or not parameter:
         also = f", or a shared value ({', '.join(shared)})" if shared else ""
-        raise ScenarioError(f"override {key!r}: expected node.parameter with node one of {', '.join(nodes)}{also}")
+        near = closest(node, nodes) if parameter else closest(key, shared)
+        raise ScenarioError(
+            f"override {key!r}{near}: expected node.parameter with node one of {', '.join(nodes)}{also}"
+        )
     raw["nodes"] = merge({**nodes, node: nodes[node] or {}}, {node: {"parameters": {parameter: value}}})
 
 

@@ -1,0 +1,210 @@
+"""The first hour of three users: from outside the repository, in a path with a space, in 60 columns, without a
+terminal and without root's power over files: change a gain, bring a package, set an own law beside the paper."""
+
+import json
+import os
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+from softrig_bringup.cli import main
+from softrig_bringup.new import new_package
+from softrig_core.errors import ScenarioError
+
+SOFTRIG = Path(__file__).parents[1] / "scripts" / "softrig"
+
+LAW = '''
+"""A law of one's own for the motor of the paper."""
+
+from softrig_core.model.block import Block
+from softrig_core.model.params import BlockParams, param
+from softrig_core.model.port import command, joint_state, reference
+from softrig_core.node import executable
+
+
+class Params(BlockParams):
+    """One gain."""
+
+    k: float = param(4.0, "gain", "V s/rad", ge=0.0, le=100.0)
+
+
+class Law(Block[Params]):
+    """u = k (w_ref - w)."""
+
+    INPUTS = (
+        joint_state("state", "motor/state", ["shaft"], velocity="rad/s"),
+        reference("reference", "motor/reference", ["shaft"], velocity="rad/s"),
+    )
+    OUTPUTS = (command("command", "motor/command", ["armature"], "V"),)
+
+    def update(self, t, state, reference):
+        """Answer a tick."""
+        return {"command": (self.p.k * (reference[0] - state[0]),)}
+
+
+main = executable(Law)
+'''
+BESIDE = """
+title: My law beside the paper's
+extends: dc_motor_smc_b2
+nodes:
+  dc_motor_smc: {package: heater, executable: motor_law, parameters: {period: 0.01}}
+plots: # the paper's show its sliding surface
+  - {title: Speed, signals: {motor/true_state/shaft/velocity: speed, motor/reference/shaft/velocity: reference}}
+"""
+
+
+class User:
+    """Somebody at a prompt: an environment without anything of ours, no terminal, 60 columns, not root."""
+
+    def __init__(self, folder):
+        self.folder = folder
+        ours = ("AMENT_PREFIX_PATH", "PYTHONPATH", "VIRTUAL_ENV", "LD_PRELOAD", "COLCON_", "SOFTRIG_", "PYTEST_")
+        keep = {k: v for k, v in os.environ.items() if not k.startswith(ours)}
+        self.environment = keep | {"COLUMNS": "60"}
+        self.powerless = ["setpriv", "--bounding-set=-all", "--inh-caps=-all"] if _root() else []
+
+    def __call__(self, command, status=0, timeout=240):
+        """Type a command; gives what it printed, and what it complained of."""
+        done = subprocess.run([*self.powerless, "bash", "-c", command], cwd=self.folder, env=self.environment,
+                              stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=timeout)  # fmt: skip
+        assert done.returncode == status, done.stdout + done.stderr
+        return done.stdout, done.stderr
+
+
+def _root():
+    return os.geteuid() == 0 and shutil.which("setpriv") is not None
+
+
+@pytest.fixture(scope="module")
+def user(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("my work")
+    assert " " in str(folder)
+    return User(folder)
+
+
+@pytest.fixture(scope="module")
+def package(user):
+    """The package that `softrig new` writes, with a law of the user's own added, built by colcon."""
+    out, _ = user(f"'{SOFTRIG}' new heater")
+    assert "colcon build" in out
+    folder = user.folder / "heater"
+    (folder / "heater" / "motor_law.py").write_text(LAW)
+    setup = folder / "setup.cfg"
+    setup.write_text(
+        setup.read_text().replace("    heater_plant =", "    motor_law = heater.motor_law:main\n    heater_plant =")
+    )
+    build(user)
+    return folder
+
+
+def build(user):
+    return user(f"""cd heater && eval "$('{SOFTRIG}' env)" && colcon build --symlink-install""")
+
+
+def test_somebody_changes_a_gain(user):
+    out, _ = user(f"'{SOFTRIG}' run dc_motor_smc_b2 --mode inprocess --no-plots --set dc_motor_smc.delta=2")
+    assert "changed: dc_motor_smc.delta=2" in " ".join(out.split())
+    content = json.loads((user.folder / "runs" / "dc_motor_smc_b2-dc_motor_smc.delta=2" / "metrics.json").read_text())
+    assert content["changed"] == ["dc_motor_smc.delta=2"]
+    out, error = user(f"'{SOFTRIG}' run dc_motor_smc_b2 --mode inprocess --set dc_motor_smc.detla=2", status=2)
+    assert "did you mean 'delta'" in error
+
+
+def test_a_place_that_cannot_be_written_is_one_line(user):
+    (user.folder / "shut").mkdir(mode=0o555)
+    _, error = user(f"'{SOFTRIG}' run dc_motor_smc_b2 --mode inprocess --out shut/here", status=2)
+    assert error.count("\n") == 1
+    assert "Permission denied" in error
+
+
+@pytest.mark.processes
+def test_the_package_runs_at_once_in_both_lockstep_modes(user, package):
+    command = f"cd heater && '{SOFTRIG}' --workspace . run heater --no-plots --mode"
+    figures = []
+    for mode in ("inprocess", "processes"):
+        user(f"{command} {mode} --out {mode}")
+        figures.append(json.loads((package / mode / "metrics.json").read_text())["metrics"])
+    assert figures[0] == figures[1]
+    assert all(f["pass"] for f in figures[0])
+
+
+@pytest.mark.processes
+def test_an_overlay_sourced_before_is_honoured(user, package):
+    out, _ = user(f"""cd heater && eval "$('{SOFTRIG}' env)" && . install/local_setup.sh && cd .. &&
+        '{SOFTRIG}' list heater && '{SOFTRIG}' run heater --mode inprocess --no-plots""")
+    assert "A heated body under PI control" in " ".join(out.split())
+
+
+@pytest.mark.processes
+def test_an_own_law_stands_beside_the_papers(user, package):
+    (user.folder / "beside.yaml").write_text(BESIDE)
+    run = f"'{SOFTRIG}' --workspace heater run"
+    user(f"{run} beside.yaml --mode inprocess --no-plots && {run} dc_motor_smc_b2 --mode inprocess --no-plots")
+    user(f"'{SOFTRIG}' report runs/beside runs/dc_motor_smc_b2 --out both.html")
+    page = (user.folder / "both.html").read_text()
+    assert "side by side" in page
+    assert "My law beside the paper" in page
+
+
+FAILS = ("self.p.k", "1 / 0", LAW[: LAW.index("return")].count("\n") + 1)
+ABSENT = ('"""A', 'import nothing_such\n"""A', 2)
+NO_PYTHON = ('"""A', 'def (\n"""A', 2)
+
+
+@pytest.mark.processes
+@pytest.mark.parametrize(
+    ("mistake", "mode", "status", "said"),
+    [
+        (FAILS, "inprocess", 3, "ZeroDivisionError: division by zero"),
+        (FAILS, "processes", 3, "ZeroDivisionError: division by zero"),
+        (ABSENT, "inprocess", 2, "ModuleNotFoundError: No module named 'nothing_such'"),
+        (NO_PYTHON, "inprocess", 2, "SyntaxError: invalid syntax"),
+    ],
+)
+def test_a_mistake_in_ones_own_code_says_file_and_line(user, package, mistake, mode, status, said):
+    (user.folder / "beside.yaml").write_text(BESIDE)
+    file = package / "heater" / "motor_law.py"
+    right, wrong, line = mistake
+    file.write_text(LAW.replace(right, wrong))
+    try:
+        _, error = user(f"'{SOFTRIG}' --workspace heater run beside.yaml --mode {mode} --no-plots --out {mode}", status)
+        errors = [error]
+        if status == 2:  # a node by itself says the same
+            assert "the traceback is in" in error
+            errors.append(user(f"'{SOFTRIG}' --workspace heater node heater motor_law", 2)[1])
+        for error in errors:
+            assert said in error
+            assert f"heater/motor_law.py, line {line})" in error
+    finally:
+        file.write_text(LAW)
+
+
+@pytest.mark.long
+def test_the_package_runs_in_real_time_and_passes_its_own_tests(user, package):
+    user(f"cd heater && '{SOFTRIG}' --workspace . run heater --mode realtime")
+    out, _ = user(f"""cd heater && eval "$('{SOFTRIG}' env)" && colcon test && colcon test-result""")
+    assert "3 tests, 0 errors, 0 failures, 0 skipped" in out
+
+
+@pytest.mark.parametrize("name", ["Heater", "2heater", "heat-er", "heat__er", "numpy", "json", "class", "..", ""])
+def test_a_name_that_cannot_be_a_package_is_refused(tmp_path, name):
+    with pytest.raises(ScenarioError, match="package name"):
+        new_package(name, tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
+def test_nothing_is_written_over(tmp_path, capsys):
+    (tmp_path / "heater").mkdir()
+    assert main(["new", "heater", "--into", str(tmp_path)]) == 2
+    assert "is there already" in capsys.readouterr().err
+    assert not list((tmp_path / "heater").iterdir())
+
+
+def test_help_names_every_verb(capsys):
+    with pytest.raises(SystemExit):
+        main(["--help"])
+    out = capsys.readouterr().out
+    for verb in ("env", "setup", "python", "new", "record", "bag", "--workspace"):
+        assert verb in out
