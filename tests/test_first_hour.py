@@ -149,8 +149,8 @@ def test_an_own_law_stands_beside_the_papers(user, package):
 
 
 FAILS = ("self.p.k", "1 / 0", LAW[: LAW.index("return")].count("\n") + 1)
-ABSENT = ('"""A', 'import nothing_such\n"""A', 2)
-NO_PYTHON = ('"""A', 'def (\n"""A', 2)
+ABSENT = ('"""A law', 'import nothing_such\n"""A law', 2)
+NO_PYTHON = ('"""A law', 'def (\n"""A law', 2)
 
 
 @pytest.mark.processes
