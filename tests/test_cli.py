@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 from softrig_bringup.cli import _parser, _repeat, main
 from softrig_bringup.run import gaps
+from softrig_core.node.container import split
 from softrig_core.rig.registry import figure
 from softrig_core.rig.rig import Rig
 from softrig_core.rig.scenario import load_scenario
@@ -223,10 +224,15 @@ def test_the_launch_file_starts_the_nodes_of_a_scenario(monkeypatch):
     file = Path(__file__).parents[1] / "ros_pkgs" / "softrig_bringup" / "launch" / "rig.launch.py"
     namespace = {}
     exec(compile(file.read_text(), str(file), "exec"), namespace)
-    nodes = namespace["_nodes"]({"scenario": "lag", "mode": "lockstep", "seed": ""})
+    nodes = namespace["_nodes"]({"scenario": "lag", "mode": "lockstep", "seed": "", "place": "processes"})
     assert [n.keywords["executable"] for n in nodes] == ["plant", "source", "gain"]
     assert nodes[2].keywords["parameters"][0]["noise"] == 0.01
     assert nodes[2].keywords["parameters"][0]["run.mode"] == "lockstep"
+    (one,) = namespace["_nodes"]({"scenario": "lag", "mode": "realtime", "seed": "", "place": "container"})
+    assert one.keywords["executable"] == "container"
+    groups = split(one.keywords["arguments"])
+    assert [g[:2] for g in groups] == [["faultrig", "plant"], ["faultrig", "source"], ["faultrig", "gain"]]
+    assert '    run.mode: "realtime"' in Path(groups[2][-1]).read_text().splitlines()
 
 
 # Stands in for Python, colcon and what they make: a set-up in a second without a network.

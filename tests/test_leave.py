@@ -16,7 +16,7 @@ class Node:
         print("leaving")
         ctypes.PyDLL(None).pause()  # keeps the interpreter, as a call of the middleware does
 
-leave(Node(), {status})
+leave([Node()], {status})
 """
 
 

@@ -139,7 +139,7 @@ def _publish(channels: int, rates: Sequence[int]) -> None:
         stages.append((count, count / (time.perf_counter() - start)))
         publisher.wait_for_all_acked(Duration(seconds=5))
     print(json.dumps(stages))
-    leave(session.node, 0)
+    leave([session.node], 0)
 
 
 def _listen() -> None:
@@ -162,7 +162,7 @@ def _listen() -> None:
         session.spin(1.0)
     session.settle()
     print(json.dumps(received))
-    leave(session.node, 0)
+    leave([session.node], 0)
 
 
 if __name__ == "__main__":

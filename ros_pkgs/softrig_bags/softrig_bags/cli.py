@@ -48,7 +48,7 @@ def _leaving(tool: Main) -> Main:
         from .ros import Session
 
         if Session.opened is not None:
-            leave(Session.opened.node, status)
+            leave([Session.opened.node], status)
         return status
 
     return main

@@ -3,6 +3,9 @@
 The same scenario files as `softrig run`; here the nodes run for themselves, without bag and metrics.
 """
 
+from pathlib import Path
+from tempfile import mkdtemp
+
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
@@ -13,13 +16,14 @@ def generate_launch_description():
     arguments = [
         DeclareLaunchArgument("scenario", description="name of a scenario or path of its YAML file"),
         DeclareLaunchArgument("mode", default_value="realtime", description="realtime or lockstep"),
+        DeclareLaunchArgument("place", default_value="processes", description="processes or container"),
         DeclareLaunchArgument("seed", default_value="", description="instead of the scenario's"),
     ]
     return LaunchDescription([*arguments, OpaqueFunction(function=_nodes)])
 
 
 def _nodes(context):
-    from softrig_core.rig.processes import node_parameters
+    from softrig_core.rig.processes import container_arguments, groups, node_parameters, placed
     from softrig_core.rig.rig import Rig
     from softrig_core.rig.scenario import load_scenario
 
@@ -29,8 +33,15 @@ def _nodes(context):
     scenario = load_scenario(value("scenario"))
     rig = Rig.from_scenario(scenario)
     seed = int(value("seed") or scenario.seed)
-    return [
-        Node(package=m.package, executable=m.executable, name=m.name, output="screen",
-             remappings=list(m.remap.items()), parameters=[node_parameters(rig, m, seed, value("mode"))])
-        for m in rig.members if not m.external
-    ]  # fmt: skip
+    folder = Path(mkdtemp(prefix="softrig-launch-"))  # a container's nodes have their parameters in files
+    found = []
+    for group in groups(rig, placed(rig, value("place"))):
+        given = {m.name: node_parameters(rig, m, seed, value("mode")) for m in group}
+        if len(group) > 1:
+            found.append(Node(package="softrig_core", executable="container", output="screen",
+                              arguments=container_arguments(group, given, folder)))  # fmt: skip
+            continue
+        m = group[0]
+        found.append(Node(package=m.package, executable=m.executable, name=m.name, output="screen",
+                          remappings=list(m.remap.items()), parameters=[given[m.name]]))  # fmt: skip
+    return found

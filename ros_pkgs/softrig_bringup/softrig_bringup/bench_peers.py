@@ -32,7 +32,7 @@ def main() -> None:
     node = Node(role, start_parameter_services=False, enable_rosout=False)
     done: Future[None] = Future()
     (_bytes if kind == "bytes" else _objects)(node, role, loops, done)
-    leave(node, 0)
+    leave([node], 0)
 
 
 def _bytes(node: Node, role: str, loops: int, done: Future[None]) -> None:

@@ -111,7 +111,9 @@ def _parser() -> argparse.ArgumentParser:
     )
     run = verb("run", _run, "run a scenario: metrics, bag, plots, report")
     run.add_argument("scenario", help="name or YAML file")
-    run.add_argument("--mode", choices=("processes", "inprocess", "realtime"), default="processes")
+    run.add_argument("--mode", choices=("processes", "container", "inprocess", "realtime"), default="processes",
+                     help="where the nodes live; realtime: processes --realtime")  # fmt: skip
+    run.add_argument("--realtime", action="store_true", help="against the wall clock, not in lockstep")
     run.add_argument("--set", action="append", default=[], metavar="NODE.PARAM=VALUE", help="change a parameter")
     run.add_argument("--duration", type=float, metavar="S", help="instead of the scenario's")
     run.add_argument("--seed", type=int, metavar="N", help="instead of the scenario's")
@@ -196,11 +198,14 @@ def _list(options: argparse.Namespace) -> int:
 
 
 def _run(options: argparse.Namespace) -> int:
+    from softrig_core.errors import ScenarioError
     from softrig_core.rig.scenario import load_scenario, merge
 
     from .folder import ResultsFolder
     from .run import checked, execute, save, summary
 
+    if options.realtime and options.mode == "inprocess":
+        raise ScenarioError("--realtime: blocks in process know no wall clock; expected --mode processes or container")
     scenario = load_scenario(options.scenario, dict(_assignment(text) for text in options.set))
     changes: dict[str, Any] = {}
     for key in ("duration", "seed"):
@@ -218,7 +223,8 @@ def _run(options: argparse.Namespace) -> int:
         _say(f"replacing {folder.replaced} in {os.path.relpath(out)}")
     folder.clear()
     with _progress(scenario) as progress:
-        run = execute(scenario, options.mode, out / "log", domain=options.domain, progress=progress, wait=options.wait,
+        run = execute(scenario, options.mode, out / "log", realtime=options.realtime, domain=options.domain,
+                      progress=progress, wait=options.wait,
                       announce=lambda text: print(f"softrig: {text}", file=sys.stderr))  # fmt: skip
     changed += [run.stopped_at] if run.stopped else []
     figures = [] if run.error else run.results
@@ -252,7 +258,7 @@ def _folder_name(scenario: str, options: argparse.Namespace, changed: Sequence[s
 
 def _repeat(options: argparse.Namespace) -> list[str]:
     """Command-line arguments that repeat a run."""
-    arguments = [options.scenario, "--mode", options.mode]
+    arguments = [options.scenario, "--mode", options.mode, *(["--realtime"] if options.realtime else [])]
     for text in options.set:
         arguments += ["--set", text]
     for name in options.external:
@@ -329,7 +335,7 @@ def _print_figures(scenario: Scenario, run: Run, out: Path, changed: Sequence[st
         if claim.holds is False and not changed:
             console.print(f"[red]claim {claim.key}[/]: {claim.false}")
     ticks = run.rig.ticks
-    speed = "" if run.mode == "realtime" else f" ({scenario.duration / run.wall_s:.3g} x real time)"
+    speed = "" if run.epoch else f" ({scenario.duration / run.wall_s:.3g} x real time)"
     console.print(f"{run.mode}: {ticks} ticks, {scenario.duration:g} s simulated in {run.wall_s:.2f} s with start-up"
                   f"{speed}")  # fmt: skip
     for name, status in run.status.items():

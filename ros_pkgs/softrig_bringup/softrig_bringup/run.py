@@ -26,7 +26,7 @@ from softrig_core.wire.recording import Recording
 from .folder import ResultsFolder
 from .plots import check_plots, plot_run
 
-Mode = Literal["processes", "inprocess", "realtime"]
+Mode = Literal["processes", "container", "inprocess", "realtime"]
 
 
 def execute(
@@ -34,6 +34,7 @@ def execute(
     mode: Mode,
     directory: Path,
     *,
+    realtime: bool = False,
     domain: int | None = None,
     progress: Callable[[int], object] | None = None,
     announce: Callable[[str], object] | None = None,
@@ -44,9 +45,12 @@ def execute(
     Parameters
     ----------
     scenario : Scenario
-    mode : {"processes", "inprocess", "realtime"}
+    mode : {"processes", "container", "inprocess", "realtime"}
+        Where the nodes live; "realtime" is short for processes against the wall clock.
     directory : Path
         For the logs of node processes.
+    realtime : bool
+        Against the wall clock.
     domain : int, optional
         ROS_DOMAIN_ID instead of a free one.
     progress, announce : callable, optional
@@ -70,13 +74,16 @@ def execute(
         wall_s = time.perf_counter() - started
         run = Run(rig, scenario.seed, recording, wall_s, status=status, error=error, stopped=stopped)
     else:
-        from softrig_core.rig.processes import run_processes
+        from softrig_core.rig.processes import placed, run_processes
 
-        outcome = run_processes(rig, scenario.seed, directory, mode="lockstep" if mode == "processes" else "realtime",
-                                domain=domain, progress=progress, announce=announce, wait=wait)  # fmt: skip
-        run = Run(rig, scenario.seed, outcome.recording, time.perf_counter() - started, mode, outcome.epoch,
+        realtime = realtime or mode == "realtime"
+        outcome = run_processes(rig, scenario.seed, directory, mode="realtime" if realtime else "lockstep",
+                                domain=domain, progress=progress, announce=announce, wait=wait,
+                                containers=placed(rig, mode))  # fmt: skip
+        name = "realtime" if realtime and mode != "container" else f"{mode}, realtime" if realtime else mode
+        run = Run(rig, scenario.seed, outcome.recording, time.perf_counter() - started, name, outcome.epoch,
                   outcome.status, outcome.error, outcome.stopped)  # fmt: skip
-    if not run.error and not run.stopped and mode != "realtime":
+    if not run.error and not run.stopped and not realtime:
         run.error = gaps(rig, run.recording)
     return run
 

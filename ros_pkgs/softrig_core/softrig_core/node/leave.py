@@ -6,6 +6,7 @@ import ctypes
 import os
 import sys
 import time
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, NoReturn
 
 if TYPE_CHECKING:
@@ -14,8 +15,8 @@ if TYPE_CHECKING:
 PATIENCE = 2  # s: time to leave the graph; it takes some ms
 
 
-def leave(node: Node | None, status: int) -> NoReturn:
-    """Take a node out of the graph, so that its peers see at once that it is gone, and end the process.
+def leave(nodes: Sequence[Node], status: int) -> NoReturn:
+    """Take the nodes of this process out of the graph, so that their peers see at once that they are gone, and end it.
 
     Fast DDS 2.14 cannot be trusted with either step: `destroy_node` waits for ever when news of another node that
     leaves comes at the same moment (eProsima/Fast-DDS#6513; once in some hundred runs, for nodes in lockstep finish
@@ -23,14 +24,15 @@ def leave(node: Node | None, status: int) -> NoReturn:
 
     Parameters
     ----------
-    node : rclpy.node.Node, optional
+    nodes : sequence of rclpy.node.Node
     status : int
         Exit status.
     """
     sys.stdout.flush()
     sys.stderr.flush()
-    if node is not None:
+    if nodes:
         _exit_after(PATIENCE, status)
+    for node in nodes:
         if node.executor is not None:
             node.executor.shutdown()  # it holds what the node consists of, and with that the node in the graph
         node.destroy_node()

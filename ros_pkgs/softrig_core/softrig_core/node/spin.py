@@ -36,14 +36,23 @@ def spin(node: Node, adapter: Adapter) -> int:
         stopped = not finished.done()
     except (KeyboardInterrupt, ExternalShutdownException):
         stopped = True
-    except (RunError, OSError) as error:
-        adapter.error, adapter.state = error, "failed"
     except Exception as error:  # a law or a plant that failed: the executor has printed the traceback
-        if rclpy.ok():
-            text = f"failed at t = {adapter.t / SECOND:.9g} s: {describe(error)}"
-            adapter.error, adapter.state = RunError(text), "failed"
+        if rclpy.ok() or isinstance(error, RunError | OSError):
+            adapter.error, adapter.state = failure(adapter, error), "failed"
         else:  # a signal has shut the context down under a callback that was about to publish
             stopped = True
+    return conclude(adapter, stopped)
+
+
+def failure(adapter: Adapter, error: Exception) -> Exception:
+    """Give the error that ends a run when a node's code has raised one."""
+    if isinstance(error, RunError | OSError):
+        return error
+    return RunError(f"failed at t = {adapter.t / SECOND:.9g} s: {describe(error)}")
+
+
+def conclude(adapter: Adapter, stopped: bool) -> int:
+    """Leave what the node has recorded and how it ended; gives the exit status."""
     if adapter.shard is not None:
         try:
             adapter.shard.close()
@@ -57,5 +66,5 @@ def spin(node: Node, adapter: Adapter) -> int:
     except OSError as error:
         adapter.error, adapter.state = adapter.error or error, "failed"
     if adapter.error is not None:
-        print(f"{node.get_name()}: {adapter.error}", file=sys.stderr, flush=True)
+        print(f"{adapter.middleware.name}: {adapter.error}", file=sys.stderr, flush=True)
     return 3 if adapter.state == "failed" else 0

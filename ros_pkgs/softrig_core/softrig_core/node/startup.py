@@ -14,10 +14,12 @@ from rclpy.node import Node
 from ..model.block import Block
 from ..model.params import Declaration, build, declarations, flatten
 from ..rig.options import RunOptions
+from .adapter import Adapter
 from .faces import Faces
 from .leave import leave
 from .lockstep import Lockstep
 from .messages import range_descriptor
+from .middleware import Middleware
 from .realtime import Realtime
 from .ros import RosMiddleware
 from .spin import spin
@@ -28,25 +30,37 @@ def run_node(block_class: type[Block], argv: Sequence[str]) -> NoReturn:
     name = Path(argv[0]).name
     if {"-h", "--help"} & set(argv[1:]):
         print(usage(name, block_class))
-        leave(None, 0)
+        leave([], 0)
     node = None
     try:
         rclpy.init(args=list(argv))
         node = Node(name, automatically_declare_parameters_from_overrides=True)
-        params, options = _parameters(node, block_class)
-        block = block_class(params, node.get_name())
-        block.reset(options.seed)
-        adapter = (Lockstep if options.mode == "lockstep" else Realtime)(RosMiddleware(node), block, options)
-        Faces(node, adapter)
+        adapter = make_adapter(node, block_class, RosMiddleware(node))
     except KeyboardInterrupt:
-        leave(node, 0)
+        leave([node] if node else [], 0)
     except Exception as error:  # every start-up error ends in one line: what was wrong and where
         if node is not None and not rclpy.ok():  # a signal has shut the context down under it
-            leave(node, 0)
+            leave([node], 0)
         where = node.get_name() if node is not None else name
         print(f"{where}: {' '.join(str(error).split())}", file=sys.stderr, flush=True)
-        leave(node, 2)
-    leave(node, spin(node, adapter))
+        leave([node] if node else [], 2)
+    leave([node], spin(node, adapter))
+
+
+def make_adapter(node: Node, block_class: type[Block], middleware: Middleware) -> Adapter:
+    """Declare and validate a node's parameters, make its block and what drives it.
+
+    Raises
+    ------
+    ParameterError
+        Bad parameters.
+    """
+    params, options = _parameters(node, block_class)
+    block = block_class(params, node.get_name())
+    block.reset(options.seed)
+    adapter = (Lockstep if options.mode == "lockstep" else Realtime)(middleware, block, options)
+    Faces(node, adapter)
+    return adapter
 
 
 def usage(name: str, block_class: type[Block]) -> str:

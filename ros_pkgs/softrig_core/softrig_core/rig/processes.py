@@ -11,7 +11,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,6 +31,7 @@ from .stopping import signal_of, stoppable
 GRACE = 1.5  # s: after one node fails, how long the others may take to say what they saw
 LIBC = ctypes.CDLL(None)  # loaded here: between fork and exec another thread may hold the loader's lock
 STOP_STEPS = ((signal.SIGINT, 3.0), (signal.SIGTERM, 3.0), (signal.SIGKILL, 3.0))
+FILES = ("status", "shard")  # that a node writes
 PROFILE = Path(__file__).parent.with_name("fastdds_profile.xml")
 
 
@@ -63,6 +64,8 @@ class Outcome:
 
 @dataclass
 class _Child:
+    """One node; those of a container share the process and the log."""
+
     member: Member
     process: subprocess.Popen[bytes]
     end: int  # process file descriptor, readable when the process has ended
@@ -154,6 +157,7 @@ def run_processes(
     progress: Callable[[int], object] | None = None,
     announce: Callable[[str], object] | None = None,
     wait: float | None = None,
+    containers: Iterable[Sequence[str]] = (),
 ) -> Outcome:
     """Start all nodes of a rig, wait for them, gather what they recorded.
 
@@ -174,6 +178,8 @@ def run_processes(
         Called with a text when an external node is waited for, and when it has come.
     wait : float, optional
         Limit in s of the wait for all nodes, 0 for none; by default the scenario's, and none for external nodes.
+    containers : iterable of sequences of str
+        Names of nodes that share a process; every other node has one of its own.
 
     Returns
     -------
@@ -202,10 +208,9 @@ def run_processes(
             with stoppable():
                 try:
                     guests.invite(domain)
-                    for member in rig.members:
-                        if not member.external:
-                            options = {"run.mode": mode, "run.start_timeout": wait}
-                            children.append(_start(rig, member, seed, directory, options, record, variables))
+                    options = {"run.mode": mode, "run.start_timeout": wait}
+                    for group in groups(rig, containers):
+                        children += _start(rig, group, seed, directory, options, record, variables)
                     error = _watch(rig, children, progress, guests, mode == "realtime")
                 except KeyboardInterrupt as interrupt:
                     stopped = signal_of(interrupt)
@@ -323,31 +328,70 @@ def node_parameters(rig: Rig, member: Member, seed: int, mode: str) -> dict[str,
     }
 
 
-def _start(rig: Rig, member: Member, seed: int, directory: Path, options: dict[str, Any],
-           record: bool, variables: dict[str, str]) -> _Child:  # fmt: skip
-    stem = directory / member.name
-    status, shard, log = stem.with_suffix(".status"), stem.with_suffix(".shard"), stem.with_suffix(".log")
-    for stale in (status, shard):
-        stale.unlink(missing_ok=True)
-    parameters = node_parameters(rig, member, seed, options["run.mode"]) | options | {
-        "run.shard": str(shard) if record else "",
-        "run.status": str(status),
-    }  # fmt: skip
-    file = stem.with_suffix(".params.yaml")
-    lines = [f"    {name}: {json.dumps(value)}" for name, value in parameters.items()]
-    file.write_text("/**:\n  ros__parameters:\n" + "\n".join(lines) + "\n")
-    command = [str(find_executable(member.package, member.executable)), "--ros-args", "-r", f"__node:={member.name}",
-               "--params-file", str(file)]  # fmt: skip
-    for old, new in member.remap.items():
-        command += ["-r", f"{old}:={new}"]
+def placed(rig: Rig, place: str) -> Iterable[Sequence[str]]:
+    """Give the containers of a rig: none through processes, all nodes together when the scenario names none."""
+    return (rig.scenario.containers or [[m.name for m in rig.members]]) if place == "container" else ()
+
+
+def groups(rig: Rig, containers: Iterable[Sequence[str]]) -> list[list[Member]]:
+    """Give our nodes by process."""
+    own = {m.name: m for m in rig.members if not m.external}
+    shared = [[own.pop(name) for name in names if name in own] for names in containers]
+    return [g for g in shared if g] + [[m] for m in own.values()]
+
+
+def _start(rig: Rig, group: list[Member], seed: int, directory: Path, options: dict[str, Any],
+           record: bool, variables: dict[str, str]) -> list[_Child]:  # fmt: skip
+    """Start a node, or several in a container."""
+    log = directory / f"{'+'.join(m.name for m in group)[:200]}.log"
+    given = {}
+    for member in group:
+        stem = directory / member.name
+        for kind in FILES:
+            stem.with_suffix(f".{kind}").unlink(missing_ok=True)
+        given[member.name] = node_parameters(rig, member, seed, options["run.mode"]) | options | {
+            "run.shard": str(stem.with_suffix(".shard")) if record else "",
+            "run.status": str(stem.with_suffix(".status")),
+        }  # fmt: skip
+    if len(group) == 1:
+        executable = find_executable(group[0].package, group[0].executable)
+        arguments = _ros_arguments(group[0], given[group[0].name], directory)
+    else:
+        executable = find_executable("softrig_core", "container")
+        arguments = container_arguments(group, given, directory)
     # A process group of its own, so that Ctrl-C reaches the runner alone; not a session of its own, because Linux
     # schedules sessions against each other and a loop across them runs a fifth slower.
     with log.open("wb") as output:
         process = subprocess.Popen(
-            command, stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT, env=variables,
-            process_group=0, preexec_fn=_die_with_parent,
+            [str(executable), *arguments], stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT,
+            env=variables, process_group=0, preexec_fn=_die_with_parent,
         )  # fmt: skip
-    return _Child(member, process, os.pidfd_open(process.pid), log, status, shard)
+    return [
+        _Child(
+            m, process, os.pidfd_open(process.pid), log, directory / f"{m.name}.status", directory / f"{m.name}.shard"
+        )
+        for m in group
+    ]
+
+
+def container_arguments(group: Sequence[Member], given: Mapping[str, dict[str, Any]], directory: Path) -> list[str]:
+    """Write the parameter files of nodes that share a process and give the command line of their container."""
+    arguments: list[str] = []
+    for member in group:
+        arguments += ["--"] if arguments else []
+        arguments += [member.package, member.executable, *_ros_arguments(member, given[member.name], directory)]
+    return arguments
+
+
+def _ros_arguments(member: Member, parameters: dict[str, Any], directory: Path) -> list[str]:
+    """Write a node's parameter file and give the arguments that name it, the node and its remaps."""
+    file = directory / f"{member.name}.params.yaml"
+    lines = [f"    {name}: {json.dumps(value)}" for name, value in parameters.items()]
+    file.write_text("/**:\n  ros__parameters:\n" + "\n".join(lines) + "\n")
+    arguments = ["--ros-args", "-r", f"__node:={member.name}", "--params-file", str(file)]
+    for old, new in member.remap.items():
+        arguments += ["-r", f"{old}:={new}"]
+    return arguments
 
 
 def _die_with_parent() -> None:
@@ -403,6 +447,8 @@ def _reason(children: list[_Child], failed: list[_Child]) -> str:
         while time.monotonic() < deadline and any(c.process.poll() is None for c in children):
             time.sleep(0.02)
         failed = [c for c in children if c.process.poll() not in (None, 0)]
+    # a container fails as one, but some of its nodes may have finished before
+    failed = [c for c in failed if _read_status(c.status).get("state") != "done"] or failed
     waits = {c.member.name: _read_status(c.status).get("waits_for", []) for c in failed}
     causes = [c for c in failed if not waits[c.member.name]] or [
         c for c in failed if not all(waits.get(sender) for sender in waits[c.member.name])
@@ -415,7 +461,9 @@ def _reason(children: list[_Child], failed: list[_Child]) -> str:
             t = _read_status(child.status).get("t", 0) / 1e9
             texts.append(f"node {name} was killed by {signal.Signals(-code).name} after t = {t:.9g} s")
         else:
-            texts.append(f"node {_last_line(child.log) or f'{name} ended with status {code}'}")
+            said = _read_status(child.status).get("error")
+            told = f"{name}: {said}" if said else _last_line(child.log)
+            texts.append(f"node {told or f'{name} ended with status {code}'}")
     return "; ".join(texts)
 
 
@@ -424,7 +472,7 @@ def _stop(children: list[_Child]) -> None:
     for child in children:
         child.interrupted = child.process.poll() is None
     for number, patience in STOP_STEPS:
-        running = [c for c in children if c.process.poll() is None]
+        running = {c.process.pid: c for c in children if c.process.poll() is None}.values()
         if not running:
             return
         for child in running:

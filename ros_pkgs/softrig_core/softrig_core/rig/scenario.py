@@ -93,6 +93,8 @@ class Scenario(_Model):
         What figures are expected to be.
     claims : dict of str to Claim
         What the paper says of figures.
+    containers : list of lists of str
+        Nodes that share a process when the rig runs in containers; when empty, all do.
     shared : dict
         Values that other entries name as ``$name``; for the record, they are filled in already.
     """
@@ -108,10 +110,21 @@ class Scenario(_Model):
     start_timeout: float = Field(30.0, gt=0, description="wall-clock s to wait for all nodes, 0 < external ones")
     shared: Annotated[dict[str, Any], BeforeValidator(_or_empty)] = {}
     nodes: dict[NodeName, NodeEntry] = Field(min_length=1)
+    containers: tuple[tuple[str, ...], ...] = ()
     figures: Annotated[dict[str, FigureEntry], BeforeValidator(_or_empty)] = {}
     expect: Annotated[dict[str, Expected], BeforeValidator(_or_empty)] = {}
     claims: Annotated[dict[str, Claim], BeforeValidator(_or_empty)] = {}
     plots: tuple[PlotEntry, ...] = ()
+
+    @model_validator(mode="after")
+    def _contained_once(self) -> Scenario:
+        named = [name for group in self.containers for name in group]
+        for name in named:
+            if name not in self.nodes:
+                raise ValueError(f"containers: no node {name!r}; the nodes are {', '.join(self.nodes)}")
+            if named.count(name) > 1:
+                raise ValueError(f"containers: node {name} is in more than one")
+        return self
 
     @model_validator(mode="after")
     def _figures_are_there(self) -> Scenario:

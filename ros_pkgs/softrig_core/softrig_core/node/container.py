@@ -1,0 +1,163 @@
+"""A container: several nodes of a rig in one process, each a real ROS node, with messages between them in memory.
+
+    ros2 run softrig_core container PACKAGE EXECUTABLE [--ros-args ...] -- PACKAGE EXECUTABLE [--ros-args ...] ...
+
+Each group between two ``--`` is what `ros2 run` would get. The adapters are those of the node processes.
+"""
+
+from __future__ import annotations
+
+import gc
+import sys
+import time
+import traceback
+from collections.abc import Sequence
+from typing import NoReturn
+
+import rclpy
+from rclpy.executors import Executor, ExternalShutdownException
+from rclpy.node import Node
+
+from ..errors import RunError
+from ..model.timebase import SECOND
+from ..rig.rig import load_block
+from .adapter import Adapter
+from .contained import ContainedMiddleware
+from .exchange import Exchange
+from .leave import leave
+from .profile import exclusive
+from .spin import conclude, failure
+from .startup import make_adapter
+
+SLICE = 5_000_000  # ns: how long messages in memory may keep timers and other processes waiting
+SPIN = 300_000  # ns: a timer closer than this is waited for awake: to sleep and wake takes half as long
+GRACE = 1.0  # s: after one node gives up, how long the others may take to say what they saw
+
+
+class Container:
+    """The nodes of one process and what makes them go."""
+
+    def __init__(self) -> None:
+        self.exchange = Exchange()
+        self.nodes: list[Node] = []
+        self.adapters: list[Adapter] = []
+        self._listened = 0
+
+    def add(self, group: Sequence[str]) -> None:
+        """Make one node; `group` is its package, executable and ROS arguments."""
+        package, executable, *arguments = group
+        node = Node(executable, cli_args=arguments, use_global_arguments=False,
+                    automatically_declare_parameters_from_overrides=True)  # fmt: skip
+        self.nodes.append(node)
+        middleware = ContainedMiddleware(node, self.exchange)
+        self.adapters.append(make_adapter(node, load_block(package, executable), middleware))
+
+    def run(self) -> int:
+        """Run until all nodes have finished, one has failed, or the process is stopped; gives the exit status."""
+        from rclpy.experimental.events_executor import EventsExecutor
+
+        executor = EventsExecutor()
+        for node in self.nodes:
+            executor.add_node(node)
+        gc.collect()
+        gc.freeze()
+        stopped = False
+        try:
+            stopped = not self._loop(executor)
+            for adapter in self.adapters:
+                if adapter.state == "done":
+                    adapter.middleware.drain()
+        except (KeyboardInterrupt, ExternalShutdownException):
+            stopped = True
+        except Exception as error:
+            if rclpy.ok():
+                self._broke(error)
+            else:  # a signal has shut the context down under a node that was about to publish
+                stopped = True
+        return self._conclude(stopped)
+
+    def _loop(self, executor: Executor) -> bool:
+        """Turn until the end; False when the process was told to stop."""
+        exchange, limit = self.exchange, 0.0
+        while rclpy.ok():
+            states = {a.state for a in self.adapters}
+            if states <= {"done", "failed"}:
+                return True
+            if "failed" in states:
+                limit = limit or time.monotonic() + GRACE
+                if time.monotonic() > limit:
+                    return True
+            self._turn(executor, exchange)
+        return False
+
+    def _turn(self, executor: Executor, exchange: Exchange) -> None:
+        """Timers, then messages in memory, then other processes for as long as nothing else is due."""
+        exchange.fire()
+        exchange.drain(time.monotonic_ns() + SLICE)
+        now = time.monotonic_ns()
+        rest = 0 if exchange.pending() else exchange.next_due() - now
+        if rest > SPIN:
+            executor.spin_once((rest - SPIN // 2) / SECOND)
+        elif (exchange.listens and not exchange.pending()) or now - self._listened > SLICE:
+            executor.spin_once(0.0)
+        else:
+            return
+        self._listened = time.monotonic_ns()
+
+    def _broke(self, error: Exception) -> None:
+        """An error ends the run in the name of the node whose code was running."""
+        adapter = next((a for a in self.adapters if a.middleware.name == self.exchange.culprit()), None)
+        if adapter is None:
+            raise error
+        traceback.print_exception(error)
+        adapter.error, adapter.state = failure(adapter, error), "failed"
+
+    def _conclude(self, stopped: bool) -> int:
+        """Write what every node leaves behind and name the nodes that failed."""
+        failed = [a.middleware.name for a in self.adapters if a.state == "failed"]
+        for adapter in self.adapters:
+            if failed and adapter.state not in ("done", "failed"):
+                adapter.error, adapter.state = RunError(f"stopped: {', '.join(failed)} has failed"), "failed"
+                adapter.waits_for = failed
+        return max(conclude(a, stopped) for a in self.adapters)
+
+
+def main(args: Sequence[str] | None = None) -> NoReturn:
+    """Start the nodes that the command line names; bad parameters give one line and exit status 2."""
+    arguments = list(sys.argv[1:] if args is None else args)
+    groups = split(arguments)
+    if not groups or {"-h", "--help"} & set(arguments):
+        print(__doc__)
+        leave([], 0 if groups else 2)
+    container = Container()
+    where = "container"
+    try:
+        with exclusive():
+            rclpy.init(args=[])
+            if "fastrtps" not in (rmw := rclpy.get_rmw_implementation_identifier()):
+                raise RunError(f"needs Fast DDS (RMW_IMPLEMENTATION=rmw_fastrtps_cpp), got {rmw}")
+            for group in groups:
+                where = " ".join(group[:2])
+                if len(group) < 2:
+                    raise RunError("expected PACKAGE EXECUTABLE [--ros-args ...]")
+                container.add(group)
+    except KeyboardInterrupt:
+        leave(container.nodes, 0)
+    except Exception as error:  # every start-up error ends in one line: what was wrong and where
+        if container.nodes and not rclpy.ok():  # a signal has shut the context down under them
+            leave(container.nodes, 0)
+        name = container.nodes[-1].get_name() if len(container.nodes) > len(container.adapters) else where
+        print(f"{name}: {' '.join(str(error).split())}", file=sys.stderr, flush=True)
+        leave(container.nodes, 2)
+    leave(container.nodes, container.run())
+
+
+def split(arguments: Sequence[str]) -> list[list[str]]:
+    """Cut a command line at each ``--``."""
+    groups: list[list[str]] = [[]]
+    for argument in arguments:
+        if argument == "--":
+            groups.append([])
+        else:
+            groups[-1].append(argument)
+    return [g for g in groups if g]

@@ -1,0 +1,380 @@
+"""All nodes of a rig in one process: the same bytes as through processes and in process, the same words on faults."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections import deque
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+from conftest import PRESS, differences, in_process, make_scenario
+from softrig_core.node.exchange import Exchange
+from softrig_core.node.profile import PROPERTY, VARIABLE, exclusive, with_property
+from softrig_core.rig.domain import free_domain
+from softrig_core.rig.processes import environment, find_executable, run_processes
+from softrig_core.rig.rig import Rig
+from softrig_core.rig.scenario import list_scenarios, load_scenario
+from softrig_core.wire.recording import Recording
+from softrig_core.wire.signals import Signals
+from test_processes import BASIC, OUTSIDE, RIGS, no_process_left, params, rig
+
+pytestmark = pytest.mark.processes
+
+HEADLINES = [
+    "dc_motor_smc", "dc_motor_fsfb", "economic_dispatch", "fault_location", "gupfc", "induction_dtc", "lsrm_fuzzy",
+    "manipulator_adsmc", "pv_mppt", "rectifier_mpc", "rehab_impedance", "tcp_aqm_smc",
+]  # fmt: skip
+
+
+def run(wired, directory, seed=0, groups=None, **keys):
+    """Run a rig in one container, or in those that are given."""
+    groups = [[m.name for m in wired.members]] if groups is None else groups
+    return run_processes(wired, seed, directory, containers=groups, **keys)
+
+
+def short(name, ticks):
+    """A scenario for so many ticks, and three of its slowest node."""
+    whole = Rig.from_scenario(load_scenario(name))
+    slowest = max(m.schedule.period for m in whole.members)
+    least = max(ticks * whole.clock.schedule.period, 3 * slowest)
+    return whole.changed(duration=min(whole.scenario.duration, float(least)))
+
+
+def equal_to_in_process(wired, outcome, seed=0):
+    assert outcome.error == ""
+    expected = in_process(wired, seed)
+    assert sum(len(t.times) for t in expected.topics.values())
+    assert differences(expected, outcome.recording) == []
+
+
+@pytest.mark.parametrize("name", HEADLINES)
+def test_every_system_gives_the_bytes_of_the_run_in_process(name, tmp_path):
+    wired = short(name, 300)
+    seed = wired.scenario.seed
+    outcome = run(wired, tmp_path, seed)
+    equal_to_in_process(short(name, 300), outcome, seed)
+    assert len(list(tmp_path.glob("*.log"))) == 1
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", sorted(set(list_scenarios()) - set(HEADLINES)))
+def test_every_scenario_gives_the_bytes_of_the_run_in_process(name, tmp_path):
+    wired = short(name, 300)
+    outcome = run(wired, tmp_path, wired.scenario.seed)
+    equal_to_in_process(short(name, 300), outcome, wired.scenario.seed)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", HEADLINES)
+def test_a_headline_through_processes_and_in_a_container(name, tmp_path):
+    wired = short(name, 1000)
+    processes = run(wired, tmp_path / "processes", wired.scenario.seed, groups=[])
+    container = run(short(name, 1000), tmp_path / "container", wired.scenario.seed)
+    assert processes.error == container.error == ""
+    assert differences(processes.recording, container.recording) == []
+
+
+@pytest.mark.parametrize("name", RIGS)
+def test_rigs_of_all_shapes(name, tmp_path):
+    nodes, duration = RIGS[name]
+    outcome = run(rig(nodes, duration), tmp_path, 7)
+    equal_to_in_process(rig(nodes, duration), outcome, 7)
+    assert all(s["state"] == "done" and not s["refused"] for s in outcome.status.values())
+
+
+@pytest.mark.parametrize("groups", [[["plant", "source"]], [["plant"], ["source", "gain"]], [["gain", "plant"]]])
+def test_some_nodes_share_a_process(groups, tmp_path):
+    outcome = run(rig(BASIC), tmp_path, groups=groups)
+    equal_to_in_process(rig(BASIC), outcome)
+
+
+def test_containers_of_a_scenario_are_judged():
+    scenario = make_scenario(BASIC, containers=[["plant", "source"]])
+    assert scenario.containers == (("plant", "source"),)
+    with pytest.raises(ValueError, match="containers: no node 'plan'; the nodes are plant, source, gain"):
+        make_scenario(BASIC, containers=[["plan"]])
+    with pytest.raises(ValueError, match="containers: node plant is in more than one"):
+        make_scenario(BASIC, containers=[["plant"], ["plant", "gain"]])
+
+
+# A person with the usual tools: reads a topic, lists the nodes, asks one for a parameter.
+PERSON = """
+import json, sys
+import rclpy
+from rclpy.node import Node
+from rclpy.parameter_client import AsyncParameterClient
+from sensor_msgs.msg import JointState
+from diagnostic_msgs.msg import DiagnosticArray
+
+rclpy.init()
+node = Node("person")
+states, health = [], set()
+node.create_subscription(JointState, "lag/state", lambda m: states.append(m.position[0]), 10)
+node.create_subscription(DiagnosticArray, "/diagnostics", lambda m: health.add(m.status[0].name), 10)
+client = AsyncParameterClient(node, "gain")
+client.wait_for_services()
+asked = client.get_parameters(["noise"])
+while not (asked.done() and len(states) > 50 and len(health) == 3):
+    rclpy.spin_once(node)
+print(json.dumps({"nodes": sorted(node.get_node_names()), "noise": asked.result().values[0].double_value,
+                  "readers": sorted(i.node_name for i in node.get_subscriptions_info_by_topic("lag/state")),
+                  "health": sorted(health)}))
+"""
+
+
+def test_each_node_is_on_the_graph_for_everybody_and_the_run_stays_as_it_is(tmp_path):
+    wired, people = rig(BASIC, 1e4), []
+    with free_domain() as domain:
+
+        def progress(t):
+            if t and not people:
+                people.append(subprocess.Popen([sys.executable, "-c", PERSON], env=environment(domain, tmp_path),
+                                               stdout=subprocess.PIPE, text=True))  # fmt: skip
+            if people and people[0].poll() is not None:
+                raise KeyboardInterrupt
+
+        stopped(lambda: run(wired, tmp_path, domain=domain, progress=progress))
+    seen = json.loads(people[0].stdout.read())
+    assert seen == {"nodes": ["gain", "person", "plant", "source"], "noise": 0.0, "readers": ["gain", "person"],
+                    "health": ["/gain", "/plant", "/source"]}  # fmt: skip
+    recording = Recording((t, p.msgtype) for t, p in wired.topics.items())
+    recording.read_shard(tmp_path / "plant.shard")
+    states = recording.topics["lag/state"]
+    expected = in_process(rig(BASIC, 0.01 * (len(states.times) + 1))).topics["lag/state"]
+    assert states.data == expected.data[: len(states.data)]
+
+
+def stopped(call):
+    """A run that is interrupted says so or raises, as the runner sees fit."""
+    with suppress(KeyboardInterrupt):
+        call()
+
+
+def test_a_press_by_service_is_recorded_at_the_tick_that_saw_it(tmp_path):
+    wired, people = rig(BASIC, 1e4), []
+    with free_domain() as domain:
+
+        def progress(t):
+            if t and not people:
+                people.append(subprocess.Popen([sys.executable, "-c", PRESS], env=environment(domain, tmp_path)))
+            if people and people[0].poll() is not None:
+                raise KeyboardInterrupt
+
+        stopped(lambda: run(wired, tmp_path, domain=domain, progress=progress))
+    assert people[0].returncode == 0
+    recording = Recording((t, p.msgtype) for t, p in wired.topics.items())
+    recording.read_shard(tmp_path / "plant.shard")
+    pressed, released = recording.topics["lag/kick"].times
+    assert released - pressed == 10_000_000
+    assert Signals(recording)["lag/applied/u/effort"].x.sum() != 0.0
+
+
+@pytest.mark.parametrize(
+    ("how", "text"),
+    [
+        ("kill", "node gain was killed by SIGKILL"),
+        ("nan", "gain: command u/effort became nan at t = 0.2 s"),
+        ("raise", "gain: failed at t = 0.2 s: ArithmeticError: deliberate"),
+    ],
+)
+def test_a_failing_node_ends_the_run_with_its_name_and_a_readable_record(how, text, tmp_path):
+    wired = rig(BASIC | {"gain": params("killed", how=how, at=0.2)}, 1.0, timeout=1.5)
+    outcome = run(wired, tmp_path)
+    assert text in outcome.error
+    good = in_process(rig(BASIC, 0.2))
+    states = outcome.recording.topics["lag/state"].data
+    assert states == good.topics["lag/state"].data[: len(states)]
+    assert len(states) == 21 or how == "kill"
+    assert no_process_left(tmp_path)
+
+
+def test_a_bad_parameter_is_one_line_that_names_the_node(tmp_path):
+    command = [str(find_executable("softrig_core", "container")), "faultrig", "plant", "--", "faultrig", "gain",
+               "--ros-args", "-r", "__node:=mine", "-p", "noise:=high"]  # fmt: skip
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, env=environment(1, tmp_path))
+    assert done.returncode == 2
+    assert done.stderr.splitlines()[-1].startswith("mine: parameter noise = 'high'")
+
+
+@pytest.mark.parametrize(("arguments", "text"), [(["faultrig"], "expected PACKAGE EXECUTABLE"),
+                                                 (["faultrig", "nothing"], "no executable 'nothing'")])  # fmt: skip
+def test_a_bad_command_line_is_one_line(arguments, text, tmp_path):
+    command = [str(find_executable("softrig_core", "container")), *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, env=environment(1, tmp_path))
+    assert done.returncode == 2
+    assert text in done.stderr.splitlines()[-1]
+
+
+def with_outside_controller(extra, directory, realtime=False):
+    wired = rig(BASIC | {"gain": {"executable": "gain", "external": True}}, 1.0, timeout=1.5)
+    with free_domain() as domain:
+        script = directory / "outside.py"
+        script.write_text(OUTSIDE.replace("EXTRA", extra))
+        outside = subprocess.Popen([sys.executable, str(script)], env=environment(domain, directory))
+        try:
+            return run(wired, directory, domain=domain)
+        finally:
+            outside.kill()
+            outside.wait()
+
+
+def test_an_outside_controller_closes_the_loop_around_a_container(tmp_path):
+    outcome = with_outside_controller("", tmp_path)
+    assert outcome.error == ""
+    ours = in_process(rig(BASIC))
+    assert outcome.recording.topics["lag/state"].data == ours.topics["lag/state"].data
+    assert len(outcome.recording.topics["lag/command"].data) == 100
+
+
+def test_a_bad_outside_command_never_reaches_the_plant(tmp_path):
+    outcome = with_outside_controller("command.effort = [float('nan')]", tmp_path)
+    reason = "u/effort is nan, expected a finite number"
+    assert "plant: nothing stamped t = 0 s within" in outcome.error
+    assert reason in outcome.error
+    assert outcome.status["plant"]["refused"]["lag/command"] == [1, reason]
+    assert len(outcome.recording.topics["lag/state"].times) == 1
+
+
+def test_a_second_publisher_ends_the_run_naming_both(tmp_path):
+    wired, intruders = rig(BASIC, 1e4), []
+    with free_domain() as domain:
+
+        def progress(t):
+            if t and not intruders:
+                code = OUTSIDE.replace('Node("gain")', 'Node("intruder")').replace("EXTRA", "")
+                intruders.append(subprocess.Popen([sys.executable, "-c", code], env=environment(domain, tmp_path)))
+
+        outcome = run(wired, tmp_path, domain=domain, progress=progress)
+        intruders[0].kill()
+        intruders[0].wait()
+    assert "2 publishers on lag/command (/gain, /intruder), expected exactly one" in outcome.error
+
+
+def test_realtime_in_a_container(tmp_path):
+    outcome = run(rig(BASIC), tmp_path, mode="realtime")
+    assert outcome.error == ""
+    status = outcome.status["plant"]
+    assert len(outcome.recording.topics["lag/state"].times) + status["missed_deadlines"] >= 100
+    assert 0.0 <= status["lateness_p50_ms"] < 10.0
+    assert 0.0 < status["round_trip_p50_ms"] < 10.0  # one period: commands come in time
+
+
+def test_a_container_that_is_stopped_leaves_what_it_has(tmp_path):
+    command = [str(find_executable("softrig_core", "container"))]
+    for name in BASIC:
+        command += ["faultrig", name, "--ros-args", "-p", f"run.shard:={tmp_path / name}.shard",
+                    "-p", f"run.status:={tmp_path / name}.status", "--"]  # fmt: skip
+    with free_domain() as domain:
+        process = subprocess.Popen(command, env=environment(domain, tmp_path))
+        deadline = time.monotonic() + 30
+        while not all(status(tmp_path, name).get("ticks") for name in ("plant", "gain")):
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+        process.send_signal(signal.SIGINT)
+        assert process.wait(30) == 0
+    assert {status(tmp_path, name)["state"] for name in BASIC} == {"done"}
+
+
+def status(directory, name):
+    try:
+        return json.loads((directory / f"{name}.status").read_text())
+    except (FileNotFoundError, json.JSONDecodeError):
+        return {}
+
+
+# the exchange alone ----------------------------------------------------------------------------------------------
+
+
+def test_messages_follow_each_other_and_none_is_handed_over_inside_another():
+    exchange, order, depth = Exchange(), deque(maxlen=4), [0]
+    send = exchange.poster()
+    limit = 100_000
+
+    def receive(number):
+        depth[0] += 1
+        assert depth[0] == 1
+        order.append(number)
+        if number < limit:
+            send((receive, number + 1))
+        depth[0] -= 1
+
+    send((receive, 0))
+    exchange.drain(1 << 62)
+    assert list(order) == [limit - 3, limit - 2, limit - 1, limit]
+
+
+def test_ends_are_told_of_both_sides():
+    exchange, told = Exchange(), []
+    writer, receivers = exchange.writer("/a", "t", lambda n: told.append(("writer", n)))
+    exchange.reader("/a", "t", print, lambda n: told.append(("reader", n)), "me")
+    exchange.reader("/a", "other", print, lambda n: told.append(("stranger", n)), "me")
+    assert told == []  # nobody is called back before the queue is served
+    exchange.outside(writer, 2)
+    exchange.drain(1 << 62)
+    assert receivers == [print]
+    assert [t for t in told if t[0] == "writer"][-1] == ("writer", 3)
+    assert [t for t in told if t[0] == "reader"][-1] == ("reader", 1)
+    assert ("stranger", 0) in told
+    assert ("stranger", 1) not in told
+
+
+def test_a_full_queue_gives_way_in_time_and_an_error_has_an_owner():
+    exchange, send = Exchange(), None
+    send = exchange.poster()
+
+    def again(data):
+        send((again, data))
+
+    def broken(data):
+        raise ArithmeticError("deliberate")
+
+    exchange.reader("/a", "t", broken, lambda n: None, "culprit")
+    send((again, b""))
+    start = time.monotonic()
+    exchange.drain(time.monotonic_ns() + 20_000_000)
+    assert 0.02 <= time.monotonic() - start < 5.0
+    assert exchange.pending()
+    assert exchange.culprit() == ""
+    send((broken, b""))
+    with pytest.raises(ArithmeticError):
+        exchange.drain(1 << 62)
+    assert exchange.culprit() == "culprit"
+
+
+def test_timers_repeat_and_can_be_moved():
+    exchange, fired = Exchange(), []
+    timer = exchange.timer(1_000_000, lambda: fired.append(1), "me")
+    while len(fired) < 3:
+        exchange.fire()
+    timer.cancel()
+    assert exchange.next_due() == 1 << 62
+    timer.again(50_000_000)
+    assert not exchange.fire()
+    assert 0 < exchange.next_due() - time.monotonic_ns() <= 50_000_000
+
+
+# the profile -------------------------------------------------------------------------------------------------------
+
+
+def test_a_profile_keeps_what_it_says_and_gets_the_property(tmp_path, monkeypatch):
+    mine = tmp_path / "mine.xml"
+    mine.write_text('<?xml version="1.0"?><profiles xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles">'
+                    '<participant profile_name="a" is_default_profile="true"><rtps><name>mine</name></rtps>'
+                    "</participant></profiles>")  # fmt: skip
+    monkeypatch.setenv(VARIABLE, str(mine))
+    with exclusive():
+        text = Path(os.environ[VARIABLE]).read_text()
+        assert "<name>mine</name>" in text
+        assert f"<name>{PROPERTY}</name><value>true</value>" in text
+        assert "ns0:" not in text
+    assert os.environ[VARIABLE] == str(mine)
+
+
+@pytest.mark.parametrize(("text", "why"), [(b"<a", "not XML"), (b"<profiles/>", "no participant")])
+def test_a_profile_without_a_participant_is_refused(text, why):
+    with pytest.raises(ValueError, match=why):
+        with_property(text)
