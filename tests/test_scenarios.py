@@ -1,7 +1,6 @@
 """Scenario files: what they inherit, what they refer to, what is expected and claimed, all judged before the run."""
 
 import math
-import time
 
 import pytest
 from conftest import in_process, make_scenario
@@ -70,14 +69,6 @@ def test_every_scenario_can_be_judged_before_its_run(name):
     scenario = load_scenario(name)
     figures_of(Rig.from_scenario(scenario))
     needed(scenario)
-
-
-def test_all_scenarios_are_resolved_in_a_moment():
-    names = list_scenarios()
-    started = time.process_time()
-    for name in names:
-        load_scenario(name)
-    assert time.process_time() - started < 0.01 * len(names)
 
 
 def test_figures_of_other_scenarios_that_claims_name_are_there():

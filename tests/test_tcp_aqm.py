@@ -5,7 +5,6 @@ import math
 import os
 import subprocess
 import sys
-import time
 
 import numpy as np
 import pytest
@@ -526,32 +525,6 @@ def test_the_metrics_node_gives_the_figures():
     for name in ("J_q", "J_w", "J_R", "settling_time", "peak", "deviation", "utilisation"):
         assert metrics.status()[name][0] == pytest.approx(found[name].value, rel=1e-3), name
     assert metrics.status()["J_p"][0] == pytest.approx(found["J_p"].value, rel=1e-3)
-
-
-# Speed
-
-
-@pytest.mark.long
-def test_20000_steps_with_the_controller_take_a_quarter_of_a_second():
-    plant, controller, best = TcpFluid(input_delay=True), AqmController(law="pi"), math.inf
-    for _ in range(5):
-        plant.reset(0)
-        controller.reset(0)
-        begin = time.process_time()
-        command = (0.0,)
-        for k in range(20000):
-            command = controller.update(k, state=plant.outputs(k)["state"], reference=None)["command"]
-            plant.advance(k, command=command)
-        best = min(best, time.process_time() - begin)
-    assert best <= 0.25
-
-
-@pytest.mark.long
-def test_30_seconds_of_packets_take_less_than_4():
-    plant, controller = TcpPackets(), AqmController(law="pi", period=0.01)
-    begin = time.process_time()
-    loop(plant, controller, 30.0)
-    assert time.process_time() - begin <= 4.0
 
 
 PLAIN = """

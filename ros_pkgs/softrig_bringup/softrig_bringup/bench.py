@@ -227,7 +227,7 @@ def rigs() -> None:
 
 
 RIGS = ("dc_motor_smc", "dc_motor_smc_b1", "dc_motor_fsfb", "induction_dtc", "manipulator_adsmc", "rehab_impedance",
-        "pv_mppt")  # fmt: skip
+        "pv_mppt", "lsrm_fuzzy", "rectifier_mpc", "gupfc", "fault_location", "tcp_aqm_smc", "pwa_delay")  # fmt: skip
 
 
 def _timed(member: Member, spent: dict[str, int]) -> None:
@@ -266,7 +266,15 @@ def fault_location() -> None:
     print_table()
 
 
+def systems() -> None:
+    """Plants alone, controller steps, searches and proofs: CPU time against real time and a fixed piece of Python."""
+    from .bench_systems import print_table
+
+    print_table(console)
+
+
 PARTS: dict[str, Callable[[], None]] = {
     "loop": loop, "tick": tick, "recording": recording, "inprocess": inprocess, "processes": processes, "bags": bags,
     "rigs": rigs, "induction": induction, "fault_location": fault_location,
+    "systems": systems,
 }  # fmt: skip

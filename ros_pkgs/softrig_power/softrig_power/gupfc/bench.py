@@ -25,21 +25,21 @@ def cpu(call: Callable[[], object]) -> float:
     return time.process_time() - begin
 
 
-def plant(waveform: str) -> float:
-    """CPU time in s of 1.5 simulated seconds, the plant alone under steady commands."""
+def steady(waveform: str) -> Callable[[], None]:
+    """Give a call that simulates 1.5 s of the plant alone under steady commands, compiled already."""
     block = GupfcPlant(waveform=waveform)
     shunt, first, second = ShuntController(), SeriesController(circuit=1), SeriesController(circuit=2)
     turn = NetworkParams().omega * block.p.period
     commands = [next(iter(c.refused(0).values())) for c in (shunt, first, second)]
 
     def run(periods: int = PERIODS) -> None:
+        block.reset(0)
         for k in range(periods):
             block.outputs(0)
             block.advance(0, *((size, angle + turn * k, omega) for size, angle, omega in commands))
 
-    run(1)  # compiled now
-    block.reset(0)
-    return cpu(run)
+    run(1)
+    return run
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -47,7 +47,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     argparse.ArgumentParser(prog="gupfc_bench", description="CPU time of the GUPFC rig.").parse_args(arguments)
     print("1.5 simulated seconds, 69,120 steps of the circuit, 4,320 control periods")
     for waveform in ("average", "pulse"):
-        seconds = plant(waveform)
+        seconds = cpu(steady(waveform))
         print(
             f"plant alone, {waveform:8}          {seconds:7.3f} CPU s, {1e6 * seconds / (16 * PERIODS):5.2f} us a step"
         )
