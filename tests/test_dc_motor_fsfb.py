@@ -1,4 +1,4 @@
-"""DC axis over a fieldbus: the sheet's acceptance numbers by the scenario files, model, law, buttons, bad input."""
+"""DC axis over a fieldbus: the acceptance numbers by the scenario files, model, law, buttons, bad input."""
 
 import functools
 import math
@@ -194,7 +194,7 @@ def second_implementation(step, compensation, delay=8, dt=0.01, limit=140.0):
     return np.array(positions)
 
 
-# the sheet's tables ----------------------------------------------------------------------------------------------
+# a reference calculation ----------------------------------------------------------------------------------------------
 
 # step, overrides: rise s, settling s, overshoot %, peak to peak 6..8 s mm, peak u mm, peak v mm/s
 REFERENCE = {
@@ -214,7 +214,7 @@ REFERENCE = {
 
 @pytest.mark.parametrize("row", REFERENCE)
 def test_reference_table(row):
-    """Every figure of the sheet's table to its last digit."""
+    """Every figure of the reference calculation to its last digit."""
     step, compensation, *aw = row.split()
     step = float(step)
     signals = axis(controller__compensation=compensation, controller__step_mm=step, controller__aw=bool(aw))

@@ -1,4 +1,4 @@
-"""DC motor rig: the sheet's acceptance numbers through the scenario files, the model, the laws, bad input."""
+"""DC motor rig: the acceptance numbers through the scenario files, the model, the laws, bad input."""
 
 import functools
 import math
@@ -27,10 +27,10 @@ from softrig_drives.dc_motor.pid import DcMotorPid
 from softrig_drives.dc_motor.plant import DcMotorPlant
 from softrig_drives.dc_motor.sliding_mode import DcMotorSmc
 
-K = 9.71170883  # K/r of the sheet, 1/s^2
+K = 9.71170883  # K/r, 1/s^2, solved from Table II
 C = 5.0320416  # slope of the surface, 1/s
 
-# The sheet's numbers as name: (expected, tolerance) or (lowest, highest, None), apart from what the files say.
+# Reference calculation, name: (expected, tolerance) or (lowest, highest, None), apart from what the files say.
 IDEAL = {
     "dc_motor_smc": {"rise_time": (0.6070, 0.001), "settling_time": (1.0899, 0.003), "overshoot": (0.01, 0.01),
                          "total_variation": (13982, 0.03 * 13982)},

@@ -117,7 +117,7 @@ def exact(case, profile):
     (Case("ABCG", 5.0, 15.0), (-1.56, 0.62)), (Case("AB", 100.0, 5.0), (1.88, -0.13)),
 ])  # fmt: skip
 def test_line_and_locator(case, metres):
-    """Voltages to 2.1 % and currents to 0.3 % rms (sheet 1.6 and 0.2 %); located to 6.6 m and, at 100 kHz, 1.4 m."""
+    """Voltages to 2.1 % and currents to 0.3 % rms; located to 6.6 m and, at 100 kHz, 1.4 m."""
     for profile, error in zip(("m20k", "m100k"), metres, strict=True):
         record = exact(case, profile)
         rig = RigParams.model_validate({"fault": {"type": case.type, "x_km": case.x_km, "rf_ohm": case.rf_ohm},

@@ -1,4 +1,4 @@
-"""Induction motor under direct torque control: the sheet's acceptance, the model, the laws, bad input."""
+"""Induction motor under direct torque control: the acceptance, the model, the laws, bad input."""
 
 import math
 import sys
@@ -49,7 +49,7 @@ T_S = 5e-5
 Q = 1 / 32  # A
 R_S = 3.7
 
-# The sheet's numbers as name: (expected, tolerance) or (None, largest), apart from what the files say.
+# Numbers of a reference calculation as name: (expected, tolerance) or (None, largest), apart from what the files say.
 STEADY = {
     "speed_error_mean": (0.0, 0.1), "torque_error_mean": (0.0, 0.05), "torque_std": (0.84, 0.08),
     "flux_estimate_min": (0.899, 0.031), "flux_estimate_max": (0.899, 0.031), "current_peak": (8.1, 0.3),

@@ -1,4 +1,4 @@
-"""Linear switched reluctance motor: the sheet's acceptance, the model, the laws, bad input."""
+"""Linear switched reluctance motor: the acceptance, the model, the laws, bad input."""
 
 import math
 import os
@@ -37,7 +37,7 @@ GEOMETRY = Geometry().numbers()
 OFF = (0.0, 0.0, 0.0, 0.0)
 MS = 1_000_000
 
-# Acceptance of the sheet: figure: (value, tolerance); the scenario files have these and more. None: at most.
+# Acceptance: figure: (value, tolerance); the scenario files have these and more. None: at most.
 ACCEPTANCE = {
     "lsrm_fuzzy_b5": {"current": (5.35621, 1e-4), "force": (11.4756, 1e-3)},
     "lsrm_fuzzy": {"overshoot": (2.14, 0.15), "peak_error": (0.0394, 0.001), "iae": (0.0117, 0.0003),

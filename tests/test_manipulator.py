@@ -1,4 +1,4 @@
-"""3-link manipulator: dynamics against independent routes, the sheet's acceptance numbers, bad input."""
+"""3-link manipulator: dynamics against independent routes, the acceptance numbers, bad input."""
 
 import functools
 import math
@@ -42,7 +42,7 @@ E_SIGNAL = [f"controller_state/e{i}/position" for i in (1, 2, 3)]
 V_SIGNAL = [f"motor_command/motor{i}/effort" for i in (1, 2, 3)]
 
 
-# The sheet's closed form of D and G, with Coriolis terms from Christoffel symbols: no URDF, no pinocchio.
+# The closed form of D and G, with Coriolis terms from Christoffel symbols: no URDF, no pinocchio.
 
 
 @functools.cache

@@ -1,4 +1,4 @@
-"""Photovoltaic rig: the sheet's acceptance numbers, the models against independent solutions, bad input."""
+"""Photovoltaic rig: the acceptance numbers, the models against independent solutions, bad input."""
 
 import functools
 import math
@@ -73,7 +73,7 @@ def result(name, seed=None):
 
 # the string -----------------------------------------------------------------------------------------------------
 
-PEAKS = {  # the sheet's table: W, V, duty of the peak; None where it gives none
+PEAKS = {  # a reference calculation: W, V, duty of the peak; None where it gives none
     PATTERN1: [(51.493, None, 0.7516), (96.421, 33.35, 0.6416), (116.460, 52.94, 0.5510), (107.980, 73.34, 0.4590)],
     PATTERN2: [(51.493, None, 0.7516), (96.421, None, 0.6416), (98.224, 53.59, 0.5264), (81.079, None, 0.4221)],
     FIG4: [(51.493, None, None), (101.609, None, None), (134.281, 52.35, 0.5717), (82.112, None, None)],
@@ -226,7 +226,7 @@ def test_averaged_model_against_an_independent_integrator():
 def test_transients_converge(before, after, peak):
     """Halving the step of 20 us moves a transient with diode events by less than 0.002 V and 0.0005 A.
 
-    The sheet's clamp at the end of each step leaves 0.03 V and 0.25 V here; it also lets the string go to -51 V in the
+    A clamp at the end of each step would leave 0.03 V and 0.25 V here; it would also let the string go to -51 V in the
     step from 0.1 to 0.9, where in truth all bypass diodes conduct.
     """
     source, converter = string(PATTERN1), Converter(CONVERTER)
@@ -245,7 +245,7 @@ def test_transients_converge(before, after, peak):
 
 
 def test_switched_plant_follows_the_averaged_one():
-    """The step 0.4 to 0.551 with its interval of zero current: within 0.6 V and 5 W, as on the sheet, then the same."""
+    """The step 0.4 to 0.551 with its interval of zero current: within 0.6 V and 5 W, then the same."""
     plants = [PvPlant(model=model) for model in ("averaged", "switched")]
     for plant in plants:
         for _ in range(60):
@@ -311,7 +311,7 @@ def static_runs(algorithm, n=400, **settings):
 def test_hit_rates(algorithm, settings, hits, close):
     """Acceptance 3: how many of 400 seeds end in the global basin of pattern 2, and above 99 % of its power.
 
-    The sheet's own shares are 54, 72, 67, 66, 51, 70 and 13 %. A run repeats bit for bit; another C library may decide
+    A reference calculation had 54, 72, 67, 66, 51, 70 and 13 %. A run repeats bit for bit; another C library may decide
     a draw or two at an edge.
     """
     duty, power, _ = static_runs(algorithm, **settings)

@@ -441,6 +441,8 @@ def test_compare_and_bag_on_the_command_line(tmp_path, monkeypatch, capsys):
     assert main_compare(["a", "b", "--topics", "/plant/state", "--bitwise"]) == 0
     assert main_bag(["export", "a", "--out", "tables"]) == 0
     assert "tables/plant.state.csv" in capsys.readouterr().out
+    assert main_bag(["export", "a"]) == 0
+    assert "a_csv/plant.state.csv" in capsys.readouterr().out
     (tmp_path / "a/metadata.yaml").unlink()
     assert main_bag(["repair", "a", "--out", "whole"]) == 0
     assert "450 messages in" in capsys.readouterr().out

@@ -1,4 +1,4 @@
-"""Rehabilitation robot: dynamics against an independent Lagrangian, the sheet's acceptance numbers, bad input."""
+"""Rehabilitation robot: dynamics against an independent Lagrangian, the acceptance numbers, bad input."""
 
 import functools
 import itertools
@@ -42,7 +42,7 @@ V_SIGNAL = [f"motor_command/{joint}/effort" for joint in JOINTS]
 DRIFT = {"rehab_plant.drift.resistance": 0.3, "rehab_plant.drift.constants": -0.09}
 
 
-# The sheet's closed form, no URDF and no pinocchio.
+# The closed form, no URDF and no pinocchio.
 
 
 @functools.cache

@@ -212,7 +212,7 @@ def main_bag(argv: list[str]) -> int:
     table = verbs.add_parser("export", help="signals as tables, one file a topic")
     table.add_argument("bag", type=Path)
     table.add_argument("--format", choices=("csv", "parquet"), default="csv")
-    table.add_argument("--out", type=Path, default=Path("."), metavar="DIR")
+    table.add_argument("--out", type=Path, metavar="DIR", help="default: BAG_csv or BAG_parquet beside the bag")
     options = parser.parse_args(argv)
     if options.verb == "info":
         from .info import describe
@@ -225,6 +225,8 @@ def main_bag(argv: list[str]) -> int:
     else:
         from .read import export
 
-        for path in export(options.bag, options.out, options.format):
+        bag = options.bag.resolve()
+        out = options.out or bag.with_name(f"{bag.stem if bag.is_file() else bag.name}_{options.format}")
+        for path in export(bag, out, options.format):
             print(os.path.relpath(path))
     return 0

@@ -15,7 +15,7 @@ from .plant import NOMINAL_CURRENT
 
 
 class RectifierGpcParams(RectifierConstants, GpcLawParams):
-    """Model, and what the sheet of the rectifier sets: weight, bounds, trips, signals."""
+    """Model, weight, bounds, trips and signals of the rectifier."""
 
     period: float = param(0.00083, "control period T", "s", gt=0.0, le=0.1)
     model: Literal["seed19", "n3", "d2"] = param(
