@@ -118,6 +118,13 @@ class FieldbusDelay(Block[FieldbusDelayParams]):
 def whole_periods(time: float, period: float) -> tuple[int, bool]:
     """Round a time up to whole periods, both in s.
 
+    Parameters
+    ----------
+    time : float
+        To be rounded, s.
+    period : float
+        s.
+
     Returns
     -------
     (int, bool)

@@ -13,7 +13,15 @@ Matrix = tuple[tuple[float, ...], ...]
 
 
 def matmul(a: Sequence[Sequence[float]], b: Sequence[Sequence[float]]) -> Matrix:
-    """Matrix product, summed from left to right."""
+    """Matrix product, summed from left to right.
+
+    Parameters
+    ----------
+    a : (n, m) nested sequence
+        Left factor.
+    b : (m, k) nested sequence
+        Right factor.
+    """
     columns = tuple(zip(*b, strict=True))
     return tuple(tuple(_dot(row, column) for column in columns) for row in a)
 

@@ -70,7 +70,21 @@ def place(a: Matrix, b: Sequence[float], c: Sequence[float], poles: Sequence[com
 def closed_loop_poles(
     a: Matrix, b: Sequence[float], c: Sequence[float], k: Sequence[float], ki: float | None
 ) -> tuple[complex, ...]:
-    """Poles of the continuous loop, 1/s, by rising real part; `ki` None: without integrator."""
+    """Poles of the continuous loop, 1/s, by rising real part; `ki` None: without integrator.
+
+    Parameters
+    ----------
+    a : (n, n) nested sequence
+        System matrix of x' = A x + B u.
+    b : (n,) sequence of float
+        Its one input.
+    c : (n,) sequence of float
+        Output y = C x that the integrator follows.
+    k : (n,) sequence of float
+        Feedback u = -K x + ki z.
+    ki : float or None
+        Gain of the integrator z' = r - y; None without.
+    """
     import numpy as np
 
     loop = np.asarray(a, dtype=float) - np.outer(b, k)

@@ -50,6 +50,15 @@ class Carima:
 
         A(z) is the characteristic polynomial by the recursion of Faddeev and LeVerrier, B(z) = A(z) times the
         Markov parameters C A^k B.
+
+        Parameters
+        ----------
+        a : (n, n) nested sequence
+            System matrix.
+        b : (n, 1) nested sequence
+            Input column.
+        c : (n,) sequence of float
+            Output row.
         """
         n = len(a)
         characteristic = [1.0]
@@ -67,6 +76,13 @@ class Carima:
     @classmethod
     def from_continuous(cls, num: Sequence[float], den: Sequence[float], period: float) -> Carima:
         """Sample a transfer function num(s)/den(s), highest power first, with u held over each period.
+
+        Parameters
+        ----------
+        num, den : sequence of float
+            Coefficients, highest power first.
+        period : float
+            s.
 
         Raises
         ------
@@ -93,6 +109,13 @@ def sample_transfer_function(
     num: Sequence[float], den: Sequence[float], period: float
 ) -> tuple[Matrix, Matrix, tuple[float, ...]]:
     """Give (A, B, C) of a strictly proper transfer function in controllable form, sampled with zero-order hold.
+
+    Parameters
+    ----------
+    num, den : sequence of float
+        Coefficients in s, highest power first.
+    period : float
+        s.
 
     Raises
     ------
@@ -132,7 +155,13 @@ class Prediction(NamedTuple):
 
 
 def multiply(p: Sequence[float], q: Sequence[float]) -> Polynomial:
-    """Product of two polynomials in z^-1."""
+    """Product of two polynomials in z^-1.
+
+    Parameters
+    ----------
+    p, q : sequence of float
+        Coefficients of z^0, z^-1, ...
+    """
     found = [0.0] * (len(p) + len(q) - 1)
     for i, x in enumerate(p):
         for j, y in enumerate(q):
@@ -141,7 +170,15 @@ def multiply(p: Sequence[float], q: Sequence[float]) -> Polynomial:
 
 
 def add(p: Sequence[float], q: Sequence[float], shift: int = 0) -> Polynomial:
-    """Sum p + z^-shift q."""
+    """Sum p + z^-shift q.
+
+    Parameters
+    ----------
+    p, q : sequence of float
+        Coefficients of z^0, z^-1, ...
+    shift : int
+        Number of samples by which q is late.
+    """
     return tuple(x + y for x, y in zip_longest(p, (*(0.0,) * shift, *q), fillvalue=0.0))
 
 
@@ -183,6 +220,15 @@ def predict(model: Carima, first: int, horizon: int, moves: int) -> Prediction:
     """Build the prediction of y(t+first) ... y(t+horizon) for `moves` future moves.
 
     E_j B = G_j + z^-j H_j splits each row into the part of the future moves and that of the past ones.
+
+    Parameters
+    ----------
+    model : Carima
+        A(z) y(t) = B(z) u(t-1) + xi(t)/Delta.
+    first, horizon : int
+        First and last sample predicted, counted from now.
+    moves : int
+        Number of future increments of u; later ones are zero.
     """
     nb = len(model.b) - 1
     g, f, h = [], [], []

@@ -134,61 +134,171 @@ Units = str | Sequence[str]  # one of all channels, or one a channel; "1" for a 
 
 def joint_state(name: str, topic: str, channels: Sequence[str], *, position: Units = "", velocity: Units = "",
                 effort: Units = "", **options: object) -> Port:  # fmt: skip
-    """State of mechanical axes or named scalars; the fields are those whose unit or units are given."""
+    """State of mechanical axes or named scalars; the fields are those whose unit or units are given.
+
+    Parameters
+    ----------
+    name : str
+        Argument of the block's methods, or key of its answer.
+    topic : str
+        Relative name.
+    channels : sequence of str
+        Names in the message, such as joints.
+    position, velocity, effort : str or sequence of str
+        Unit of all channels or one a channel, "1" for a pure number; a field without unit is not used.
+    **options
+        Further fields of `Port`: held, delayed, sporadic, partial, safe.
+    """
     units = {"position": position, "velocity": velocity, "effort": effort}
     return _named(types.JOINT_STATE.name, name, topic, channels, units, options)
 
 
 def command(name: str, topic: str, channels: Sequence[str], unit: Units, **options: object) -> Port:
-    """Actuator command: a JointState whose effort holds the commanded values (V, N m, N, duty); one unit or many."""
+    """Actuator command: a JointState whose effort holds the commanded values (V, N m, N, duty); one unit or many.
+
+    Parameters
+    ----------
+    name, topic : str
+        As in `joint_state`.
+    channels : sequence of str
+        Names of the commanded quantities.
+    unit : str or sequence of str
+        Of all channels, or one a channel.
+    **options
+        Further fields of `Port`.
+    """
     return joint_state(name, topic, channels, effort=unit, **options)  # type: ignore[arg-type]
 
 
 def scalars(name: str, topic: str, units: Mapping[str, str], **options: object) -> Port:
-    """Named scalars of different units (channel to unit), in JointState.position."""
+    """Named scalars of different units (channel to unit), in JointState.position.
+
+    Parameters
+    ----------
+    name, topic : str
+        As in `joint_state`.
+    units : mapping of str to str
+        Unit by channel.
+    **options
+        Further fields of `Port`.
+    """
     return Port(name, topic, types.JOINT_STATE.name, tuple(units), ("position",), tuple(units.values()), **options)  # type: ignore[arg-type]
 
 
 def reference(name: str, topic: str, channels: Sequence[str], *, position: Units = "", velocity: Units = "",
               acceleration: Units = "", **options: object) -> Port:  # fmt: skip
-    """Axis reference: a JointTrajectory of one point; the fields are those whose unit or units are given."""
+    """Axis reference: a JointTrajectory of one point; the fields are those whose unit or units are given.
+
+    Parameters
+    ----------
+    name, topic : str
+        As in `joint_state`.
+    channels : sequence of str
+        Names of the axes.
+    position, velocity, acceleration : str or sequence of str
+        Unit of all axes or one an axis; a field without unit is not used.
+    **options
+        Further fields of `Port`.
+    """
     units = {"position": position, "velocity": velocity, "acceleration": acceleration}
     return _named(types.JOINT_TRAJECTORY.name, name, topic, channels, units, options)
 
 
 def vector3(name: str, topic: str, frame_id: str, units: str | Sequence[str], **options: object) -> Port:
-    """Three-phase (abc) or rotating-frame (alpha_beta, dq) quantity."""
+    """Three-phase (abc) or rotating-frame (alpha_beta, dq) quantity.
+
+    Parameters
+    ----------
+    name, topic : str
+        As in `joint_state`.
+    frame_id : str
+        ``abc``, ``alpha_beta`` or ``dq``; a message of another frame is refused.
+    units : str or sequence of str
+        Of all three components, or one each.
+    **options
+        Further fields of `Port`.
+    """
     units = (units,) * 3 if isinstance(units, str) else tuple(units)
     return Port(name, topic, types.VECTOR.name, XYZ, ("vector",), units, frame_id, **options)  # type: ignore[arg-type]
 
 
 def wrench(name: str, topic: str, frame_id: str = "", **options: object) -> Port:
-    """Force (N) and torque (N m) of a person or a load."""
+    """Force (N) and torque (N m) of a person or a load.
+
+    Parameters
+    ----------
+    name, topic : str
+        As in `joint_state`.
+    frame_id : str
+        Where force and torque are expressed; an input without one takes any.
+    **options
+        Further fields of `Port`.
+    """
     units = ("N",) * 3 + ("N m",) * 3
     return Port(name, topic, types.WRENCH.name, XYZ, ("force", "torque"), units, frame_id, **options)  # type: ignore[arg-type]
 
 
 def pose(name: str, topic: str, frame_id: str, **options: object) -> Port:
-    """Position (m) and orientation (unit quaternion x, y, z, w) in a frame."""
+    """Position (m) and orientation (unit quaternion x, y, z, w) in a frame.
+
+    Parameters
+    ----------
+    name, topic : str
+        As in `joint_state`.
+    frame_id : str
+        Where the pose is expressed; an input without one takes any.
+    **options
+        Further fields of `Port`.
+    """
     units = ("m",) * 3 + ("",) * 4
     fields = ("position", "orientation")
     return Port(name, topic, types.POSE.name, (), fields, units, frame_id, **options)  # type: ignore[arg-type]
 
 
 def array(name: str, topic: str, dims: Mapping[str, int], units: str | Sequence[str], **options: object) -> Port:
-    """A vector or matrix (Float64MultiArray): label and size of each dimension, unit of all or of each value."""
+    """A vector or matrix (Float64MultiArray): label and size of each dimension, unit of all or of each value.
+
+    Parameters
+    ----------
+    name, topic : str
+        As in `joint_state`.
+    dims : mapping of str to int
+        Size by label, the outermost dimension first.
+    units : str or sequence of str
+        Of all values, or one a value in the order of the message.
+    **options
+        Further fields of `Port`.
+    """
     shape = tuple(dims.items())
     units = (units,) * len(element_labels(shape)) if isinstance(units, str) else tuple(units)
     return Port(name, topic, types.ARRAY.name, (), ("data",), units, dims=shape, **options)  # type: ignore[arg-type]
 
 
 def number(name: str, topic: str, unit: str, **options: object) -> Port:
-    """A set point or other single number from a person or an outside node (std_msgs/Float64)."""
+    """A set point or other single number from a person or an outside node (std_msgs/Float64).
+
+    Parameters
+    ----------
+    name, topic : str
+        As in `joint_state`.
+    unit : str
+        Of the number; the message says none.
+    **options
+        Further fields of `Port`.
+    """
     return Port(name, topic, types.NUMBER.name, (), ("data",), (unit,), **options)  # type: ignore[arg-type]
 
 
 def button(name: str, topic: str, **options: object) -> Port:
-    """A push button (std_msgs/Bool): 0.0 or 1.0."""
+    """A push button (std_msgs/Bool): 0.0 or 1.0.
+
+    Parameters
+    ----------
+    name, topic : str
+        As in `joint_state`.
+    **options
+        Further fields of `Port`.
+    """
     return Port(name, topic, types.BUTTON.name, (), ("data",), ("",), **options)  # type: ignore[arg-type]
 
 

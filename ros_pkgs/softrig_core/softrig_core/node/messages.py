@@ -33,7 +33,21 @@ def message_class(msgtype: str) -> Any:
 
 
 def diagnostic_array(stamp: int, name: str, level: Level, text: str, values: Mapping[str, str]) -> Any:
-    """Make a diagnostic_msgs/DiagnosticArray with one status."""
+    """Make a diagnostic_msgs/DiagnosticArray with one status.
+
+    Parameters
+    ----------
+    stamp : int
+        ns.
+    name : str
+        What the status is about, a node or a part of it.
+    level : Level
+        OK, WARN or ERROR.
+    text : str
+        The state in one line.
+    values : mapping of str to str
+        Figures by name.
+    """
     from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
     array = DiagnosticArray()
@@ -62,7 +76,15 @@ def range_descriptor(declaration: Declaration) -> Any:
 
 
 def marker_array(stamp: int, markers: Sequence[Marker]) -> Any:
-    """Make a visualization_msgs/MarkerArray; stamp in ns."""
+    """Make a visualization_msgs/MarkerArray; stamp in ns.
+
+    Parameters
+    ----------
+    stamp : int
+        ns.
+    markers : sequence of Marker
+        What a block has to show.
+    """
     from geometry_msgs.msg import Point as PointMessage
     from visualization_msgs.msg import Marker as MarkerMessage
     from visualization_msgs.msg import MarkerArray

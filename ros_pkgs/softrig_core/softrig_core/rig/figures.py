@@ -138,6 +138,13 @@ def evaluate(rig: Rig, signals: SignalMap) -> list[Result]:
     """Measure the figures of a rig's scenario and judge them.
 
     A figure that cannot be computed has value None and the reason; it passes only if nothing is expected of it.
+
+    Parameters
+    ----------
+    rig : Rig
+        Its scenario says what is measured and expected.
+    signals : Signals
+        Of a run of this rig.
     """
     published = {c.figure or k: c.published for k, c in rig.scenario.claims.items() if c.published is not None}
     results = []

@@ -17,6 +17,13 @@ def fill(value: Any, shared: Mapping[str, Any]) -> Any:
 
     Strings ``$node.parameter`` stay, they are for `fill_parameters`; ``$$`` stands for a dollar sign.
 
+    Parameters
+    ----------
+    value : any
+        Mappings, lists and scalars as YAML gives them; also changes laid over a reference (`Over`).
+    shared : mapping
+        Shared values by name.
+
     Raises
     ------
     ScenarioError
@@ -48,7 +55,15 @@ def fill(value: Any, shared: Mapping[str, Any]) -> Any:
 
 
 def fill_parameters(value: Any, parameter: Callable[[str, str], Any]) -> Any:
-    """Copy plain data with every string ``$node.parameter`` replaced by what `parameter` gives for the two names."""
+    """Copy plain data with every string ``$node.parameter`` replaced by what `parameter` gives for the two names.
+
+    Parameters
+    ----------
+    value : any
+        Plain data.
+    parameter : callable
+        Gives a value for the name of a node and the dotted name of its parameter.
+    """
     if isinstance(value, str):
         found = _PARAMETER.fullmatch(value)
         if found:
@@ -61,6 +76,13 @@ def fill_parameters(value: Any, parameter: Callable[[str, str], Any]) -> Any:
 
 def pick(values: Mapping[str, Any], name: str) -> Any:
     """Give a parameter by its dotted name, or one element of a list by its number: ``times.0``.
+
+    Parameters
+    ----------
+    values : mapping
+        Parameters by dotted name.
+    name : str
+        Which, ``times.0`` for the first element of the list ``times``.
 
     Raises
     ------

@@ -18,7 +18,15 @@ def powers(unit: str) -> dict[str, int]:
 
 
 def compose(template: str, signal: str) -> str:
-    """Put a signal's unit in the place of ``{signal}``: ``{signal}/s`` of ``V`` is ``V/s``."""
+    """Put a signal's unit in the place of ``{signal}``: ``{signal}/s`` of ``V`` is ``V/s``.
+
+    Parameters
+    ----------
+    template : str
+        Unit of a figure, such as ``{signal}^2 s``.
+    signal : str
+        Unit of the signal.
+    """
     if "{signal}" not in template:
         return template
     rest = powers(template.replace("{signal}", "1"))
@@ -46,6 +54,11 @@ def factor(given: str, wanted: str) -> float | None:
     """Number that turns values of one unit into another; None when they do not measure the same.
 
     The suite is in SI; the one conversion is from rad to deg, in any power.
+
+    Parameters
+    ----------
+    given, wanted : str
+        Units such as ``rad/s``.
     """
     a, b = powers(given), powers(wanted)
     if a == b:

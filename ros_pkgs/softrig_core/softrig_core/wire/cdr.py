@@ -151,7 +151,15 @@ class Layout:
         self._seconds, self._nanoseconds = place.get(0, -1), place.get(1, -1)
 
     def encode(self, stamp: int, values: Sequence[float]) -> bytes:
-        """Give the message bytes for a stamp in ns and all numbers in wire order."""
+        """Give the message bytes for a stamp in ns and all numbers in wire order.
+
+        Parameters
+        ----------
+        stamp : int
+            ns; ignored where the type has no header.
+        values : sequence of float
+            All numbers of the message in wire order, field by field.
+        """
         if len(values) != self.size:
             raise ValueError(f"{len(values)} values, expected {self.size}")
         return self._pack(*self._wire((stamp // SECOND, stamp % SECOND, *values, *self._constants)))
@@ -202,6 +210,13 @@ def _merge(spans: list[tuple[int, int]]) -> list[tuple[int, int]]:
 
 def parse(msgtype: str, data: bytes) -> Message:
     """Read any well-formed message of a known type, either endianness.
+
+    Parameters
+    ----------
+    msgtype : str
+        ``package/msg/Type``.
+    data : bytes
+        Serialized message, the four bytes of the encapsulation included.
 
     Raises
     ------

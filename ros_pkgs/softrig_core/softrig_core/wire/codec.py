@@ -103,6 +103,13 @@ def _check_partial(names: Sequence[str], port: Port) -> None:
 def selection(source: Port, sink: Port) -> Pick | None:
     """Say how the values of `source` become those of `sink`; None when they are the same.
 
+    Parameters
+    ----------
+    source : Port
+        Writes the messages.
+    sink : Port
+        Reads them.
+
     Raises
     ------
     Refused
