@@ -490,7 +490,7 @@ def test_impossible_operating_points_are_refused_at_the_start():
         GupfcPlant(waveform="pulse", network={"frequency": 50.0})
 
 
-def test_gains_beyond_the_sheet():
+def test_gains_beyond_the_published_range():
     """Limits: series Ki 30 still settles, 40 is unstable; shunt 6/75 is fine, 24/300 unstable."""
 
     def settled(**overrides):

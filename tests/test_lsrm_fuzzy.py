@@ -76,7 +76,7 @@ def value(name, figure):
 
 
 @pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.long if n[11:] in MORE else []) for n in SCENARIOS])
-def test_scenario_meets_the_sheet(name):
+def test_scenario_meets_its_numbers(name):
     for figure, (expected, tolerance) in ACCEPTANCE.get(name, {}).items():
         if expected is None:
             assert value(name, figure) <= tolerance, figure

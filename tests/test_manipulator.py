@@ -195,7 +195,7 @@ def free_swing(h, duration=2.0):
     return np.array(states)
 
 
-def test_free_swing_meets_the_sheet_and_keeps_its_energy():
+def test_free_swing_meets_its_numbers_and_keeps_its_energy():
     x = free_swing(1e-3)
     np.testing.assert_allclose(x[-1, :3], [3.367422, -1.287106, 1.218483], atol=1e-6)
     np.testing.assert_allclose(x[-1, 3:6], [1.545265, 3.488168, 7.522601], atol=2e-6)
@@ -336,7 +336,7 @@ def run(name, duration=None, **overrides):
 
 
 @pytest.mark.parametrize("name", sorted(n for n in list_scenarios() if n.startswith("manipulator_adsmc")))
-def test_scenario_meets_the_sheet(name):
+def test_scenario_meets_its_numbers(name):
     found = evaluate(Rig.from_scenario(load_scenario(name)), run(name))
     assert any(m.judged for m in found)
     assert [f"{m.name} = {m.value}" for m in found if not m.passed] == []

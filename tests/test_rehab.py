@@ -108,7 +108,7 @@ def test_committed_urdf_is_what_the_tables_give():
     assert (URDF / "rehab_leg.urdf").read_text() == rehab_urdf()
 
 
-def test_free_fall_meets_the_sheet_and_keeps_its_energy():
+def test_free_fall_meets_its_numbers_and_keeps_its_energy():
     step, _, n = compile_robot(rehab_urdf(), "foot")
     plant = (*(1.0,) * (2 * n), *(0.0,) * (7 * n), 1.0, 1.0, 0.0)
     x = (0.3 + math.pi / 2, 0.5, 0.5, -0.2, 0.0, 0.0)
@@ -187,7 +187,7 @@ def test_motors_drift_to_the_values_asked_for():
     assert drifting.torque_per_ampere == (69.12, 69.12)
 
 
-def test_reference_meets_the_sheet_and_its_derivatives_fit():
+def test_reference_meets_its_numbers_and_its_derivatives_fit():
     source = PromReference()
 
     def at(t):
@@ -209,7 +209,7 @@ def test_reference_meets_the_sheet_and_its_derivatives_fit():
 
 
 @pytest.mark.parametrize("name", sorted(n for n in list_scenarios() if n.startswith("rehab_impedance")))
-def test_scenario_meets_the_sheet(name):
+def test_scenario_meets_its_numbers(name):
     found = evaluate(Rig.from_scenario(load_scenario(name)), run(name))
     assert any(m.judged for m in found)
     assert [f"{m.name} = {m.value}" for m in found if not m.passed] == []
@@ -352,6 +352,7 @@ def test_beyond_the_edge_the_cost_rises_steeply():
     assert math.isinf(cost((9.0,), guarded=False))
 
 
+@pytest.mark.long
 def test_published_cost_tunes_to_the_edge():
     found = tune(1, guarded=False, n_pop=8, n_iter=5)
     assert 6.1 <= found.x[0] <= 6.6

@@ -552,7 +552,10 @@ def test_native_and_plain_python_give_the_same_bits():
 
 
 @pytest.mark.processes
-@pytest.mark.parametrize("name", ["tcp_aqm_smc", "tcp_aqm_smc_10ms", "tcp_aqm_smc_s4"])
+@pytest.mark.parametrize(
+    "name",
+    ["tcp_aqm_smc_s4", *(pytest.param(n, marks=pytest.mark.long) for n in ("tcp_aqm_smc", "tcp_aqm_smc_10ms"))],
+)
 def test_processes_give_the_bits_of_in_process(name, tmp_path):
     rig = Rig.from_scenario(load_scenario(name).model_copy(update={"duration": 3.0 if name.endswith("s4") else 0.5}))
     outcome = run_processes(rig, 1, tmp_path)

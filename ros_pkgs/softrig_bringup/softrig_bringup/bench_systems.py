@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from rich.console import Console
 from rich.table import Table
@@ -140,7 +140,7 @@ def _tcp() -> Iterator[Work]:
         def run() -> None:
             plant.reset(0)
             controller.reset(0)
-            command = (0.0,)
+            command: Any = (0.0,)
             for k in range(round(seconds / plant.p.period)):
                 t = round(k * plant.p.period * 1e9)
                 state = plant.outputs(t)["state"]
