@@ -410,7 +410,7 @@ def test_friction_step_size(monkeypatch):
         ([-2.51465, -9.70057, -9.70057], (7.28534, 62.5, 103.5038)),
     ],
 )
-def test_pole_placement_gives_the_sheets_gains(poles, gains):
+def test_pole_placement_gives_the_gains(poles, gains):
     found = design(poles)
     assert found == pytest.approx(gains, rel=1e-5)
     cubic = [1.0, 5.26 + 2.2862 * found[0], 2.2862 * found[1], 2.2862 * found[2]]

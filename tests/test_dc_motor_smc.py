@@ -112,14 +112,14 @@ def speed(name):
 
 
 @pytest.mark.parametrize(("name", "expected"), (IDEAL | LOADED).items(), ids=(IDEAL | LOADED).keys())
-def test_figures_of_the_sheet(name, expected):
+def test_reference_figures(name, expected):
     found = figures(name)
     for figure, (value, tolerance) in expected.items():
         assert found[figure] == pytest.approx(value, rel=0, abs=tolerance), figure
 
 
 @pytest.mark.parametrize("name", RIG)
-def test_rig_table_of_the_sheet(name):
+def test_rig_table(name):
     rise, settling, step_tolerance, over, mean_error, variation, variation_tolerance = RIG[name]
     found = figures(name)
     assert found["rise_time"] == pytest.approx(rise, rel=step_tolerance)

@@ -294,7 +294,7 @@ def test_table_moves_flux_and_torque_the_right_way(name, n):
             assert toggled == {"printed": 2, "minimal_switching": 1}[name]
 
 
-def test_tables_are_those_of_the_sheet():
+def test_tables_are_as_printed():
     increase, decrease = TABLES["printed"][1], TABLES["printed"][0]
     assert increase == ((0, 7, 0, 7, 0, 7), (2, 3, 4, 5, 6, 1), (6, 1, 2, 3, 4, 5))
     assert decrease == ((7, 0, 7, 0, 7, 0), (3, 4, 5, 6, 1, 2), (5, 6, 1, 2, 3, 4))

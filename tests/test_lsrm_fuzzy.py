@@ -105,7 +105,7 @@ def recorded(name, **arguments):
     ("x", "inductances", "slopes"),
     [(0.004, (15.964e-3, 12.4e-3, 6e-3, 6.436e-3), (-0.4, 0.8, 0.0, -0.4)), (0.0415, (11.2e-3,), (0.8,))],
 )
-def test_inductance_and_slope_are_those_of_the_sheet(x, inductances, slopes):
+def test_inductance_and_slope(x, inductances, slopes):
     for k, (L, g) in enumerate(zip(inductances, slopes, strict=True)):
         xi = distance(x, k, GEOMETRY)
         assert inductance(xi, GEOMETRY) == pytest.approx(L, abs=1e-6)
@@ -309,7 +309,7 @@ SURFACE = [(0.5, 0.4, 0.866667), (0.8, 0.5, 1.0), (-0.9, 0.2, -0.7), (0.25, -0.4
 
 
 @pytest.mark.parametrize(("x", "y", "expected"), SURFACE)
-def test_surface_has_the_values_of_the_sheet(surface, x, y, expected):
+def test_surface_has_the_reference_values(surface, x, y, expected):
     assert surface(x, y) == pytest.approx(expected, abs=1e-6)
 
 

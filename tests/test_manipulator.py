@@ -86,7 +86,7 @@ def answer(block, q, v, tau, acceleration=None):
 # dynamics node, A1 -----------------------------------------------------------------------------------------------
 
 
-def test_dynamics_node_gives_the_sheets_values():
+def test_dynamics_node_gives_the_reference_values():
     found = answer(RobotDynamics(), Q, V, np.zeros(3))
     M = [[10.440676, 0, 0], [0, 13.166804, 3.022827], [0, 3.022827, 1.672924]]
     np.testing.assert_allclose(found["mass_matrix"], M, atol=1e-5)
@@ -255,7 +255,7 @@ def test_without_a_compiler_the_same_numbers(monkeypatch, tmp_path):
     np.testing.assert_allclose(fast.x, slow.x, rtol=1e-12)
 
 
-def test_outputs_are_those_of_the_sheet():
+def test_outputs_are_the_reference_values():
     plant = ManipulatorPlant(position=0.1, velocity=0.2)
     plant.x = (*plant.x[:6], 1.0, 2.0, 3.0)
     found = plant.outputs(0)

@@ -81,7 +81,7 @@ def run(name, duration=None, **overrides):
 # dynamics and plant, B1 ------------------------------------------------------------------------------------------
 
 
-def test_dynamics_node_gives_the_sheets_values():
+def test_dynamics_node_gives_the_reference_values():
     found = dynamics((0.3 + math.pi / 2, -0.7), (0.4, -0.5), (0.0, 0.0))
     assert found["mass_matrix"] == pytest.approx((5.143434, 1.764842, 1.764842, 1.0), abs=1e-5)
     assert found["bias"] == pytest.approx((64.599543, 17.968142), abs=1e-5)
@@ -299,7 +299,7 @@ def test_errors_repeat_whatever_happens_to_the_plant():
     ("lam", "limit", "delayed"),
     [(1.0, 6.89, 2.66), (2.0, 6.30, 2.43), (4.0, 5.11, 1.97), (6.0, 3.92, 1.50), (8.0, 2.73, 1.04), (16.0, 0.0, 0.0)],
 )
-def test_stability_limits_are_the_sheets(lam, limit, delayed):
+def test_stability_limits(lam, limit, delayed):
     assert alpha_hat_limit(1e-3, lam, False) == pytest.approx(limit, abs=0.01)
     assert alpha_hat_limit(1e-3, lam, True) == pytest.approx(delayed, abs=0.01)
 
@@ -453,7 +453,7 @@ def test_large_force_is_cut_down_with_a_warning():
     assert "force" not in plants[1].reports
 
 
-def test_patient_pushes_as_the_sheet_says():
+def test_patient_pushes_in_its_window():
     patient = Patient()
     for t, expected in ((4.9, 0.0), (5.0, 0.0), (5.5, 10.0), (6.0, 20.0), (7.0, 0.0), (16.0, 20.0)):
         force = patient.update(round(t * 1e9))["patient_force"]

@@ -76,6 +76,7 @@ def works() -> Iterator[Work]:
     yield from _dispatch()
     yield from _tcp()
     yield from _pwa()
+    yield from _optimal()
 
 
 def _core() -> Iterator[Work]:
@@ -165,3 +166,16 @@ def _pwa() -> Iterator[Work]:
     yield Work("pwa_delay", "certificate of theorem 1", lambda: certify(system, 0.0192))
     yield Work("pwa_delay", "largest certified delay", lambda: certified_margin(system, low=0.018, high=0.021))
     yield Work("pwa_delay", "largest simulated delay", lambda: pwa_margin(system, 0.0195, 0.021, (-2.0, 0.0), 60.0))
+
+
+def _optimal() -> Iterator[Work]:
+    from softrig_systems.optimal_control import collocation
+    from softrig_systems.optimal_control.mvim import solve
+    from softrig_systems.optimal_control.problem import find
+
+    problem = find("spacecraft")
+    yield Work("optimal", "series of order 8", lambda: solve(problem, 8))
+    cold = collocation.solve(problem)
+    guess = collocation.sampled(cold.rows, 100.0, 90.0, 3)
+    later = problem.changed(x0=cold.rows[:3, 10].tolist(), horizon=90.0)
+    yield Work("optimal", "collocation, warm", lambda: collocation.solve(later, guess=guess))
