@@ -90,7 +90,15 @@ class Solver(Block[S]):
 
     @staticmethod
     def solve(request: Any, work: Work) -> Any:
-        """Work on a request, in another process; tell `work` how far it is and the best answer so far."""
+        """Work on a request, in another process; tell `work` how far it is and the best answer so far.
+
+        Parameters
+        ----------
+        request : any
+            What `request` gave, as it was pickled.
+        work : Work
+            Takes how far it is and the best answer so far.
+        """
         raise NotImplementedError
 
     def answer(self, t: int, result: Result | None, new: bool) -> Values:

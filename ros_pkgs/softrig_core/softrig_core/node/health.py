@@ -40,7 +40,15 @@ def write_status(adapter: Adapter) -> None:
 
 
 def percentiles(name: str, samples: Iterable[int]) -> dict[str, float]:
-    """Give p50, p99 and maximum of times in ns as ``<name>_p50_ms`` and so on; nothing without samples."""
+    """Give p50, p99 and maximum of times in ns as ``<name>_p50_ms`` and so on; nothing without samples.
+
+    Parameters
+    ----------
+    name : str
+        Beginning of the names of the figures.
+    samples : iterable of int
+        Times in ns.
+    """
     ordered = sorted(samples)
     if not ordered:
         return {}

@@ -80,7 +80,19 @@ def findings(scenario: Scenario, figures: Callable[[str], Figures | None], units
 def hold(
     name: str, claims: Mapping[str, Claim], figures: Callable[[str], Figures | None], units: Mapping[str, str]
 ) -> list[Finding]:
-    """Hold claims, of a scenario or of a study, against measurements; see `findings`."""
+    """Hold claims, of a scenario or of a study, against measurements; see `findings`.
+
+    Parameters
+    ----------
+    name : str
+        Of the scenario or study.
+    claims : mapping of str to Claim
+        By key.
+    figures : callable
+        Gives the figures of a scenario by its name; None when it was not run or broke.
+    units : mapping of str to str
+        Unit by figure.
+    """
     return [_finding(name, key, claim, figures, units) for key, claim in claims.items()]
 
 

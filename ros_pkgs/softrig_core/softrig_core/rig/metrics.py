@@ -113,7 +113,13 @@ def settling_time(
 def reach_time(
     signals: SignalMap, signal: str, *, level: float, start: float | None = None, end: float | None = None
 ) -> float:
-    """Time in s of the first sample at `level` or above; inf when there is none."""
+    """Time in s of the first sample at `level` or above; inf when there is none.
+
+    Parameters
+    ----------
+    level : float
+        In the signal's unit.
+    """
     t, x = window(signals, signal, start, end)
     reached = np.flatnonzero(x >= level)
     return float(t[reached[0]]) if reached.size else float("inf")
@@ -219,6 +225,11 @@ def error_settling_time(
     end: float | None = None,
 ) -> float:  # fmt: skip
     """Time in s of the first sample from which on |signal - reference| stays within `band`, in the signal's unit.
+
+    Parameters
+    ----------
+    band : float
+        Half width, in the signal's unit.
 
     Returns
     -------

@@ -122,6 +122,13 @@ def inherit(base: Mapping[str, Any], change: Any) -> dict[str, Any]:
     Mappings merge level by level, null removes, and the keys `OWN` come from the entry alone. A node with another
     executable loses the inherited parameters, a figure with another function the inherited arguments and unit: they
     would mean nothing.
+
+    Parameters
+    ----------
+    base : mapping
+        What is inherited; left as it is.
+    change : mapping
+        The scenario's own entry, or a variant's.
     """
     if not isinstance(change, Mapping):
         raise ScenarioError(f"a variant is a mapping of changes, got {change!r}")
