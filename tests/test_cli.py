@@ -1,8 +1,10 @@
 """The command line as a user calls it: exit status, files, one line for every mistake."""
 
 import ast
+import hashlib
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -11,7 +13,7 @@ from pathlib import Path
 
 import pytest
 from softrig_bringup.cli import _parser, _repeat, main
-from softrig_bringup.run import gaps
+from softrig_bringup.run import _checkout, gaps
 from softrig_core.node.container import split
 from softrig_core.rig.registry import figure
 from softrig_core.rig.rig import Rig
@@ -172,6 +174,30 @@ def test_list_and_report(folder, capsys):
     assert main(["report", "runs/lag", "runs/lag_misses", "--out", "all.html"]) == 0
     assert (folder / "all.html").read_text().count("First-order lag") >= 2
     assert main(["report", "runs/none"]) == 2
+
+
+def test_a_report_tells_runs_apart_and_says_what_it_leaves_out(folder):
+    for k in ("1.2", "1.3"):
+        run("lag", "--mode", "inprocess", "--no-record", "--no-plots", "--set", f"gain.k={k}", "--out", k)
+    (folder / "empty").mkdir()
+    assert main(["report", "1.2", "empty", "1.3", "--out", "all.html"]) == 0
+    page = (folder / "all.html").read_text()
+    assert "lag, gain.k=1.2</a>" in page
+    assert "lag, gain.k=1.3</a>" in page
+    assert "compared, not judged" in page
+    assert "Left out, for want of a metrics.json: empty" in page
+    assert main(["report", "empty"]) == 2
+
+
+def test_a_run_keeps_the_commit_and_the_lock_file(folder, monkeypatch):
+    monkeypatch.setenv("SOFTRIG_COMMAND", str(SCRIPTS / "softrig"))
+    _checkout.cache_clear()
+    run("lag", "--mode", "inprocess", "--no-record", "--no-plots")
+    versions = json.loads((folder / "runs" / "lag" / "metrics.json").read_text())["versions"]
+    lock = (SCRIPTS / "requirements.lock").read_bytes()
+    assert versions["requirements.lock"] == f"sha256:{hashlib.sha256(lock).hexdigest()}"
+    if (SCRIPTS.parent / ".git").exists():
+        assert re.fullmatch(r"[0-9a-f]{40}\+?", versions["commit"])
 
 
 def test_a_gap_is_found(folder):

@@ -106,8 +106,8 @@ def _parser() -> argparse.ArgumentParser:
         sub.set_defaults(verb=function)
         return sub
 
-    verb("list", _list, "list scenarios with title, system and source").add_argument(
-        "filter", nargs="?", default="", help="only names that contain this"
+    verb("list", _list, "list scenarios by system, with duration and title").add_argument(
+        "filter", nargs="?", default="", help="only scenarios or systems with this in their name"
     )
     run = verb("run", _run, "run a scenario: metrics, bag, plots, report")
     run.add_argument("scenario", help="name or YAML file")
@@ -162,6 +162,8 @@ def _parser() -> argparse.ArgumentParser:
     new = verb("new", _new, "write a package with a plant, a law, a scenario and tests, to begin with")
     new.add_argument("name", metavar="NAME", help="of the package: lower-case letters, digits and _")
     new.add_argument("--into", type=Path, default=Path(), metavar="DIR", help="where its folder is made (here)")
+    completion = verb("completion", _completion, 'completion for bash: eval "$(scripts/softrig completion)"')
+    completion.add_argument("--words", nargs=argparse.REMAINDER, help=argparse.SUPPRESS)
     bench = verb("bench", _bench, "measure: ratios against a raw ping-pong of the same run")
     bench.add_argument("parts", nargs="*", metavar="PART", help="which parts (default all); `bench list` names them")
     for name, (_, _, text) in _FOREIGN.items():
@@ -184,16 +186,15 @@ def _new(options: argparse.Namespace) -> int:
 
 
 def _list(options: argparse.Namespace) -> int:
-    from rich.console import Console
-    from rich.table import Table
-    from softrig_core.rig.scenario import list_scenarios, load_scenario
+    from .listing import main as listing
 
-    table = Table("scenario", "system", "title", "source", box=None, pad_edge=False)
-    for name in sorted(list_scenarios()):
-        if options.filter in name:
-            scenario = load_scenario(name)
-            table.add_row(name, scenario.system, scenario.title, scenario.source)
-    Console(width=None if sys.stdout.isatty() else 240).print(table)
+    return listing(options.filter)
+
+
+def _completion(options: argparse.Namespace) -> int:
+    from .completion import SCRIPT, candidates
+
+    print(SCRIPT if options.words is None else "\n".join(candidates(_parser(), options.words)))
     return 0
 
 
@@ -233,7 +234,7 @@ def _run(options: argparse.Namespace) -> int:
     save(run, content, folder, record=not options.no_record, plots=not options.no_plots)
     if run.error:
         print(f"softrig: the run broke: {run.error}", file=sys.stderr)
-        print(f"softrig: what was recorded up to there is in {out}", file=sys.stderr)
+        print(f"softrig: what was recorded up to there is in {out}, what the nodes said in its log/", file=sys.stderr)
         return 3
     _print_figures(scenario, run, out, changed)
     if run.stopped:
@@ -316,12 +317,12 @@ def _progress(scenario: Scenario) -> Iterator[Callable[[int], None] | None]:
 
 
 def _print_figures(scenario: Scenario, run: Run, out: Path, changed: Sequence[str]) -> None:
-    from rich.console import Console
     from rich.table import Table
 
+    from .listing import console as make_console
     from .report import accepted
 
-    console = Console(highlight=False, width=None if sys.stdout.isatty() else 140)
+    console = make_console()
     title = f"{scenario.name}: {scenario.title}" + (f", changed: {', '.join(changed)}" if changed else "")
     table = Table("figure", title=title, title_justify="left", box=None, pad_edge=False)
     for name in ("published", "measured", "expected", "unit", ""):

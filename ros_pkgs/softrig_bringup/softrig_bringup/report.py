@@ -37,6 +37,8 @@ class Run(BaseModel):
     ticks: int
     wall_s: float
     error: str = ""
+    stopped: str = ""
+    changed: tuple[str, ...] = ()
     command: str
     metrics: tuple[Result, ...]
     plots: tuple[PlotEntry, ...] = ()
@@ -44,6 +46,11 @@ class Run(BaseModel):
     units: dict[str, dict[str, str]] = {}
     versions: dict[str, str]
     nodes: dict[str, dict[str, Any]] = {}
+
+    @property
+    def label(self) -> str:
+        """Its scenario and what was changed of it: tells runs apart."""
+        return ", ".join([self.scenario, *self.changed])
 
     @property
     def judged(self) -> list[Result]:
@@ -91,7 +98,14 @@ def write_report(directories: Sequence[Path], output: Path) -> None:
     ScenarioError
         A directory is not that of a run.
     """
-    runs = [(directory, read_run(directory)) for directory in directories]
+    runs, without = [], []
+    for directory in directories:
+        if directory.is_dir() and not (directory / "metrics.json").exists():
+            without.append(str(directory))
+        else:
+            runs.append((directory, read_run(directory)))
+    if not runs:
+        raise ScenarioError(f"{', '.join(without)}: no metrics.json there, expected directories of runs")
     if len(runs) == 1:
         title = runs[0][1].title
         body = [_run(*runs[0], heading="h1", anchor="run-1")]
@@ -99,6 +113,8 @@ def write_report(directories: Sequence[Path], output: Path) -> None:
         title = f"{len(runs)} runs"
         body = [e("header", e("h1", title), _index([run for _, run in runs])), *_side_by_side([r for _, r in runs])]
         body += [_run(directory, run, "h2", f"run-{i}") for i, (directory, run) in enumerate(runs, 1)]
+    if without:
+        body.append(e("p", f"Left out, for want of a metrics.json: {', '.join(without)}", class_="note"))
     write_page(output, title, body)
 
 
@@ -108,7 +124,7 @@ def _run(directory: Path, run: Run, heading: str, anchor: str) -> Element:
     nodes = list(_nodes(run))
     return e(
         "section",
-        e("header", e(heading, run.title), e("p", f"{run.system} · ", e("code", run.scenario), class_="what"),
+        e("header", e(heading, run.title), e("p", f"{run.system} · ", e("code", run.label), class_="what"),
            e("p", run.source, class_="what"), _facts(run), *broken),
         e(below, "Published and measured"), _metrics(run),
         e(below, "Signals"), *_pictures(directory, run),
@@ -140,6 +156,8 @@ def _verdict(run: Run) -> Element:
         return mark(False, "broke")
     if not run.judged:
         return e("span", NONE)
+    if run.changed or run.stopped:
+        return e("span", "compared, not judged")
     text = f"{len(run.judged) - len(run.missed)} of {len(run.judged)} pass"
     return mark(not run.missed, text)
 
@@ -301,7 +319,7 @@ def _figure(value: float | None) -> str:
 def _index(runs: Sequence[Run]) -> Element:
     rows = [
         (
-            e("a", run.scenario, href=f"#run-{i}"),
+            e("a", run.label, href=f"#run-{i}"),
             run.title,
             run.mode,
             str(run.seed),
@@ -328,7 +346,7 @@ def _side_by_side(runs: Sequence[Run]) -> Iterator[Element]:
         for i, run in group:
             have = {(m.name, m.unit): m for m in run.metrics}
             cells = [_cell(have.get(key)) for key in columns]
-            rows.append([e("a", run.scenario, href=f"#run-{i}"), run.mode, *cells])
+            rows.append([e("a", run.label, href=f"#run-{i}"), run.mode, *cells])
         header = [f"{name.replace('_', ' ')} ({pretty_unit(unit)})" if unit else name.replace("_", " ")
                   for name, unit in columns]  # fmt: skip
         yield e("h2", f"{system}: side by side")

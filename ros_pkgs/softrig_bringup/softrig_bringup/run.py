@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import hashlib
 import importlib.metadata
 import json
 import math
+import os
 import platform
+import subprocess
 import time
 from collections.abc import Callable, Mapping, Sequence
+from functools import cache
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal
@@ -144,7 +148,7 @@ def summary(run: Run, figures: Sequence[Result], command: str) -> dict[str, Any]
         "error": run.error,
         "stopped": run.stopped_at,
         "command": command,
-        "versions": versions(),
+        "versions": versions() | _checkout(),
         "parameters": {m.name: flatten(m.params) for m in run.rig.members},
         "units": {m.name: {d.name: d.unit for d in declarations(type(m.params)) if d.unit} for m in run.rig.members},
         "metrics": [f.model_dump(by_alias=True) for f in figures],
@@ -169,6 +173,25 @@ def versions() -> dict[str, str]:
         except importlib.metadata.PackageNotFoundError:
             continue
     return found
+
+
+@cache
+def _checkout() -> dict[str, str]:
+    """Give the commit of the checkout that runs, ``+`` behind it when files were changed, and its lock file's hash."""
+    script = Path(os.environ.get("SOFTRIG_COMMAND", ""))
+    lock = script.parent / "requirements.lock"
+    if not lock.is_file():
+        return {}
+    found = {"requirements.lock": f"sha256:{hashlib.sha256(lock.read_bytes()).hexdigest()}"}
+    git = ["git", "-C", str(script.parent), "-c", "core.fsmonitor=", "--no-optional-locks"]
+    try:
+        said = [
+            subprocess.run([*git, *command], capture_output=True, text=True, timeout=10, check=True).stdout.strip()
+            for command in (["rev-parse", "HEAD"], ["status", "--porcelain", "--untracked-files=no"])
+        ]
+    except (OSError, subprocess.SubprocessError):  # no git, or an archive without its history
+        return found
+    return {"commit": said[0] + ("+" if said[1] else "")} | found
 
 
 def save(

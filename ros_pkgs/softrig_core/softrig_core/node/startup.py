@@ -10,6 +10,7 @@ from typing import Any, NoReturn
 import rclpy
 from pydantic import ValidationError
 from rclpy.node import Node
+from rclpy.utilities import remove_ros_args
 
 from ..model.block import Block
 from ..model.params import Declaration, build, declarations, flatten
@@ -33,9 +34,15 @@ def run_node(block_class: type[Block], argv: Sequence[str]) -> NoReturn:
         leave([], 0)
     node = None
     try:
+        stray = remove_ros_args(list(argv))[1:]
+        if stray:
+            raise ValueError(f"unexpected argument {stray[0]!r}: expected --ros-args -p NAME:=VALUE and the like; "
+                             "--help shows the parameters")  # fmt: skip
         rclpy.init(args=list(argv))
         node = Node(name, automatically_declare_parameters_from_overrides=True)
         adapter = make_adapter(node, block_class, RosMiddleware(node))
+        if not adapter.options.links:
+            node.get_logger().info(introduction(adapter.block, adapter.options))
     except KeyboardInterrupt:
         leave([node] if node else [], 0)
     except Exception as error:  # every start-up error ends in one line: what was wrong and where
@@ -61,6 +68,16 @@ def make_adapter(node: Node, block_class: type[Block], middleware: Middleware) -
     adapter = (Lockstep if options.mode == "lockstep" else Realtime)(middleware, block, options)
     Faces(node, adapter)
     return adapter
+
+
+def introduction(block: Block, options: RunOptions) -> str:
+    """Say in one line what a node that somebody has started by hand is, and what it waits for."""
+    inputs, outputs = block.ports(block.p)
+    what = (type(block).__doc__ or type(block).__name__).strip().splitlines()[0].rstrip(".")
+    wanted = [p.topic for p in inputs if not p.held]
+    waits = f"waits for {', '.join(wanted)}" if wanted else "waits for nobody"
+    publishes = f"; publishes {', '.join(p.topic for p in outputs)}" if outputs else ""
+    return f"{what}; {options.mode}, every {block.p.period:g} s; {waits}{publishes}"
 
 
 def usage(name: str, block_class: type[Block]) -> str:
