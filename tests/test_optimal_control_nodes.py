@@ -219,7 +219,7 @@ def planned(horizon=100.0, start=0.0, x=W0):
 
 def fed(player, t, plan=None, summary=None, state=STATE):
     """Without a plan: nothing new has come."""
-    player.ages = (lambda name: 0) if plan is not None else (lambda name: 1)
+    player.ages = (lambda name: 0) if plan is not None else (lambda name: None)
     return player.update(t, state=state, plan=plan or (0.0,) * 81, summary=summary or (0.0,) * 8)
 
 
@@ -234,6 +234,22 @@ def test_the_player_holds_the_middle_of_each_period_and_zero_after_the_horizon()
     assert player.refused(38 * S)["command"] == pytest.approx(found(38.5)[6:], rel=1e-12)
     player = OcpPlayer(sampling="start")
     assert fed(player, 0, *planned())["command"] == pytest.approx(found(0.0)[6:], rel=1e-12)
+
+
+def test_a_plan_that_comes_ticks_after_its_stamp_is_played():
+    found = solve(find("spacecraft"), 8)
+    plan, summary = planned()
+    player = OcpPlayer()
+    player.ages = lambda name: {"plan": None, "summary": 2 * S}.get(name)
+    assert player.update(2 * S, state=STATE, plan=plan, summary=summary)["command"] == (0.0, 0.0, 0.0)  # half of it
+    player.ages = lambda name: 3 * S
+    command = player.update(3 * S, state=STATE, plan=plan, summary=summary)["command"]
+    assert command == pytest.approx(found(3.5)[6:], rel=1e-12)
+
+
+def test_markers_show_the_momentum():
+    line, ball = SpacecraftPlant().markers()
+    assert line.points[1] == ball.points[0] == pytest.approx((0.8624, 0.42535, 0.11359))
 
 
 def test_a_plan_that_is_over_or_another_problems_is_refused():

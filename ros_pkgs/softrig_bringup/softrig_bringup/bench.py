@@ -273,8 +273,15 @@ def systems() -> None:
     print_table(console)
 
 
+def optimal_control() -> None:
+    """One plan for the spacecraft by series, collocation and as a boundary value problem, CPU time."""
+    from softrig_systems.optimal_control.bench import print_table
+
+    print_table()
+
+
 PARTS: dict[str, Callable[[], None]] = {
     "loop": loop, "tick": tick, "recording": recording, "inprocess": inprocess, "processes": processes, "bags": bags,
     "rigs": rigs, "induction": induction, "fault_location": fault_location,
-    "systems": systems,
+    "systems": systems, "optimal_control": optimal_control,
 }  # fmt: skip

@@ -53,7 +53,8 @@ class OcpEvaluator(Observer[EvaluatorParams]):
         return inputs, (scalars("evaluation", "ocp/evaluation", dict.fromkeys(FIGURES, "")),)
 
     def setup(self) -> None:
-        """Work out the least cost."""
+        """Work out the least cost; native code is loaded here, no tick shall wait for it."""
+        polynomials(np.zeros((1, 1, 1)), 0.0)
         self._problem = self.p.statement()
         self._n = len(self._problem.states)
         self._step = step_function("ocp_cost", self._problem, self.p.substeps)
@@ -65,6 +66,7 @@ class OcpEvaluator(Observer[EvaluatorParams]):
         self._table: Any = None
         self._start = self._horizon = 0.0
         self._first = True
+        self._seen: tuple[float, ...] = ()
         self._found = dict.fromkeys(FIGURES, 0.0) | {"J_exact": self._exact}
 
     def update(
@@ -77,7 +79,9 @@ class OcpEvaluator(Observer[EvaluatorParams]):
             self._begin = now
             if tuple(x) != self._problem.x0:
                 found["J_exact"] = least_cost(self._problem.changed(x0=tuple(x)))
-        if plan is not None and summary is not None and self.age("plan") == 0 and self.age("summary") == 0:
+        together = self.age("plan") == self.age("summary")
+        if plan is not None and summary is not None and together and summary != self._seen:
+            self._seen = summary
             self._take(plan, dict(zip(SUMMARY, summary, strict=True)))
         if self._table is not None and now <= self._start + self._horizon + 1e-9:
             found["distance"] = max(found["distance"], float(np.max(np.abs(x - self._planned(now)))))
@@ -104,7 +108,8 @@ class OcpEvaluator(Observer[EvaluatorParams]):
             return
         self._first = False
         self._found["J_series"] = about["J_series"]
-        below = about["J_series"] < self._found["J_exact"] - MARGIN * abs(self._found["J_exact"])
+        whole = abs(self._horizon - self._problem.horizon) < 1e-9  # not of what is left after a late start
+        below = whole and about["J_series"] < self._found["J_exact"] - MARGIN * abs(self._found["J_exact"])
         if below or about["residual"] >= self.p.eps_res:
             self._found["infeasible"] = 1.0
             said = (

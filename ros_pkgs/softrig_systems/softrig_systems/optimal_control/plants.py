@@ -9,6 +9,7 @@ from typing import Any, Self
 from pydantic import model_validator
 from softrig_core.model.block import Level, Plant
 from softrig_core.model.compiled import Compiled
+from softrig_core.model.marker import Marker
 from softrig_core.model.ode import rk4
 from softrig_core.model.params import param
 from softrig_core.model.port import Port
@@ -121,6 +122,15 @@ class ScalarPlant(OcpPlant):
 
 class SpacecraftPlant(OcpPlant):
     r"""Rates of a rigid spacecraft, :math:`I_1 \dot w_1 = (I_2 - I_3) w_2 w_3 + u_1`, cyclic."""
+
+    def markers(self) -> tuple[Marker, ...]:
+        """Draw the momentum vector I w in axes of the body, 1 m for 1 kg m^2/s, and a ball at its tip."""
+        h1, h2, h3 = (moment * w for moment, w in zip(self.p.inertia, self.x, strict=True))
+        tip = (h1, h2, h3)
+        return (
+            Marker("body", "momentum", "line_strip", ((0.0, 0.0, 0.0), tip), 0.02),
+            Marker("body", "tip", "sphere_list", (tip,), 0.05, (0.9, 0.4, 0.1, 1.0)),
+        )
 
 
 class TwoStatePlant(OcpPlant):

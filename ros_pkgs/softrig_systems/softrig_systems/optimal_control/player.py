@@ -54,7 +54,8 @@ class OcpPlayer(Block[PlayerParams]):
         return (state(problem), given, summary()), (control(problem), progress)
 
     def setup(self) -> None:
-        """Sizes."""
+        """Sizes; native code is loaded here, no tick shall wait for it."""
+        polynomials(np.zeros((1, 1, 1)), 0.0)
         problem = self.p.statement()
         self._n, self._m = len(problem.states), len(problem.controls)
 
@@ -63,12 +64,16 @@ class OcpPlayer(Block[PlayerParams]):
         self._plan: Any = None
         self._start = self._horizon = 0.0
         self._begin: float | None = None
+        self._seen: tuple[float, ...] = ()
 
     def update(
         self, t: int, *, state: tuple[float, ...], plan: tuple[float, ...], summary: tuple[float, ...]
     ) -> Mapping[str, tuple[float, ...]]:
         """Give the command of a period."""
-        if self.age("summary") == 0 and self.age("plan") == 0:
+        age = self.age("summary")
+        # in real time a plan may come ticks after its stamp; its two messages belong together when they are of one age
+        if age is not None and age == self.age("plan") and summary != self._seen:
+            self._seen = summary
             self._take(t, state, plan, dict(zip(SUMMARY, summary, strict=True)))
         return self._play(t)
 

@@ -1,0 +1,40 @@
+"""How long the planners take for the spacecraft, CPU time of one solve."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+from . import collocation
+from .exact import tpbvp
+from .mvim import solve
+from .problem import find
+
+
+def least(work: Callable[[], object], times: int = 7) -> float:
+    """Least CPU time of several calls, s."""
+    best = float("inf")
+    for _ in range(times):
+        begin = time.process_time()
+        work()
+        best = min(best, time.process_time() - begin)
+    return best
+
+
+def print_table() -> None:
+    """Print a row a method; the first call of each, which sets it up, is not counted."""
+    problem = find("spacecraft")
+    whole = collocation.solve(problem)
+    later = problem.changed(x0=whole.rows[:3, 10].tolist(), horizon=90.0)
+    guess = collocation.sampled(whole.rows, 100.0, 90.0, 3)
+    rows: dict[str, Callable[[], object]] = {f"series, order {n}": lambda n=n: solve(problem, n) for n in (4, 8, 12)}  # type: ignore[misc]
+    rows |= {
+        "series, order 16 in 8 stages": lambda: solve(problem, 16, stages=8),
+        "collocation, from a straight line": lambda: collocation.solve(problem),
+        "collocation, from the last plan": lambda: collocation.solve(later, guess=guess),
+        "boundary value problem, tolerance 1e-9": lambda: tpbvp(problem),
+    }
+    print("optimal control of the spacecraft, CPU time of a solve")
+    for name, work in rows.items():
+        work()
+        print(f"  {name:40s} {1e3 * least(work):8.2f} ms")
