@@ -27,14 +27,14 @@ Algorithm = Literal[
 class AlgorithmParams(Params):
     """Settings of the algorithms; each reads only its own."""
 
-    n_pop: int = param(4, "population", ge=1)
-    n_iter: int | None = param(None, "iterations; the published number when absent: 10, of fa 6", ge=1)
+    n_pop: int = param(4, "population", ge=1, le=1000)
+    n_iter: int | None = param(None, "iterations; the published number when absent: 10, of fa 6", ge=1, le=100000)
     c3_threshold: float = param(0.5, "issa, ssa: the leader goes up if c3 is not below; misprint 0", ge=0.0, le=1.0)
     step: float = param(0.005, "perturb_observe: step of the command", gt=0.0)
     initial: float | None = param(None, "perturb_observe: first command; the lower bound when absent")
-    n_grid: int = param(20, "scan: points of the grid", ge=3)
+    n_grid: int = param(20, "scan: points of the grid", ge=3, le=10000)
     tolerance: float = param(1e-3, "scan: tolerance of the command after the grid; 0 = the grid only", ge=0.0)
-    budget: int | None = param(None, "most evaluations; the algorithm's own number when absent", ge=1)
+    budget: int | None = param(None, "most evaluations; the algorithm's own number when absent", ge=1, le=1000000)
 
 
 def make(

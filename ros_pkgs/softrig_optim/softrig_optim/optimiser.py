@@ -34,7 +34,7 @@ class Phase(IntEnum):
 class SearchParams(AlgorithmParams, BlockParams):
     """How a search is run against a plant."""
 
-    period: float = param(0.001, "sampling period of the measurement", "s", gt=0.0)
+    period: float = param(0.001, "sampling period of the measurement", "s", gt=0.0, le=100.0)
     hold_time: float = param(0.04, "how long a candidate is applied before its value counts", "s", gt=0.0)
     measure_window: float = param(0.002, "the value is the mean of the last samples in this time", "s", gt=0.0)
     settle_time: float = param(0.12, "the value held is the reference for changes only after this time", "s", gt=0.0)

@@ -21,7 +21,7 @@ Vector = tuple[float, ...]
 class RobotDynamicsParams(BlockParams):
     """Which robot; the 3-link arm when nothing is given."""
 
-    period: float = param(0.001, "sampling period", "s", gt=0.0)
+    period: float = param(0.001, "sampling period", "s", gt=0.0, le=100.0)
     urdf: str = param("package://softrig_robots/urdf/manipulator.urdf", "file or package:// URI of the robot")
     joints: tuple[str, ...] = param(("joint1", "joint2", "joint3"), "joint names in the URDF's order", min_length=1)
     tool: str = param("tool", "frame whose pose and Jacobian are given")

@@ -14,7 +14,7 @@ from softrig_core.rig.watch import Measure, Watch, WatchParams
 class TrackingMetricsParams(WatchParams):
     """Which joints and motors, and from when on the late figures count."""
 
-    period: float = param(0.001, "sampling period", "s", gt=0.0)
+    period: float = param(0.001, "sampling period", "s", gt=0.0, le=100.0)
     joints: tuple[str, ...] = param(("joint1", "joint2", "joint3"), "joint names", min_length=1)
     motors: tuple[str, ...] = param(("motor1", "motor2", "motor3"), "channels of motor_command", min_length=1)
     late: float = param(2.5, "begin of the late window", "s", ge=0.0)

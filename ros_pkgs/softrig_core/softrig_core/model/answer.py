@@ -46,7 +46,10 @@ def check(found: Any, port: Port, node: str, t: int) -> tuple[float, ...] | Samp
     if given is None and port.sporadic:
         return None
     data: Sequence[float] = given.data if isinstance(given, Sample) else given
-    values = tuple(map(float, data))
+    try:
+        values = tuple(map(float, data))
+    except (TypeError, ValueError, OverflowError) as error:
+        raise RunError(f"{node}: {port.name} is no row of numbers at t = {t / 1e9:.9g} s: {error}") from None
     if len(values) != port.size:
         raise RunError(f"{node}: {port.name} has {len(values)} values, expected {port.size}, at t = {t / 1e9:.9g} s")
     if not math.isfinite(sum(values)):

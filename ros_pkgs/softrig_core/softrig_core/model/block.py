@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, get_args
 
 from typing_extensions import TypeVar
 
-from .params import BlockParams, build
+from ..errors import RunError, ScenarioError
+from .params import BlockParams, ParameterError, build, differing
 from .port import Port, Sample
 
 if TYPE_CHECKING:
@@ -47,7 +48,8 @@ class Block(Generic[P]):
     Raises
     ------
     softrig_core.model.params.ParameterError
-        A parameter is unknown or out of bounds.
+        A parameter is unknown or out of bounds, or the block cannot be set up with them; names those that differ from
+        the published ones.
     """
 
     Params: ClassVar[type[BlockParams]] = BlockParams
@@ -71,8 +73,15 @@ class Block(Generic[P]):
         self.ended = False
         self.ages: Callable[[str], int | None] | None = None  # set by who runs the block
         self.reports: dict[str, tuple[Level, str, int]] = {}
-        self.setup()
-        self.reset(0)
+        try:
+            self.setup()
+            self.reset(0)
+        except (ParameterError, ScenarioError, RunError):
+            raise
+        except (
+            Exception
+        ) as error:  # an overflow, a singular matrix, no memory: each value is in bounds, but not together
+            raise ParameterError(f"set-up failed{differing(self.p)}: {type(error).__name__}: {error}") from error
 
     @classmethod
     def ports(cls, params: Any) -> tuple[tuple[Port, ...], tuple[Port, ...]]:

@@ -7,9 +7,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, get_args
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidationInfo, field_validator
 
 from .schedule import rational
+
+LARGEST = 1e12  # of any number in SI units: what lies beyond is a slip, and its square or cube soon no number any more
+LONGEST = 10_000  # values of one list, characters of one text
+STEPS = 100_000  # of integration in one period
+_UPPER = ("le", "lt", "max_length")
 
 
 class ParameterError(ValueError):
@@ -28,7 +33,8 @@ def param(default: Any, doc: str, unit: str = "", **bounds: Any) -> Any:
     unit : str
         SI unit, empty for a pure number.
     **bounds
-        ``gt``, ``ge``, ``lt``, ``le``, ``min_length``, ``max_length`` as in pydantic.
+        ``gt``, ``ge``, ``lt``, ``le``, ``min_length``, ``max_length`` as in pydantic. A number without them is bounded
+        by `LARGEST` alone; a count that sets an effort or a size needs its own.
     """
     return Field(default, description=doc, json_schema_extra={"unit": unit}, **bounds)
 
@@ -41,11 +47,23 @@ class Params(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
+    @field_validator("*")
+    @classmethod
+    def _no_slips(cls, value: Any, info: ValidationInfo) -> Any:
+        own = {key for rule in cls.model_fields[str(info.field_name)].metadata for key in _UPPER if hasattr(rule, key)}
+        if isinstance(value, str | tuple) and "max_length" not in own and len(value) > LONGEST:
+            raise ValueError(f"expected at most {LONGEST} {'characters' if isinstance(value, str) else 'values'}")
+        if not own & {"le", "lt"}:
+            for number in value if isinstance(value, tuple) else (value,):
+                if isinstance(number, int | float) and abs(number) > LARGEST:
+                    raise ValueError(f"expected at most {LARGEST:g} in magnitude")
+        return value
+
 
 class BlockParams(Params):
     """Parameters that every block has."""
 
-    period: float = param(0.01, "sampling period; also a fraction as text: 1/2880", "s", gt=0.0)
+    period: float = param(0.01, "sampling period; also a fraction as text: 1/2880", "s", gt=0.0, le=100.0)
 
     @field_validator("period", mode="before")
     @classmethod
@@ -58,6 +76,19 @@ class BlockParams(Params):
         if period < 1e-9:
             raise ValueError("expected at least 1e-9, the unit of time is the nanosecond")
         return period
+
+
+def check_steps(period: float, step: float, name: str) -> None:
+    """Limit the integration steps in a period, for the validator of a model whose step is a parameter.
+
+    Raises
+    ------
+    ValueError
+        More than `STEPS`: one tick would take for ever.
+    """
+    if period > STEPS * step:
+        raise ValueError(f"period = {period:g} s takes {period / step:.3g} steps of {name} = {step:g} s, expected at "
+                         f"most {STEPS}")  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -86,6 +117,9 @@ def declarations(model: type[Params], prefix: str = "") -> list[Declaration]:
             bounds |= {key: getattr(rule, key) for key in ("gt", "ge", "lt", "le") if hasattr(rule, key)}
         kinds = [k for k in get_args(kind) if k is not type(None)]
         extra = field.json_schema_extra
+        plain = kind in (int, float) or any(k in (int, float) for k in kinds)
+        lower = bounds.get("ge", bounds.get("gt", -LARGEST if plain else None))
+        upper = bounds.get("le", bounds.get("lt", LARGEST if plain else None))
         found.append(
             Declaration(
                 prefix + name,
@@ -93,8 +127,8 @@ def declarations(model: type[Params], prefix: str = "") -> list[Declaration]:
                 kind if isinstance(kind, type) else (kinds[0] if kinds and isinstance(kinds[0], type) else str),
                 field.description or "",
                 str(extra.get("unit", "")) if isinstance(extra, dict) else "",
-                bounds.get("ge", bounds.get("gt")),
-                bounds.get("le", bounds.get("lt")),
+                lower,
+                upper,
             )
         )
     return found
@@ -110,6 +144,16 @@ def flatten(params: Params, prefix: str = "") -> dict[str, Any]:
         else:
             flat[prefix + name] = list(value) if isinstance(value, tuple) else value
     return flat
+
+
+def differing(params: Params) -> str:
+    """Say which parameters differ from the published ones, as the middle of a message; empty when none does."""
+    try:
+        published = flatten(type(params)())
+    except ValidationError:  # no defaults: all were given
+        published = {}
+    found = [f"{k} = {_shown(v)}" for k, v in flatten(params).items() if k not in published or v != published[k]]
+    return f" with {', '.join(found)}"[:400] if found else ""
 
 
 def build(model: type[Params], values: Mapping[str, Any]) -> Params:
@@ -148,4 +192,12 @@ def _explain(model: type[Params], error: Any) -> str:
     message = error["msg"].removeprefix("Value error, ")
     if error["type"] == "value_error" and not error["loc"]:
         return f"parameters: {message}"
-    return f"parameter {name} = {error['input']!r}: {message[:1].lower()}{message[1:]}"
+    return f"parameter {name} = {_shown(error['input'])}: {message[:1].lower()}{message[1:]}"
+
+
+def _shown(value: Any) -> str:
+    try:
+        text = repr(value)
+    except ValueError:  # an integer of more digits than Python prints
+        return "a number of thousands of digits"
+    return text if len(text) <= 100 else f"{text[:100]} ..."

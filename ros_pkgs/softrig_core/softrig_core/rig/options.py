@@ -13,19 +13,27 @@ class RunOptions(Params):
     """How a node runs; the defaults are those of ``ros2 run`` by hand."""
 
     mode: Literal["realtime", "lockstep"] = param("realtime", "against the wall clock, or tick by tick with its peers")
-    seed: int = param(0, "rig seed of all random numbers", ge=0)
-    duration: float = param(0.0, "length of the run, 0 = until stopped", "s", ge=0)
-    timeout: float = param(10.0, "lockstep: wall-clock time without progress before the node gives up", "s", gt=0)
-    patience: float = param(0.8, "realtime: part of its period that a law waits for the inputs that are due", ge=0)
-    stamp_window: float = param(1.0, "realtime: distance from now at which a stamp is refused", "s", gt=0)
-    start_timeout: float = param(30.0, "wall-clock time to wait for all peers of a rig, 0 = for ever", "s", ge=0)
+    seed: int = param(0, "rig seed of all random numbers", ge=0, le=2**63 - 1)
+    duration: float = param(0.0, "length of the run, 0 = until stopped", "s", ge=0, le=1e9)
+    timeout: float = param(
+        10.0, "lockstep: wall-clock time without progress before the node gives up", "s", gt=0, le=1e6
+    )
+    patience: float = param(
+        0.8, "realtime: part of its period that a law waits for the inputs that are due", ge=0, le=1
+    )
+    stamp_window: float = param(1.0, "realtime: distance from now at which a stamp is refused", "s", gt=0, le=1e6)
+    start_timeout: float = param(
+        30.0, "wall-clock time to wait for all peers of a rig, 0 = for ever", "s", ge=0, le=1e6
+    )
     paired: tuple[str, ...] = param((), "lockstep by hand: held inputs that are to be paired by stamp like the others")
     watchdog: float = param(0.0, "realtime: age at which a command is stale, 0 = the plant's number of periods", "s",
-                            ge=0)  # fmt: skip
+                            ge=0, le=1e6)  # fmt: skip
     shard: str = param("", "file to record published messages in")
     status: str = param("", "file for the state of the node, as JSON")
-    epoch: int = param(0, "realtime: wall-clock time in ns that is t = 0, 0 = when all nodes of the rig are up")
-    links: str = param("", "JSON of `Links`, written by the runner")
+    epoch: int = param(
+        0, "realtime: wall-clock time in ns that is t = 0, 0 = when all nodes of the rig are up", ge=0, le=2**63 - 1
+    )
+    links: str = param("", "JSON of `Links`, written by the runner", max_length=1 << 20)
 
 
 class InputLink(BaseModel):

@@ -23,6 +23,8 @@ from .node_parameters import NodeParameters
 from .scenario import Scenario, explain
 from .scenario_file import closest
 
+TICKS = 10**9  # of the clock in one run: more would take days
+
 
 @dataclass(frozen=True)
 class Link:
@@ -55,9 +57,12 @@ class Member:
         return issubclass(self.block_class, Plant)
 
     def block(self, seed: int) -> Block:
-        """Make the block at its initial state."""
-        block = self.block_class(self.params, self.name)
-        block.reset(seed)
+        """Make the block at its initial state; a ScenarioError names a node that cannot be set up."""
+        try:
+            block = self.block_class(self.params, self.name)
+            block.reset(seed)
+        except ParameterError as error:
+            raise ScenarioError(f"node {self.name}: {error}") from error
         return block
 
 
@@ -94,6 +99,9 @@ class Rig:
                                       m.block_class.speaks_at_end())  # fmt: skip
             except ValueError as error:
                 raise ScenarioError(f"{scenario.name}: node {m.name}: {error}, {clock.name}") from None
+        if clock.schedule.ticks is not None and clock.schedule.ticks > TICKS:
+            raise ScenarioError(f"{scenario.name}: {scenario.duration:g} s are {clock.schedule.ticks:.3g} periods of "
+                                f"{clock.name}, expected at most {TICKS:.0e}")  # fmt: skip
         _wire(scenario, members)
         return cls(scenario, (*plants, *_sorted([m for m in members if not m.is_plant])), clock)
 
@@ -252,8 +260,6 @@ def _member(scenario: Scenario, name: str, block: type[Block], parameters: NodeP
     for topic in entry.remap:
         if topic not in topics:
             raise ScenarioError(f"{where}: remap of {topic!r}, but its topics are {', '.join(topics)}")
-        if entry.remap[topic].startswith("/"):
-            raise ScenarioError(f"{where}: remap to {entry.remap[topic]!r}: expected a name without a leading slash")
     inputs = tuple(p.renamed(entry.remap.get(p.topic, p.topic)) for p in inputs)
     outputs = tuple(p.renamed(entry.remap.get(p.topic, p.topic)) for p in outputs)
     return Member(name, entry.package, entry.executable, block, params, inputs, outputs, entry.external,

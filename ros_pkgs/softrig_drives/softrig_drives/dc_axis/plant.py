@@ -22,7 +22,7 @@ class DcAxisParams(MotorParams):
 
     counts_per_rev: float = param(400.0, "encoder pulses per revolution", gt=0.0)
     mm_per_rev: float = param(10.0, "travel per revolution", "mm", gt=0.0)
-    velocity_window: int = param(2, "periods between the two counts whose difference gives the speed", ge=1)
+    velocity_window: int = param(2, "periods between the two counts whose difference gives the speed", ge=1, le=1000)
     friction: bool = param(False, "dry friction on")
     coulomb: float = param(40.0, "deceleration by Coulomb friction", "mm/s^2", ge=0.0)
     stiction: float = param(60.0, "acceleration up to which the axis at rest sticks", "mm/s^2", ge=0.0)

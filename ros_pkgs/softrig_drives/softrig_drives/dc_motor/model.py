@@ -23,7 +23,9 @@ class MotorConstants(Params):
 class SensorConstants(Params):
     """Encoder of the rig."""
 
-    counts_per_rev: int = param(1496, "encoder counts per shaft revolution (11 pulses x 4 x gear 34)", ge=1)
+    counts_per_rev: int = param(
+        1496, "encoder counts per shaft revolution (11 pulses x 4 x gear 34)", ge=1, le=100000000
+    )
 
 
 def state_space(p: MotorConstants) -> tuple[Matrix, Matrix]:

@@ -24,7 +24,7 @@ LOST_FLUX = 0.1
 class DtcControllerParams(EstimatorParams, BlockParams):
     """References, bands, table and start sequence."""
 
-    period: float = param(5e-5, "control period T_s", "s", gt=0.0)
+    period: float = param(5e-5, "control period T_s", "s", gt=0.0, le=100.0)
     flux_ref: float = param(0.9, "flux reference", "Wb", gt=0.0)
     flux_band: float = param(0.01, "half-band of the flux comparator h_psi", "Wb", ge=0.0)
     torque_band: float = param(0.5, "half-band of the torque comparator h_T", "N m", ge=0.0)

@@ -11,7 +11,7 @@ class EstimatorParams(Params):
     """What the controller believes of the machine."""
 
     R_s_hat: float = param(3.7, "stator resistance of the estimator", "ohm", gt=0.0)
-    pole_pairs: int = param(2, "pole pairs p", ge=1)
+    pole_pairs: int = param(2, "pole pairs p", ge=1, le=100)
     estimator: Literal["voltage_model", "observer"] = param(
         "voltage_model", "voltage_model: the paper's integrator; observer: corrected by the current model"
     )

@@ -19,7 +19,7 @@ class MachineConstants(Params):
     R_R: float = param(2.1, "rotor resistance R_R (inverse-Gamma)", "ohm", gt=0.0)
     L_sigma: float = param(0.021, "leakage inductance L_sigma (inverse-Gamma)", "H", gt=0.0)
     L_M: float = param(0.224, "magnetising inductance L_M (inverse-Gamma)", "H", gt=0.0)
-    pole_pairs: int = param(2, "pole pairs p", ge=1)
+    pole_pairs: int = param(2, "pole pairs p", ge=1, le=100)
     J: float = param(0.015, "inertia J of motor and load", "kg m^2", gt=0.0)
     B: float = param(0.0, "viscous friction B", "N m s/rad", ge=0.0)
 

@@ -18,9 +18,9 @@ from .ports import CURRENTS_MEAS, CURRENTS_TRUE, FLUX_ESTIMATE, FLUX_TRUE, SWITC
 class FluxMonitorParams(BlockParams):
     """Window of the figures."""
 
-    period: float = param(5e-5, "sampling period", "s", gt=0.0)
+    period: float = param(5e-5, "sampling period", "s", gt=0.0, le=100.0)
     window: float = param(0.5, "time over which the figures are taken", "s", gt=0.0)
-    pole_pairs: int = param(2, "pole pairs p, for the torque", ge=1)
+    pole_pairs: int = param(2, "pole pairs p, for the torque", ge=1, le=100)
 
 
 class FluxMonitor(Observer):

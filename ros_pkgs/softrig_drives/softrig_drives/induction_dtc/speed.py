@@ -15,7 +15,7 @@ from .ports import SPEED, SPEED_REF, TORQUE_REF
 class SpeedControllerParams(PidParams, BlockParams):
     """Gains of the speed loop."""
 
-    period: float = param(1e-3, "sampling period", "s", gt=0.0)
+    period: float = param(1e-3, "sampling period", "s", gt=0.0, le=100.0)
     kp: float = param(1.5, "proportional gain K_p", "N m s/rad")
     ki: float = param(15.0, "integral gain K_i", "N m/rad")
     kd: float = param(0.0, "derivative gain K_d", "N m s^2/rad")

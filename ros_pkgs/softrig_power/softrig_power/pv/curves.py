@@ -18,7 +18,7 @@ from .string import characteristic
 class PvCurvesParams(ArrayParams, BlockParams):
     """The string, and how many points of its characteristic are published."""
 
-    period: float = param(0.5, "how often a request is looked for", "s", gt=0.0)
+    period: float = param(0.5, "how often a request is looked for", "s", gt=0.0, le=100.0)
     n_points: int = param(201, "points from 0 V to open circuit", ge=2, le=1000)
 
 

@@ -17,7 +17,7 @@ from .ports import array_port, environment
 class MpptMetricsParams(ArrayParams, BlockParams):
     """The string, and when it counts as tracked."""
 
-    period: float = param(0.001, "sampling period", "s", gt=0.0)
+    period: float = param(0.001, "sampling period", "s", gt=0.0, le=100.0)
     level: float = param(0.98, "tracked: at least this share of the maximum", gt=0.0, le=1.0)
 
 

@@ -22,7 +22,7 @@ class ModuleParams(Params):
 
     V_oc: float = param(21.1, "open-circuit voltage at STC", "V", gt=0.0)
     I_sc: float = param(3.8, "short-circuit current at STC", "A", gt=0.0)
-    N_s: int = param(36, "cells in series", ge=1)
+    N_s: int = param(36, "cells in series", ge=1, le=10000)
     K_I: float = param(2.47e-3, "temperature coefficient of the short-circuit current", "A/K")
     K_V: float = param(-0.080, "temperature coefficient of the open-circuit voltage", "V/K")
     a: float = param(1.30, "ideality factor of the diode", gt=0.5, lt=2.5)

@@ -7,7 +7,7 @@ from typing import ClassVar, Literal, Self
 
 from pydantic import model_validator
 from softrig_core.model.block import Level, Plant
-from softrig_core.model.params import BlockParams, param
+from softrig_core.model.params import BlockParams, check_steps, param
 from softrig_core.model.port import Port, command, scalars
 from softrig_core.node import executable
 
@@ -22,7 +22,7 @@ PHASE_STEPS = 8  # Runge-Kutta steps in each of the two circuits of a switching 
 class PvPlantParams(ArrayParams, BlockParams):
     """String, converter, load, and how they are integrated."""
 
-    period: float = param(0.001, "sampling period of the voltage and current sensors", "s", gt=0.0)
+    period: float = param(0.001, "sampling period of the voltage and current sensors", "s", gt=0.0, le=100.0)
     converter: ConverterParams = ConverterParams()
     d_min: float = param(0.1, "lower limit of the duty; the state starts steady there", gt=0.0, lt=1.0)
     d_max: float = param(0.9, "upper limit of the duty", gt=0.0, lt=1.0)
@@ -35,6 +35,7 @@ class PvPlantParams(ArrayParams, BlockParams):
         if self.d_min >= self.d_max:
             raise ValueError(f"d_min = {self.d_min:g} is not below d_max = {self.d_max:g}")
         inner, name = (self.step, "step") if self.model == "averaged" else (1.0 / self.converter.f_sw, "1/f_sw")
+        check_steps(self.period, inner, name)
         if abs(self.period / inner - round(self.period / inner)) > 1e-6 or self.period < 0.5 * inner:
             raise ValueError(f"period = {self.period:g} s is not a multiple of {name} = {inner:g} s")
         return self

@@ -8,7 +8,7 @@ from typing import Literal, Self
 
 from pydantic import model_validator
 from softrig_core.model.block import Level, Plant
-from softrig_core.model.params import BlockParams, param
+from softrig_core.model.params import BlockParams, check_steps, param
 from softrig_core.model.port import Port
 from softrig_core.model.timebase import to_ns
 from softrig_core.node import executable
@@ -44,6 +44,7 @@ class RectifierPlantParams(RectifierConstants, BlockParams):
 
     @model_validator(mode="after")
     def _carrier(self) -> Self:
+        check_steps(self.period, self.substep, "substep")
         if self.carrier_hz < 10.0 * self.f:
             raise ValueError(f"carrier_hz = {self.carrier_hz:g} Hz: expected at least ten times f = {self.f:g} Hz")
         return self

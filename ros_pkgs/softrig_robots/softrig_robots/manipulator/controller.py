@@ -37,7 +37,7 @@ class Law(Protocol):
 class VcsControllerParams(BlockParams):
     """Which law, with the published gains of each."""
 
-    period: float = param(0.001, "sampling period T", "s", gt=0.0)
+    period: float = param(0.001, "sampling period T", "s", gt=0.0, le=100.0)
     joints: tuple[str, ...] = param(JOINTS, "joint names", min_length=1)
     law: Literal["adsmc", "dsmc", "smc"] = param("adsmc", "control law: adsmc, dsmc or smc")
     v_max: float = param(40.0, "voltage limit", "V", gt=0.0)

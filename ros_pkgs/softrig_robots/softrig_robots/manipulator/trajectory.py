@@ -20,7 +20,7 @@ from .plant import JOINTS
 class TrajectoryParams(BlockParams):
     """Published trajectory, 1 - cos(pi t / 7) rad on every joint."""
 
-    period: float = param(0.001, "sampling period", "s", gt=0.0)
+    period: float = param(0.001, "sampling period", "s", gt=0.0, le=100.0)
     joints: tuple[str, ...] = param(JOINTS, "joint names", min_length=1)
     amplitude: PerJoint = param((1.0,), "half the swing A", "rad")
     cycle: float = param(14.0, "duration of one swing T_cycle", "s", gt=0.0)

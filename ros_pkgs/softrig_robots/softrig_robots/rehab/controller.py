@@ -41,7 +41,7 @@ LAWS: dict[str, Any] = {"emvc": Emvc, "tsarc": Tsarc, "arsc": Arsc}
 class VoltageControllerParams(BlockParams):
     """Which law, with the preset of each."""
 
-    period: float = param(0.001, "sampling period T", "s", gt=0.0)
+    period: float = param(0.001, "sampling period T", "s", gt=0.0, le=100.0)
     law: Literal["emvc", "tsarc", "arsc"] = param("emvc", "control law: emvc, tsarc or arsc")
     v_max: float = param(24.0, "voltage limit", "V", gt=0.0)
     emvc: EmvcGains = EmvcGains()

@@ -28,13 +28,13 @@ UNITS = {"position": "rad", "velocity": "rad/s", "acceleration": "rad/s^2"}
 class ImpedanceParams(BlockParams):
     """Critically damped at 10 rad/s (the paper prints no values)."""
 
-    period: float = param(0.001, "sampling period T", "s", gt=0.0)
+    period: float = param(0.001, "sampling period T", "s", gt=0.0, le=100.0)
     inertia: PerJoint = param((1.0,), "desired inertia M_d", "kg m^2")
     damping: PerJoint = param((20.0,), "desired damping B_d", "N m s/rad")
     stiffness: PerJoint = param((100.0,), "desired stiffness K_d", "N m/rad")
     length: tuple[float, float] = param((0.5, 0.45), "lengths l_i of thigh and shank", "m")
     force_limit: float = param(200.0, "a larger force at the foot is cut down to this", "N", gt=0.0)
-    stale_after: int = param(20, "periods without a new force after which the patient counts as lost", ge=1)
+    stale_after: int = param(20, "periods without a new force after which the patient counts as lost", ge=1, le=1000000)
 
     @model_validator(mode="after")
     def _possible(self) -> Self:

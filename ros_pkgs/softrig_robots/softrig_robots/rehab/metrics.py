@@ -16,7 +16,7 @@ from .model import JOINTS
 class RehabMetricsParams(WatchParams):
     """From when on the late figures count."""
 
-    period: float = param(0.001, "sampling period", "s", gt=0.0)
+    period: float = param(0.001, "sampling period", "s", gt=0.0, le=100.0)
     late: float = param(3.0, "begin of the late window", "s", ge=0.0)
 
 

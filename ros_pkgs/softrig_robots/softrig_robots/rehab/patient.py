@@ -20,7 +20,7 @@ PATIENT_FORCE = "patient_force"
 class PatientParams(BlockParams):
     """A push of 20 N forward for 2 s every 10 s (the paper's figure has no numbers)."""
 
-    period: float = param(0.001, "sampling period", "s", gt=0.0)
+    period: float = param(0.001, "sampling period", "s", gt=0.0, le=100.0)
     force_x: float = param(20.0, "largest force, forward", "N")
     force_z: float = param(0.0, "largest force, up", "N")
     begin: float = param(5.0, "begin of the push in each cycle", "s", ge=0.0)

@@ -20,7 +20,7 @@ from .model import JOINTS, LOWER, UPPER
 class PromReferenceParams(BlockParams):
     """Published exercise; the centres of the sigmoids and the cycle are not printed in the paper."""
 
-    period: float = param(0.001, "sampling period", "s", gt=0.0)
+    period: float = param(0.001, "sampling period", "s", gt=0.0, le=100.0)
     lower: PerJoint = param(LOWER, "lower ends of the range of motion", "rad")
     upper: PerJoint = param(UPPER, "upper ends of the range of motion", "rad")
     speed: PerJoint = param((radians(30.0),), "largest speed; fixes the width a = range/(4 speed)", "rad/s")

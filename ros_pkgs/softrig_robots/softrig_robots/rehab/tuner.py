@@ -151,13 +151,13 @@ def tune(seed: int = 0, *, guarded: bool = True, duration: float = 15.0, n_pop: 
 class TunerParams(SolverParams):
     """Published search: population 20, 10 generations."""
 
-    period: float = param(0.5, "one candidate is tried a period", "s", gt=0.0)
+    period: float = param(0.5, "one candidate is tried a period", "s", gt=0.0, le=100.0)
     guarded: bool = param(True, "price on chattering and margin to the stability limit; false: as published")
     duration: float = param(15.0, "duration of an exercise", "s", gt=0.0)
     lower: float = param(0.05, "least alpha_hat", "V s/rad", gt=0.0)
     upper: float = param(12.0, "largest alpha_hat", "V s/rad", gt=0.0)
-    n_pop: int = param(20, "population", ge=2)
-    n_iter: int = param(10, "generations after the first", ge=1)
+    n_pop: int = param(20, "population", ge=2, le=1000)
+    n_iter: int = param(10, "generations after the first", ge=1, le=100000)
     autostart: bool = param(False, "start at once instead of waiting for the trigger")
 
     @model_validator(mode="after")

@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import model_validator
 from softrig_core.model.block import Level, Plant
 from softrig_core.model.dde import trajectory
-from softrig_core.model.params import BlockParams, param
+from softrig_core.model.params import BlockParams, check_steps, param
 from softrig_core.model.port import Port
 from softrig_core.node import executable
 
@@ -39,6 +39,11 @@ class DelayPlantParams(DelayParams, BlockParams):
 
     period: float = param(0.001, "sampling period", "s", gt=0.0, le=100.0)
     step: float = param(1e-4, "largest integration step; a whole part of the period is taken", "s", gt=0.0, le=100.0)
+
+    @model_validator(mode="after")
+    def _few_steps(self) -> Self:
+        check_steps(self.period, self.step, "step")
+        return self
 
 
 class DelayPlant(Plant):

@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import model_validator
 from softrig_core.model.block import Level
 from softrig_core.model.dde import trajectory
-from softrig_core.model.params import param
+from softrig_core.model.params import check_steps, param
 from softrig_core.node import executable
 
 from .fluid import QUEUE, Constants, look_back, period
@@ -26,6 +26,7 @@ class TcpFluidParams(NetworkParams):
     def _step(self) -> Self:
         if self.h > self.tau_p / 4.0:
             raise ValueError(f"h = {self.h:g} s: expected at most tau_p/4 = {self.tau_p / 4.0:g} s")
+        check_steps(self.period, self.h, "h")
         ratio = self.period / self.h
         if round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-9 * ratio:
             raise ValueError(f"h = {self.h:g} s: expected a whole part of period = {self.period:g} s")

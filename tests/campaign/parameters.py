@@ -1,0 +1,135 @@
+"""Extreme parameters for every executable: built, set up and run for a few ticks, or refused in one line."""
+
+import importlib.metadata
+import math
+import random
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+from softrig_core.errors import RunError, ScenarioError
+from softrig_core.model.block import Block
+from softrig_core.model.params import BlockParams, Declaration, declarations
+from softrig_core.model.port import Port, Sample
+from softrig_core.rig.inprocess import run_inprocess
+from softrig_core.rig.rig import Rig, load_block
+from softrig_core.rig.scenario import Scenario
+from softrig_core.wire.recording import Recording
+
+TICKS = 4
+NUMBERS = (0.0, -0.0, 5e-324, 1e-300, 1e-12, 1e-3, 1.0, -1.0, 1e6, -1e6, 1e12, -1e12, 0, 1, -1, 2)
+SLIPS = (1e300, -1e300, math.nan, math.inf, 2**31, 2**63, 10**400, True, "", "x", "1/3", "1/0", None, [], [[1.0]], {})
+EXTREME = (*NUMBERS, *SLIPS)
+
+
+def executables() -> Iterator[tuple[str, str, type[Block]]]:
+    """Give package, executable and block of every node that is installed."""
+    for package in sorted({d.name for d in importlib.metadata.distributions() if d.name.startswith("softrig_")}):
+        points = importlib.metadata.distribution(package).entry_points.select(group="console_scripts")
+        for name in sorted(points.names):
+            try:
+                yield package, name, load_block(package, name)
+            except ScenarioError:  # a tool
+                continue
+
+
+@cache
+def blocks() -> list[tuple[str, str, type[Block]]]:
+    """List `executables`."""
+    return list(executables())
+
+
+def extreme(declaration: Declaration, chance: random.Random) -> object:
+    """Give a value at or beyond an edge, or of another kind altogether."""
+    default, low, high = declaration.default, declaration.lower, declaration.upper
+    edges: list[float] = [bound for bound in (low, high) if bound is not None]
+    if chance.random() < 0.6:  # all within the bounds: what the models themselves make of it
+        inside = [math.nextafter(edge, 0.0) for edge in edges] + [n for n in NUMBERS if edges and low <= n <= high]
+        if declaration.type is bool:
+            return not default
+        if declaration.type in (int, float) and inside and not isinstance(default, list | tuple):
+            return declaration.type(chance.choice(inside))
+    if isinstance(default, str) and chance.random() < 0.5:
+        return chance.choice((default, default[:-1], default * 2, "x" * 20_000, "\x00", "\n", "é"))
+    if isinstance(default, tuple | list):
+        numbers = list(default)
+        if numbers and chance.random() < 0.6:
+            numbers[chance.randrange(len(numbers))] = chance.choice((*EXTREME, *edges))
+            return numbers
+        return chance.choice((numbers[:-1], numbers * 2, numbers * 3000, [0.0] * len(numbers)))
+    if isinstance(default, bool):
+        return chance.choice((not default, *EXTREME))
+    if isinstance(default, int) and edges and chance.random() < 0.5:
+        return int(chance.choice(edges))
+    if isinstance(default, int | float) and chance.random() < 0.4:
+        return type(default)(default * 10.0 ** chance.randint(-15, 15))
+    return chance.choice((*EXTREME, *edges))
+
+
+def feeder(ports: list[Port], seed: int) -> type[Block]:
+    """Make a block that publishes what another reads: zeros, safe values, large and small numbers."""
+
+    class Feeder(Block[BlockParams]):
+        OUTPUTS = tuple(ports)
+
+        def update(self, t: int, **inputs: object) -> dict:
+            chance = random.Random(seed + t)
+            found: dict = {}
+            for port in self.OUTPUTS:
+                size = 10.0 ** chance.randint(-6, 4)
+                values = port.safe if chance.random() < 0.3 else tuple(chance.gauss(0, size) for _ in port.labels)
+                found[port.name] = Sample(t, values) if port.delayed else values
+            return found
+
+    return Feeder
+
+
+def attack(seed: int, directory: Path) -> None:
+    """One executable with one to three extreme parameters: refused, broken with a line, or run with finite numbers."""
+    chance = random.Random(seed)
+    package, executable, block = chance.choice(blocks())
+    known = declarations(block.Params)
+    values = {d.name: extreme(d, chance) for d in chance.sample(known, min(len(known), chance.choice((1, 1, 2, 3))))}
+    (directory / "case").write_text(f"{package} {executable} {values!r}"[:10_000])
+    try:
+        run_one(package, executable, block, values, seed)
+    except (ScenarioError, RunError) as error:
+        text = str(error)
+        # the command line cuts what is longer; what is wrong must stand in what it shows
+        if not any(word in text[:1000] for word in (*values, "node", "clock", "parameters", "period")):
+            raise AssertionError(f"{executable}: neither parameter nor node is named: {text[:200]}") from None
+
+
+def run_one(package: str, executable: str, block: type[Block], values: dict, seed: int) -> None:
+    """Run a block alone for a few of its periods, fed with numbers."""
+    inputs = {p.topic: p for p in _inputs(block, values)}
+    ports = [
+        replace(p, name=f"out{i}", held=False, partial=False, sporadic=False) for i, p in enumerate(inputs.values())
+    ]
+    entries = {"node": {"package": package, "executable": executable, "parameters": values}}
+    classes: dict[str, type[Block]] = {"node": block}
+    period = values.get("period", block.Params.model_fields["period"].default)
+    if ports:
+        entries["feeder"] = {"package": package, "executable": "feeder", "parameters": {"period": period}}
+        classes["feeder"] = feeder(ports, seed)
+    length = period if isinstance(period, float) and 1e-9 <= period <= 1e6 else 0.01
+    about = {"name": "hostile", "title": "", "system": "", "source": "", "seed": seed % 2**31, "nodes": entries}
+    rig = Rig.from_scenario(Scenario.model_validate(about | {"duration": TICKS * length}), classes)
+    recording = Recording((t, p.msgtype) for t, p in rig.topics.items())
+    run_inprocess(rig, seed, recording)
+
+
+def _inputs(block: type[Block], values: dict) -> tuple[Port, ...]:
+    from softrig_core.model.params import ParameterError, build
+
+    try:
+        return block.ports(build(block.Params, values))[0]
+    except ParameterError as error:
+        raise ScenarioError(f"node: {error}") from None
+
+
+if __name__ == "__main__":
+    for number in map(int, sys.argv[1:]):
+        attack(number, Path("/tmp"))
