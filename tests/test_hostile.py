@@ -1,0 +1,108 @@
+"""Hostile numbers and files: bounds of every parameter, set-ups that fail, absurd lengths, and a short campaign."""
+
+import sys
+from pathlib import Path
+
+import pytest
+from conftest import make_scenario
+from softrig_core.errors import RunError, ScenarioError
+from softrig_core.model.answer import check
+from softrig_core.model.block import Block
+from softrig_core.model.params import LONGEST, BlockParams, ParameterError, build, check_steps, declarations, param
+from softrig_core.model.port import number
+from softrig_core.rig.options import RunOptions
+from softrig_core.rig.rig import Rig
+
+sys.path.insert(0, str(Path(__file__).parent / "campaign"))
+
+import driver
+from parameters import executables
+
+
+class SizeParams(BlockParams):
+    """A size in bounds of which there may be no memory, and numbers that overflow together."""
+
+    a: float = param(1.0, "factor", gt=0.0)
+    b: float = param(1.0, "exponent")
+    names: tuple[str, ...] = param((), "names")
+    text: str = param("", "text")
+
+
+class Size(Block[SizeParams]):
+    """Fails in set-up for some parameters."""
+
+    def setup(self):
+        self.x = self.p.a**self.p.b
+
+
+def test_every_number_of_every_executable_has_bounds():
+    for package, name, block in executables():
+        for d in declarations(block.Params):
+            if d.type in (int, float):
+                assert d.lower is not None, (package, name, d)
+                assert d.upper is not None, (package, name, d)
+                count = d.type is int and not isinstance(d.default, tuple)  # sets an effort or a size
+                assert abs(d.upper) <= (2**31 if count else 1e12), (package, name, d)
+    assert all(d.upper is not None for d in declarations(RunOptions) if d.type in (int, float))
+
+
+@pytest.mark.parametrize(
+    ("values", "text"),
+    [
+        ({"a": 1e13}, r"parameter a = 10000000000000\.0: expected at most 1e\+12 in magnitude"),
+        ({"b": -1e300}, r"parameter b = -1e\+300: expected at most"),
+        ({"a": 10**400}, "parameter a = 1000"),
+        ({"period": 1e300}, r"parameter period = 1e\+300: input should be less than or equal to 100"),
+        ({"period": 1e-12}, "parameter period = 1e-12: expected at least 1e-9"),
+        ({"names": ["x"] * (LONGEST + 1)}, "expected at most 10000 values"),
+        ({"text": "x" * (LONGEST + 1)}, r"parameter text = 'xxx.*\.\.\.: expected at most 10000 characters"),
+    ],
+)
+def test_numbers_and_sizes_beyond_sense_are_refused(values, text):
+    with pytest.raises(ParameterError, match=text) as error:
+        build(SizeParams, values)
+    assert len(str(error.value)) < 250
+
+
+def test_a_set_up_that_fails_names_what_it_was_given():
+    with pytest.raises(ParameterError, match=r"set-up failed with a = 1000000000000\.0, b = 1000000\.0: OverflowError"):
+        Size(a=1e12, b=1e6)
+    scenario = make_scenario({"plant": {"executable": "plant", "parameters": {}}})
+    rig = Rig.from_scenario(scenario, {"plant": Size}).changed(overrides={"plant.a": 1e12, "plant.b": 1e6})
+    member = next(m for m in rig.members if m.name == "plant")
+    with pytest.raises(ScenarioError, match=r"node plant: set-up failed with a = 1000000000000\.0, b = 1000000\.0"):
+        member.block(0)
+
+
+def test_no_memory_in_a_set_up_is_its_parameters_too():
+    class Greedy(Block[SizeParams]):
+        def setup(self):
+            raise MemoryError
+
+    with pytest.raises(ParameterError, match=r"set-up failed with a = 2\.0: MemoryError"):
+        Greedy(a=2.0)
+
+
+def test_more_steps_in_a_period_than_ever_end():
+    check_steps(0.01, 1e-6, "step")
+    with pytest.raises(ValueError, match=r"takes 1e\+11 steps of step = 1e-13 s, expected at most 100000"):
+        check_steps(0.01, 1e-13, "step")
+
+
+@pytest.mark.parametrize(("duration", "text"), [(1e300, "duration"), (1e8, "expected at most 1e")])
+def test_absurd_lengths_are_refused(duration, text):
+    with pytest.raises(ValueError, match=text):
+        Rig.from_scenario(make_scenario({"plant": "plant", "source": "source", "gain": "gain"}, duration=duration))
+
+
+def test_an_answer_that_is_no_row_of_numbers_is_the_nodes_fault():
+    port = number("x", "x", "m")
+    for wrong in (5.0, None, ("a",), (1j,), [[1.0]], (10**400,)):
+        with pytest.raises(RunError, match="law: x is no row of numbers at t = 0 s"):
+            check({"x": wrong}, port, "law", 0)
+
+
+def test_a_short_campaign():
+    table = driver.campaign(dict.fromkeys(("bags", "messages", "parameters", "scenarios"), 6), 1, 15.0, None, 2)
+    assert sum(row[0] for row in table.values()) >= 6
+    assert {area: row[2] for area, row in table.items()} == {area: [] for area in table}
