@@ -208,6 +208,38 @@ def test_a_planner_without_an_answer_keeps_the_last_plan():
     assert planner.reports["limit"][0] is Level.ERROR
 
 
+SLED = """
+from softrig_systems.optimal_control.problem import Problem
+
+SLED = Problem("sled", {"q": "m", "v": "m/s"}, {"u": "m/s^2"}, lambda x, u: [x[1], u[0] - 0.1 * x[1] ** 2],
+               lambda x, u: u[0] ** 2 / 2, x0=(0.0, 0.0), horizon=2.0, x_end=(1.0, 0.0))
+"""
+
+
+def test_a_problem_of_ones_own_gets_plant_planner_and_evaluator(tmp_path, monkeypatch):
+    """The page's example; one power series does not reach its end and is not played, eight stages do."""
+    (tmp_path / "sleds.py").write_text(SLED)
+    monkeypatch.syspath_prepend(tmp_path)
+    scenario = load_scenario("optimal_control_mvim_reactor")
+
+    def flown(stages):
+        nodes = {
+            name: entry.model_copy(
+                update={"parameters": entry.parameters | {"problem": "sleds:SLED"} | (
+                    {"order": 16, "stages": stages} if name != "plant" else {})}
+            )
+            for name, entry in scenario.nodes.items()
+        }  # fmt: skip
+        changes = {"nodes": nodes, "duration": 2.0, "plots": (), "expect": {}, "claims": {}}
+        return simulate(scenario.model_copy(update=changes)).figures
+
+    assert flown(1)["infeasible"] == 1.0
+    found = flown(8)
+    assert found["infeasible"] == 0.0
+    assert found["J_series"] == pytest.approx(found["J_exact"], rel=1e-7)
+    assert found["J_plant"] == pytest.approx(found["J_exact"], rel=1e-4)
+
+
 # Player
 
 
