@@ -18,9 +18,9 @@ from softrig_core.errors import ScenarioError
 from softrig_core.model.block import Block
 from softrig_core.rig.domain import free_domain
 from softrig_core.rig.inprocess import run_inprocess
-from softrig_core.rig.processes import environment, run_processes
+from softrig_core.rig.processes import environment, placed, run_processes
 from softrig_core.rig.rig import Member, Rig
-from softrig_core.rig.scenario import NodeEntry, Scenario, load_scenario
+from softrig_core.rig.scenario import NodeEntry, Scenario, list_scenarios, load_scenario
 from softrig_core.wire.recording import Recording, ShardWriter
 
 ROUNDS = 3
@@ -230,6 +230,48 @@ RIGS = ("dc_motor_smc", "dc_motor_smc_b1", "dc_motor_fsfb", "induction_dtc", "ma
         "pv_mppt", "lsrm_fuzzy", "rectifier_mpc", "gupfc", "fault_location", "tcp_aqm_smc", "pwa_delay")  # fmt: skip
 
 
+def containers() -> None:
+    """Lockstep ticks a second of every system, recorded: through processes, in one container, and in memory."""
+    table = Table("scenario", "nodes", "processes", "container", "in memory", "x processes", "of in memory",
+                  box=None, pad_edge=False)  # fmt: skip
+    for name in sorted({scenario_of(n) for n in list_scenarios()}):
+        found = ticks_a_second(name)
+        row = [f"{found[k]:,.0f}" for k in ("processes", "container", "inprocess")]
+        table.add_row(name, f"{found['nodes']:.0f}", *row, f"{found['container'] / found['processes']:.1f}",
+                      f"{found['container'] / found['inprocess']:.2f}")  # fmt: skip
+    console.print(table)
+
+
+def scenario_of(name: str) -> str:
+    """Name of the headline scenario that a scenario extends."""
+    shorter = [n for n in list_scenarios() if name.startswith(f"{n}_")]
+    return min(shorter, key=len, default=name)
+
+
+def ticks_a_second(name: str) -> dict[str, float]:
+    """Measure one scenario: ticks of its clock a second between the first and the last, for each placement."""
+    found: dict[str, float] = {}
+    for place, ticks in (("processes", 1000), ("container", 10_000), ("inprocess", 10_000)):
+        rig = Rig.from_scenario(load_scenario(name))
+        least = max(ticks * rig.clock.schedule.period, 2 * max(m.schedule.period for m in rig.members))
+        rig = rig.changed(duration=min(rig.scenario.duration, float(least)))
+        if place == "inprocess":
+            recording = Recording((t, p.msgtype) for t, p in rig.topics.items())
+            run_inprocess(rig, rig.scenario.seed)  # what is compiled on first use
+            start = time.perf_counter()
+            run_inprocess(rig, rig.scenario.seed, recording)
+            found[place] = rig.ticks / (time.perf_counter() - start)
+            continue
+        with tempfile.TemporaryDirectory() as folder:
+            outcome = run_processes(rig, rig.scenario.seed, Path(folder), containers=placed(rig, place))
+        if outcome.error:
+            raise ScenarioError(outcome.error)
+        clock = outcome.status[rig.clock.name]
+        found[place] = clock["ticks"] / clock["running_s"]
+        found["nodes"] = len(outcome.status)
+    return found
+
+
 def _timed(member: Member, spent: dict[str, int]) -> None:
     """Make a member's block add up the time of its calls."""
     make, key, clock = member.block, "plant" if member.is_plant else "laws", time.process_time_ns
@@ -282,6 +324,6 @@ def optimal_control() -> None:
 
 PARTS: dict[str, Callable[[], None]] = {
     "loop": loop, "tick": tick, "recording": recording, "inprocess": inprocess, "processes": processes, "bags": bags,
-    "rigs": rigs, "induction": induction, "fault_location": fault_location,
+    "rigs": rigs, "containers": containers, "induction": induction, "fault_location": fault_location,
     "systems": systems, "optimal_control": optimal_control,
 }  # fmt: skip
