@@ -495,7 +495,8 @@ def test_overspeed_ends_the_run_at_the_last_good_state():
 
 
 def test_state_that_is_not_finite_ends_the_run():
-    plant = ManipulatorPlant(speed_limit=1e300, velocity=1e200)
+    plant = ManipulatorPlant(speed_limit=1e12)
+    plant.x = (*plant.x[:3], 1e200, 1e200, 1e200, *plant.x[6:])
     before = plant.x
     with pytest.raises(RunError, match="integration stopped"):
         plant.advance(0, motor_command=(0.0, 0.0, 0.0))
