@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from io import StringIO
-from pathlib import Path
 from typing import Any
 
 from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 from ruamel.yaml import YAML
+from softrig_core.model.resource import prefixes
 
 FOREVER = QosTime(9223372036, 854775807)  # RMW_DURATION_INFINITE
 
@@ -113,8 +112,8 @@ def _register(msgtype: str) -> bool:
     if msgtype in typestore().fielddefs:
         return True
     package, _, name = msgtype.partition("/msg/")
-    for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
-        path = Path(prefix) / "share" / package / "msg" / f"{name}.msg"
+    for prefix in prefixes():
+        path = prefix / "share" / package / "msg" / f"{name}.msg"
         if path.is_file():
             types = get_types_from_msg(path.read_text(), msgtype)
             typestore().register(types)

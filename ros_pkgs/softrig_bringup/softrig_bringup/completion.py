@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import argparse
-import os
 from collections.abc import Iterable, Sequence
-from pathlib import Path
 
 # The words so far go to `softrig completion --words`, which prints what the last one may become.
 SCRIPT = """_softrig() {
@@ -60,9 +58,11 @@ def _all(parser: argparse.ArgumentParser, before: Sequence[str], current: str) -
 def _executables(given: Sequence[str]) -> Iterable[str]:
     """Packages that depend on softrig_core, or the executables of one."""
     packages = {}
-    for prefix in filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)):
-        for folder in Path(prefix).glob("lib/*/"):
-            manifest = Path(prefix) / "share" / folder.name / "package.xml"
+    from softrig_core.model.resource import prefixes
+
+    for prefix in prefixes():
+        for folder in prefix.glob("lib/*/"):
+            manifest = prefix / "share" / folder.name / "package.xml"
             if manifest.is_file() and "softrig_core" in manifest.read_text(errors="replace"):
                 packages[folder.name] = sorted(f.name for f in folder.iterdir() if f.is_file())
     if not given:

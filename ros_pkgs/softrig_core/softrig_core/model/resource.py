@@ -7,6 +7,11 @@ import os
 from pathlib import Path
 
 
+def prefixes() -> list[Path]:
+    """Give the install prefixes of the environment, overlays first: ``AMENT_PREFIX_PATH``."""
+    return [Path(p) for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p]
+
+
 def resource(source: str, kind: str = "file") -> Path:
     """Find a file.
 
@@ -24,8 +29,7 @@ def resource(source: str, kind: str = "file") -> Path:
     """
     if source.startswith("package://"):
         package, _, rest = source.removeprefix("package://").partition("/")
-        prefixes = [p for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p]
-        places = [Path(prefix, "share", package, rest) for prefix in prefixes]
+        places = [prefix / "share" / package / rest for prefix in prefixes()]
         spec = importlib.util.find_spec(package) if package.isidentifier() else None
         places += [Path(folder, rest) for folder in (spec and spec.submodule_search_locations) or ()]
     else:

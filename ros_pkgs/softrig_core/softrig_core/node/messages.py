@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import importlib
-import os
 from collections.abc import Mapping, Sequence
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 from ..model.block import Level
 from ..model.marker import Marker
 from ..model.params import Declaration
+from ..model.resource import prefixes
 from ..model.timebase import SECOND
 
 
@@ -25,9 +24,8 @@ def message_class(msgtype: str) -> Any:
         No installed interface package of this name: a type named by a bag must not run other code.
     """
     package, kind, name = (*msgtype.split("/"), "", "")[:3]
-    prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
     index = "share/ament_index/resource_index/rosidl_interfaces"
-    if kind not in ("msg", "srv") or not any(prefix and Path(prefix, index, package).is_file() for prefix in prefixes):
+    if kind not in ("msg", "srv") or not any((prefix / index / package).is_file() for prefix in prefixes()):
         raise ImportError(f"{msgtype!r}: no installed interface package has this type")
     return getattr(importlib.import_module(f"{package}.{kind}"), name)
 

@@ -20,6 +20,7 @@ from typing import Any, Literal
 from ..errors import ScenarioError
 from ..model.params import flatten
 from ..model.port import Port
+from ..model.resource import prefixes
 from ..wire.recording import Recording
 from .domain import free_domain
 from .options import InputLink, Links
@@ -301,12 +302,12 @@ def find_executable(package: str, executable: str) -> Path:
     ScenarioError
         It is not there; lists what the package has.
     """
-    prefixes = [Path(p) for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p]
-    for prefix in prefixes:
+    installed = prefixes()
+    for prefix in installed:
         path = prefix / "lib" / package / executable
         if path.is_file() and os.access(path, os.X_OK):
             return path
-    there = sorted({p.name for prefix in prefixes for p in (prefix / "lib" / package).glob("*") if p.is_file()})
+    there = sorted({p.name for prefix in installed for p in (prefix / "lib" / package).glob("*") if p.is_file()})
     if not there:
         raise ScenarioError(f"package {package!r} has no executables in AMENT_PREFIX_PATH; is the workspace built "
                             "and sourced?")  # fmt: skip

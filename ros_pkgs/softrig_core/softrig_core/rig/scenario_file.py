@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from ..errors import ScenarioError
+from ..model.resource import prefixes
 from .yaml_file import SIZE, read_yaml
 
 SHARED = re.compile(r"\$([A-Za-z_]\w*)")  # a reference to a shared value
@@ -20,9 +21,8 @@ OWN = ("expect", "claims")  # what a scenario is judged by stands in its own ent
 def scenario_folders() -> list[Path]:
     """Where scenario files are looked for: SOFTRIG_SCENARIOS, then ``share/PACKAGE/scenarios`` of what is installed."""
     folders = [Path(p) for p in os.environ.get("SOFTRIG_SCENARIOS", "").split(os.pathsep) if p]
-    for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
-        if prefix:
-            folders += sorted(Path(prefix).glob("share/*/scenarios"))
+    for prefix in prefixes():
+        folders += sorted(prefix.glob("share/*/scenarios"))
     return [f for f in folders if f.is_dir()]
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from .branch import branch_and_bound, chord_excess
 from .two_stage import NoDispatch, breakpoints, milp, nlp
-from .units import Array, Units, balanced, infeasible, marginal_cost
+from .units import Array, Units, balanced, cost_of, infeasible, marginal_cost
 
 Method = Literal["two_stage", "certified", "enumeration", "baseline"]
 Progress = Callable[[float, float], object]
@@ -195,8 +195,7 @@ class Optimiser:
             return p, 0.0
         k = max(0, min(int(np.searchsorted(points, p, "right")) - 1, len(points) - 2))
         x0, x1 = points[k], points[k + 1]
-        row = Units((self.units.ids[j],), self.units.table[j : j + 1])
-        y0, y, y1 = (row.total([x]) for x in (x0, p, x1))
+        y0, y, y1 = cost_of(self.units.table[j], [x0, p, x1]).tolist()
         below = y - (y0 + (y1 - y0) * (p - x0) / (x1 - x0)) + float(low[k])
         if x1 - x0 < 1e-5:
             return p, 0.0

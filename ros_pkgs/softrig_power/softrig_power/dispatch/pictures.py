@@ -11,19 +11,19 @@ import numpy as np
 
 from .branch import branch_and_bound
 from .certify import Optimiser
-from .units import Units
+from .units import Units, cost_of
 
 
 def cost_curve(axes: Any, units: Units, j: int, demands: Sequence[float]) -> None:
     """Draw the cost of one unit with its valve points and where it runs at each demand."""
     P = np.linspace(units.p_min[j], units.p_max[j], 2000)
-    alone = Units(units.ids[j : j + 1], units.table[j : j + 1])
-    axes.plot(P, alone.cost(P[:, None])[:, 0], color="0.4", lw=1.0, label="cost, equation (1)")
+    row = units.table[j]
+    axes.plot(P, cost_of(row, P), color="0.4", lw=1.0, label="cost, equation (1)")
     ends = units.valve_points(j)
-    axes.plot(ends, alone.cost(ends[:, None])[:, 0], "|", color="k", ms=9, label="valve points and limits")
+    axes.plot(ends, cost_of(row, ends), "|", color="k", ms=9, label="valve points and limits")
     optimiser = Optimiser(units)
     found = np.array([units.sorted_copies(optimiser.certified(d).P)[j] for d in demands])
-    axes.scatter(found, alone.cost(found[:, None])[:, 0], c=demands, cmap="viridis", zorder=3, label="runs here")
+    axes.scatter(found, cost_of(row, found), c=demands, cmap="viridis", zorder=3, label="runs here")
     axes.set(xlabel=f"output of unit {units.ids[j]} (MW)", ylabel="cost ($/h)")
     axes.legend()
 

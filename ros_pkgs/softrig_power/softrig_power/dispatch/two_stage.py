@@ -10,7 +10,7 @@ from typing import Any
 import highspy
 import numpy as np
 
-from .units import Array, Units, balanced
+from .units import Array, Units, balanced, cost_of
 
 
 @dataclass(frozen=True)
@@ -107,8 +107,7 @@ def milp(
     rows = units.table[owner]
     low = np.concatenate([np.broadcast_to(d, max(1, len(p) - 1)) for p, d in zip(points, lowered, strict=True)]
                          ) if lowered is not None else np.zeros(len(left))  # fmt: skip
-    single = Units(tuple(map(str, range(len(left)))), rows)
-    y0, y1 = single.cost(left) - low, single.cost(right) - low
+    y0, y1 = cost_of(rows, left) - low, cost_of(rows, right) - low
     width = right - left
     slope = np.divide(y1 - y0, width, out=np.zeros_like(width), where=width > 0.0)
     segments = len(left)

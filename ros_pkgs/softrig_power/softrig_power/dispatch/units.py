@@ -127,9 +127,7 @@ class Units:
         ndarray, shape (..., n)
             $/h.
         """
-        P = np.asarray(P, dtype=float)
-        p_min, _, a, b, c, e, f = self.table.T
-        return a * P * P + b * P + c + np.abs(e * np.sin(f * (p_min - P)))
+        return cost_of(self.table, P)
 
     def total(self, P: ArrayLike) -> float:
         """Cost of all units together, $/h."""
@@ -180,6 +178,13 @@ class Units:
             members = np.flatnonzero(self.groups == group)
             P[members] = np.sort(P[members])[::-1]
         return P
+
+
+def cost_of(rows: Array, P: ArrayLike) -> Array:
+    """Cost by equation (1), $/h, of rows of a table (one, or as many as the last axis of P) at P in MW."""
+    P = np.asarray(P, dtype=float)
+    p_min, _, a, b, c, e, f = rows.T
+    return a * P * P + b * P + c + np.abs(e * np.sin(f * (p_min - P)))
 
 
 def infeasible(units: Units, demand: float) -> str:
