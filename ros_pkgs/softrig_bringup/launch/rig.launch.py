@@ -1,6 +1,7 @@
 """Start the nodes of a scenario: ``ros2 launch softrig_bringup rig.launch.py scenario:=dc_motor_smc``.
 
-The same scenario files as `softrig run`; here the nodes run for themselves, without bag and metrics.
+The same scenario files as `softrig run`; here the nodes run for themselves, without bag and metrics. They have one
+t = 0 and one end; a node that fails ends the launch, with status 1.
 """
 
 from pathlib import Path
@@ -15,11 +16,27 @@ from launch_ros.actions import Node
 def generate_launch_description():
     arguments = [
         DeclareLaunchArgument("scenario", description="name of a scenario or path of its YAML file"),
-        DeclareLaunchArgument("mode", default_value="realtime", description="realtime or lockstep"),
-        DeclareLaunchArgument("place", default_value="processes", description="processes or container"),
+        DeclareLaunchArgument(
+            "mode",
+            default_value="realtime",
+            choices=["realtime", "lockstep"],
+            description="against the wall clock, or tick by tick",
+        ),
+        DeclareLaunchArgument(
+            "place",
+            default_value="processes",
+            choices=["processes", "container"],
+            description="a process for each node, or one for all",
+        ),
         DeclareLaunchArgument("seed", default_value="", description="instead of the scenario's"),
     ]
     return LaunchDescription([*arguments, OpaqueFunction(function=_nodes)])
+
+
+def _ended(event, context):
+    """Launch goes on without a node that has failed; what an event handler raises ends it, with status 1."""
+    if event.returncode and not context.is_shutdown:
+        raise RuntimeError(f"{event.process_name} ended with status {event.returncode}")
 
 
 def _nodes(context):
@@ -38,10 +55,10 @@ def _nodes(context):
     for group in groups(rig, placed(rig, value("place"))):
         given = {m.name: node_parameters(rig, m, seed, value("mode")) for m in group}
         if len(group) > 1:
-            found.append(Node(package="softrig_core", executable="container", output="screen",
+            found.append(Node(package="softrig_core", executable="container", output="screen", on_exit=_ended,
                               arguments=container_arguments(group, given, folder)))  # fmt: skip
             continue
         m = group[0]
-        found.append(Node(package=m.package, executable=m.executable, name=m.name, output="screen",
+        found.append(Node(package=m.package, executable=m.executable, name=m.name, output="screen", on_exit=_ended,
                           remappings=list(m.remap.items()), parameters=[given[m.name]]))  # fmt: skip
     return found
