@@ -15,6 +15,8 @@ class Input:
     ----------
     publishers : int
         Writers that are matched.
+    heard : bool
+        Whether a message has come.
     refused : int
         Messages that never reached the block.
     last_refusal : str
@@ -25,6 +27,7 @@ class Input:
         self.name = port.name
         self.decode = Decoder(port)
         self.publishers = 0
+        self.heard = False
         self.refused = 0
         self.last_refusal = ""
 
@@ -48,10 +51,18 @@ class Output:
         self.encode: Callable[[int, Sequence[float]], bytes] = port.layout().encode
         self.publish: Callable[[bytes], None] = _unbound
         self.readers = 0
+        self.joined: Callable[[], object] = _nobody  # called when a reader has come
 
     def matched(self, count: int) -> None:
         """Note how many readers there are."""
+        more = count > self.readers
         self.readers = count
+        if more:
+            self.joined()
+
+
+def _nobody() -> None:
+    pass
 
 
 def _unbound(data: bytes) -> None:

@@ -21,9 +21,10 @@ from ..wire.codec import Decoder
 from ..wire.recording import Sink
 from .adapter import Adapter
 from .endpoint import Input, Output
+from .first import repeat_first
 from .health import percentiles
 from .middleware import Middleware
-from .pairing import KEEP, Pairing
+from .pairing import BAD, KEEP, Pairing
 from .solving import Solving, hear_busy
 from .start import CHECK, Handshake
 from .tick import END, TICK, TickReader
@@ -45,19 +46,26 @@ class Lockstep(Adapter):
         self._since = middleware.steady()
         self._heard = 0  # messages of faster peers between two ticks
         self._progress = (-1, 0)
+        self._cut = False  # a block has ended the run before its duration
+        self._over = False  # the last tick is answered
         self._rivals: Input | None = None
         self._came: dict[str, int] = {}  # tick at which a held input came last
         self._durations: deque[int] = deque(maxlen=100_000)
         self._sent = self._first = 0
         self.clock_output = Output(CLOCK, "/clock", -1)
-        self._publish_clock: Callable[[bytes], None] | None = None
         self._clock_layout = Layout(CLOCK.msgtype)
         super().__init__(middleware, block, options, sink)
         if self.links.owns_clock:
-            self._publish_clock = middleware.publisher("/clock", CLOCK.msgtype, self.clock_output.matched)
+            self.clock_output.publish = middleware.publisher("/clock", CLOCK.msgtype, self.clock_output.matched)
         if self.links.clock is not None:
             link = self.links.clock
             self._pace(CLOCK, [self._pace_pairing(CLOCK, link)], Decoder(CLOCK))
+        if self.links.hears_clock:
+            middleware.subscribe("/clock", CLOCK.msgtype, lambda data: None, lambda count: None)
+        if self.links.guests:
+            stamped = [o for o in self.outputs if o.port.stamped and not o.delayed]
+            first = 0 if self.is_plant else 1
+            repeat_first([*stamped, self.clock_output], lambda: self.state == "running" and self.ticks == first)
         self._follow_ticks()
         self._by_port = {p.item.name: p for p in self.pairings if p.carries}
         self._await(0)
@@ -78,7 +86,8 @@ class Lockstep(Adapter):
         """Paired inputs wait for their stamp; other held inputs take the newest value."""
         link = self.links.inputs.get(item.name)
         self.values[item.name] = item.port.initial
-        if link is None and (item.port.held or item.port.sporadic) and item.name not in self.options.paired:
+        by_itself = link is None and (item.port.held or item.port.sporadic) and item.name not in self.options.paired
+        if by_itself or item.name in self.links.free:
             return self._held(item)
         pairing = (
             Pairing(item.port.topic, self.peer(link), link.node, item, port=link.port if link.sporadic else "")
@@ -110,7 +119,7 @@ class Lockstep(Adapter):
         by_order = delayed or not item.port.stamped
         announced = by_order and pairing.port != ""
         record = self.foreign.get(name)
-        schedule, own = pairing.schedule, self.schedule
+        schedule = pairing.schedule
 
         def receive_by_order(data: bytes) -> None:
             if announced:
@@ -123,34 +132,37 @@ class Lockstep(Adapter):
         def take(data: bytes, position: int = -1) -> None:
             if self.state in ("done", "failed"):
                 return
+            item.heard = True
             try:
                 stamp, values = decode(data)
             except Refused as error:
                 self.refuse(item, str(error))
                 # A controller answers a tick with a bad measurement too; a plant waits for a good command.
                 at = position if by_order else _stamp(data)
-                if not self.is_plant and not pairing.have and at == pairing.want:
-                    self.bad = True
+                if not self.is_plant and pairing.may_come(at):
                     pairing.excused = at
-                    self._arrived(pairing)
+                    self._heard_at(pairing, at, BAD)
                 return
             if not by_order:
                 position = stamp
-            if position == pairing.want and not pairing.have:
+            if position == pairing.want and not pairing.have and not pairing.said and not pairing.port:
                 if record is not None and self.sink is not None:
                     self.sink.add(record, self.t, data)
                 if item.port.partial:
                     decode.kept = values
                 self.values[name] = Sample(stamp, values) if delayed else values
-                if pairing.port:
-                    pairing.stamp = position
+                pairing.stamp = pairing.used = position
                 self._arrived(pairing)
-            elif own.before(pairing.want) < position < pairing.want and schedule.due(position):
-                self._heard += 1  # a faster sender between two of our ticks
-                pairing.between = (position, Sample(stamp, values) if delayed else values)
-            elif position == schedule.next(pairing.want) and self.links.plants > 1 and pairing.ahead is None:
-                pairing.ahead = (position, Sample(stamp, values) if delayed else values)
-            elif position != pairing.excused:
+            elif pairing.may_come(position):
+                if item.port.partial:
+                    decode.kept = values
+                self._heard += 1
+                self._heard_at(pairing, position, (Sample(stamp, values) if delayed else values, data))
+            elif position == pairing.excused or (self._cut and position > (schedule.last or 0)):
+                return  # a better one is too late, and after the end its sender did not know of it yet
+            elif position == 0 and self.links.guests:
+                return  # said again for somebody else
+            else:
                 got, want = position / SECOND, pairing.want / SECOND
                 twice = " (already there)" if pairing.have else ""
                 self.refuse(item, f"stamp {got:.9g} s from {pairing.sender}, expected {want:.9g} s{twice}")
@@ -163,12 +175,23 @@ class Lockstep(Adapter):
         while pairing.queue and pairing.announced:
             take(pairing.queue.popleft(), pairing.announced.popleft())
 
-    def _silent(self, pairing: Pairing, stamp: int) -> None:
-        """A sporadic sender has not spoken at a tick."""
-        if stamp == pairing.want and not pairing.have:
+    def _heard_at(self, pairing: Pairing, position: int, found: Any) -> None:
+        """Keep what a sender has said at one of its ticks, and use it if that completes what ours needs."""
+        pairing.put(position, found)
+        if not pairing.have and pairing.complete():
+            self._use(pairing)
             self._arrived(pairing)
-        elif stamp == pairing.schedule.next(pairing.want) and pairing.ahead is None:
-            pairing.ahead = (stamp, KEEP)
+
+    def _use(self, pairing: Pairing) -> None:
+        """Take the newest of what a sender has said up to the awaited tick."""
+        found = pairing.take()
+        if found is BAD:
+            self.bad = True
+        elif found is not KEEP and pairing.carries:
+            name = pairing.item.name
+            self.values[name], data = found
+            if self.sink is not None and name in self.foreign:
+                self.sink.add(self.foreign[name], self.t, data)
 
     def now(self) -> int:
         """Time of the tick under way."""
@@ -182,8 +205,7 @@ class Lockstep(Adapter):
             return self.t - value.stamp
         if pairing is None:
             return self.t - self._came[name] if name in self._came else None
-        stamp = pairing.stamp if pairing.port else pairing.want
-        return None if stamp is None else self.t - stamp
+        return None if pairing.stamp is None else self.t - pairing.stamp
 
     def _pace_pairing(self, port: Port, link: InputLink, earlier: bool = False) -> Pairing:
         pairing = Pairing(port.topic, self.peer(link), link.node, Input(port), carries=False, earlier=earlier)
@@ -205,7 +227,8 @@ class Lockstep(Adapter):
             port = Port("stamp", topic, TICK)
             paced = []
             if node in links.acks:
-                paced.append(self._pace_pairing(port, InputLink(period=links.acks[node], node=node)))
+                link = InputLink(period=links.acks[node], node=node)
+                paced.append(self._pace_pairing(port, link, earlier=not links.owns_clock))
             if node in links.enders:
                 link = InputLink(period=links.enders[node], node=node)
                 paced.append(self._pace_pairing(port, link, earlier=True))
@@ -222,6 +245,7 @@ class Lockstep(Adapter):
         read = TickReader()
 
         def receive(data: bytes) -> None:
+            item.heard = True
             try:
                 stamp, sent = read(data)
             except Refused as error:
@@ -232,12 +256,15 @@ class Lockstep(Adapter):
                 self._end_after(stamp)
             for pairing in silent:
                 if pairing.port not in sent:
-                    self._silent(pairing, stamp)
+                    if pairing.may_come(stamp):
+                        self._heard_at(pairing, stamp, KEEP)
                 elif pairing.item.port.delayed or not pairing.item.port.stamped:
                     pairing.announced.append(stamp)
                     self._serve(pairing, self._takes[pairing.item.name])
             for pairing in paced:
                 self._reached(pairing, stamp)
+            if self._over and self.state == "running":
+                self._leave()
 
         return receive
 
@@ -245,6 +272,7 @@ class Lockstep(Adapter):
         item = paced[0].item
 
         def receive(data: bytes) -> None:
+            item.heard = True
             try:
                 stamp, _ = decode(data)
             except Refused as error:
@@ -264,10 +292,12 @@ class Lockstep(Adapter):
         self.middleware.subscribe(item.port.topic, item.port.msgtype, receive, matched)
 
     def _reached(self, pairing: Pairing, stamp: int) -> None:
+        """A clock or an acknowledgement: its sender has come to a tick of its own."""
         if stamp == pairing.want and not pairing.have:
+            pairing.used = pairing.reached = stamp
             self._arrived(pairing)
-        elif stamp == pairing.schedule.next(pairing.want) and pairing.ahead is None:
-            pairing.ahead = (stamp, None)
+        elif stamp == pairing.schedule.next(pairing.reached):
+            pairing.reached = stamp
 
     def on_matched(self, item: Input) -> None:
         """A second publisher on a paired topic makes the run ambiguous: it ends, naming both."""
@@ -309,18 +339,12 @@ class Lockstep(Adapter):
                 pairing.holds = schedule.next(t)
             if want == pairing.want and (t or pairing.earlier):
                 continue  # at the end time: what came at the last tick is held
-            if pairing.have:
-                pairing.held = pairing.want
             pairing.want = want
-            if pairing.ahead is not None and pairing.ahead[0] == want:
-                if pairing.carries and pairing.ahead[1] is not KEEP:
-                    self.values[pairing.item.name] = pairing.ahead[1]
-                    pairing.stamp = want
-                pairing.ahead = None
-                pairing.have = True
+            pairing.have = False
+            if pairing.complete():
+                self._use(pairing)
             else:
-                pairing.have = pairing.earlier and want < 0
-                missing += not pairing.have
+                missing += 1
         self.missing = missing
 
     def _arrived(self, pairing: Pairing) -> None:
@@ -331,7 +355,7 @@ class Lockstep(Adapter):
 
     def _step(self) -> None:
         """Answer ticks as long as nothing is missing."""
-        while not self.missing and self.state == "running":
+        while not self.missing and self.state == "running" and not self._over:
             if self.is_plant:
                 self._advance(self.t)
             elif self._solving is not None and not self._solving.finished(self.t, None if self.bad else self.values):
@@ -360,9 +384,9 @@ class Lockstep(Adapter):
         self.publish(t, t, self.block.outputs(t))  # type: ignore[attr-defined]
         if self.block.ended:
             self._end_after(t)
-        if self._publish_clock is not None:
+        if self.links.owns_clock:
             data = self._clock_layout.encode(t, ())
-            self._publish_clock(data)
+            self.clock_output.publish(data)
             if self.sink is not None:
                 self.sink.add(self.extra_numbers, t, data)
         now = time.perf_counter_ns()
@@ -382,6 +406,12 @@ class Lockstep(Adapter):
         self.buttons.release()
         self._await(self.t)
         if self.schedule.last is not None and self.t > self.schedule.last:
+            self._leave()
+
+    def _leave(self) -> None:
+        """Finish when all who tell us of their ticks have begun: they may still wait for us to be there."""
+        self._over = True
+        if all(p.item.heard for p in self.pairings if p.earlier):
             self.finish()
 
     def _next(self) -> int:
@@ -390,6 +420,7 @@ class Lockstep(Adapter):
 
     def _end_after(self, stamp: int) -> None:
         """A block has ended the run at `stamp`: everybody's last tick is the first after it at which all can end."""
+        self._cut = True
         stride = self.links.stride
         ticks = Schedule(self.schedule.clock).tick(stamp)
         for schedule in {self.schedule, *(p.schedule for p in self.pairings)}:
@@ -399,17 +430,12 @@ class Lockstep(Adapter):
             if pairing.earlier or last is None or pairing.want <= last:
                 continue
             pairing.want = last  # we wait for what will never come: what its sender said last serves
-            if pairing.have:
-                continue
-            if pairing.between is not None and pairing.between[0] == last:
-                self.values[pairing.item.name] = pairing.between[1]
-            elif pairing.held != last and pairing.carries:
-                continue
-            pairing.have = True
-            self.missing -= 1
+            if not pairing.have and pairing.complete():
+                self._use(pairing)
+                self.missing -= 1
         last = self.schedule.last
         if self.state == "running" and last is not None and (self.t >= last if self.is_plant else self.t > last):
-            self.finish()
+            self._leave()
 
     def answer(self, t: int) -> Any:
         """Give what a block that is not a plant sends; a solver has begun with this tick before."""
@@ -433,9 +459,10 @@ class Lockstep(Adapter):
 
     def _begun(self) -> bool:
         """Whether the rig has sent anything: before that, somebody still waits for an outside node."""
-        return (
-            self.is_plant or self.ticks > 0 or self._heard > 0 or any(p.have and not p.earlier for p in self.pairings)
-        )
+        if self.links.owns_clock or self._heard:
+            return True
+        others = [p for p in self.pairings if not p.earlier]  # a source of an outside plant says t = 0 unasked
+        return any(p.have for p in others) or (self.ticks > 0 and bool(others))
 
     def progress(self) -> None:
         """End the run when a peer is gone, stalls or never came."""
@@ -466,6 +493,7 @@ class Lockstep(Adapter):
             what = ", ".join(
                 f"{p.topic} from {p.sender}{' (gone)' if p in gone else ''}"
                 f"{'; last refused: ' + p.item.last_refusal if p.item.last_refusal else ''}"
+                f"{f'; it is ahead, at {max(p.said) / SECOND:.9g} s' if p.said else ''}"
                 for p in lacking
             )
             self.waits_for = [p.sender for p in lacking]

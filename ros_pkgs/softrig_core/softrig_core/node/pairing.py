@@ -1,4 +1,4 @@
-"""The message that a tick waits for on one topic."""
+"""What one sender has said on one topic, and the tick of it that a node waits for."""
 
 from __future__ import annotations
 
@@ -8,11 +8,16 @@ from typing import Any
 from ..model.schedule import Schedule
 from .endpoint import Input
 
-KEEP = object()  # a sporadic sender was silent: the value stays
+KEEP = object()  # a sporadic sender was silent at a tick
+BAD = object()  # what was said at a tick was refused
+AHEAD = 100_000  # messages that a sender may be ahead
 
 
 class Pairing:
-    """The awaited message of one topic.
+    """The messages of one sender on one topic, by their ticks.
+
+    A tick needs the newest one up to `want`. What comes before its time is kept: with several plants, and from outside
+    nodes, a sender may be ahead of us by some ticks.
 
     Parameters
     ----------
@@ -35,7 +40,17 @@ class Pairing:
     want : int
         Awaited stamp, ns.
     have : bool
-        Whether it is there.
+        Whether the sender has spoken up to there.
+    used : int
+        The last awaited stamp up to which the sender had spoken.
+    stamp : int or None
+        Of the value that is held.
+    reached : int
+        The tick up to which its silences and acknowledgements tell.
+    received : int
+        Number of messages so far: of those without a stamp, the tick.
+    excused : int
+        Stamp of the newest refused message that is answered: a better one that follows is too late.
     """
 
     def __init__(self, topic: str, schedule: Schedule, sender: str, item: Input, carries: bool = True,
@@ -47,14 +62,53 @@ class Pairing:
         self.carries = carries
         self.earlier = earlier
         self.port = port
-        self.want = schedule.before(0) if earlier else 0
+        self.used = self.reached = schedule.before(0)
+        self.want = self.used if earlier else 0
         self.have = earlier
         self.holds = 0  # until this time the awaited message serves
-        self.held = -1  # stamp of the value that is held
-        self.stamp: int | None = None  # of the newest message of a sporadic sender
-        self.received = 0  # by order: number of messages so far
-        self.ahead: tuple[int, Any] | None = None
-        self.between: tuple[int, Any] | None = None  # the newest message of a faster sender between two of our ticks
-        self.excused = -1  # stamp of a refused message that was answered: a better one that follows is too late
+        self.stamp: int | None = None
+        self.received = 0
+        self.excused = -1
+        self.said: dict[int, Any] = {}  # what was said at ticks that are not used yet
         self.queue: deque[bytes] = deque()  # of a sporadic sender without stamps: messages and
         self.announced: deque[int] = deque()  # the ticks at which they were sent, as they come
+
+    def may_come(self, position: int) -> bool:
+        """Whether a message of this tick of the sender is new and possible."""
+        last = self.schedule.last
+        return (
+            self.used < position and position not in self.said and self.schedule.due(position)
+            and (last is None or position <= last) and len(self.said) < AHEAD
+        )  # fmt: skip
+
+    def put(self, position: int, found: Any) -> None:
+        """Keep what was said at a tick, `KEEP` when it was nothing."""
+        if not self.port:
+            if position < self.want:
+                self.said.clear()  # of a faster sender only the newest may serve, when the run ends before its time
+            self.said[position] = found
+            return
+        # News of silence and messages overtake each other: only what is told without a gap counts.
+        self.said[position] = found
+        while (following := self.schedule.next(self.reached)) in self.said:
+            self.reached = following
+            if self.said[following] is KEEP:
+                del self.said[following]
+            elif following <= self.want:
+                self.said = {p: said for p, said in self.said.items() if p >= following}
+
+    def complete(self) -> bool:
+        """Whether the sender has spoken up to the awaited tick."""
+        return self.want <= self.used or self.want <= self.reached or (not self.port and self.want in self.said)
+
+    def take(self) -> Any:
+        """Give the newest of what was said up to the awaited tick, `KEEP` when that is nothing new; forget the rest."""
+        self.have = True
+        self.used = max(self.used, self.want)
+        found = KEEP
+        for position in sorted(p for p in self.said if p <= self.want):
+            said = self.said.pop(position)
+            if said is not KEEP:
+                found = said
+                self.stamp = position if said is not BAD else self.stamp
+        return found

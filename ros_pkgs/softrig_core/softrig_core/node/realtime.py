@@ -89,7 +89,7 @@ class Realtime(Adapter):
     def receiver(self, item: Input) -> Callable[[bytes], None]:
         """Keep the newest good values by stamp; what is due makes a block answer."""
         link = self.links.inputs.get(item.name)
-        silent = item.port.sporadic or (link is not None and link.sporadic)
+        silent = item.port.sporadic or (link is not None and link.sporadic) or item.name in self.links.free
         feed = Feed(item, self.peer(link) if link else None, not item.port.held and not silent)
         self.feeds[item.name] = feed
         self.values[item.name] = item.port.initial

@@ -47,7 +47,7 @@ class Handshake:
         node, links = self._node, self._node.links
         absent = [
             f"no publisher on {i.port.topic} (expected from {sender}{self._other_type(i)})"
-            for i, sender in self._awaited if not i.publishers
+            for i, sender in self._awaited if not i.publishers and not i.heard  # who has said all it had to say is gone
         ]  # fmt: skip
         found: list[tuple[str, str]] = []
         for peer in self._outside(absent):

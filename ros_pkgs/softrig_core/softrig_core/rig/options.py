@@ -73,10 +73,16 @@ class Links(BaseModel):
         Inputs from outside the rig that this node records, at the tick at which they take effect; absent: all.
     readers : by port name
         Nodes that must be matched before the first message.
+    free : list of str
+        Inputs from external nodes that may be silent: nobody says so, hence they take whatever comes.
+    guests : bool
+        Whether nodes of the rig are external: the first messages are said again for those that come late.
     outside : list of str
         Topics of external nodes: what the nodes behind them subscribe must be matched too.
     clock : InputLink, optional
         The node that publishes /clock, when this node paces itself by it.
+    hears_clock : bool
+        Reads /clock without need of it: an external plant may have one, and wait for its readers.
     owns_clock : bool
         Publishes /clock.
     acknowledges : bool
@@ -89,11 +95,10 @@ class Links(BaseModel):
     stride : int
         Clock ticks between those at which a block may end the run.
     acks : by node name
-        Nodes whose ticks the owner of the clock waits for, with their period in s.
+        Nodes whose ticks the owner of the clock waits for, with their period in s. With an external plant, which waits
+        for nobody but who commands it, that node waits for their ticks before its own, and a source for its readers'.
     clock_readers : list of str
         Nodes that pace themselves by /clock.
-    plants : int
-        Number of plants: with more than one, a sender may be one tick ahead.
     starter : str
         Realtime: the node that says when t = 0 is.
     starts : list of str
@@ -107,8 +112,11 @@ class Links(BaseModel):
     inputs: dict[str, InputLink] = {}
     records: list[str] | None = None
     readers: dict[str, list[str]] = {}
+    free: list[str] = []
+    guests: bool = False
     outside: list[str] = []
     clock: InputLink | None = None
+    hears_clock: bool = False
     owns_clock: bool = False
     acknowledges: bool = False
     tick_readers: list[str] = []
@@ -116,7 +124,6 @@ class Links(BaseModel):
     stride: int = 1
     acks: dict[str, str] = {}
     clock_readers: list[str] = []
-    plants: int = 1
     starter: str = ""
     starts: list[str] = []
     grid: str = ""

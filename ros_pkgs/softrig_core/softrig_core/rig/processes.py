@@ -81,25 +81,30 @@ def links(rig: Rig, member: Member) -> Links:
     paired = {
         port: InputLink(period=_seconds(link.source), node=link.source.name, at_end=link.source.schedule.at_end,
                         port=link.port.name, sporadic=link.port.sporadic)
-        for port, link in member.links.items()
+        for port, link in member.links.items() if not (link.source.external and link.port.sporadic)
     }  # fmt: skip
     tick_readers = _tick_readers(rig, member)
-    acks = {m.name: _seconds(m) for m in _acknowledging(rig)} if member is rig.clock else {}
+    pacers = _pacers(rig, member)
+    acknowledging = [m for m in _acknowledging(rig) if m is not member] if member is _gatherer(rig) else []
+    by_readers = rig.clock.external and bool(pacers or member.links)
+    clocked = member in _clocked(rig)
     return Links(
         base=_seconds(rig.clock),
         inputs=paired,
         records=_recorded_inputs(rig, member),
         readers={p.name: [m.name for m, _ in rig.readers(member, p) if not m.external] for p in member.outputs},
+        free=[name for name, k in member.links.items() if k.source.external and k.port.sporadic],
+        guests=any(m.external for m in rig.members),
         outside=[p.topic for m in rig.members if m.external for p in m.outputs if _ours(rig.readers(m, p))],
-        clock=InputLink(period=_seconds(rig.clock), node=rig.clock.name) if member in _clocked(rig) else None,
+        clock=InputLink(period=_seconds(rig.clock), node=rig.clock.name) if clocked and not by_readers else None,
+        hears_clock=clocked and by_readers,
         owns_clock=member is rig.clock,
         acknowledges=bool(tick_readers),
         tick_readers=tick_readers,
         enders={m.name: _seconds(m) for m in rig.enders if not m.external},
         stride=rig.stride,
-        acks=acks,
-        clock_readers=[m.name for m in _clocked(rig)] if member is rig.clock else [],
-        plants=sum(m.is_plant for m in rig.members),
+        acks={m.name: _seconds(m) for m in [*acknowledging, *pacers]},
+        clock_readers=[m.name for m in _clocked(rig) if not m.external] if member is rig.clock else [],
         starter=starter(rig).name,
         starts=[m.name for m in rig.members if not m.external],
         grid=str(max(m.schedule.period for m in rig.members)),
@@ -131,7 +136,9 @@ def _tick_readers(rig: Rig, member: Member) -> list[str]:
     if member in rig.enders:
         found = [m for m in rig.members if m is not member]
     else:
-        found = [rig.clock] if member in _acknowledging(rig) else []
+        gatherer = _gatherer(rig)
+        found = [gatherer] if gatherer not in (None, member) and member in _acknowledging(rig) else []
+        found += [m for m in rig.members if member in _pacers(rig, m)]
         found += [m for p in member.outputs if p.sporadic for m, _ in rig.readers(member, p)]
     return list(dict.fromkeys(m.name for m in found if not m.external))
 
@@ -139,6 +146,22 @@ def _tick_readers(rig: Rig, member: Member) -> list[str]:
 def _clocked(rig: Rig) -> list[Member]:
     """Members that pace themselves by /clock: sources, and plants that do not own it."""
     return [m for m in rig.members if m is not rig.clock and (m.is_plant or not m.links)]
+
+
+def _gatherer(rig: Rig) -> Member | None:
+    """Give the member that waits for the acknowledgements: the clock, or who commands an external one."""
+    if not rig.clock.external:
+        return rig.clock
+    senders = [k.source for k in rig.clock.links.values()]
+    return next((m for m in senders if not m.external and not m.is_plant), None)
+
+
+def _pacers(rig: Rig, member: Member) -> list[Member]:
+    """Give the readers by whose ticks a source paces itself when the clock is outside and may publish no /clock."""
+    if not rig.clock.external or member.external or member.is_plant or member.links:
+        return []
+    readers = [m for p in member.outputs for m, _ in rig.readers(member, p) if not m.external]
+    return list(dict.fromkeys(readers))
 
 
 def _acknowledging(rig: Rig) -> list[Member]:

@@ -196,7 +196,9 @@ class Rig:
         """Members that nobody waits for at each of their ticks; they acknowledge, so that nobody runs ahead of them."""
 
         def awaited(m: Member) -> bool:
-            return any(r.schedule.every <= m.schedule.every for p in m.outputs for r, _ in self.readers(m, p))
+            # what an outside node reads and waits for is not known
+            readers = [r for p in m.outputs for r, _ in self.readers(m, p) if not r.external]
+            return any(r.schedule.every <= m.schedule.every for r in readers)
 
         return [m for m in self.members if not m.is_plant and not awaited(m)]
 

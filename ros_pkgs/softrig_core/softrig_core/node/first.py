@@ -1,0 +1,41 @@
+"""A node's messages of t = 0, said again to readers that come late.
+
+An outside node announces its endpoints one by one, and nobody knows which of our topics it is going to read. As long
+as the rig stands at t = 0, who gets a new reader says its first message again; our nodes take it once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+
+from .endpoint import Output
+
+
+def repeat_first(outputs: Iterable[Output], may_repeat: Callable[[], bool]) -> None:
+    """Have outputs keep their first message and publish it again when a reader comes.
+
+    Parameters
+    ----------
+    outputs : iterable of Output
+        Advertised ones, with stamps by which a reader knows what it has.
+    may_repeat : callable
+        Whether the node is still at its first tick.
+    """
+    for output in outputs:
+        _keep(output, may_repeat)
+
+
+def _keep(output: Output, may_repeat: Callable[[], bool]) -> None:
+    send = output.publish
+    kept: list[bytes] = []
+
+    def first(data: bytes) -> None:
+        output.publish = send
+        kept.append(data)
+        send(data)
+
+    def again() -> None:
+        if kept and may_repeat():
+            send(kept[0])
+
+    output.publish, output.joined = first, again
