@@ -1,14 +1,20 @@
 """A middleware that is simulated: nodes of a rig in one process, time moved by hand, deliveries in the order of a plan.
 
-The adapters are the real ones. A message takes as long as `latency` says; writers and readers are matched from the
-start. Everything is a function of the seed.
+The adapters are the real ones. A message takes as long as `latency` says. Without `discovery` writers and readers are
+matched from the start. With it every order that DDS allows is drawn from a seed: nodes come one by one, a writer knows
+a reader before or after that reader knows the writer, the graph of each node shows an endpoint before or after either,
+a volatile message that is sent before its writer is matched is lost, nodes stall, leave and die. Everything is a
+function of the seed.
 """
 
 import heapq
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import count
 
+from softrig_core.model.solver import Solver
+from softrig_core.model.worker import Work
 from softrig_core.node.lockstep import Lockstep
 from softrig_core.node.middleware import Peer
 from softrig_core.node.realtime import Realtime
@@ -17,13 +23,16 @@ from softrig_core.rig.processes import node_parameters
 from softrig_core.wire.recording import Recording
 
 
-@dataclass
+@dataclass(eq=False)
 class Endpoint:
     node: "SimulatedNode"
     topic: str
     msgtype: str
     receive: Callable[[bytes], None] | None
     matched: Callable[[int], None]
+    born: int
+    peers: int = 0  # that are matched, as this end sees it
+    known: dict = field(default_factory=dict)  # of a writer: reader -> time from which that accepts what is sent
 
     @property
     def peer(self):
@@ -41,32 +50,117 @@ class World:
     writers: list = field(default_factory=list)
     readers: list = field(default_factory=list)
     last: dict = field(default_factory=dict)
+    discovery: "Discovery | None" = None
 
-    def at(self, t, call):
-        heapq.heappush(self.events, (t, next(self.order), call))
+    def at(self, t, call, node=None):
+        heapq.heappush(self.events, (t, next(self.order), call, node))
 
     def send(self, writer, data):
-        for reader in self.readers:
-            if reader.topic == writer.topic and reader.msgtype == writer.msgtype:
-                key = (id(writer), id(reader))  # one writer's messages never overtake each other
-                when = self.now + self.latency(writer.topic, writer.node.name, reader.node.name)
-                self.last[key] = when = max(when, self.last.get(key, 0))
-                self.at(when, lambda reader=reader: reader.receive(data))
+        if self.discovery is None:
+            readers = [(r, 0) for r in self.readers if r.topic == writer.topic and r.msgtype == writer.msgtype]
+        else:
+            readers = writer.known.items()
+        for reader, accepts in readers:
+            key = (writer, reader)  # one writer's messages never overtake each other
+            when = max(self.now + self.latency(writer.topic, writer.node.name, reader.node.name), accepts)
+            self.last[key] = when = max(when, self.last.get(key, 0))
+            self.at(when, lambda reader=reader: reader.receive(data), reader.node)
+
+    def add(self, end):
+        ends, others = (self.readers, self.writers) if end.receive else (self.writers, self.readers)
+        ends.append(end)
+        if self.discovery is not None:
+            for other in others:
+                if other.topic == end.topic and other.msgtype == end.msgtype and not other.node.dead:
+                    self.discovery.meet(*((other, end) if end.receive else (end, other)))
 
     def match(self):
+        if self.discovery is not None:
+            return
         for here, there in ((self.writers, self.readers), (self.readers, self.writers)):
             for end in here:
                 end.matched(sum(o.topic == end.topic and o.msgtype == end.msgtype for o in there))
 
     def run(self, until, stop=lambda: False):
         while self.events and self.events[0][0] <= until and not stop():
-            self.now, _, call = heapq.heappop(self.events)
+            t, order, call, node = heapq.heappop(self.events)
+            if node is not None and node.dead:
+                continue
+            if node is not None and node.stalled > t:  # a stopped process finds everything in order when it goes on
+                heapq.heappush(self.events, (node.stalled, order, call, node))
+                continue
+            self.now = t
             call()
 
 
+class Discovery:
+    """Who knows of whom from when on, drawn from a seed.
+
+    Parameters
+    ----------
+    rng : random.Random
+    longest : int
+        ns that news of an endpoint takes at most.
+    """
+
+    def __init__(self, world, rng, longest=200_000_000):
+        self.world, self.rng, self.longest = world, rng, longest
+        self._shown = {}
+        world.discovery = self
+
+    def _delay(self):
+        """Mostly soon, sometimes late: that is how orders come to differ."""
+        return self.rng.randrange(1_000, self.longest if self.rng.random() < 0.3 else self.longest // 20)
+
+    def meet(self, writer, reader):
+        now = self.world.now
+        sends, accepts = now + self._delay(), now + self._delay()
+
+        def writer_knows():
+            if not reader.node.dead:
+                writer.known[reader] = accepts
+                self._change(writer, 1)
+
+        def reader_knows():
+            if not writer.node.dead:
+                reader.known[writer] = now
+                self._change(reader, 1)
+
+        self.world.at(sends, writer_knows, writer.node)
+        self.world.at(accepts, reader_knows, reader.node)
+
+    def _change(self, end, by):
+        end.peers += by
+        end.matched(end.peers)
+
+    def shown(self, end, observer):
+        """Whether the graph of a node shows an endpoint; each endpoint is announced by itself."""
+        if end.node is observer:
+            return True
+        key = (id(end), id(observer))
+        if key not in self._shown:
+            self._shown[key] = max(end.born, observer.born) + self._delay()
+        gone = end.node.dead and self.world.now > end.node.dead + self.longest
+        return self._shown[key] <= self.world.now and not gone
+
+    def leave(self, node):
+        """A node has finished: it goes when what it sent has arrived."""
+        sent = [t for (writer, _), t in self.world.last.items() if writer.node is node]
+        self.world.at(max([self.world.now, *sent]) + self._delay(), partial(self.kill, node), node)
+
+    def kill(self, node):
+        """The node is no more; the others hear of it later, each on its own."""
+        node.dead = self.world.now
+        for end in (*self.world.writers, *self.world.readers):
+            for other in [o for o in end.known if o.node is node]:
+                del end.known[other]
+                self.world.at(self.world.now + self._delay(), partial(self._change, end, -1), end.node)
+
+
 class SimulatedTimer:
-    def __init__(self, world, ns, callback):
+    def __init__(self, world, ns, callback, node=None):
         self.world, self.callback, self.generation = world, callback, 0
+        self.node = node
         self.again(ns)
 
     def again(self, ns):
@@ -83,7 +177,7 @@ class SimulatedTimer:
                 self._arm(generation)
                 self.callback()
 
-        self.world.at(self.world.now + self.period, fire)
+        self.world.at(self.world.now + self.period, fire, self.node)
 
 
 class SimulatedNode:
@@ -92,6 +186,7 @@ class SimulatedNode:
     def __init__(self, world, name, remap):
         self.world, self.name, self.full_name, self.remap = world, name, f"/{name}", remap
         self.logs = []
+        self.dead, self.stalled, self.born = 0, 0, world.now
 
     def resolve(self, topic):
         topic = self.remap.get(topic, topic)
@@ -99,15 +194,15 @@ class SimulatedNode:
         return topic if topic.startswith("/") else f"/{topic}"
 
     def publisher(self, topic, msgtype, matched):
-        end = Endpoint(self, self.resolve(topic), msgtype, None, matched)
-        self.world.writers.append(end)
+        end = Endpoint(self, self.resolve(topic), msgtype, None, matched, self.world.now)
+        self.world.add(end)
         return lambda data: self.world.send(end, data)
 
     def subscribe(self, topic, msgtype, receive, matched):
-        self.world.readers.append(Endpoint(self, self.resolve(topic), msgtype, receive, matched))
+        self.world.add(Endpoint(self, self.resolve(topic), msgtype, receive, matched, self.world.now))
 
     def timer(self, ns, callback):
-        return SimulatedTimer(self.world, ns, callback)
+        return SimulatedTimer(self.world, ns, callback, self)
 
     def now(self):
         return self.world.now
@@ -116,22 +211,51 @@ class SimulatedNode:
         return self.world.now / 1e9
 
     def publishers(self, topic):
-        return [w.peer for w in self.world.writers if w.topic == self.resolve(topic)]
+        return [w.peer for w in self._seen(self.world.writers) if w.topic == topic]
 
     def subscribers(self, topic):
-        return [r.peer for r in self.world.readers if r.topic == self.resolve(topic)]
+        return [r.peer for r in self._seen(self.world.readers) if r.topic == topic]
+
+    def _seen(self, ends):
+        discovery = self.world.discovery
+        return ends if discovery is None else [e for e in ends if discovery.shown(e, self)]
 
     def subscriptions_of(self, peer):
-        return [r.topic for r in self.world.readers if r.node.name == peer.name]
+        return [r.topic for r in self._seen(self.world.readers) if r.node.name == peer.name]
 
     def types(self, topic):
-        return sorted({e.msgtype for e in self.world.writers + self.world.readers if e.topic == self.resolve(topic)})
+        return sorted({e.msgtype for e in self._seen(self.world.writers + self.world.readers) if e.topic == topic})
 
     def log(self, level, text):
         self.logs.append((level, text))
 
     def drain(self):
         pass
+
+
+class SimulatedWorker:
+    """Works on requests of a solver for some simulated time; see `softrig_core.model.worker.Worker`."""
+
+    def __init__(self, world, solve, takes=30_000_000):
+        self.world, self.solve, self.takes = world, solve, takes
+        self.state, self.status, self.has_best, self.begun = "idle", {}, False, 0
+
+    def warm(self):
+        pass
+
+    def submit(self, request):
+        self.answer = self.solve(request, Work(lambda *said: None))
+        self.state, self.begun = "working", self.world.now
+        self.world.at(self.world.now + self.takes, self._done)
+
+    def _done(self):
+        self.state = "done"
+
+    def elapsed(self):
+        return (self.world.now - self.begun) / 1e9
+
+    def cancel(self):
+        self.state = "idle"
 
 
 class _Sink:
@@ -146,30 +270,63 @@ class _Sink:
 
 
 class SimulatedRig:
-    """All nodes of a rig, each with its real adapter."""
+    """All nodes of a rig, each with its real adapter.
 
-    def __init__(self, rig, world, mode, seed=0, without=(), **options):
+    Parameters
+    ----------
+    rig : Rig
+    world : World
+    mode : str
+    seed : int
+        Rig seed.
+    without : sequence of str
+        Nodes that are not started.
+    departs : bool
+        In real time: t = 0 is when all are up, as in a run, instead of a second after the start.
+    after : callable, optional
+        Node name to ns after which it is started.
+    **options
+        ``run.*`` parameters of all nodes.
+    """
+
+    def __init__(self, rig, world, mode, seed=0, without=(), departs=False, after=None, **options):
         self.rig, self.world = rig, world
         self.recording = Recording((t, p.msgtype) for t, p in rig.topics.items())
         slowest = max((m.schedule for m in rig.members), key=lambda s: s.period)
-        self.epoch = slowest.held(world.now + 1_000_000_000) if mode == "realtime" else 0
+        self.epoch = slowest.held(world.now + 1_000_000_000) if mode == "realtime" and not departs else 0
+        self.expected = sum(m.name not in without and not m.external for m in rig.members)
         self.adapters, self.nodes = {}, {}
         for member in rig.members:
-            if member.name in without:
+            if member.name in without or member.external:
                 continue
-            given = {k.removeprefix("run."): v for k, v in node_parameters(rig, member, seed, mode).items()
-                     if k.startswith("run.")}  # fmt: skip
-            given |= {"epoch": self.epoch, **options}
-            node = self.nodes[member.name] = SimulatedNode(world, member.name, member.remap)
-            kind = Lockstep if mode == "lockstep" else Realtime
-            sink = _Sink.__new__(_Sink)
-            adapter = kind(node, member.block(seed), RunOptions(**given), sink)
-            sink.__init__(self.recording, adapter.recorded)
-            self.adapters[member.name] = adapter
+            if after is None:
+                self._start(member, mode, seed, options)
+            else:
+                world.at(world.now + after(member.name), partial(self._start, member, mode, seed, options))
+
+    def _start(self, member, mode, seed, options):
+        rig, world = self.rig, self.world
+        given = {k.removeprefix("run."): v for k, v in node_parameters(rig, member, seed, mode).items()
+                 if k.startswith("run.")}  # fmt: skip
+        given |= {"epoch": self.epoch, **options}
+        node = SimulatedNode(world, member.name, member.remap)
+        kind = Lockstep if mode == "lockstep" else Realtime
+        sink = _Sink.__new__(_Sink)
+        adapter = kind(node, member.block(seed), RunOptions(**given), sink)
+        sink.__init__(self.recording, adapter.recorded)
+        if world.discovery is not None:
+            adapter.on_finished = partial(world.discovery.leave, node)
+        if isinstance(adapter.block, Solver):
+            adapter.block._worker = SimulatedWorker(world, type(adapter.block).solve)
+        self.nodes[member.name], self.adapters[member.name] = node, adapter
+
+    def _ended(self):
+        over = [self.nodes[name].dead or a.state in ("done", "failed") for name, a in self.adapters.items()]
+        return len(over) == self.expected and all(over)
 
     def run(self, seconds=None):
         seconds = self.rig.end / 1e9 + 20.0 if seconds is None else seconds
         self.world.match()
         until = self.world.now + round(seconds * 1e9)
-        self.world.run(until, lambda: all(a.state in ("done", "failed") for a in self.adapters.values()))
+        self.world.run(until, self._ended)
         return {name: a.state for name, a in self.adapters.items()}

@@ -54,6 +54,7 @@ def test_processes_and_open_loop_give_what_in_process_gives(name, tmp_path):
     outcome = run_processes(wired, 0, tmp_path)
     assert outcome.error == ""
     assert differences(expected, outcome.recording) == []
+    assert not any(s["refused"] for s in outcome.status.values())
     assert gaps(wired, expected) == ""
 
 

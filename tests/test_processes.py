@@ -46,6 +46,19 @@ RIGS = {
         1.0,
     ),
     "delayed link": ({"plant": "plant", "source": "source", "link": "link", "gain": "late_gain"}, 1.0),
+    "three plants, one of which has a slow law": (
+        {
+            **BASIC,
+            "second": {"executable": "plant", "parameters": {"period": 0.03},
+                       "remap": {"lag/state": "second/state", "lag/applied": "second/applied"}},
+            "third": {"executable": "plant", "parameters": {"period": 0.02},
+                      "remap": {"lag/state": "third/state", "lag/applied": "third/applied",
+                                "lag/command": "third/command"}},
+            "law": {"executable": "dawdler", "parameters": {"period": 0.02},
+                    "remap": {"lag/state": "third/state", "lag/command": "third/command"}},
+        },
+        0.3,
+    ),
     "two plants": (
         {
             "plant": "plant", "source": "source", "gain": "gain",
@@ -403,6 +416,8 @@ def test_a_link_loses_a_refused_measurement_and_the_run_goes_on(tmp_path):
         outside = []
 
         def announce(text):
+            if outside:
+                return
             command = [sys.executable, "-c", PLANT.replace("BAD", "10")]
             outside.append(subprocess.Popen(command, env=environment(domain, tmp_path)))
 

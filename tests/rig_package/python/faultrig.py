@@ -99,6 +99,14 @@ class Watcher(Observer):
         return {"seen": (float(self.seen), "")}
 
 
+class Dawdler(Gain):
+    """Takes longer than its peers."""
+
+    def update(self, t, state, reference):
+        time.sleep(0.005)
+        return super().update(t, state, reference)
+
+
 class FaultParams(BlockParams):
     at: float = param(0.5, "time of the fault", "s", ge=0.0)
 
@@ -292,6 +300,7 @@ gain = executable(Gain)
 outer = executable(Outer)
 watcher = executable(Watcher)
 killed = executable(Killed)
+dawdler = executable(Dawdler)
 link = executable(DelayedLink)
 late_gain = executable(LateGain)
 burst = executable(Burst)

@@ -1,0 +1,87 @@
+"""Somebody else's node in the simulated middleware: it knows topics, types and stamps, nothing of softrig."""
+
+from functools import partial
+
+from simulated import SimulatedNode, SimulatedTimer
+from softrig_core.model.port import Port
+
+
+class SimulatedOutside:
+    """Somebody else's node in place of ours: it says what ours would say when a topic that it reads calls for it.
+
+    Parameters
+    ----------
+    member : Member
+        Whose place it takes.
+    said : Recording
+        Of a run with all nodes ours: what it is to say.
+    world : World
+    reads : sequence of Port
+        The topics that it reads; the fastest one calls for its answers. None: /clock.
+    pause : callable
+        Gives the ns between making its endpoints, one after the other.
+    """
+
+    def __init__(self, rig, member, said, world, reads, pause=lambda: 0, name=None):
+        self.member, self.world = member, world
+        self.node = SimulatedNode(world, name or f"others_{member.name}", {})
+        self.said = {p.topic: said.topics[p.topic] for p in member.outputs}
+        self.next = dict.fromkeys(self.said, 0)
+        self.writers, self.needs, self.heard = {}, {}, set()
+        links = {p.topic: member.links[p.name] for p in reads}
+        calls = min(reads, key=lambda p: links[p.topic].source.schedule.every, default=None)
+        steps = [partial(self._offer, p, len(rig.readers(member, p))) for p in member.outputs]
+        if calls is None:
+            self.caller, every = rig.clock.schedule, Port("clock", "/clock", "rosgraph_msgs/msg/Clock")
+            steps.append(partial(self._listen, every, every))
+        else:
+            self.caller = links[calls.topic].source.schedule
+            steps += [partial(self._listen, p, calls) for p in reads]
+        at = world.now
+        for step in steps:
+            at += pause()
+            world.at(at, step, self.node)
+        if member.is_plant:
+            self.starter = SimulatedTimer(world, 100_000_000, self._start, self.node)
+
+    def _offer(self, port, readers):
+        counts = self.needs.setdefault(port.topic, [readers, 0])
+
+        def matched(count):
+            counts[1] = count
+
+        self.writers[port.topic] = self.node.publisher(port.topic, port.msgtype, matched)
+
+    def _listen(self, port, calls):
+        self.heard.add(port.topic)
+        count = iter(range(10**9))
+        by_order = port.delayed or not (port.stamped or port.topic == "/clock")
+
+        def receive(data):
+            if port is calls:
+                self._called(self.caller.time(next(count)) if by_order else _stamp(data))
+
+        self.node.subscribe(port.topic, port.msgtype, receive, lambda count: None)
+
+    def _start(self):
+        if len(self.writers) == len(self.said) and all(there >= n for n, there in self.needs.values()) and self.heard:
+            for topic, record in self.said.items():  # again until somebody answers
+                self.next[topic] = 1
+                self.writers[topic](bytes(record.data[0]))
+
+    def _called(self, t):
+        if self.member.is_plant:
+            self.starter.cancel()
+        following = self.caller.next(t)
+        self._say(following if self.member.is_plant else following - 1)
+
+    def _say(self, until):
+        for topic, record in self.said.items():
+            while self.next[topic] < len(record.times) and record.times[self.next[topic]] <= until:
+                data = record.data[self.next[topic]]
+                self.next[topic] += 1
+                self.writers[topic](bytes(data))
+
+
+def _stamp(data):
+    return int.from_bytes(data[4:8], "little") * 1_000_000_000 + int.from_bytes(data[8:12], "little")
