@@ -20,7 +20,6 @@ from softrig_core.rig.rig import Rig
 from softrig_core.rig.scenario import load_scenario
 from softrig_core.wire import signals
 from softrig_core.wire.recording import Recording
-from softrig_drives.induction_dtc import bench as induction
 
 SCRIPTS = Path(__file__).parents[1] / "scripts"
 
@@ -322,27 +321,6 @@ def test_every_import_is_declared(package):
     manifest = (folder / "package.xml").read_text()
     missing = {KEYS.get(name, name) for name in used if f"<exec_depend>{KEYS.get(name, name)}</" not in manifest}
     assert not missing, f"{package}/package.xml does not declare {', '.join(sorted(missing))}"
-
-
-@pytest.mark.long
-def test_bench_of_the_systems_prints_a_row_for_each_work(capsys):
-    from softrig_bringup.bench_systems import works
-
-    assert main(["bench", "systems"]) == 0
-    printed = capsys.readouterr().out
-    assert [w.what for w in works() if w.what not in printed] == []
-    assert "yardstick: a million additions" in printed
-
-
-def test_both_ways_to_the_induction_bench_print_the_same_table(monkeypatch, capsys):
-    times = {"ours": 0.5, "theirs": 2.0, "absent": None}
-    monkeypatch.setattr(induction, "simulated_second", lambda python: times)
-    monkeypatch.setattr(induction, "agreement", lambda python: (1e-9, 2e-8))
-    induction.print_table()
-    table = capsys.readouterr().out
-    assert [line.split()[-2] for line in table.splitlines()[:2]] == ["1.0", "4.0"]
-    assert main(["bench", "induction"]) == 0
-    assert table in capsys.readouterr().out
 
 
 def test_an_error_of_our_own_is_one_line_and_a_log(monkeypatch, tmp_path, capsys):

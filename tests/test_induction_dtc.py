@@ -1,8 +1,6 @@
 """Induction motor under direct torque control: the acceptance, the model, the laws, bad input."""
 
 import math
-import sys
-from importlib.util import find_spec
 from itertools import groupby
 
 import numpy as np
@@ -23,10 +21,10 @@ from softrig_core.rig.figures import evaluate
 from softrig_core.rig.inprocess import run_inprocess
 from softrig_core.rig.rig import Rig
 from softrig_core.rig.scenario import Scenario, list_scenarios, load_scenario
+from softrig_core.rig.simulate import rig_of
 from softrig_core.wire.cdr import Layout
 from softrig_core.wire.codec import Decoder
 from softrig_core.wire.signals import Signals
-from softrig_drives.induction_dtc import bench
 from softrig_drives.induction_dtc.adc import AdcParams, Converter
 from softrig_drives.induction_dtc.dtc import DtcController
 from softrig_drives.induction_dtc.estimator import EstimatorParams, make_estimator
@@ -214,9 +212,10 @@ def test_electrical_part_at_standstill_is_the_matrix_exponential():
 
 
 def test_virtual_machine_gives_the_same_bits_as_compiled_code(monkeypatch):
-    native = run_inprocess(bench.drive(0.3), 1)["im_plant"]
+    rig = rig_of("induction_dtc").changed(duration=0.3)
+    native = run_inprocess(rig, 1)["im_plant"]
     monkeypatch.setattr(compiled, "build", lambda function: None)
-    assert run_inprocess(bench.drive(0.3), 1)["im_plant"].state == native.state
+    assert run_inprocess(rig, 1)["im_plant"].state == native.state
 
 
 @given(st.floats(-15.9, 15.9), st.sampled_from([8, 10, 16]))
@@ -412,23 +411,6 @@ def test_flux_error_is_drawn_as_a_difference(monkeypatch, tmp_path):
         expected = signals[f"flux_estimate/{axis}"].x - signals[f"flux_true/{axis}"].x[:-1]
         np.testing.assert_array_equal(line.get_ydata(), expected)
         assert expected[-1] > 0.004
-
-
-def test_bench_tells_when_a_peer_is_missing_and_when_it_fails(tmp_path):
-    assert [tuple(map(int, v)) for v in VECTORS] == bench.LEGS
-    for name, command in (("bare", f'exec {sys.executable} -I -S "$@"'), ("broken", "echo 'no such case' >&2; exit 2")):
-        python = tmp_path / name
-        python.write_text(f"#!/bin/sh\n{command}\n")
-        python.chmod(0o755)
-    assert bench.peer("motulator", [1] * 20, str(tmp_path / "bare")) is None
-    with pytest.raises(RuntimeError, match="motulator: no such case"):
-        bench.peer("motulator", [1] * 20, str(tmp_path / "broken"))
-
-
-@pytest.mark.skipif(find_spec("motulator") is None, reason="motulator is not installed")
-def test_the_peer_integrates_the_same_voltage():
-    found = bench.peer("motulator", [1] * 20)
-    assert found["psi_alpha"] == pytest.approx(540 * 2 / 3 * T_S * found["periods"], rel=0.01)
 
 
 # bad input

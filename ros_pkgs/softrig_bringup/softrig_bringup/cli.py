@@ -91,6 +91,7 @@ _SCRIPT = {
     "setup": "only set up what is missing: .venv from the lock file, .ws by colcon",
     "env": 'print the environment, for a shell of your own: eval "$(scripts/softrig env)"',
     "python": "the Python of the set-up, with everything importable: scripts/softrig python my_script.py",
+    "bench": "what the suite costs, as ratios to baselines of the same run; --help names its parts",
 }
 
 
@@ -164,8 +165,6 @@ def _parser() -> argparse.ArgumentParser:
     new.add_argument("--into", type=Path, default=Path(), metavar="DIR", help="where its folder is made (here)")
     completion = verb("completion", _completion, 'completion for bash: eval "$(scripts/softrig completion)"')
     completion.add_argument("--words", nargs=argparse.REMAINDER, help=argparse.SUPPRESS)
-    bench = verb("bench", _bench, "measure: ratios against a raw ping-pong of the same run")
-    bench.add_argument("parts", nargs="*", metavar="PART", help="which parts (default all); `bench list` names them")
     for name, (_, _, text) in _FOREIGN.items():
         verbs.add_parser(name, help=text)
     for name, text in _SCRIPT.items():
@@ -176,7 +175,7 @@ def _parser() -> argparse.ArgumentParser:
 def _script(options: argparse.Namespace) -> int:
     from softrig_core.errors import ScenarioError
 
-    raise ScenarioError("setup, env and python are verbs of scripts/softrig, which has not been used here")
+    raise ScenarioError(f"{', '.join(_SCRIPT)} are verbs of scripts/softrig, which has not been used here")
 
 
 def _new(options: argparse.Namespace) -> int:
@@ -391,9 +390,3 @@ def _golden(options: argparse.Namespace) -> int:
     from .golden import main as golden
 
     return golden(options.names, options.bags, duration=options.duration, seed=options.seed, check=options.check)
-
-
-def _bench(options: argparse.Namespace) -> int:
-    from .bench import main as bench
-
-    return bench(options.parts)

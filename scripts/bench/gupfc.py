@@ -1,28 +1,20 @@
-"""Time of plant, controllers and power flow. A tool, not a node: ``softrig node softrig_power gupfc_bench``."""
+"""Time of the GUPFC's plant, rig and power flow."""
 
 from __future__ import annotations
 
-import argparse
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import partial
 
 from softrig_core.rig.simulate import rig_of, simulate
+from softrig_power.gupfc.network import NetworkParams
+from softrig_power.gupfc.plant import GupfcPlant
+from softrig_power.gupfc.power_flow import PowerFlow, References
+from softrig_power.gupfc.series import SeriesController
+from softrig_power.gupfc.shunt import ShuntController
 
-from .network import NetworkParams
-from .plant import GupfcPlant
-from .power_flow import PowerFlow, References
-from .series import SeriesController
-from .shunt import ShuntController
+from .timing import cpu
 
 PERIODS = 4320  # 1.5 s
-
-
-def cpu(call: Callable[[], object]) -> float:
-    """Give the CPU time of a call in s."""
-    begin = time.process_time()
-    call()
-    return time.process_time() - begin
 
 
 def steady(waveform: str) -> Callable[[], None]:
@@ -42,9 +34,8 @@ def steady(waveform: str) -> Callable[[], None]:
     return run
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Print the table."""
-    argparse.ArgumentParser(prog="gupfc_bench", description="CPU time of the GUPFC rig.").parse_args(arguments)
+def print_table() -> None:
+    """1.5 s of the GUPFC's plant and of its rig, and one power flow, CPU time."""
     print("1.5 simulated seconds, 69,120 steps of the circuit, 4,320 control periods")
     for waveform in ("average", "pulse"):
         seconds = cpu(steady(waveform))
@@ -57,4 +48,3 @@ def main(arguments: Sequence[str] | None = None) -> int:
     solver = PowerFlow(NetworkParams())
     seconds = cpu(lambda: [solver.solve(References()) for _ in range(100)])
     print(f"power flow from a flat start       {10.0 * seconds:7.2f} ms")
-    return 0

@@ -2,27 +2,18 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 
-from . import collocation
-from .exact import tpbvp
-from .mvim import solve
-from .problem import find
+from softrig_systems.optimal_control import collocation
+from softrig_systems.optimal_control.exact import tpbvp
+from softrig_systems.optimal_control.mvim import solve
+from softrig_systems.optimal_control.problem import find
 
-
-def least(work: Callable[[], object], times: int = 7) -> float:
-    """Least CPU time of several calls, s."""
-    best = float("inf")
-    for _ in range(times):
-        begin = time.process_time()
-        work()
-        best = min(best, time.process_time() - begin)
-    return best
+from .timing import least
 
 
 def print_table() -> None:
-    """Print a row a method; the first call of each, which sets it up, is not counted."""
+    """One plan for the spacecraft by series, collocation and as a boundary value problem, CPU time."""
     problem = find("spacecraft")
     whole = collocation.solve(problem)
     later = problem.changed(x0=whole.rows[:3, 10].tolist(), horizon=90.0)
@@ -36,5 +27,4 @@ def print_table() -> None:
     }
     print("optimal control of the spacecraft, CPU time of a solve")
     for name, work in rows.items():
-        work()
-        print(f"  {name:40s} {1e3 * least(work):8.2f} ms")
+        print(f"  {name:40s} {1e3 * least(work, 7):8.2f} ms")

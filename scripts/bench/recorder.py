@@ -14,13 +14,15 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from rich.console import Console
 from rich.table import Table
+from softrig_bags.stamps import stamp
 from softrig_core.model.timebase import SECOND
 from softrig_core.node.leave import leave
 from softrig_core.rig.domain import free_domain
 from softrig_core.rig.processes import environment
 from softrig_core.wire.cdr import Layout
+
+from .console import console
 
 TOPIC, STATE = "bench", "sensor_msgs/msg/JointState"
 STAGE = 0.5  # s of publishing at each rate
@@ -44,8 +46,8 @@ class Rate:
     lossy: float
 
 
-def recorder_rate(console: Console) -> None:
-    """Measure and print, for two message sizes."""
+def recorder_rate() -> None:
+    """The recorder node: messages and MB a second without loss, against a bare raw subscription."""
     for name, (channels, rates) in SIZES.items():
         heads = (f"{name}, reliable, depth 10", "messages/s", "MB/s", "of the bare one", "losses from messages/s on")
         table = Table(*heads, box=None, pad_edge=False)
@@ -70,7 +72,7 @@ def _measure(channels: int, rates: Sequence[int], listen: Listener) -> Rate:
         listener, counts = listen(Path(folder), variables)
         try:
             publisher = subprocess.run(
-                [sys.executable, "-m", __name__, "publish", str(channels), *map(str, rates)],
+                [sys.executable, "-m", "bench.recorder", "publish", str(channels), *map(str, rates)],
                 env=variables, capture_output=True, text=True, check=True, timeout=120,
             )  # fmt: skip
             listener.send_signal(signal.SIGINT)
@@ -89,7 +91,7 @@ def _measure(channels: int, rates: Sequence[int], listen: Listener) -> Rate:
 
 
 def _bare(folder: Path, variables: dict[str, str]) -> tuple[subprocess.Popen[str], Callable[[str], Counter[int]]]:
-    command = [sys.executable, "-m", __name__, "listen"]
+    command = [sys.executable, "-m", "bench.recorder", "listen"]
     process = subprocess.Popen(command, env=variables, stdout=subprocess.PIPE, text=True)
     return process, lambda output: Counter({int(k): v for k, v in json.loads(output).items()})
 
@@ -97,8 +99,7 @@ def _bare(folder: Path, variables: dict[str, str]) -> tuple[subprocess.Popen[str
 def _record(
     options: Sequence[str], folder: Path, variables: dict[str, str]
 ) -> tuple[subprocess.Popen[str], Callable[[str], Counter[int]]]:
-    from .reader import BagReader
-    from .stamps import stamp
+    from softrig_bags.reader import BagReader
 
     bag = folder / "bag"
     command = [sys.executable, "-c", "import sys; from softrig_bags.cli import main_record; sys.exit(main_record())",
@@ -118,7 +119,7 @@ def _publish(channels: int, rates: Sequence[int]) -> None:
     from rclpy.qos import QoSProfile
     from softrig_core.node.messages import message_class
 
-    from .ros import Session
+    from softrig_bags.ros import Session
 
     session = Session("bench_publisher", [])
     publisher = session.node.create_publisher(message_class(STATE), TOPIC, QoSProfile(depth=10))
@@ -147,8 +148,7 @@ def _listen() -> None:
     from rclpy.qos import QoSProfile
     from softrig_core.node.messages import message_class
 
-    from .ros import Session, subscription_profile
-    from .stamps import stamp
+    from softrig_bags.ros import Session, subscription_profile
 
     session = Session("bench_listener", [])
     received: Counter[int] = Counter()

@@ -1,19 +1,19 @@
-"""Time of a control step and of the plant. A tool, not a node: ``softrig node softrig_power rectifier_bench``."""
+"""Time of the rectifier's control step and plant."""
 
 from __future__ import annotations
 
-import argparse
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from softrig_control.predictive.qp import make_solver
+from softrig_power.rectifier.controller import RectifierGpc
+from softrig_power.rectifier.parameters import RectifierConstants
+from softrig_power.rectifier.plant import RectifierPlant
 
-from .controller import RectifierGpc
-from .parameters import RectifierConstants
-from .plant import RectifierPlant
+from .timing import cpu
 
 NS = 830_000
 LAWS: dict[str, dict[str, Any]] = {
@@ -60,25 +60,29 @@ def plant(values: dict[str, Any], periods: int) -> float:
     """CPU time in s for one simulated second."""
     block, drop = RectifierPlant(**values), RectifierConstants().drop
     block.advance(0, command=(drop,), events=None)
-    begin = time.process_time()
-    for k in range(1, periods):
-        block.outputs(k * NS)
-        block.advance(k * NS, command=(drop,), events=None)
-    return (time.process_time() - begin) / ((periods - 1) * NS * 1e-9)
+
+    def run() -> None:
+        for k in range(1, periods):
+            block.outputs(k * NS)
+            block.advance(k * NS, command=(drop,), events=None)
+
+    return cpu(run) / ((periods - 1) * NS * 1e-9)
 
 
-def main(args: Sequence[str] | None = None) -> int:
-    """Print the table."""
-    parser = argparse.ArgumentParser(prog="rectifier_bench", description=main.__doc__)
-    parser.add_argument("--steps", type=int, default=3000)
-    given = parser.parse_args(args)
+def print_table(steps: int = 3000) -> None:
+    """A step of the rectifier's laws and of their solvers alone; one simulated second of its plants.
+
+    Parameters
+    ----------
+    steps : int
+        How many steps are timed.
+    """
     print(f"{'control step of the block':30}{'median us':>12}{'99 % us':>12}")
     for name, values in LAWS.items():
-        print("{:30}{:12.1f}{:12.1f}".format(name, *control_step(values, given.steps)))
+        print("{:30}{:12.1f}{:12.1f}".format(name, *control_step(values, steps)))
     print(f"{'programme alone, 2 moves':30}{'median us':>12}{'99 % us':>12}")
     for solver in ("daqp", "osqp", "qpoases"):
-        print("{:30}{:12.1f}{:12.1f}".format(solver, *programme(solver, given.steps)))
+        print("{:30}{:12.1f}{:12.1f}".format(solver, *programme(solver, steps)))
     print(f"{'plant':30}{'CPU s per simulated s':>24}")
     for name, values in PLANTS.items():
-        print(f"{name:30}{plant(values, max(2, given.steps // 5)):24.3f}")
-    return 0
+        print(f"{name:30}{plant(values, max(2, steps // 5)):24.3f}")

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
-from rich.console import Console
 from rich.table import Table
+
+from .console import console
+from .gupfc import steady
+from .timing import cpu
 
 ROUNDS = 3
 LONG = 2.0  # s of CPU from which a work is not repeated
@@ -37,8 +39,8 @@ class Work(NamedTuple):
     simulated: float = 0.0
 
 
-def print_table(console: Console) -> None:
-    """Print the CPU time of each work, as ratio to real time or to a fixed piece of Python of the same run."""
+def print_table() -> None:
+    """Plants alone, controller steps, searches and proofs: CPU time to real time and to a fixed piece of Python."""
     base = min(cpu(yardstick) for _ in range(5))
     table = Table("system", "work", "CPU ms", "x real time", "of yardstick", box=None, pad_edge=False)
     for work in works():
@@ -59,13 +61,6 @@ def yardstick() -> float:
     for _ in range(1_000_000):
         x += 1.0
     return x
-
-
-def cpu(call: Callable[[], object]) -> float:
-    """Give the CPU time of a call in s."""
-    begin = time.process_time()
-    call()
-    return time.process_time() - begin
 
 
 def works() -> Iterator[Work]:
@@ -115,10 +110,8 @@ def _rectifier() -> Iterator[Work]:
 
 
 def _gupfc() -> Iterator[Work]:
-    from softrig_power.gupfc import bench
-
     for waveform in ("average", "pulse"):
-        yield Work("gupfc", f"plant alone, {waveform}", bench.steady(waveform), 1, 1.5)
+        yield Work("gupfc", f"plant alone, {waveform}", steady(waveform), 1, 1.5)
 
 
 def _dispatch() -> Iterator[Work]:

@@ -1,4 +1,4 @@
-"""The two sides of a bare rclpy ping-pong, each in its own process: ``python -m softrig_bringup.bench_peers``.
+"""The two sides of a bare rclpy ping-pong, each in its own process: ``python -m bench.ping_pong``.
 
 ``bytes``: EventsExecutor and serialized bytes, about as fast as bare Fast DDS. ``objects``: what people usually
 write, message objects and rclpy.spin (SingleThreadedExecutor).
@@ -128,4 +128,5 @@ def _ping(node: Node, send: Any, loops: int, done: Future[None], publisher: Any,
     timer = node.create_timer(0.3, start)
 
 
-main()
+if __name__ == "__main__":
+    main()

@@ -7,7 +7,6 @@ import os
 import statistics
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
@@ -18,7 +17,8 @@ from softrig_core.rig.scenario import load_scenario
 from softrig_core.wire.recording import Recording
 from softrig_core.wire.signals import Signals
 
-from .bench_peers import LEGS
+from .induction_peers import LEGS
+from .timing import cpu
 
 ROUNDS = 3
 _OURS = ("PYTHONPATH", "LD_LIBRARY_PATH", "VIRTUAL_ENV", "_ROS_WHEELS_BOOTSTRAP_COMPLETE")  # not for another Python
@@ -46,7 +46,7 @@ def switching(seconds: float) -> tuple[list[int], Signals]:
 
 
 def peer(name: str, vectors: list[int], python: str = sys.executable) -> Mapping[str, float] | None:
-    """Run one case of `bench_peers` with the given Python.
+    """Run one case of `induction_peers` with the given Python.
 
     Returns
     -------
@@ -55,7 +55,7 @@ def peer(name: str, vectors: list[int], python: str = sys.executable) -> Mapping
     """
     clean = {k: v for k, v in os.environ.items() if k not in _OURS}
     done = subprocess.run(
-        [python, str(Path(__file__).with_name("bench_peers.py")), name], input=json.dumps(vectors), text=True,
+        [python, str(Path(__file__).with_name("induction_peers.py")), name], input=json.dumps(vectors), text=True,
         capture_output=True, env=clean, check=False,
     )  # fmt: skip
     if done.returncode and "ModuleNotFoundError" in done.stderr:
@@ -94,8 +94,8 @@ def simulated_second(python: str = sys.executable) -> dict[str, float | None]:
     rig = drive(1.0)
     topics = [(t, p.msgtype) for t, p in rig.topics.items()]
     results: dict[str, float | None] = {
-        "softrig in process": _cpu(lambda: run_inprocess(rig, 1)),
-        "softrig in process, everything recorded": _cpu(lambda: run_inprocess(rig, 1, Recording(topics))),
+        "softrig in process": _median(lambda: run_inprocess(rig, 1)),
+        "softrig in process, everything recorded": _median(lambda: run_inprocess(rig, 1, Recording(topics))),
     }
     vectors, _ = switching(1.0)
     for name, title in PEERS.items():
@@ -104,24 +104,16 @@ def simulated_second(python: str = sys.executable) -> dict[str, float | None]:
     return results
 
 
-def _cpu(function: Callable[[], object]) -> float:
-    """Give the median CPU time of a call in s."""
-    times = []
-    for _ in range(ROUNDS):
-        start = time.process_time()
-        function()
-        times.append(time.process_time() - start)
-    return statistics.median(times)
+def _median(call: Callable[[], object]) -> float:
+    return statistics.median(cpu(call) for _ in range(ROUNDS))
 
 
-def print_table(python: str = sys.executable) -> None:
-    """Print the times and how far motulator ends from ours: ``python -m softrig_drives.induction_dtc.bench [PYTHON]``.
+def print_table() -> None:
+    """One simulated second of the induction motor drive beside motulator and gym-electric-motor, where installed.
 
-    Parameters
-    ----------
-    python : str
-        Interpreter that may have motulator and gym-electric-motor.
+    ``SOFTRIG_PEERS`` in the environment: an interpreter that has them.
     """
+    python = os.environ.get("SOFTRIG_PEERS", sys.executable)
     results = simulated_second(python)
     ours = next(iter(results.values())) or 0.0
     for name, seconds in results.items():
@@ -131,7 +123,3 @@ def print_table(python: str = sys.executable) -> None:
         print(
             "motulator ends {:.1e} Wb and {:.1e} rad/s from ours after 0.75 s of the same switching".format(*distance)
         )
-
-
-if __name__ == "__main__":
-    print_table(*sys.argv[1:])

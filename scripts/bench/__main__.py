@@ -1,0 +1,46 @@
+"""What the suite costs: `scripts/softrig bench [PART...]`. Ratios to baselines of the same run, as machines differ."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from collections.abc import Callable, Sequence
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # before numpy, as the command line does
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+from . import fault_location, gupfc, induction, loop, optimal_control, recorder, rectifier, rigs, systems  # noqa: E402
+from .console import console  # noqa: E402
+
+PARTS: dict[str, Callable[[], None]] = {
+    "loop": loop.loop, "tick": loop.tick, "recording": loop.recording, "inprocess": rigs.inprocess,
+    "processes": loop.processes, "bags": recorder.recorder_rate, "rigs": rigs.rigs, "containers": rigs.containers,
+    "systems": systems.print_table, "induction": induction.print_table, "fault_location": fault_location.print_table,
+    "gupfc": gupfc.print_table, "rectifier": rectifier.print_table, "optimal_control": optimal_control.print_table,
+}  # fmt: skip
+
+
+def about(part: str) -> str:
+    """What a part measures: the first line of what its function says."""
+    return (PARTS[part].__doc__ or "").splitlines()[0]
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the named parts, all when none is named."""
+    lines = "\n".join(f"  {part:17}{about(part)}" for part in PARTS)
+    parser = argparse.ArgumentParser(prog="scripts/softrig bench", description=(__doc__ or "").splitlines()[0],
+                                     epilog=f"parts:\n{lines}",
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)  # fmt: skip
+    parser.add_argument("parts", nargs="*", metavar="PART", help="which of those below (default: all)")
+    parts = parser.parse_args(arguments).parts
+    unknown = [part for part in parts if part not in PARTS]
+    if unknown:
+        parser.error(f"no part {', '.join(unknown)}; there are {', '.join(PARTS)}")
+    for part in parts or PARTS:
+        console.print(f"\n[bold]{part}[/]: {about(part)}")
+        PARTS[part]()
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

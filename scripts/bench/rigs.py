@@ -1,0 +1,118 @@
+"""All rigs in process, and their ticks a second in every placement."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from rich.table import Table
+from softrig_core.errors import ScenarioError
+from softrig_core.model.block import Block
+from softrig_core.rig.inprocess import run_inprocess
+from softrig_core.rig.processes import placed, run_processes
+from softrig_core.rig.rig import Member, Rig
+from softrig_core.rig.scenario import list_scenarios, load_scenario
+from softrig_core.wire.recording import Recording
+
+from .console import console
+from .loop import dc_motor_rig
+from .timing import cpu
+
+
+def inprocess() -> None:
+    """Block updates a second of the DC motor rig in one process, with and without recording."""
+    rig = dc_motor_rig(1, 20_000)
+    updates = 2 * 20_000
+    for name, sink in (("no recording", None), ("recording", Recording((t, p.msgtype) for t, p in rig.topics.items()))):
+        start = time.perf_counter()
+        run_inprocess(rig, 0, sink)
+        console.print(f"{name}: {updates / (time.perf_counter() - start):,.0f} block updates/s")
+
+
+def rigs() -> None:
+    """CPU time of each rig in process: simulated against real time, and how a tick splits between plant and laws."""
+    table = Table("scenario", "simulated s", "CPU s", "x real time", "ticks/s", "plant us", "laws us", "runner us",
+                  box=None, pad_edge=False)  # fmt: skip
+    for name in RIGS:
+        rig = Rig.from_scenario(load_scenario(name))
+        spent = {"plant": 0, "laws": 0}
+        took = cpu(lambda rig=rig: run_inprocess(rig, rig.scenario.seed))  # type: ignore[misc]
+        for member in rig.members:
+            _timed(member, spent)
+        slower = cpu(lambda rig=rig: run_inprocess(rig, rig.scenario.seed))  # type: ignore[misc]
+        ticks, simulated = rig.ticks, rig.end / 1e9
+        plant, laws = (spent[key] / ticks / 1e3 for key in ("plant", "laws"))
+        table.add_row(name, f"{simulated:g}", f"{took:.2f}", f"{simulated / took:.1f}", f"{ticks / took:,.0f}",
+                      f"{plant:.1f}", f"{laws:.1f}", f"{slower / ticks * 1e6 - plant - laws:.1f}")  # fmt: skip
+    console.print(table)
+
+
+RIGS = ("dc_motor_smc", "dc_motor_smc_b1", "dc_motor_fsfb", "induction_dtc", "manipulator_adsmc", "rehab_impedance",
+        "pv_mppt", "lsrm_fuzzy", "rectifier_mpc", "gupfc", "fault_location", "tcp_aqm_smc", "pwa_delay")  # fmt: skip
+
+
+def containers() -> None:
+    """Lockstep ticks a second of every system, recorded: through processes, in one container, and in memory."""
+    table = Table("scenario", "nodes", "processes", "container", "in memory", "x processes", "of in memory",
+                  box=None, pad_edge=False)  # fmt: skip
+    for name in sorted({scenario_of(n) for n in list_scenarios()}):
+        found = ticks_a_second(name)
+        row = [f"{found[k]:,.0f}" for k in ("processes", "container", "inprocess")]
+        table.add_row(name, f"{found['nodes']:.0f}", *row, f"{found['container'] / found['processes']:.1f}",
+                      f"{found['container'] / found['inprocess']:.2f}")  # fmt: skip
+    console.print(table)
+
+
+def scenario_of(name: str) -> str:
+    """Name of the headline scenario that a scenario extends."""
+    shorter = [n for n in list_scenarios() if name.startswith(f"{n}_")]
+    return min(shorter, key=len, default=name)
+
+
+def ticks_a_second(name: str) -> dict[str, float]:
+    """Measure one scenario: ticks of its clock a second between the first and the last, for each placement."""
+    found: dict[str, float] = {}
+    for place, ticks in (("processes", 1000), ("container", 10_000), ("inprocess", 10_000)):
+        rig = Rig.from_scenario(load_scenario(name))
+        least = max(ticks * rig.clock.schedule.period, 2 * max(m.schedule.period for m in rig.members))
+        rig = rig.changed(duration=min(rig.scenario.duration, float(least)))
+        if place == "inprocess":
+            recording = Recording((t, p.msgtype) for t, p in rig.topics.items())
+            run_inprocess(rig, rig.scenario.seed)  # what is compiled on first use
+            start = time.perf_counter()
+            run_inprocess(rig, rig.scenario.seed, recording)
+            found[place] = rig.ticks / (time.perf_counter() - start)
+            continue
+        with tempfile.TemporaryDirectory() as folder:
+            outcome = run_processes(rig, rig.scenario.seed, Path(folder), containers=placed(rig, place))
+        if outcome.error:
+            raise ScenarioError(outcome.error)
+        clock = outcome.status[rig.clock.name]
+        found[place] = clock["ticks"] / clock["running_s"]
+        found["nodes"] = len(outcome.status)
+    return found
+
+
+def _timed(member: Member, spent: dict[str, int]) -> None:
+    """Make a member's block add up the time of its calls."""
+    make, key, clock = member.block, "plant" if member.is_plant else "laws", time.process_time_ns
+
+    def timed(function: Callable[..., Any]) -> Callable[..., Any]:
+        def call(*arguments: Any, **keywords: Any) -> Any:
+            start = clock()
+            found = function(*arguments, **keywords)
+            spent[key] += clock() - start
+            return found
+
+        return call
+
+    def build(seed: int) -> Block:
+        block: Any = make(seed)
+        for method in ("outputs", "advance") if member.is_plant else ("update",):
+            setattr(block, method, timed(getattr(block, method)))
+        return block
+
+    member.block = build  # type: ignore[method-assign]

@@ -1,0 +1,85 @@
+"""The benchmark of a checkout: its parts run and print what they say, peers that are missing or fail are told."""
+
+import subprocess
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+from bench import induction, rectifier, systems
+from bench.__main__ import PARTS, main
+from softrig_drives.induction_dtc.switching import VECTORS
+
+ROOT = Path(__file__).parents[1]
+
+
+def test_the_script_names_the_parts_from_anywhere(tmp_path):
+    (tmp_path / "rich.py").write_text("raise SystemExit('a file of the current directory was run')")
+    command = [ROOT / "scripts/softrig", "bench", "--help"]
+    found = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+    assert found.returncode == 0, found.stderr
+    for name, part in PARTS.items():
+        assert f"{name} " in found.stdout
+        assert part.__doc__.splitlines()[0] in found.stdout
+
+
+def test_an_unknown_part_is_told(capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(["lop"])
+    assert ended.value.code == 2
+    assert "no part lop; there are loop, tick" in capsys.readouterr().err
+
+
+def test_nothing_of_it_is_installed_with_the_packages():
+    """Who installs the packages gets nodes and tools, no measurements of this machine."""
+    assert not [p for p in ROOT.glob("ros_pkgs/**/*bench*") if "__pycache__" not in p.parts]
+    assert not [p for p in ROOT.glob("ros_pkgs/*/setup.cfg") if "bench" in p.read_text()]
+
+
+def test_tables_of_the_rectifier(capsys):
+    rectifier.print_table(20)
+    out = capsys.readouterr().out
+    assert all(name in out for name in (*rectifier.LAWS, *rectifier.PLANTS))
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("part", ["rigs", "inprocess", "fault_location", "gupfc", "optimal_control"])
+def test_parts_that_need_no_middleware_print_a_table(part, capsys):
+    assert main([part]) == 0
+    assert len(capsys.readouterr().out.splitlines()) > 3
+
+
+@pytest.mark.long
+def test_a_row_for_each_work_of_the_systems(capsys):
+    assert main(["systems"]) == 0
+    printed = capsys.readouterr().out
+    assert [w.what for w in systems.works() if w.what not in printed] == []
+    assert "yardstick: a million additions" in printed
+
+
+def test_the_induction_motor_beside_its_peers(monkeypatch, capsys):
+    times = {"ours": 0.5, "theirs": 2.0, "absent": None}
+    monkeypatch.setattr(induction, "simulated_second", lambda python: times)
+    monkeypatch.setattr(induction, "agreement", lambda python: (1e-9, 2e-8))
+    assert main(["induction"]) == 0
+    table = capsys.readouterr().out.splitlines()
+    assert [line.split()[-2] for line in table[2:4]] == ["1.0", "4.0"]
+    assert table[4].endswith("not installed")
+    assert "1.0e-09 Wb and 2.0e-08 rad/s" in table[5]
+
+
+def test_a_peer_that_is_missing_or_fails(tmp_path):
+    assert [tuple(map(int, v)) for v in VECTORS] == induction.LEGS
+    for name, command in (("bare", f'exec {sys.executable} -I -S "$@"'), ("broken", "echo 'no such case' >&2; exit 2")):
+        python = tmp_path / name
+        python.write_text(f"#!/bin/sh\n{command}\n")
+        python.chmod(0o755)
+    assert induction.peer("motulator", [1] * 20, str(tmp_path / "bare")) is None
+    with pytest.raises(RuntimeError, match="motulator: no such case"):
+        induction.peer("motulator", [1] * 20, str(tmp_path / "broken"))
+
+
+@pytest.mark.skipif(find_spec("motulator") is None, reason="motulator is not installed")
+def test_the_peer_integrates_the_same_voltage():
+    found = induction.peer("motulator", [1] * 20)
+    assert found["psi_alpha"] == pytest.approx(540 * 2 / 3 * 5e-5 * found["periods"], rel=0.01)
