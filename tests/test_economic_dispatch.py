@@ -389,6 +389,26 @@ def test_a_result_comes_once_with_its_cost_and_rows(node):
     assert ask(node, 3, 850.0, solve=(1.0,)) == {}  # held down: not again
 
 
+def test_a_late_result_is_that_of_its_request():
+    """Demand and table change while the work is under way."""
+    units = Units.read("units_3")
+    dear = units.table.copy()
+    dear[:, 4] += 100.0
+    block = DispatchSolver(unit_table="units_3", latency=2.0)
+    assert ask(block, 0, 850.0) == {}
+    assert ask(block, 1, 900.0, units=tuple(dear.ravel())) == {}
+    found = ask(block, 2, 1300.0, units=tuple(dear.ravel()))  # which they cannot give: nothing is asked
+    demand, cost, *_ = found["summary"]
+    assert demand == 850.0 == pytest.approx(sum(found["setpoints"]))
+    costs = np.reshape(found["result"], (3, 4))[:, 1]
+    assert costs == pytest.approx(units.cost(np.array(found["setpoints"])))
+    assert cost == pytest.approx(costs.sum())
+    later = [ask(block, t, 1300.0, units=tuple(dear.ravel())) for t in (3, 4)][-1]
+    assert later["summary"][0] == 900.0
+    assert later["summary"][1] == pytest.approx(Units(units.ids, dear).total(later["setpoints"]))
+    block.reset(0)  # ends the working process
+
+
 def test_an_infeasible_demand_is_an_error_and_the_last_set_points_stay(node):
     assert ask(node, 0, 850.0)
     for k, demand in enumerate((249.0, 1300.0)):

@@ -132,7 +132,7 @@ def asked(planner, t=0, state=STATE, **more):
 
 
 def answered(planner, request, t=0):
-    result = Result(t, type(planner).solve(request, None), True)
+    result = Result(t, request, type(planner).solve(request, None), True)
     return planner.answer(t, result, True)
 
 
@@ -204,7 +204,7 @@ def test_orders_rise_until_the_rule_is_met():
 
 def test_a_planner_without_an_answer_keeps_the_last_plan():
     planner = CollocationPlanner()
-    assert planner.answer(0, Result(0, None, False), True) == {}
+    assert planner.answer(0, Result(0, None, None, False), True) == {}
     assert planner.reports["limit"][0] is Level.ERROR
 
 

@@ -52,6 +52,9 @@ class Result(NamedTuple):
     stamp: int
     """Time of the request, ns."""
 
+    request: Any
+    """What was asked; newer requests may have come since."""
+
     answer: Any
     """None when the limit struck before there was any answer."""
 
@@ -124,7 +127,7 @@ class Solver(Block[S]):
             worker.cancel()
         self._latency = to_ns(self.p.latency)
         self._waiting: tuple[int, Any] | None = None
-        self._active: tuple[int, int] | None = None  # stamp, when it takes effect
+        self._active: tuple[int, int, Any] | None = None  # stamp, when it takes effect, request
         self._result: Result | None = None
         self._struck = False
         super().reset(seed)
@@ -166,7 +169,7 @@ class Solver(Block[S]):
             return
         stamp, asked = self._waiting
         self._waiting = None
-        self._active = (stamp, t + self._latency)
+        self._active = (stamp, t + self._latency, asked)
         self._worker.submit(asked)
 
     def ready(self, t: int) -> bool:
@@ -202,7 +205,7 @@ class Solver(Block[S]):
         """
         new = False
         if self._active is not None and t >= self._active[1] and self._worker.state != "working":
-            stamp, _ = self._active
+            stamp, _, asked = self._active
             self._active = None
             if self._worker.state == "failed":
                 text = f"work on the request of t = {to_s(stamp):.9g} s failed: {self._worker.error}"
@@ -210,7 +213,7 @@ class Solver(Block[S]):
                     raise RunError(text)
                 self.report(Level.ERROR, "work", text)
             else:
-                self._result = Result(stamp, self._worker.answer, not self._struck)
+                self._result = Result(stamp, asked, self._worker.answer, not self._struck)
                 self._struck = False
                 new = True
             self.go_on(t)

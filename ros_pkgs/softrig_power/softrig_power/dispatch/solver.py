@@ -151,15 +151,15 @@ class DispatchSolver(Solver[DispatchParams]):
         if found.limited:
             self.report(Level.WARN, "time limit", f"{found.reason}: gap {found.gap:.6g} $/h, not repeatable")
         self._last = found
-        units = self._units
+        units, demand = result.request.units, result.request.demand  # newer ones may have come meanwhile
         low, high = arch_bounds(units, found.P)
         arches = [int(np.searchsorted(units.valve_points(j), low[j] + 1e-9, "right")) for j in range(len(units))]
         at_valve = (np.abs(found.P - low) < 1e-6) | (np.abs(found.P - high) < 1e-6)
         rows = np.column_stack([found.P, units.cost(found.P), arches, at_valve])
         price = np.nan_to_num(found.price, posinf=1e9, neginf=-1e9)
         repeatable = float(result.repeatable and not found.limited)
-        summary = (self._asked[0] if self._asked else 0.0, found.cost, found.bound, found.gap, float(price[0]),
-                   float(price[1]), float(found.nodes), float(found.binaries), repeatable)  # fmt: skip
+        summary = (demand, found.cost, found.bound, found.gap, float(price[0]), float(price[1]), float(found.nodes),
+                   float(found.binaries), repeatable)  # fmt: skip
         return {"setpoints": tuple(found.P.tolist()), "result": tuple(rows.ravel().tolist()), "summary": summary}
 
     def health(self) -> Mapping[str, str]:

@@ -205,10 +205,9 @@ class Tuner(Solver[TunerParams]):
         return self._candidate, self.p.duration, self.p.guarded
 
     @staticmethod
-    def solve(request: tuple[Point, float, bool], work: Work) -> tuple[Point, float]:
-        """Give a candidate with its cost."""
-        candidate, duration, guarded = request
-        return candidate, cost(candidate, duration, guarded)
+    def solve(request: tuple[Point, float, bool], work: Work) -> float:
+        """Give the cost of a candidate."""
+        return cost(*request)
 
     def answer(self, t: int, result: Result | None, new: bool) -> Values:
         """Tell the best so far."""
@@ -216,9 +215,8 @@ class Tuner(Solver[TunerParams]):
         if new and result is not None and found is not None and self._candidate is not None:
             # a candidate whose exercise took longer than the limit is worth nothing; one of a search that the
             # button ended is nobody's
-            candidate, value = result.answer or (self._candidate, math.inf)
-            if candidate == self._candidate:
-                found.tell(value)
+            if result.request[0] == self._candidate:
+                found.tell(math.inf if result.answer is None else result.answer)
                 self._candidate = None
         if found is None:
             return {"result": (0.0, 0.0, 0.0)}

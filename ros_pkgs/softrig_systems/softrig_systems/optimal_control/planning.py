@@ -124,12 +124,11 @@ class Planner(Solver[PlannerParams]):
         if not found.converged:
             self.report(Level.WARN, "not_converged", f"not converged: {found.reason}")
         self._last = found
-        left = self._T - to_s(result.stamp - (self._begin or 0))
         trusted = float(found.residual < self.p.eps_res)
         return {
             "plan": found.values,
-            "summary": (to_s(result.stamp), left, float(found.order), found.J, found.residual, found.end_error,
-                        float(found.converged), trusted),
+            "summary": (to_s(result.stamp), result.request.horizon, float(found.order), found.J, found.residual,
+                        found.end_error, float(found.converged), trusted),
         }  # fmt: skip
 
     def health(self) -> Mapping[str, str]:
