@@ -9,8 +9,8 @@ from collections.abc import Callable, Sequence
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # before numpy, as the command line does
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from . import fault_location, gupfc, induction, loop, optimal_control, recorder, rectifier, rigs, systems  # noqa: E402
-from .console import console  # noqa: E402
+from . import fault_location, gupfc, induction, loop, optimal_control, recorder, rectifier, rigs, systems
+from .console import console
 
 PARTS: dict[str, Callable[[], None]] = {
     "loop": loop.loop, "tick": loop.tick, "recording": loop.recording, "inprocess": rigs.inprocess,

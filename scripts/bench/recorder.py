@@ -117,9 +117,8 @@ def _publish(channels: int, rates: Sequence[int]) -> None:
     """Publish a stage at each rate; stamps carry the stage in their seconds. Prints (messages, rate reached)."""
     from rclpy.duration import Duration
     from rclpy.qos import QoSProfile
-    from softrig_core.node.messages import message_class
-
     from softrig_bags.ros import Session
+    from softrig_core.node.messages import message_class
 
     session = Session("bench_publisher", [])
     publisher = session.node.create_publisher(message_class(STATE), TOPIC, QoSProfile(depth=10))
@@ -146,9 +145,8 @@ def _publish(channels: int, rates: Sequence[int]) -> None:
 def _listen() -> None:
     """Count messages by stage until SIGINT."""
     from rclpy.qos import QoSProfile
-    from softrig_core.node.messages import message_class
-
     from softrig_bags.ros import Session, subscription_profile
+    from softrig_core.node.messages import message_class
 
     session = Session("bench_listener", [])
     received: Counter[int] = Counter()
