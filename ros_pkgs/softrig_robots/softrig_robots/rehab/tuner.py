@@ -212,12 +212,11 @@ class Tuner(Solver[TunerParams]):
     def answer(self, t: int, result: Result | None, new: bool) -> Values:
         """Tell the best so far."""
         found = self._search
-        if new and result is not None and found is not None and self._candidate is not None:
-            # a candidate whose exercise took longer than the limit is worth nothing; one of a search that the
-            # button ended is nobody's
-            if result.request[0] == self._candidate:
-                found.tell(math.inf if result.answer is None else result.answer)
-                self._candidate = None
+        # a candidate whose exercise took longer than the limit is worth nothing; one of a search that the button ended
+        # is nobody's
+        if new and found is not None and result is not None and result.request[0] == self._candidate:
+            found.tell(math.inf if result.answer is None else result.answer)
+            self._candidate = None
         if found is None:
             return {"result": (0.0, 0.0, 0.0)}
         if found.best is None or math.isinf(found.best.value):
