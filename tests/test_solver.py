@@ -176,8 +176,8 @@ def test_what_a_solver_must_give():
 
 @pytest.mark.processes
 def test_nodes_give_the_bits_of_the_blocks_while_the_work_is_longer_than_their_patience(tmp_path):
-    """A plan of 4.5 s against a timeout of 3 s: the others hear that the planner is busy."""
-    wired = rig(0.1, timeout=3.0, work=4.5)
+    """Plans of 3.5 s against a timeout of 2 s: the others hear that the planner is busy."""
+    wired = rig(0.1, timeout=2.0, work=3.5)
     outcome = run_processes(wired, 0, tmp_path)
     assert outcome.error == ""
     assert differences(in_process(rig(0.1)), outcome.recording) == []
@@ -199,18 +199,15 @@ def test_work_that_dies_ends_the_run_naming_it(tmp_path):
 
 
 def test_realtime_node_answers_every_tick_while_a_plan_is_made():
-    """The clock of the loop runs a hundred times faster than the work: every tick is answered all the same."""
+    """A plan takes three ticks of the loop: every tick is answered all the same."""
     world = World()
-    run = SimulatedRig(rig(60.0, period=0.01, work=0.2), world, "realtime")
+    run = SimulatedRig(rig(60.0, period=0.01), world, "realtime")
     world.match()
     planner = run.adapters["planner"]
-    deadline = time.monotonic() + 60.0
     until = run.epoch
     while planner.block._result is None or planner.block._result.stamp == 0:
         until += 10_000_000
         world.run(until + 1_000_000)
-        planner.block._worker.wait(0.001)
-        assert time.monotonic() < deadline
         assert until < run.epoch + 60_000_000_000
     ticks = (until - run.epoch) // 10_000_000
     assert planner.ticks == ticks + 1

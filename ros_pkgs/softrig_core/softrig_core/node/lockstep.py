@@ -75,10 +75,12 @@ class Lockstep(Adapter):
             wanted.append((self.clock_output, self.links.clock_readers))
         if self.links.acknowledges:
             wanted.append((self.tick_output, self.links.tick_readers))
-        self._handshake = Handshake(self, [(p.item, p.sender) for p in [*self.pairings, *self.unpaced]], wanted)
+        awaited = [(p.item, p.sender) for p in [*self.pairings, *self.unpaced]]
+        busy = hear_busy(middleware, max(1, len(self.links.solvers)), self._patient)  # an outside node may be one, too
+        awaited += [(busy, name) for name in self.links.solvers]
+        self._handshake = Handshake(self, awaited, wanted)
         self._starter = middleware.timer(CHECK, self._start)
         self._solving = Solving(middleware, block, self._step) if isinstance(block, Solver) else None
-        hear_busy(middleware, self._patient)
 
     # peers -----------------------------------------------------------------------------------------------------
 

@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from ..model.port import Port
 from ..model.solver import Solver
+from .endpoint import Input
 from .middleware import Middleware
 from .tick import TICK, TickWriter
 
@@ -76,6 +78,20 @@ class Solving:
             self._publish(self._header)
 
 
-def hear_busy(middleware: Middleware, heard: Callable[[], None]) -> None:
-    """Call a function whenever a solver of the rig says that it is at work."""
-    middleware.subscribe(BUSY, TICK, lambda data: heard(), lambda count: None)
+def hear_busy(middleware: Middleware, solvers: int, heard: Callable[[], None]) -> Input:
+    """Call a function whenever a solver of the rig says that it is at work.
+
+    Parameters
+    ----------
+    middleware : Middleware
+    solvers : int
+        How many there are, this node included: the input has a publisher when all of them are matched.
+    heard : callable
+    """
+    item = Input(Port("busy", BUSY, TICK))
+
+    def matched(count: int) -> None:
+        item.publishers = count // solvers
+
+    middleware.subscribe(BUSY, TICK, lambda data: heard(), matched)
+    return item

@@ -99,6 +99,8 @@ class Links(BaseModel):
         for nobody but who commands it, that node waits for their ticks before its own, and a source for its readers'.
     clock_readers : list of str
         Nodes that pace themselves by /clock.
+    solvers : list of str
+        Nodes that may be at work for longer than the others' patience, and say so.
     starter : str
         Realtime: the node that says when t = 0 is.
     starts : list of str
@@ -124,6 +126,7 @@ class Links(BaseModel):
     stride: int = 1
     acks: dict[str, str] = {}
     clock_readers: list[str] = []
+    solvers: list[str] = []
     starter: str = ""
     starts: list[str] = []
     grid: str = ""

@@ -21,6 +21,7 @@ from ..errors import ScenarioError
 from ..model.params import flatten
 from ..model.port import Port
 from ..model.resource import prefixes
+from ..model.solver import Solver
 from ..wire.recording import Recording
 from .domain import free_domain
 from .options import InputLink, Links
@@ -105,6 +106,7 @@ def links(rig: Rig, member: Member) -> Links:
         stride=rig.stride,
         acks={m.name: _seconds(m) for m in [*acknowledging, *pacers]},
         clock_readers=[m.name for m in _clocked(rig) if not m.external] if member is rig.clock else [],
+        solvers=[m.name for m in rig.members if issubclass(m.block_class, Solver) and not m.external],
         starter=starter(rig).name,
         starts=[m.name for m in rig.members if not m.external],
         grid=str(max(m.schedule.period for m in rig.members)),
