@@ -139,6 +139,17 @@ def test_the_command_of_a_run_repeats_it():
     assert _repeat(_parser().parse_args(["run", *arguments, "--out", "x"])) == [*arguments, "--out", "x"]
 
 
+def test_a_domain_that_is_none_or_taken_is_one_line(capsys):
+    """Two runs in one domain would read each other's messages."""
+    from softrig_core.rig.domain import free_domain
+
+    assert main(["run", "dc_motor_smc", "--domain", "233"]) == 2
+    assert capsys.readouterr().err == "softrig: domain 233: expected 0 to 232\n"
+    with free_domain() as domain:
+        assert main(["run", "dc_motor_smc", "--domain", str(domain)]) == 3
+    assert f"domain {domain} is in use by other runs" in capsys.readouterr().err
+
+
 @pytest.mark.processes
 def test_processes_and_inprocess_leave_the_same_bag(folder):
     assert run("lag", "--out", "a") == 0
@@ -347,3 +358,48 @@ def test_nothing_is_imported_from_the_current_directory(tmp_path):
     )
     assert found.returncode == 0, found.stderr
     assert "dc_motor_smc_b2" in found.stdout
+
+
+def command(*arguments, **options):
+    """The command line in a process of its own, without the time that scripts/softrig takes."""
+    return subprocess.run([sys.executable, "-P", "-m", "softrig_bringup", *arguments], timeout=60, **options)
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "latin-1"])
+def test_an_output_that_lacks_a_character_shows_another(folder, encoding):
+    (folder / "lag.yaml").write_text(SCENARIO.replace("First-order lag", "First-order lag, 3 µs → 4 µs"))
+    found = command("list", "lag", env=os.environ | {"PYTHONIOENCODING": encoding}, capture_output=True)
+    assert found.returncode == 0, found.stderr
+    assert b"First-order lag, 3" in found.stdout
+
+
+@pytest.mark.parametrize("numbers", [(1,), (0, 1, 2)])
+def test_closed_streams_are_opened_before_a_file_gets_their_number(folder, numbers):
+    def close():
+        for number in numbers:
+            os.close(number)
+
+    found = command("run", "lag", "--mode", "inprocess", "--out", "a", "--no-plots", preexec_fn=close)
+    assert found.returncode == 0
+    assert run("lag", "--out", "b", "--no-plots") == 0
+    assert (folder / "a/metrics.json").read_bytes()[:1] == b"{"
+    assert main(["compare", "a/bag", "b/bag", "--bitwise"]) == 0
+
+
+def test_a_full_disk_behind_the_output_and_a_reader_that_has_gone(folder):
+    with open("/dev/full", "w") as full:
+        found = command("list", stdout=full, stderr=subprocess.PIPE, text=True)
+    assert found.returncode == 3
+    assert found.stderr == "softrig: [Errno 28] No space left on device\n"
+    reader, writer = os.pipe()
+    os.close(reader)
+    found = command("list", stdout=writer, stderr=subprocess.PIPE, text=True)
+    os.close(writer)
+    assert (found.returncode, found.stderr) == (141, "")
+
+
+def test_no_home_and_no_place_for_temporary_files(folder, tmp_path):
+    nowhere = {"HOME": "/proc/nowhere", "TMPDIR": "/proc/nowhere"}
+    variables = {k: v for k, v in os.environ.items() if k != "XDG_CACHE_HOME"} | nowhere
+    found = command("run", "lag", "--out", "a", "--no-plots", env=variables, capture_output=True, text=True)
+    assert found.returncode == 0, found.stderr

@@ -6,6 +6,7 @@ import sys
 
 import pytest
 from softrig_core.errors import RunError, ScenarioError
+from softrig_core.model import compiled
 from softrig_core.rig import domain
 from softrig_core.rig.domain import free_domain
 
@@ -62,3 +63,14 @@ def test_the_locks_are_the_users_own_and_no_links_or_pipes(tmp_path, monkeypatch
         with pytest.raises(RunError, match=r"7\.lock: .*expected a plain file"), free_domain():
             pass
         assert not (tmp_path / "target").exists()
+
+
+def test_without_a_home_the_locks_are_in_a_folder_of_the_user_alone(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", "/proc/nowhere")
+    monkeypatch.setattr(compiled, "TEMPORARY", tmp_path)
+    own = tmp_path / f"softrig-{os.getuid()}"
+    with free_domain() as number:
+        assert (own / f"domains/{number}.lock").is_file()
+    own.chmod(0o777)
+    with pytest.raises(RunError, match=f"{own}: expected a folder that only this user may write into"), free_domain():
+        pass

@@ -136,7 +136,7 @@ def test_ports_of_every_message_type(message, restamp):
         ({"fields": ("acceleration",)}, "expected some of"),
         ({"fields": ()}, "expected some of"),
         ({"quantum": (1.0,)}, "quantum has 1 values, expected 2"),
-        ({"quantum": (1.0, -1.0)}, "no negative step"),
+        ({"quantum": (1.0, -1.0)}, "quantum = .*got -1.0"),
         ({"initial": (0.0, 0.0, 0.0)}, "initial has 3 values, expected 2"),
     ],
 )

@@ -12,7 +12,7 @@ MIDDLEWARE = ("rclpy", "rcl_interfaces", "std_srvs", "rosgraph_msgs", "builtin_i
 # from the bottom up; a module imports those of its own layer and of the layers below. Ports know their wire layout,
 # so the bytes and types of messages stand below the blocks, what reads recordings above.
 LAYERS = (
-    ("softrig_core.errors", "softrig_core.model.timebase"),
+    ("softrig_core.errors", "softrig_core.guard", "softrig_core.model.timebase"),
     ("softrig_core.wire.types", "softrig_core.wire.cdr"),
     ("softrig_core.model",),
     ("softrig_core.wire",),

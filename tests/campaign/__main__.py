@@ -13,7 +13,7 @@ from pathlib import Path
 
 from driver import campaign
 
-AREAS = ("bags", "messages", "parameters", "scenarios")
+AREAS = ("bags", "messages", "parameters", "scenarios", "environments", "kills", "nodes", "starts")
 
 
 def main() -> int:
@@ -31,9 +31,9 @@ def main() -> int:
     if unknown:
         parser.error(f"no area {', '.join(sorted(unknown))}; there are {', '.join(AREAS)}")
     table = campaign(counts, options.seed, options.limit, options.keep, options.jobs)
-    print(f"\n{'area':12}{'tried':>8}{'survived':>10}{'lost':>6}")
-    for area, (tried, survived, findings) in table.items():
-        print(f"{area:12}{tried:8}{survived:10}{len(findings):6}")
+    print(f"\n{'area':14}{'tried':>8}{'survived':>10}{'lost':>6}{'CPU s':>8}")
+    for area, (tried, survived, findings, seconds) in table.items():
+        print(f"{area:14}{tried:8}{survived:10}{len(findings):6}{seconds:8.0f}")
         kinds: dict[str, list[int]] = {}
         for seed, finding in findings:
             kinds.setdefault(finding.strip().splitlines()[-1][:160], []).append(seed)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import faulthandler
 import importlib
 import multiprocessing
@@ -35,8 +36,9 @@ def work(area: str, seeds: list[int], results: multiprocessing.Queue, keep: Path
     sys.stdout = sys.stderr = open(os.devnull, "w")  # noqa: SIM115 - for the life of the process
     attack = importlib.import_module(area).attack
     for seed in seeds:
-        results.put((area, seed, "begun", ""))
-        with tempfile.TemporaryDirectory() as scratch:
+        results.put((area, seed, "begun", "", 0.0))
+        used = cpu()
+        with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as scratch:
             directory = Path(scratch)
             signal.alarm(CASE_LIMIT)
             try:
@@ -46,15 +48,23 @@ def work(area: str, seeds: list[int], results: multiprocessing.Queue, keep: Path
                 finding = traceback.format_exc()
             signal.alarm(0)
             if finding and keep is not None:
-                shutil.copytree(directory, keep / f"{area}-{seed}", dirs_exist_ok=True)
-        results.put((area, seed, "lost" if finding else "survived", finding))
+                (directory / "finding").write_text(finding)
+                with contextlib.suppress(shutil.Error, OSError):  # what the case has made unreadable
+                    shutil.copytree(directory, keep / f"{area}-{seed}", dirs_exist_ok=True, symlinks=True)
+        results.put((area, seed, "lost" if finding else "survived", finding, cpu() - used))
+
+
+def cpu() -> float:
+    """Give the CPU time of this process and of those that it has started, s."""
+    spent = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    return sum(s.ru_utime + s.ru_stime for s in spent)
 
 
 def campaign(counts: dict[str, int], first: int, limit: float, keep: Path | None, jobs: int) -> dict[str, list]:
-    """Run all areas; gives area to [tried, survived, findings]."""
+    """Run all areas; gives area to [tried, survived, findings, CPU s]."""
     context = multiprocessing.get_context("spawn")
     results = context.Queue()
-    table = {area: [0, 0, []] for area in counts}
+    table = {area: [0, 0, [], 0.0] for area in counts}
     waiting = [(area, first + at, min(count - at, 50)) for area, count in counts.items() for at in range(0, count, 50)]
     running: dict = {}
     deadline = time.monotonic() + limit
@@ -64,7 +74,7 @@ def campaign(counts: dict[str, int], first: int, limit: float, keep: Path | None
 
         while True:
             try:
-                area, seed, state, finding = results.get(timeout=timeout)
+                area, seed, state, finding, seconds = results.get(timeout=timeout)
             except Empty:
                 return
             timeout = 0
@@ -76,6 +86,7 @@ def campaign(counts: dict[str, int], first: int, limit: float, keep: Path | None
             if state != "begun":
                 table[area][0] += 1
                 table[area][1] += state == "survived"
+                table[area][3] += seconds
                 if finding:
                     table[area][2].append((seed, finding))
 

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from functools import wraps
 from pathlib import Path
 
-from softrig_core.errors import RunError
+from softrig_core.guard import guarded
 from softrig_core.node.leave import leave
 from softrig_core.wire.recording import relative
 
@@ -21,20 +21,11 @@ Main = Callable[[Sequence[str] | None], int]
 
 
 def _command(function: Callable[[list[str]], int]) -> Main:
-    """Make a main function: errors become one line and an exit status (2 bad input, 3 it broke)."""
+    """Make a main function: errors become one line and an exit status."""
 
     @wraps(function)
     def main(argv: Sequence[str] | None = None) -> int:
-        try:
-            return function(list(sys.argv[1:] if argv is None else argv))
-        except ValueError as error:  # BagError among them
-            print(f"softrig: {error}", file=sys.stderr)
-            return 2
-        except (RunError, OSError) as error:
-            print(f"softrig: {error}", file=sys.stderr)
-            return 3
-        except KeyboardInterrupt:
-            return 130
+        return guarded(lambda: function(list(sys.argv[1:] if argv is None else argv)))
 
     return main
 

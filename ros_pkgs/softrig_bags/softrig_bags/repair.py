@@ -21,7 +21,6 @@ from .bag import BagWriter
 from .errors import BagError
 from .mcap_recover import Recovery
 from .reader import BagReader
-from .sqlite_pages import message_rows
 from .topics import BagTopic
 from .write import write_bag
 
@@ -159,7 +158,8 @@ def _rewrite(sources: list[Path], directory: Path, name: str) -> list[FileReport
                 if topic.name not in numbers:
                     numbers[topic.name] = writer.add_topic(topic)
     if writer is None:
-        raise BagError(f"{', '.join(s.name for s in sources)}: not one whole message in it")
+        hint = "; `sqlite3 FILE .recover` may find rows" if sources[0].suffix == ".db3" else ""
+        raise BagError(f"{', '.join(s.name for s in sources)}: not one whole message in it{hint}")
     writer.close()
     return reports
 
@@ -223,20 +223,13 @@ def _recover_sqlite3(path: Path, report: FileReport, scratch: Path) -> Iterator[
         try:
             topics = _sqlite3_topics(database)
             report.topics = list(topics.values())
-            last = damaged = 0
-            try:
-                for row, number, t, data in database.execute(_ROWS):
-                    last = row
-                    if _is_message(topics, number, t, data):
-                        yield topics[number], t, data
-                    else:
-                        damaged += 1
-                report.indexed = (path.parent / "metadata.yaml").exists()
-            except _SQLITE_ERRORS as error:
-                report.lost.append(f"what stood on damaged pages ({error})")
-                for row, number, t, data in message_rows(path.read_bytes()):
-                    if row > last and _is_message(topics, number, t, data):
-                        yield topics[number], t, data
+            damaged = 0
+            for _, number, t, data in _rows(database, path.stat().st_size, report.lost):
+                if _is_message(topics, number, t, data):
+                    yield topics[number], t, data
+                else:
+                    damaged += 1
+            report.indexed = (path.parent / "metadata.yaml").exists()
             if damaged:
                 report.lost.append(f"{damaged} damaged rows")
         except _SQLITE_ERRORS as error:
@@ -244,12 +237,37 @@ def _recover_sqlite3(path: Path, report: FileReport, scratch: Path) -> Iterator[
         database.close()
 
 
+def _rows(database: sqlite3.Connection, size: int, lost: list[str]) -> Iterator[tuple[int, Any, Any, Any]]:
+    """Give the rows of all messages; behind a damaged page it goes on, with steps that double until it gets a row."""
+    last, step, left = 0, 1, size // _SMALLEST_ROW  # pages that claim each other as children give rows without end
+    while last < _LAST_ROW and left > 0:
+        try:
+            for row in database.execute(_ROWS, (last,)):
+                left -= 1
+                if left <= 0:
+                    break
+                if row[0] > last:
+                    yield row
+                    if row[0] < last + _GAP:  # else a damaged number
+                        last, step = row[0], 1
+            else:
+                return
+        except _SQLITE_ERRORS as error:
+            lost[:] = [f"what stood on damaged pages ({error})"]
+            last, step = last + step, 2 * step
+    if left <= 0:
+        lost[:] = ["rows beyond what the file can hold"]
+
+
 def _is_message(topics: dict[int, BagTopic], number: Any, t: Any, data: Any) -> bool:
     """Whether the columns of a row are what they should be: on a damaged page SQLite gives anything."""
     return number in topics and isinstance(t, int) and t >= 0 and isinstance(data, bytes)
 
 
-_ROWS = "SELECT id, topic_id, timestamp, data FROM messages ORDER BY id"
+_ROWS = "SELECT id, topic_id, timestamp, data FROM messages WHERE id > ? ORDER BY id"
+_LAST_ROW = 1 << 40
+_GAP = 1 << 20
+_SMALLEST_ROW = 8  # bytes in the file
 
 
 def _whole_copy(path: Path, directory: Path) -> Path:

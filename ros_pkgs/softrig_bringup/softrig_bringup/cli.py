@@ -11,9 +11,11 @@ import re
 import shlex
 import sys
 from collections.abc import Callable, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from softrig_core.guard import guarded, say
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -23,59 +25,22 @@ if TYPE_CHECKING:
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # before numpy: sums must not depend on the number of cores
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-LINE = 1000  # characters of a failure that are shown
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a verb and turn every failure into one line and its exit status."""
-    from softrig_core.errors import RunError, ScenarioError
-
     arguments = list(sys.argv[1:] if argv is None else argv)
-    try:
-        if arguments and arguments[0] in _FOREIGN:
-            import importlib
-
-            module, function, _ = _FOREIGN[arguments[0]]
-            return int(getattr(importlib.import_module(module), function)(arguments[1:]))
-        options = _parser().parse_args(arguments)
-        return int(options.verb(options))
-    except ScenarioError as error:
-        # from another exception: the code of a user's package, whose traceback tells more than a line
-        _say(f"{error}; the traceback is in {_traceback()}" if error.__cause__ else error)
-        return 2
-    except BrokenPipeError:  # whoever read our output has enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 141
-    except (RunError, OSError) as error:
-        _say(error)
-        return 3
-    except KeyboardInterrupt:
-        _say("stopped")
-        return 130
-    except MemoryError:
-        _say("out of memory; a shorter run or a smaller size may fit")
-        return 3
-    except Exception as error:
-        _say(f"error of softrig itself: {type(error).__name__}: {error}; the traceback is in {_traceback()}")
-        return 4
+    return guarded(lambda: _verb(arguments))
 
 
-def _say(what: object) -> None:
-    """Print one line about a failure, short enough to read."""
-    text = " ".join(str(what).split())
-    with suppress(OSError, ValueError):  # closed
-        print(f"softrig: {text if len(text) <= LINE else text[:LINE] + ' ...'}", file=sys.stderr)
+def _verb(arguments: list[str]) -> int:
+    if arguments and arguments[0] in _FOREIGN:
+        import importlib
 
-
-def _traceback() -> Path:
-    """Write the traceback under way into a file of its own."""
-    import tempfile
-    import traceback
-
-    number, name = tempfile.mkstemp(prefix="softrig-error-", suffix=".log")
-    with os.fdopen(number, "w") as file:
-        file.write(f"{shlex.join(sys.argv)}\n{traceback.format_exc()}")
-    return Path(name)
+        module, function, _ = _FOREIGN[arguments[0]]
+        return int(getattr(importlib.import_module(module), function)(arguments[1:]))
+    options = _parser().parse_args(arguments)
+    return int(options.verb(options))
 
 
 # verbs with their own command line
@@ -198,6 +163,14 @@ def _completion(options: argparse.Namespace) -> int:
 
 
 def _run(options: argparse.Namespace) -> int:
+    from softrig_core.rig.domain import free_domain
+
+    # before anything of an earlier run is replaced: two runs in one domain would read each other's messages
+    with nullcontext() if options.domain is None else free_domain(options.domain):
+        return _run_reserved(options)
+
+
+def _run_reserved(options: argparse.Namespace) -> int:
     from softrig_core.errors import ScenarioError
     from softrig_core.rig.scenario import load_scenario, merge
 
@@ -220,7 +193,7 @@ def _run(options: argparse.Namespace) -> int:
     out = (options.out or Path("runs") / _folder_name(scenario.name, options, changed)).absolute()
     folder = ResultsFolder(out)
     if folder.replaced:
-        _say(f"replacing {folder.replaced} in {os.path.relpath(out)}")
+        say(f"replacing {folder.replaced} in {os.path.relpath(out)}")
     folder.clear()
     with _progress(scenario) as progress:
         run = execute(scenario, options.mode, out / "log", realtime=options.realtime, domain=options.domain,
@@ -237,7 +210,7 @@ def _run(options: argparse.Namespace) -> int:
         return 3
     _print_figures(scenario, run, out, changed)
     if run.stopped:
-        _say(run.stopped_at)
+        say(run.stopped_at)
         return 128 + run.stopped
     if changed:  # the paper's numbers are for its own set-up: shown for comparison, not judged
         return 0
@@ -305,12 +278,13 @@ def _progress(scenario: Scenario) -> Iterator[Callable[[int], None] | None]:
     if not sys.stderr.isatty():
         yield None
         return
-    from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+    from .listing import console
 
     columns = (TextColumn(scenario.name), BarColumn(), TextColumn("{task.completed:.3g} of {task.total:.3g} s"),
                TimeElapsedColumn(), TimeRemainingColumn())  # fmt: skip
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+    with Progress(*columns, console=console(stderr=True, width=None), transient=True) as bar:
         task = bar.add_task("", total=scenario.duration)
         yield lambda t: bar.update(task, completed=t / 1e9)
 

@@ -17,7 +17,15 @@ from softrig_core.rig.scenario import Scenario, list_scenarios, load_scenario
 def console(**options: Any) -> Console:
     """Make a console as wide as the terminal or as COLUMNS says; in a pipe, lines are as long as they are."""
     narrow = sys.stdout.isatty() or os.environ.get("COLUMNS", "").isdigit()
-    return Console(width=None if narrow else 1000, highlight=False, **options)
+    return _Console(**{"width": None if narrow else 1000, "highlight": False} | options)
+
+
+class _Console(Console):
+    """As rich has it, but a reader that has gone is told by its own exit status, not by 1."""
+
+    def on_broken_pipe(self) -> None:
+        """Leave it to `guarded`; called while the error is handled."""
+        raise
 
 
 def main(part: str) -> int:

@@ -53,7 +53,9 @@ class ProfileParams(BlockParams):
     """Parameters of a block that publishes a step profile of several channels."""
 
     channels: tuple[str, ...] = param(("shaft",), "names of the channels", min_length=1)
-    times: tuple[float, ...] = param((0.0,), "times of the steps, increasing from 0", "s", min_length=1)
+    times: tuple[float, ...] = param(
+        (0.0,), "times of the steps, increasing from 0", "s", min_length=1, each=(0.0, 1e9)
+    )
 
     @model_validator(mode="after")
     def _times(self) -> Self:

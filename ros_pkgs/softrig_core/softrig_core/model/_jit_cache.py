@@ -33,7 +33,10 @@ class Cache:
     """
 
     def __init__(self, name: str, digest: str) -> None:
-        self.cache_path = str(cache_folder() / "numba")
+        try:
+            self.cache_path = str(cache_folder() / "numba")
+        except OSError:
+            self.cache_path = os.devnull  # no folder: nothing is found and nothing is kept
         self._name = "".join(c if c.isalnum() or c in "._" else "" for c in name)
         self._digest = digest
 

@@ -8,14 +8,17 @@ same operations in the same order, only slower.
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import os
 import shutil
+import stat
 import struct
 import subprocess
 import tempfile
 import warnings
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -24,6 +27,7 @@ if TYPE_CHECKING:
 
 # No contraction into fused multiply-adds: the numbers must not depend on the processor.
 FLAGS = ("-O2", "-fPIC", "-shared", "-ffp-contract=off")
+TEMPORARY = Path("/tmp")  # not TMPDIR: locks are the same for all processes of a user
 
 
 class Compiled:
@@ -101,9 +105,28 @@ class Compiled:
 
 
 def cache_folder() -> Path:
-    """Where compiled code is kept: ``$XDG_CACHE_HOME/softrig``, by default ``~/.cache/softrig``."""
+    """Where compiled code and locks are kept: ``$XDG_CACHE_HOME/softrig``, by default ``~/.cache/softrig``.
+
+    Where that cannot be (no home, a read-only one), ``/tmp/softrig-UID``, and only if it is the user's alone: what is
+    in it is executed.
+
+    Raises
+    ------
+    OSError
+        Neither can be.
+    """
     base = os.environ.get("XDG_CACHE_HOME")
-    return (Path(base) if base else Path.home() / ".cache") / "softrig"
+    with suppress(OSError, RuntimeError):  # RuntimeError: a user without a home
+        folder = (Path(base) if base else Path.home() / ".cache") / "softrig"
+        folder.mkdir(parents=True, exist_ok=True)
+        if os.access(folder, os.W_OK | os.X_OK):
+            return folder
+    folder = TEMPORARY / f"softrig-{os.getuid()}"
+    folder.mkdir(mode=0o700, exist_ok=True)
+    state = folder.lstat()
+    if not stat.S_ISDIR(state.st_mode) or state.st_uid != os.getuid() or state.st_mode & 0o022:
+        raise PermissionError(errno.EPERM, "expected a folder that only this user may write into", str(folder))
+    return folder
 
 
 def build(function: ca.Function) -> Path | None:
@@ -126,8 +149,8 @@ def build(function: ca.Function) -> Path | None:
     generator = ca.CodeGenerator(function.name())
     generator.add(function)
     source = generator.dump()
-    status = Path(compiler).stat()
-    content = "\0".join((source, *FLAGS, compiler, str(status.st_size), str(status.st_mtime_ns)))
+    used = Path(compiler).stat()
+    content = "\0".join((source, *FLAGS, compiler, str(used.st_size), str(used.st_mtime_ns)))
     digest = hashlib.sha256(content.encode()).hexdigest()[:32]
     try:
         folder = cache_folder()

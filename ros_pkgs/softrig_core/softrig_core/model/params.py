@@ -21,7 +21,7 @@ class ParameterError(ValueError):
     """A parameter is unknown, of the wrong type or out of bounds; the message names it."""
 
 
-def param(default: Any, doc: str, unit: str = "", **bounds: Any) -> Any:
+def param(default: Any, doc: str, unit: str = "", *, each: tuple[float, float] | None = None, **bounds: Any) -> Any:
     """Declare one field of a `Params` class.
 
     Parameters
@@ -32,11 +32,14 @@ def param(default: Any, doc: str, unit: str = "", **bounds: Any) -> Any:
         What it is, with its symbol and source where there is one.
     unit : str
         SI unit, empty for a pure number.
+    each : (float, float), optional
+        Least and largest value of every element of a list.
     **bounds
         ``gt``, ``ge``, ``lt``, ``le``, ``min_length``, ``max_length`` as in pydantic. A number without them is bounded
         by `LARGEST` alone; a count that sets an effort or a size needs its own.
     """
-    return Field(default, description=doc, json_schema_extra={"unit": unit}, **bounds)
+    extra: dict[str, Any] = {"unit": unit} | ({} if each is None else {"each": each})
+    return Field(default, description=doc, json_schema_extra=extra, **bounds)
 
 
 class Params(BaseModel):
@@ -53,11 +56,22 @@ class Params(BaseModel):
         own = {key for rule in cls.model_fields[str(info.field_name)].metadata for key in _UPPER if hasattr(rule, key)}
         if isinstance(value, str | tuple) and "max_length" not in own and len(value) > LONGEST:
             raise ValueError(f"expected at most {LONGEST} {'characters' if isinstance(value, str) else 'values'}")
-        if not own & {"le", "lt"}:
-            for number in value if isinstance(value, tuple) else (value,):
-                if isinstance(number, int | float) and abs(number) > LARGEST:
+        if own & {"le", "lt"}:
+            return value
+        low, high = _each(cls.model_fields[str(info.field_name)])
+        for number in value if isinstance(value, tuple) else (value,):
+            if isinstance(number, int | float) and not low <= number <= high:
+                if high == LARGEST == -low:
                     raise ValueError(f"expected at most {LARGEST:g} in magnitude")
+                raise ValueError(f"expected {low:g} to {high:g}, got {_shown(number)}")
         return value
+
+
+def _each(field: Any) -> tuple[float, float]:
+    """Give the bounds of a field's elements."""
+    extra = field.json_schema_extra
+    low, high = (isinstance(extra, dict) and extra.get("each")) or (-LARGEST, LARGEST)
+    return low, high
 
 
 class BlockParams(Params):

@@ -19,6 +19,7 @@ from rclpy.executors import Executor, ExternalShutdownException
 from rclpy.node import Node
 
 from ..errors import RunError
+from ..guard import secure_streams, tell
 from ..model.timebase import SECOND
 from ..rig.rig import load_block
 from .adapter import Adapter
@@ -124,6 +125,7 @@ class Container:
 
 def main(args: Sequence[str] | None = None) -> NoReturn:
     """Start the nodes that the command line names; bad parameters give one line and exit status 2."""
+    secure_streams()
     arguments = list(sys.argv[1:] if args is None else args)
     groups = split(arguments)
     if not groups or {"-h", "--help"} & set(arguments):
@@ -147,7 +149,7 @@ def main(args: Sequence[str] | None = None) -> NoReturn:
         if container.nodes and not rclpy.ok():  # a signal has shut the context down under them
             leave(container.nodes, 0)
         name = container.nodes[-1].get_name() if len(container.nodes) > len(container.adapters) else where
-        print(f"{name}: {' '.join(str(error).split())}", file=sys.stderr, flush=True)
+        tell(name, error)
         leave(container.nodes, 2)
     leave(container.nodes, container.run())
 

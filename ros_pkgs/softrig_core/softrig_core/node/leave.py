@@ -7,6 +7,7 @@ import os
 import sys
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import TYPE_CHECKING, NoReturn
 
 if TYPE_CHECKING:
@@ -28,8 +29,9 @@ def leave(nodes: Sequence[Node], status: int) -> NoReturn:
     status : int
         Exit status.
     """
-    sys.stdout.flush()
-    sys.stderr.flush()
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(OSError, ValueError):  # nobody reads it any more
+            stream.flush()
     if nodes:
         _exit_after(PATIENCE, status)
     for node in nodes:

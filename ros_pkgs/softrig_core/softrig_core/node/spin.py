@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gc
-import sys
 
 import rclpy
 from rclpy.executors import ExternalShutdownException
@@ -11,6 +10,7 @@ from rclpy.node import Node
 from rclpy.task import Future
 
 from ..errors import RunError, describe
+from ..guard import tell
 from ..model.timebase import SECOND
 from .adapter import Adapter
 from .health import write_status
@@ -66,5 +66,5 @@ def conclude(adapter: Adapter, stopped: bool) -> int:
     except OSError as error:
         adapter.error, adapter.state = adapter.error or error, "failed"
     if adapter.error is not None:
-        print(f"{adapter.middleware.name}: {adapter.error}", file=sys.stderr, flush=True)
+        tell(adapter.middleware.name, adapter.error)
     return 3 if adapter.state == "failed" else 0

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
@@ -12,6 +11,7 @@ from pydantic import ValidationError
 from rclpy.node import Node
 from rclpy.utilities import remove_ros_args
 
+from ..guard import secure_streams, tell
 from ..model.block import Block
 from ..model.params import Declaration, build, declarations, flatten
 from ..rig.options import RunOptions
@@ -28,6 +28,7 @@ from .spin import spin
 
 def run_node(block_class: type[Block], argv: Sequence[str]) -> NoReturn:
     """Run a block as a node until it and the process end; bad parameters give one line and exit status 2."""
+    secure_streams()
     name = Path(argv[0]).name
     if {"-h", "--help"} & set(argv[1:]):
         print(usage(name, block_class))
@@ -49,7 +50,7 @@ def run_node(block_class: type[Block], argv: Sequence[str]) -> NoReturn:
         if node is not None and not rclpy.ok():  # a signal has shut the context down under it
             leave([node], 0)
         where = node.get_name() if node is not None else name
-        print(f"{where}: {' '.join(str(error).split())}", file=sys.stderr, flush=True)
+        tell(where, error)
         leave([node] if node else [], 2)
     leave([node], spin(node, adapter))
 

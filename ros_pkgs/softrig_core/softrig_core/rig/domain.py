@@ -7,7 +7,6 @@ import os
 import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 
 from ..errors import RunError, ScenarioError
 from ..model.compiled import cache_folder
@@ -52,7 +51,7 @@ def free_domain(wanted: int | None = None) -> Iterator[int]:
     start = os.getpid()
     choice = [DOMAINS[(start + i) % len(DOMAINS)] for i in range(len(DOMAINS))] if wanted is None else [wanted]
     for number in choice:
-        file = _open(cache_folder() / "domains" / f"{number}.lock")
+        file = _open(number)
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -67,14 +66,16 @@ def free_domain(wanted: int | None = None) -> Iterator[int]:
     raise RunError(f"{names} in use by other runs on this host")
 
 
-def _open(path: Path) -> int:
-    path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+def _open(number: int) -> int:
     # neither a link to another file nor a pipe, which would wait for its other end, is a lock
     try:
+        path = cache_folder() / "domains" / f"{number}.lock"
+        path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
         file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, 0o600)
     except OSError as error:
-        raise RunError(f"lock {path}: {error.strerror}; expected a plain file of this user") from None
+        what = "" if isinstance(error, PermissionError) else "; expected a plain file of this user"
+        raise RunError(f"lock of domain {number}: {error.filename}: {error.strerror}{what}") from None
     if not stat.S_ISREG(os.fstat(file).st_mode):
         os.close(file)
-        raise RunError(f"lock {path}: expected a plain file")
+        raise RunError(f"lock of domain {number}: {path}: expected a plain file")
     return file

@@ -23,8 +23,12 @@ class DcMotorPlantParams(SensorConstants, MotorConstants, BlockParams):
     """Motor, supply, load, and the rig's encoder, INA219 current sensor, PWM and L298 bridge."""
 
     vmax: float = param(12.0, "supply voltage; the command is clipped there", "V", gt=0.0)
-    load_times: tuple[float, ...] = param((0.0,), "times at which the load torque changes, increasing", "s")
-    load_torques: tuple[float, ...] = param((0.0,), "load torque TL from each of these times on", "N m")
+    load_times: tuple[float, ...] = param(
+        (0.0,), "times at which the load torque changes, increasing", "s", each=(0.0, 1e9)
+    )
+    load_torques: tuple[float, ...] = param(
+        (0.0,), "load torque TL from each of these times on", "N m", each=(-1e6, 1e6)
+    )
     rig: bool = param(False, "sensors and power stage of the digital rig instead of the ideal motor")
     bridge_drop: float = param(2.0, "rig: voltage lost in the L298 bridge (1.5 to 2.5 V)", "V", ge=0.0)
     pwm_bits: int = param(8, "rig: resolution of the PWM", ge=1, le=16)

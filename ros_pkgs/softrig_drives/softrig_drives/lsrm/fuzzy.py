@@ -25,17 +25,16 @@ class LsrmFuzzyParams(SpeedControlParams):
     K_e: float = param(1.0, "error that counts as 1", "m/s", gt=0.0, le=100.0)
     K_de: float = param(0.01, "change of the error in one period that counts as 1", "m/s", gt=0.0, le=100.0)
     K_u: float = param(2.0, "change of the force in one period for an output of 1", "N", gt=0.0, le=1e3)
-    peaks: tuple[float, ...] = param(THIRDS, "where the terms NB, NM, NS, Z, PS, PM, PB of both inputs are 1")
-    rules: tuple[int, ...] = param(TABLE_II, "Table II row by row (a row an error): the output's terms, -3 to 3")
+    peaks: tuple[float, ...] = param(THIRDS, "where the terms NB, NM, NS, Z, PS, PM, PB of both inputs are 1",
+                                     each=(-100.0, 100.0))  # fmt: skip
+    rules: tuple[int, ...] = param(TABLE_II, "Table II row by row (a row an error): the output's terms",
+                                   each=(-LARGEST, LARGEST))  # fmt: skip
     conjunction: And = param("product", "AND of a rule's two premises")
 
     @model_validator(mode="after")
     def _terms(self) -> Self:
         if len(self.rules) != TERMS * TERMS:
             raise ValueError(f"rules has {len(self.rules)} values, expected {TERMS} x {TERMS}")
-        outside = [n for n in self.rules if abs(n) > LARGEST]
-        if outside:
-            raise ValueError(f"rules has {outside[0]}, expected {-LARGEST} to {LARGEST}")
         if len(self.peaks) != TERMS or any(b <= a for a, b in pairwise(self.peaks)):
             raise ValueError(f"peaks {list(self.peaks)}: expected {TERMS} increasing numbers")
         return self

@@ -20,8 +20,10 @@ class LsrmLoadParams(BlockParams):
     """When which mass is on the translator."""
 
     period: float = param(1e-3, "sampling period", "s", gt=0.0, le=1.0)
-    times: tuple[float, ...] = param((0.0, 1.0), "times at which the mass changes, increasing from 0", "s")
-    masses: tuple[float, ...] = param((0.0, 8.0), "added mass from each of these times on, none negative", "kg")
+    times: tuple[float, ...] = param(
+        (0.0, 1.0), "times at which the mass changes, increasing from 0", "s", each=(0.0, 1e9)
+    )
+    masses: tuple[float, ...] = param((0.0, 8.0), "added mass from each of these times on", "kg", each=(0.0, 1e5))
     mu: float = param(0.05, "friction coefficient of the added mass", ge=0.0, le=10.0)
 
     @model_validator(mode="after")
@@ -29,8 +31,6 @@ class LsrmLoadParams(BlockParams):
         if not self.times or self.times[0] != 0.0:
             raise ValueError(f"times {list(self.times)}: expected the first to be 0")
         StepProfile(self.times, self.masses)
-        if min(self.masses) < 0.0:
-            raise ValueError(f"masses {list(self.masses)}: expected none negative")
         return self
 
 

@@ -16,8 +16,9 @@ class DemandParams(BlockParams):
     """Demands and when they begin."""
 
     period: float = param(1.0, "sampling period", "s", gt=0.0, le=86400.0)
-    demands: tuple[float, ...] = param((1800.0,), "total outputs asked for, one after the other", "MW", min_length=1)
-    times: tuple[float, ...] = param((), "when each but the first begins", "s")
+    demands: tuple[float, ...] = param((1800.0,), "total outputs asked for, one after the other", "MW", min_length=1,
+                                       each=(0.0, 1e6))  # fmt: skip
+    times: tuple[float, ...] = param((), "when each but the first begins", "s", each=(0.0, 1e9))
 
     @model_validator(mode="after")
     def _rising(self) -> DemandParams:

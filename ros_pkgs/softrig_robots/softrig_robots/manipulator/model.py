@@ -20,15 +20,16 @@ class Links(Params):
     Frame i sits at the end of link i. Joint i turns about z of frame i - 1.
     """
 
-    d: tuple[float, ...] = param((0.28, 0.0, 0.0), "link offsets d_i", "m")
-    a: tuple[float, ...] = param((0.0, 0.76, 0.93), "link lengths a_i", "m")
-    alpha: tuple[float, ...] = param((pi / 2.0, 0.0, 0.0), "link twists alpha_i", "rad")
-    mass: tuple[float, ...] = param((19.0, 18.18, 10.99), "masses m_i", "kg", min_length=1)
+    d: tuple[float, ...] = param((0.28, 0.0, 0.0), "link offsets d_i", "m", each=(-100.0, 100.0))
+    a: tuple[float, ...] = param((0.0, 0.76, 0.93), "link lengths a_i", "m", each=(-100.0, 100.0))
+    alpha: tuple[float, ...] = param((pi / 2.0, 0.0, 0.0), "link twists alpha_i", "rad", each=(-7.0, 7.0))
+    mass: tuple[float, ...] = param((19.0, 18.18, 10.99), "masses m_i", "kg", min_length=1, each=(0.0, 1e5))
     center: tuple[float, ...] = param((0.0, -0.22, 0.0, -0.51, 0.0, 0.0, -0.67, 0.0, 0.0),
-                                      "centres of mass in frame i: x, y, z link after link", "m")  # fmt: skip
+                                      "centres of mass in frame i: x, y, z link after link", "m",
+                                      each=(-100.0, 100.0))  # fmt: skip
     inertia: tuple[float, ...] = param((0.34, 0.36, 0.31, 0.18, 1.32, 1.31, 0.07, 0.92, 0.93),
                                        "Ixx, Iyy, Izz about the centre of mass in axes of frame i, link after link",
-                                       "kg m^2")  # fmt: skip
+                                       "kg m^2", each=(0.0, 1e7))  # fmt: skip
 
     @model_validator(mode="after")
     def _possible(self) -> Links:

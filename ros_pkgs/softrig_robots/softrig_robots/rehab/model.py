@@ -24,10 +24,12 @@ HIP_HEIGHT = 1.0  # m; only a viewer sees it
 class Segments(Params):
     """Thigh and shank with foot, each two numbers."""
 
-    mass: tuple[float, float] = param((5.5, 5.0), "masses m_i", "kg")
-    length: tuple[float, float] = param((0.5, 0.45), "lengths l_i", "m")
-    center: tuple[float, float] = param((0.45, 0.40), "distances d_i from the joint to the centre of mass", "m")
-    inertia: tuple[float, float] = param((0.25, 0.20), "moments of inertia I_i about the centre of mass", "kg m^2")
+    mass: tuple[float, float] = param((5.5, 5.0), "masses m_i", "kg", each=(0.0, 1e4))
+    length: tuple[float, float] = param((0.5, 0.45), "lengths l_i", "m", each=(0.0, 100.0))
+    center: tuple[float, float] = param((0.45, 0.40), "distances d_i from the joint to the centre of mass", "m",
+                                        each=(0.0, 100.0))  # fmt: skip
+    inertia: tuple[float, float] = param((0.25, 0.20), "moments of inertia I_i about the centre of mass", "kg m^2",
+                                         each=(0.0, 1e6))  # fmt: skip
 
     @model_validator(mode="after")
     def _possible(self) -> Self:

@@ -1,0 +1,109 @@
+"""What surrounds every command: streams that can be relied on, one line and an exit status for every failure."""
+
+from __future__ import annotations
+
+import io
+import os
+import shlex
+import sys
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any
+
+from .errors import RunError, ScenarioError
+
+LINE = 1000  # characters of a failure that are shown
+
+
+def guarded(work: Callable[[], int]) -> int:
+    """Do the work of a command and turn every failure into one line and its exit status.
+
+    Parameters
+    ----------
+    work : callable
+        Gives 0 for done, 1 for done with another result than was asked for.
+
+    Returns
+    -------
+    int
+        That of `work`; 2 bad input, 3 it broke, 4 an error of softrig itself (its traceback is in a file), 130
+        interrupted, 141 nobody reads the output any more.
+    """
+    secure_streams()
+    try:
+        try:
+            return work()
+        finally:
+            _flush()  # while there is still somebody to tell that the disk is full
+    except ScenarioError as error:
+        # from another exception: the code of a user's package, whose traceback tells more than a line
+        say(f"{error}; the traceback is in {_traceback()}" if error.__cause__ else error)
+        return 2
+    except BrokenPipeError:  # whoever read our output has enough
+        return 141
+    except (RunError, OSError) as error:
+        say(error)
+        return 3
+    except KeyboardInterrupt:
+        say("stopped")
+        return 130
+    except MemoryError:
+        say("out of memory; a shorter run or a smaller size may fit")
+        return 3
+    except Exception as error:
+        say(f"error of softrig itself: {type(error).__name__}: {error}; the traceback is in {_traceback()}")
+        return 4
+
+
+def say(what: object) -> None:
+    """Print one line about what happens, short enough to read."""
+    tell("softrig", what)
+
+
+def tell(who: str, what: object) -> None:
+    """Print one line in somebody's name; nobody may be there any more to read it."""
+    text = " ".join(str(what).split())
+    with suppress(OSError, ValueError):
+        print(f"{who}: {text if len(text) <= LINE else text[:LINE] + ' ...'}", file=sys.stderr, flush=True)
+
+
+def secure_streams() -> None:
+    """Open the standard streams that are closed, and let no character that an encoding lacks end the program.
+
+    A file that is opened while a standard stream is closed gets its number: what somebody prints then stands in it.
+    """
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # gets the lowest free number, which is this
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        stream: Any = getattr(sys, name)
+        if stream is None:
+            setattr(sys, name, open(os.devnull, mode, encoding="utf-8"))  # noqa: SIM115 - for the life of the process
+        elif isinstance(stream, io.TextIOWrapper) and stream.errors == "strict":
+            stream.reconfigure(errors="replace")
+
+
+def _flush() -> None:
+    try:
+        sys.stdout.flush()
+    except OSError:
+        # what is still in the buffer would be tried, and fail, again when Python ends
+        with suppress(OSError, ValueError):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        raise
+
+
+def _traceback() -> str:
+    """Write the traceback under way into a file of its own; gives its name."""
+    import tempfile
+    import traceback
+
+    try:
+        number, name = tempfile.mkstemp(prefix="softrig-error-", suffix=".log")
+        with os.fdopen(number, "w", encoding="utf-8", errors="replace") as file:
+            file.write(f"{shlex.join(sys.argv)}\n{traceback.format_exc()}")
+    except OSError as error:
+        return f"no file: {error}"
+    return name

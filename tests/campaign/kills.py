@@ -1,0 +1,175 @@
+"""A node or the runner of a rig killed at some moment: what was recorded is exact, the status right, nothing left."""
+
+import os
+import random
+import signal
+import sys
+import time
+import traceback
+from contextlib import suppress
+from functools import cache
+from pathlib import Path
+
+from softrig_bags.read import read_bag
+from softrig_bringup.cli import main
+from softrig_core.rig.inprocess import run_inprocess
+from softrig_core.rig.rig import Rig
+from softrig_core.rig.scenario import Scenario, list_scenarios, load_scenario
+from softrig_core.wire.recording import Recording
+from traces import left_in_memory, of_run, orphans, segments
+
+ENDINGS = {signal.SIGINT: 130, signal.SIGTERM: 143, signal.SIGHUP: 129}
+LATEST = 6.0  # s after the start of the runner
+
+
+class Enough(Exception):
+    """The reference is as long as what it is compared with."""
+
+
+@cache
+def names() -> list[str]:
+    """Scenarios of at most six nodes, all of them ours, that are not over at once."""
+    found = []
+    for name in sorted(list_scenarios()):
+        scenario = load_scenario(name)
+        if len(scenario.nodes) <= 6 and not any(n.external for n in scenario.nodes.values()):
+            rig = Rig.from_scenario(scenario)
+            if rig.ticks >= 500:
+                found.append(name)
+    return found
+
+
+def attack(seed: int, directory: Path) -> None:
+    """Start one run as the command line does, kill, and look at everything it leaves."""
+    chance = random.Random(seed)
+    name = chance.choice(names())
+    mode = chance.choice(("processes", "processes", "container"))
+    out, said = directory / "out", directory / "said"
+    command = ["run", name, "--mode", mode, "--no-plots", "--seed", str(seed), "--out", str(out)]
+    (directory / "case").write_text(" ".join(command) + "\n")
+    before = segments()
+    runner = fork(command, said)
+    handle = os.pidfd_open(runner)  # a number alone may be another process's by then
+    try:
+        strike_and_judge(chance, runner, name, seed, directory, before)
+    finally:
+        with suppress(ProcessLookupError):
+            signal.pidfd_send_signal(handle, signal.SIGKILL)
+            os.waitpid(runner, 0)
+        os.close(handle)
+
+
+def strike_and_judge(
+    chance: random.Random, runner: int, name: str, seed: int, directory: Path, before: set[str]
+) -> None:
+    """Kill at some moment and look at everything that is left."""
+    out, said = directory / "out", directory / "said"
+    time.sleep(chance.uniform(0.0, LATEST))
+    victim, number = strike(chance, runner, directory)
+    with (directory / "case").open("a") as case:
+        case.write(f"{victim} {signal.Signals(number).name}\n")
+    domain = next((int(v["ROS_DOMAIN_ID"]) for _, v in of_run(directory) if "ROS_DOMAIN_ID" in v), None)
+    status = ended(runner)
+    text = said.read_text(errors="replace")
+    assert "Traceback" not in text, text[-2000:]
+    assert (left := orphans(directory)) == [], f"{len(left)} processes of the run live on"
+    judge_status(status, victim, number, text, out)
+    judge_record(load_scenario(name), seed, out, directory)
+    assert (files := left_in_memory(before, domain)) == [], f"left in shared memory: {files[:3]}"
+
+
+def fork(command: list[str], said: Path) -> int:
+    """Run the command line in a process of its own without importing everything again."""
+    runner = os.fork()
+    if runner:
+        return runner
+    try:
+        signal.alarm(0)
+        for number in ENDINGS:
+            signal.signal(number, signal.default_int_handler if number == signal.SIGINT else signal.SIG_DFL)
+        output = os.open(said, os.O_WRONLY | os.O_CREAT)
+        os.dup2(output, 1)
+        os.dup2(output, 2)
+        sys.stdout, sys.stderr = os.fdopen(1, "w"), os.fdopen(2, "w", buffering=1)
+        status = main(command)
+        sys.stdout.flush()
+    except BaseException:
+        os.write(2, traceback.format_exc().encode())
+        status = 99
+    os._exit(status)
+
+
+def strike(chance: random.Random, runner: int, directory: Path) -> tuple[str, int]:
+    """Kill somebody; says whom and by what."""
+    nodes = [number for number, _ in of_run(directory) if number != runner]
+    if nodes and chance.random() < 0.6:
+        number = chance.choice((signal.SIGKILL, signal.SIGKILL, signal.SIGSEGV, signal.SIGTERM, signal.SIGSTOP))
+        victim, who = chance.choice(nodes), "node"
+        if number == signal.SIGSTOP and b"model.worker" in Path(f"/proc/{victim}/cmdline").read_bytes():
+            number = signal.SIGKILL  # a solver may think as long as it likes: stopped, it would be waited for
+    else:
+        number, victim, who = chance.choice((signal.SIGKILL, *ENDINGS)), runner, "runner"
+    try:
+        os.kill(victim, number)
+    except ProcessLookupError:
+        return "nobody", signal.SIGKILL
+    return who, number
+
+
+def ended(runner: int) -> int:
+    """Wait for the runner; gives its exit status, negative for a signal."""
+    deadline = time.monotonic() + 50.0
+    while time.monotonic() < deadline:
+        number, status = os.waitpid(runner, os.WNOHANG)
+        if number:
+            return os.waitstatus_to_exitcode(status)
+        time.sleep(0.02)
+    os.kill(runner, signal.SIGKILL)
+    os.waitpid(runner, 0)
+    raise AssertionError("the runner did not end within 50 s")
+
+
+def judge_status(status: int, victim: str, number: int, text: str, out: Path) -> None:
+    """Hold the exit status against what was done."""
+    over = (0, 1)  # it was over, or as good as over, before
+    if victim == "runner":
+        allowed = (-number,) if number == signal.SIGKILL else (ENDINGS[number],)
+    else:
+        allowed = (3,)
+    assert status in (*allowed, *over), f"{victim} {signal.Signals(number).name}: status {status}: {text[-500:]}"
+    if status == 3:
+        assert "softrig: the run broke: " in text, text[-500:]
+        assert (out / "metrics.json").exists(), "no metrics.json says why"
+
+
+def judge_record(scenario: Scenario, seed: int, out: Path, directory: Path) -> None:
+    """What is in the bag, or in the shards of a killed runner, is the beginning of what a run in process gives."""
+    bag = out / "bag"
+    if not bag.exists():
+        if not any((out / "log").glob("*.shard")):
+            return  # killed before anything was recorded
+        bag = directory / "repaired"
+        if (status := main(["bag", "repair", str(out / "log"), "--out", str(bag)])) == 2:
+            return  # not one whole message yet
+        assert status == 0, "the shards of a killed run cannot be repaired"
+    recording = read_bag(bag)
+    reference = expected(scenario, seed, max((t.times[-1] for t in recording.topics.values() if t.times), default=0))
+    for name, topic in recording.topics.items():
+        whole = reference.topics[name]
+        n = len(topic.times)
+        assert topic.times == whole.times[:n], f"{name}: other times than in process"
+        assert topic.data == whole.data[:n], f"{name}: other bytes than in process"
+
+
+def expected(scenario: Scenario, seed: int, end: int) -> Recording:
+    """Record a run in process up to a time in ns."""
+
+    def progress(t: int) -> None:
+        if t > end:
+            raise Enough
+
+    rig = Rig.from_scenario(scenario)
+    recording = Recording((t, p.msgtype) for t, p in rig.topics.items())
+    with suppress(Enough):
+        run_inprocess(rig, seed, recording, progress)
+    return recording

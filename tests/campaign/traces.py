@@ -1,0 +1,55 @@
+"""What a run leaves behind that it should not: processes, shared memory, files outside its directory."""
+
+import os
+import signal
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+from softrig_core.rig.shared_memory import AGE, _ownerless, remove_leftovers
+
+SHARED = Path("/dev/shm")
+
+
+def of_run(directory: Path) -> Iterator[tuple[int, dict[str, str]]]:
+    """Give number and environment of every process whose logs go below a directory: nodes and what they start."""
+    for entry in Path("/proc").iterdir():
+        if not entry.name.isdigit() or int(entry.name) == os.getpid():
+            continue
+        try:
+            pairs = (entry / "environ").read_text(errors="replace").split("\0")
+        except OSError:  # somebody else's, or gone
+            continue
+        found = dict(p.split("=", 1) for p in pairs if "=" in p)
+        if found.get("ROS_LOG_DIR", "").startswith(str(directory)):
+            yield int(entry.name), found
+
+
+def orphans(directory: Path, seconds: float = 15.0) -> list[int]:
+    """Give the processes of a run that are still there when that time is over, and kill them."""
+    deadline = time.monotonic() + seconds
+    while (left := [number for number, _ in of_run(directory)]) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    for number in left:
+        try:
+            os.kill(number, signal.SIGKILL)
+        except ProcessLookupError:
+            continue
+    return left
+
+
+def segments() -> set[str]:
+    """Give the names of what the middleware has in shared memory now."""
+    return {p.name for p in SHARED.glob("*fastrtps_*")}
+
+
+def left_in_memory(before: set[str], domain: int | None) -> list[str]:
+    """Give the files that came since, have no living owner and that the next run would not remove either.
+
+    Other runs of this machine come and go meanwhile: of theirs, only what has an owner's lock is judged.
+    """
+    time.sleep(AGE + 0.1)  # the clearing itself leaves alone what is younger
+    remove_leftovers(domain)
+    first = 7400 + 250 * (-1000 if domain is None else domain)
+    ours = {f"fastrtps_port{n}" for n in range(first, first + 250)}
+    return sorted(n for n in segments() - before if (n in ours or n.endswith("_el")) and _ownerless(SHARED / n))
