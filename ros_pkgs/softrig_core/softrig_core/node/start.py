@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from .adapter import Adapter
 
 CHECK = 1_000_000_000 // 50  # ns between two checks
-SETTLED = 10  # checks in a row in which what the graph says has not changed
+SETTLED = 25  # checks in a row in which what the graph says has not changed
 
 
 class Handshake:

@@ -475,12 +475,9 @@ def _reason(children: list[_Child], failed: list[_Child]) -> str:
         failed = [c for c in children if c.process.poll() not in (None, 0)]
     # a container fails as one, but some of its nodes may have finished before
     failed = [c for c in failed if _read_status(c.status).get("state") != "done"] or failed
-    waits = {c.member.name: _read_status(c.status).get("waits_for", []) for c in failed}
-    causes = [c for c in failed if not waits[c.member.name]] or [
-        c for c in failed if not all(waits.get(sender) for sender in waits[c.member.name])
-    ]
+    causes = blamed({c.member.name: _read_status(c.status).get("waits_for", []) for c in failed})
     texts = []
-    for child in causes or failed[:1]:
+    for child in (c for c in failed if c.member.name in causes):
         code = child.process.returncode or 0
         name = child.member.name
         if code < 0:
@@ -491,6 +488,19 @@ def _reason(children: list[_Child], failed: list[_Child]) -> str:
             told = f"{name}: {said}" if said else _last_line(child.log)
             texts.append(f"node {told or f'{name} ended with status {code}'}")
     return "; ".join(texts)
+
+
+def blamed(waits: Mapping[str, Sequence[str]]) -> list[str]:
+    """Give the nodes whose errors tell the cause: those that waited for none, or for one that did not wait itself.
+
+    Parameters
+    ----------
+    waits : by node name
+        For whom each node that failed waited.
+    """
+    causes = [n for n, senders in waits.items() if not senders]
+    causes = causes or [n for n, senders in waits.items() if not all(waits.get(sender) for sender in senders)]
+    return causes or list(waits)[:1]
 
 
 def _stop(children: list[_Child]) -> None:
