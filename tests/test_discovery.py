@@ -91,7 +91,7 @@ def stall(run, rng):
     if not run.nodes:
         return
     node = rng.choice(list(run.nodes.values()))
-    node.stalled = run.world.now + rng.randrange(3_000 * MS)
+    node.stalled = max(node.stalled, run.world.now + rng.randrange(3_000 * MS))
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -1,11 +1,14 @@
 """Real time and lockstep over a simulated middleware: which tick's inputs a law uses, with a clock the test moves."""
 
+import math
 import random
 
 import numpy as np
 import pytest
 from conftest import differences, in_process, make_scenario
+from faultrig import COMMAND, STATE, Lag
 from simulated import SimulatedRig, World
+from softrig_core.model.block import Block
 from softrig_core.rig.rig import Rig
 from softrig_core.rig.scenario import load_scenario
 from softrig_core.wire.signals import Signals
@@ -125,6 +128,42 @@ def test_a_refused_measurement_is_answered_at_its_tick_by_what_was_said_before()
     world.run(run.epoch + 99 * MS)
     u = Signals(run.recording, run.epoch)["lag/command/u/effort"].x
     assert list(u) == pytest.approx([2.0 * (0.01 * k - k) for k in (0, 1, 2, 3, 4, 5, 5, 7, 8, 9)])
+
+
+@pytest.mark.parametrize(("x", "told"), [
+    (1e300, "x/position is 1e+300 m, expected at most 1e+09 in magnitude"),
+    (1e4, "OverflowError: math range error"),
+])  # fmt: skip
+def test_absurd_numbers_are_refused_and_what_overflows_all_the_same_brings_the_safe_output(x, told):
+    """The law takes the exponential of what it gets: plausible values overflow, too."""
+
+    class Exponential(Block):
+        INPUTS = (STATE,)
+        OUTPUTS = (COMMAND,)
+
+        def update(self, t, state):
+            return {"command": (math.exp(state[0]),)}
+
+    rig = Rig.from_blocks({"plant": Lag(), "law": Exponential()}, 1.0)
+    world = World()
+    run = SimulatedRig(rig, world, "realtime", without=("plant",))
+    world.match()
+    world.run(run.epoch - 1)
+    for k in range(10):
+        world.run(run.epoch + k * 10 * MS + MS)
+        send(
+            run,
+            "/lag/state",
+            STATE.msgtype,
+            STATE.layout().encode(run.epoch + k * 10 * MS, (x if k == 5 else 0.0, 0.0)),
+        )
+    world.run(run.epoch + 99 * MS)
+    law = run.adapters["law"]
+    said = [law.inputs[0].last_refusal, *(text for _, text, _ in law.block.reports.values())]
+    assert any(told in text for text in said)
+    u = Signals(run.recording, run.epoch)["lag/command/u/effort"].x
+    assert list(u) == [1.0] * 5 + [1.0 if x > 1e9 else 0.0] + [1.0] * 4
+    assert law.state == "running"
 
 
 def test_a_node_whose_senders_have_ended_ends_too():

@@ -13,6 +13,11 @@ from ..wire.types import TYPES, Dims, MessageType, element_labels
 
 XYZ = ("x", "y", "z")
 
+# Magnitude up to which a value can be meant, by unit: what lies beyond is no measurement, and its square or exponential
+# would overflow in a law. The last is that of any other unit.
+PLAUSIBLE = {"V": 1e7, "A": 1e7, "N": 1e8, "N m": 1e8, "rad": 1e9, "rad/s": 1e7, "m": 1e9, "m/s": 1e7, "s": 1e10}
+PLAUSIBLE_OTHER = 1e12
+
 
 class Refused(ValueError):
     """A message that must not reach a block; the text says what was wrong and what was expected."""
@@ -62,6 +67,8 @@ class Port:
     safe : tuple of float
         Value in the absence of a valid one: a plant's input under its watchdog, a controller's output when
         its measurement is bad. Default zeros.
+    limits : tuple of float
+        Plausible magnitude of each value in its unit, beyond which an input refuses a message. Default by unit.
     """
 
     name: str
@@ -77,6 +84,7 @@ class Port:
     partial: bool = False
     dims: Dims = ()
     safe: tuple[float, ...] = field(default=())
+    limits: tuple[float, ...] = field(default=())
 
     def __post_init__(self) -> None:
         if len(self.units) != self.size:
@@ -86,6 +94,10 @@ class Port:
             object.__setattr__(self, "safe", (0.0,) * self.size)
         if len(self.safe) != self.size:
             raise ValueError(f"port {self.name}: {len(self.safe)} safe values for {self.size} values")
+        if not self.limits:
+            object.__setattr__(self, "limits", tuple(PLAUSIBLE.get(unit, PLAUSIBLE_OTHER) for unit in self.units))
+        if len(self.limits) != self.size:
+            raise ValueError(f"port {self.name}: {len(self.limits)} limits for {self.size} values")
         if self.partial and not self.type.named:
             raise ValueError(f"port {self.name}: {self.msgtype} has no channel names, it cannot be partial")
 
@@ -147,7 +159,7 @@ def joint_state(name: str, topic: str, channels: Sequence[str], *, position: Uni
     position, velocity, effort : str or sequence of str
         Unit of all channels or one a channel, "1" for a pure number; a field without unit is not used.
     **options
-        Further fields of `Port`: held, delayed, sporadic, partial, safe.
+        Further fields of `Port`: held, delayed, sporadic, partial, safe, limits.
     """
     units = {"position": position, "velocity": velocity, "effort": effort}
     return _named(types.JOINT_STATE.name, name, topic, channels, units, options)

@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Literal
 
-from ..errors import RunError
+from ..errors import RunError, describe
 from ..model.answer import check
 from ..model.block import Block, Level, Plant
 from ..model.port import Port, Sample
@@ -154,8 +154,10 @@ class Adapter:
             return found
         self.bad = False
         own = self.block.refused(t)
-        if own is not None:
-            return own
+        return self.held(t) if own is None else own
+
+    def held(self, t: int) -> Any:
+        """Give what was said last, at first the safe values; silence on sporadic ports."""
         return {
             o.name: self._said.get(o.name) or (Sample(t, o.port.safe) if o.delayed else o.port.safe)
             for o in self.outputs if not o.sporadic
@@ -217,6 +219,11 @@ class Adapter:
         if self.error is None:
             self.error = RunError(text)
         self.finish("failed")
+
+    def broke(self, error: ArithmeticError | RunError) -> None:
+        """End the run because its numbers have left their range: one line, the place in it, no stack trace."""
+        known = isinstance(error, RunError)
+        self.fail(str(error) if known else f"failed at t = {self.t / SECOND:.9g} s: {describe(error)}")
 
     def finish(self, state: Literal["done", "failed"] = "done") -> None:
         """Stop."""

@@ -10,6 +10,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any
 
+from ..errors import RunError
 from ..model.block import Block
 from ..model.port import Port, Refused, Sample
 from ..model.schedule import Schedule
@@ -320,7 +321,7 @@ class Lockstep(Adapter):
         self.state = "running"
         self._since = self.middleware.steady()
         if self.is_plant:
-            self._send(0)
+            self._guarded(self._send, 0)
         if not self.missing:
             self._step()
 
@@ -357,6 +358,15 @@ class Lockstep(Adapter):
 
     def _step(self) -> None:
         """Answer ticks as long as nothing is missing."""
+        self._guarded(self._answer_ticks)
+
+    def _guarded(self, call: Callable[..., None], *arguments: int) -> None:
+        try:
+            call(*arguments)
+        except (ArithmeticError, RunError) as error:
+            self.broke(error)
+
+    def _answer_ticks(self) -> None:
         while not self.missing and self.state == "running" and not self._over:
             if self.is_plant:
                 self._advance(self.t)

@@ -11,6 +11,8 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any
 
+from ..errors import RunError, describe
+from ..model.answer import check
 from ..model.block import Block, Level, Plant
 from ..model.port import Port, Refused, Sample
 from ..model.timebase import SECOND, to_ns
@@ -247,6 +249,16 @@ class Realtime(Adapter):
         self.publish(t, stamp, self.answer(t))
         self._advance_to(t)
 
+    def answer(self, t: int) -> Any:
+        """Give what is to be sent; the safe values when the law overflows or gives what nobody may send."""
+        try:
+            found = super().answer(t)
+            return {o.name: check(found, o.port, self.middleware.name, t) for o in self.outputs}
+        except (ArithmeticError, ValueError, RunError) as error:
+            self.block.report(Level.ERROR, "failed", f"{describe(error)}; safe output")
+            self._said = {}
+            return self.held(t)
+
     def _notice_silence(self, feed: Feed, now: int) -> bool:
         """Whether a sender has been silent for too long; reports it once."""
         if feed.arrived is None:
@@ -326,22 +338,30 @@ class Realtime(Adapter):
         if self.schedule.time(behind) > CATCH_UP:
             self.skipped += behind - 1
             behind = 1
-        if isinstance(self.block, Plant):
-            inputs = self._fresh_inputs(now)
-            for k in range(number - behind if self.tick_number >= 0 else number, number):
-                self.t = self.schedule.time(k)
-                self.block.advance(self.t, **inputs)
+        first = number - behind if self.tick_number >= 0 else number
         self.tick_number = number
-        self.t = t = due
-        stamp = self.epoch + due
         if isinstance(self.block, Plant):
-            self.publish(t, stamp, self.block.outputs(t))
-            self._sent_at[stamp] = self.middleware.now()
-            while len(self._sent_at) > 2 * self.block.STALE_PERIODS:
-                del self._sent_at[next(iter(self._sent_at))]
+            try:
+                self._move(self.block, first, number, self._fresh_inputs(now))
+            except (ArithmeticError, RunError) as error:
+                self.broke(error)
+                return
         else:
-            self.publish(t, stamp, self.answer(t))
-        self._advance_to(t)
+            self.t = due
+            self.publish(due, self.epoch + due, self.answer(due))
+        self._advance_to(due)
+
+    def _move(self, plant: Plant, first: int, number: int, inputs: dict[str, Any]) -> None:
+        """Move a plant from tick `first` to tick `number` and publish where it is."""
+        for k in range(first, number):
+            self.t = self.schedule.time(k)
+            plant.advance(self.t, **inputs)
+        self.t = t = self.schedule.time(number)
+        stamp = self.epoch + t
+        self.publish(t, stamp, plant.outputs(t))
+        self._sent_at[stamp] = self.middleware.now()
+        while len(self._sent_at) > 2 * self.block.STALE_PERIODS:
+            del self._sent_at[next(iter(self._sent_at))]
 
     def _fresh_inputs(self, now: int) -> dict[str, Any]:
         """Newest commands; the safe value in place of a stale one."""

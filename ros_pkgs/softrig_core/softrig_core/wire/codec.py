@@ -15,6 +15,7 @@ class Decoder:
         self._port = port
         self._layout = port.layout()
         self._pick: Pick | None = None
+        self._bound = min(port.limits, default=0.0)
         self.kept = port.safe  # of a partial port: what channels that a message leaves out keep; its reader updates it
 
     def __call__(self, data: bytes) -> tuple[int, tuple[float, ...]]:
@@ -23,7 +24,7 @@ class Decoder:
         Raises
         ------
         Refused
-            Malformed bytes, missing or unknown channels, wrong length, wrong frame, NaN or infinity.
+            Malformed bytes, missing or unknown channels, wrong length, wrong frame, NaN, infinity, beyond a limit of the port.
         """
         found = self._layout.decode(data)
         if found is None:
@@ -34,15 +35,17 @@ class Decoder:
         stamp, values = found
         if self._pick is not None:
             values = self._pick(values + self.kept if self._port.partial else values)
-        total = sum(values)
-        if total - total != 0.0:  # NaN or infinity somewhere, or a sum beyond the range of float64
-            self._check_finite(values)
+        if not sum(map(abs, values)) <= self._bound:  # one beyond its limit, NaN, infinity; or all are rather large
+            self._check(values)
         return stamp, values
 
-    def _check_finite(self, values: tuple[float, ...]) -> None:
-        for label, value in zip(self._port.labels, values, strict=True):
+    def _check(self, values: tuple[float, ...]) -> None:
+        port = self._port
+        for label, value, limit, unit in zip(port.labels, values, port.limits, port.units, strict=True):
             if value - value != 0.0:
                 raise Refused(f"{label} is {value}, expected a finite number")
+            if abs(value) > limit:
+                raise Refused(f"{label} is {value:g} {unit or '1'}, expected at most {limit:g} in magnitude")
 
     def _learn(self, data: bytes) -> None:
         """Adopt the layout of `data` if it carries what the port needs."""
@@ -56,7 +59,7 @@ class Decoder:
         flat = [float(x) for values in message.fields.values() for x in values]
         order = self._order(message)
         values = tuple([*flat, *self.kept][i] for i in order)
-        self._check_finite(values)
+        self._check(values)
         return message.stamp or 0, values
 
     def _parse(self, data: bytes) -> Message:
