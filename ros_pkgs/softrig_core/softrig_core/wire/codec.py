@@ -24,7 +24,7 @@ class Decoder:
         Raises
         ------
         Refused
-            Malformed bytes, missing or unknown channels, wrong length, wrong frame, NaN, infinity, beyond a limit of the port.
+            Malformed bytes, missing or unknown channels, wrong length, wrong frame, NaN, infinity, beyond a limit.
         """
         found = self._layout.decode(data)
         if found is None:
