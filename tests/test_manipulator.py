@@ -11,6 +11,7 @@ import pytest
 import softrig_robots
 from conftest import differences, in_process
 from scipy.integrate import solve_ivp
+from simulated import SimulatedRig, World
 from softrig_core.errors import RunError, ScenarioError
 from softrig_core.model import compiled
 from softrig_core.model.block import Level
@@ -21,6 +22,7 @@ from softrig_core.rig.figures import evaluate
 from softrig_core.rig.inprocess import run_inprocess
 from softrig_core.rig.rig import Rig
 from softrig_core.rig.scenario import list_scenarios, load_scenario
+from softrig_core.rig.simulate import rig_of
 from softrig_core.wire.signals import Signals
 from softrig_robots.driven_robot import compile_robot
 from softrig_robots.dynamics import RobotDynamics
@@ -126,6 +128,27 @@ def test_armature_adds_to_the_diagonal():
     np.testing.assert_allclose(found["mass_matrix"] - plain["mass_matrix"], np.diag([2.0, 3.0, 4.0]), atol=1e-12)
     np.testing.assert_allclose(found["inverse_dynamics"] - plain["inverse_dynamics"], [2, 6, 12], atol=1e-12)
     np.testing.assert_allclose(found["mass_matrix"] @ found["forward_dynamics"], V - found["bias"], atol=1e-11)
+
+
+def test_a_refused_query_is_not_answered():
+    """Nothing goes out under its stamp: a reader would take it for the answer."""
+    rig, world = rig_of("manipulator_adsmc_two_link"), World()
+    others = [m.name for m in rig.members if m.name != "robot_dynamics"]
+    run = SimulatedRig(rig, world, "realtime", without=others)
+    world.match()
+    (reader,) = [r for r in world.readers if r.topic == "/joint_states"]
+    layout = run.adapters["robot_dynamics"].inputs[0].port.layout()
+    answers = []
+    for k, q in enumerate((0.1, math.nan, 0.3)):
+        stamp = run.epoch + k * 20_000_000
+        world.run(stamp)
+        world.now = stamp
+        reader.receive(layout.encode(stamp, (q, 0.2, 0.0, 0.0, 0.0, 0.0)))
+        world.run(stamp + 19_000_000)
+        answers.append({name: len(topic.data) for name, topic in run.recording.topics.items() if topic.data})
+    topics = {p.topic for p in run.adapters["robot_dynamics"].block.ports(run.adapters["robot_dynamics"].block.p)[1]}
+    assert answers == [dict.fromkeys(topics, n) for n in (1, 1, 2)]
+    assert run.adapters["robot_dynamics"].inputs[0].refused == 1
 
 
 def test_description_and_markers_for_viewers():

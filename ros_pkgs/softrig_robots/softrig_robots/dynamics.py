@@ -40,7 +40,8 @@ class RobotDynamics(Block):
     """Answers a joint state with everything a model-based law or a check of one needs.
 
     Notation of pinocchio: M(q) a + nle(q, v) = tau. The Jacobian is that of the tool with axes of the base
-    (linear rows first). The inverse dynamics take their acceleration from `reference`, zero without one.
+    (linear rows first). The inverse dynamics take their acceleration from `reference`, zero without one. A query that
+    was refused gets no answer.
     """
 
     Params = RobotDynamicsParams
@@ -55,13 +56,15 @@ class RobotDynamics(Block):
             joint_state("joint_query", "joint_query", joints, position="rad", velocity="rad/s", effort="N m"),
             reference("reference", "reference", joints, acceleration="rad/s^2", held=True),
         ), (
-            array("mass_matrix", "mass_matrix", {"row": n, "column": n}, "kg m^2"),
-            array("bias", "bias", {"joint": n}, "N m"),
-            array("gravity", "gravity", {"joint": n}, "N m"),
-            array("forward_dynamics", "forward_dynamics", {"joint": n}, "rad/s^2"),
-            array("inverse_dynamics", "inverse_dynamics", {"joint": n}, "N m"),
-            array("jacobian", "jacobian", {"row": 6, "column": n}, ("m/rad",) * (3 * n) + ("",) * (3 * n)),
-            pose("tool_pose", "tool_pose", "base_link"),
+            array("mass_matrix", "mass_matrix", {"row": n, "column": n}, "kg m^2", sporadic=True),
+            array("bias", "bias", {"joint": n}, "N m", sporadic=True),
+            array("gravity", "gravity", {"joint": n}, "N m", sporadic=True),
+            array("forward_dynamics", "forward_dynamics", {"joint": n}, "rad/s^2", sporadic=True),
+            array("inverse_dynamics", "inverse_dynamics", {"joint": n}, "N m", sporadic=True),
+            array(
+                "jacobian", "jacobian", {"row": 6, "column": n}, ("m/rad",) * (3 * n) + ("",) * (3 * n), sporadic=True
+            ),
+            pose("tool_pose", "tool_pose", "base_link", sporadic=True),
         )
 
     def setup(self) -> None:
@@ -105,6 +108,10 @@ class RobotDynamics(Block):
             "jacobian": tuple(jacobian.ravel().tolist()),
             "tool_pose": (*tool.translation.tolist(), *pin.Quaternion(tool.rotation).coeffs().tolist()),
         }
+
+    def refused(self, t: int) -> Mapping[str, Vector]:
+        """Stay silent: the last answer under a new stamp would pass for that to this query."""
+        return {}
 
     def latched(self) -> Mapping[str, str]:
         """Give the text for late joiners: the URDF under the name that every viewer expects."""
