@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Self
+from collections.abc import Mapping, Sequence
+from typing import Any, Self
 
 from pydantic import model_validator
 from softrig_core.model.block import Plant
 from softrig_core.model.params import BlockParams, param
 from softrig_core.model.port import Port
+from softrig_core.model.state import state_type
 from softrig_core.node import executable
 
 from .discretise import matmul
@@ -60,10 +61,20 @@ class LinearPlant(Plant):
     def setup(self) -> None:
         """Sample."""
         self._a, self._b, self._c = sample_transfer_function(self.p.num, self.p.den, self.p.period)
+        self._state = state_type(("", [f"x{k + 1}" for k in range(len(self._a))]))
 
     def start(self) -> None:
         """Begin at rest."""
         self.x = tuple((0.0,) for _ in self._a)
+
+    @property
+    def state(self) -> Any:
+        """Give x1, x2, ... of the controllable form."""
+        return self._state(*(x[0] for x in self.x))
+
+    def put(self, state: Sequence[float]) -> None:
+        """Go on from another state."""
+        self.x = tuple((float(x),) for x in state)
 
     def outputs(self, t: int) -> Mapping[str, tuple[float, ...]]:
         """Give y."""

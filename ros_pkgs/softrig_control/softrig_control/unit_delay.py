@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Literal, Self
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal, Self
 
 from pydantic import model_validator
 from softrig_core.model.block import Plant
 from softrig_core.model.params import BlockParams, param
 from softrig_core.model.port import Port, joint_state, reference, vector3, wrench
+from softrig_core.model.state import state_type
 from softrig_core.node import executable
 from softrig_core.wire import types
 
@@ -72,6 +73,15 @@ class UnitDelay(Plant[LinkParams]):
     def start(self) -> None:
         """Hold the initial values."""
         self._held = self.p.initial or (0.0,) * self.p.port("sent", self.p.topic_in).size
+
+    @property
+    def state(self) -> Any:
+        """Give what is held, named as in the message."""
+        return state_type(("", self.p.port("sent", self.p.topic_in).labels))(*self._held)
+
+    def put(self, state: Sequence[float]) -> None:
+        """Hold other values."""
+        self._held = tuple(state)
 
     def outputs(self, t: int) -> Mapping[str, tuple[float, ...]]:
         """Give what came in a tick ago."""

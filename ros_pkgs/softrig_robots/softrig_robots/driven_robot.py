@@ -9,7 +9,7 @@ r"""A robot whose joints are driven through gears by DC motors: equations, compi
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self
 
@@ -19,6 +19,7 @@ from softrig_core.model.block import Level, Plant
 from softrig_core.model.compiled import Compiled
 from softrig_core.model.ode import rk4
 from softrig_core.model.params import BlockParams, Params, param
+from softrig_core.model.state import state_type
 from softrig_core.model.timebase import to_ns, to_s
 
 from .joints import PerJoint, require_positive, spread
@@ -102,6 +103,10 @@ class DrivenRobot(Plant):
         """Give positions (rad) and velocities (rad/s) at t = 0; currents start at zero."""
         raise NotImplementedError
 
+    def joints(self) -> tuple[str, ...]:
+        """Give the names of the joints."""
+        raise NotImplementedError
+
     def friction(self) -> Friction:
         """Give the friction at the joints beside that of the rotors."""
         none = (0.0,) * self.n
@@ -153,6 +158,16 @@ class DrivenRobot(Plant):
         q, v = self.initial()
         self.x: Vector = (*q, *v, *(0.0,) * self.n)
         self.saturated = [0] * self.n
+
+    @property
+    def state(self) -> Any:
+        """Give positions q (rad), velocities v (rad/s) and currents I (A), joint after joint."""
+        joints = self.joints()
+        return state_type(("q", joints), ("v", joints), ("I", joints))(*self.x)
+
+    def put(self, state: Sequence[float]) -> None:
+        """Go on from another state."""
+        self.x = tuple(map(float, state))
 
     def clip(self, command: Vector) -> Vector:
         """Limit the voltages and keep count of the ticks on which each was at its limit.

@@ -192,6 +192,24 @@ class Plant(Block[P]):
     The outputs at t_k never depend on the inputs of t_k.
     """
 
+    @property
+    def state(self) -> tuple[float, ...]:
+        """Give the state of now as a named tuple, with the names of the paper and in SI units."""
+        raise NotImplementedError(f"{type(self).__name__} does not tell its state")
+
+    def put(self, state: Sequence[float]) -> None:
+        """Go on from another state, in the order of `state`; faults, loads and commands before it stay as they are.
+
+        Only plants whose state is all that counts of their past have it: a delay, a travelling wave or packets under
+        way are more than that.
+        """
+        raise NotImplementedError(f"{type(self).__name__} cannot be put into a state")
+
+    @classmethod
+    def can_be_put(cls) -> bool:
+        """Whether `put` is there."""
+        return cls.put is not Plant.put
+
     def outputs(self, t: int) -> Values:
         """Give the outputs at t (ns)."""
         raise NotImplementedError

@@ -3,7 +3,8 @@ r"""Equilibria and linearisation of a model written once.
 .. math:: \dot x = f(x, u), \quad y = g(x, u)
 
 A model is a casadi function ``(x, u) -> (dx, y)``, whose Jacobians are exact, or a Python function of two float64
-arrays with the same result, whose Jacobians are differences of order 4.
+arrays with the same result, whose Jacobians are differences of order 4. `sampled` makes such a model of any plant that
+can be put into a state.
 """
 
 from __future__ import annotations
@@ -18,6 +19,8 @@ from ..errors import RunError
 
 if TYPE_CHECKING:
     import control
+
+    from .block import Plant
 
 Array = NDArray[np.float64]
 STEP = 1e-3  # of the differences, relative: their error is of order STEP^4, their rounding of 1e-16/STEP
@@ -47,6 +50,9 @@ class Linear(NamedTuple):
     y: Array
     """Outputs there."""
 
+    period: float = 0.0
+    """s; of a model of differences: x of the next period in place of dx. 0: a model of derivatives."""
+
     def system(self, **names: Sequence[str]) -> control.StateSpace:
         """Give it as a system of the python-control library, for poles, margins, Bode and step figures.
 
@@ -57,7 +63,49 @@ class Linear(NamedTuple):
         """
         import control
 
-        return control.ss(self.A, self.B, self.C, self.D, **names)
+        return control.ss(self.A, self.B, self.C, self.D, self.period, **names)
+
+
+class Sampled:
+    r"""One period of a plant as a model, :math:`dx = (x_{k+1} - x_k)/T`, inputs held: it rests where the plant rests.
+
+    Parameters
+    ----------
+    plant : Plant
+        It is put into states and moved: give one that no run uses.
+    t : int
+        When the period begins, ns.
+
+    Notes
+    -----
+    x is what the plant's `state` has; u are the values of its inputs, y those of its outputs that are not sporadic, in
+    the order of its ports. Outputs behind an encoder have steps: their rows of C mean nothing.
+    """
+
+    def __init__(self, plant: Plant, t: int = 0) -> None:
+        inputs, outputs = plant.ports(plant.p)
+        self.plant, self.t = plant, t
+        self.period = float(plant.p.period)
+        self.inputs = inputs
+        self.outputs = [port for port in outputs if not port.sporadic]
+
+    def __call__(self, x: Array, u: Array) -> tuple[Array, Array]:
+        """Give (dx, y)."""
+        self.plant.put(x.tolist())
+        given, at = {}, 0
+        for port in self.inputs:
+            given[port.name] = tuple(u[at : at + port.size].tolist())
+            at += port.size
+        found = self.plant.outputs(self.t)
+        y = [value for port in self.outputs for value in found[port.name]]  # type: ignore[union-attr]
+        self.plant.advance(self.t, **given)
+        return (np.array(self.plant.state) - x) / self.period, np.array(y, dtype=float)
+
+    def linearise(self, x: Sequence[float], u: Sequence[float]) -> Linear:
+        r"""Linearise the plant, :math:`\delta x_{k+1} = A \delta x_k + B \delta u_k`; ``system()`` has its period."""
+        found = linearise(self, x, u)
+        eye = np.eye(len(found.x))
+        return found._replace(A=eye + self.period * found.A, B=self.period * found.B, period=self.period)
 
 
 def linearise(model: Any, x: Sequence[float], u: Sequence[float]) -> Linear:

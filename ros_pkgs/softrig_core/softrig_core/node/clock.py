@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from ..model.block import Plant
@@ -11,6 +11,14 @@ from . import executable
 
 class Clock(Plant):
     """Has a period and nothing else; a node of it publishes /clock."""
+
+    @property
+    def state(self) -> tuple[float, ...]:
+        """Give nothing."""
+        return ()
+
+    def put(self, state: Sequence[float]) -> None:
+        """There is nothing to change."""
 
     def outputs(self, t: int) -> Mapping[str, Any]:
         """Give nothing."""

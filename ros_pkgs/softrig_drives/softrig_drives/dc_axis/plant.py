@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from typing import Self
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple, Self
 
 from pydantic import model_validator
 from softrig_core.model.block import Plant
@@ -32,6 +32,13 @@ class DcAxisParams(MotorParams):
         if self.stiction < self.coulomb:
             raise ValueError(f"stiction {self.stiction:g} mm/s^2 is below coulomb {self.coulomb:g} mm/s^2")
         return self
+
+
+class State(NamedTuple):
+    """Position (mm) and speed (mm/s)."""
+
+    y: float
+    v: float
 
 
 class DcAxisPlant(Plant):
@@ -64,6 +71,16 @@ class DcAxisPlant(Plant):
         """Rest at y = 0."""
         self._y = self._v = 0.0
         self._past = [0] * self.p.velocity_window
+
+    @property
+    def state(self) -> State:
+        """Give the true state."""
+        return State(self._y, self._v)
+
+    def put(self, state: Sequence[float]) -> None:
+        """Go on from another state; the encoder has stood there."""
+        self._y, self._v = state
+        self._past = [self._counts()] * self.p.velocity_window
 
     def _counts(self) -> int:
         return math.floor(self._y / self._resolution + 1e-9)

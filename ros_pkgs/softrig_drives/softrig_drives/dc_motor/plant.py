@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from typing import Self
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple, Self
 
 from pydantic import model_validator
 from softrig_control.discretise import zero_order_hold
@@ -45,6 +45,14 @@ class DcMotorPlantParams(SensorConstants, MotorConstants, BlockParams):
         if self.bridge_drop >= self.vmax:
             raise ValueError(f"bridge_drop = {self.bridge_drop:g} V leaves nothing of vmax = {self.vmax:g} V")
         return self
+
+
+class State(NamedTuple):
+    """Angle (rad), speed (rad/s), armature current (A)."""
+
+    theta: float
+    w: float
+    i: float
 
 
 class DcMotorPlant(Plant):
@@ -92,6 +100,17 @@ class DcMotorPlant(Plant):
         self._count = 0
         self._load = self._profile.at(0)
         self._change = self._profile.next_change(0)
+        self._sense(0.0)
+
+    @property
+    def state(self) -> State:
+        """Give the true state."""
+        return State(self.theta, self.w, self.i)
+
+    def put(self, state: Sequence[float]) -> None:
+        """Go on from another state; the encoder has stood there."""
+        self.theta, self.w, self.i = state
+        self._count = math.floor(self.theta * self._counts_per_rad)
         self._sense(0.0)
 
     def outputs(self, t: int) -> Mapping[str, tuple[float, ...]]:

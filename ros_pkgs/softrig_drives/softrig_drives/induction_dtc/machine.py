@@ -45,6 +45,14 @@ def numbers(m: MachineConstants, h: float) -> tuple[float, ...]:
     return (m.R_s, m.R_R, 1.0 / m.L_sigma, m.R_R / m.L_M, float(m.pole_pairs), 1.0 / m.J, m.B, h)
 
 
+def currents_and_torque(m: MachineConstants, x: State) -> tuple[float, float, float, float]:
+    """Give i_a, i_b, i_c (A) and T_e (N m) of a state."""
+    i_alpha, i_beta = (x.psi_s_alpha - x.psi_R_alpha) / m.L_sigma, (x.psi_s_beta - x.psi_R_beta) / m.L_sigma
+    i_b = -0.5 * i_alpha + 0.75**0.5 * i_beta
+    T_e = 1.5 * m.pole_pairs * (x.psi_s_alpha * i_beta - x.psi_s_beta * i_alpha)
+    return i_alpha, i_b, -i_alpha - i_b, T_e
+
+
 def step_function(substeps: int = 1) -> ca.Function:
     """One Runge-Kutta step of order 4 per sub-step with the voltage and the load torque held.
 

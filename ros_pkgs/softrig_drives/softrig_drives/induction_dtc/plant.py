@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from softrig_core.model.block import Level, Plant
 from softrig_core.model.compiled import Compiled
@@ -10,7 +10,7 @@ from softrig_core.model.params import BlockParams, param
 from softrig_core.node import executable
 
 from .adc import AdcParams, Converter
-from .machine import STATES, MachineConstants, State, numbers, step_function
+from .machine import STATES, MachineConstants, State, currents_and_torque, numbers, step_function
 from .ports import CURRENTS_MEAS, CURRENTS_TRUE, DC_LINK, FLUX_TRUE, JOINT_STATES, LOAD_TORQUE, SWITCHES
 from .switching import VECTORS, voltage
 
@@ -62,6 +62,16 @@ class ImPlant(Plant):
         self.fault = False
         self._sense(State(*(0.0,) * STATES), 0.0, 0.0, 0.0, 0.0)
 
+    @property
+    def state(self) -> State:
+        """Give fluxes, speed and angle."""
+        return self._x
+
+    def put(self, state: Sequence[float]) -> None:
+        """Go on from another state."""
+        x = State(*state)
+        self._sense(x, *currents_and_torque(self.p, x))
+
     def outputs(self, t: int) -> Mapping[str, tuple[float, ...]]:
         """Give speed, currents and fluxes at t."""
         return self._answer
@@ -70,7 +80,7 @@ class ImPlant(Plant):
         """Hold switches and load torque for one period; without a load torque the shaft is free."""
         u = self._inverter(switches)
         load = 0.0 if load_torque is None else load_torque[0]
-        found = self._step((*self.state, *u, load, *self._constants))
+        found = self._step((*self._x, *u, load, *self._constants))
         self._sense(State(*found[:STATES]), *found[STATES:])
 
     def _inverter(self, switches: tuple[float, ...]) -> tuple[float, float]:
@@ -95,7 +105,7 @@ class ImPlant(Plant):
 
     def _sense(self, state: State, i_a: float, i_b: float, i_c: float, T_e: float) -> None:
         """Prepare the outputs, convert the currents, supervise them."""
-        self.state = state
+        self._x = state
         convert_a, convert_b = self._converters
         y_a, y_b = convert_a(i_a), convert_b(i_b)
         self._answer = {

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from softrig_core.model.block import Level, Plant
@@ -16,6 +17,17 @@ from .machine import N_PHASES, STATES, Array, Geometry, Mechanics, V, X, advance
 from .ports import FORCE_PHASES, JOINT_STATES, LOAD, PHASE_CURRENTS, PHASE_VOLTAGE
 
 Step = tuple[float, float, float, float, float, float, float, float, float, float, float]
+
+
+class State(NamedTuple):
+    """Flux linkages of the phases (Wb), position (m), speed (m/s)."""
+
+    psi_a: float
+    psi_b: float
+    psi_c: float
+    psi_d: float
+    x: float
+    v: float
 
 
 class LsrmPlantParams(Geometry, Mechanics, BlockParams):
@@ -50,13 +62,23 @@ class LsrmPlant(Plant):
 
     def start(self) -> None:
         """Rest without current."""
-        self.state = np.zeros(STATES)
-        self.state[X] = self.p.x_0
+        self._x = np.zeros(STATES)
+        self._x[X] = self.p.x_0
         self._work = np.zeros((5, STATES))
         self._u = np.zeros(N_PHASES)
         self._load = (0.0, 0.0)
         self.fault = False
         self._move(0.0, 0.0, 0.0, 0.0, steps=0)  # compiled now: the wall clock leaves no time at the first tick
+
+    @property
+    def state(self) -> State:
+        """Give fluxes and motion."""
+        return State(*self._x.tolist())
+
+    def put(self, state: Sequence[float]) -> None:
+        """Go on from another state."""
+        self._x[:] = state
+        self._move(0.0, 0.0, 0.0, 0.0, steps=0)
 
     def outputs(self, t: int) -> Mapping[str, tuple[float, ...]]:
         """Give motion, currents and forces at t."""
@@ -74,7 +96,7 @@ class LsrmPlant(Plant):
 
     def _move(self, u_a: float, u_b: float, u_c: float, u_d: float, steps: int) -> None:
         p, (added, friction) = self.p, self._load
-        self._tell(step(self.state, self._work, self._u, self._geometry, u_a, u_b, u_c, u_d, p.U_dc, self.fault, p.R,
+        self._tell(step(self._x, self._work, self._u, self._geometry, u_a, u_b, u_c, u_d, p.U_dc, self.fault, p.R,
                         p.M + added, p.C + p.k_p, friction, p.locked, self._h, steps))  # fmt: skip
 
     def _take(self, load: tuple[float, ...]) -> None:
@@ -96,7 +118,7 @@ class LsrmPlant(Plant):
 
     def markers(self) -> tuple[Marker, ...]:
         """Draw the stator and the translator over it."""
-        return stator(self.p), translator(self.p, float(self.state[X]))
+        return stator(self.p), translator(self.p, float(self._x[X]))
 
 
 @jit

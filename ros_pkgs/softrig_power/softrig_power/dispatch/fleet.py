@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from pydantic import field_validator
 from softrig_core.model.block import Plant
 from softrig_core.model.params import BlockParams, param
 from softrig_core.model.port import Port, command, joint_state, scalars
+from softrig_core.model.state import state_type
 from softrig_core.node import executable
 
 from .units import Units
@@ -51,6 +53,15 @@ class UnitFleet(Plant[FleetParams]):
     def start(self) -> None:
         """All units at their lower limits."""
         self.P = self._units.p_min.copy()
+
+    @property
+    def state(self) -> Any:
+        """Give the output P (MW) of each unit."""
+        return state_type(("P", self._units.ids))(*self.P.tolist())
+
+    def put(self, state: Sequence[float]) -> None:
+        """Go on from other outputs."""
+        self.P = np.array(state, dtype=float)
 
     def outputs(self, t: int) -> Mapping[str, tuple[float, ...]]:
         """Give outputs, marginal costs and sums."""

@@ -10,12 +10,16 @@ from pydantic import model_validator
 from softrig_core.model.block import Level, Plant
 from softrig_core.model.params import BlockParams, param
 from softrig_core.model.port import Port, button, vector3
+from softrig_core.model.state import state_type
 from softrig_core.node import executable
 
 from .parameters import RATES, RigParams
 from .ports import record_port, streams
 from .record import GROUPS
 from .simulation import FaultedLine
+
+ENDS = [f"{end}_{mode}" for end in "SR" for mode in ("0", "alpha", "beta")]
+STATE = state_type(("i", ENDS), ("v", ENDS))  # of the sources, in modes: currents (A), voltages across impedances (V)
 
 
 class LinePlantParams(RigParams, BlockParams):
@@ -86,6 +90,12 @@ class LinePlant(Plant[LinePlantParams]):
         self._new = len(self._rows) < self.p.samples
         if self._new:
             self._rows.append((len(self._rows) / RATES[self.p.measurement.profile], *self._now))
+
+    @property
+    def state(self) -> Any:
+        """Give the sources' currents and voltages of now; the waves on the line count as well."""
+        now = self.line.state
+        return STATE(*now.source_current.ravel().tolist(), *now.source_voltage.ravel().tolist())
 
     def outputs(self, t: int) -> Mapping[str, tuple[float, ...] | None]:
         """Give the samples; with the last one of a record the record."""

@@ -5,12 +5,13 @@ from __future__ import annotations
 import cmath
 import math
 from collections.abc import Mapping
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from softrig_core.model.block import Level, Plant
 from softrig_core.model.params import param
 from softrig_core.model.port import Port, array
+from softrig_core.model.state import state_type
 from softrig_core.node import executable
 
 from .circuit import BUS1, BUS2, BUS4, I12, I34, I_SH, State, advance, circuit
@@ -23,6 +24,10 @@ VECTORS = {"u1": BUS1, "u2": BUS2, "u4": BUS4, "i_sh": I_SH, "i12": I12, "i34": 
 MAGNITUDE_LIMIT = 1.2  # pu, of a series command that can be meant
 FREQUENCY_LIMIT = (0.5, 1.5)  # of nominal, of a command that can be meant
 TRIP = (0.5, 1.3)  # pu, of the DC voltage
+
+
+BRANCHES = ("A", "B", "12", "34", "sh")  # of circuit.State.i
+STATE = state_type(("", ["v_dc"]), ("i", [f"{b}_{part}" for b in BRANCHES for part in ("alpha", "beta")]))
 
 
 class GupfcPlantParams(DeviceParams):
@@ -90,6 +95,12 @@ class GupfcPlant(Plant):
 
     def _conduction(self, v: complex, v_dc: float) -> float:
         return conduction(abs(v), v_dc, self.p.network.series_limit)
+
+    @property
+    def state(self) -> Any:
+        """Give DC voltage and branch currents (pu) of now; the waves on the lines count as well."""
+        parts = (part for i in self._state.i.tolist() for part in (i.real, i.imag))
+        return STATE(float(self._state.v_dc[0]), *parts)
 
     def outputs(self, t: int) -> Mapping[str, tuple[float, ...]]:
         """Give the measured vectors, the DC voltage and the status at t."""

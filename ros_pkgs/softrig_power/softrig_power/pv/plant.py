@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import ClassVar, Literal, Self
 
 from pydantic import model_validator
@@ -76,6 +76,15 @@ class PvPlant(Plant):
         self._adopt(p.irradiance + p.temperature)
         self._duty = p.d_min
         self.x = steady_state(p.converter, self.source, self._duty)
+
+    @property
+    def state(self) -> State:
+        """Give voltages and current of the converter."""
+        return self.x
+
+    def put(self, state: Sequence[float]) -> None:
+        """Go on from another state."""
+        self.x = State(*map(float, state))
 
     def _adopt(self, environment: tuple[float, ...]) -> None:
         self._conditions = environment

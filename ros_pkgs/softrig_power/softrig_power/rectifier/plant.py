@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from typing import Literal, Self
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal, NamedTuple, Self
 
 from pydantic import model_validator
 from softrig_core.model.block import Level, Plant
@@ -53,6 +53,23 @@ class RectifierPlantParams(RectifierConstants, BlockParams):
     def steps(self) -> int:
         """Internal steps in one period."""
         return max(1, math.ceil(self.period / self.substep - 1e-9))
+
+
+class StateDq(NamedTuple):
+    """Currents in the frame of the grid voltage (A, peak), DC voltage (V)."""
+
+    i_d: float
+    i_q: float
+    v: float
+
+
+class StateAbc(NamedTuple):
+    """Phase currents (A), DC voltage (V)."""
+
+    i_a: float
+    i_b: float
+    i_c: float
+    v: float
 
 
 class RectifierPlant(Plant):
@@ -114,9 +131,13 @@ class RectifierPlant(Plant):
         self.collapsed = False
 
     @property
-    def state(self) -> tuple[float, ...]:
-        """(i_d, i_q, v) or (i_a, i_b, i_c, v)."""
-        return tuple(self._x.tolist())
+    def state(self) -> Any:
+        """Give currents and DC voltage."""
+        return (StateDq if self.p.model == "averaged_dq" else StateAbc)(*self._x.tolist())
+
+    def put(self, state: Sequence[float]) -> None:
+        """Go on from another state."""
+        self._x[:] = state
 
     def outputs(self, t: int) -> Mapping[str, tuple[float, ...]]:
         """Give DC link, currents and voltages of the phases, power quality at t."""

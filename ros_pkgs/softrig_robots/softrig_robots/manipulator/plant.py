@@ -69,6 +69,10 @@ class ManipulatorPlant(DrivenRobot):
             joint_state("motor_states", "motor_states", motors, position="rad", velocity="rad/s", effort="A"),
         )
 
+    def joints(self) -> tuple[str, ...]:
+        """Those of the parameters."""
+        return self.p.joints
+
     def robot(self) -> str:
         """Read or write the URDF."""
         return read_urdf(self.p.urdf) if self.p.urdf else manipulator_urdf(self.p.links, self.p.joints)

@@ -119,6 +119,10 @@ class RehabPlant(DrivenRobot):
         command("applied_voltage", "applied_voltage", JOINTS, "V"),
     )
 
+    def joints(self) -> tuple[str, ...]:
+        """Hip and knee."""
+        return JOINTS
+
     def robot(self) -> str:
         """Write the URDF."""
         return rehab_urdf(self.p.segments, spread("lower", self.p.lower, 2), spread("upper", self.p.upper, 2))

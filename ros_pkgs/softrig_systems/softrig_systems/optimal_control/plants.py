@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, Self
 
 from pydantic import model_validator
@@ -13,6 +13,7 @@ from softrig_core.model.marker import Marker
 from softrig_core.model.ode import rk4
 from softrig_core.model.params import param
 from softrig_core.model.port import Port
+from softrig_core.model.state import state_type
 from softrig_core.node import executable
 
 from .parameters import ProblemParams
@@ -75,6 +76,15 @@ class OcpPlant(Plant[OcpPlantParams]):
         self.x = self._problem.x0
         self._applied = (0.0,) * len(self._problem.controls)
         self._stopped = False
+
+    @property
+    def state(self) -> Any:
+        """Give the state under the names of the problem."""
+        return state_type(("", self._problem.states))(*self.x)
+
+    def put(self, state: Sequence[float]) -> None:
+        """Go on from another state."""
+        self.x = tuple(map(float, state))
 
     def outputs(self, t: int) -> Mapping[str, tuple[float, ...]]:
         """Give the state; with velocities the command that was applied until now."""

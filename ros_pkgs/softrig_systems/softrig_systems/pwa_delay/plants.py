@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from typing import Any, Literal, Self
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Literal, NamedTuple, Self
 
 import numpy as np
 from pydantic import model_validator
@@ -12,6 +12,7 @@ from softrig_core.model.block import Level, Plant
 from softrig_core.model.dde import trajectory
 from softrig_core.model.params import BlockParams, check_steps, param
 from softrig_core.model.port import Port
+from softrig_core.model.state import state_type
 from softrig_core.node import executable
 
 from .motion import (
@@ -142,6 +143,11 @@ class SwitchedDelayPlant(DelayPlant):
         """Matrices and lines."""
         return constants(self.p.build(), self._profile)
 
+    @property
+    def state(self) -> Any:
+        """Give x1, x2, ... of now; the past beside it counts as well."""
+        return state_type(("", [f"x{k + 1}" for k in range(self._x.size)]))(*self._x.tolist())
+
     def measured(self) -> dict[str, tuple[float, ...]]:
         """The state."""
         return {"state": tuple(self._x.tolist())}
@@ -164,6 +170,12 @@ class TankPlantParams(DelayPlantParams):
     model: Literal["pwa", "nonlinear"] = param("nonlinear", "drain of two slopes, or of the root")
 
 
+class TankState(NamedTuple):
+    """Level, in the unit of the paper."""
+
+    x: float
+
+
 class TankPlant(DelayPlant):
     """x' = -c sqrt(x) + u(t - d)/(A phi): a tank at the end of a pipe; an empty one stays at 0 (DRY, an error)."""
 
@@ -182,6 +194,11 @@ class TankPlant(DelayPlant):
         """The tank with the inflow as a command."""
         p = self.p
         return TankConstants(p.c, 0.5, 0.2, 0.1, 0.0, float(p.model == "pwa"), np.array([FREE]), self._profile)
+
+    @property
+    def state(self) -> TankState:
+        """Give the level; the inflow under way in the pipe counts as well."""
+        return TankState(float(self._x[0]))
 
     def measured(self) -> dict[str, tuple[float, ...]]:
         """The level."""
@@ -204,6 +221,13 @@ class PendulumPlantParams(DelayPlantParams):
     model: Literal["pwa", "nonlinear"] = param("pwa", "two slopes, or sin(theta)")
 
 
+class PendulumState(NamedTuple):
+    """Angle (rad) and speed (rad/s)."""
+
+    theta: float
+    omega: float
+
+
 class PendulumPlant(DelayPlant):
     """theta'' = a theta + u, a = -0.825 or -0.4875 by the sign of theta; or theta'' = -sin(theta) + u (per M L^2)."""
 
@@ -220,6 +244,16 @@ class PendulumPlant(DelayPlant):
     def constants(self) -> Any:
         """The pendulum with the torque as a command."""
         return PendulumConstants(float(self.p.model == "nonlinear"), 0.0, np.array([FREE]), self._profile)
+
+    @property
+    def state(self) -> PendulumState:
+        """Give angle and speed."""
+        return PendulumState(float(self._x[0]), float(self._x[1]))
+
+    def put(self, state: Sequence[float]) -> None:
+        """Go on from another state; the pendulum itself has no delay."""
+        self._x[:2] = state
+        self._sense()
 
     def measured(self) -> dict[str, tuple[float, ...]]:
         """Angle and speed."""

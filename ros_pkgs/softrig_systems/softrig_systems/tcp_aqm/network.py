@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Literal, Self
+from typing import Literal, NamedTuple, Self
 
 from pydantic import model_validator
 from softrig_core.model.block import Level, Plant
@@ -49,6 +49,14 @@ class NetworkParams(Bottleneck, BlockParams):
         return self
 
 
+class State(NamedTuple):
+    """Window (packets; of packets the mean over the sources), queue (packets), packets served so far."""
+
+    w: float
+    q: float
+    served: float
+
+
 class Network(Plant):
     """A queue whose drop or mark probability is the command; what is behind it is the subclass's.
 
@@ -80,6 +88,11 @@ class Network(Plant):
         if self._change == 0:
             self._disturb()
         self._sense()
+
+    @property
+    def state(self) -> State:
+        """Give the true state of now; what is under way in the network counts as well."""
+        return State(self.window, self.queue, self.served)
 
     def outputs(self, t: int) -> Mapping[str, tuple[float, ...]]:
         """Give the measured state and the truth at t."""

@@ -1,0 +1,33 @@
+"""Named states whose names depend on parameters."""
+
+from __future__ import annotations
+
+import keyword
+import re
+from collections import namedtuple
+from collections.abc import Iterable
+from functools import cache
+from typing import Any
+
+
+def state_type(*groups: tuple[str, Iterable[str]]) -> Any:
+    """Give the type of a state, a named tuple.
+
+    Parameters
+    ----------
+    *groups : (prefix, names)
+        One group a quantity: ``("q", ("hip", "knee")), ("v", ("hip", "knee"))`` names the fields q_hip, q_knee, v_hip,
+        v_knee; with an empty prefix names stand alone. What a name may not have becomes ``_``; what may not be a name
+        gets ``x_`` in front.
+    """
+    return _state_type(tuple(_field(f"{p}_{n}" if p else n) for p, names in groups for n in names))
+
+
+def _field(name: str) -> str:
+    name = re.sub(r"\W", "_", name)
+    return name if name[:1].isalpha() and not keyword.iskeyword(name) else f"x_{name}"
+
+
+@cache
+def _state_type(names: tuple[str, ...]) -> Any:
+    return namedtuple("State", names)

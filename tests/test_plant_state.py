@@ -1,0 +1,153 @@
+"""Every plant tells its state by name; where that is all of its past, it can be put into one, and linearised."""
+
+import configparser
+import math
+import re
+from pathlib import Path
+
+import control
+import numpy as np
+import pytest
+from softrig_control.discretise import zero_order_hold
+from softrig_control.linear_plant import LinearPlant
+from softrig_core.errors import ScenarioError
+from softrig_core.model.block import Plant
+from softrig_core.model.linear import Sampled, equilibrium
+from softrig_core.model.state import state_type
+from softrig_core.model.timebase import to_ns
+from softrig_core.rig.rig import load_block
+from softrig_drives.dc_motor.model import state_space
+from softrig_drives.dc_motor.plant import DcMotorPlant
+from softrig_drives.induction_dtc.plant import ImPlant
+from softrig_power.pv.converter import steady_state
+from softrig_power.pv.plant import PvPlant
+from softrig_power.rectifier.plant import RectifierPlant
+
+ROOT = Path(__file__).parents[1]
+MEMORY = {"switched_delay_plant", "tank_plant", "tcp_fluid", "tcp_packets", "line_plant", "gupfc_plant"}
+
+
+def plants():
+    """Executable to class."""
+    found = {}
+    for file in sorted(ROOT.glob("ros_pkgs/*/setup.cfg")):
+        config = configparser.ConfigParser()
+        config.read(file)
+        scripts = config.get("options.entry_points", "console_scripts", fallback="")
+        for name in re.findall(r"^(\w+) *=", scripts, re.M):
+            try:
+                kind = load_block(file.parent.name, name)
+            except ScenarioError:  # a tool
+                continue
+            if issubclass(kind, Plant):
+                found[name] = kind
+    return found
+
+
+PLANTS = plants()
+
+
+def stepped(plant, first, count):
+    period = to_ns(plant.p.period)
+    inputs, _ = plant.ports(plant.p)
+    safe = {port.name: None if port.held else port.safe for port in inputs}
+    for k in range(first, first + count):
+        plant.outputs(k * period)
+        plant.advance(k * period, **safe)
+    return plant.state
+
+
+def test_all_plants_are_here():
+    assert len(PLANTS) >= 20
+    assert {name for name, kind in PLANTS.items() if not kind.can_be_put()} == MEMORY
+
+
+@pytest.mark.parametrize("name", PLANTS)
+def test_every_plant_names_its_state(name):
+    plant = PLANTS[name]()
+    begin = plant.state
+    if name != "clock":
+        assert len(set(begin._fields)) == len(begin) > 0
+    later = stepped(plant, 0, 3)
+    assert type(later) is type(begin)
+    assert all(isinstance(x, float) and math.isfinite(x) for x in (*begin, *later))
+    plant.reset(0)
+    assert plant.state == begin
+
+
+@pytest.mark.parametrize("name", sorted(PLANTS.keys() - MEMORY))
+def test_a_state_is_all_that_counts_of_the_past(name):
+    plant = PLANTS[name]()
+    before = stepped(plant, 0, 3)
+    if before:
+        before = before._replace(**{f: x + 1e-3 for f, x in before._asdict().items()})  # nothing stays at zero
+    plant.put(before)
+    assert plant.state == before
+    after = stepped(plant, 3, 3)
+    plant.put(before)
+    assert stepped(plant, 3, 3) == pytest.approx(after, rel=1e-12)  # the time of a step may round differently
+
+
+def test_a_plant_with_a_past_says_that_it_cannot_be_put():
+    with pytest.raises(NotImplementedError, match="TcpFluid cannot be put into a state"):
+        Sampled(PLANTS["tcp_fluid"]()).linearise((1.0, 0.0, 0.0), (0.0, *(0.0,) * 4))
+
+
+def test_names_are_made_fit():
+    kind = state_type(("P", ("1", "2")), ("", ("axis/position", "3", "lambda")))
+    assert kind._fields == ("P_1", "P_2", "axis_position", "x_3", "x_lambda")
+
+
+def test_linearised_motor_is_the_sampled_equations():
+    plant = DcMotorPlant()
+    ad, bd = (np.array(m) for m in zero_order_hold(*state_space(plant.p), plant.p.period))
+    found = Sampled(plant).linearise((0.0, 3.0, 0.2), (1.5,))
+    np.testing.assert_allclose(found.A, ad, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(found.B[:, 0], bd[:, 0], rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(found.C[:2], np.eye(3)[:2], atol=1e-12)  # angle and speed in motor/state
+    assert found.system().dt == plant.p.period
+
+
+def test_the_voltage_that_holds_a_speed():
+    plant = DcMotorPlant()
+    x, u = equilibrium(Sampled(plant), (0.0, 5.0, 0.0), (0.0,), held=[1], free=[0], moving=[0])
+    p = plant.p
+    assert x[2] == pytest.approx(p.b * 5.0 / p.Kt, rel=1e-9)
+    assert u[0] == pytest.approx(p.R * x[2] + p.Ke * 5.0, rel=1e-9)
+
+
+def test_linear_plant_has_its_poles():
+    plant = LinearPlant()
+    found = Sampled(plant).linearise((0.0, 0.0), (0.0,)).system()
+    expected = control.sample_system(control.tf(plant.p.num, plant.p.den), plant.p.period)
+    assert np.sort(found.poles().real) == pytest.approx(np.sort(expected.poles().real), rel=1e-9)
+    assert found.dcgain() == pytest.approx(expected.dcgain(), rel=1e-9)
+
+
+def test_resting_converter_is_the_steady_state():
+    plant = PvPlant()
+    wanted = steady_state(plant.p.converter, plant.source, 0.4)
+    environment = (*plant.p.irradiance, *plant.p.temperature)
+    x, _ = equilibrium(Sampled(plant), steady_state(plant.p.converter, plant.source, 0.38), (0.4, *environment))
+    assert x == pytest.approx(wanted, rel=1e-7)
+
+
+def test_resting_rectifier_and_its_poles():
+    """At its published start the averaged rectifier rests; its dominant pole is the DC link's, -126 1/s."""
+    plant = RectifierPlant()
+    p = plant.p
+    x, u = equilibrium(Sampled(plant), plant.state, (p.drop, p.R_L, p.V_g, 0.0))
+    assert x == pytest.approx((p.i_start, 0.0, 400.0), abs=1e-6)
+    poles = np.log(np.linalg.eigvals(Sampled(plant).linearise(x, u).A).astype(complex)) / p.period
+    assert max(poles.real) == pytest.approx(-p.R / p.L, rel=1e-6)
+    assert min(poles.real) == pytest.approx(-126.26, rel=1e-3)
+
+
+def test_currents_of_a_state_are_those_of_the_step():
+    plant = ImPlant(adc_mode="none")
+    state = (0.3, -0.8, 0.35, -0.7, 20.0, 1.0)
+    plant.put(state)
+    told = plant.outputs(0)
+    again = plant._step((*state, 0.0, 0.0, 0.0, *plant._constants[:-1], 0.0))  # a step of no length
+    assert told["currents_true"] == pytest.approx(again[6:9], rel=1e-12)
+    assert told["joint_states"][2] == pytest.approx(again[9], rel=1e-12)
