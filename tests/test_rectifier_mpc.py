@@ -607,7 +607,7 @@ def test_metrics_by_event():
     watcher = RigMetrics(set_point=100.0)
     for k, y in enumerate((0.0, 90.0, 104.0, 99.0)):
         watcher.update(k * 10**9, dc_link=(y, 0.0), reference=None, events=None)
-    assert watcher.status()["event_0_overshoot"] == (4.0, "V")
+    assert watcher.status()["event_0_overshoot"] == (pytest.approx(4.0), "%")
     assert watcher.status()["event_0_settling"] == (3.0, "s")
 
 

@@ -2,77 +2,69 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
-from softrig_core.model.block import Observer
-from softrig_core.model.params import BlockParams, param
+from softrig_core.model.params import param
 from softrig_core.node import executable
+from softrig_core.rig import metrics
+from softrig_core.rig.watch import Measure, Watch, WatchParams
 
+from .figures import power_balance
 from .ports import SERIES_REFERENCE, STATUS
 
 FLOWS = ("p1", "q1", "p2", "q2")
-INDEX = {name: k for k, name in enumerate(STATUS.channels)}
 
 
-class GupfcMonitorParams(BlockParams):
+class GupfcMonitorParams(WatchParams):
     """What counts as settled."""
 
     period: float = param(1.0 / 2880.0, "sampling period", "s", ge=1e-5, le=0.1)
+    window: float = param(10.0, "the figures are those of this last time", "s", gt=0.0, le=3600.0)
     band: float = param(0.02, "half width of the band around a reference", "pu", gt=0.0, le=1.0)
 
 
-class GupfcMonitor(Observer):
-    """Since the last change of a reference: settling times and mean errors of the flows; extremes; power balance.
+class GupfcMonitor(Watch[GupfcMonitorParams]):
+    """Since the last change of a reference: settling times and mean errors of the flows, power balance; extremes.
 
-    In constant memory. The settling time of a flow is the time from the change to the last sample outside the band.
+    The settling time of a flow is the time from the change to the first sample from which on it stays in the band.
     """
 
     Params = GupfcMonitorParams
     INPUTS = (STATUS, *(replace(port, name=f"series_{k}") for k, port in SERIES_REFERENCE.items()))
 
     def start(self) -> None:
-        """Nothing seen."""
-        self._asked: tuple[float, ...] | None = None
+        """No reference yet."""
+        super().start()
+        self._asked: tuple[float, ...] = ()
         self._changed = 0.0
-        self._outside = dict.fromkeys(FLOWS, 0.0)
-        self._errors = dict.fromkeys(FLOWS, 0.0)
-        self._balance = 0.0
-        self._count = 0
-        self._extremes = {name: (float("inf"), -float("inf")) for name in ("v1", "v_dc")}
 
     def update(
         self, t: int, status: tuple[float, ...], series_1: tuple[float, ...] | None, series_2: tuple[float, ...] | None
     ) -> Mapping[str, tuple[float, ...]]:
         """Take one sample in."""
-        seconds = t / 1e9
-        for name, (low, high) in self._extremes.items():
-            self._extremes[name] = min(low, status[INDEX[name]]), max(high, status[INDEX[name]])
-        if series_1 is None or series_2 is None:
-            return {}
-        asked = (*series_1, *series_2)
-        if asked != self._asked:
-            self._asked, self._changed, self._count, self._balance = asked, seconds, 0, 0.0
-            self._outside = dict.fromkeys(FLOWS, seconds)
-            self._errors = dict.fromkeys(FLOWS, 0.0)
-        self._count += 1
-        self._balance += sum(status[INDEX[name]] for name in ("p_sh", "p12", "p34"))
-        for name, wanted in zip(FLOWS, asked, strict=True):
-            error = wanted - status[INDEX[name]]
-            self._errors[name] += error
-            if abs(error) > self.p.band:
-                self._outside[name] = seconds + self.p.period
-        return {}
+        if series_1 is not None and series_2 is not None and (*series_1, *series_2) != self._asked:
+            self._asked, self._changed = (*series_1, *series_2), t / 1e9
+        return super().update(t, status=status)
 
-    def status(self) -> Mapping[str, tuple[float, str]]:
-        """Give the figures so far."""
-        found = {f"{name}_min": (low, "pu") for name, (low, _) in self._extremes.items() if low < float("inf")}
-        found |= {f"{name}_max": (high, "pu") for name, (_, high) in self._extremes.items() if high > -float("inf")}
-        if self._count:
-            found |= {f"{name}_settling_time": (self._outside[name] - self._changed, "s") for name in FLOWS}
-            found |= {f"{name}_mean_error": (self._errors[name] / self._count, "pu") for name in FLOWS}
-            found["power_balance"] = (self._balance / self._count, "pu")
-        return found
+    def _settling_time(self, signals: metrics.SignalMap, signal: str, reference: float) -> float:
+        settled = metrics.error_settling_time(signals, signal, reference=reference, band=self.p.band,
+                                              start=self._changed)  # fmt: skip
+        return settled - self._changed
+
+    def measures(self) -> Iterator[Measure]:
+        """Extremes of the window, figures since the last change."""
+        for name in ("v1", "v_dc"):
+            signal = {"signal": f"gupfc/status/{name}/position"}
+            yield Measure(f"{name}_min", metrics.minimum, signal)
+            yield Measure(f"{name}_max", metrics.maximum, signal)
+        if not self._asked:
+            return
+        for name, wanted in zip(FLOWS, self._asked, strict=True):
+            error = {"signal": f"gupfc/status/{name}/position", "reference": wanted}
+            yield Measure(f"{name}_settling_time", self._settling_time, error, "s")
+            yield Measure(f"{name}_mean_error", metrics.mean_error, error | {"start": self._changed})
+        yield Measure("power_balance", power_balance, {"start": self._changed})
 
 
 main = executable(GupfcMonitor)

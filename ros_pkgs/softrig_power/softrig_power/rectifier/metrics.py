@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections import deque
+from collections.abc import Iterator, Mapping
 from typing import Any
 
-from softrig_core.model.block import Observer
-from softrig_core.model.params import BlockParams, param
+from softrig_core.model.params import param
 from softrig_core.model.port import scalars
 from softrig_core.node import executable
+from softrig_core.rig import metrics
+from softrig_core.rig.watch import Measure, Watch, WatchParams
 
 from .parameters import RectifierConstants
 from .ports import DC_LINK, events
 
 NOMINAL = RectifierConstants()
 REFERENCE = scalars("reference", "reference", {"v_dc": "V"}, held=True)
+V_DC = "dc_link/voltage/position"
+EVENTS = 100  # the newest; a reference that ramps is an event at each tick
 
 
-class RigMetricsParams(BlockParams):
+class RigMetricsParams(WatchParams):
     """Settling band and set point."""
 
     period: float = param(0.00083, "sampling period", "s", gt=0.0, le=0.1)
@@ -25,7 +29,7 @@ class RigMetricsParams(BlockParams):
     set_point: float = param(400.0, "reference until one arrives", "V", gt=0.0, le=1e4)
 
 
-class RigMetrics(Observer):
+class RigMetrics(Watch[RigMetricsParams]):
     """Least, largest and newest voltage, settling time and overshoot since each change of an event or the reference.
 
     ``event_0`` is the start. The settling time counts from the change to the first sample from which on the voltage has
@@ -37,8 +41,9 @@ class RigMetrics(Observer):
 
     def start(self) -> None:
         """No event yet."""
+        super().start()
         self._cause: Any = None
-        self._records: list[_Record] = []
+        self._events: deque[tuple[int, float, float]] = deque(maxlen=EVENTS)  # number, s, reference
 
     def update(
         self, t: int, *, dc_link: tuple[float, ...], reference: tuple[float, ...] | None,
@@ -46,40 +51,22 @@ class RigMetrics(Observer):
     ) -> Mapping[str, Any]:  # fmt: skip
         """Take one sample in."""
         w = self.p.set_point if reference is None else reference[0]
-        if not self._records or (w, events) != self._cause:
+        if not self._events or (w, events) != self._cause:
             self._cause = (w, events)
-            self._records.append(_Record(t / 1e9, w, self.p.band * abs(w)))
-        self._records[-1].add(t / 1e9, dc_link[0])
-        return {}
+            self._events.append((self._events[-1][0] + 1 if self._events else 0, t / 1e9, w))
+        return super().update(t, dc_link=dc_link)
 
-    def status(self) -> Mapping[str, tuple[float, str]]:
-        """Give the figures of all events so far."""
-        return {f"event_{k}_{n}": x for k, record in enumerate(self._records) for n, x in record.status().items()}
-
-
-class _Record:
-    """Figures since one event."""
-
-    def __init__(self, t: float, reference: float, band: float) -> None:
-        self._start, self._w, self._band = t, reference, band
-        self._low, self._high, self._v = float("inf"), float("-inf"), 0.0
-        self._settled: float | None = None
-
-    def add(self, t: float, v: float) -> None:
-        self._low, self._high, self._v = min(self._low, v), max(self._high, v), v
-        if abs(v - self._w) > self._band:
-            self._settled = None
-        elif self._settled is None:
-            self._settled = t - self._start
-
-    def status(self) -> Mapping[str, tuple[float, str]]:
-        found = {
-            "v_min": (self._low, "V"),
-            "v_max": (self._high, "V"),
-            "final": (self._v, "V"),
-            "overshoot": (max(0.0, self._high - self._w), "V"),
-        }
-        return found if self._settled is None else {**found, "settling": (self._settled, "s")}
+    def measures(self) -> Iterator[Measure]:
+        """Figures of each event until the next one."""
+        ends = [at - 0.5 * self.p.period for _, at, _ in self._events][1:] + [None]
+        for (k, at, w), end in zip(self._events, ends, strict=True):
+            part = {"signal": V_DC, "start": at, "end": end}
+            yield Measure(f"event_{k}_v_min", metrics.minimum, part)
+            yield Measure(f"event_{k}_v_max", metrics.maximum, part)
+            yield Measure(f"event_{k}_final", metrics.final_value, part)
+            yield Measure(f"event_{k}_overshoot", metrics.overshoot, part | {"final": w})
+            band = {"final": w, "band": self.p.band, "at": "sample"}
+            yield Measure(f"event_{k}_settling", metrics.settling_time, part | band)
 
 
 main = executable(RigMetrics)
