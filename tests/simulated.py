@@ -316,8 +316,8 @@ class SimulatedRig:
         sink.__init__(self.recording, adapter.recorded)
         if world.discovery is not None:
             adapter.on_finished = partial(world.discovery.leave, node)
-            if isinstance(adapter.block, Solver):  # drawn from a seed, nothing may take real time
-                adapter.block._worker = SimulatedWorker(world, type(adapter.block).solve)
+        if isinstance(adapter.block, Solver):
+            adapter.block._worker = SimulatedWorker(world, type(adapter.block).solve)
         self.nodes[member.name], self.adapters[member.name] = node, adapter
 
     def _ended(self):

@@ -84,8 +84,9 @@ def replaced(rig, name, directory, seed=0):
 
 
 def replaceable(rig):
-    """Members whose silence nobody needs to be told of and who do not end the run."""
+    """Members whose silence nobody needs to be told of, who do not end the run, and whom something calls."""
     members = [m for m in rig.members if m.outputs and m.name != CLOCK_NODE and not m.block_class.ENDS]
+    members = [m for m in members if m.links or not m.is_plant]
     return [m.name for m in members if not any(p.sporadic for p in m.outputs)]
 
 

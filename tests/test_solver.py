@@ -161,6 +161,23 @@ def test_worker_ends_with_its_owner_and_with_the_process_that_started_it():
         time.sleep(0.02)
 
 
+class Unreadable:
+    def __reduce__(self):
+        return int, ("no number",)
+
+
+def test_a_request_that_cannot_be_read_fails_and_the_next_is_worked_on():
+    worker = Worker(Planner.solve)
+    worker.submit(Unreadable())
+    assert worker.wait(60.0)
+    assert worker.state == "failed"
+    assert worker.error.startswith("ValueError: invalid literal for int()")
+    worker.submit((1, 0.0, 1.0, 0.0, ""))
+    assert worker.wait(60.0)
+    assert (worker.state, worker.answer) == ("done", 1.5)
+    worker.cancel()
+
+
 def test_a_function_that_no_other_process_can_import_is_refused():
     def solve(request, work):
         return request

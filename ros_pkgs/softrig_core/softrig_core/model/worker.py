@@ -179,11 +179,14 @@ def _send(pipe: IO[bytes], content: Any) -> None:
 
 
 def _receive(pipe: IO[bytes]) -> Any:
+    return pickle.loads(_read(pipe))
+
+
+def _read(pipe: IO[bytes]) -> bytes:
     head = pipe.read(LENGTH.size)
     if len(head) < LENGTH.size:
         raise EOFError
-    data = pipe.read(LENGTH.unpack(head)[0])
-    return pickle.loads(data)
+    return pipe.read(LENGTH.unpack(head)[0])
 
 
 def main() -> None:
@@ -200,12 +203,12 @@ def main() -> None:
         os._exit(0)
     os.nice(5)  # a loop on the wall clock goes first
     sys.path[:] = path
-    requests: queue.SimpleQueue[Any] = queue.SimpleQueue()
+    requests: queue.SimpleQueue[bytes] = queue.SimpleQueue()  # to read one may import modules, and fail
 
     def listen() -> None:
         try:
             while True:
-                requests.put(_receive(incoming))
+                requests.put(_read(incoming))
         except (EOFError, OSError):
             os._exit(0)
 
@@ -218,18 +221,17 @@ def main() -> None:
     function: Any = None
     threading.Thread(target=listen, daemon=True).start()
     while True:
-        request = None
         try:
             if function is None:
                 function = importlib.import_module(module)
                 for part in name.split("."):
                     function = getattr(function, part)
-            request = requests.get()
+            request = pickle.loads(requests.get())
             send("begun", None)
             send("done", function(request, Work(send)))
         except Exception as error:
             traceback.print_exc()
             if function is None:
-                request = requests.get()
+                requests.get()
             place = traceback.extract_tb(error.__traceback__)[-1]
             send("failed", f"{type(error).__name__}: {error} ({os.path.basename(place.filename)}:{place.lineno})")
