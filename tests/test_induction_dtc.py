@@ -528,3 +528,14 @@ def test_the_same_bits_over_topics(tmp_path):
     run = execute(scenario, "processes", tmp_path)
     assert run.error == ""
     assert differences(in_process(Rig.from_scenario(scenario), scenario.seed), run.recording) == []
+
+
+def test_a_refused_current_holds_the_switches_and_the_flux_is_integrated_all_the_same():
+    block = DtcController(magnetising_time=0.0)
+    good = {"currents_meas": (3.0, -1.0, -2.0), "dc_link": (540.0,), "torque_ref": (5.0,)}
+    for k in range(5):
+        before = block.update(k * 50_000, **good)
+    found = block.refused(250_000)
+    assert found["switches"] == before["switches"]
+    step = math.hypot(*(a - b for a, b in zip(found["flux_estimate"], before["flux_estimate"], strict=True)))
+    assert step == pytest.approx(50e-6 * 540.0 * 2 / 3, rel=0.2)  # the voltage of one period, less the resistance's

@@ -12,7 +12,7 @@ from rclpy.node import Node
 from rclpy.utilities import remove_ros_args
 
 from ..guard import secure_streams, tell
-from ..model.block import Block
+from ..model.block import Block, Plant
 from ..model.params import Declaration, build, declarations, flatten
 from ..rig.options import RunOptions
 from .adapter import Adapter
@@ -90,6 +90,10 @@ def usage(name: str, block_class: type[Block]) -> str:
         inputs, outputs = (), ()
     for title, ports in (("reads", inputs), ("publishes", outputs)):
         lines += [f"  {title} {p.topic} ({p.msgtype}: {', '.join(p.labels)})" for p in ports]
+    if inputs and not issubclass(block_class, Plant):
+        own = block_class.refused is not Block.refused
+        what = (block_class.refused.__doc__ or "").strip().splitlines()[0] if own else "What it said last is held."
+        lines += ["", f"At a tick of which an input is refused: {what}"]
     lines += ["", "Parameters, each as `--ros-args -p NAME:=VALUE` (node name, remaps and files as in any ROS 2 node):"]
     for d in [*declarations(block_class.Params), *declarations(RunOptions, "run.")]:
         unit = f" {d.unit}" if d.unit else ""

@@ -77,18 +77,20 @@ class DtcController(Block):
         self._flux = FluxComparator(p.flux_band)
         self._torque = TorqueComparator(p.torque_band)
         self._pipe = deque([0] * p.delay_steps)
-        self._u = 0j
+        self._u = self._i = 0j
+        self._omega = self._dc_link = 0.0
+        self._vector = 0
 
     def update(
         self, t: int, *, currents_meas: tuple[float, ...], dc_link: tuple[float, ...], torque_ref: tuple[float, ...],
         joint_states: tuple[float, ...] = (0.0,),
     ) -> Mapping[str, tuple[float, ...]]:  # fmt: skip
         """Estimate, compare, choose the switches."""
-        estimator = self._estimator
         correction = self.p.current_correction
         i_a, i_b = currents_meas[0] + correction, currents_meas[1] + correction
-        psi = estimator.update(self._u, complex(i_a, (i_a + 2.0 * i_b) / SQRT3), joint_states[0])
-        torque = estimator.torque()
+        self._i, self._omega = complex(i_a, (i_a + 2.0 * i_b) / SQRT3), joint_states[0]
+        psi = self._estimator.update(self._u, self._i, self._omega)
+        torque = self._estimator.torque()
         # abs() would call hypot, whose last digit depends on the C library; a digit is enough to change the switching
         size = sqrt(psi.real * psi.real + psi.imag * psi.imag)
         if t < self._magnetised:
@@ -99,8 +101,20 @@ class DtcController(Block):
             if size < self._lost:
                 self.report(Level.WARN, "flux_lost", f"estimated flux {size:.3g} Wb: zero vectors let it decay")
         self._pipe.append(vector)
-        vector = self._pipe.popleft()
-        self._u = self._unit[vector] * dc_link[0]
+        self._vector, self._dc_link = self._pipe.popleft(), dc_link[0]
+        return self._answer(psi, torque)
+
+    def refused(self, t: int) -> Mapping[str, tuple[float, ...]]:
+        """Hold the switches; the flux is integrated with the last currents."""
+        psi = self._estimator.update(self._u, self._i, self._omega)
+        if self._pipe:
+            self._pipe.append(self._pipe[-1])
+            self._vector = self._pipe.popleft()
+        return self._answer(psi, self._estimator.torque())
+
+    def _answer(self, psi: complex, torque: float) -> Mapping[str, tuple[float, ...]]:
+        vector = self._vector
+        self._u = self._unit[vector] * self._dc_link
         return {
             "switches": VECTORS[vector],
             "flux_estimate": (psi.real, psi.imag, 0.0),

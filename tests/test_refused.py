@@ -1,0 +1,49 @@
+"""A bad message in each input of each law of each system: the run goes on, what is said stays finite."""
+
+import math
+
+import pytest
+from simulated import SimulatedRig, World
+from softrig_core.wire.signals import Signals
+from test_outside import SYSTEMS, short
+
+DAILY = ("dc_motor_smc_b2", "induction_dtc", "rehab_impedance")
+
+
+def spoilt(rig, member, port, at):
+    """Run in lockstep with NaN in place of one message that a node reads; gives what is wrong."""
+    link = member.links[port.name]
+    world = World()
+    run = SimulatedRig(rig, world, "lockstep", seed=rig.scenario.seed)
+    writer = next(w for w in world.writers if w.node.name == link.source.name and w.topic == f"/{port.topic}")
+    reader = next(r for r in world.readers if r.node.name == member.name and r.topic == writer.topic)
+    receive, count = reader.receive, [0]
+
+    def spoil(data):
+        count[0] += 1
+        if count[0] == at + 1:
+            stamp = int.from_bytes(data[4:8], "little") * 1_000_000_000 + int.from_bytes(data[8:12], "little")
+            data = link.port.layout().encode(stamp if port.stamped else 0, (math.nan,) * link.port.size)
+        receive(data)
+
+    reader.receive = spoil
+    states = run.run(1000.0)
+    wrong = [f"{n} is {states[n]}: {a.error}" for n, a in run.adapters.items() if states[n] != "done"]
+    adapter = run.adapters[member.name]
+    refused = {i.name: i.refused for i in adapter.inputs}
+    if count[0] > at and refused[port.name] != 1:
+        wrong.append(f"refused {refused}, last {[i.last_refusal for i in adapter.inputs]}")
+    signals = Signals(run.recording)
+    return wrong + [name for name in signals if not all(map(math.isfinite, signals[name].x))]
+
+
+@pytest.mark.parametrize("system", [s if s in DAILY else pytest.param(s, marks=pytest.mark.long) for s in SYSTEMS])
+def test_a_law_goes_on_after_a_bad_message(system):
+    rig = short(system)
+    found = {
+        f"{member.name} {port.name}": spoilt(rig, member, port, 7)
+        for member in rig.members if not member.is_plant
+        for port in member.inputs if port.name in member.links
+    }  # fmt: skip
+    assert found
+    assert {n: wrong for n, wrong in found.items() if wrong} == {}
