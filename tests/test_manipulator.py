@@ -477,7 +477,7 @@ def test_bad_parameters_are_named(block, values, message):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (('type="revolute"', 'type="continuous"'), "joint elbow has 2 coordinates"),
+        (('type="revolute"', 'type="planar"'), "joint elbow has 4 coordinates"),
         (('<mass value="1.2"/>', '<mass value="0"/>'), "mass behind joint elbow = 0 kg"),
         (('iyy="0.012"', 'iyy="0.12"'), "inertia behind joint elbow .*triangle"),
         (("<robot", "<rabot"), "URDF"),
@@ -488,6 +488,19 @@ def test_impossible_urdf_is_refused(change, message):
     at = text.rindex(change[0])
     with pytest.raises(ValueError, match=message):
         load_model(text[:at] + text[at:].replace(*change, 1))
+
+
+def test_a_continuous_joint_has_its_angle_and_poses_are_in_the_frame_of_the_robots_root(tmp_path):
+    text = read_urdf(TWO_LINK)
+    file = tmp_path / "endless.urdf"
+    file.write_text(text.replace('type="revolute"', 'type="continuous"').replace("base_link", "pedestal"))
+    names = tuple(load_model(text).names)[1:]
+    given, endless = (RobotDynamics(urdf=source, joints=names) for source in (TWO_LINK, str(file)))
+    query = {"joint_query": (0.3, -1.1, 0.2, 0.4, 1.0, -2.0), "reference": None}
+    assert endless.update(0, **query) == given.update(0, **query)
+    pose = next(p for p in endless.ports(endless.p)[1] if p.name == "tool_pose")
+    assert pose.frame_id == "pedestal"
+    assert {m.frame_id for m in endless.markers()} == {"pedestal"}
 
 
 def test_reference_without_accelerations_is_refused():

@@ -43,7 +43,7 @@ def test_a_law_goes_on_after_a_bad_message(system):
     found = {
         f"{member.name} {port.name}": spoilt(rig, member, port, 7)
         for member in rig.members if not member.is_plant
-        for port in member.inputs if port.name in member.links
+        for port in member.inputs if port.name in member.links and not port.msgtype.endswith("/Bool")
     }  # fmt: skip
     assert found
     assert {n: wrong for n, wrong in found.items() if wrong} == {}

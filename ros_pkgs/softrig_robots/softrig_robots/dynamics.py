@@ -13,7 +13,7 @@ from softrig_core.model.port import Port, array, joint_state, pose, reference
 from softrig_core.node import executable
 
 from .joints import PerJoint, require_positive, spread
-from .urdf import read_urdf
+from .urdf import read_urdf, root_link
 
 Vector = tuple[float, ...]
 
@@ -64,7 +64,7 @@ class RobotDynamics(Block):
             array(
                 "jacobian", "jacobian", {"row": 6, "column": n}, ("m/rad",) * (3 * n) + ("",) * (3 * n), sporadic=True
             ),
-            pose("tool_pose", "tool_pose", "base_link", sporadic=True),
+            pose("tool_pose", "tool_pose", root_link(read_urdf(params.urdf)), sporadic=True),
         )
 
     def setup(self) -> None:
@@ -76,6 +76,7 @@ class RobotDynamics(Block):
 
         self._np, self._pin = np, pin
         self._urdf = read_urdf(self.p.urdf)
+        self._root = root_link(self._urdf)
         self._model = load_model(self._urdf)
         self._model.armature = np.array(spread("armature", self.p.armature, self._model.nv))
         self._data = self._model.createData()
@@ -126,8 +127,8 @@ class RobotDynamics(Block):
         lines = [(places[model.parents[i]], places[i]) for i in range(1, model.njoints)]
         lines.append((places[model.frames[self._tool].parentJoint], tool))
         return (
-            Marker("base_link", "links", "line_list", tuple(end for line in lines for end in line), 0.05),
-            Marker("base_link", "joints", "sphere_list", (*places[1:], tool), 0.1, (0.9, 0.4, 0.1, 1.0)),
+            Marker(self._root, "links", "line_list", tuple(end for line in lines for end in line), 0.05),
+            Marker(self._root, "joints", "sphere_list", (*places[1:], tool), 0.1, (0.9, 0.4, 0.1, 1.0)),
         )
 
 

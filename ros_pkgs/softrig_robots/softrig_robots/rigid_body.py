@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 import pinocchio as pin
 
-from .urdf import check_inertia, read_urdf
+from .urdf import check_inertia, read_urdf, with_angles
 
 
 def load_model(urdf: str) -> pin.Model:
@@ -26,13 +26,13 @@ def load_model(urdf: str) -> pin.Model:
     ValueError
         Not a URDF, no moving joint, a joint of another kind, or a link that cannot exist.
     """
-    model = pin.buildModelFromXML(urdf)
+    model = pin.buildModelFromXML(with_angles(urdf))
     names = list(model.names)
     if model.njoints < 2:
         raise ValueError("the URDF has no moving joint")
     for i in range(1, model.njoints):
         if model.nqs[i] != 1:
-            raise ValueError(f"joint {names[i]} has {model.nqs[i]} coordinates: expected revolute (with limits) or "
+            raise ValueError(f"joint {names[i]} has {model.nqs[i]} coordinates: expected revolute, continuous or "
                              "prismatic joints")  # fmt: skip
         body = model.inertias[i]
         moments = np.linalg.eigvalsh(body.inertia) if body.mass > 0.0 else np.zeros(3)

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from xml.etree import ElementTree
 
 from softrig_core.model.resource import resource
 
 Vector = tuple[float, float, float]
+ENDLESS = "1e9"  # rad
 
 
 @dataclass(frozen=True)
@@ -154,3 +156,37 @@ def read_urdf(source: str) -> str:
         There is no such file or package; says where it was looked for.
     """
     return resource(source, "URDF file").read_text()
+
+
+def root_link(urdf: str) -> str:
+    """Give the name of the link that is no other's child: the frame in which poses are given.
+
+    Parameters
+    ----------
+    urdf : str
+        URDF text.
+    """
+    robot = ElementTree.fromstring(urdf)
+    children = {child.get("link") for child in robot.iterfind("joint/child")}
+    return next((str(link.get("name")) for link in robot.iterfind("link") if link.get("name") not in children), "")
+
+
+def with_angles(urdf: str) -> str:
+    """Make continuous joints revolute ones without an end, whose one coordinate is the angle.
+
+    pinocchio gives a continuous joint cosine and sine instead, and no message carries those.
+    """
+    if "continuous" not in urdf:
+        return urdf
+    try:
+        robot = ElementTree.fromstring(urdf)
+    except ElementTree.ParseError as error:
+        raise ValueError(f"not a URDF: {error}") from None
+    for joint in robot.iterfind("joint[@type='continuous']"):
+        joint.set("type", "revolute")
+        limit = joint.find("limit")
+        if limit is None:
+            limit = ElementTree.SubElement(joint, "limit", {"effort": ENDLESS, "velocity": ENDLESS})
+        limit.set("lower", f"-{ENDLESS}")
+        limit.set("upper", ENDLESS)
+    return ElementTree.tostring(robot, encoding="unicode")
