@@ -22,7 +22,7 @@ from softrig_core.rig.inprocess import run_inprocess  # noqa: E402
 from softrig_core.rig.processes import environment, find_executable  # noqa: E402
 from softrig_core.rig.rig import Rig  # noqa: E402
 from softrig_core.rig.scenario import Scenario  # noqa: E402
-from softrig_core.wire.recording import Recording  # noqa: E402
+from softrig_core.wire.recording import Recording, shard_topics  # noqa: E402
 from softrig_core.wire.signals import Signals  # noqa: E402
 
 
@@ -105,9 +105,7 @@ class Bench:
     def signal(self, name, signal):
         """What a node recorded: its outputs, and its inputs from outside."""
         shard = self.directory / f"{name}.shard"
-        with shard.open("rb") as file:
-            file.readline()
-            recording = Recording(json.loads(file.readline()))
+        recording = Recording(shard_topics(shard).items())
         recording.read_shard(shard)
         return Signals(recording)[signal]
 

@@ -16,7 +16,7 @@ from itertools import count
 from softrig_core.model.solver import Solver
 from softrig_core.model.worker import Work
 from softrig_core.node.lockstep import Lockstep
-from softrig_core.node.middleware import Peer
+from softrig_core.node.middleware import Middleware, Peer
 from softrig_core.node.realtime import Realtime
 from softrig_core.rig.options import RunOptions
 from softrig_core.rig.processes import node_parameters
@@ -180,7 +180,7 @@ class SimulatedTimer:
         self.world.at(self.world.now + self.period, fire, self.node)
 
 
-class SimulatedNode:
+class SimulatedNode(Middleware):
     """One node's `Middleware`."""
 
     def __init__(self, world, name, remap):

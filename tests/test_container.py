@@ -18,6 +18,7 @@ from softrig_core.rig.domain import free_domain
 from softrig_core.rig.processes import environment, find_executable, run_processes
 from softrig_core.rig.rig import Rig
 from softrig_core.rig.scenario import list_scenarios, load_scenario
+from softrig_core.wire.cdr import Layout
 from softrig_core.wire.recording import Recording
 from softrig_core.wire.signals import Signals
 from test_processes import BASIC, OUTSIDE, RIGS, no_process_left, params, rig
@@ -291,7 +292,6 @@ def status(directory, name):
 
 def test_messages_follow_each_other_and_none_is_handed_over_inside_another():
     exchange, order, depth = Exchange(), deque(maxlen=4), [0]
-    send = exchange.poster()
     limit = 100_000
 
     def receive(number):
@@ -299,49 +299,59 @@ def test_messages_follow_each_other_and_none_is_handed_over_inside_another():
         assert depth[0] == 1
         order.append(number)
         if number < limit:
-            send((receive, number + 1))
+            exchange.post((receive,), number + 1)
         depth[0] -= 1
 
-    send((receive, 0))
-    exchange.drain(1 << 62)
+    exchange.post((receive,), 0)
+    exchange.serve(1 << 62)
     assert list(order) == [limit - 3, limit - 2, limit - 1, limit]
 
 
 def test_ends_are_told_of_both_sides():
     exchange, told = Exchange(), []
-    writer, receivers = exchange.writer("/a", "t", lambda n: told.append(("writer", n)))
-    exchange.reader("/a", "t", print, lambda n: told.append(("reader", n)), "me")
-    exchange.reader("/a", "other", print, lambda n: told.append(("stranger", n)), "me")
+    writer = exchange.writer("/a", "t", lambda n: told.append(("writer", n)))
+    exchange.reader("/a", "t", print, None, lambda n: told.append(("reader", n)), "me")
+    exchange.reader("/a", "other", print, None, lambda n: told.append(("stranger", n)), "me")
     assert told == []  # nobody is called back before the queue is served
     exchange.outside(writer, 2)
-    exchange.drain(1 << 62)
-    assert receivers == [print]
+    exchange.serve(1 << 62)
+    assert writer.calls == [print]
     assert [t for t in told if t[0] == "writer"][-1] == ("writer", 3)
     assert [t for t in told if t[0] == "reader"][-1] == ("reader", 1)
     assert ("stranger", 0) in told
     assert ("stranger", 1) not in told
 
 
+def test_a_reader_gets_numbers_where_it_can_and_the_same_bytes_where_not():
+    exchange, layout, got = Exchange(), Layout("std_msgs/msg/Header", "abc"), []
+    for direct in (None, lambda found: None, lambda found: got.append if found is layout else None):
+        exchange.reader("/a", "t", lambda data: got.append(data), direct, lambda n: None, "me")
+    writer = exchange.writer("/a", "t", lambda n: None, layout)
+    exchange.reader("/a", "t", got.append, None, lambda n: None, "me")  # comes late
+    exchange.serve(1 << 62)
+    exchange.post(writer.calls, (7, ()))
+    exchange.serve(1 << 62)
+    assert got == [layout.encode(7, ())] * 2 + [(7, ()), layout.encode(7, ())]
+
+
 def test_a_full_queue_gives_way_in_time_and_an_error_has_an_owner():
-    exchange, send = Exchange(), None
-    send = exchange.poster()
+    exchange = Exchange()
 
     def again(data):
-        send((again, data))
+        exchange.post((again,), data)
 
     def broken(data):
         raise ArithmeticError("deliberate")
 
-    exchange.reader("/a", "t", broken, lambda n: None, "culprit")
-    send((again, b""))
+    reader = exchange.reader("/a", "t", broken, None, lambda n: None, "culprit")
+    exchange.post((again,), b"")
     start = time.monotonic()
-    exchange.drain(time.monotonic_ns() + 20_000_000)
+    assert exchange.serve(time.monotonic_ns() + 20_000_000) == 0
     assert 0.02 <= time.monotonic() - start < 5.0
-    assert exchange.pending()
     assert exchange.culprit() == ""
-    send((broken, b""))
+    exchange.post((print, reader.receive), "")
     with pytest.raises(ArithmeticError):
-        exchange.drain(1 << 62)
+        exchange.serve(1 << 62)
     assert exchange.culprit() == "culprit"
 
 
@@ -349,12 +359,27 @@ def test_timers_repeat_and_can_be_moved():
     exchange, fired = Exchange(), []
     timer = exchange.timer(1_000_000, lambda: fired.append(1), "me")
     while len(fired) < 3:
-        exchange.fire()
+        assert 0 < exchange.serve(1 << 62) <= 1_000_000
     timer.cancel()
     assert exchange.next_due() == 1 << 62
     timer.again(50_000_000)
-    assert not exchange.fire()
-    assert 0 < exchange.next_due() - time.monotonic_ns() <= 50_000_000
+    assert 0 < exchange.serve(1 << 62, awake=1_000_000) <= 50_000_000
+    assert len(fired) == 3
+    assert exchange.serve(time.monotonic_ns() + 5_000_000, awake=100_000_000) == 0  # awake, but not beyond its time
+    assert len(fired) == 3
+
+
+def test_a_timer_that_moves_or_ends_itself_is_obeyed():
+    exchange, fired = Exchange(), []
+
+    def once():
+        fired.append(1)
+        timer.cancel()
+
+    timer = exchange.timer(1_000, once, "me")
+    while not fired:
+        exchange.serve(1 << 62)
+    assert exchange.next_due() == 1 << 62
 
 
 # the profile -------------------------------------------------------------------------------------------------------

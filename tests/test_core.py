@@ -2,6 +2,7 @@
 
 import math
 
+import numpy as np
 import pytest
 from conftest import in_process, make_scenario
 from faultrig import Gain, Lag
@@ -13,8 +14,10 @@ from softrig_core.model.params import BlockParams, ParameterError, Params, build
 from softrig_core.rig.inprocess import run_inprocess
 from softrig_core.rig.rig import Rig, load_block
 from softrig_core.rig.scenario import load_scenario, merge
-from softrig_core.wire.recording import Recording, ShardWriter
+from softrig_core.wire.cdr import Layout
+from softrig_core.wire.recording import Recording, ShardWriter, shard_topics
 from softrig_core.wire.signals import Signals
+from softrig_core.wire.types import TYPES
 
 
 class Inner(Params):
@@ -247,6 +250,62 @@ def test_a_shard_cut_anywhere_gives_back_all_whole_messages(tmp_path_factory, me
     for index, (name, _) in enumerate(topics):
         expected = [(t, d) for i, t, d in messages[:found] if i == index]
         assert list(zip(recording.topics[name].times, recording.topics[name].data, strict=True)) == expected
+
+
+ROW = {0: Layout("std_msgs/msg/Bool"), 2: Layout("sensor_msgs/msg/JointState", "", "ab", {"position": 2, "effort": 1})}
+NUMBERS = st.tuples(st.floats(allow_nan=False), st.floats(allow_nan=False), st.floats(allow_nan=False))
+ROWS = st.lists(
+    st.one_of(st.tuples(st.integers(0, 2**60), st.booleans(), NUMBERS), st.binary(max_size=30)), max_size=20
+)
+
+
+@given(ROWS, st.integers(0, 60))
+def test_a_shard_gives_rows_of_numbers_as_the_messages_that_they_were(tmp_path_factory, rows, cut):
+    path = tmp_path_factory.mktemp("shard") / "x.shard"
+    topics = [("flag", "std_msgs/msg/Bool"), ("other", "std_msgs/msg/Float64"), ("state", "sensor_msgs/msg/JointState")]
+    writer = ShardWriter(path, topics, ROW)
+    head, expected = path.stat().st_size, {name: [] for name, _ in topics}
+    size = head
+    for row in rows:  # a message from outside may come between two rows
+        before = len(writer._buffer)
+        if isinstance(row, bytes):
+            writer.add(1, 5, row)
+        else:
+            writer.add_row(row[0], (row[1], *row[2]))
+        expected["end"] = [*expected.get("end", []), (len(writer._buffer) - before, row)]
+    writer.close()
+    whole = path.read_bytes()
+    path.write_bytes(whole[: max(head, len(whole) - cut)])
+    recording = Recording(topics)
+    lost = recording.read_shard(path)
+    for length, row in expected.pop("end", []):
+        size += length
+        if size > len(whole) - cut:
+            break
+        if isinstance(row, bytes):
+            expected["other"].append((5, row))
+        else:
+            expected["flag"].append((row[0], ROW[0].encode(row[0], (row[1],))))
+            expected["state"].append((row[0], ROW[2].encode(row[0], row[2])))
+    assert {n: list(zip(t.times, t.data, strict=True)) for n, t in recording.topics.items()} == expected
+    assert lost < 60
+    assert shard_topics(path) == dict(topics)
+
+
+@pytest.mark.parametrize("name", sorted(TYPES))
+def test_a_block_of_messages_has_the_bytes_of_each(name):
+    kind = TYPES[name]
+    fields = {i.name: 2 for i in kind.schema if i.kind == "sequence"}
+    dims = [("rows", 2)] if kind.shaped else ()
+    layout = Layout(name, "abc", "xy" if kind.named else (), fields, dims)
+    stamps = [0, 1, 1_700_000_000_123_456_789, 2**31 * 10**9 - 1]
+    values = np.random.default_rng(1).normal(size=(4, layout.size))
+    values[0] = 0.0
+    values[1, :1] = -0.0
+    block = layout.encode_block(np.array(stamps), values)
+    assert [row.tobytes() for row in block] == [
+        layout.encode(s, v) for s, v in zip(stamps, values.tolist(), strict=True)
+    ]
 
 
 def test_a_shard_cut_in_its_head_has_no_messages(tmp_path):

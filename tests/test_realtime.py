@@ -82,11 +82,13 @@ def test_nan_from_outside_is_refused_and_counted(bench):
 LISTENER = """
 import rclpy
 from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from rcl_interfaces.msg import Log
 rclpy.init()
 node = Node("listener")
 heard = []
-node.create_subscription(Log, "/rosout", lambda m: heard.append((m.name, m.msg)), 100)
+qos = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)  # also what was said before it was matched
+node.create_subscription(Log, "/rosout", lambda m: heard.append((m.name, m.msg)), qos)
 while not any(name == "plant" and "refused on lag/command: u/effort is nan" in text for name, text in heard):
     rclpy.spin_once(node)
 """

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 import sqlite3
 from collections.abc import Iterator, Sequence
@@ -15,7 +14,7 @@ from typing import Any
 from mcap.records import Channel, Footer, Message, Metadata, Schema
 from rosbags.rosbag2.metadata import parse_qos
 from ruamel.yaml import YAML
-from softrig_core.wire.recording import Recording
+from softrig_core.wire.recording import Recording, shard_topics
 
 from .bag import BagWriter
 from .errors import BagError
@@ -310,9 +309,7 @@ def _all_text(values: Sequence[Any]) -> bool:
 def _repair_shards(shards: list[Path], target: Path) -> Repair:
     topics = {}
     for shard in shards:
-        lines = shard.read_bytes().split(b"\n", 2)
-        if len(lines) == 3 and lines[0] == b"softrig shard 1":
-            topics.update(dict(json.loads(lines[1])))
+        topics.update(shard_topics(shard))
     order = sorted(topics, key=lambda name: (name != "/clock", name))
     recording = Recording([(name, topics[name]) for name in order])
     reports = []

@@ -6,8 +6,8 @@ messages, timers and clocks come from a `Middleware`.
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Callable, Mapping
+from operator import itemgetter
 from pathlib import Path
 from typing import Any, Literal
 
@@ -18,14 +18,17 @@ from ..model.port import Port, Sample
 from ..model.schedule import Schedule
 from ..model.timebase import SECOND
 from ..rig.options import InputLink, Links, RunOptions
+from ..wire.cdr import Layout
 from ..wire.recording import ShardWriter, Sink, relative
 from .buttons import Buttons
 from .endpoint import Input, Output
 from .health import write_status
-from .middleware import Middleware
+from .middleware import Direct, Message, Middleware, Receive
 from .tick import END, TICK, TickWriter
 
 WATCH_PERIOD = SECOND // 4  # ns: progress check, status file, flush of the shard
+CLOCK_TOPIC = "/clock"
+CLOCK_LAYOUT = Layout("rosgraph_msgs/msg/Clock")
 
 
 class Adapter:
@@ -72,7 +75,11 @@ class Adapter:
         self.inputs = [Input(p) for p in inputs]
         self.paces: list[Input] = []  # /clock and the ticks of other nodes
         self.outputs = [Output(p, middleware.resolve(p.topic), i) for i, p in enumerate(outputs)]
-        self._sporadic = any(o.sporadic for o in self.outputs)
+        # A node that says everything at each tick, at its stamp, says a row of numbers.
+        self._rows = not any(o.sporadic or o.delayed for o in self.outputs)
+        self._sizes = tuple(o.port.size for o in self.outputs)
+        names = [o.name for o in self.outputs]
+        self._pick = itemgetter(*names) if len(names) > 1 else lambda found: tuple(found[name] for name in names)
         self._open_record(sink)
         self.buttons = Buttons(self.values, self._record_press)
         self._publish_tick: Callable[[bytes], None] | None = None
@@ -83,7 +90,7 @@ class Adapter:
         for item in self.inputs:
             self._subscribe(item)
         for output in self.outputs:
-            output.publish = middleware.publisher(output.port.topic, output.port.msgtype, output.matched)
+            output.send = middleware.sender(output.port.topic, output.layout, output.matched)
         middleware.timer(WATCH_PERIOD, self._watch)
 
     def _open_record(self, sink: Sink | None) -> None:
@@ -96,18 +103,24 @@ class Adapter:
         self.foreign = {item.name: len(recorded) + k for k, item in enumerate(outside)}
         recorded += [(relative(self.middleware.resolve(i.port.topic)), i.port.msgtype) for i in outside]
         self.extra_numbers = len(recorded)
+        row = {o.number: o.layout for o in self.outputs} if self._rows else {}
         if self.links.owns_clock:
-            recorded.append(("/clock", "rosgraph_msgs/msg/Clock"))
+            recorded.append((CLOCK_TOPIC, CLOCK_LAYOUT.msgtype))
+            if self._rows and self.options.mode == "lockstep":
+                row[self.extra_numbers] = CLOCK_LAYOUT
         self.recorded = recorded
-        self.shard = ShardWriter(Path(self.options.shard), recorded) if self.options.shard and sink is None else None
+        wanted = self.options.shard and sink is None
+        self.shard = ShardWriter(Path(self.options.shard), recorded, row) if wanted else None
         self.sink = self.shard if sink is None else sink
+        self._add_row = self.shard.add_row if self.shard is not None and row else None
 
     def _subscribe(self, item: Input) -> None:
         def matched(count: int) -> None:
             item.publishers = count
             self.on_matched(item)
 
-        self.middleware.subscribe(item.port.topic, item.port.msgtype, self.receiver(item), matched)
+        receive, direct = self.receiver(item)
+        self.middleware.listen(item.port.topic, item.port.msgtype, receive, direct, matched)
 
     def _record_press(self, item: Input, down: bool) -> None:
         if self.sink is not None and item.name in self.foreign:
@@ -115,8 +128,8 @@ class Adapter:
 
     # what a subclass says -------------------------------------------------------------------------------------
 
-    def receiver(self, item: Input) -> Callable[[bytes], None]:
-        """Give the callback for the raw messages of an input."""
+    def receiver(self, item: Input) -> tuple[Receive, Direct | None]:
+        """Give the callback for the raw messages of an input, and the one for messages without bytes if it has one."""
         raise NotImplementedError
 
     def on_matched(self, item: Input) -> None:
@@ -168,35 +181,59 @@ class Adapter:
         return (self.block.update if last is None or t < last else self.block.finish)(t, **inputs)
 
     def publish(self, t: int, stamp: int, found: Mapping[str, Any]) -> None:
-        """Check, encode, publish and record a block's answer of tick `t`, and acknowledge the tick.
+        """Check, publish and record a block's answer of tick `t`, and acknowledge the tick.
 
         All messages go out in one burst: a reader that wakes for the first finds the others already there, and
         recording takes place while it works. (Each wake-up between two messages costs as much as the law.)
         """
-        burst = []
-        try:
-            for output in self.outputs:
-                if self._sporadic and output.sporadic and found.get(output.name) is None:
-                    continue
-                values, at = found[output.name], stamp
-                if output.delayed:
-                    at, values = values[0] + self.epoch, values[1]
-                total = sum(values)
-                if total - total != 0.0:  # NaN or infinity
-                    check(found, output.port, self.middleware.name, t)
-                burst.append((output, output.encode(at, values)))
-        except (AttributeError, KeyError, TypeError, ValueError, struct.error):
-            for output in self.outputs:
-                check(found, output.port, self.middleware.name, t)  # says which value is wrong
-            raise
-        for output, data in burst:
-            output.publish(data)
+        numbers = self._numbers(found)
+        if numbers is None:
+            self._publish_each(t, stamp, found)
+            return
+        rows, flat = numbers
+        for output, values in zip(self.outputs, rows, strict=True):
+            output.send((stamp, values))
         if self._publish_tick is not None:
-            sent = [output.name for output, _ in burst if output.sporadic] if self._sporadic else []
+            self._publish_tick(self._tick_bytes(stamp, (END,) if self.block.ended else ()))
+        if self._add_row is not None:
+            self._add_row(stamp, flat)
+        elif self.sink is not None:
+            for output, values in zip(self.outputs, rows, strict=True):
+                self.sink.add(output.number, stamp, output.layout.encode(stamp, values))
+
+    def _numbers(self, found: Mapping[str, Any]) -> tuple[tuple[tuple[float, ...], ...], tuple[float, ...]] | None:
+        """Give the values of all outputs, and all in one tuple; None when each has to be looked at."""
+        if not self._rows:
+            return None
+        try:
+            rows = self._pick(found)
+            flat: tuple[float, ...] = sum(rows, ())
+            total = sum(flat)
+            if tuple(map(len, rows)) != self._sizes or total - total != 0.0:  # NaN or infinity
+                return None
+        except (KeyError, TypeError, ValueError, OverflowError):  # told by `check`
+            return None
+        return rows, flat
+
+    def _publish_each(self, t: int, stamp: int, found: Mapping[str, Any]) -> None:
+        """Do the same for an answer that leaves ports out, has stamps of its own, or is no plain row of numbers."""
+        burst: list[tuple[Output, Message]] = []
+        for output in self.outputs:
+            value = check(found, output.port, self.middleware.name, t)
+            if isinstance(value, Sample):
+                burst.append((output, (value.stamp + self.epoch, value.data)))
+            elif value is not None:
+                burst.append((output, (stamp, value)))
+        for output, message in burst:
+            output.send(message)
+        if self._publish_tick is not None:
+            sent = [output.name for output, _ in burst if output.sporadic]
             self._publish_tick(self._tick_bytes(stamp, [*sent, END] if self.block.ended else sent))
-        if self.sink is not None:
-            for output, data in burst:
-                self.sink.add(output.number, stamp, data)
+        if self._add_row is not None:
+            self._add_row(stamp, [x for _, (_, values) in burst for x in values])
+        elif self.sink is not None:
+            for output, message in burst:
+                self.sink.add(output.number, stamp, output.layout.encode(*message))
 
     # health ----------------------------------------------------------------------------------------------------
 

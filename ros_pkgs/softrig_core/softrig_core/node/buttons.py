@@ -36,6 +36,8 @@ class Buttons:
 
     def release(self) -> None:
         """Move the buttons; called after each tick."""
+        if not self._presses:
+            return
         for item in list(self._presses):
             if self._values[item.name] == (1.0,):
                 self._push(item, False)

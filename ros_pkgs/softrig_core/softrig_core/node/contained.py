@@ -6,8 +6,9 @@ from collections.abc import Callable
 
 from rclpy.node import Node
 
+from ..wire.cdr import Layout
 from .exchange import Exchange, ExchangeTimer
-from .middleware import Matched, Receive
+from .middleware import Direct, Matched, Message, Receive, Send
 from .ros import RosMiddleware
 
 
@@ -28,24 +29,45 @@ class ContainedMiddleware(RosMiddleware):
 
     def publisher(self, topic: str, msgtype: str, matched: Matched) -> Callable[[bytes], None]:
         """Offer a topic; DDS carries it while somebody in another process reads it."""
-        end, receivers = self._exchange.writer(self.resolve(topic), msgtype, matched)
-        carry = super().publisher(topic, msgtype, lambda number: self._exchange.outside(end, number))
-        post = self._exchange.poster()
+        writer = self._exchange.writer(self.resolve(topic), msgtype, matched)
+        carry = super().publisher(topic, msgtype, lambda number: self._exchange.outside(writer, number))
+        post, calls = self._exchange.poster(), writer.calls
 
         def publish(data: bytes) -> None:
-            for receive in receivers:
-                post((receive, data))
-            if end.outside:
+            if calls:
+                post((calls, data))
+            if writer.outside:
                 carry(data)
 
         return publish
 
+    def sender(self, topic: str, layout: Layout, matched: Matched) -> Send:
+        """Offer a topic; its messages become bytes only for who is outside."""
+        writer = self._exchange.writer(self.resolve(topic), layout.msgtype, matched, layout)
+        carry = super().publisher(topic, layout.msgtype, lambda number: self._exchange.outside(writer, number))
+        post, calls, encode = self._exchange.poster(), writer.calls, layout.encode
+
+        def send(message: Message) -> None:
+            if calls:
+                post((calls, message))
+            if writer.outside:
+                carry(encode(*message))
+
+        return send
+
     def subscribe(self, topic: str, msgtype: str, receive: Receive, matched: Matched) -> None:
-        """Read a topic from both sides."""
-        exchange = self._exchange
-        end = exchange.reader(self.resolve(topic), msgtype, receive, matched, self.name)
+        """Read a topic from both sides, as bytes."""
+        self._read(topic, msgtype, receive, None, matched)
+
+    def listen(self, topic: str, msgtype: str, receive: Receive, direct: Direct | None, matched: Matched) -> None:
+        """Read a topic from both sides, from this process without bytes where that can be."""
+        self._read(topic, msgtype, receive, direct, matched)
+
+    def _read(self, topic: str, msgtype: str, receive: Receive, direct: Direct | None, matched: Matched) -> None:
+        exchange, calls = self._exchange, (receive,)
+        end = exchange.reader(self.resolve(topic), msgtype, receive, direct, matched, self.name)
         super().subscribe(
-            topic, msgtype, lambda data: exchange.post(receive, data), lambda number: exchange.outside(end, number)
+            topic, msgtype, lambda data: exchange.post(calls, data), lambda number: exchange.outside(end, number)
         )
 
     def timer(self, ns: int, callback: Callable[[], None]) -> ExchangeTimer:  # type: ignore[override]

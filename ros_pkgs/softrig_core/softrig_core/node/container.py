@@ -30,8 +30,9 @@ from .profile import exclusive
 from .spin import conclude, failure
 from .startup import make_adapter
 
-SLICE = 5_000_000  # ns: how long messages in memory may keep timers and other processes waiting
+LOOK = 50_000_000  # ns: how long a busy container leaves DDS alone: a look takes as long as some ticks
 SPIN = 300_000  # ns: a timer closer than this is waited for awake: to sleep and wake takes half as long
+YOUNG = 20_000  # objects between two garbage collections: what a tick makes dies with it
 GRACE = 1.0  # s: after one node gives up, how long the others may take to say what they saw
 
 
@@ -42,7 +43,6 @@ class Container:
         self.exchange = Exchange()
         self.nodes: list[Node] = []
         self.adapters: list[Adapter] = []
-        self._listened = 0
 
     def add(self, group: Sequence[str]) -> None:
         """Make one node; `group` is its package, executable and ROS arguments."""
@@ -62,6 +62,7 @@ class Container:
             executor.add_node(node)
         gc.collect()
         gc.freeze()
+        gc.set_threshold(YOUNG)
         stopped = False
         try:
             stopped = not self._loop(executor)
@@ -81,6 +82,9 @@ class Container:
         """Turn until the end; False when the process was told to stop."""
         exchange, limit = self.exchange, 0.0
         while rclpy.ok():
+            # Someone outside who writes is heard as soon as nothing is left to do; everybody else now and then.
+            awake = 0 if exchange.listens else SPIN
+            rest = exchange.serve(time.monotonic_ns() + LOOK, awake)
             states = {a.state for a in self.adapters}
             if states <= {"done", "failed"}:
                 return True
@@ -88,22 +92,8 @@ class Container:
                 limit = limit or time.monotonic() + GRACE
                 if time.monotonic() > limit:
                     return True
-            self._turn(executor, exchange)
+            executor.spin_once((rest - SPIN // 2) / SECOND if rest > SPIN else 0.0)
         return False
-
-    def _turn(self, executor: Executor, exchange: Exchange) -> None:
-        """Timers, then messages in memory, then other processes for as long as nothing else is due."""
-        exchange.fire()
-        exchange.drain(time.monotonic_ns() + SLICE)
-        now = time.monotonic_ns()
-        rest = 0 if exchange.pending() else exchange.next_due() - now
-        if rest > SPIN:
-            executor.spin_once((rest - SPIN // 2) / SECOND)
-        elif (exchange.listens and not exchange.pending()) or now - self._listened > SLICE:
-            executor.spin_once(0.0)
-        else:
-            return
-        self._listened = time.monotonic_ns()
 
     def _broke(self, error: Exception) -> None:
         """An error ends the run in the name of the node whose code was running."""

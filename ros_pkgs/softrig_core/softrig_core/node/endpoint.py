@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 from ..model.port import Port
 from ..wire.codec import Decoder
+from .middleware import Message, Send
 
 
 class Input:
@@ -48,8 +49,8 @@ class Output:
         self.sporadic = port.sporadic
         self.topic = topic
         self.number = number
-        self.encode: Callable[[int, Sequence[float]], bytes] = port.layout().encode
-        self.publish: Callable[[bytes], None] = _unbound
+        self.layout = port.layout()
+        self.send: Send = _unbound
         self.readers = 0
         self.joined: Callable[[], object] = _nobody  # called when a reader has come
 
@@ -65,5 +66,5 @@ def _nobody() -> None:
     pass
 
 
-def _unbound(data: bytes) -> None:
+def _unbound(message: Message) -> None:
     raise RuntimeError("output is not advertised yet")

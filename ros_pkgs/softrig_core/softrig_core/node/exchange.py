@@ -1,7 +1,8 @@
 """What the nodes of a container share: topics handed over in memory through one queue, and timers; no ROS in it.
 
-A message goes to the readers in the same process as the bytes that it is, and is taken from the queue when whoever sent
-it has returned: ticks follow each other, none runs inside another, and the depth of the stack does not grow.
+A message goes to the readers in the same process as the numbers that its bytes would carry, or as these bytes where a
+reader asks for them, and is taken from the queue when whoever sent it has returned: ticks follow each other, none runs
+inside another, and the depth of the stack does not grow.
 """
 
 from __future__ import annotations
@@ -9,31 +10,47 @@ from __future__ import annotations
 import heapq
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from itertools import count
 from typing import Any
 
-from .middleware import Matched, Receive
+from ..wire.cdr import Layout
+from .middleware import Direct, Matched, Message, Receive, Send
 
 BATCH = 16  # messages between two looks at the time
+SLICE = 5_000_000  # ns: how long messages may keep a timer waiting
 
 
-class _End:
-    """A writer or a reader: who is told how many there are on the other side."""
+class _Writer:
+    """Who writes a topic, and how its messages reach the readers in this process."""
 
-    def __init__(self, channel: _Channel, matched: Matched) -> None:
-        self.channel = channel
+    def __init__(self, matched: Matched, layout: Layout | None) -> None:
         self.matched = matched
-        self.outside = 0  # of those that are matched, how many live in other processes
+        self.layout = layout  # None: sends bytes
+        self.outside = 0  # readers in other processes that are matched
+        self.calls: list[Callable[[Any], None]] = []
+
+
+class _Reader:
+    """Who reads a topic."""
+
+    def __init__(self, matched: Matched, receive: Receive, direct: Direct | None, node: str) -> None:
+        self.matched = matched
+        self.receive = receive
+        self.direct = direct
+        self.node = node
+        self.outside = 0  # writers in other processes that are matched
+
+
+End = _Writer | _Reader
 
 
 class _Channel:
     """One topic of one message type."""
 
     def __init__(self) -> None:
-        self.writers: list[_End] = []
-        self.readers: list[_End] = []
-        self.receivers: list[Receive] = []
+        self.writers: list[_Writer] = []
+        self.readers: list[_Reader] = []
 
 
 class ExchangeTimer:
@@ -60,47 +77,64 @@ class Exchange:
     """The queue, the topics and the timers of a container."""
 
     def __init__(self) -> None:
-        self._queue: deque[tuple[Callable[[Any], None], Any]] = deque()
+        self._queue: deque[tuple[Sequence[Callable[[Any], None]], Any]] = deque()
         self._channels: dict[tuple[str, str], _Channel] = {}
         self._timers: list[tuple[int, int, int, ExchangeTimer]] = []
         self._order = count()
         self._owners: dict[Callable[..., None], str] = {}  # node names
-        self._running: Callable[..., None] | None = None
+        self._culprit: Callable[..., None] | None = None
         self.listens = False  # whether a writer in another process is matched
 
     # topics ----------------------------------------------------------------------------------------------------
 
-    def writer(self, topic: str, msgtype: str, matched: Matched) -> tuple[_End, list[Receive]]:
-        """Add a writer; gives it and the receivers in this process, those that come later included."""
+    def writer(self, topic: str, msgtype: str, matched: Matched, layout: Layout | None = None) -> _Writer:
+        """Add a writer, of bytes or of messages that all have one layout."""
         channel = self._channel(topic, msgtype)
-        end = _End(channel, matched)
-        channel.writers.append(end)
-        self._tell(channel)
-        return end, channel.receivers
+        channel.writers.append(writer := _Writer(matched, layout))
+        self._connect(channel)
+        return writer
 
-    def reader(self, topic: str, msgtype: str, receive: Receive, matched: Matched, node: str) -> _End:
+    def reader(self, topic: str, msgtype: str, receive: Receive, direct: Direct | None, matched: Matched,
+               node: str) -> _Reader:  # fmt: skip
         """Add a reader that belongs to a node."""
         channel = self._channel(topic, msgtype)
-        end = _End(channel, matched)
-        channel.readers.append(end)
-        channel.receivers.append(receive)
+        channel.readers.append(reader := _Reader(matched, receive, direct, node))
         self._owners[receive] = node
-        self._tell(channel)
-        return end
+        self._connect(channel)
+        return reader
 
-    def outside(self, end: _End, number: int) -> None:
+    def outside(self, end: End, number: int) -> None:
         """Note how many ends in other processes are matched with one of ours."""
         end.outside = number
         self.listens = any(r.outside for c in self._channels.values() for r in c.readers)
-        self._tell(end.channel)
+        self._tell(next(c for c in self._channels.values() if end in c.writers or end in c.readers))
 
     def _channel(self, topic: str, msgtype: str) -> _Channel:
         return self._channels.setdefault((topic, msgtype), _Channel())
 
+    def _connect(self, channel: _Channel) -> None:
+        """Work out how what each writer sends reaches each reader."""
+        for writer in channel.writers:
+            writer.calls[:] = [self._call(writer.layout, reader) for reader in channel.readers]
+        self._tell(channel)
+
+    def _call(self, layout: Layout | None, reader: _Reader) -> Callable[[Any], None]:
+        if layout is None:
+            return reader.receive
+        call: Send | None = None if reader.direct is None else reader.direct(layout)
+        if call is None:
+            receive, encode = reader.receive, layout.encode
+
+            def call(message: Message) -> None:
+                receive(encode(*message))
+
+        self._owners[call] = reader.node
+        return call
+
     def _tell(self, channel: _Channel) -> None:
         for ends, others in ((channel.writers, channel.readers), (channel.readers, channel.writers)):
             for end in ends:
-                self.post(end.matched, end.outside + len(others))
+                self.post((end.matched,), end.outside + len(others))
 
     def timer(self, ns: int, callback: Callable[[], None], node: str) -> ExchangeTimer:
         """Add a timer that belongs to a node."""
@@ -108,34 +142,62 @@ class Exchange:
         return ExchangeTimer(self, ns, callback)
 
     def culprit(self) -> str:
-        """Name of the node whose code is running or has just raised; empty when it is nobody's."""
-        return self._owners.get(self._running, "") if self._running is not None else ""
+        """Name of the node whose code has raised; empty when it is nobody's."""
+        return self._owners.get(self._culprit, "") if self._culprit is not None else ""
 
     # what is to happen -------------------------------------------------------------------------------------------
 
-    def post(self, call: Callable[[Any], None], given: Any) -> None:
-        """Call a function when whatever is under way has returned."""
-        self._queue.append((call, given))
+    def post(self, calls: Sequence[Callable[[Any], None]], given: Any) -> None:
+        """Call functions when whatever is under way has returned."""
+        self._queue.append((calls, given))
 
-    def poster(self) -> Callable[[tuple[Callable[[Any], None], Any]], None]:
+    def poster(self) -> Callable[[tuple[Sequence[Callable[[Any], None]], Any]], None]:
         """Give the shortest way into the queue."""
         return self._queue.append
 
-    def pending(self) -> bool:
-        """Whether something waits in the queue."""
-        return bool(self._queue)
+    def serve(self, until: int, awake: int = 0) -> int:
+        """Fire timers and hand over messages until nothing is due for `awake` ns or `until` has passed.
 
-    def drain(self, until: int) -> None:
+        Parameters
+        ----------
+        until : int
+            ns, monotonic.
+        awake : int
+            A timer that is nearer is waited for here.
+
+        Returns
+        -------
+        int
+            ns to the next timer; 0 when something waits to be done.
+        """
+        now = time.monotonic_ns
+        while True:
+            self._fire(now())
+            if self._queue:
+                self._drain(min(until, now() + SLICE))
+            t = now()
+            rest = self.next_due() - t
+            if rest > awake and not self._queue:
+                return rest
+            if t > until:
+                return 0
+
+    def _drain(self, until: int) -> None:
         """Hand over what is queued and what comes of it until nothing is left or `until` (ns, monotonic) has passed."""
         queue, now = self._queue, time.monotonic_ns
         take = queue.popleft
-        while queue:
-            for _ in range(min(len(queue), BATCH)):
-                self._running, given = take()
-                self._running(given)
-            if now() > until:
-                break
-        self._running = None
+        call: Callable[[Any], None] | None = None
+        try:
+            while queue:
+                for _ in range(min(len(queue), BATCH)):
+                    calls, given = take()
+                    for call in calls:
+                        call(given)
+                if now() > until:
+                    break
+        except BaseException:
+            self._culprit = call
+            raise
 
     def arm(self, timer: ExchangeTimer) -> None:
         """Have a timer fire after its period."""
@@ -149,13 +211,15 @@ class Exchange:
             heapq.heappop(self._timers)
         return self._timers[0][0] if self._timers else 1 << 62
 
-    def fire(self) -> bool:
+    def _fire(self, now: int) -> None:
         """Fire the timer that has been due the longest, if one is; what it sends is queued."""
-        if self.next_due() > time.monotonic_ns():
-            return False
-        timer = heapq.heappop(self._timers)[3]
-        self.arm(timer)
-        self._running = timer.callback
-        timer.callback()
-        self._running = None
-        return True
+        if self.next_due() > now:
+            return
+        _, _, generation, timer = heapq.heappop(self._timers)
+        try:
+            timer.callback()
+        except BaseException:
+            self._culprit = timer.callback
+            raise
+        if timer.generation == generation:  # it has not been moved
+            self.arm(timer)

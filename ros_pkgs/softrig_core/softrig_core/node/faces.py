@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from typing import Any
 
-from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
@@ -40,7 +39,7 @@ class Faces:
             if item.port.msgtype == "std_msgs/msg/Bool" and item.name not in adapter.links.inputs:
                 node.create_service(message_class("std_srvs/srv/Trigger"), f"~/{item.name}", self._presser(item))
         self._looks = 0
-        node.create_timer(WATCH_PERIOD / 1e9, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        adapter.middleware.timer(WATCH_PERIOD, self._look)
 
     def _presser(self, item: Input) -> Any:
         def press(request: Any, response: Any) -> Any:
@@ -51,13 +50,20 @@ class Faces:
 
     def _look(self) -> None:
         adapter = self._adapter
-        if self._markers is not None and adapter.state == "running":
+        if self._markers is not None and _read(self._markers) and adapter.state == "running":
             self._markers.publish(marker_array(adapter.now(), adapter.block.markers()))
         self._looks += 1
         if self._looks % 4 == 0:
             self._publish_diagnostics()
 
     def _publish_diagnostics(self) -> None:
+        block = self._adapter.block
+        if self._figures is not None and _read(self._figures) and isinstance(block, Observer):
+            figures = {name: f"{value:.9g} {unit}".strip() for name, (value, unit) in block.status().items()}
+            name = self._adapter.middleware.name
+            self._figures.publish(diagnostic_array(self._adapter.t, name, Level.OK, "", figures))
+        if not _read(self._diagnostics):
+            return
         adapter, reports = self._adapter, self._adapter.block.reports
         listened = adapter.inputs + adapter.paces
         refused = sum(i.refused for i in listened)
@@ -68,10 +74,11 @@ class Faces:
         values |= {key: f"{count} x {text}" for key, (_, text, count) in reports.items()}
         values |= {key: str(value) for key, value in adapter.statistics().items()} | dict(adapter.block.health())
         self._diagnostics.publish(diagnostic_array(time.time_ns(), self._name, level, text, values))
-        if self._figures is not None and isinstance(adapter.block, Observer):
-            figures = {name: f"{value:.9g} {unit}".strip() for name, (value, unit) in adapter.block.status().items()}
-            name = adapter.middleware.name
-            self._figures.publish(diagnostic_array(adapter.t, name, Level.OK, "", figures))
+
+
+def _read(publisher: Any) -> bool:
+    """Whether anybody reads a topic: what takes longer than a tick is not worked out for nobody."""
+    return bool(publisher.get_subscription_count())
 
 
 def _publish_latched(node: Node, block: Block) -> None:

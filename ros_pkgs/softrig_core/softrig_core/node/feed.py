@@ -47,20 +47,23 @@ class Feed:
 
     def put(self, stamp: int, value: Any, now: int) -> None:
         """Take a good message."""
-        if self.schedule is None and self.stamp is not None and stamp > self.stamp:
-            self.interval = stamp - self.stamp
-        self._came(stamp, now)
+        newest = self.stamp
+        if newest is None:
+            self.stamp = stamp
+        elif stamp > newest:
+            if self.schedule is None:
+                self.interval = stamp - newest
+            self.stamp = stamp
+        self.arrived = now
+        self.fresh = True
         self._recent.append((stamp, value))
 
     def refuse(self, stamp: int, now: int) -> None:
         """Note a refused message: its tick need not wait for another."""
-        self._came(stamp, now)
-        self.bad = stamp
-
-    def _came(self, stamp: int, now: int) -> None:
         self.stamp = stamp if self.stamp is None else max(stamp, self.stamp)
         self.arrived = now
         self.fresh = True
+        self.bad = stamp
 
     def complete(self, t: int, epoch: int, period: int) -> bool:
         """Whether what is due at time `t` of the block is there."""

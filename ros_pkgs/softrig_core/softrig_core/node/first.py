@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 
 from .endpoint import Output
+from .middleware import Message
 
 
 def repeat_first(outputs: Iterable[Output], may_repeat: Callable[[], bool]) -> None:
@@ -26,16 +27,16 @@ def repeat_first(outputs: Iterable[Output], may_repeat: Callable[[], bool]) -> N
 
 
 def _keep(output: Output, may_repeat: Callable[[], bool]) -> None:
-    send = output.publish
-    kept: list[bytes] = []
+    send = output.send
+    kept: list[Message] = []
 
-    def first(data: bytes) -> None:
-        output.publish = send
-        kept.append(data)
-        send(data)
+    def first(message: Message) -> None:
+        output.send = send
+        kept.append(message)
+        send(message)
 
     def again() -> None:
         if kept and may_repeat():
             send(kept[0])
 
-    output.publish, output.joined = first, again
+    output.send, output.joined = first, again

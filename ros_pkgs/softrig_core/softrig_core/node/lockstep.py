@@ -20,17 +20,17 @@ from ..rig.options import InputLink, RunOptions
 from ..wire.cdr import Layout
 from ..wire.codec import Decoder
 from ..wire.recording import Sink
-from .adapter import Adapter
+from .adapter import CLOCK_LAYOUT, CLOCK_TOPIC, Adapter
 from .endpoint import Input, Output
 from .first import repeat_first
 from .health import percentiles
-from .middleware import Middleware
+from .middleware import Direct, Message, Middleware, Receive, Send
 from .pairing import BAD, KEEP, Pairing
 from .solving import Solving, hear_busy
 from .start import CHECK, Handshake
 from .tick import END, TICK, TickReader
 
-CLOCK = Port("clock", "/clock", "rosgraph_msgs/msg/Clock")
+CLOCK = Port("clock", CLOCK_TOPIC, CLOCK_LAYOUT.msgtype)
 GONE_AFTER = 0.5  # s without the awaited message after its only sender has vanished
 
 
@@ -54,15 +54,13 @@ class Lockstep(Adapter):
         self._durations: deque[int] = deque(maxlen=100_000)
         self._sent = self._first = 0
         self.clock_output = Output(CLOCK, "/clock", -1)
-        self._clock_layout = Layout(CLOCK.msgtype)
         super().__init__(middleware, block, options, sink)
         if self.links.owns_clock:
-            self.clock_output.publish = middleware.publisher("/clock", CLOCK.msgtype, self.clock_output.matched)
+            self.clock_output.send = middleware.sender(CLOCK_TOPIC, CLOCK_LAYOUT, self.clock_output.matched)
         if self.links.clock is not None:
-            link = self.links.clock
-            self._pace(CLOCK, [self._pace_pairing(CLOCK, link)], Decoder(CLOCK))
+            self._pace(self._pace_pairing(CLOCK, self.links.clock))
         if self.links.hears_clock:
-            middleware.subscribe("/clock", CLOCK.msgtype, lambda data: None, lambda count: None)
+            middleware.subscribe(CLOCK_TOPIC, CLOCK.msgtype, lambda data: None, lambda count: None)
         if self.links.guests:
             stamped = [o for o in self.outputs if o.port.stamped and not o.delayed]
             first = 0 if self.is_plant else 1
@@ -85,17 +83,18 @@ class Lockstep(Adapter):
 
     # peers -----------------------------------------------------------------------------------------------------
 
-    def receiver(self, item: Input) -> Callable[[bytes], None]:
+    def receiver(self, item: Input) -> tuple[Receive, Direct | None]:
         """Paired inputs wait for their stamp; other held inputs take the newest value."""
         link = self.links.inputs.get(item.name)
         self.values[item.name] = item.port.initial
         by_itself = link is None and (item.port.held or item.port.sporadic) and item.name not in self.options.paired
         if by_itself or item.name in self.links.free:
-            return self._held(item)
+            return self._held(item), None
         pairing = (
             Pairing(item.port.topic, self.peer(link), link.node, item, port=link.port if link.sporadic else "")
             if link else Pairing(item.port.topic, Schedule(self.schedule.period), "another node", item)
         )  # fmt: skip
+        pairing.same = pairing.schedule.period == self.schedule.period
         self.pairings.append(pairing)
         return self._paired(pairing, item)
 
@@ -116,7 +115,7 @@ class Lockstep(Adapter):
 
         return receive
 
-    def _paired(self, pairing: Pairing, item: Input) -> Callable[[bytes], None]:
+    def _paired(self, pairing: Pairing, item: Input) -> tuple[Receive, Direct | None]:
         name, decode, delayed = item.name, item.decode, item.port.delayed
         # stamps that are acquisition times, and messages without one, are paired by counting
         by_order = delayed or not item.port.stamped
@@ -146,8 +145,9 @@ class Lockstep(Adapter):
                     pairing.excused = at
                     self._heard_at(pairing, at, BAD)
                 return
-            if not by_order:
-                position = stamp
+            accept(stamp, values, position if by_order else stamp, data)
+
+        def accept(stamp: int, values: tuple[float, ...], position: int, data: bytes = b"") -> None:
             if position == pairing.want and not pairing.have and not pairing.said and not pairing.port:
                 if record is not None and self.sink is not None:
                     self.sink.add(record, self.t, data)
@@ -170,8 +170,35 @@ class Lockstep(Adapter):
                 twice = " (already there)" if pairing.have else ""
                 self.refuse(item, f"stamp {got:.9g} s from {pairing.sender}, expected {want:.9g} s{twice}")
 
+        def direct(layout: Layout) -> Send | None:
+            if by_order or pairing.port or item.port.partial or record is not None:
+                return None
+            try:
+                pick = decode.pick(layout)
+            except Refused:  # each message will be, with its reason
+                return None
+            due, inputs, bound, encode = schedule.due, self.values, decode.bound, layout.encode
+
+            def receive_numbers(message: Message) -> None:
+                stamp, sent = message
+                values = sent if pick is None else pick(sent)
+                item.heard = True
+                if not sum(map(abs, values)) <= bound:
+                    take(encode(stamp, sent))  # looks at each
+                elif stamp == pairing.want and not pairing.have and not pairing.said:
+                    inputs[name] = values
+                    pairing.stamp = pairing.used = stamp
+                    self._arrived(pairing)
+                elif pairing.used < stamp < pairing.want and stamp not in pairing.said and due(stamp):
+                    self._heard += 1  # of a faster sender only the newest may serve, when the run ends before its time
+                    pairing.said = {stamp: (values, b"")}
+                elif self.state not in ("done", "failed"):
+                    accept(stamp, values, stamp)
+
+            return receive_numbers
+
         self._takes[name] = take
-        return receive_by_order if by_order else take
+        return (receive_by_order if by_order else take), direct
 
     def _serve(self, pairing: Pairing, take: Callable[[bytes, int], None]) -> None:
         """Bring together messages without a stamp and the ticks at which their sender says it has spoken."""
@@ -271,8 +298,9 @@ class Lockstep(Adapter):
 
         return receive
 
-    def _pace(self, port: Port, paced: list[Pairing], decode: Decoder) -> None:
-        item = paced[0].item
+    def _pace(self, pairing: Pairing) -> None:
+        """Follow /clock."""
+        item, decode = pairing.item, Decoder(CLOCK)
 
         def receive(data: bytes) -> None:
             item.heard = True
@@ -282,17 +310,21 @@ class Lockstep(Adapter):
                 self.refuse(item, str(error))
                 return
             self._heard += 1
-            for pairing in paced:
-                self._reached(pairing, stamp)
+            self._reached(pairing, stamp)
 
-        self._listen(item, receive)
+        def receive_numbers(message: Message) -> None:
+            item.heard = True
+            self._heard += 1
+            self._reached(pairing, message[0])
 
-    def _listen(self, item: Input, receive: Callable[[bytes], None]) -> None:
+        self._listen(item, receive, lambda layout: receive_numbers)
+
+    def _listen(self, item: Input, receive: Receive, direct: Direct | None = None) -> None:
         def matched(count: int) -> None:
             item.publishers = count
 
         self.paces.append(item)
-        self.middleware.subscribe(item.port.topic, item.port.msgtype, receive, matched)
+        self.middleware.listen(item.port.topic, item.port.msgtype, receive, direct, matched)
 
     def _reached(self, pairing: Pairing, stamp: int) -> None:
         """A clock or an acknowledgement: its sender has come to a tick of its own."""
@@ -330,25 +362,29 @@ class Lockstep(Adapter):
     def _await(self, t: int) -> None:
         """Set what tick `t` needs."""
         missing = 0
-        following = self.schedule.next(t) if self.is_plant else t
         for pairing in self.pairings:
             if t < pairing.holds:
                 continue  # a slower sender: its last message still holds
-            schedule = pairing.schedule
-            if pairing.earlier:
-                want = schedule.before(following)
-            else:
-                want = schedule.awaited(t)
-                pairing.holds = schedule.next(t)
+            want = t if pairing.same and t <= pairing.until else self._wanted(pairing, t)
             if want == pairing.want and (t or pairing.earlier):
                 continue  # at the end time: what came at the last tick is held
             pairing.want = want
             pairing.have = False
-            if pairing.complete():
+            if want > pairing.used and want > pairing.reached and not pairing.said:  # nearly always; see `complete`
+                missing += 1
+            elif pairing.complete():
                 self._use(pairing)
             else:
                 missing += 1
         self.missing = missing
+
+    def _wanted(self, pairing: Pairing, t: int) -> int:
+        """Give the stamp that tick `t` needs of a sender."""
+        if pairing.earlier:
+            return pairing.schedule.before(self.schedule.next(t) if self.is_plant else t)
+        want = pairing.schedule.awaited(t)
+        pairing.holds = pairing.schedule.next(t)
+        return want
 
     def _arrived(self, pairing: Pairing) -> None:
         pairing.have = True
@@ -397,10 +433,9 @@ class Lockstep(Adapter):
         if self.block.ended:
             self._end_after(t)
         if self.links.owns_clock:
-            data = self._clock_layout.encode(t, ())
-            self.clock_output.publish(data)
-            if self.sink is not None:
-                self.sink.add(self.extra_numbers, t, data)
+            self.clock_output.send((t, ()))
+            if self.sink is not None and self._add_row is None:
+                self.sink.add(self.extra_numbers, t, CLOCK_LAYOUT.encode(t, ()))
         now = time.perf_counter_ns()
         if self._sent:
             self._durations.append(now - self._sent)
@@ -439,6 +474,7 @@ class Lockstep(Adapter):
             schedule.stop(ticks + stride - ticks % stride)
         for pairing in self.pairings:
             last = pairing.schedule.last
+            pairing.until = pairing.until if last is None else last
             if pairing.earlier or last is None or pairing.want <= last:
                 continue
             pairing.want = last  # we wait for what will never come: what its sender said last serves

@@ -10,9 +10,13 @@ from collections.abc import Callable
 from typing import NamedTuple, Protocol
 
 from ..model.block import Level
+from ..wire.cdr import Layout
 
 Receive = Callable[[bytes], None]
 Matched = Callable[[int], None]
+Message = tuple[int, tuple[float, ...]]  # stamp in ns and all numbers in wire order
+Send = Callable[[Message], None]
+Direct = Callable[[Layout], "Send | None"]  # a reader's way to take messages of a layout without bytes, if it has one
 
 
 class Peer(NamedTuple):
@@ -56,6 +60,15 @@ class Middleware(Protocol):
 
     def subscribe(self, topic: str, msgtype: str, receive: Receive, matched: Matched) -> None:
         """Read a topic; `matched` gets the number of writers at each change."""
+
+    def sender(self, topic: str, layout: Layout, matched: Matched) -> Send:
+        """Offer a topic all of whose messages have one layout, and give the function that publishes one."""
+        publish, encode = self.publisher(topic, layout.msgtype, matched), layout.encode
+        return lambda message: publish(encode(*message))
+
+    def listen(self, topic: str, msgtype: str, receive: Receive, direct: Direct | None, matched: Matched) -> None:
+        """Read a topic; a message from the same process may come by `direct` instead of as bytes."""
+        self.subscribe(topic, msgtype, receive, matched)
 
     def timer(self, ns: int, callback: Callable[[], None]) -> Timer:
         """Call back every `ns`."""

@@ -10,6 +10,7 @@ from .endpoint import Input
 
 KEEP = object()  # a sporadic sender was silent at a tick
 BAD = object()  # what was said at a tick was refused
+_FOREVER = 1 << 62
 AHEAD = 100_000  # messages that a sender may be ahead
 
 
@@ -41,6 +42,8 @@ class Pairing:
         Awaited stamp, ns.
     have : bool
         Whether the sender has spoken up to there.
+    same : bool
+        Whether the sender has our period, so that it is due whenever we are, up to `until`.
     used : int
         The last awaited stamp up to which the sender had spoken.
     stamp : int or None
@@ -64,6 +67,8 @@ class Pairing:
         self.port = port
         self.used = self.reached = schedule.before(0)
         self.want = self.used if earlier else 0
+        self.same = False
+        self.until = _FOREVER if schedule.last is None else schedule.last
         self.have = earlier
         self.holds = 0  # until this time the awaited message serves
         self.stamp: int | None = None

@@ -8,22 +8,21 @@ all of them that are due at its stamp are there, or, a stated part of its period
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
 from typing import Any
 
 from ..errors import RunError, describe
-from ..model.answer import check
 from ..model.block import Block, Level, Plant
 from ..model.port import Port, Refused, Sample
 from ..model.timebase import SECOND, to_ns
 from ..rig.options import RunOptions
+from ..wire.cdr import Layout
 from ..wire.recording import Sink
 from .adapter import Adapter
 from .departure import Departure
 from .endpoint import Input
 from .feed import Feed
 from .health import percentiles
-from .middleware import Middleware
+from .middleware import Direct, Message, Middleware, Receive, Send
 from .start import Handshake
 from .tick import END, TICK, TickReader
 
@@ -49,6 +48,8 @@ class Realtime(Adapter):
         self._sent_at: dict[int, int] = {}
         self._pending: deque[int] = deque()  # stamps of ticks that have begun, oldest first
         self._last_stamp: int | None = None
+        self._following = -1  # stamp of the tick after the newest one that has begun
+        self._complete = 0  # so many of the awaited inputs are there for the oldest pending tick
         self._window = to_ns(options.stamp_window)
         self._started = middleware.now()
         block.realtime = True
@@ -57,6 +58,8 @@ class Realtime(Adapter):
         self._period = self.schedule.time(1)
         self._patience = round(options.patience * self._period)
         self._awaited = [f for f in self.feeds.values() if f.awaited]
+        self._used = [(name, f) for name, f in self.feeds.items() if f.awaited or not f.item.port.held]
+        self._stale_after = (to_ns(options.watchdog) if self.is_plant else 0) or self.schedule.time(block.STALE_PERIODS)
         self._by_messages = not self.is_plant and bool(self._awaited)
         if self._by_messages:
             self._deadline = middleware.timer(SECOND, self._give_up)
@@ -88,7 +91,7 @@ class Realtime(Adapter):
 
     # messages --------------------------------------------------------------------------------------------------
 
-    def receiver(self, item: Input) -> Callable[[bytes], None]:
+    def receiver(self, item: Input) -> tuple[Receive, Direct | None]:
         """Keep the newest good values by stamp; what is due makes a block answer."""
         link = self.links.inputs.get(item.name)
         silent = item.port.sporadic or (link is not None and link.sporadic) or item.name in self.links.free
@@ -99,8 +102,7 @@ class Realtime(Adapter):
         delayed, stamped, partial = item.port.delayed, item.port.stamped, item.port.partial
 
         def receive(data: bytes) -> None:
-            if item.publishers > 1:
-                self.refuse(item, f"{item.publishers} publishers at once ({self._who(item)}), expected one")
+            if self._rivals(item):
                 return
             if self.state != "running":
                 return
@@ -121,24 +123,58 @@ class Realtime(Adapter):
                 self.epoch = self.epoch or self.schedule.held(due)
             if partial:
                 item.decode.kept = values
-            value = Sample(stamp - self.epoch, values) if delayed else values
-            feed.put(due, value, now)
-            self._recovered(feed)
             if record is not None and self.sink is not None:
                 self.sink.add(record, now, data)
-            if self._by_messages:
-                if feed.awaited:
-                    self._begin(due)
-                elif item.port.held:
-                    self.values[item.name] = value
-                return
-            self.values[item.name] = value
-            if self.is_plant:
-                sent = self._sent_at.get(stamp)
-                if sent is not None:
-                    self._round_trip.append(now - sent)
+            self._take(feed, stamp, due, Sample(stamp - self.epoch, values) if delayed else values, now)
 
-        return receive
+        def direct(layout: Layout) -> Send | None:
+            if delayed or not stamped or partial or record is not None:
+                return None
+            try:
+                pick = item.decode.pick(layout)
+            except Refused:  # each message will be, with its reason
+                return None
+            window, encode, bound = self._window, layout.encode, item.decode.bound
+
+            def receive_numbers(message: Message) -> None:
+                stamp, sent = message
+                if self.state != "running":
+                    return
+                values = sent if pick is None else pick(sent)
+                now = self.middleware.now()
+                usual = sum(map(abs, values)) <= bound and -window <= stamp - now <= window
+                if usual and item.publishers <= 1 and self.epoch:
+                    self._take(feed, stamp, stamp, values, now)
+                else:
+                    receive(encode(stamp, sent))
+
+            return receive_numbers
+
+        return receive, direct
+
+    def _take(self, feed: Feed, stamp: int, due: int, value: Any, now: int) -> None:
+        """Keep a good message; `due` is the time of the tick that it belongs to."""
+        feed.put(due, value, now)
+        if self.stale:
+            self._recovered(feed)
+        if self._by_messages:
+            if feed.awaited:
+                self._begin(due, feed)
+            elif feed.item.port.held:
+                self.values[feed.item.name] = value
+            return
+        self.values[feed.item.name] = value
+        if self.is_plant:
+            sent = self._sent_at.get(stamp)
+            if sent is not None:
+                self._round_trip.append(now - sent)
+
+    def _rivals(self, item: Input) -> bool:
+        """Whether an input has two publishers, none of which is believed."""
+        if item.publishers <= 1:
+            return False
+        self.refuse(item, f"{item.publishers} publishers at once ({self._who(item)}), expected one")
+        return True
 
     def _check_window(self, stamp: int, now: int, delayed: bool) -> None:
         if stamp - now > self._window or (now - stamp > self._window and not delayed):
@@ -160,15 +196,14 @@ class Realtime(Adapter):
             return
         feed.refuse(due, now)
         if feed.awaited:
-            self._begin(due)
+            self._begin(due, feed)
 
     def _grid_time(self, now: int) -> int:
         return self.epoch + self.schedule.held(now - self.epoch)
 
     def on_matched(self, item: Input) -> None:
         """Two publishers on one input: neither is believed until one of them has gone."""
-        if item.publishers > 1 and not item.port.held:
-            self.refuse(item, f"{item.publishers} publishers at once ({self._who(item)}), expected one")
+        if not item.port.held and self._rivals(item):
             self.values[item.name] = item.port.safe
             self.feeds[item.name].arrived = None
 
@@ -193,21 +228,31 @@ class Realtime(Adapter):
 
     # controllers -----------------------------------------------------------------------------------------------
 
-    def _begin(self, due: int) -> None:
+    def _begin(self, due: int, feed: Feed) -> None:
         """A message of the tick that `due` belongs to has come: answer what is complete, set the limit for the rest."""
-        stamp = self._grid_time(due)
-        newest = self._pending[-1] if self._pending else self._last_stamp
-        if stamp >= self.epoch and (newest is None or stamp > newest):
-            if not self._pending:
-                self._deadline.again(self._patience)
-            self._pending.append(stamp)
-        while self._pending and self.state == "running":
-            stamp = self._pending[0]
-            for feed in self._awaited:
+        if due >= self._following:
+            stamp = self._grid_time(due)
+            if stamp >= self.epoch:
+                self._following = self.epoch + self.schedule.next(stamp - self.epoch)
+                if not self._pending:
+                    self._deadline.again(self._patience)
+                self._pending.append(stamp)
+        if self._pending and feed is self._awaited[self._complete]:  # else the oldest tick waits for another one
+            self._answer_complete()
+
+    def _answer_complete(self) -> None:
+        """Answer pending ticks, oldest first, as long as all that is due has come."""
+        awaited, pending = self._awaited, self._pending
+        while pending and self.state == "running":
+            stamp = pending[0]
+            while self._complete < len(awaited):
+                feed = awaited[self._complete]
                 if not (feed.complete(stamp - self.epoch, self.epoch, self._period) and feed.ready(stamp)):
                     return
-            self._answer(self._pending.popleft())
-        if not self._pending:
+                self._complete += 1
+            self._complete = 0
+            self._answer(pending.popleft())
+        if not pending:
             self._deadline.cancel()
 
     def _give_up(self) -> None:
@@ -216,6 +261,7 @@ class Realtime(Adapter):
         if not self._pending or self.state != "running":
             return
         stamp = self._pending.popleft()
+        self._complete = 0
         if all(f.ready(stamp) for f in self._awaited):  # else it lies before the first message
             self.incomplete += 1
             lacking = [
@@ -224,20 +270,21 @@ class Realtime(Adapter):
             text = f"answered without what was due on {', '.join(lacking)}"
             self.block.report(Level.WARN, "incomplete", text)
             self._answer(stamp)
+        elif not self._pending:
+            self._following = stamp  # it may begin again
+        self._answer_complete()
         if self._pending:
             self._deadline.again(self._patience)
 
     def _answer(self, stamp: int) -> None:
-        if self._last_stamp is not None:
+        if self._last_stamp is not None and stamp - self._last_stamp > self._period + 1:
             self.missed += (
                 self.schedule.tick(stamp - self.epoch) - self.schedule.tick(self._last_stamp - self.epoch) - 1
             )
         self._last_stamp = stamp
         t = stamp - self.epoch
         now = self.middleware.now()
-        for name, feed in self.feeds.items():
-            if feed.item.port.held and not feed.awaited:
-                continue
+        for name, feed in self._used:
             value = feed.take(stamp)
             if value is not None:
                 self.values[name] = value
@@ -246,22 +293,22 @@ class Realtime(Adapter):
             if feed.awaited:
                 self._notice_silence(feed, now)
         self.t = t
-        self.publish(t, stamp, self.answer(t))
+        self._say(t)
         self._advance_to(t)
 
-    def answer(self, t: int) -> Any:
-        """Give what is to be sent; the safe values when the law overflows or gives what nobody may send."""
+    def _say(self, t: int) -> None:
+        """Publish the answer of tick `t`; the safe values when the law overflows or gives what nobody may send."""
+        stamp = self.epoch + t
         try:
-            found = super().answer(t)
-            return {o.name: check(found, o.port, self.middleware.name, t) for o in self.outputs}
+            self.publish(t, stamp, self.answer(t))
         except (ArithmeticError, ValueError, RunError) as error:
             self.block.report(Level.ERROR, "failed", f"{describe(error)}; safe output")
             self._said = {}
-            return self.held(t)
+            self.publish(t, stamp, self.held(t))
 
     def _notice_silence(self, feed: Feed, now: int) -> bool:
         """Whether a sender has been silent for too long; reports it once."""
-        if feed.arrived is None:
+        if feed.arrived is None or now - feed.arrived <= self._stale_after:  # the least that the limit can be
             return False
         name, item = feed.item.name, feed.item
         limit = to_ns(self.options.watchdog) if self.is_plant else 0
@@ -348,7 +395,7 @@ class Realtime(Adapter):
                 return
         else:
             self.t = due
-            self.publish(due, self.epoch + due, self.answer(due))
+            self._say(due)
         self._advance_to(due)
 
     def _move(self, plant: Plant, first: int, number: int, inputs: dict[str, Any]) -> None:
@@ -360,7 +407,7 @@ class Realtime(Adapter):
         stamp = self.epoch + t
         self.publish(t, stamp, plant.outputs(t))
         self._sent_at[stamp] = self.middleware.now()
-        while len(self._sent_at) > 2 * self.block.STALE_PERIODS:
+        if len(self._sent_at) > 2 * self.block.STALE_PERIODS:
             del self._sent_at[next(iter(self._sent_at))]
 
     def _fresh_inputs(self, now: int) -> dict[str, Any]:

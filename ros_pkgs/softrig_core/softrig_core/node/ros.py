@@ -17,7 +17,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 
 from ..model.block import Level
 from .messages import message_class
-from .middleware import Matched, Peer, Receive
+from .middleware import Matched, Middleware, Peer, Receive
 
 # Depth 10: in lockstep at most two messages of a topic are ever under way; outside readers get some slack.
 QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
@@ -35,7 +35,7 @@ class _RosTimer:
         self._timer.cancel()
 
 
-class RosMiddleware:
+class RosMiddleware(Middleware):
     """One rclpy node; see `Middleware` for the methods."""
 
     def __init__(self, node: Node) -> None:

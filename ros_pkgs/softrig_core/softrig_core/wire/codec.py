@@ -5,17 +5,27 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from ..model.port import Port, Refused
-from .cdr import CdrError, Message, Pick, getter, parse
+from .cdr import CdrError, Layout, Message, Pick, getter, parse
 
 
 class Decoder:
-    """Reads the values of an input port from message bytes of any layout, fast for the last layout seen."""
+    """Reads the values of an input port from message bytes of any layout, fast for the last layout seen.
+
+    Parameters
+    ----------
+    port : Port
+
+    Attributes
+    ----------
+    bound : float
+        Values the sum of whose magnitudes is not above it need no closer look.
+    """
 
     def __init__(self, port: Port) -> None:
         self._port = port
         self._layout = port.layout()
         self._pick: Pick | None = None
-        self._bound = min(port.limits, default=0.0)
+        self.bound = min(port.limits, default=0.0)
         self.kept = port.safe  # of a partial port: what channels that a message leaves out keep; its reader updates it
 
     def __call__(self, data: bytes) -> tuple[int, tuple[float, ...]]:
@@ -35,9 +45,20 @@ class Decoder:
         stamp, values = found
         if self._pick is not None:
             values = self._pick(values + self.kept if self._port.partial else values)
-        if not sum(map(abs, values)) <= self._bound:  # one beyond its limit, NaN, infinity; or all are rather large
+        if not sum(map(abs, values)) <= self.bound:  # one beyond its limit, NaN, infinity; or all are rather large
             self._check(values)
         return stamp, values
+
+    def pick(self, layout: Layout) -> Pick | None:
+        """Say how the numbers of messages of a layout become those of the port; None when they are the same.
+
+        Raises
+        ------
+        Refused
+            Such messages do not carry what the port needs.
+        """
+        order = self._order(self._parse(layout.encode(0, (0.0,) * layout.size)))
+        return None if order == tuple(range(layout.size)) else getter(order)
 
     def _check(self, values: tuple[float, ...]) -> None:
         port = self._port

@@ -5,13 +5,19 @@ from __future__ import annotations
 import heapq
 import json
 import struct
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
-_RECORD = struct.Struct("<qHI")
-_MAGIC = b"softrig shard 1\n"
+import numpy as np
+
+from .cdr import Layout
+
+_RECORD = struct.Struct("<qHI")  # time, number of the topic, length of the message that follows
+_ROW_HEAD = struct.Struct("<qH")  # time, `_ROW`; the numbers of all messages of a row follow
+_ROW = 0xFFFF
+_MAGIC = b"softrig shard 2\n"
 
 
 def relative(name: str) -> str:
@@ -27,20 +33,28 @@ class Sink(Protocol):
 
 
 class ShardWriter:
-    """Append-only file of one node's published messages; cheap in the loop, flushed by size and by `flush`.
+    """Append-only file of one node's messages; cheap in the loop, flushed by size and by `flush`.
+
+    What a node says at each of its ticks is a row: its messages have one stamp, and only their numbers are written.
+    Their bytes are made when the shard is read, from the layouts in its head.
 
     Parameters
     ----------
     path : Path
     topics : sequence of (name, message type)
         In the order of the numbers that `add` takes.
+    row : mapping of int to Layout
+        The messages of a row, in order: number of the topic and layout.
     """
 
-    LIMIT = 1 << 18
+    LIMIT = 1 << 15  # bytes: the loop waits while they are written
 
-    def __init__(self, path: Path, topics: Sequence[tuple[str, str]]) -> None:
+    def __init__(self, path: Path, topics: Sequence[tuple[str, str]], row: Mapping[int, Layout] | None = None) -> None:
+        row = row or {}
+        head = {"topics": list(topics), "row": [[number, layout.form] for number, layout in row.items()]}
         self._file = path.open("wb", buffering=0)
-        self._buffer = bytearray(_MAGIC + json.dumps(list(topics)).encode() + b"\n")
+        self._buffer = bytearray(_MAGIC + json.dumps(head).encode() + b"\n")
+        self._pack_row = struct.Struct(f"{_ROW_HEAD.format}{sum(layout.size for layout in row.values())}d").pack
         self.flush()
 
     def add(self, topic: int, t: int, data: bytes) -> None:
@@ -48,6 +62,13 @@ class ShardWriter:
         buffer = self._buffer
         buffer += _RECORD.pack(t, topic, len(data))
         buffer += data
+        if len(buffer) > self.LIMIT:
+            self.flush()
+
+    def add_row(self, t: int, values: Iterable[float]) -> None:
+        """Append one message of each topic of the row, all stamped `t`, by their numbers."""
+        buffer = self._buffer
+        buffer += self._pack_row(t, _ROW, *values)
         if len(buffer) > self.LIMIT:
             self.flush()
 
@@ -105,15 +126,22 @@ class Recording:
             Bytes at the end that belong to a record cut off.
         """
         content = memoryview(path.read_bytes())
-        if bytes(content[: len(_MAGIC)]) != _MAGIC:
-            return len(content)
-        start = bytes(content[: 1 << 20]).find(b"\n", len(_MAGIC)) + 1
-        if not start:  # cut off inside its head
+        head, start = _read_head(content)
+        if head is None:
             return len(content)
         numbers = {t.name: i for i, t in enumerate(self._order)}
-        index = [numbers[name] for name, _ in json.loads(bytes(content[len(_MAGIC) : start]))]
+        index = [numbers[name] for name, _ in head["topics"]]
+        row = [(index[number], Layout(*form)) for number, form in head["row"]]
         at, size = start, _RECORD.size
-        while at + size <= len(content):
+        while at + _ROW_HEAD.size <= len(content):
+            if _ROW_HEAD.unpack_from(content, at)[1] == _ROW:
+                taken = self._read_rows(content[at:], row)
+                at += taken
+                if not taken:
+                    break
+                continue
+            if at + size > len(content):
+                break
             t, topic, length = _RECORD.unpack_from(content, at)
             if at + size + length > len(content):
                 break
@@ -122,3 +150,33 @@ class Recording:
             datum(bytes(content[at + size : at + size + length]))
             at += size + length
         return len(content) - at
+
+    def _read_rows(self, content: memoryview, row: Sequence[tuple[int, Layout]]) -> int:
+        """Add the messages of the whole rows at the beginning of some bytes; gives how many bytes that are."""
+        length = _ROW_HEAD.size + 8 * sum(layout.size for _, layout in row)
+        block = np.frombuffer(content, dtype=np.uint8)[: len(content) // length * length].reshape(-1, length)
+        other = np.flatnonzero((block[:, 8:10] != 0xFF).any(axis=1))
+        block = block[: other[0]] if other.size else block
+        stamps = np.ascontiguousarray(block[:, :8]).view("<i8")[:, 0]
+        values = np.ascontiguousarray(block[:, _ROW_HEAD.size :]).view("<f8")
+        first = 0
+        for topic, layout in row:
+            raw = layout.encode_block(stamps, values[:, first : first + layout.size]).tobytes()
+            first += layout.size
+            self._order[topic].times += stamps.tolist()
+            self._order[topic].data += [raw[i : i + layout.length] for i in range(0, len(raw), layout.length)]
+        return int(block.size)
+
+
+def shard_topics(path: Path) -> dict[str, str]:
+    """Give name and message type of the topics of a shard; nothing when it is cut off inside its head."""
+    head, _ = _read_head(memoryview(path.read_bytes()))
+    return {} if head is None else dict(head["topics"])
+
+
+def _read_head(content: memoryview) -> tuple[dict[str, Any] | None, int]:
+    """Give what a shard says of itself, and where its messages begin."""
+    start = bytes(content[: 1 << 20]).find(b"\n", len(_MAGIC)) + 1
+    if bytes(content[: len(_MAGIC)]) != _MAGIC or not start:
+        return None, 0
+    return json.loads(bytes(content[len(_MAGIC) : start])), start
