@@ -12,8 +12,9 @@ import types
 from pathlib import Path
 
 import pytest
-from softrig_bringup.cli import _parser, _repeat, main
+from softrig_bringup.cli import _parser, main
 from softrig_bringup.run import _checkout, gaps
+from softrig_bringup.run_verb import repeat
 from softrig_core.node.container import split
 from softrig_core.rig.registry import figure
 from softrig_core.rig.rig import Rig
@@ -99,7 +100,7 @@ def test_exit_status_tells_a_miss_from_a_mistake_from_a_break(folder, capsys):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("lag", "--set", "gain.k=[1"), "--set 'gain.k=[1': the value is not valid YAML: expected ',' or ']'"),
+        (("lag", "--set", "gain.k=[1"), "--set 'gain.k=[1': not valid YAML: while parsing a flow sequence"),
         (("lag", "--seed", "-1"), "--seed: Input should be greater than or equal to 0, got -1"),
         (("lag_plot_typo",), "plot 'Position': no signal 'lag/state/y/position'; the rig has lag/state/x/position"),
     ],
@@ -136,7 +137,7 @@ def test_metrics_and_pictures_share_the_decoded_signals(monkeypatch):
 def test_the_command_of_a_run_repeats_it():
     arguments = ["lag", "--mode", "realtime", "--set", "gain.k=2", "--external", "gain", "--duration", "0.5",
                  "--seed", "3", "--domain", "42"]  # fmt: skip
-    assert _repeat(_parser().parse_args(["run", *arguments, "--out", "x"])) == [*arguments, "--out", "x"]
+    assert repeat(_parser().parse_args(["run", *arguments, "--out", "x"])) == [*arguments, "--out", "x"]
 
 
 def test_a_domain_that_is_none_or_taken_is_one_line(capsys):

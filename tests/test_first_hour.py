@@ -3,8 +3,8 @@ terminal and without root's power over files: change a gain, bring a package, se
 
 import json
 import os
-import shutil
 import subprocess
+import tempfile
 from pathlib import Path
 
 import pytest
@@ -12,6 +12,7 @@ from softrig_bringup.cli import main
 from softrig_bringup.new import new_package
 from softrig_core.errors import ScenarioError
 
+UID = 54321  # of nobody
 SOFTRIG = Path(__file__).parents[1] / "scripts" / "softrig"
 
 LAW = '''
@@ -56,32 +57,35 @@ plots: # the paper's show its sliding surface
 
 
 class User:
-    """Somebody at a prompt: an environment without anything of ours, no terminal, 60 columns, not root."""
+    """Somebody at a prompt: another user with a home of their own, nothing of ours set, no terminal, 60 columns."""
 
     def __init__(self, folder):
-        self.folder = folder
-        ours = ("AMENT_PREFIX_PATH", "PYTHONPATH", "VIRTUAL_ENV", "LD_PRELOAD", "COLCON_", "SOFTRIG_", "PYTEST_")
+        self.folder = folder / "my work"
+        self.folder.mkdir()
+        home = folder / "home"
+        home.mkdir()
+        ours = ("AMENT_", "PYTHON", "VIRTUAL_ENV", "LD_PRELOAD", "COLCON_", "SOFTRIG_", "PYTEST_", "XDG_")
         keep = {k: v for k, v in os.environ.items() if not k.startswith(ours)}
-        self.environment = keep | {"COLUMNS": "60"}
-        self.powerless = ["setpriv", "--bounding-set=-all", "--inh-caps=-all"] if _root() else []
+        self.environment = keep | {"COLUMNS": "60", "HOME": str(home)}
+        self.become = []
+        if os.geteuid() == 0:  # elsewhere whoever runs the tests is a user without power already
+            for place in (folder, home, self.folder):
+                os.chown(place, UID, UID)
+            self.become = ["setpriv", f"--reuid={UID}", f"--regid={UID}", "--clear-groups", "--bounding-set=-all",
+                           "--inh-caps=-all"]  # fmt: skip
 
     def __call__(self, command, status=0, timeout=240):
         """Type a command; gives what it printed, and what it complained of."""
-        done = subprocess.run([*self.powerless, "bash", "-c", command], cwd=self.folder, env=self.environment,
+        done = subprocess.run([*self.become, "bash", "-c", command], cwd=self.folder, env=self.environment,
                               stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=timeout)  # fmt: skip
         assert done.returncode == status, done.stdout + done.stderr
         return done.stdout, done.stderr
 
 
-def _root():
-    return os.geteuid() == 0 and shutil.which("setpriv") is not None
-
-
 @pytest.fixture(scope="module")
-def user(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("my work")
-    assert " " in str(folder)
-    return User(folder)
+def user():
+    with tempfile.TemporaryDirectory(prefix="softrig-first-hour-") as folder:  # pytest's own are closed to others
+        yield User(Path(folder))
 
 
 @pytest.fixture(scope="module")

@@ -14,6 +14,8 @@ from types import SimpleNamespace
 
 import pytest
 import rclpy
+from rcl_interfaces.msg import Parameter, ParameterValue
+from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParameters
 from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -388,7 +390,7 @@ def test_pause_step_resume_span_remap_and_clock(rig, listener, tmp_path):
     [
         (["none"], "does not exist"),
         (["bag", "--topics", "/absent"], "no topic /absent in"),
-        (["bag", "--rate", "0"], "must be positive"),
+        (["bag", "--rate", "0"], "expected a number from"),
         (["bag", "--start-offset", "5"], "only 0.199 s long"),
         (["bag", "--lockstep", "/command", "--loop"], "the node sets the pace"),
         (["bag", "--remap", "a=b"], "expected OLD:=NEW"),
@@ -411,6 +413,9 @@ def test_bad_arguments_of_play(tmp_path, monkeypatch, capsys, arguments, text):
         (main_record, ["--output", "bag"], "exists already"),
         (main_record, ["--output", "new", "--regex", "["], "regular expression"),
         (main_record, ["--output", "new", "--ros-args", "--unknown"], "ROS arguments --ros-args --unknown"),
+        (main_record, ["--output", "new", "__ns:=/a"], "'__ns:=/a' is not the name of a topic"),
+        (main_record, ["--output", "new", "--max-size", "-1"], "--max-size: expected a number from 0 to 1e+09"),
+        (main_record, ["--outptu", "new"], "unexpected option '--outptu' (did you mean '--output'?)"),
         (main_record, ["--output", "new", "--storage", "sqlite3", "--compression", "zstd"], "mcap only"),
         (main_compare, ["bag", "none"], "does not exist"),
         (main_compare, ["bag", "bag", "--field", "x"], "expected PATTERN=ABS"),
@@ -449,3 +454,50 @@ def test_compare_and_bag_on_the_command_line(tmp_path, monkeypatch, capsys):
     assert main_bag(["repair", "a", "--out", "whole"]) == 0
     assert "450 messages in" in capsys.readouterr().out
     assert main_compare(["whole", "b", "--abs", "0.2"]) == 0
+
+
+def ask(node, service: str, kind, **fields):
+    client = node.create_client(kind, service)
+    until(lambda: node.turn() or client.service_is_ready(), service)
+    future = client.call_async(kind.Request(**fields))
+    until(lambda: node.turn() or future.done(), f"answer of {service}")
+    return future.result()
+
+
+def test_their_options_are_parameters_that_can_be_looked_up_but_not_set(rig, listener, tmp_path):
+    write_bag(tmp_path / "bag", small())
+    player = rig.player("bag", "--paused", "--rate", "2.5")
+    recorder = rig.recorder("--output", "copy", "--max-size", "8", "/none")
+    names = ask(listener, "/player/list_parameters", ListParameters).result.names
+    assert {"bag", "rate", "paused", "use_sim_time"} <= set(names)
+    (rate,) = ask(listener, "/player/get_parameters", GetParameters, names=["rate"]).values
+    assert rate.double_value == 2.5
+    (told,) = ask(listener, "/player/describe_parameters", DescribeParameters, names=["rate"]).descriptors
+    assert told.description == "bag seconds a second"
+    assert told.read_only
+    assert (told.floating_point_range[0].from_value, told.floating_point_range[0].to_value) == (1e-6, 1e6)
+    (size,) = ask(listener, "/recorder/get_parameters", GetParameters, names=["max_size"]).values
+    assert size.double_value == 8.0
+    wanted = Parameter(name="rate", value=ParameterValue(type=3, double_value=1.0))
+    (answer,) = ask(listener, "/player/set_parameters", SetParameters, parameters=[wanted]).results
+    assert not answer.successful
+    for process in (player, recorder):
+        finish(process, signal.SIGINT)
+    status, output = finish(rig.player("bag", "--ros-args", "-p", "rate:=2.0"))
+    assert status == 2
+    assert "parameter rate cannot be set by ROS arguments" in output
+
+
+@pytest.mark.parametrize("tool", ["recorder", "player"])
+def test_two_interrupts_in_a_row_end_quietly(rig, tmp_path, tool):
+    write_bag(tmp_path / "bag", small())
+    arguments = {"recorder": ["--output", "copy"], "player": ["bag", "--paused"]}[tool]
+    process = getattr(rig, tool)(*arguments)
+    if tool == "recorder":
+        until(lambda: (tmp_path / "copy").is_dir(), "its bag")
+    process.send_signal(signal.SIGINT)
+    with suppress(ProcessLookupError):
+        process.send_signal(signal.SIGINT)
+    status, output = finish(process)
+    assert "Traceback" not in output
+    assert status in (0, 130, -signal.SIGINT)  # the last: before Python had begun

@@ -10,8 +10,11 @@ import time
 from collections.abc import Callable, Sequence
 from functools import wraps
 from pathlib import Path
+from typing import Any
 
+from softrig_core.command_line import Number, Parser
 from softrig_core.guard import guarded
+from softrig_core.model.params import Declaration
 from softrig_core.node.leave import leave
 from softrig_core.wire.recording import relative
 
@@ -59,6 +62,20 @@ def _ros_arguments(argv: list[str]) -> tuple[list[str], list[str]]:
     return own, ros
 
 
+def _parameters(parser: Parser, options: argparse.Namespace) -> list[tuple[Declaration, Any]]:
+    """Give the options as ROS parameters, for whoever asks the node what it is doing."""
+    found = []
+    for action in parser._actions:
+        value = getattr(options, action.dest, None)
+        if value is None or value == [] or action.dest == "use_sim_time":  # a list without values has no type
+            continue
+        value = str(value) if isinstance(value, Path) else value
+        bounds = (action.type.low, action.type.high) if isinstance(action.type, Number) else (None, None)
+        text = action.help or action.dest
+        found.append((Declaration(action.dest, value, type(value), text, "", *bounds), value))
+    return found
+
+
 def _selection_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--regex", "-e", default="", metavar="RE", help="topics with a name in which RE is found")
     parser.add_argument("--exclude", "-x", default="", metavar="RE", help="but not these")
@@ -68,7 +85,7 @@ def _selection_arguments(parser: argparse.ArgumentParser) -> None:
 @_command
 def main_record(argv: list[str]) -> int:
     """Record topics into a bag until SIGINT or SIGTERM; exit status 1 when messages were lost on the way."""
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="softrig record",
         description="Record topics into a rosbag2 bag until Ctrl-C. Topics are picked up as they appear.",
     )
@@ -77,8 +94,12 @@ def main_record(argv: list[str]) -> int:
     parser.add_argument("--output", "-o", type=Path, metavar="DIR", help="the bag (default rosbag2_DATE-TIME)")
     parser.add_argument("--storage", "-s", choices=("mcap", "sqlite3"), default="mcap")
     parser.add_argument("--compression", choices=("none", "zstd"), default="none", help="zstd: mcap only")
-    parser.add_argument("--max-size", type=float, default=0.0, metavar="MB", help="begin a new file after so much")
-    parser.add_argument("--max-duration", type=float, default=0.0, metavar="S", help="begin a new file after so long")
+    parser.add_argument(
+        "--max-size", type=Number(float, 0, 1e9), default=0.0, metavar="MB", help="begin a new file after so much"
+    )
+    parser.add_argument(
+        "--max-duration", type=Number(float, 0, 1e9), default=0.0, metavar="S", help="begin a new file after so long"
+    )
     parser.add_argument("--use-sim-time", action="store_true",
                         help="bag time is the header stamp instead of the time of arrival")  # fmt: skip
     own, ros = _ros_arguments(argv)
@@ -96,7 +117,7 @@ def main_record(argv: list[str]) -> int:
         split_bytes=round(options.max_size * 1e6), split_ns=round(options.max_duration * 1e9),
     )  # fmt: skip
     try:
-        session = Session("recorder", ros)
+        session = Session("recorder", ros, _parameters(parser, options))
     except BagError:
         writer.abort()
         shutil.rmtree(directory)
@@ -114,7 +135,7 @@ def main_record(argv: list[str]) -> int:
 @_command
 def main_play(argv: list[str]) -> int:
     """Play a bag against the wall clock, or in lockstep with a node."""
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="softrig play",
         description="Play a rosbag2 bag: against the wall clock, or in lockstep with a node that answers.",
         epilog="Services while playing: ~/pause, ~/resume, ~/step (std_srvs/Trigger).",
@@ -123,11 +144,11 @@ def main_play(argv: list[str]) -> int:
     parser.add_argument("--topics", nargs="+", default=[], metavar="TOPIC", help="only these (default: all)")
     _selection_arguments(parser)
     parser.add_argument("--remap", nargs="+", default=[], metavar="OLD:=NEW", help="publish under another name")
-    parser.add_argument("--start-offset", type=float, default=0.0, metavar="S", help="bag time to skip")
-    parser.add_argument("--duration", type=float, metavar="S", help="bag time to play")
+    parser.add_argument("--start-offset", type=Number(float, 0, 1e9), default=0.0, metavar="S", help="bag time to skip")
+    parser.add_argument("--duration", type=Number(float, 1e-9, 1e9), metavar="S", help="bag time to play")
     parser.add_argument("--paused", action="store_true", help="wait for ~/resume or ~/step")
     clocked = parser.add_argument_group("against the wall clock")
-    clocked.add_argument("--rate", type=float, default=1.0, metavar="R", help="bag seconds a second")
+    clocked.add_argument("--rate", type=Number(float, 1e-6, 1e6), default=1.0, metavar="R", help="bag seconds a second")
     clocked.add_argument("--loop", action="store_true", help="begin again at the end")
     clocked.add_argument("--clock", action="store_true", help="publish bag time on /clock")
     clocked.add_argument("--wait", action="store_true", help="do not start before every topic has a subscriber")
@@ -135,11 +156,11 @@ def main_play(argv: list[str]) -> int:
     lockstep.add_argument("--lockstep", nargs="+", default=[], metavar="NODE_TOPIC",
                           help="topics that the node under test publishes; the next tick waits for them")  # fmt: skip
     lockstep.add_argument("--answers", type=Path, metavar="DIR", help="write what the node answered as a bag")
-    lockstep.add_argument("--timeout", type=float, default=30.0, metavar="S", help="wall-clock time without an answer")
+    lockstep.add_argument(
+        "--timeout", type=Number(float, 0.1, 1e6), default=30.0, metavar="S", help="wall-clock time without an answer"
+    )
     own, ros = _ros_arguments(argv)
     options = parser.parse_args(own)
-    if not (options.rate > 0 and options.start_offset >= 0 and (options.duration is None or options.duration > 0)):
-        raise BagError("--rate and --duration must be positive, --start-offset not negative")
     if options.lockstep and (options.loop or options.clock or options.rate != 1.0):
         raise BagError("--rate, --loop and --clock have no meaning with --lockstep: the node sets the pace")
     if options.answers and not options.lockstep:
@@ -149,29 +170,34 @@ def main_play(argv: list[str]) -> int:
 
     from .play import play
 
-    return play(options, ros)
+    return play(options, ros, _parameters(parser, options))
 
 
 @_command
 def main_compare(argv: list[str]) -> int:
     """Compare two bags; exit status 0 when they agree, 1 when not."""
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="softrig compare",
-        description="Compare bag B with its reference A, messages paired by stamp. Exit status 0: they agree, 1: not.",
+        description="Compare bag B with its reference A, messages paired by stamp; a run in real time with one in "
+        "lockstep signal by signal. Exit status 0: they agree, 1: not.",
     )
     parser.add_argument("a", type=Path, metavar="A")
     parser.add_argument("b", type=Path, metavar="B")
-    parser.add_argument("--abs", type=float, default=0.0, metavar="TOL", help="|b - a| may be up to this")
-    parser.add_argument("--rel", type=float, default=0.0, metavar="TOL", help="or up to this times |a|")
+    parser.add_argument("--abs", type=Number(float, 0), default=0.0, metavar="TOL", help="|b - a| may be up to this")
+    parser.add_argument("--rel", type=Number(float, 0), default=0.0, metavar="TOL", help="or up to this times |a|")
     parser.add_argument("--field", action="append", default=[], metavar="PATTERN=ABS[,REL]",
                         help="tolerance of the signals topic/channel/field that fit; the first counts")  # fmt: skip
     parser.add_argument("--topics", nargs="+", metavar="TOPIC", help="only these (default: all)")
     parser.add_argument("--ignore", nargs="+", default=[], metavar="PATTERN", help="topics to leave out")
     parser.add_argument("--bitwise", action="store_true", help="demand equal bytes and bag times")
+    parser.add_argument("--align", action="store_true",
+                        help="compare signals over the time since the start: largest and rms deviation, time shift; "
+                        "done by itself when no stamp of A is in B (real time against lockstep)")  # fmt: skip
     parser.add_argument("--json", action="store_true", help="print everything as JSON")
     options = parser.parse_args(argv)
 
-    from .compare import Tolerance, compare
+    from .align import Alignment, align, unrelated
+    from .compare import Comparison, Tolerance, compare
     from .read import signals
 
     tolerances = {}
@@ -181,11 +207,17 @@ def main_compare(argv: list[str]) -> int:
             tolerances[pattern] = Tolerance(*map(float, numbers.split(",")))
         except (ValueError, TypeError):
             raise BagError(f"--field {text!r}: expected PATTERN=ABS or PATTERN=ABS,REL") from None
-    result = compare(
-        signals(options.a), signals(options.b), default=Tolerance(options.abs, options.rel), tolerances=tolerances,
-        bitwise=options.bitwise, ignore=options.ignore,
-        topics=None if options.topics is None else [relative(t) for t in options.topics],
-    )  # fmt: skip
+    a, b = signals(options.a), signals(options.b)
+    topics = None if options.topics is None else [relative(t) for t in options.topics]
+    default = Tolerance(options.abs, options.rel)
+    if options.align and options.bitwise:
+        raise BagError("--align with --bitwise: signals over time have no bytes; expected one of the two")
+    result: Alignment | Comparison
+    if options.align or (not options.bitwise and unrelated(a, b)):
+        result = align(a, b, default=default, tolerances=tolerances, topics=topics, ignore=options.ignore)
+    else:
+        result = compare(a, b, default=default, tolerances=tolerances, bitwise=options.bitwise, topics=topics,
+                         ignore=options.ignore)  # fmt: skip
     print(result.to_json() if options.json else result)
     return 0 if result.equal else 1
 
@@ -193,7 +225,7 @@ def main_compare(argv: list[str]) -> int:
 @_command
 def main_bag(argv: list[str]) -> int:
     """Tools for a bag: info, repair, export."""
-    parser = argparse.ArgumentParser(prog="softrig bag", description="Look into, repair or export a rosbag2 bag.")
+    parser = Parser(prog="softrig bag", description="Look into, repair or export a rosbag2 bag.")
     verbs = parser.add_subparsers(required=True, metavar="VERB", dest="verb")
     info = verbs.add_parser("info", help="what is in a bag")
     info.add_argument("bag", type=Path)

@@ -114,7 +114,7 @@ class Comparison:
         """Give everything as JSON; NaN and infinity as text."""
         content = {"equal": self.equal, "first": self.first and asdict(self.first),
                    "topics": [{"equal": t.equal, **asdict(t)} for t in self.topics]}  # fmt: skip
-        return json.dumps(_plain(content), indent=2)
+        return json.dumps(plain(content), indent=2)
 
     def __str__(self) -> str:
         lines = []
@@ -326,11 +326,12 @@ def _show(value: Any) -> str:
     return repr(value) if isinstance(value, float) else str(value)
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
+    """Give what JSON can say: bytes as hex, NaN and infinity as text."""
     if isinstance(value, dict):
-        return {k: _plain(v) for k, v in value.items()}
+        return {k: plain(v) for k, v in value.items()}
     if isinstance(value, list):
-        return [_plain(v) for v in value]
+        return [plain(v) for v in value]
     if isinstance(value, float) and not math.isfinite(value):
         return str(value)
     return value.hex() if isinstance(value, bytes) else value

@@ -3,6 +3,12 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
+from typing import Any
+
+from softrig_core.guard import say
+from softrig_core.model.params import Declaration
+from softrig_core.node.messages import message_class
 
 from .errors import BagError
 from .player import CLOCK, LockstepPlayer, Player, Sender, span
@@ -13,8 +19,18 @@ from .topics import absolute
 from .write import write_bag
 
 
-def play(options: argparse.Namespace, ros_arguments: list[str]) -> int:
-    """Play as the options of `cli.main_play` say; give the exit status."""
+def play(
+    options: argparse.Namespace, ros_arguments: list[str], parameters: Sequence[tuple[Declaration, Any]]
+) -> int:  # fmt: skip
+    """Play as the options of `cli.main_play` say; give the exit status.
+
+    Parameters
+    ----------
+    options : argparse.Namespace
+    ros_arguments : list of str
+    parameters : sequence of (Declaration, value)
+        The options as the node shows them.
+    """
     selection = Selection.of(options.topics, options.regex, options.exclude)
     answers = [absolute(name) for name in options.lockstep]
     remap = dict(_remapping(text) for text in options.remap)
@@ -25,9 +41,14 @@ def play(options: argparse.Namespace, ros_arguments: list[str]) -> int:
         for name in [*selection.names, *remap]:
             if name not in [t.name for t in bag.topics]:
                 raise BagError(f"no topic {name} in {options.bag}; it has {', '.join(t.name for t in bag.topics)}")
+        foreign = [t for t in chosen if t.name not in selection.names and not installed(t.msgtype)]
+        if foreign:
+            names = ", ".join(f"{t.name} ({t.msgtype})" for t in foreign)
+            say(f"not played, their types are not installed here: {names}")
+            chosen = [t for t in chosen if t not in foreign]
         if not chosen:
             raise BagError(f"none of the topics of {options.bag} is to be played")
-        session = Session("player", ros_arguments)
+        session = Session("player", ros_arguments, parameters)
         sender = Sender(session, bag, chosen, remap)
         if answers:
             lockstep = LockstepPlayer(session, bag, sender, answers, remap, part, timeout=options.timeout,
@@ -43,6 +64,15 @@ def play(options: argparse.Namespace, ros_arguments: list[str]) -> int:
         player.run(options.wait)
         print(f"{player.sent} messages played")
         return 0
+
+
+def installed(msgtype: str) -> bool:
+    """Whether messages of a type can be published here."""
+    try:
+        message_class(msgtype)
+    except (ImportError, AttributeError):
+        return False
+    return True
 
 
 def _remapping(text: str) -> tuple[str, str]:

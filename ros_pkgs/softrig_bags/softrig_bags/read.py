@@ -17,6 +17,7 @@ from softrig_core.wire.types import TYPES
 from .errors import BagError
 from .reader import BagReader
 
+EPOCH = "epoch"  # under which a run in real time leaves, in a bag's metadata, the ns that its stamps count from
 WALL_CLOCK = 10**18  # ns; bag times after September 2001 are wall-clock times, simulated ones begin near zero
 
 
@@ -52,11 +53,19 @@ class BagSignals(Signals):
 
     sensor_msgs/Imu on ``/imu`` gives ``imu/angular_velocity/x`` and ``imu/orientation_covariance/0``. Elements that
     shorter arrays lack are NaN; strings and arrays of bytes are no signals.
+
+    Attributes
+    ----------
+    from_start : bool
+        Whether time is known to count from the start of the run: it is simulated, or the run has left its epoch.
     """
 
-    def __init__(self, recording: Recording, epoch: int, stores: dict[str, Typestore | None]) -> None:
+    def __init__(
+        self, recording: Recording, epoch: int, stores: dict[str, Typestore | None], from_start: bool = True
+    ) -> None:  # fmt: skip
         super().__init__(recording, epoch)
         self._stores = stores
+        self.from_start = from_start
 
     def store(self, msgtype: str) -> Typestore | None:
         """Give what deserialises a message type, None if it is not defined in the bag nor here."""
@@ -141,8 +150,8 @@ def signals(path: Path | str) -> BagSignals:
     -------
     BagSignals
         A mapping from ``topic/channel/field`` to ``(t, x)``, both of shape (n,), t in s: simulated time, or the time
-        since the first message in a bag of wall-clock times. `table` gives all columns of a topic with the header
-        stamps.
+        since the start of a run in real time, or since the first message in any other bag of wall-clock times. `table`
+        gives all columns of a topic with the header stamps.
 
     Raises
     ------
@@ -157,8 +166,11 @@ def signals(path: Path | str) -> BagSignals:
     >>> list(found)  # doctest: +SKIP
     """
     with BagReader(path) as bag:
-        epoch = bag.start if bag.start >= WALL_CLOCK else 0
-        return BagSignals(_load(bag), epoch, {t.msgtype: bag.typestore(t.msgtype) for t in bag.topics})
+        left = bag.custom_data.get(EPOCH, "")
+        own = int(left) if left.isdecimal() and len(left) < 20 else 0
+        epoch = own or (bag.start if bag.start >= WALL_CLOCK else 0)
+        stores = {t.msgtype: bag.typestore(t.msgtype) for t in bag.topics}
+        return BagSignals(_load(bag), epoch, stores, from_start=bool(own) or not epoch)
 
 
 def export(path: Path | str, directory: Path | str, file_format: str) -> list[Path]:

@@ -12,6 +12,7 @@ from rosbags.rosbag2 import Reader, ReaderError
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
+from .compressed import SUFFIXES, plain
 from .errors import BagError
 from .mcap_recover import check_sizes
 from .topics import BagTopic, typestore
@@ -41,7 +42,7 @@ class BagReader:
 
     def __enter__(self) -> BagReader:
         if self.path.is_dir() and not (self.path / "metadata.yaml").exists():
-            if any(self.path.glob("*.mcap")) or any(self.path.glob("*.db3")):
+            if any(p.suffix in SUFFIXES for p in map(plain, self.path.iterdir())):
                 raise BagError(f"{self.path} has no metadata.yaml: the recording was cut off; "
                                f"`softrig bag repair {self.path}` restores it")  # fmt: skip
             raise BagError(f"{self.path} is not a bag: no metadata.yaml, no .mcap and no .db3 file in it")

@@ -17,6 +17,7 @@ from ruamel.yaml import YAML
 from softrig_core.wire.recording import Recording, shard_topics
 
 from .bag import BagWriter
+from .compressed import expanded, expanded_message, plain, storage_files
 from .errors import BagError
 from .mcap_recover import Recovery
 from .reader import BagReader
@@ -68,7 +69,8 @@ def repair(path: Path | str, out: Path | str | None = None) -> Repair:
     Parameters
     ----------
     path : Path or str
-        Bag directory, a single .mcap or .db3 file, or a directory with the shards of a run that was killed.
+        Bag directory, a single .mcap or .db3 file (also compressed whole, .zstd), or a directory with the shards of a
+        run that was killed.
     out : Path or str, optional
         Where the new bag goes. By default it takes the place of a damaged directory, which is renamed to
         ``NAME.damaged``; a file gets ``NAME_repaired`` beside it, shards get ``bag`` beside their directory.
@@ -82,14 +84,14 @@ def repair(path: Path | str, out: Path | str | None = None) -> Repair:
     target = Path(out).absolute() if out is not None else None
     if path.is_dir() and (shards := sorted(path.glob("*.shard"))):
         return _repair_shards(shards, target or path.with_name("bag"))
-    sources = _storage_files(path)
+    sources = storage_files(path)
     if path.is_dir() and target is None and _is_sound(path):
         return Repair(None, [])
     original = None
     if target is None:
         target = path
         if path.is_file():
-            target = path.with_name(path.stem + "_repaired")
+            target = path.with_name(plain(path).stem + "_repaired")
         else:
             original = path.with_name(path.name + ".damaged")
     for place in (target, original):
@@ -110,18 +112,6 @@ def repair(path: Path | str, out: Path | str | None = None) -> Repair:
     return Repair(target, reports, original)
 
 
-def _storage_files(path: Path) -> list[Path]:
-    if path.is_file() and path.suffix in (".mcap", ".db3"):
-        return [path]
-    for suffix in (".mcap", ".db3"):
-        found = list(path.glob(f"*{suffix}"))
-        if found:
-            return sorted(found, key=lambda p: (len(p.name), p.name))
-    if any(path.glob("*.zstd")):
-        raise BagError(f"{path}: its files are compressed whole; expand them first (`unzstd *.zstd`), then repair that")
-    raise BagError(f"{path}: no .mcap, .db3 or .shard file there")
-
-
 def _is_sound(path: Path) -> bool:
     try:
         with BagReader(path) as bag:
@@ -137,13 +127,9 @@ def _rewrite(sources: list[Path], directory: Path, name: str) -> list[FileReport
     for i, source in enumerate(sources):
         report = FileReport(source.name)
         reports.append(report)
-        if source.suffix == ".mcap":
-            messages = _recover_mcap(source, report)
-        else:
-            messages = _recover_sqlite3(source, report, directory.parent)
-        for topic, t, data in messages:
+        for topic, t, data in _recover(source, report, directory.parent):
             if writer is None:
-                storage = "mcap" if source.suffix == ".mcap" else "sqlite3"
+                storage = "mcap" if plain(source).suffix == ".mcap" else "sqlite3"
                 writer = BagWriter(directory, storage=storage, compression=report.compression, name=name,
                                    custom_data=report.custom_data)  # fmt: skip
             if i and not report.kept:
@@ -161,6 +147,21 @@ def _rewrite(sources: list[Path], directory: Path, name: str) -> list[FileReport
         raise BagError(f"{', '.join(s.name for s in sources)}: not one whole message in it{hint}")
     writer.close()
     return reports
+
+
+def _recover(source: Path, report: FileReport, scratch: Path) -> Iterator[tuple[BagTopic, int, bytes]]:
+    """Give the whole messages of a file, what rosbag2 has compressed expanded."""
+    with expanded(source, scratch) as (path, lost):
+        read = _recover_mcap(path, report) if path.suffix == ".mcap" else _recover_sqlite3(path, report, scratch)
+        for topic, t, data in read:
+            whole = expanded_message(data)
+            if whole is None:
+                report.lost.append(f"a message of {topic.name} at {t} ns")
+            else:
+                yield topic, t, whole
+        report.lost += lost
+        if path != source:  # rosbag2 compresses files that it has closed
+            report.indexed = not report.lost
 
 
 def _recover_mcap(path: Path, report: FileReport) -> Iterator[tuple[BagTopic, int, bytes]]:

@@ -22,13 +22,16 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
 from rclpy.task import Future
 from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
+from softrig_core.model.params import Declaration
 from softrig_core.model.timebase import SECOND
+from softrig_core.node.messages import range_descriptor
 from softrig_core.rig.processes import PROFILE
 
 from .errors import BagError
 from .topics import BagTopic
 
 WaitSet = rclpy_implementation.WaitSet
+_OF_ROS = ("use_sim_time", "start_type_description_service")
 SLICE = 0.1  # s: longest wait before a signal is noticed
 
 
@@ -41,11 +44,13 @@ class Session:
         Node name.
     argv : sequence of str
         Command line with the ROS arguments.
+    parameters : sequence of (Declaration, value)
+        The tool's options, which everybody may look up and nobody change.
 
     Raises
     ------
     BagError
-        ROS does not understand its arguments.
+        ROS does not understand its arguments, or they set a parameter.
 
     Attributes
     ----------
@@ -55,7 +60,7 @@ class Session:
 
     opened: ClassVar[Session | None] = None
 
-    def __init__(self, name: str, argv: Sequence[str]) -> None:
+    def __init__(self, name: str, argv: Sequence[str], parameters: Sequence[tuple[Declaration, Any]] = ()) -> None:
         os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(PROFILE))
         self.stopped = False
         self._stop: Future[None] = Future()
@@ -65,8 +70,14 @@ class Session:
             rclpy.init(args=list(argv), signal_handler_options=SignalHandlerOptions.NO)
         except RuntimeError as error:
             raise BagError(f"ROS arguments {' '.join(argv)}: {str(error).splitlines()[0]}") from None
-        self.node = Node(name, enable_rosout=False, start_parameter_services=False)
+        self.node = Node(name, enable_rosout=False, automatically_declare_parameters_from_overrides=True)
         Session.opened = self
+        for given in self.node.get_parameters_by_prefix(""):
+            if given not in _OF_ROS and not given.startswith("qos_overrides."):
+                raise BagError(f"parameter {given} cannot be set by ROS arguments; what can be set are the options "
+                               "that --help shows")  # fmt: skip
+        for declaration, value in parameters:
+            self.node.declare_parameter(declaration.name, value, range_descriptor(declaration))
         self._executor: Any = EventsExecutor()
         self._executor.add_node(self.node)
 

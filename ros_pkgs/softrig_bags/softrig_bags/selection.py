@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from .errors import BagError
 from .topics import absolute
 
+_NAME = re.compile(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
+
 
 @dataclass(frozen=True)
 class Selection:
@@ -33,8 +35,11 @@ class Selection:
         Raises
         ------
         BagError
-            Not a regular expression.
+            Not a name of a topic, or not a regular expression.
         """
+        for name in names:
+            if not _NAME.fullmatch(name):
+                raise BagError(f"{name!r} is not the name of a topic; ROS arguments come after --ros-args")
         patterns = []
         for text in (regex, exclude):
             try:

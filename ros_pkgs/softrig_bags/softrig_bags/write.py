@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 
+from rosbags.interfaces import QosDurability
 from softrig_core.errors import RunError
 from softrig_core.wire.recording import Recording
 
@@ -22,6 +23,7 @@ def write_bag(
     storage: str = "mcap",
     compression: str = "none",
     custom_data: Mapping[str, str] | None = None,
+    latched: Collection[str] = (),
 ) -> None:
     """Write a recording as a rosbag2 bag (metadata version 9), messages by time, equal times in topic order.
 
@@ -40,6 +42,9 @@ def write_bag(
     custom_data : mapping of str to str, optional
         Kept in the metadata, e.g. scenario, seed, versions.
 
+    latched : collection of str
+        Topics whose last message is also for who comes later (transient local), as robot_description.
+
     Raises
     ------
     BagError
@@ -57,7 +62,8 @@ def write_bag(
         try:
             numbers = {}
             for topic in recording.topics.values():
-                numbers[topic.name] = writer.add_topic(BagTopic.known(absolute(topic.name), topic.msgtype, [qos()]))
+                offered = qos(durability=QosDurability.TRANSIENT_LOCAL, depth=1) if topic.name in latched else qos()
+                numbers[topic.name] = writer.add_topic(BagTopic.known(absolute(topic.name), topic.msgtype, [offered]))
             write = writer.write
             for t, topic, data in recording.messages():
                 write(numbers[topic.name], t, data)

@@ -22,6 +22,7 @@ from softrig_core.rig.replay import feed
 from softrig_core.rig.rig import Rig
 from softrig_core.rig.scenario import load_scenario
 from softrig_core.rig.simulate import simulate
+from softrig_core.rig.yaml_file import read_yaml
 from softrig_core.wire.recording import Recording
 from softrig_core.wire.signals import Signals
 
@@ -187,16 +188,10 @@ def load(folder: Path, **changes: Any) -> Golden:
     ScenarioError
         golden.yaml is missing or wrong; names file and key.
     """
-    from ruamel.yaml import YAML
-    from ruamel.yaml.error import YAMLError
-
     file = folder / "golden.yaml"
     if not file.is_file():
         raise ScenarioError(f"{folder} has no golden.yaml")
-    try:
-        content = YAML(typ="safe", pure=True).load(file.read_text())
-    except YAMLError as error:
-        raise ScenarioError(f"{file}: not valid YAML: {' '.join(str(error).split())}") from None
+    content = read_yaml(file.read_text(errors="replace"), str(file))
     recipe = _recipe(file, content | changes if isinstance(content, dict) else content)
     return Golden(folder, recipe, _rig(recipe))
 

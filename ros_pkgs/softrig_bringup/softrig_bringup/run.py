@@ -19,6 +19,7 @@ from typing import Any, Literal
 from softrig_core.errors import RunError
 from softrig_core.model.block import Block, Observer
 from softrig_core.model.params import declarations, flatten
+from softrig_core.model.scene import Scene
 from softrig_core.rig.figures import Result, figures_of
 from softrig_core.rig.inprocess import run_inprocess
 from softrig_core.rig.rig import CLOCK, Rig
@@ -210,9 +211,11 @@ def _write(run: Run, content: Mapping[str, Any], directory: Path, *, record: boo
     # first: if the disk is full, this is what tells why
     (directory / "metrics.json").write_text(json.dumps(content, indent=1) + "\n")
     if record:
+        from softrig_bags.scenery import LATCHED, with_scenery
         from softrig_bags.write import write_bag
 
-        write_bag(directory / "bag", run.recording, custom_data=_provenance(content))
+        recording = with_scenery(run.recording, _scenes(run.rig))
+        write_bag(directory / "bag", recording, custom_data=_provenance(run, content), latched=LATCHED)
     if not plots:
         return
     from .report import write_report
@@ -222,6 +225,17 @@ def _write(run: Run, content: Mapping[str, Any], directory: Path, *, record: boo
     write_report([directory], directory / "report.html")
 
 
-def _provenance(content: Mapping[str, Any]) -> dict[str, str]:
+def _scenes(rig: Rig) -> dict[str, Scene]:
+    """Give what viewers can be shown of the rig, by the topic that it moves with."""
+    found = {}
+    for member in rig.members:
+        scene = member.block_class.scene(member.params)
+        if scene is not None:
+            found[next(p.topic for p in member.outputs if p.name == scene.port)] = scene
+    return found
+
+
+def _provenance(run: Run, content: Mapping[str, Any]) -> dict[str, str]:
     keys = ("scenario", "mode", "seed", "versions")
-    return {k: v if isinstance(v := content[k], str) else json.dumps(v) for k in keys}
+    epoch = {"epoch": str(run.epoch)} if run.epoch else {}  # of the stamps of a run in real time
+    return epoch | {k: v if isinstance(v := content[k], str) else json.dumps(v) for k in keys}

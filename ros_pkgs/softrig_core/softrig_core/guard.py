@@ -13,6 +13,8 @@ from typing import Any
 from .errors import RunError, ScenarioError
 
 LINE = 1000  # characters of a failure that are shown
+# the caller has named what cannot be read or written: bad input, nothing that broke
+_NAMED = (FileNotFoundError, PermissionError, IsADirectoryError, NotADirectoryError, FileExistsError)
 
 
 def guarded(work: Callable[[], int]) -> int:
@@ -41,7 +43,10 @@ def guarded(work: Callable[[], int]) -> int:
         return 2
     except BrokenPipeError:  # whoever read our output has enough
         return 141
-    except (RunError, OSError) as error:
+    except OSError as error:
+        say(f"{error.filename}: {error.strerror}" if error.filename is not None else error)
+        return 2 if isinstance(error, _NAMED) else 3
+    except RunError as error:
         say(error)
         return 3
     except KeyboardInterrupt:

@@ -26,6 +26,7 @@ from .joints import PerJoint, require_positive, spread
 
 if TYPE_CHECKING:
     import casadi as ca
+    from softrig_core.model.scene import Scene
 
 Vector = tuple[float, ...]
 
@@ -95,8 +96,9 @@ class DrivenRobot(Plant):
     STALE_PERIODS: ClassVar[int] = 20  # at 1 kHz a late wake-up of the controller's host is not yet a lost controller
     TIP: ClassVar[str] = "tool"  # frame of the payload and of the outside force
 
-    def robot(self) -> str:
-        """Give the URDF text of the robot."""
+    @classmethod
+    def robot(cls, params: Any) -> str:
+        """Give the URDF text of the robot with these parameters."""
         raise NotImplementedError
 
     def initial(self) -> tuple[Vector, Vector]:
@@ -116,13 +118,24 @@ class DrivenRobot(Plant):
         """Give voltage drops d (V) and load torques tau_d (N m) of the sub-step that begins at t (ns)."""
         raise NotImplementedError
 
+    @classmethod
+    def scene(cls, params: Any) -> Scene:
+        """Give URDF and frames of the links."""
+        from .scene import RobotScene
+
+        return RobotScene(cls.robot(params), cls.TIP)
+
+    def latched(self) -> Mapping[str, str]:
+        """Give the text for late joiners: the URDF under the name that every viewer expects."""
+        return {"robot_description": self.robot(self.p)}
+
     def torque_constants(self, table: Mapping[str, Vector]) -> Vector:
         """Give the torque constants on the joint side of the gears, K_m/r, N m/A."""
         return tuple(K / r for K, r in zip(table["torque_constant"], table["gear"], strict=True))
 
     def setup(self) -> None:
         """Compile the robot and bring the motors to the joint side of the gears."""
-        self._step, self._torque, self.n = compile_robot(self.robot(), self.TIP)
+        self._step, self._torque, self.n = compile_robot(self.robot(self.p), self.TIP)
         self._table = table = self.p.motors.table(self.n)
         self._gear = table["gear"]
         self._inertia = tuple(J / r**2 for J, r in zip(table["inertia"], self._gear, strict=True))

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from .marker import Marker
+    from .scene import Scene
 
 Values = Mapping[str, "Sequence[float] | Sample | None"]
 P = TypeVar("P", bound=BlockParams, default=Any)
@@ -144,6 +145,11 @@ class Block(Generic[P]):
     def latched(self) -> Mapping[str, str]:
         """Give topic to text (such as ``robot_description``) that a node publishes once, also for late joiners."""
         return {}
+
+    @classmethod
+    def scene(cls, params: Any) -> Scene | None:
+        """Give what a viewer needs to show what the block moves, with these parameters; most move nothing."""
+        return None
 
     def markers(self) -> Sequence[Marker]:
         """Give something to look at, drawn from the newest state; a node asks a few times a second."""

@@ -73,9 +73,10 @@ class ManipulatorPlant(DrivenRobot):
         """Those of the parameters."""
         return self.p.joints
 
-    def robot(self) -> str:
+    @classmethod
+    def robot(cls, params: ManipulatorParams) -> str:
         """Read or write the URDF."""
-        return read_urdf(self.p.urdf) if self.p.urdf else manipulator_urdf(self.p.links, self.p.joints)
+        return read_urdf(params.urdf) if params.urdf else manipulator_urdf(params.links, params.joints)
 
     def initial(self) -> tuple[Vector, Vector]:
         """Give q(0) and its rate."""

@@ -123,9 +123,10 @@ class RehabPlant(DrivenRobot):
         """Hip and knee."""
         return JOINTS
 
-    def robot(self) -> str:
+    @classmethod
+    def robot(cls, params: RehabParams) -> str:
         """Write the URDF."""
-        return rehab_urdf(self.p.segments, spread("lower", self.p.lower, 2), spread("upper", self.p.upper, 2))
+        return rehab_urdf(params.segments, spread("lower", params.lower, 2), spread("upper", params.upper, 2))
 
     def initial(self) -> tuple[Vector, Vector]:
         """Give q(0) and its rate."""

@@ -1,0 +1,239 @@
+"""Compare two bags of different clocks or rates: signals over the time since the start, deviation and time shift."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from fnmatch import fnmatchcase
+
+import numpy as np
+from numpy.typing import NDArray
+from softrig_core.wire.recording import Topic
+from softrig_core.wire.signals import Signals, Table
+
+from .compare import Tolerance, plain
+from .errors import BagError
+from .read import BagSignals
+from .stamps import is_stamped, stamp
+from .topics import BagTopic
+
+Array = NDArray[np.float64]
+EXACT = Tolerance()
+CLOCK = "clock"  # the times themselves, no signal
+GRID = 2000  # samples on which a time shift is searched for
+REACH = 0.1  # of the common span: the largest shift
+GAIN = 0.99  # a shift is one when the rms deviation falls below this part of what it is without
+
+
+@dataclass(frozen=True)
+class Deviation:
+    """How far signal b is from its reference a where both are known.
+
+    Parameters
+    ----------
+    signal : str
+    samples : int
+        Number of times at which they were compared: those of the slower one.
+    largest, rms : float
+        Of ``|b - a|``.
+    at : float
+        Time of the largest, s.
+    peak : float
+        Largest ``|a|``.
+    shift : float
+        By how much b comes late, s: shifted back by it, b is nearest to a. 0 where no shift brings it nearer.
+    shifted_rms : float
+        What is left then.
+    agrees : bool
+        Whether the deviation is within the tolerance everywhere.
+    """
+
+    signal: str
+    samples: int
+    largest: float
+    at: float
+    rms: float
+    peak: float
+    shift: float
+    shifted_rms: float
+    agrees: bool
+
+    def __str__(self) -> str:
+        if not self.largest:
+            return f"{self.signal}: equal at {self.samples} times"
+        part = f" ({100.0 * self.largest / self.peak:.2g} % of the peak)" if self.peak else ""
+        text = f"{self.signal}: max {self.largest:.3g}{part} at t = {self.at:.6g} s, rms {self.rms:.3g}"
+        if self.shift:
+            when = "late" if self.shift > 0 else "early"
+            text += f"; {abs(self.shift) * 1e3:.3g} ms {when}, rms {self.shifted_rms:.3g} without that"
+        return text
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """Result of `align`.
+
+    Parameters
+    ----------
+    deviations : list of Deviation
+    span : tuple of 2 floats
+        The time that both bags have, s since their start.
+    lacking, extra : list of str
+        Signals of a that b lacks, signals of b that a lacks.
+    """
+
+    deviations: list[Deviation]
+    span: tuple[float, float]
+    lacking: list[str]
+    extra: list[str]
+
+    @property
+    def equal(self) -> bool:
+        """Whether both have the same signals, and all agree within their tolerance."""
+        return not self.lacking and not self.extra and all(d.agrees for d in self.deviations)
+
+    def to_json(self) -> str:
+        """Give everything as JSON; NaN and infinity as text."""
+        return json.dumps(plain({"equal": self.equal, **asdict(self), "span": list(self.span)}), indent=2)
+
+    def __str__(self) -> str:
+        lines = [f"compared over the time since the start, {self.span[0]:.6g} to {self.span[1]:.6g} s"]
+        lines += [str(d) for d in self.deviations]
+        lines += [f"only in A: {name}" for name in self.lacking] + [f"only in B: {name}" for name in self.extra]
+        off = sum(not d.agrees for d in self.deviations)
+        lines.append(f"{off} of {len(self.deviations)} signals beyond their tolerance" if off else
+                     "all signals that both have agree within their tolerance")  # fmt: skip
+        return "\n".join(lines)
+
+
+def align(
+    a: BagSignals,
+    b: BagSignals,
+    *,
+    default: Tolerance = EXACT,
+    tolerances: Mapping[str, Tolerance] | None = None,
+    topics: Sequence[str] | None = None,
+    ignore: Sequence[str] = (),
+) -> Alignment:
+    """Compare the signals of recording b with its reference a, whatever their clocks and rates.
+
+    Time counts from the start: of simulated time, of a run in real time that has left its epoch in the bag, else of
+    the first stamp on a topic that both have. Values are compared at the samples of the slower of the two, between the
+    samples of the faster one by a straight line.
+
+    Parameters
+    ----------
+    a, b : BagSignals
+    default, tolerances
+        See `softrig_bags.compare.compare`.
+    topics : sequence of str, optional
+        Topics to compare; default all of both.
+    ignore : sequence of str
+        Patterns of topics left out.
+
+    Raises
+    ------
+    BagError
+        No common topic with messages, or no common time.
+    """
+    common = [t for t in a.decodable if t in b.decodable and _wanted(t, topics, ignore)]
+    tables = {t: (a.table(t), b.table(t)) for t in common}
+    tables = {t: (x, y) for t, (x, y) in tables.items() if x.t.size and y.t.size}
+    if not tables:
+        raise BagError("no topic with messages in both bags")
+    starts = [_start(signals, [pair[k] for pair in tables.values()]) for k, signals in enumerate((a, b))]
+    found, spans = [], []
+    for topic, (x, y) in tables.items():
+        for label in x.columns.keys() & y.columns.keys():
+            name = f"{topic}/{label}"
+            limit = next((v for p, v in (tolerances or {}).items() if fnmatchcase(name, p)), default)
+            one, two = _samples(x, label, starts[0]), _samples(y, label, starts[1])
+            span = max(one[0][0], two[0][0]), min(one[0][-1], two[0][-1])
+            if span[0] <= span[1]:
+                found.append(_deviation(name, one, two, span, limit))
+                spans.append(span)
+    if not found:
+        raise BagError("the bags have no time in common")
+    names_a, names_b = (_names(s, topics, ignore) for s in (a, b))
+    return Alignment(
+        sorted(found, key=lambda d: d.signal), (min(s[0] for s in spans), max(s[1] for s in spans)),
+        [n for n in names_a if n not in names_b], [n for n in names_b if n not in names_a],
+    )  # fmt: skip
+
+
+def unrelated(a: Signals, b: Signals) -> bool:
+    """Whether two recordings have messages on common topics, but not one with a stamp of the other's."""
+    pairs = [(t, b.recording.topics[name]) for name, t in a.recording.topics.items() if name in b.recording.topics]
+    pairs = [(x, y) for x, y in pairs if x.data and y.data]
+    return bool(pairs) and all(_stamps(x).isdisjoint(_stamps(y)) for x, y in pairs)
+
+
+def _stamps(topic: Topic) -> set[int]:
+    if is_stamped(BagTopic.known(topic.name, topic.msgtype)):
+        return {stamp(d) for d in topic.data}
+    return set(topic.times)
+
+
+def _wanted(topic: str, topics: Sequence[str] | None, ignore: Sequence[str]) -> bool:
+    chosen = topics is None or topic in topics
+    return chosen and topic.strip("/") != CLOCK and not any(fnmatchcase(topic, p) for p in ignore)
+
+
+def _names(signals: BagSignals, topics: Sequence[str] | None, ignore: Sequence[str]) -> list[str]:
+    return [f"{t}/{k}" for t in signals.decodable if _wanted(t, topics, ignore) for k in signals.table(t).columns]
+
+
+def _start(signals: BagSignals, tables: Sequence[Table]) -> float:
+    """Time of the start on the bag's own time axis, s."""
+    return 0.0 if signals.from_start else min(float(t.stamp[0]) for t in tables)
+
+
+def _samples(table: Table, label: str, start: float) -> tuple[Array, Array]:
+    t, first = np.unique(table.stamp, return_index=True)
+    return t - start, table.columns[label][first]
+
+
+def _deviation(
+    name: str, a: tuple[Array, Array], b: tuple[Array, Array], span: tuple[float, float], limit: Tolerance
+) -> Deviation:
+    inside = [(t[k], x[k]) for t, x in (a, b) if (k := (t >= span[0] - 1e-9) & (t <= span[1] + 1e-9)) is not None]
+    slow = 0 if inside[0][0].size <= inside[1][0].size else 1
+    times = inside[slow][0]
+    x, y = (np.interp(times, *pair) for pair in (a, b))
+    error = np.abs(y - x)
+    known = np.isfinite(error)
+    agrees = not limit.exceeded(x, y).any()
+    if not known.any():
+        return Deviation(name, times.size, math.nan, math.nan, math.nan, math.nan, 0.0, math.nan, agrees)
+    worst = int(np.argmax(np.where(known, error, -1.0)))
+    rms = _rms(error[known])
+    shift, left = _shift(a, b, span) if rms and known.all() else (0.0, rms)
+    peak = float(np.max(np.abs(x[known])))
+    return Deviation(name, times.size, float(error[worst]), float(times[worst]), rms, peak, shift, left, agrees)
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def _shift(a: tuple[Array, Array], b: tuple[Array, Array], span: tuple[float, float]) -> tuple[float, float]:
+    """By how much b comes late, and the rms deviation once that is taken back."""
+    length = span[1] - span[0]
+    reach = REACH * length
+    times = np.linspace(span[0] + reach, span[1] - reach, min(GRID, 4 * max(a[0].size, b[0].size)))
+    x = np.interp(times, *a)
+    if length <= 0.0 or not np.ptp(x):
+        return 0.0, _rms(np.interp(times, *b) - x)
+
+    def off(shift: float) -> float:
+        return _rms(np.interp(times + shift, *b) - x)
+
+    lags = np.linspace(-reach, reach, 401)
+    best, step = 0.0, reach
+    for _ in range(4):  # each round a grid a hundred times finer around the best so far
+        best = min((best + step * lag / reach for lag in lags), key=off)
+        step /= 100.0
+    before = off(0.0)
+    return (float(best), off(best)) if off(best) < GAIN * before else (0.0, before)

@@ -1,0 +1,108 @@
+"""Topics that let a viewer show a run from its bag alone: the robot's description, its frames, the path of its tip.
+
+They follow from what was recorded, so that equal runs still give equal bags, whoever ran the nodes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from softrig_core.model.scene import Point, Pose, Scene
+from softrig_core.model.timebase import SECOND
+from softrig_core.wire.recording import Recording
+from softrig_core.wire.signals import Signals
+
+from .topics import typestore
+
+PERIOD = SECOND // 50  # ns between two sets of frames: a viewer's pictures
+PATH = 500  # points of the path
+STRING, TF, MARKERS = "std_msgs/msg/String", "tf2_msgs/msg/TFMessage", "visualization_msgs/msg/MarkerArray"
+LATCHED = ("robot_description", "tf_static", "markers")
+
+
+def with_scenery(recording: Recording, scenes: Mapping[str, Scene]) -> Recording:
+    """Give a recording with what a viewer needs beside it.
+
+    Parameters
+    ----------
+    recording : Recording
+        Left as it is.
+    scenes : mapping of str to Scene
+        By the topic of the joint states. Of several robots the first is shown: their frames would have equal names.
+
+    Returns
+    -------
+    Recording
+        The same messages, and ``robot_description``, ``tf_static``, ``markers`` (the path of the tip, all three once,
+        at the first joint state) and ``tf`` (`PERIOD`).
+    """
+    topic, scene = next(((t, s) for t, s in scenes.items() if recording.topics[t].times), ("", None))
+    if scene is None:
+        return recording
+    found = Recording([*((t.name, t.msgtype) for t in recording.topics.values()),
+                       ("robot_description", STRING), ("tf_static", TF), ("tf", TF), ("markers", MARKERS)])  # fmt: skip
+    for name, old in recording.topics.items():
+        found.topics[name].times.extend(old.times)
+        found.topics[name].data.extend(old.data)
+    times = recording.topics[topic].times
+    columns = Signals(recording).table(topic).columns
+    q = list(zip(*(x.tolist() for label, x in columns.items() if label.endswith("/position")), strict=True))
+    rows = [0]
+    for i, t in enumerate(times):
+        if t >= times[rows[-1]] + PERIOD:
+            rows.append(i)
+    path = [scene.tip(q[i]) for i in rows[:: -(-len(rows) // PATH)]]
+    first = times[0]
+    _add(found, "robot_description", STRING, first, data=scene.description)
+    _add(found, "tf_static", TF, first, transforms=[_transform(first, pose) for pose in scene.fixed()])
+    _add(found, "markers", MARKERS, first, markers=[_line(first, scene.base, path)])
+    for i in rows:
+        _add(found, "tf", TF, times[i], transforms=[_transform(times[i], pose) for pose in scene.moving(q[i])])
+    return found
+
+
+def _add(recording: Recording, name: str, msgtype: str, t: int, **fields: Any) -> None:
+    topic = recording.topics[name]
+    topic.times.append(t)
+    topic.data.append(bytes(typestore().serialize_cdr(_make(msgtype, **fields), msgtype)))
+
+
+def _make(msgtype: str, **fields: Any) -> Any:
+    return typestore().types[msgtype](**fields)
+
+
+def _header(t: int, frame: str) -> Any:
+    stamp = _make("builtin_interfaces/msg/Time", sec=t // SECOND, nanosec=t % SECOND)
+    return _make("std_msgs/msg/Header", stamp=stamp, frame_id=frame)
+
+
+def _vector(kind: str, values: Sequence[float]) -> Any:
+    return _make(f"geometry_msgs/msg/{kind}", **dict(zip("xyzw", values, strict=False)))
+
+
+def _transform(t: int, pose: Pose) -> Any:
+    place, turn = _vector("Vector3", pose.position), _vector("Quaternion", pose.rotation)
+    transform = _make("geometry_msgs/msg/Transform", translation=place, rotation=turn)
+    return _make("geometry_msgs/msg/TransformStamped", header=_header(t, pose.parent), child_frame_id=pose.child,
+                 transform=transform)  # fmt: skip
+
+
+def _line(t: int, frame: str, points: Sequence[Point]) -> Any:
+    import numpy as np
+
+    kind: Any = typestore().types["visualization_msgs/msg/Marker"]
+    origin, upright = _vector("Point", (0.0, 0.0, 0.0)), _vector("Quaternion", (0.0, 0.0, 0.0, 1.0))
+    nothing = np.array([], dtype=np.uint8)
+    image = _make("sensor_msgs/msg/CompressedImage", header=_header(0, ""), format="", data=nothing)
+    return kind(
+        header=_header(t, frame), ns="path", id=0, type=kind.LINE_STRIP, action=kind.ADD,
+        pose=_make("geometry_msgs/msg/Pose", position=origin, orientation=upright),
+        scale=_vector("Vector3", (0.005, 0.0, 0.0)),
+        color=_make("std_msgs/msg/ColorRGBA", r=0.9, g=0.4, b=0.1, a=1.0),
+        lifetime=_make("builtin_interfaces/msg/Duration", sec=0, nanosec=0), frame_locked=False,
+        points=[_vector("Point", p) for p in points], colors=[], texture_resource="", texture=image,
+        uv_coordinates=[], text="",
+        mesh_resource="", mesh_file=_make("visualization_msgs/msg/MeshFile", filename="", data=nothing),
+        mesh_use_embedded_materials=False,
+    )  # fmt: skip

@@ -1,0 +1,216 @@
+"""The verb `run`: its options, what they change of a scenario, where the results go, what is printed."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+import shlex
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, nullcontext
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from softrig_core.command_line import Number
+from softrig_core.guard import say
+
+if TYPE_CHECKING:
+    from softrig_core.rig.scenario import Scenario
+    from softrig_core.rig.simulate import Run
+
+NEWS = 10.0  # s of wall-clock time between two lines of progress
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument("scenario", help="name or YAML file")
+    parser.add_argument("--mode", choices=("processes", "container", "inprocess", "realtime"), default="processes",
+                     help="where the nodes live; realtime: processes --realtime")  # fmt: skip
+    parser.add_argument("--realtime", action="store_true", help="against the wall clock, not in lockstep")
+    parser.add_argument("--set", action="append", default=[], metavar="NODE.PARAM=VALUE", help="change a parameter")
+    parser.add_argument("--duration", type=float, metavar="S", help="instead of the scenario's")
+    parser.add_argument("--seed", type=int, metavar="N", help="instead of the scenario's")
+    parser.add_argument("--external", action="append", default=[], metavar="NODE", help="somebody else starts this one")
+    parser.add_argument("--wait", type=Number(float, 0), metavar="S", help="limit of the wait for them (default: none)")
+    parser.add_argument("--domain", type=int, metavar="N", help="ROS_DOMAIN_ID (default: a free one)")
+    parser.add_argument(
+        "--out", type=Path, metavar="DIR", help="results go here (default runs/SCENARIO and what was changed)"
+    )
+    parser.add_argument("--no-record", action="store_true", help="no bag")
+    parser.add_argument("--no-plots", action="store_true", help="only metrics.json and the bag")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run a scenario; gives the exit status."""
+    from softrig_core.rig.domain import free_domain
+
+    # before anything of an earlier run is replaced: two runs in one domain would read each other's messages
+    with nullcontext() if options.domain is None else free_domain(options.domain):
+        return _run_reserved(options)
+
+
+def _run_reserved(options: argparse.Namespace) -> int:
+    from softrig_core.errors import ScenarioError
+    from softrig_core.rig.scenario import load_scenario, merge
+
+    from .folder import ResultsFolder
+    from .run import checked, execute, save, summary
+
+    if options.realtime and options.mode == "inprocess":
+        raise ScenarioError("--realtime: blocks in process know no wall clock; expected --mode processes or container")
+    scenario = load_scenario(options.scenario, dict(_assignment(text) for text in options.set))
+    changes: dict[str, Any] = {}
+    for key in ("duration", "seed"):
+        if getattr(options, key) is not None:
+            changes[key] = getattr(options, key)
+    for name in options.external:
+        changes = merge(changes, {"nodes": {name: {"external": True}}})
+    if changes:
+        scenario = _changed(scenario, changes)
+    checked(scenario)  # before anything of an earlier run is replaced
+    changed = _changes(options)
+    out = (options.out or Path("runs") / _folder_name(scenario.name, options, changed)).absolute()
+    folder = ResultsFolder(out)
+    if folder.replaced:
+        say(f"replacing {folder.replaced} in {os.path.relpath(out)}")
+    folder.clear()
+    with _progress(scenario) as progress:
+        done = execute(scenario, options.mode, out / "log", realtime=options.realtime, domain=options.domain,
+                       progress=progress, wait=options.wait, announce=say)  # fmt: skip
+    changed += [done.stopped_at] if done.stopped else []
+    figures = [] if done.error else done.results
+    command = shlex.join(["scripts/softrig", "run", *repeat(options)])
+    content = summary(done, figures, command) | {"changed": changed}
+    save(done, content, folder, record=not options.no_record, plots=not options.no_plots)
+    if done.error:
+        say(f"the run broke: {done.error}")
+        say(f"what was recorded up to there is in {os.path.relpath(out)}, what the nodes said in its log/")
+        return 3
+    _print_figures(scenario, done, out, changed)
+    if done.stopped:
+        say(done.stopped_at)
+        return 128 + done.stopped
+    if changed:  # the paper's numbers are for its own set-up: shown for comparison, not judged
+        return 0
+    return 0 if all(f.passed for f in figures) and all(c.holds is not False for c in done.claims) else 1
+
+
+def _changes(options: argparse.Namespace) -> list[str]:
+    """Say what of a scenario was changed on the command line, in words."""
+    found = [*options.set, *(f"{name} outside, its parameters unknown" for name in options.external)]
+    return found + [f"{name} {value}" for name in ("duration", "seed") if (value := getattr(options, name)) is not None]
+
+
+def _folder_name(scenario: str, options: argparse.Namespace, changed: Sequence[str]) -> str:
+    """Name the folder of a run so that runs that differ do not replace each other."""
+    parts = [scenario] + (["realtime"] if options.realtime or options.mode == "realtime" else []) + list(changed)
+    return re.sub(r"[^A-Za-z0-9_.=+-]+", "_", "-".join(parts))[:120]
+
+
+def repeat(options: argparse.Namespace) -> list[str]:
+    """Command-line arguments that repeat a run."""
+    arguments = [options.scenario, "--mode", options.mode, *(["--realtime"] if options.realtime else [])]
+    for text in options.set:
+        arguments += ["--set", text]
+    for name in options.external:
+        arguments += ["--external", name]
+    for name in ("duration", "seed", "domain", "out"):
+        if getattr(options, name) is not None:
+            arguments += [f"--{name}", str(getattr(options, name))]
+    return arguments
+
+
+def _assignment(text: str) -> tuple[str, Any]:
+    from softrig_core.errors import ScenarioError
+    from softrig_core.rig.yaml_file import read_yaml
+
+    key, separator, value = text.partition("=")
+    if not separator or "." not in key:
+        raise ScenarioError(f"--set {text!r}: expected node.parameter=value")
+    return key, read_yaml(value, f"--set {text!r}")
+
+
+def _changed(scenario: Scenario, changes: dict[str, Any]) -> Scenario:
+    from pydantic import ValidationError
+    from softrig_core.errors import ScenarioError
+    from softrig_core.rig.scenario import merge
+    from softrig_core.rig.scenario_file import closest
+
+    for name in changes.get("nodes", {}):
+        if name not in scenario.nodes:
+            raise ScenarioError(f"--external {name}: no such node{closest(name, scenario.nodes)}; the nodes are "
+                                f"{', '.join(scenario.nodes)}")  # fmt: skip
+    try:
+        return type(scenario).model_validate(merge(scenario.model_dump(exclude_unset=True), changes))
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise ScenarioError(f"--{'.'.join(map(str, first['loc']))}: {first['msg']}, got {first['input']!r}") from None
+
+
+@contextmanager
+def _progress(scenario: Scenario) -> Iterator[Callable[[int], None] | None]:
+    """A progress bar on a terminal, elsewhere a line now and then."""
+    if not sys.stderr.isatty():
+        yield _news(scenario)
+        return
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+    from .listing import console
+
+    columns = (TextColumn(scenario.name), BarColumn(), TextColumn("{task.completed:.3g} of {task.total:.3g} s"),
+               TimeElapsedColumn(), TimeRemainingColumn())  # fmt: skip
+    with Progress(*columns, console=console(stderr=True, width=None), transient=True) as bar:
+        task = bar.add_task("", total=scenario.duration)
+        yield lambda t: bar.update(task, completed=t / 1e9)
+
+
+def _news(scenario: Scenario) -> Callable[[int], None]:
+    last = time.monotonic()
+
+    def tell(t: int) -> None:
+        nonlocal last
+        if time.monotonic() - last > NEWS:
+            last = time.monotonic()
+            say(f"{scenario.name}: {t / 1e9:.3g} of {scenario.duration:g} s")
+
+    return tell
+
+
+def _print_figures(scenario: Scenario, run: Run, out: Path, changed: Sequence[str]) -> None:
+    from rich.table import Table
+
+    from .listing import console as make_console
+    from .report import accepted
+
+    console = make_console()
+    title = f"{scenario.name}: {scenario.title}" + (f", changed: {', '.join(changed)}" if changed else "")
+    table = Table("figure", title=title, title_justify="left", box=None, pad_edge=False)
+    for name in ("published", "measured", "expected", "unit", ""):
+        table.add_column(name, justify="left" if name in ("unit", "") else "right")
+    for f in run.results:
+        missed = f"[yellow]differs[/] {f.error}" if changed else f"[red]MISS[/] {f.error}"
+        mark = ("[green]pass[/]" if f.judged else f.error) if f.passed else missed
+        table.add_row(f.name, _number(f.published), _number(f.value), accepted(f), f.unit, mark)
+    console.print(table)
+    for claim in run.claims:
+        if claim.holds is False and not changed:
+            console.print(f"[red]claim {claim.key}[/]: {claim.false}")
+    ticks = run.rig.ticks
+    speed = "" if run.epoch else f" ({scenario.duration / run.wall_s:.3g} x real time)"
+    console.print(f"{run.mode}: {ticks} ticks, {scenario.duration:g} s simulated in {run.wall_s:.2f} s with start-up"
+                  f"{speed}")  # fmt: skip
+    for name, status in run.status.items():
+        for _, text, count in status.get("reports", {}).values():
+            console.print(f"{name}: {text} ({count} x)")
+        for topic, (count, text) in status.get("refused", {}).items():
+            console.print(f"{name}: {count} messages refused on {topic}: {text}")
+        if "missed_deadlines" in status:
+            figures = {k: v for k, v in status.items() if k.endswith("_ms") or k == "missed_deadlines"}
+            console.print(f"{name}: " + ", ".join(f"{k} {v:.3g}" for k, v in figures.items()))
+    console.print(f"results in {os.path.relpath(out)}")
+
+
+def _number(value: float | None) -> str:
+    return "" if value is None else f"{value:.6g}"

@@ -1,0 +1,75 @@
+"""What all command lines share: every mistake is one line that says what was expected."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import re
+from typing import Any, NoReturn
+
+from .errors import ScenarioError
+
+
+class Number:
+    """Type of an option that is a number within bounds.
+
+    Parameters
+    ----------
+    kind : type
+        `int` or `float`.
+    low, high : float
+        Bounds, both allowed; infinity and NaN are not.
+    """
+
+    def __init__(self, kind: type[int] | type[float], low: float, high: float = math.inf) -> None:
+        self.kind, self.low, self.high = kind, low, high
+
+    def __call__(self, text: str) -> float:
+        """Read a number.
+
+        Raises
+        ------
+        argparse.ArgumentTypeError
+            Not a number, or beyond the bounds.
+        """
+        try:
+            value = self.kind(text)
+        except ValueError:
+            value = math.nan
+        if self.low <= value <= self.high and math.isfinite(value):
+            return value
+        what = "a whole number" if self.kind is int else "a number"
+        bound = f"of at least {self.low:g}" if math.isinf(self.high) else f"from {self.low:g} to {self.high:g}"
+        raise argparse.ArgumentTypeError(f"expected {what} {bound}, got {text!r}")
+
+
+class Parser(argparse.ArgumentParser):
+    """A parser whose errors are one line, with the nearest of what there is beside what was misspelt."""
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> tuple[Any, list[str]]:
+        """Parse, and refuse the rest here, where it is known which options there are."""
+        found, rest = super().parse_known_args(args, namespace)
+        if rest:
+            from .rig.scenario_file import closest
+
+            options = [o for a in self._actions for o in a.option_strings]
+            what = "option" if rest[0].startswith("-") else "argument"
+            self.error(f"unexpected {what} {rest[0]!r}{closest(rest[0].partition('=')[0], options)}")
+        return found, rest
+
+    def error(self, message: str) -> NoReturn:
+        """Raise what the command line turns into one line and status 2.
+
+        Raises
+        ------
+        ScenarioError
+        """
+        wrong = re.match(r"argument (\S+): invalid choice: '(.*)' \(choose from (.*)\)", message)
+        if wrong:
+            from .rig.scenario_file import closest
+
+            known = [name.strip(" '") for name in wrong[3].split(",")]
+            message = f"{wrong[1]} {wrong[2]!r} is unknown{closest(wrong[2], known)}; expected {', '.join(known)}"
+        verb = self.prog.partition(" ")[2]
+        place = f"{verb}: " if verb else ""
+        raise ScenarioError(f"{place}{message}; `{self.prog} --help` shows what there is")

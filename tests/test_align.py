@@ -1,0 +1,104 @@
+"""Two bags of different clocks or rates, compared signal by signal."""
+
+import json
+
+import numpy as np
+import pytest
+from softrig_bags.align import align, unrelated
+from softrig_bags.cli import main_compare
+from softrig_bags.compare import Tolerance
+from softrig_bags.errors import BagError
+from softrig_bags.read import EPOCH, signals
+from softrig_bags.write import write_bag
+from softrig_core.wire.cdr import Layout
+from softrig_core.wire.recording import Recording
+
+STATE = "sensor_msgs/msg/JointState"
+LAYOUT = Layout(STATE, "", ["x", "y"], {"position": 2})
+EPOCH_NS = 1_700_000_000_123_456_789
+
+
+def bag(folder, function, period, *, epoch=0, left=False, until=4.0, topic="plant/state", begin=0.0):
+    """A bag of one topic with two values, stamped from `epoch` on; `left`: the bag says so."""
+    found = Recording([(topic, STATE)])
+    for k in range(round(begin / period), round(until / period) + 1):
+        stamp = epoch + round(k * period * 1e9)
+        found.add(0, stamp, LAYOUT.encode(stamp, (float(function(k * period)), 1.0)))
+    write_bag(folder, found, custom_data={EPOCH: str(epoch)} if left else {})
+    return signals(folder)
+
+
+def wave(t):
+    return 2.0 * np.sin(3.0 * t)
+
+
+@pytest.mark.parametrize("left", [True, False])
+def test_real_time_against_lockstep_is_aligned_by_itself(tmp_path, capsys, left):
+    a = bag(tmp_path / "a", wave, 0.01)
+    b = bag(tmp_path / "b", lambda t: wave(t) + 0.001, 0.01, epoch=EPOCH_NS, left=left)
+    assert unrelated(a, b)
+    assert b["plant/state/x/position"].t[:2] == pytest.approx([0.0, 0.01], abs=1e-12)
+    result = align(a, b)
+    x, y = result.deviations
+    assert (x.signal, y.signal) == ("plant/state/x/position", "plant/state/y/position")
+    assert (x.largest, x.rms, x.shift) == (pytest.approx(1e-3), pytest.approx(1e-3), pytest.approx(0.0, abs=2e-3))
+    assert x.peak == pytest.approx(2.0, rel=1e-3)
+    assert (y.largest, y.rms, y.agrees) == (0.0, 0.0, True)
+    assert result.span == (0.0, 4.0)
+    assert main_compare([str(tmp_path / "a"), str(tmp_path / "b"), "--abs", "0.0011"]) == 0
+    assert main_compare([str(tmp_path / "a"), str(tmp_path / "b"), "--abs", "0.0009"]) == 1
+    assert "1 of 2 signals beyond their tolerance" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("late", [0.0137, -0.2])
+def test_the_time_shift_is_found(tmp_path, late):
+    a = bag(tmp_path / "a", wave, 0.01)
+    b = bag(tmp_path / "b", lambda t: wave(t - late), 0.01, epoch=EPOCH_NS)
+    (x, y) = align(a, b).deviations
+    assert x.shift == pytest.approx(late, abs=1e-4)
+    assert x.shifted_rms < 2.0 * (3.0 * 0.01) ** 2 / 8.0 < 0.01 * x.rms  # what straight lines leave
+    assert ("late" if late > 0 else "early") in str(x)
+    assert y.shift == 0.0  # a constant comes neither early nor late
+
+
+@pytest.mark.parametrize("periods", [(0.01, 0.04), (0.04, 0.01)])
+def test_different_rates_are_compared_at_the_samples_of_the_slower_one(tmp_path, periods, capsys):
+    a = bag(tmp_path / "a", wave, periods[0])
+    b = bag(tmp_path / "b", wave, periods[1])
+    result = align(a, b)
+    assert result.deviations[0].samples == 101
+    assert result.deviations[0].largest < 1e-12
+    assert main_compare([str(tmp_path / "a"), str(tmp_path / "b")]) == 1  # message by message most are missing
+    assert main_compare([str(tmp_path / "a"), str(tmp_path / "b"), "--align", "--abs", "1e-12"]) == 0
+
+
+def test_rates_that_never_meet_are_off_by_the_straight_line_alone(tmp_path):
+    a = bag(tmp_path / "a", wave, 0.001)
+    b = bag(tmp_path / "b", wave, 0.0317)
+    x, _ = align(a, b).deviations
+    assert 0.0 < x.largest < 2.0 * (3.0 * 0.001) ** 2 / 8.0 * 1.01  # peak curvature times step^2 / 8
+
+
+def test_what_one_lacks_is_named_and_what_has_no_time_in_common_refused(tmp_path):
+    a = bag(tmp_path / "a", wave, 0.01)
+    b = bag(tmp_path / "b", wave, 0.01, topic="other")
+    with pytest.raises(BagError, match="no topic with messages in both"):
+        align(a, b)
+    later = bag(tmp_path / "later", wave, 0.01, begin=5.0, until=6.0)
+    with pytest.raises(BagError, match="no time in common"):
+        align(a, later)
+
+
+def test_not_a_number_is_no_agreement(tmp_path):
+    a = bag(tmp_path / "a", wave, 0.01)
+    b = bag(tmp_path / "b", lambda t: np.nan if t == 1.0 else wave(t), 0.01, epoch=EPOCH_NS)
+    result = align(a, b, default=Tolerance(absolute=1e9))
+    assert not result.equal
+    assert result.deviations[0].largest < 1e-12  # where both are numbers
+    assert json.loads(result.to_json())["deviations"][0]["agrees"] is False
+
+
+def test_bitwise_knows_no_alignment(tmp_path, capsys):
+    bag(tmp_path / "a", wave, 0.01)
+    assert main_compare([str(tmp_path / "a"), str(tmp_path / "a"), "--align", "--bitwise"]) == 2
+    assert "--align with --bitwise" in capsys.readouterr().err

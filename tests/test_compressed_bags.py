@@ -1,0 +1,107 @@
+"""Bags that rosbag2 has compressed, file by file or message by message, and what is left of them after a crash."""
+
+import os
+import sqlite3
+
+import pytest
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.rosbag2.enums import CompressionFormat, CompressionMode
+from rosbags.typesys import Stores, get_typestore
+from softrig_bags.cli import main_bag
+from softrig_bags.errors import BagError
+from softrig_bags.read import read_bag
+from softrig_bags.reader import BagReader
+from softrig_bags.repair import repair
+from softrig_core.wire.cdr import Layout
+from softrig_core.wire.recording import Recording
+
+STATE = "sensor_msgs/msg/JointState"
+PLUGINS = {".mcap": StoragePlugin.MCAP, ".db3": StoragePlugin.SQLITE3}
+
+
+def recording(ticks=30_000):
+    layout = Layout(STATE, "", ["a", "b"], {"position": 2})
+    found = Recording([("state", STATE)])
+    for k in range(ticks):
+        t = k * 1_000_000
+        found.add(0, t, layout.encode(t, (0.1 * k, 1e-3 * k * k)))
+    return found
+
+
+def write(directory, source, mode, suffix):
+    """What rosbag2 writes with --compression-mode file or message, by the rosbags library."""
+    store = get_typestore(Stores.ROS2_JAZZY)
+    writer = Writer(directory, version=9, storage_plugin=PLUGINS[suffix])
+    writer.set_compression(mode, CompressionFormat.ZSTD)
+    with writer:
+        topic = writer.add_connection("/state", STATE, typestore=store)
+        for t, _, data in source.messages():
+            writer.write(topic, t, data)
+    return next(p for p in directory.iterdir() if p.name != "metadata.yaml")
+
+
+@pytest.mark.parametrize("suffix", PLUGINS)
+@pytest.mark.parametrize("share", [0.2, 0.6, 0.99])
+def test_a_compressed_file_that_is_cut_gives_what_comes_before_the_cut(tmp_path, suffix, share):
+    source = recording()
+    file = write(tmp_path / "bag", source, CompressionMode.FILE, suffix)
+    assert file.name.endswith(f"{suffix}.zstd")
+    os.truncate(file, int(file.stat().st_size * share))
+    (tmp_path / "bag" / "metadata.yaml").unlink()
+    with pytest.raises(BagError, match="bag repair"), BagReader(tmp_path / "bag"):
+        pass
+    done = repair(tmp_path / "bag")
+    assert "the compressed file ends there" in done.files[0].lost[-1]
+    found = read_bag(tmp_path / "bag").topics["state"].data
+    assert found == source.topics["state"].data[: len(found)]
+    assert share * 0.5 < len(found) / 30_000 <= 1.0
+
+
+@pytest.mark.parametrize("suffix", PLUGINS)
+@pytest.mark.parametrize("mode", [CompressionMode.FILE, CompressionMode.MESSAGE])
+def test_a_bag_that_lacks_its_metadata_alone_is_restored_whole(tmp_path, suffix, mode):
+    source = recording(2000)
+    write(tmp_path / "bag", source, mode, suffix)
+    assert repair(tmp_path / "bag").bag is None  # as long as it is whole
+    (tmp_path / "bag" / "metadata.yaml").unlink()
+    done = repair(tmp_path / "bag")
+    assert done.files[0].lost == []
+    assert read_bag(tmp_path / "bag").topics == source.topics
+
+
+def test_the_uncompressed_of_two_files_is_the_whole_one(tmp_path):
+    """rosbag2 was killed while it compressed."""
+    source = recording(2000)
+    file = write(tmp_path / "bag", source, CompressionMode.FILE, ".mcap")
+    whole = write(tmp_path / "other", source, CompressionMode.NONE, ".mcap")
+    whole.rename(file.with_suffix(""))
+    os.truncate(file, 100)
+    (tmp_path / "bag" / "metadata.yaml").unlink()
+    repair(tmp_path / "bag")
+    assert read_bag(tmp_path / "bag").topics == source.topics
+
+
+def test_a_damaged_message_costs_only_itself(tmp_path):
+    source = recording(50)
+    file = write(tmp_path / "bag", source, CompressionMode.MESSAGE, ".db3")
+    database = sqlite3.connect(file)
+    ((data,),) = database.execute("SELECT data FROM messages WHERE id = 7")
+    database.execute("UPDATE messages SET data = ? WHERE id = 7", (data[:-3],))
+    database.commit()
+    database.close()
+    done = repair(tmp_path / "bag", tmp_path / "new")
+    assert done.files[0].lost == ["a message of /state at 6000000 ns"]
+    data = source.topics["state"].data
+    assert read_bag(tmp_path / "new").topics["state"].data == data[:6] + data[7:]
+
+
+def test_what_is_beyond_repair_is_said_in_a_line(tmp_path, capsys):
+    file = write(tmp_path / "bag", recording(2000), CompressionMode.FILE, ".mcap")
+    os.truncate(file, 40)
+    (tmp_path / "bag" / "metadata.yaml").unlink()
+    before = sorted(tmp_path.rglob("*"))
+    assert main_bag(["repair", str(tmp_path / "bag")]) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert "not one whole message" in said
+    assert sorted(tmp_path.rglob("*")) == before

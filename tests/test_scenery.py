@@ -1,0 +1,92 @@
+"""A robot's bag shows the robot: description, frames and path, the same bytes whoever ran the nodes."""
+
+import hashlib
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from rosbags.interfaces import QosDurability
+from softrig_bags.read import deserialised, signals
+from softrig_bags.reader import BagReader
+from softrig_bringup.cli import main
+
+# scenario, topic of the joints, tip, links that move
+ROBOTS = [("manipulator_adsmc", "tool", 3), ("rehab_impedance", "foot", 2)]
+
+
+def run(scenario, mode, out, duration="0.2"):
+    main(["run", scenario, "--mode", mode, "--duration", duration, "--no-plots", "--out", str(out)])
+    return out / "bag"
+
+
+def messages(bag, topic):
+    found = bag.recording.topics[topic]
+    return [(t, deserialised(bag.store(found.msgtype), found, i)) for i, t in enumerate(found.times)]
+
+
+def matrix(transform):
+    p, q = transform.translation, transform.rotation
+    return pin.SE3(pin.Quaternion(q.w, q.x, q.y, q.z).matrix(), np.array([p.x, p.y, p.z]))
+
+
+@pytest.mark.parametrize(("scenario", "tip", "joints"), ROBOTS)
+def test_the_frames_in_the_bag_are_forward_kinematics_of_its_own_description(tmp_path, scenario, tip, joints):
+    bag = signals(run(scenario, "inprocess", tmp_path))
+    ((start, text),) = messages(bag, "robot_description")
+    model = pin.buildModelFromXML(text.data)
+    data = model.createData()
+    assert start == 0
+    fixed = {t.child_frame_id: t for t in messages(bag, "tf_static")[0][1].transforms}
+    frames = messages(bag, "tf")
+    assert [t for t, _ in frames] == [k * 20_000_000 for k in range(11)]
+    state = bag.table("joint_states")
+    q = np.array([state.columns[f"{name}/position"] for name in list(model.names)[1:]]).T
+    for t, message in frames:
+        moving = {x.child_frame_id: x for x in message.transforms}
+        assert len(moving) == joints
+        assert {x.header.stamp.sec * 10**9 + x.header.stamp.nanosec for x in message.transforms} == {t}
+        pin.framesForwardKinematics(model, data, q[np.flatnonzero(state.t == t / 1e9)[0]])
+        for name in (*moving, tip):  # the chain from the base to each link
+            place, at = pin.SE3.Identity(), name
+            while at != "base_link":
+                link = {**fixed, **moving}[at]
+                place, at = matrix(link.transform) * place, link.header.frame_id
+            wanted = data.oMf[model.getFrameId(name)]
+            assert np.allclose(place.homogeneous, wanted.homogeneous, atol=1e-12)
+    ((_, array),) = messages(bag, "markers")
+    (line,) = array.markers
+    assert line.header.frame_id == "base_link"
+    end = line.points[-1]
+    assert (end.x, end.y, end.z) == pytest.approx(data.oMf[model.getFrameId(tip)].translation.tolist(), abs=1e-12)
+    assert np.ptp(q, axis=0).max() > 1e-6  # it has moved
+
+
+def test_they_are_offered_to_who_comes_later_and_cost_little(tmp_path):
+    with BagReader(run("manipulator_adsmc", "inprocess", tmp_path)) as bag:
+        latched = {t.name for t in bag.topics if t.offered[0].durability == QosDurability.TRANSIENT_LOCAL}
+        assert latched == {"/robot_description", "/tf_static", "/markers"}
+        assert all(t.definition and t.digest.startswith("RIHS01_") for t in bag.topics)
+        sizes = dict.fromkeys((t.name for t in bag.topics), 0)
+        for i, _, data in bag.messages():
+            sizes[bag.topics[i].name] += len(data)
+    assert sizes["/tf"] < 0.05 * sum(sizes.values())
+
+
+@pytest.mark.processes
+def test_the_bag_is_the_same_from_processes_containers_and_memory(tmp_path):
+    modes = ("inprocess", "processes", "container")
+    bags = [run("manipulator_adsmc", mode, tmp_path / mode, "0.1") for mode in modes]
+    topics = [signals(b).recording.topics for b in bags]
+    digests = [
+        {name: hashlib.sha256(b"".join(t.data)).hexdigest() for name, t in found.items() if name != "/clock"}
+        for found in topics
+    ]
+    assert {"tf", "tf_static", "robot_description", "markers"} <= set(digests[0])
+    assert digests[0] == digests[1] == digests[2]
+
+
+def test_a_rig_without_a_robot_has_no_such_topics(tmp_path):
+    bag = signals(run("dc_motor_smc_b2", "inprocess", tmp_path))
+    assert not {"tf", "robot_description"} & set(bag.recording.topics)
+    assert Path(tmp_path / "bag").is_dir()
