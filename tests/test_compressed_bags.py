@@ -40,12 +40,11 @@ def write(directory, source, mode, suffix):
     return next(p for p in directory.iterdir() if p.name != "metadata.yaml")
 
 
-@pytest.mark.parametrize("suffix", PLUGINS)
 @pytest.mark.parametrize("share", [0.2, 0.6, 0.99])
-def test_a_compressed_file_that_is_cut_gives_what_comes_before_the_cut(tmp_path, suffix, share):
+def test_a_compressed_file_that_is_cut_gives_what_comes_before_the_cut(tmp_path, share):
     source = recording()
-    file = write(tmp_path / "bag", source, CompressionMode.FILE, suffix)
-    assert file.name.endswith(f"{suffix}.zstd")
+    file = write(tmp_path / "bag", source, CompressionMode.FILE, ".mcap")
+    assert file.name.endswith(".mcap.zstd")
     os.truncate(file, int(file.stat().st_size * share))
     (tmp_path / "bag" / "metadata.yaml").unlink()
     with pytest.raises(BagError, match="bag repair"), BagReader(tmp_path / "bag"):
@@ -95,8 +94,9 @@ def test_a_damaged_message_costs_only_itself(tmp_path):
     assert read_bag(tmp_path / "new").topics["state"].data == data[:6] + data[7:]
 
 
-def test_what_is_beyond_repair_is_said_in_a_line(tmp_path, capsys):
-    file = write(tmp_path / "bag", recording(2000), CompressionMode.FILE, ".mcap")
+@pytest.mark.parametrize("suffix", PLUGINS)
+def test_what_is_beyond_repair_is_said_in_a_line(tmp_path, capsys, suffix):
+    file = write(tmp_path / "bag", recording(5000), CompressionMode.FILE, suffix)
     os.truncate(file, 40)
     (tmp_path / "bag" / "metadata.yaml").unlink()
     before = sorted(tmp_path.rglob("*"))

@@ -4,6 +4,7 @@ terminal and without root's power over files: change a gain, bring a package, se
 import json
 import os
 import subprocess
+import sys
 import tempfile
 from pathlib import Path
 
@@ -69,10 +70,13 @@ class User:
         self.environment = keep | {"COLUMNS": "60", "HOME": str(home)}
         self.become = []
         if os.geteuid() == 0:  # elsewhere whoever runs the tests is a user without power already
-            for place in (folder, home, self.folder):
-                os.chown(place, UID, UID)
-            self.become = ["setpriv", f"--reuid={UID}", f"--regid={UID}", "--clear-groups", "--bounding-set=-all",
-                           "--inh-caps=-all"]  # fmt: skip
+            self.become = ["setpriv", "--bounding-set=-all", "--inh-caps=-all"]
+            another = [f"--reuid={UID}", f"--regid={UID}", "--clear-groups"]
+            python = subprocess.run([*self.become, *another, sys.executable, "-c", ""], capture_output=True)
+            if not python.returncode:  # root's own Python may lie in root's home, closed to others
+                self.become += another
+                for place in (folder, home, self.folder):
+                    os.chown(place, UID, UID)
 
     def __call__(self, command, status=0, timeout=240):
         """Type a command; gives what it printed, and what it complained of."""

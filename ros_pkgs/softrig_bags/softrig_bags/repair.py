@@ -143,7 +143,7 @@ def _rewrite(sources: list[Path], directory: Path, name: str) -> list[FileReport
                 if topic.name not in numbers:
                     numbers[topic.name] = writer.add_topic(topic)
     if writer is None:
-        hint = "; `sqlite3 FILE .recover` may find rows" if sources[0].suffix == ".db3" else ""
+        hint = "; `sqlite3 FILE .recover` may find rows" if plain(sources[0]).suffix == ".db3" else ""
         raise BagError(f"{', '.join(s.name for s in sources)}: not one whole message in it{hint}")
     writer.close()
     return reports
