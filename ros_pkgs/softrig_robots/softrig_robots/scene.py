@@ -8,6 +8,7 @@ from typing import Any
 from softrig_core.model.scene import Point, Pose
 
 from .rigid_body import frame_id, load_model
+from .urdf import root_link
 
 
 class RobotScene:
@@ -39,7 +40,7 @@ class RobotScene:
         linked = [(joints[i].parentFrame, i, kinds[joints[i].type]) for i in bodies if joints[i].type in kinds]
         self._fixed = [(parent, child) for parent, child, moves in linked if not moves and parent in joints]
         self._moving = [(parent, child) for parent, child, moves in linked if moves]
-        self.base = frames[bodies[0]].name
+        self.base = root_link(urdf)
 
     def _place(self, q: Sequence[float]) -> None:
         import numpy as np
