@@ -44,6 +44,7 @@ class Adapter:
     """
 
     open_ended = False  # whether being stopped is a normal end
+    status_every = 1  # status files a running node writes: one in so many watch periods
 
     def __init__(self, middleware: Middleware, block: Block, options: RunOptions, sink: Sink | None = None) -> None:
         self.middleware = middleware
@@ -67,6 +68,7 @@ class Adapter:
         self.lacking: list[str] = []  # topics of external nodes that nobody publishes yet
         self.on_finished: Callable[[], None] = lambda: None
         self._logged: set[str] = set()
+        self._watches = 0
         self._said: Any = {}  # the newest answer: what is held when an input is refused
         finishes = block.finishes() and not isinstance(block, Plant)
         self._respond = self._update_or_finish if finishes else block.update
@@ -273,4 +275,6 @@ class Adapter:
         for key, (level, text, _) in self.block.reports.items():
             self.log_once(key, level, text)
         self.progress()
-        write_status(self)
+        self._watches += 1
+        if self._watches % self.status_every == 0 or self.state != "running":
+            write_status(self)

@@ -30,7 +30,7 @@ from .profile import exclusive
 from .spin import conclude, failure
 from .startup import make_adapter
 
-LOOK = 50_000_000  # ns: how long a busy container leaves DDS alone: a look takes as long as some ticks
+LOOK = 100_000_000  # ns: how long a busy container leaves DDS alone: a look takes as long as some ticks
 SPIN = 300_000  # ns: a timer closer than this is waited for awake: to sleep and wake takes half as long
 YOUNG = 20_000  # objects between two garbage collections: what a tick makes dies with it
 GRACE = 1.0  # s: after one node gives up, how long the others may take to say what they saw

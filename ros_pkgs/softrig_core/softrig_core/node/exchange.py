@@ -54,23 +54,34 @@ class _Channel:
 
 
 class ExchangeTimer:
-    """A timer of the container's own; see `Timer`."""
+    """A timer of the container's own; see `Timer`.
 
-    def __init__(self, exchange: Exchange, ns: int, callback: Callable[[], None]) -> None:
-        self._exchange = exchange
+    Attributes
+    ----------
+    due : int or None
+        When it fires next, ns, monotonic; None when it is cancelled.
+    moved : bool
+        Whether it has been moved since the exchange has entered it; it is entered only once a turn, when all that
+        waited has been handed over: most limits are off again by then.
+    """
+
+    def __init__(self, moved: list[ExchangeTimer], ns: int, callback: Callable[[], None]) -> None:
+        self._moved = moved
         self.callback = callback
-        self.generation = 0
+        self.moved = False
         self.again(ns)
 
     def again(self, ns: int) -> None:
         """Fire after `ns` and then with that period."""
-        self.generation += 1
         self.period = max(1000, ns)
-        self._exchange.arm(self)
+        self.due: int | None = time.monotonic_ns() + self.period
+        if not self.moved:
+            self.moved = True
+            self._moved.append(self)
 
     def cancel(self) -> None:
         """Never fire again, unless `again` is called."""
-        self.generation += 1
+        self.due = None
 
 
 class Exchange:
@@ -79,7 +90,8 @@ class Exchange:
     def __init__(self) -> None:
         self._queue: deque[tuple[Sequence[Callable[[Any], None]], Any]] = deque()
         self._channels: dict[tuple[str, str], _Channel] = {}
-        self._timers: list[tuple[int, int, int, ExchangeTimer]] = []
+        self._timers: list[tuple[int, int, ExchangeTimer]] = []
+        self._moved: list[ExchangeTimer] = []
         self._order = count()
         self._owners: dict[Callable[..., None], str] = {}  # node names
         self._culprit: Callable[..., None] | None = None
@@ -139,7 +151,7 @@ class Exchange:
     def timer(self, ns: int, callback: Callable[[], None], node: str) -> ExchangeTimer:
         """Add a timer that belongs to a node."""
         self._owners[callback] = node
-        return ExchangeTimer(self, ns, callback)
+        return ExchangeTimer(self._moved, ns, callback)
 
     def culprit(self) -> str:
         """Name of the node whose code has raised; empty when it is nobody's."""
@@ -170,16 +182,21 @@ class Exchange:
         int
             ns to the next timer; 0 when something waits to be done.
         """
-        now = time.monotonic_ns
+        now, queue = time.monotonic_ns, self._queue
         while True:
-            self._fire(now())
-            if self._queue:
-                self._drain(min(until, now() + SLICE))
+            due = self.next_due()
             t = now()
-            rest = self.next_due() - t
-            if rest > awake and not self._queue:
-                return rest
-            if t > until:
+            if due <= t:
+                self._fire()
+            elif not queue:
+                if due - t > awake:
+                    return due - t
+                limit = min(due, until)
+                while now() < limit:
+                    pass
+            if queue:
+                self._drain(min(until, t + SLICE))
+            if now() > until:
                 return 0
 
     def _drain(self, until: int) -> None:
@@ -199,27 +216,25 @@ class Exchange:
             self._culprit = call
             raise
 
-    def arm(self, timer: ExchangeTimer) -> None:
-        """Have a timer fire after its period."""
-        heapq.heappush(
-            self._timers, (time.monotonic_ns() + timer.period, next(self._order), timer.generation, timer)
-        )  # fmt: skip
-
     def next_due(self) -> int:
         """Time (ns, monotonic) of the next timer; far away when there is none."""
-        while self._timers and self._timers[0][2] != self._timers[0][3].generation:
-            heapq.heappop(self._timers)
-        return self._timers[0][0] if self._timers else 1 << 62
+        timers = self._timers
+        for timer in self._moved:
+            timer.moved = False
+            if timer.due is not None:
+                heapq.heappush(timers, (timer.due, next(self._order), timer))
+        self._moved.clear()
+        while timers and timers[0][0] != timers[0][2].due:  # it was moved or cancelled
+            heapq.heappop(timers)
+        return timers[0][0] if timers else 1 << 62
 
-    def _fire(self, now: int) -> None:
-        """Fire the timer that has been due the longest, if one is; what it sends is queued."""
-        if self.next_due() > now:
-            return
-        _, _, generation, timer = heapq.heappop(self._timers)
+    def _fire(self) -> None:
+        """Fire the timer that has been due the longest; what it sends is queued."""
+        due, _, timer = heapq.heappop(self._timers)
         try:
             timer.callback()
         except BaseException:
             self._culprit = timer.callback
             raise
-        if timer.generation == generation:  # it has not been moved
-            self.arm(timer)
+        if timer.due == due:  # it has not moved itself
+            timer.again(timer.period)

@@ -86,6 +86,13 @@ class Feed:
         """Give the value of a tick stamped `stamp`: the newest one not after it; None when there is none."""
         self.fresh = False
         recent = self._recent
+        if recent and recent[-1][0] == stamp and not self.by_arrival:  # nearly always
+            value = recent[-1][1]
+            if len(recent) > 1:
+                recent.clear()
+                recent.append((stamp, value))
+            self.used = stamp
+            return value
         if self.by_arrival:
             stamp = max(stamp, self.stamp or 0)
         while len(recent) > 1 and recent[1][0] <= stamp:

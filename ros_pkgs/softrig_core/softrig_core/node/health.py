@@ -7,7 +7,7 @@ import math
 import time
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from ..model.block import Observer
 
@@ -20,7 +20,7 @@ def write_status(adapter: Adapter) -> None:
     if not adapter.options.status:
         return
     block = adapter.block
-    status = {
+    status: dict[str, Any] = {
         "state": adapter.state, "t": adapter.t, "ticks": adapter.ticks,
         "error": str(adapter.error) if adapter.error else "", "waits_for": adapter.waits_for,
         "lacking": adapter.lacking, "epoch": adapter.epoch,
@@ -28,9 +28,9 @@ def write_status(adapter: Adapter) -> None:
         "reports": {key: [int(level), text, n] for key, (level, text, n) in block.reports.items()},
         "busy": adapter.busy(),
         "cpu_s": round(time.process_time(), 3),
-        "peak_memory_mb": _peak_memory(),
-        **({} if adapter.state == "running" else adapter.statistics()),  # sorting takes longer than a tick
     }  # fmt: skip
+    if adapter.state != "running":  # what takes longer than a tick
+        status |= {"peak_memory_mb": _peak_memory()} | adapter.statistics()
     if isinstance(block, Observer) and adapter.state == "done":
         status["figures"] = {k: v for k, v in block.status().items() if math.isfinite(v[0])}
     path = Path(adapter.options.status)

@@ -34,6 +34,7 @@ class Realtime(Adapter):
     """A block driven by the wall clock; see `Adapter` for the parameters."""
 
     open_ended = True
+    status_every = 4  # a file takes longer than a tick
 
     def __init__(self, middleware: Middleware, block: Block, options: RunOptions, sink: Sink | None = None) -> None:
         self.feeds: dict[str, Feed] = {}
@@ -134,19 +135,23 @@ class Realtime(Adapter):
                 pick = item.decode.pick(layout)
             except Refused:  # each message will be, with its reason
                 return None
-            window, encode, bound = self._window, layout.encode, item.decode.bound
+            window, encode, bound, clock = self._window, layout.encode, item.decode.bound, self.middleware.now
 
             def receive_numbers(message: Message) -> None:
                 stamp, sent = message
                 if self.state != "running":
                     return
                 values = sent if pick is None else pick(sent)
-                now = self.middleware.now()
+                now = clock()
                 usual = sum(map(abs, values)) <= bound and -window <= stamp - now <= window
-                if usual and item.publishers <= 1 and self.epoch:
-                    self._take(feed, stamp, stamp, values, now)
-                else:
+                if not (usual and item.publishers <= 1 and self.epoch):
                     receive(encode(stamp, sent))
+                elif self._by_messages and feed.awaited and not self.stale:  # as `_take`
+                    feed.put(stamp, values, now)
+                    if stamp >= self._following or feed is self._awaited[self._complete]:
+                        self._begin(stamp, feed)
+                else:
+                    self._take(feed, stamp, stamp, values, now)
 
             return receive_numbers
 
@@ -245,11 +250,13 @@ class Realtime(Adapter):
         awaited, pending = self._awaited, self._pending
         while pending and self.state == "running":
             stamp = pending[0]
-            while self._complete < len(awaited):
-                feed = awaited[self._complete]
+            for k in range(self._complete, len(awaited)):
+                feed = awaited[k]
+                if feed.stamp == stamp and not feed.by_arrival:
+                    continue  # nearly always
                 if not (feed.complete(stamp - self.epoch, self.epoch, self._period) and feed.ready(stamp)):
+                    self._complete = k
                     return
-                self._complete += 1
             self._complete = 0
             self._answer(pending.popleft())
         if not pending:
@@ -284,13 +291,14 @@ class Realtime(Adapter):
         self._last_stamp = stamp
         t = stamp - self.epoch
         now = self.middleware.now()
+        stale = now - self._stale_after
         for name, feed in self._used:
             value = feed.take(stamp)
             if value is not None:
                 self.values[name] = value
             if feed.bad is not None and feed.bad <= stamp:
                 self.bad, feed.bad = True, None
-            if feed.awaited:
+            if feed.awaited and feed.arrived is not None and feed.arrived < stale:
                 self._notice_silence(feed, now)
         self.t = t
         self._say(t)
