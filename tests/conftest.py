@@ -6,8 +6,13 @@ import subprocess
 import time
 from pathlib import Path
 
+import hypothesis
 import pytest
 
+# a loaded machine is slow, which says nothing about the code
+hypothesis.settings.register_profile("any_speed", deadline=None,
+                                     suppress_health_check=[hypothesis.HealthCheck.too_slow])  # fmt: skip
+hypothesis.settings.load_profile("any_speed")
 os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"  # rclpy then refuses what it would send as garbage
 PACKAGE = Path(__file__).parent / "rig_package"
 os.environ["AMENT_PREFIX_PATH"] = f"{PACKAGE}{os.pathsep}{os.environ.get('AMENT_PREFIX_PATH', '')}"

@@ -102,7 +102,10 @@ def test_exit_status_tells_a_miss_from_a_mistake_from_a_break(folder, capsys):
     [
         (("lag", "--set", "gain.k=[1"), "--set 'gain.k=[1': not valid YAML: while parsing a flow sequence"),
         (("lag", "--seed", "-1"), "--seed: Input should be greater than or equal to 0, got -1"),
-        (("lag_plot_typo",), "plot 'Position': no signal 'lag/state/y/position'; the rig has lag/state/x/position"),
+        (
+            ("lag_plot_typo",),
+            "plot 'Position': no signal 'lag/state/y/position' (did you mean 'lag/state/x/position'?)",
+        ),
     ],
 )
 def test_a_mistake_is_one_line_before_the_run(folder, capsys, monkeypatch, arguments, message):

@@ -18,13 +18,13 @@ from softrig_core.rig.simulate import simulate
 ROOT = Path(__file__).parents[1]
 PAGES = sorted(p.relative_to(ROOT) for p in (*ROOT.glob("ros_pkgs/*/doc/*.md"),))
 SIX = ("dc_motor_smc", "dc_motor_fsfb", "induction_dtc", "pv_mppt", "manipulator_adsmc", "rehab_impedance")
-GENERATED = [p for p in PAGES if p.stem in SIX]
+GENERATED = [p for p in PAGES if "<!-- end -->" in (ROOT / p).read_text()]
 WRITE = "run scripts/softrig python -m softrig_bringup.pages {}"
 
 
 def test_every_landed_system_has_its_page():
-    assert {p.stem for p in GENERATED} == set(SIX)
-    for page in GENERATED:
+    assert {p.stem for p in GENERATED} >= set(SIX)
+    for page in (p for p in GENERATED if p.stem in SIX):
         text = (ROOT / page).read_text()
         assert all(f"<!-- {part}: " in text for part in ("nodes", "claims", "scenarios")), page
 

@@ -8,16 +8,18 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from softrig_bringup import plots
 from softrig_bringup.folder import ResultsFolder
-from softrig_bringup.plots import OVERVIEW, envelope, plot_name, plot_run, pretty_unit, units
+from softrig_bringup.plots import figures as plots
+from softrig_bringup.plots.curves import envelope
+from softrig_bringup.plots.figures import OVERVIEW, plot_name, plot_run
+from softrig_bringup.plots.style import pretty_unit
 from softrig_bringup.report import write_report
 from softrig_bringup.run import save, summary
 from softrig_core.errors import ScenarioError
 from softrig_core.model.block import Block, Plant
 from softrig_core.model.params import BlockParams, param
 from softrig_core.model.port import command, joint_state, number, reference, scalars, vector3
-from softrig_core.rig.figures import Result
+from softrig_core.rig.figures import Result, signal_units
 from softrig_core.rig.inprocess import run_inprocess
 from softrig_core.rig.rig import Rig
 from softrig_core.rig.scenario import Scenario
@@ -125,9 +127,9 @@ def draw(monkeypatch, tmp_path):
     def draw(rig, recording):
         figures, save = {}, plots.save_figure
 
-        def keep(figure, path, title, run):
+        def keep(figure, path, title, run, also):
             figures[title] = figure
-            save(figure, path, title, run)
+            save(figure, path, title, run, also)
 
         monkeypatch.setattr(plots, "save_figure", keep)
         paths = plot_run(Signals(recording), rig, tmp_path)
@@ -147,7 +149,7 @@ def lines(axes):
 
 def test_every_recorded_signal_has_a_unit(make_rig):
     rig = make_rig()
-    known = units(rig)
+    known = signal_units(rig)
     assert set(Signals(record(rig))) <= set(known)
     assert known["drive/state/shaft/velocity"] == "rad/s"
     assert known["drive/sensors/count/position"] == ""
@@ -169,7 +171,7 @@ def test_commands_are_steps_and_states_are_lines(make_rig, draw):
     assert found["reference"].get_drawstyle() == "steps-post"
     assert found["reference"].get_linestyle() == "--"
     assert found["reference"].get_zorder() > found["speed"].get_zorder()
-    assert (speed.get_ylabel(), volts.get_ylabel()) == ("rad/s", "command (V)")
+    assert (speed.get_ylabel(), volts.get_ylabel()) == ("Speed, rad/s", "Voltage, V")
     (command,) = volts.lines
     assert command.get_drawstyle() == "steps-post"
     assert command.get_xdata()[-1] == pytest.approx(2.0)  # held to the end of the run, past its last sample at 1.99 s
@@ -193,7 +195,7 @@ def test_legends_cover_no_data(make_rig, draw):
 def test_flux_circle_is_round_and_names_its_axes(make_rig, draw):
     rig = make_rig()
     (ax,) = draw(rig, record(rig))["Flux circle"].axes
-    assert (ax.get_xlabel(), ax.get_ylabel()) == ("α (Wb)", "β (Wb)")
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("α, Wb", "β, Wb")
     assert ax.get_aspect() == 1.0
     machine = lines(ax)["machine"]
     assert np.hypot(machine.get_xdata(), machine.get_ydata()) == pytest.approx(0.9)
@@ -212,7 +214,7 @@ def test_window_shows_only_its_time(make_rig, draw):
 def test_short_run_is_drawn_in_milliseconds(make_rig, draw):
     rig = make_rig(duration=0.05, plots=PLOTS[:1])
     (ax,) = draw(rig, record(rig))[PLOTS[0]["title"]].axes
-    assert ax.get_xlabel() == "time (ms)"
+    assert ax.get_xlabel() == "Time, ms"
     assert lines(ax)["measured"].get_xdata()[-1] == pytest.approx(50.0)
 
 
@@ -233,9 +235,10 @@ def test_overview_shows_every_signal_with_its_unit(make_rig, draw):
     rig = make_rig()
     figure = draw(rig, record(rig))["Every recorded signal"]
     panels = [ax for ax in figure.axes if ax.get_visible()]
-    assert sum(len(ax.lines) for ax in panels) == len(units(rig))
+    assert sum(len(ax.lines) for ax in panels) == len(signal_units(rig)) - 1  # drive/load: nobody publishes it
     assert {ax.get_ylabel() for ax in panels} == {"rad", "rad/s", "N m", "Wb", "A", "", "V"}
-    assert "nothing published" in [t.get_text() for ax in panels for t in ax.texts]
+    assert figure._supxlabel.get_text() == "nothing published on drive/load"
+    assert all(ax.lines for ax in panels)
     titles = [ax.get_title(loc="left") for ax in panels]
     assert "drive/state/shaft/velocity" in titles
     assert any(t.startswith("drive/bus/*/position: 12 signals") for t in titles)

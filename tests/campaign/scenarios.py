@@ -4,7 +4,7 @@ import random
 import re
 from pathlib import Path
 
-from softrig_bringup.plots import check_plots
+from softrig_bringup.plots.curves import check_plots
 from softrig_core.errors import RunError, ScenarioError
 from softrig_core.rig.figures import figures_of
 from softrig_core.rig.inprocess import run_inprocess

@@ -11,7 +11,9 @@ from pathlib import Path
 from softrig_core.errors import ScenarioError
 
 MANIFEST = "softrig_files.json"
-OURS = re.compile(r"bag|log|metrics\.json|report\.html|overview\.png|plot_\d\d_[a-z0-9_]*\.png|softrig_files\.json")
+OURS = re.compile(
+    r"bag|log|metrics\.json|report\.html|(overview|plot_\d\d_[a-z0-9_]*)\.(png|svg|pdf)|softrig_files\.json"
+)
 
 
 class ResultsFolder:

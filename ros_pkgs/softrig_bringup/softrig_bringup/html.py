@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import base64
 import os
+import struct
 from collections.abc import Sequence
 from pathlib import Path
 from xml.etree.ElementTree import Element, tostring
@@ -48,6 +50,13 @@ def table(header: Sequence[str], rows: Sequence[Sequence[Element | str]], number
     head = e("tr", *(e("th", text, scope="col", class_=kind) for text, kind in zip(header, kinds, strict=True)))
     body = [e("tr", *(e("td", cell, class_=kind) for cell, kind in zip(row, kinds, strict=True))) for row in rows]
     return e("div", e("table", e("thead", head), e("tbody", *body)), class_="scroll")
+
+
+def picture(png: bytes, title: str) -> Element:
+    """Make an image that stands in the page itself, with its size, so that nothing moves while the page is read."""
+    width, height = struct.unpack(">II", png[16:24])
+    source = f"data:image/png;base64,{base64.b64encode(png).decode()}"
+    return e("img", src=source, alt=title, width=str(width), height=str(height))
 
 
 def mark(passed: bool, text: str) -> Element:
@@ -103,6 +112,19 @@ th:last-child, td:last-child { padding-right: 0; }
 .gauge .centre { stroke: var(--soft); }
 .gauge .pass { fill: var(--good); }
 .gauge .miss { fill: var(--bad); }
+.diagram { display: block; height: auto; margin: .3rem 0; }
+.diagram text { font: 11px ui-monospace, "DejaVu Sans Mono", monospace; fill: var(--ink); }
+.diagram .node rect { fill: var(--paper); stroke: var(--soft); stroke-width: 1.3; }
+.diagram .plant rect { fill: var(--panel); stroke: var(--link); stroke-width: 2; }
+.diagram .outside rect { stroke-dasharray: 6 4; }
+.diagram .node text { text-anchor: middle; }
+.diagram .name { font-weight: 700; }
+.diagram .kind { fill: var(--soft); font-size: 10px; }
+.diagram .wire path { fill: none; stroke: var(--soft); stroke-width: 1.3; }
+.diagram .wire .head, .diagram .wire .dot { fill: var(--soft); stroke: none; }
+.diagram .wire .open { fill: none; stroke: var(--soft); stroke-width: 1.3; }
+.diagram .wire:hover path { stroke: var(--link); stroke-width: 2.4; }
+.diagram .wire:hover text, .diagram .wire:hover .head, .diagram .wire:hover .dot { fill: var(--link); }
 figure { margin: 0 0 1.4rem; break-inside: avoid; }
 img { display: block; max-width: 100%; height: auto; }
 details { border-top: 1px solid var(--line); padding: .35rem 0; }

@@ -5,6 +5,7 @@ A page holds pairs of markers; what stands between them is made from the code an
     <!-- nodes: softrig_drives dc_motor_plant dc_motor_smc -->      topics and parameters of executables
     <!-- claims: dc_motor_smc -->                                   what the paper says, by beginning of scenario names
     <!-- scenarios: dc_motor_smc -->                                scenarios, by beginning of their names
+    <!-- sources: dc_motor_smc -->                                  papers that these scenarios cite, with BibTeX
     <!-- verdicts: all -->                                          claims of each system by their verdicts
     <!-- end -->
 """
@@ -23,9 +24,10 @@ from softrig_core.rig.claims import VERDICTS
 from softrig_core.rig.rig import load_block
 from softrig_core.rig.scenario import list_scenarios, load_scenario
 
+from .citations import cited, listed
 from .study.definition import list_studies, load_study
 
-_PART = re.compile(r"(<!-- (nodes|claims|scenarios|verdicts): ([^>]*?) -->\n).*?(<!-- end -->)", re.DOTALL)
+_PART = re.compile(r"(<!-- (nodes|claims|scenarios|sources|verdicts): ([^>]*?) -->\n).*?(<!-- end -->)", re.DOTALL)
 
 
 def generate(page: str) -> str:
@@ -34,7 +36,8 @@ def generate(page: str) -> str:
     def part(found: re.Match[str]) -> str:
         first, *words = found[3].split()
         made = {"nodes": lambda: nodes(first, words), "claims": lambda: claims([first, *words]),
-                "scenarios": lambda: scenarios([first, *words]), "verdicts": verdicts}[found[2]]()  # fmt: skip
+                "scenarios": lambda: scenarios([first, *words]), "sources": lambda: sources([first, *words]),
+                "verdicts": verdicts}[found[2]]()  # fmt: skip
         return f"{found[1]}\n{made}\n\n{found[4]}"
 
     return _PART.sub(part, page)
@@ -95,6 +98,13 @@ def scenarios(prefixes: Sequence[str]) -> str:
         scenario = load_scenario(name)
         lines.append(f"| `{name}` | {scenario.title} | {scenario.duration:g} |")
     return "\n".join(lines)
+
+
+def sources(prefixes: Sequence[str]) -> str:
+    """Papers that scenarios cite, each once, with their BibTeX entries."""
+    keys = [key for name in chosen(prefixes) for key in load_scenario(name).cites]
+    found = cited(list(dict.fromkeys(keys)))
+    return "\n".join([*listed(found), "", "```bibtex", "\n\n".join(c.bibtex for c in found), "```"])
 
 
 def verdicts() -> str:

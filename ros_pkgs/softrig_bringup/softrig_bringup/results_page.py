@@ -11,8 +11,9 @@ from softrig_core.rig.claims import VERDICTS
 from softrig_core.rig.findings import Finding
 from softrig_core.rig.scenario import Scenario
 
+from .citations import Citation, cited, listed, sources
 from .html import e, mark, page, table
-from .plots import pretty_unit
+from .plots.style import pretty_unit
 from .study.definition import list_studies
 
 HEADER = ("Claim", "Where", "Published", "Measured", "Unit", "Verdict", "")
@@ -26,11 +27,13 @@ def counts(rows: Sequence[Finding]) -> str:
     return f"{len(rows)} claims: {text}; " + (f"{false} verdicts are not borne out" if false else "every verdict holds")
 
 
-def by_system(scenarios: Sequence[Scenario], rows: Sequence[Finding]) -> Iterator[tuple[str, list[str], list[Finding]]]:
-    """Give system, sources and findings, the systems by name."""
+def by_system(
+    scenarios: Sequence[Scenario], rows: Sequence[Finding]
+) -> Iterator[tuple[str, list[Scenario], list[Finding]]]:
+    """Give system, scenarios and findings, the systems by name."""
     system = {s.name: s.system for s in scenarios}
     for name, group in groupby(sorted(rows, key=lambda r: system[r.scenario]), lambda r: system[r.scenario]):
-        yield name, list(dict.fromkeys(s.source for s in scenarios if s.system == name)), list(group)
+        yield name, [s for s in scenarios if s.system == name], list(group)
 
 
 def html(scenarios: Sequence[Scenario], rows: Sequence[Finding]) -> str:
@@ -47,15 +50,16 @@ def html(scenarios: Sequence[Scenario], rows: Sequence[Finding]) -> str:
         e("p", *(part for v, text in VERDICTS.items() for part in (e("b", v.replace("_", " ")), f": {text}. ")),
           class_="note"),
     ]  # fmt: skip
-    for system, sources, group in groups:
+    for system, mine, group in groups:
         cells: list[tuple[Element | str, ...]] = [
             (_claim(r), r.where, _number(r.published) or r.compared_text, r.measured_text, pretty_unit(r.unit),
              _verdict(r), e("code", r.scenario))
             for r in group
         ]  # fmt: skip
         names = list(dict.fromkeys(r.scenario for r in group))
+        papers = list(sources(_cited(mine))) or [e("p", text, class_="what") for text in _stated(mine)]
         body.append(
-            e("section", e("h2", system), *(e("p", source, class_="what") for source in sources),
+            e("section", e("h2", system), *papers,
               table((*HEADER[:-1], "Scenario"), cells, "  nn   "),
               e("details", e("summary", "Repeat"), e("pre", "\n".join(map(command, names)))), id=system)
         )  # fmt: skip
@@ -69,8 +73,8 @@ def markdown(scenarios: Sequence[Scenario], rows: Sequence[Finding]) -> str:
     groups = list(by_system(scenarios, rows))
     lines += [f"| {s} | " + " | ".join(_count(group, v) for v in VERDICTS) + " |" for s, _, group in groups]
     lines += ["", *(f"- **{v.replace('_', ' ')}**: {text}" for v, text in VERDICTS.items())]
-    for system, sources, group in groups:
-        lines += ["", f"## {system}", "", *(f"{source}  " for source in sources), ""]
+    for system, mine, group in groups:
+        lines += ["", f"## {system}", "", *(listed(_cited(mine)) or _stated(mine)), ""]
         lines += ["| claim | where | published | measured | verdict | scenario |", "|---" * 6 + "|"]
         for r in group:
             verdict = r.verdict.replace("_", " ") + ("" if r.holds else " (NOT BORNE OUT)")
@@ -84,6 +88,15 @@ def markdown(scenarios: Sequence[Scenario], rows: Sequence[Finding]) -> str:
     ]
     lines.append("")
     return "\n".join(lines)
+
+
+def _stated(scenarios: Sequence[Scenario]) -> list[str]:
+    """What scenarios say of their source, where no paper is cited."""
+    return list(dict.fromkeys(s.source for s in scenarios))
+
+
+def _cited(scenarios: Sequence[Scenario]) -> tuple[Citation, ...]:
+    return cited(list(dict.fromkeys(key for s in scenarios for key in s.cites)))
 
 
 def command(scenario: str) -> str:

@@ -28,8 +28,11 @@ from softrig_core.rig.simulate import Run
 from softrig_core.rig.stopping import signal_of, stoppable
 from softrig_core.wire.recording import Recording
 
+from .citations import cited
 from .folder import ResultsFolder
-from .plots import check_plots, plot_run
+from .plots.curves import check_plots, shown
+from .plots.figures import plot_run
+from .wiring import wiring_of
 
 Mode = Literal["processes", "container", "inprocess", "realtime"]
 
@@ -106,6 +109,7 @@ def checked(scenario: Scenario) -> Rig:
     rig = Rig.from_scenario(scenario)
     figures_of(rig)
     check_plots(rig)
+    cited(scenario.cites)
     return rig
 
 
@@ -156,6 +160,9 @@ def summary(run: Run, figures: Sequence[Result], command: str) -> dict[str, Any]
         "claims": [f.model_dump() for f in run.claims],
         "nodes": run.status,
         "plots": [p.model_dump() for p in scenario.plots],
+        "signals": {name: s.model_dump() for name, s in shown(run.rig).items()},
+        "wiring": wiring_of(run.rig).model_dump(),
+        "citations": [c.model_dump() for c in cited(scenario.cites)],
     }
 
 
@@ -196,18 +203,31 @@ def _checkout() -> dict[str, str]:
 
 
 def save(
-    run: Run, content: Mapping[str, Any], folder: ResultsFolder, *, record: bool = True, plots: bool = True
-) -> None:
-    """Write bag/, metrics.json, plots and report.html into a folder, and the list of what was written."""
+    run: Run, content: Mapping[str, Any], folder: ResultsFolder, *, record: bool = True, plots: bool = True,
+    also: str = "",
+) -> None:  # fmt: skip
+    """Write bag/, metrics.json, plots and report.html into a folder, and the list of what was written.
+
+    Parameters
+    ----------
+    run : Run
+    content : mapping
+        From `summary`.
+    folder : ResultsFolder
+    record, plots : bool
+        Whether the bag, the pictures with the page are written.
+    also : str
+        See `softrig_bringup.plots.figures.plot_run`.
+    """
     directory = folder.path
     directory.mkdir(parents=True, exist_ok=True)
     try:
-        _write(run, content, directory, record=record, plots=plots)
+        _write(run, content, directory, record=record, plots=plots, also=also)
     finally:
         folder.close()
 
 
-def _write(run: Run, content: Mapping[str, Any], directory: Path, *, record: bool, plots: bool) -> None:
+def _write(run: Run, content: Mapping[str, Any], directory: Path, *, record: bool, plots: bool, also: str) -> None:
     # first: if the disk is full, this is what tells why
     (directory / "metrics.json").write_text(json.dumps(content, indent=1) + "\n")
     if record:
@@ -221,7 +241,7 @@ def _write(run: Run, content: Mapping[str, Any], directory: Path, *, record: boo
     from .report import write_report
 
     if any(topic.times for topic in run.recording.topics.values()):
-        plot_run(run.signals, run.rig, directory)
+        plot_run(run.signals, run.rig, directory, also)
     write_report([directory], directory / "report.html")
 
 

@@ -39,6 +39,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         "--out", type=Path, metavar="DIR", help="results go here (default runs/SCENARIO and what was changed)"
     )
     parser.add_argument("--no-record", action="store_true", help="no bag")
+    parser.add_argument("--format", choices=("svg", "pdf"), default="", help="pictures of this kind beside the PNG")
     parser.add_argument("--no-plots", action="store_true", help="only metrics.json and the bag")
 
 
@@ -83,7 +84,7 @@ def _run_reserved(options: argparse.Namespace) -> int:
     figures = [] if done.error else done.results
     command = shlex.join(["scripts/softrig", "run", *repeat(options)])
     content = summary(done, figures, command) | {"changed": changed}
-    save(done, content, folder, record=not options.no_record, plots=not options.no_plots)
+    save(done, content, folder, record=not options.no_record, plots=not options.no_plots, also=options.format)
     if done.error:
         say(f"the run broke: {done.error}")
         say(f"what was recorded up to there is in {os.path.relpath(out)}, what the nodes said in its log/")
@@ -182,7 +183,7 @@ def _print_figures(scenario: Scenario, run: Run, out: Path, changed: Sequence[st
     from rich.table import Table
 
     from .listing import console as make_console
-    from .report import accepted
+    from .wording import accepted
 
     console = make_console()
     title = f"{scenario.name}: {scenario.title}" + (f", changed: {', '.join(changed)}" if changed else "")

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-import base64
 import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import Element
 
-from softrig_core.rig.figures import Result, figures_of
+from softrig_core.model.params import declarations
+from softrig_core.rig.figures import Result, figures_of, signal_units
 from softrig_core.rig.findings import Finding
+from softrig_core.rig.scenario import load_scenario
 from softrig_core.rig.simulate import rig_of
 
-from ..html import e, mark, table, write_page
-from ..report import accepted
+from ..citations import cited, sources
+from ..html import e, mark, picture, table, write_page
+from ..wording import accepted
 from .definition import Study
 from .engine import run_study
 from .pictures import chosen, draw_study, label
@@ -30,7 +32,7 @@ def main(study: Study, out: Path, *, workers: int | None = None, scheduler: str 
     write_table(rows, out, study.duration)
     found = results(study, rows)
     held = claims(study, found)
-    units = _units(study, rows)
+    units = _units(rows)
     pictures = draw_study(study, rows, log.rows() if study.signals else (), out, units)
     content = {
         "study": study.name,
@@ -47,11 +49,13 @@ def main(study: Study, out: Path, *, workers: int | None = None, scheduler: str 
     return 0 if all(r.passed for r in found) and all(c.holds is not False for c in held) else 1
 
 
-def _units(study: Study, rows: Sequence[Row]) -> dict[str, str]:
-    """Units of the figures, from the scenarios that the study runs."""
+def _units(rows: Sequence[Row]) -> dict[str, str]:
+    """Units of figures, parameters (``node.name``) and signals, from the scenarios that the study runs."""
     units: dict[str, str] = {}
     for scenario in dict.fromkeys(row["scenario"] for row in rows):
-        units |= {f.name: f.unit for f in figures_of(rig_of(scenario))}
+        rig = rig_of(scenario)
+        units |= {f.name: f.unit for f in figures_of(rig)} | signal_units(rig)
+        units |= {f"{m.name}.{d.name}": d.unit for m in rig.members for d in declarations(type(m.params))}
     return units
 
 
@@ -116,8 +120,8 @@ def _page(
         body += [e("h2", "Best run"), e("pre", command(winner, study.duration))]
     body.append(e("h2", "Pictures"))
     for path in pictures:
-        source = "data:image/png;base64," + base64.b64encode(path.read_bytes()).decode()
-        body.append(e("figure", e("img", src=source, alt=path.stem.replace("_", " "))))
+        body.append(e("figure", picture(path.read_bytes(), path.stem.replace("_", " "))))
+    papers = cited(load_scenario(study.scenario).cites)
     names = chosen(study, rows)
     header = ("Run", "Changed", "Seed", *(n.replace("_", " ") for n in names), "Broke")
     lines = [
@@ -129,7 +133,7 @@ def _page(
     if len(rows) > LONGEST:
         note = f"The first {LONGEST} of {len(rows)} runs. {note}"
     body.append(e("p", note, class_="note"))
-    return body
+    return [*body, *([e("h2", "Sources")] if papers else []), *sources(papers)]
 
 
 def _changes(study: Study, row: Row) -> str:

@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..plots import STYLE, plot_name, pretty_unit, save_figure
+from ..plots.figures import places, plot_name, save_figure
+from ..plots.overlay import BAND
+from ..plots.style import COLOURS, DPI, WIDTH, axis_title, quantity, style
 from .definition import Search, Study
 
 if TYPE_CHECKING:
@@ -35,7 +37,7 @@ def draw_study(
         Rows with the key ``signals``; read once.
     folder : Path
     units : mapping
-        Unit of each figure.
+        Unit of each figure, parameter (``node.name``) and signal.
 
     Returns
     -------
@@ -45,7 +47,7 @@ def draw_study(
     from matplotlib import rc_context
 
     paths = []
-    with rc_context(STYLE):
+    with rc_context(style()):
         for number, (title, figure) in enumerate(_figures(study, rows, signals, units), 1):
             paths.append(folder / plot_name(number, title))
             save_figure(figure, paths[-1], title, study.name)
@@ -69,7 +71,7 @@ def _figures(
     if len(rows) > 4 and not study.search and (not varied or study.grid):
         yield "Distribution over the runs", _distribution(study, rows, names, units)
     if study.signals:
-        yield from _bands(study, signals)
+        yield from _bands(study, signals, units)
 
 
 def chosen(study: Study, rows: Sequence[Row]) -> list[str]:
@@ -103,23 +105,14 @@ def _short(value: Any) -> str:
 
 def _axes(count: int, height: float = 2.6) -> tuple[Figure, list[Axes]]:
     from matplotlib.figure import Figure as New
-    from matplotlib.layout_engine import ConstrainedLayoutEngine
 
     columns = min(2, count)
-    lines = -(-count // columns)
-    figure = New(
-        figsize=(9.0, height * lines + 0.6),
-        layout=ConstrainedLayoutEngine(rect=(0.0, 0.0, 1.0, 1.0 - 0.35 / (height * lines + 0.6))),
-    )
-    axes = list(np.atleast_1d(figure.subplots(lines, columns)).ravel())
-    for spare in axes[count:]:
-        spare.set_axis_off()
-    return figure, axes[:count]
+    figure = New(figsize=(WIDTH, height * -(-count // columns) + 0.6), dpi=DPI, layout="constrained")
+    return figure, [figure.add_subplot(place) for place in places(figure, count, columns)]
 
 
 def _name(figure: str, units: Mapping[str, str]) -> str:
-    unit = pretty_unit(units.get(figure, ""))
-    return f"{figure.replace('_', ' ')}" + (f" / {unit}" if unit else "")
+    return axis_title(figure.replace("_", " "), units.get(figure, ""))
 
 
 def _columns(rows: Iterable[Row], parameter: str, figure: str) -> tuple[Array, Array]:
@@ -147,11 +140,11 @@ def _over(
             low, middle, high = (np.array([f(y[x == v]) for v in at]) for f in (np.min, np.median, np.max))
             (line,) = ax.plot(at, middle, "o-", markersize=3, label=case or None)
             ax.fill_between(at, low, high, color=line.get_color(), alpha=0.2, linewidth=0)
-        ax.set_xlabel(parameter)
+        ax.set_xlabel(axis_title(parameter, units.get(parameter, "")))
         ax.set_ylabel(_name(name, units))
         ax.margins(x=0.03)
     if len(groups) > 1:
-        axes[0].legend(fontsize=8)
+        axes[0].legend(fontsize=9, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3)
     return figure
 
 
@@ -171,8 +164,8 @@ def _map(rows: Sequence[Row], varied: Sequence[str], name: str, units: Mapping[s
     else:
         drawn = ax.scatter(x, y, c=z, s=8, cmap="viridis")
     ax.grid(False)
-    ax.set_xlabel(varied[0])
-    ax.set_ylabel(varied[1])
+    ax.set_xlabel(axis_title(varied[0], units.get(varied[0], "")))
+    ax.set_ylabel(axis_title(varied[1], units.get(varied[1], "")))
     figure.colorbar(drawn, ax=ax, label=_name(name, units))
     return figure
 
@@ -185,9 +178,9 @@ def _distribution(study: Study, rows: Sequence[Row], names: Sequence[str], units
     for ax, name in zip(axes, names, strict=True):
         values = [[v for r in mine if (v := r["figures"].get(name)) is not None] for mine in groups.values()]
         if len(groups) == 1:
-            ax.hist(values[0], bins=min(40, max(8, len(values[0]) // 10)), color="#4477aa")
+            ax.hist(values[0], bins=min(40, max(8, len(values[0]) // 10)), color=COLOURS[0])
             ax.set_xlabel(_name(name, units))
-            ax.set_ylabel("runs")
+            ax.set_ylabel("Runs")
         else:
             ax.boxplot(values, orientation="horizontal", tick_labels=list(groups), flierprops={"markersize": 3})
             ax.set_xlabel(_name(name, units))
@@ -203,7 +196,7 @@ def _history(search: Search, rows: Sequence[Row], units: Mapping[str, str]) -> F
     ax.plot(n, y, ".", markersize=4, alpha=0.5, label="run")
     best = np.minimum.accumulate(y) if search.aim == "minimise" else np.maximum.accumulate(y)
     ax.step(n, best, where="post", label="best so far")
-    ax.set_xlabel("run")
+    ax.set_xlabel("Run")
     ax.set_ylabel(_name(search.figure, units))
     ax.margins(x=0.03)
     ax.legend()
@@ -234,8 +227,8 @@ def _parallel(search: Search, rows: Sequence[Row]) -> Figure:
     return figure
 
 
-def _bands(study: Study, signals: Iterable[Row]) -> Iterator[tuple[str, Figure]]:
-    """Median and whole range over the seeds of each group, and thin lines of a few runs."""
+def _bands(study: Study, signals: Iterable[Row], units: Mapping[str, str]) -> Iterator[tuple[str, Figure]]:
+    """Median of each group of runs, and the band between the quantiles."""
     groups: dict[str, dict[str, list[dict[str, Any]]]] = {}
     for row in signals:
         name = label(study, row)
@@ -251,12 +244,12 @@ def _bands(study: Study, signals: Iterable[Row]) -> Iterator[tuple[str, Figure]]
             if not mine:
                 continue
             t = np.linspace(0.0, mine[0]["end"], study.samples)
-            x = np.array([k["x"] for k in mine])
-            (line,) = ax.plot(t, np.median(x, axis=0), label=f"{name} ({len(mine)})" if len(mine) > 1 else name)
+            low, middle, high = np.quantile([k["x"] for k in mine], (BAND[0], 0.5, BAND[1]), axis=0)
+            (line,) = ax.plot(t, middle, label=f"{name}: median of {len(mine)}" if len(mine) > 1 else name)
             if len(mine) > 1:
-                ax.fill_between(t, x.min(axis=0), x.max(axis=0), color=line.get_color(), alpha=0.2, linewidth=0)
-        ax.set_xlabel("t / s")
-        ax.set_ylabel(signal)
-        if len(groups) > 1:
-            ax.legend(fontsize=8)
+                share = f"{BAND[0]:.0%} to {BAND[1]:.0%}".replace("%", " %")
+                ax.fill_between(t, low, high, color=line.get_color(), alpha=0.2, linewidth=0, label=share)
+        ax.set_xlabel(axis_title("Time", "s"))
+        ax.set_ylabel(axis_title(quantity(units.get(signal, "")) or "Value", units.get(signal, "")))
+        ax.legend(fontsize=9, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=4)
         yield f"Signal {signal}", figure

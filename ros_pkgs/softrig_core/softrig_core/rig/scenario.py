@@ -64,6 +64,8 @@ class PlotEntry(_Model):
         value of another.
     unit : str
         Of the y axis; when empty, that of the ports, with one row a unit.
+    quantity : str
+        Title of the y axis, before its unit; when empty, what the unit stands for.
     x : str
         Instead of time, the label below each signal's own topic that gives the x axis: ``x`` draws ``flux/y``
         against ``flux/x``, ``voltage/position`` a power against the voltage of the same topic.
@@ -74,6 +76,7 @@ class PlotEntry(_Model):
     title: str
     signals: dict[str, str] = Field(min_length=1)
     unit: str = ""
+    quantity: str = ""
     x: str = ""
     window: tuple[float, float] | None = None
 
@@ -87,6 +90,10 @@ class Scenario(_Model):
 
     Parameters
     ----------
+    source : str
+        Where it comes from: paper, table, figure.
+    cites : list of str
+        Keys of entries in ``references.bib``, beside the scenario files.
     figures : dict of str to FigureEntry
         What is measured, by name.
     expect : dict of str to Expectation
@@ -103,6 +110,7 @@ class Scenario(_Model):
     title: str
     system: str
     source: str
+    cites: tuple[str, ...] = ()
     duration: float = Field(gt=0, le=1e9)
     clock: float | str | None = Field(None, description="period in s of a clock that is no plant, also as 1/2880")
     seed: int = Field(0, ge=0, lt=2**63)

@@ -1,0 +1,225 @@
+"""The curves of a run: signals by name, as a picture shows them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict
+from softrig_core.errors import ScenarioError
+from softrig_core.model.port import XYZ, Port
+from softrig_core.rig.figures import signal_units
+from softrig_core.rig.rig import Rig
+from softrig_core.rig.scenario import PlotEntry
+from softrig_core.rig.scenario_file import closest
+from softrig_core.wire.signals import Signals
+
+Array = NDArray[np.float64]
+
+_PIXELS = 1100  # columns that a long signal is reduced to
+_AXES = {"alpha_beta": ("α", "β", "0"), "dq": ("d", "q", "0"), "abc": ("a", "b", "c")}
+
+
+@dataclass(frozen=True)
+class Curve:
+    """One line of a picture.
+
+    Parameters
+    ----------
+    label, unit : str
+    x, y : float arrays of shape (n,)
+    held : bool
+        The value stays until the next sample: drawn as steps.
+    reference : bool
+        Drawn as a thin dark dashed line on top.
+    signal : str
+        Name of the signal that it shows; empty for a difference.
+    """
+
+    label: str
+    unit: str
+    x: Array
+    y: Array
+    held: bool = False
+    reference: bool = False
+    signal: str = ""
+
+
+def check_plots(rig: Rig) -> None:
+    """Check that the rig has the signals of its scenario's plots.
+
+    Raises
+    ------
+    ScenarioError
+        A plot names a signal that the rig does not have.
+    """
+    known = signal_units(rig)
+    for entry in rig.scenario.plots:
+        if entry.x:
+            names = list(entry.signals)
+            names += [f"{_topic(name, rig.topics)}/{entry.x}" for name in names if name in known]
+        else:
+            names = [part for name in entry.signals for part in name.split(" - ", 1)]
+        wrong = next((name for name in names if name not in known), None)
+        if wrong is not None:
+            raise ScenarioError(
+                f"plot {entry.title!r}: no signal {wrong!r}{closest(wrong, known)}; own `plots` replace all inherited "
+                f"ones, `plots: []` leaves the overview; the rig has {', '.join(known)}"
+            )
+
+
+def _topic(name: str, topics: Iterable[str]) -> str:
+    """Give the topic of a signal."""
+    return max((t for t in topics if name.startswith(f"{t}/")), key=len)
+
+
+def envelope(x: Array, y: Array, columns: int = _PIXELS) -> tuple[Array, Array]:
+    """Reduce a long signal to what can be seen: first, lowest, highest and last value of each pixel column.
+
+    Parameters
+    ----------
+    x, y : float arrays of shape (n,)
+        x ascending.
+    columns : int
+        Width of the axes in pixels.
+
+    Returns
+    -------
+    x, y : float arrays of shape (at most 4 columns,)
+        The signal itself when it is not longer than that.
+    """
+    if len(x) <= 4 * columns:
+        return x, y
+    column = np.floor((x - x[0]) * (columns / (x[-1] - x[0])))
+    starts = np.flatnonzero(np.diff(column, prepend=-1.0))
+    ends = np.append(starts[1:], len(x)) - 1
+    middle = (x[starts] + x[ends]) / 2
+    corners_x = np.stack([x[starts], middle, middle, x[ends]], axis=1)
+    lowest, highest = np.fmin.reduceat(y, starts), np.fmax.reduceat(y, starts)
+    corners_y = np.stack([y[starts], lowest, highest, y[ends]], axis=1)
+    return corners_x.ravel(), corners_y.ravel()
+
+
+class Source:
+    """The curves of a run by signal name.
+
+    Parameters
+    ----------
+    signals : Signals
+        Of the run's recording.
+    rig : Rig
+        Says units, which topics are held between samples, which are references.
+    """
+
+    def __init__(self, signals: Signals, rig: Rig) -> None:
+        self.signals = signals
+        self.topics = rig.topics
+        self.units = signal_units(rig)
+        self.held = _held(rig)
+        recorded = [t for t in self.topics if t in signals.recording.topics]
+        self.published = [t for t in recorded if signals.recording.topics[t].times]
+        self.silent = [t for t in recorded if t not in self.published and self.topics[t].labels]
+        self.end = max((signals.table(t).t[-1] for t in self.published), default=0.0)
+
+    def curve(self, name: str, label: str = "") -> Curve:
+        """Give a signal over time; without points when nothing was published."""
+        topic = self.topic(name)
+        table = self.signals.table(topic)
+        x, y = table.t, table.columns.get(name[len(topic) + 1 :], table.t[:0])
+        held = topic in self.held
+        if len(y) == 0:
+            x = y
+        elif held and x[-1] < self.end:
+            x, y = np.append(x, self.end), np.append(y, y[-1])
+        return Curve(label or name, self.units[name], x, y, held, _reference(self.topics[topic], label), name)
+
+    def difference(self, first: str, second: str, label: str = "") -> Curve:
+        """Give a signal less the newest value of another, at the samples of the first."""
+        a, b = self.curve(first), self.curve(second)
+        n = len(self.signals.table(self.topic(first)).t)  # without the end to which a held signal is drawn
+        newest = np.searchsorted(b.x, a.x[:n], side="right") - 1
+        both = newest >= 0
+        return Curve(label or f"{first} - {second}", a.unit, a.x[:n][both], a.y[:n][both] - b.y[newest[both]])
+
+    def topic(self, name: str) -> str:
+        """Give the topic of a signal."""
+        return _topic(name, self.topics)
+
+    def names(self, topic: str) -> list[str]:
+        """Give the signals of a topic."""
+        return [f"{topic}/{label}" for label in self.topics[topic].labels]
+
+    def axis(self, name: str) -> str:
+        """Give what to call a signal beside its topic: the axis letter of its frame, or its label."""
+        topic = self.topic(name)
+        label = name[len(topic) + 1 :]
+        return dict(zip(XYZ, _AXES.get(self.topics[topic].frame_id, ()), strict=False)).get(label, label)
+
+    def shown(self, entry: PlotEntry, name: str) -> Curve:
+        """Give a signal of a plot entry inside the entry's window."""
+        first, minus, second = name.partition(" - ")
+        if minus:
+            curve = self.difference(first, second, entry.signals[name])
+        else:
+            curve = self.curve(name, entry.signals[name])
+        inside = self._inside(entry, curve.x)
+        return replace(curve, unit=entry.unit or curve.unit, x=curve.x[inside], y=curve.y[inside])
+
+    def against(self, entry: PlotEntry, name: str) -> tuple[str, Curve]:
+        """Give the signal of the x axis and the curve over it."""
+        over = f"{self.topic(name)}/{entry.x}"
+        x, y = self.curve(over), self.curve(name, entry.signals[name])
+        inside = self._inside(entry, y.x)
+        return over, replace(y, x=x.y[inside], y=y.y[inside], held=False)
+
+    @staticmethod
+    def _inside(entry: PlotEntry, t: Array) -> slice:
+        """The samples of the window, and one on either side so that lines reach its edges."""
+        first, last = entry.window or (-np.inf, np.inf)
+        return slice(max(0, int(np.searchsorted(t, first, "right")) - 1), int(np.searchsorted(t, last)) + 1)
+
+
+def _reference(port: Port, label: str) -> bool:
+    """Whether a signal is a reference: by its message, or by what its label says."""
+    said = label.startswith(("reference", "set point")) or label.endswith((" reference", " set point"))
+    return said or port.msgtype.startswith("trajectory_msgs")
+
+
+def _held(rig: Rig) -> set[str]:
+    """Topics whose values stay until the next message."""
+    sampled = {p.topic for m in rig.members for p in (m.inputs if m.is_plant else m.outputs)}
+    # commands applied by a plant come from it, but they are as held as those that it got
+    return sampled | {t for t, port in rig.topics.items() if port.fields == ("effort",)}
+
+
+class Shown(BaseModel):
+    """What a page about several runs has to know of a signal of their plots: its unit, and how it is drawn."""
+
+    model_config = ConfigDict(frozen=True)
+
+    unit: str
+    held: bool
+    reference: bool
+
+
+def shown(rig: Rig) -> dict[str, Shown]:
+    """Describe the signals of the plots over time of a rig's scenario."""
+    known, held = signal_units(rig), _held(rig)
+    found = {}
+    for entry in rig.scenario.plots:
+        for name, label in entry.signals.items():
+            if name in known and not entry.x:
+                topic = _topic(name, rig.topics)
+                reference = _reference(rig.topics[topic], label)
+                found[name] = Shown(unit=entry.unit or known[name], held=topic in held, reference=reference)
+    return found
+
+
+def by_unit(curves: Sequence[Curve]) -> dict[str, list[Curve]]:
+    """Give the curves of each unit."""
+    rows: dict[str, list[Curve]] = {}
+    for curve in curves:
+        rows.setdefault(curve.unit, []).append(curve)
+    return rows

@@ -1,0 +1,149 @@
+"""What is expected of a signal, as marks in its picture: bands and levels, instants on the time axis."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+from softrig_core.rig import metrics
+from softrig_core.rig.expectation import Expectation
+from softrig_core.rig.figures import Figure, figures_of
+from softrig_core.rig.metrics import SignalMap
+from softrig_core.rig.rig import Rig
+
+BESIDE = 0.06  # of the window: how far the mark of an extreme reaches to either side
+NAMED = 3  # more instants than this in one picture would cover it with their names
+
+
+@dataclass(frozen=True)
+class Mark:
+    """A figure of merit where its signal shows it.
+
+    Parameters
+    ----------
+    axis : {"value", "time"}
+        A level of the signal, or an instant.
+    name : str
+        Of the figure.
+    low, high : float
+        What passes; infinite where there is no bound, both NaN when nothing is expected.
+    published : float
+        What the paper prints; NaN when it prints nothing.
+    start, end : float
+        Where a level counts, s.
+    """
+
+    axis: Literal["value", "time"]
+    name: str
+    low: float = math.nan
+    high: float = math.nan
+    published: float = math.nan
+    start: float = -math.inf
+    end: float = math.inf
+
+    @property
+    def judged(self) -> bool:
+        """Whether anything is expected."""
+        return not math.isnan(self.low)
+
+    def at(self, place: Callable[[float], float], axis: Literal["value", "time"]) -> Mark:
+        """Give the mark of figures at the places of the picture that stand for them."""
+        low, high = sorted((place(self.low), place(self.high)))
+        return replace(self, axis=axis, low=low, high=high, published=place(self.published))
+
+
+def marks_of(rig: Rig, signals: SignalMap) -> dict[str, list[Mark]]:
+    """Give the marks of each signal that figures of the scenario are measured of.
+
+    Only figures of `softrig_core.rig.metrics` that have a place in a picture over time: levels (final value, mean,
+    extremes, overshoot, peak against a constant) and instants (rise, settling, reaching).
+
+    Parameters
+    ----------
+    rig : Rig
+    signals : Signals
+        Of the run: a rise is counted from where it began.
+    """
+    scenario = rig.scenario
+    published = {c.figure or k: c.published for k, c in scenario.claims.items() if c.published is not None}
+    found: dict[str, list[Mark]] = {}
+    for figure in figures_of(rig):
+        limits = scenario.expect.get(figure.name)
+        if limits is None and figure.name not in published:
+            continue
+        low, high = _bounds(limits)
+        printed = published.get(figure.name, math.nan)
+        about = Mark("value", figure.name, low / figure.scale, high / figure.scale, printed / figure.scale)
+        signal = figure.arguments.get("signal")
+        if isinstance(signal, str):
+            with suppress(KeyError, ValueError):  # the run ended before its window
+                found.setdefault(signal, []).extend(_placed(figure, about, signals))
+    return found
+
+
+def _bounds(limits: Expectation | None) -> tuple[float, float]:
+    if limits is None:
+        return math.nan, math.nan
+    if limits.expected is not None:
+        return limits.expected - (limits.tolerance or 0.0), limits.expected + (limits.tolerance or 0.0)
+    return (-math.inf if limits.at_least is None else limits.at_least,
+            math.inf if limits.at_most is None else limits.at_most)  # fmt: skip
+
+
+def _placed(figure: Figure, mark: Mark, signals: SignalMap) -> Iterator[Mark]:
+    """Place a figure in the picture of its signal; nothing for one that has no place there."""
+    a = figure.arguments
+    mark = replace(mark, start=_given(a, "start", -math.inf), end=_given(a, "end", math.inf))
+    if figure.function in (metrics.mean, metrics.final_value):
+        yield mark
+    elif figure.function in (metrics.maximum, metrics.minimum):
+        yield _extreme(mark, signals, a, math.nan)
+    elif figure.function is metrics.peak and not isinstance(a.get("reference", 0.0), str):
+        yield _extreme(mark, signals, a, _given(a, "reference", 0.0))
+    elif figure.function in (metrics.reach_time, metrics.error_settling_time):
+        yield mark.at(lambda v: v, "time")
+    elif figure.function in (metrics.overshoot, metrics.settling_time, metrics.rise_time):
+        yield from _step(figure, mark, signals)
+
+
+def _extreme(mark: Mark, signals: SignalMap, arguments: Mapping[str, Any], zero: float) -> Mark:
+    """Place an extreme, or a peak on either side of `zero`: a bound everywhere, a value beside where it is reached."""
+    t, x = metrics.window(signals, arguments["signal"], arguments.get("start"), arguments.get("end"))
+    if not math.isnan(zero):
+        at = int(np.argmax(np.abs(x - zero)))
+        side = 1.0 if x[at] >= zero else -1.0
+        mark = mark.at(lambda v: zero + side * v, "value")
+    else:
+        middle = (mark.low + mark.high) / 2 if mark.judged else mark.published
+        at = int(np.argmin(np.abs(x - middle))) if math.isfinite(middle) else 0
+    if math.isinf(mark.low) or math.isinf(mark.high):
+        return mark
+    reach = BESIDE * float(t[-1] - t[0])
+    return replace(mark, start=max(mark.start, t[at] - reach), end=min(mark.end, t[at] + reach))
+
+
+def _step(figure: Figure, mark: Mark, signals: SignalMap) -> Iterator[Mark]:
+    """Place what is measured of a step."""
+    a = figure.arguments
+    t, x = metrics.window(signals, a["signal"], a.get("start"), a.get("end"))
+    initial = _given(a, "initial", 0.0)
+    step = (float(x[-1]) if a.get("final") is None else float(a["final"])) - initial
+    if figure.function is metrics.overshoot:
+        yield mark.at(lambda v: initial + step * (1.0 + v / 100.0), "value")
+        return
+    began = t[0] if a.get("start") is None else float(a["start"])
+    if figure.function is metrics.rise_time:
+        reached = np.flatnonzero((x - initial) * np.sign(step) >= a.get("low", 0.1) * abs(step))
+        if not reached.size:
+            return
+        began = t[reached[0]]
+    yield mark.at(lambda v: float(began) + v, "time")
+
+
+def _given(arguments: Mapping[str, Any], name: str, default: float) -> float:
+    value = arguments.get(name)
+    return default if value is None else float(value)

@@ -1,0 +1,90 @@
+"""How pictures look: colours, sizes, units and axis titles as they are printed."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+# Okabe and Ito's colours, which stay apart for every kind of colour vision; yellow is left out (too pale on white).
+COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7f5539")
+REFERENCE = "#222222"
+ACCEPTED = "#44aa99"  # the band that passes
+PUBLISHED = "#882255"  # what the paper prints
+SOFT = "#777777"
+DASHED = ((0, (5, 3)), (0, (1.5, 1.5)), (0, (8, 2, 1.5, 2)))
+DPI = 110
+WIDTH = 10.0  # inch: 1100 pixels, the width of the report's column
+MANY = 8  # more curves than this in one axes get a colour scale instead of a legend
+
+
+def style() -> dict[Any, Any]:
+    """Give matplotlib's settings for every picture of the suite."""
+    from cycler import cycler
+
+    return {
+        "font.size": 10.0,
+        "axes.grid": True,
+        "axes.axisbelow": True,
+        "axes.edgecolor": "#666666",
+        "axes.formatter.useoffset": False,
+        "axes.formatter.limits": (-3, 5),
+        "axes.formatter.use_mathtext": True,
+        "axes.prop_cycle": cycler(color=COLOURS),
+        "axes.spines.right": False,
+        "axes.spines.top": False,
+        "axes.xmargin": 0.0,
+        "figure.facecolor": "white",
+        "grid.color": "#dddddd",
+        "grid.linewidth": 0.6,
+        "legend.borderaxespad": 0.3,
+        "legend.borderpad": 0.0,
+        "legend.frameon": False,
+        "legend.handlelength": 1.6,
+        "lines.linewidth": 1.4,
+        "lines.solid_joinstyle": "round",
+        "pdf.fonttype": 42,  # text stays text
+        "svg.fonttype": "none",
+        "svg.hashsalt": "softrig",  # equal runs give equal files
+        "xtick.color": "#444444",
+        "ytick.color": "#444444",
+    }
+
+
+_UNITS = {
+    "Acceleration": "rad/s^2 m/s^2 mm/s^2", "Angle": "rad deg", "Cost": "$/h", "Current": "A kA", "Energy": "J",
+    "Flux linkage": "Wb", "Force": "N", "Frequency": "Hz", "Irradiance": "W/m^2", "Mass flow": "kg/s",
+    "Position": "m mm", "Power": "W kW MW", "Resistance": "ohm", "Speed": "rad/s rpm m/s mm/s", "Temperature": "K degC",
+    "Time": "s", "Voltage": "V kV",
+}  # fmt: skip
+_QUANTITIES = {unit: name for name, units in _UNITS.items() for unit in units.split()} | {"N m": "Torque"}
+
+
+def quantity(unit: str) -> str:
+    """Give the quantity that a unit of the suite stands for; empty where it may be several."""
+    return _QUANTITIES.get(unit, "")
+
+
+def pretty_unit(unit: str) -> str:
+    """Set a unit as it is printed: ``kg m^2`` as kg m², ``ohm`` as Ω.
+
+    Examples
+    --------
+    >>> pretty_unit("m/s^2")
+    'm/s²'
+    """
+    raised = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+    unit = re.sub(r"\^(-?\d+)", lambda power: power[1].translate(raised), unit)
+    return re.sub(r"\bohm\b", "Ω", unit)
+
+
+def axis_title(name: str, unit: str) -> str:
+    """Write an axis title: quantity and unit.
+
+    Examples
+    --------
+    >>> axis_title("speed", "rad/s^2")
+    'Speed, rad/s²'
+    """
+    words = name[1:2].islower() and not set(name) & set("._/")  # "speed", but not "iA", "q" or a name in code
+    title = name[:1].upper() + name[1:] if words else name
+    return ", ".join(part for part in (title, pretty_unit(unit)) if part)

@@ -1,0 +1,75 @@
+"""What ``metrics.json`` says of a run, for the pages about it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+from softrig_core.errors import ScenarioError
+from softrig_core.rig.figures import Result
+from softrig_core.rig.scenario import PlotEntry
+
+from .citations import Citation
+from .plots.curves import Shown
+from .wiring import Wiring
+
+
+class RunRecord(BaseModel):
+    """What the pages need of ``metrics.json``."""
+
+    model_config = ConfigDict(frozen=True)
+
+    scenario: str
+    title: str
+    system: str
+    source: str
+    mode: str
+    seed: int
+    duration_s: float
+    ticks: int
+    wall_s: float
+    error: str = ""
+    stopped: str = ""
+    changed: tuple[str, ...] = ()
+    command: str
+    metrics: tuple[Result, ...]
+    plots: tuple[PlotEntry, ...] = ()
+    parameters: dict[str, dict[str, Any]]
+    units: dict[str, dict[str, str]] = {}
+    versions: dict[str, str]
+    nodes: dict[str, dict[str, Any]] = {}
+    citations: tuple[Citation, ...] = ()
+    wiring: Wiring = Wiring()
+    signals: dict[str, Shown] = {}
+
+    @property
+    def judged(self) -> list[Result]:
+        """The metrics that can pass or miss."""
+        return [m for m in self.metrics if m.judged]
+
+    @property
+    def missed(self) -> list[Result]:
+        """The metrics that missed."""
+        return [m for m in self.metrics if not m.passed]
+
+
+def read_run(directory: Path) -> RunRecord:
+    """Read ``metrics.json`` of a run directory.
+
+    Raises
+    ------
+    ScenarioError
+        No such file, not JSON, or a key is missing or of the wrong type; names file and key.
+    """
+    path = directory / "metrics.json"
+    try:
+        return RunRecord.model_validate(json.loads(path.read_text()))
+    except OSError:
+        raise ScenarioError(f"{directory}: no metrics.json in it, expected the directory of a run") from None
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise ScenarioError(f"{path}: {'.'.join(map(str, first['loc']))}: {first['msg'].lower()}") from None
+    except ValueError as error:
+        raise ScenarioError(f"{path}: not valid JSON: {error}") from None

@@ -1,0 +1,103 @@
+"""Who talks to whom in a rig, and where each node stands in its block diagram."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from pydantic import BaseModel, ConfigDict
+from softrig_core.rig.rig import Rig
+
+SWEEPS = 8  # over the columns, until neighbours stand side by side
+
+
+class Node(BaseModel):
+    """A node as a box of the diagram.
+
+    Parameters
+    ----------
+    executable : str
+        With its package: ``softrig_drives/dc_motor_plant``.
+    period : float
+        s.
+    plant, outside : bool
+        Whether it owns time; whether somebody else starts it.
+    """
+
+    model_config = ConfigDict(frozen=True)
+
+    executable: str
+    period: float
+    plant: bool = False
+    outside: bool = False
+
+
+class Wire(BaseModel):
+    """A topic from the node that publishes it to those that read it."""
+
+    model_config = ConfigDict(frozen=True)
+
+    topic: str
+    type: str
+    source: str
+    readers: tuple[str, ...] = ()
+
+
+class Wiring(BaseModel):
+    """The nodes of a rig by name, and its wires."""
+
+    model_config = ConfigDict(frozen=True)
+
+    nodes: dict[str, Node] = {}
+    wires: tuple[Wire, ...] = ()
+
+
+def wiring_of(rig: Rig) -> Wiring:
+    """Give the wiring of a rig; a clock that is no plant has no wires and is left out."""
+    members = [m for m in rig.members if m.inputs or m.outputs]
+    nodes = {
+        m.name: Node(executable=f"{m.package}/{m.executable}", period=m.params.period, plant=m.is_plant,
+                     outside=m.external)
+        for m in members
+    }  # fmt: skip
+    wires = tuple(
+        Wire(topic=p.topic, type=p.msgtype, source=m.name,
+             readers=tuple(dict.fromkeys(r.name for r, _ in rig.readers(m, p))))
+        for m in members for p in m.outputs
+    )  # fmt: skip
+    return Wiring(nodes=nodes, wires=wires)
+
+
+def columns(wiring: Wiring) -> list[list[str]]:
+    """Arrange the nodes as a control engineer draws them, by column from left to right.
+
+    What acts on a plant stands left of it, as near as its readers allow; then the plants; then who only looks on.
+    Wires out of a plant do not count: they are the feedback. Inside a column nodes stand beside their neighbours.
+    """
+    after = {n: [r for w in wiring.wires if w.source == n for r in w.readers] for n in wiring.nodes}
+    plants = {n for n, node in wiring.nodes.items() if node.plant}
+    forward = {n: [] if n in plants else after[n] for n in wiring.nodes}
+    before = {n: [m for m in wiring.nodes if n in forward[m]] for n in wiring.nodes}
+    acting = {n: _longest(n, forward, plants) for n in wiring.nodes}
+    last = max((d for d in acting.values() if d is not None), default=-1)
+    looking = {n for n, d in acting.items() if d is None}
+    place = {n: last - d for n, d in acting.items() if d is not None}
+    watched = {n: [m for m in before[n] if m in looking] for n in looking}
+    place |= {n: last + 1 + (_longest(n, watched, {m for m in looking if not watched[m]}) or 0) for n in looking}
+    found = [[n for n in wiring.nodes if place[n] == k] for k in range(max(place.values(), default=-1) + 1)]
+    return _ordered(found, {n: [*after[n], *(m for m in wiring.nodes if n in after[m])] for n in wiring.nodes})
+
+
+def _longest(node: str, forward: Mapping[str, list[str]], goals: set[str]) -> int | None:
+    """Length of the longest way to a goal; None when there is none. No cycle is without a plant, whose ways are cut."""
+    ways = [d for n in forward[node] if (d := _longest(n, forward, goals)) is not None]
+    return 1 + max(ways) if ways else (0 if node in goals else None)
+
+
+def _ordered(found: list[list[str]], neighbours: Mapping[str, list[str]]) -> list[list[str]]:
+    """Sort each column by the mean place of the neighbours in other columns."""
+    for sweep in range(SWEEPS):
+        for column in found if sweep % 2 else found[::-1]:
+            place = {n: (k + 0.5) / len(c) for c in found for k, n in enumerate(c)}
+            apart = {n: [place[m] for m in neighbours[n] if m not in column] for n in column}
+            column.sort(key=lambda n: sum(apart[n]) / len(apart[n]) if apart[n] else place[n])
+    return found

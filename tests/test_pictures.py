@@ -1,0 +1,352 @@
+"""What a control engineer looks for in the pages: marks of what is expected, block diagram, sources, several runs."""
+
+import base64
+import re
+import struct
+from xml.etree.ElementTree import tostring
+
+import bibtexparser
+import numpy as np
+import pytest
+from conftest import make_scenario
+from matplotlib.figure import Figure
+from softrig_bringup.citations import cited
+from softrig_bringup.cli import main
+from softrig_bringup.diagram import draw_diagram
+from softrig_bringup.folder import OURS
+from softrig_bringup.plots import figures as plots
+from softrig_bringup.plots.axes import fold_exponents
+from softrig_bringup.plots.curves import Curve, Shown, check_plots
+from softrig_bringup.plots.figures import places, plot_run
+from softrig_bringup.plots.marks import marks_of
+from softrig_bringup.plots.overlay import BAND, Overlay, band, draw_overlay
+from softrig_bringup.plots.style import ACCEPTED, PUBLISHED, axis_title
+from softrig_bringup.several import groups, labels
+from softrig_bringup.wiring import Node, Wire, Wiring, columns, wiring_of
+from softrig_core.errors import ScenarioError
+from softrig_core.rig.rig import Rig
+from softrig_core.rig.scenario import PlotEntry, list_scenarios, load_scenario
+from softrig_core.rig.simulate import simulate
+
+X = "lag/state/x/position"
+
+
+def scenario(**keys):
+    """A lag that creeps up to 0.455, with figures that have a place in its picture."""
+    about = {
+        "figures": {
+            "settling_time": {"arguments": {"signal": X}},
+            "last": {"function": "final_value", "arguments": {"signal": X}},
+            "overshoot": {"arguments": {"signal": X, "final": 0.5}},
+            "mean": {"arguments": {"signal": X, "start": 0.5, "end": 1.0}},
+            "peak": {"arguments": {"signal": "lag/command/u/effort"}},
+        },
+        "expect": {"settling_time": "0.9 +- 0.1", "last": "0.45 +- 0.05", "overshoot": "at most 0",
+                   "mean": "0.3 +- 0.05"},
+        "claims": {"last": {"published": 0.4, "where": "Table I", "verdict": "reproduced", "tolerance": "20 %"},
+                   "settling_time": {"published": 0.8, "where": "Table I", "verdict": "refuted",
+                                     "reason": "it is not"}},
+        "plots": [{"title": "Position", "signals": {X: "position"}},
+                  {"title": "Command", "signals": {"lag/command/u/effort": "command"}}],
+    }  # fmt: skip
+    return make_scenario({"plant": "plant", "source": "source", "gain": "gain"}, **{**about, **keys})
+
+
+@pytest.fixture
+def drawn(monkeypatch, tmp_path):
+    """Figures of a run by title, as they were saved."""
+
+    def draw(given, also=""):
+        found, save = {}, plots.save_figure
+
+        def keep(figure, path, title, run, also):
+            found[title] = figure
+            save(figure, path, title, run, also)
+
+        monkeypatch.setattr(plots, "save_figure", keep)
+        run = simulate(Rig.from_scenario(given))
+        plot_run(run.signals, run.rig, tmp_path, also)
+        return found
+
+    return draw
+
+
+def coloured(ax, colour):
+    """Extent (x0, y0, x1, y1) of what has a colour in an axes, in data."""
+    from matplotlib.colors import same_color
+
+    bands = [c.get_paths()[0].get_extents() for c in ax.collections if same_color(c.get_facecolor()[0][:3], colour)]
+    spans = [p.get_extents().transformed(ax.transData.inverted()) for p in ax.patches
+             if same_color(p.get_facecolor()[:3], colour)]  # fmt: skip
+    lines = [line.get_path().get_extents() for line in ax.lines if same_color(line.get_color(), colour)]
+    return [tuple(b.extents) for b in (*bands, *spans, *lines)]
+
+
+def test_what_is_expected_and_published_is_drawn_where_the_signal_shows_it(drawn):
+    (ax,) = drawn(scenario())["Position"].axes
+    accepted, published = coloured(ax, ACCEPTED), coloured(ax, PUBLISHED)
+    for x0, y0, x1, y1 in ((0.0, 0.4, 1.0, 0.5), (0.5, 0.25, 1.0, 0.35)):  # last and mean, each in its window
+        assert any(b == pytest.approx((x0, y0, x1, y1)) for b in accepted), accepted
+    assert any((b[0], b[2]) == pytest.approx((0.8, 1.0)) for b in accepted)  # the time that passes
+    assert any((b[1], b[3]) == pytest.approx((0.5, 0.5)) for b in accepted)  # the level of no overshoot
+    assert any(b == pytest.approx((0.0, 0.4, 1.0, 0.4)) for b in published)
+    assert any((b[0], b[2]) == pytest.approx((0.8, 0.8)) for b in published)
+    assert {t.get_text() for t in ax.get_legend().get_texts()} == {"position", "accepted", "limit", "published"}
+    assert {t.get_text() for t in ax.texts} == {"settling time"}
+
+
+def test_a_picture_without_expectations_has_no_marks(drawn):
+    (ax,) = drawn(scenario())["Command"].axes
+    assert coloured(ax, ACCEPTED) == coloured(ax, PUBLISHED) == []
+    assert ax.get_legend() is None
+
+
+def test_what_is_far_away_does_not_press_the_curves_flat(drawn):
+    far = {"last": {"published": 50.0, "where": "Table I", "verdict": "refuted", "reason": "it is not"}}
+    (ax,) = drawn(scenario(claims=far))["Position"].axes
+    assert ax.get_ylim()[1] < 2.0
+    assert coloured(ax, PUBLISHED) == []
+
+
+def test_marks_follow_the_unit_of_the_figure_and_the_side_of_the_peak():
+    rig = Rig.from_scenario(load_scenario("rehab_impedance"))  # errors in rad, their figures in deg
+    t = np.linspace(0.0, 10.0, 11)
+    marks = marks_of(rig, {"controller_state/e_hip/position": (t, -1e-4 * (t == 5.0))})
+    (mark,) = (m for m in marks["controller_state/e_hip/position"] if m.name == "max_error_after_3_s_hip")
+    assert (mark.low, mark.high) == pytest.approx((np.radians(-0.00819), np.radians(-0.00741)))
+    assert (mark.start, mark.end) == pytest.approx((5.0 - 0.06 * 7.0, 5.0 + 0.06 * 7.0))  # beside where it is
+
+
+def test_a_rise_is_marked_from_where_it_began():
+    given = scenario(figures={"rise_time": {"arguments": {"signal": X, "final": 0.75}}},
+                     expect={"rise_time": "0.5 +- 0.1"}, claims={})  # fmt: skip
+    run = simulate(Rig.from_scenario(given))
+    (mark,) = marks_of(run.rig, run.signals)[X]
+    t, x = run.signals[X]
+    began = t[np.argmax(x >= 0.075)]
+    assert (mark.axis, mark.low, mark.high) == ("time", pytest.approx(began + 0.4), pytest.approx(began + 0.6))
+
+
+@pytest.mark.parametrize(("kind", "begin"), [("svg", b"<?xml"), ("pdf", b"%PDF")])
+def test_a_vector_format_stands_beside_each_picture(drawn, tmp_path, kind, begin):
+    drawn(scenario(), kind)
+    pictures = sorted(tmp_path.glob("*.png"))
+    assert len(pictures) == 3
+    assert all(p.with_suffix(f".{kind}").read_bytes().startswith(begin) for p in pictures)
+    assert all(OURS.fullmatch(p.with_suffix(f".{kind}").name) for p in pictures)
+
+
+@pytest.mark.parametrize(
+    ("name", "unit", "title"),
+    [("speed", "rad/s^2", "Speed, rad/s²"), ("i_a", "A", "i_a, A"), ("V", "", "V"), ("", "ohm", "Ω")],
+)
+def test_axis_titles(name, unit, title):
+    assert axis_title(name, unit) == title
+
+
+def test_scale_factors_stand_in_the_axis_title_and_nowhere_else():
+    figure = Figure(layout="constrained")
+    ax = figure.subplots()
+    ax.plot([0.0, 1.0], [0.0, 3e7])
+    ax.set(ylabel="Cost, $/h", xlabel="Time, s")
+    fold_exponents(figure)
+    figure.draw_without_rendering()
+    assert (ax.get_ylabel(), ax.get_xlabel()) == (r"Cost, $\mathregular{10^{7}}$ $/h", "Time, s")
+    assert {t.get_text() for t in ax.get_yticklabels()} >= {"0.0", "1.0", "3.0"}
+    assert not ax.yaxis.get_offset_text().get_visible()
+
+
+@pytest.mark.parametrize("count", range(1, 8))
+def test_no_panel_is_empty(count):
+    figure = Figure()
+    spots = [figure.add_subplot(p).get_position() for p in places(figure, count, 2 if count > 1 else 1)]
+    assert len(spots) == count
+    assert not any(a.overlaps(b) for i, a in enumerate(spots) for b in spots[:i])
+    right, left = max(s.x1 for s in spots), min(s.x0 for s in spots)
+    for y in {s.y0 for s in spots}:  # every row goes from one side to the other
+        row = [s for s in spots if s.y0 == y]
+        assert (min(s.x0 for s in row), max(s.x1 for s in row)) == pytest.approx((left, right))
+
+
+def test_a_plot_of_a_replaced_node_says_how_to_give_own_plots():
+    given = scenario(
+        plots=[{"title": "Gone", "signals": {"lag/status/x/position": ""}}], figures={}, expect={}, claims={}
+    )
+    with pytest.raises(ScenarioError, match=r"did you mean 'lag/state/x/position'.*`plots: \[\]` leaves the overview"):
+        check_plots(Rig.from_scenario(given))
+
+
+# block diagram ----------------------------------------------------------------------------------------------------
+
+
+def test_a_loop_is_drawn_from_left_to_right(lag_rig):
+    wiring = wiring_of(lag_rig)
+    assert columns(wiring) == [["source"], ["gain"], ["plant"]]
+    assert {(w.source, w.readers) for w in wiring.wires if w.readers} == {
+        ("source", ("gain",)), ("gain", ("plant",)), ("plant", ("gain",))}  # fmt: skip
+
+
+def test_who_only_looks_on_stands_behind_the_plant():
+    nodes = {n: Node(executable=f"p/{n}", period=0.1, plant=n == "plant") for n in ["plant", "law", "log", "note"]}
+    wires = (Wire(topic="x", type="T", source="plant", readers=("law", "log")),
+             Wire(topic="u", type="T", source="law", readers=("plant", "log")),
+             Wire(topic="y", type="T", source="log", readers=("note",)))  # fmt: skip
+    assert columns(Wiring(nodes=nodes, wires=wires)) == [["law"], ["plant"], ["log"], ["note"]]
+
+
+def segments(group):
+    """Straight pieces of a wire: ((x0, y0), (x1, y1))."""
+    for path in group.iter("path"):
+        if path.get("class") != "head":
+            (x0, y0), (x1, y1) = ([float(v) for v in p.split()] for p in path.get("d")[1:].split("L"))
+            yield (min(x0, x1), min(y0, y1)), (max(x0, x1), max(y0, y1))
+
+
+HEADLINES = sorted({load_scenario(n).system: n for n in sorted(list_scenarios(), key=len, reverse=True)}.values())
+
+
+@pytest.mark.parametrize("name", HEADLINES)
+def test_the_diagram_has_every_node_and_wire_of_a_system(name):
+    wiring = wiring_of(Rig.from_scenario(load_scenario(name)))
+    drawing = draw_diagram(wiring)
+    assert {g.get("data-node") for g in drawing.iter("g")} - {None} == set(wiring.nodes)
+    wires = {g.get("data-topic"): g for g in drawing.iter("g") if g.get("data-topic")}
+    assert set(wires) == {w.topic for w in wiring.wires}
+    for wire in wiring.wires:  # an arrow into each reader
+        heads = [p for p in wires[wire.topic].iter("path") if p.get("class") == "head"]
+        assert len(heads) == len(wire.readers), wire
+    pieces = [(topic, piece) for topic, group in wires.items() for piece in segments(group)]
+    for k, (topic, (a, b)) in enumerate(pieces):  # wires cross, but none runs on another's line
+        for other, (c, d) in pieces[:k]:
+            for i, j in ((0, 1), (1, 0)):
+                level = a[i] == b[i] == c[i] == d[i]
+                assert topic == other or not (level and min(b[j], d[j]) > max(a[j], c[j])), (topic, other)
+    width, height = (float(v) for v in drawing.get("viewBox").split()[2:])
+    boxes = [[float(r.get(k)) for k in ("x", "y", "width", "height")] for r in drawing.iter("rect")]
+    assert all(x >= 0 and y >= 0 and x + w <= width and y + h <= height for x, y, w, h in boxes)
+    for k, (x, y, w, h) in enumerate(boxes):
+        assert all(x + w <= u or u + p <= x or y + h <= v or v + q <= y for u, v, p, q in boxes[:k])
+
+
+def test_nodes_outside_are_marked():
+    given = make_scenario({"plant": "plant", "source": "source", "gain": {"executable": "gain", "external": True}})
+    drawing = draw_diagram(wiring_of(Rig.from_scenario(given)))
+    looks = {g.get("data-node"): g.get("class") for g in drawing.iter("g") if g.get("data-node")}
+    assert looks == {"plant": "node plant", "source": "node", "gain": "node outside"}
+    assert b"outside" in tostring(drawing)
+
+
+# sources ----------------------------------------------------------------------------------------------------------
+
+
+def test_every_system_cites_papers_that_can_be_copied():
+    keys = {key for name in list_scenarios() for key in load_scenario(name).cites}
+    assert len(keys) >= 14
+    for citation in cited(sorted(keys)):
+        (entry,) = bibtexparser.parse_string(citation.bibtex).entries
+        assert entry.key == citation.key
+        assert entry.fields_dict["year"].value == citation.year
+        assert all(citation.authors)
+        assert citation.doi == (entry.fields_dict["doi"].value if "doi" in entry.fields_dict else "")
+    assert cited(["maarif2021"])[0].authors == ("A. Ma'arif", "A. Çakan")
+
+
+def test_scenarios_of_a_user_cite_from_their_own_folder(tmp_path, monkeypatch):
+    monkeypatch.setenv("SOFTRIG_SCENARIOS", str(tmp_path))
+    bib = tmp_path / "references.bib"
+    bib.write_text("@book{me, author = {Doe, Jane and van Dyk, Jan}, title = {{PID} loops}, year = {1999}}")
+    (found,) = cited(["me"])
+    assert (found.authors, found.title, found.doi) == (("J. Doe", "J. van Dyk"), "PID loops", "")
+    with pytest.raises(ScenarioError, match=r"cites: no entry 'mee' .* \(did you mean 'me'\?\)"):
+        cited(["mee"])
+    bib.write_text("@book{me, title = {PID loops}, year = {1999}}")
+    with pytest.raises(ScenarioError, match=r"references.bib: me: no author"):
+        cited(["me"])
+    bib.write_text("@book{me, title = {PID loops\n}\n@book{b, year = {1}}")
+    with pytest.raises(ScenarioError, match=r"references.bib: line 1"):
+        cited(["me"])
+
+
+# several runs -----------------------------------------------------------------------------------------------------
+
+
+class Numbers:
+    def __init__(self, **keys):
+        self.__dict__ |= {"scenario": "lag", "mode": "inprocess", "changed": (), "seed": 0} | keys
+
+
+@pytest.mark.parametrize(
+    ("runs", "names"),
+    [
+        ([{}], ["lag"]),
+        ([{}, {"changed": ("gain.k=2",)}], ["as it is", "gain.k=2"]),
+        ([{"seed": 1, "changed": ("seed 1",)}, {"seed": 2, "changed": ("seed 2",)}], ["lag, seed 1", "lag, seed 2"]),
+        ([{}, {"scenario": "lag_fast", "changed": ("gain.k=2",)}], ["lag", "lag_fast, gain.k=2"]),
+        ([{}, {"mode": "realtime"}], ["lag, inprocess", "lag, realtime"]),
+    ],
+)
+def test_runs_are_told_apart_by_what_was_changed(runs, names):
+    assert labels([Numbers(**run) for run in runs]) == names
+
+
+def test_draws_of_the_same_are_one_group():
+    runs = [Numbers(seed=s, changed=("gain.k=2", f"seed {s}")) for s in range(3)] + [Numbers()]
+    assert groups(runs) == ["gain.k=2"] * 3 + ["as it is"]
+
+
+def test_a_band_is_the_quantiles_of_its_draws():
+    t = np.linspace(0.0, 1.0, 11)
+    middle = band([Curve(str(k), "", t, t * k) for k in range(11)])
+    assert [y[-1] for y in middle[1:]] == pytest.approx([1.0, 5.0, 9.0])
+    held = band([Curve("", "", np.array([0.0, 0.5, 1.0]), np.array([k, 2.0 * k, 2.0 * k]), True) for k in range(3)])
+    assert held[2][:490] == pytest.approx(1.0)
+    assert held[2][510:] == pytest.approx(2.0)
+
+
+def overlay(label, group, offset=0.0, end=1.0):
+    t = np.linspace(0.0, end, 101)
+    entry = PlotEntry(title="Position", signals={"x/position": "position", "r/position": "reference"})
+    shown = {"x/position": Shown(unit="m", held=False, reference=False),
+             "r/position": Shown(unit="m", held=True, reference=True)}  # fmt: skip
+    return Overlay(label, group, [entry], shown, {"x/position": (t, t + offset), "r/position": (t, 0.0 * t + 1.0)})
+
+
+def test_runs_overlay_with_bands_over_seeds(monkeypatch):
+    figures = []
+    monkeypatch.setattr("softrig_bringup.plots.overlay.fold_exponents", figures.append)
+    runs = [overlay(f"seed {k}", "draws", 0.1 * k) for k in range(5)] + [overlay("own", "own", 1.0)]
+    ((title, png),) = draw_overlay(runs)
+    assert (title, png[:4]) == ("Position", b"\x89PNG")
+    (ax,) = figures[0].axes
+    own, median, reference = (next(line for line in ax.lines if line.get_label().startswith(n))
+                              for n in ("own", "draws: median of 5 seeds", "reference"))  # fmt: skip
+    assert len(ax.lines) == 3
+    assert median.get_ydata()[0] == pytest.approx(0.2)
+    assert own.get_ydata()[0] == pytest.approx(1.0)
+    assert reference.get_linestyle() == "--"
+    (area,) = ax.collections
+    assert area.get_paths()[0].get_extents().y0 == pytest.approx(0.4 * BAND[0])
+    assert ax.get_ylabel() == "Position, m"
+
+
+def test_signals_that_only_one_run_has_are_not_overlaid():
+    assert list(draw_overlay([overlay("a", "a")])) == []
+
+
+def test_the_report_of_several_runs_overlays_their_bags(tmp_path):
+    runs = [str(tmp_path / "a"), str(tmp_path / "b")]
+    for r, out, more in (("0.5", runs[0], ["--format", "svg"]), ("0.6", runs[1], ["--no-plots"])):
+        assert main(["run", "dc_motor_smc_c1", "--mode", "inprocess", "--duration", "0.5", "--set",
+                     f"dc_motor_plant.R={r}", "--out", out, *more]) == 0  # fmt: skip
+    assert len(list((tmp_path / "a").glob("*.svg"))) == len(list((tmp_path / "a").glob("*.png"))) == 3
+    assert main(["report", *runs, "--out", str(tmp_path / "both.html")]) == 0
+    page = (tmp_path / "both.html").read_text()
+    assert "dc_motor: signals" in page
+    assert page.index("dc_motor: signals") < page.index('alt="Armature voltage and current"')
+    assert '<a href="#run-2">dc_motor_plant.R=0.6, duration 0.5</a>' in page
+    assert 'href="https://doi.org/10.18196/jrc.26140"' in page
+    assert "@article{maarif2021," in page
+    assert page.count('class="diagram"') == 2
+    for png in re.findall(r'src="data:image/png;base64,([^"]*)"', page):
+        width, height = struct.unpack(">II", base64.b64decode(png)[16:24])
+        assert f'width="{width}" height="{height}"' in page
