@@ -8,14 +8,12 @@ import re
 import shutil
 import subprocess
 import sys
-import types
 from pathlib import Path
 
 import pytest
 from softrig_bringup.cli import _parser, main
 from softrig_bringup.run import _checkout, gaps
 from softrig_bringup.run_verb import repeat
-from softrig_core.node.container import split
 from softrig_core.rig.registry import figure
 from softrig_core.rig.rig import Rig
 from softrig_core.rig.scenario import load_scenario
@@ -241,38 +239,6 @@ def test_a_node_explains_itself():
     assert "reads motor/state" in done.stdout
     assert "delta = 0.0 rad/s^2: softening" in done.stdout
     assert "run.mode = 'realtime'" in done.stdout
-
-
-def test_the_launch_file_starts_the_nodes_of_a_scenario(monkeypatch):
-    """Launch is not in the package registries, so its few classes are stand-ins that keep what they are given."""
-
-    class Kept:
-        def __init__(self, *arguments, **keywords):
-            self.arguments, self.keywords = arguments, keywords
-
-    class Configuration(Kept):
-        def perform(self, context):
-            return context[self.arguments[0]]
-
-    names = {"launch": {"LaunchDescription": Kept}, "launch.substitutions": {"LaunchConfiguration": Configuration},
-             "launch.actions": {"DeclareLaunchArgument": Kept, "OpaqueFunction": Kept}, "launch_ros": {},
-             "launch_ros.actions": {"Node": Kept}}  # fmt: skip
-    for name, content in names.items():
-        module = types.ModuleType(name)
-        module.__dict__.update(content)
-        monkeypatch.setitem(sys.modules, name, module)
-    file = Path(__file__).parents[1] / "ros_pkgs" / "softrig_bringup" / "launch" / "rig.launch.py"
-    namespace = {}
-    exec(compile(file.read_text(), str(file), "exec"), namespace)
-    nodes = namespace["_nodes"]({"scenario": "lag", "mode": "lockstep", "seed": "", "place": "processes"})
-    assert [n.keywords["executable"] for n in nodes] == ["plant", "source", "gain"]
-    assert nodes[2].keywords["parameters"][0]["noise"] == 0.01
-    assert nodes[2].keywords["parameters"][0]["run.mode"] == "lockstep"
-    (one,) = namespace["_nodes"]({"scenario": "lag", "mode": "realtime", "seed": "", "place": "container"})
-    assert one.keywords["executable"] == "container"
-    groups = split(one.keywords["arguments"])
-    assert [g[:2] for g in groups] == [["faultrig", "plant"], ["faultrig", "source"], ["faultrig", "gain"]]
-    assert '    run.mode: "realtime"' in Path(groups[2][-1]).read_text().splitlines()
 
 
 # Stands in for Python, colcon and what they make: a set-up in a second without a network.

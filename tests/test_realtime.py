@@ -119,6 +119,13 @@ rclpy.spin(node)
     assert bench.signal("plant", "lag/offset/data").x[-1] == 3.0
 
 
+def test_an_empty_list_reaches_a_node_process(bench):
+    node = bench.start("source", "reference_source", "-p", "positions:=[3.0]", "-p", "velocities:=[]",
+                       "-p", "run.duration:=0.2", package="softrig_control")  # fmt: skip
+    assert node.wait(60.0) == 0
+    assert list(bench.signal("source", "reference/shaft/position").x)[:2] == [3.0, 3.0]
+
+
 def test_a_button_is_also_a_service_that_presses_it_for_one_tick(bench):
     bench.start("plant", "plant")
     bench.wait(lambda: bench.status("plant").get("ticks", 0) > 10)

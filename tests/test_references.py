@@ -30,7 +30,7 @@ def test_reference_of_two_axes_in_three_fields():
 
 
 def test_only_the_fields_given_are_sent():
-    source = ReferenceSource(channels=("axis",), unit="mm", positions=(10.0,), velocities=())
+    source = ReferenceSource(channels=("axis",), unit="mm", positions=(10.0,))
     (_, (port,)) = source.ports(source.p)
     assert (port.labels, port.units) == (("axis/position",), ("mm",))
     assert source.update(0)["reference"] == (10.0,)

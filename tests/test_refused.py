@@ -1,9 +1,12 @@
 """A bad message in each input of each law of each system: the run goes on, what is said stays finite."""
 
+import importlib.metadata
 import math
 
 import pytest
 from simulated import SimulatedRig, World
+from softrig_core.model.block import Observer
+from softrig_core.rig.rig import load_main
 from softrig_core.wire.signals import Signals
 from test_outside import SYSTEMS, short
 
@@ -47,3 +50,16 @@ def test_a_law_goes_on_after_a_bad_message(system):
     }  # fmt: skip
     assert found
     assert {n: wrong for n, wrong in found.items() if wrong} == {}
+
+
+def test_every_observer_can_be_asked_before_its_first_tick():
+    """Its node answers /diagnostics while it waits for others."""
+    asked = 0
+    for distribution in importlib.metadata.distributions():
+        package = distribution.metadata["Name"]
+        for point in distribution.entry_points if package.startswith("softrig") else ():
+            block = getattr(load_main(package, point.name), "block", None)
+            if block is not None and issubclass(block, Observer):
+                block().status()
+                asked += 1
+    assert asked > 8

@@ -40,7 +40,7 @@ def _ended(event, context):
 
 
 def _nodes(context):
-    from softrig_core.rig.processes import container_arguments, groups, node_parameters, placed
+    from softrig_core.rig.processes import container_arguments, groups, node_parameters, parameter_file, placed
     from softrig_core.rig.rig import Rig
     from softrig_core.rig.scenario import load_scenario
 
@@ -50,7 +50,7 @@ def _nodes(context):
     scenario = load_scenario(value("scenario"))
     rig = Rig.from_scenario(scenario)
     seed = int(value("seed") or scenario.seed)
-    folder = Path(mkdtemp(prefix="softrig-launch-"))  # a container's nodes have their parameters in files
+    folder = Path(mkdtemp(prefix="softrig-launch-"))  # launch_ros itself has no empty lists
     found = []
     for group in groups(rig, placed(rig, value("place"))):
         given = {m.name: node_parameters(rig, m, seed, value("mode")) for m in group}
@@ -59,6 +59,7 @@ def _nodes(context):
                               arguments=container_arguments(group, given, folder)))  # fmt: skip
             continue
         m = group[0]
+        file = parameter_file(m, given[m.name], folder)
         found.append(Node(package=m.package, executable=m.executable, name=m.name, output="screen", on_exit=_ended,
-                          remappings=list(m.remap.items()), parameters=[given[m.name]]))  # fmt: skip
+                          remappings=list(m.remap.items()), parameters=[str(file)]))  # fmt: skip
     return found

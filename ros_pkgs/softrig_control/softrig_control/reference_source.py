@@ -25,13 +25,21 @@ class ReferenceSourceParams(ProfileParams):
 
     unit: str = param("rad", "unit of a position; velocities and accelerations are in this unit per s and s^2")
     positions: tuple[float, ...] = param((), "position of every axis from each time on")
-    velocities: tuple[float, ...] = param((10.0,), "velocity of every axis from each time on")
+    velocities: tuple[float, ...] = param(
+        (10.0,), "velocity of every axis from each time on; none when only others are given"
+    )
     accelerations: tuple[float, ...] = param((), "acceleration of every axis from each time on")
 
     @property
     def fields(self) -> list[str]:
         """The fields that are sent."""
         return [f for f in FIELDS if getattr(self, f)]
+
+    @model_validator(mode="before")
+    @classmethod
+    def _only_what_is_given(cls, values: Any) -> Any:
+        given = isinstance(values, dict) and (values.get("positions") or values.get("accelerations"))
+        return {"velocities": ()} | values if given else values
 
     @model_validator(mode="after")
     def _sizes(self) -> Self:

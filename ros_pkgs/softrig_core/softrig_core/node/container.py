@@ -47,8 +47,7 @@ class Container:
     def add(self, group: Sequence[str]) -> None:
         """Make one node; `group` is its package, executable and ROS arguments."""
         package, executable, *arguments = group
-        node = Node(executable, cli_args=arguments, use_global_arguments=False,
-                    automatically_declare_parameters_from_overrides=True)  # fmt: skip
+        node = Node(executable, cli_args=arguments, use_global_arguments=False)
         self.nodes.append(node)
         middleware = ContainedMiddleware(node, self.exchange)
         self.adapters.append(make_adapter(node, load_block(package, executable), middleware))

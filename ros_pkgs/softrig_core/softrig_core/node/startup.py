@@ -9,6 +9,7 @@ from typing import Any, NoReturn
 import rclpy
 from pydantic import ValidationError
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.utilities import remove_ros_args
 
 from ..guard import secure_streams, tell
@@ -40,7 +41,7 @@ def run_node(block_class: type[Block], argv: Sequence[str]) -> NoReturn:
             raise ValueError(f"unexpected argument {stray[0]!r}: expected --ros-args -p NAME:=VALUE and the like; "
                              "--help shows the parameters")  # fmt: skip
         rclpy.init(args=list(argv))
-        node = Node(name, automatically_declare_parameters_from_overrides=True)
+        node = Node(name)
         adapter = make_adapter(node, block_class, RosMiddleware(node))
         if not adapter.options.links:
             node.get_logger().info(introduction(adapter.block, adapter.options))
@@ -103,7 +104,10 @@ def usage(name: str, block_class: type[Block]) -> str:
 
 def _parameters(node: Node, block_class: type[Block]) -> tuple[Any, RunOptions]:
     """Declare all parameters with descriptions and ranges, and validate the values given."""
-    given = {name: p.value for name, p in node.get_parameters_by_prefix("").items()}
+    # rclpy cannot declare an empty list, which has no type, so that nothing may be declared from what is given as it is
+    given = {
+        name: [] if p.type_ == Parameter.Type.NOT_SET else p.value for name, p in node._parameter_overrides.items()
+    }
     for name in ("use_sim_time", "start_type_description_service"):
         given.pop(name, None)
     given = {k: v for k, v in given.items() if not k.startswith("qos_overrides.")}
@@ -120,7 +124,5 @@ def _declare(node: Node, wanted: list[Declaration], values: Mapping[str, Any]) -
     for declaration in wanted:
         descriptor = range_descriptor(declaration)
         value = values.get(declaration.name)
-        if node.has_parameter(declaration.name):
-            node.undeclare_parameter(declaration.name)  # it came undeclared and unchecked from the command line
         if value is not None and value != []:
             node.declare_parameter(declaration.name, value, descriptor, ignore_override=True)

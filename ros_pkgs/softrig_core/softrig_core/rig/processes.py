@@ -159,11 +159,14 @@ def _gatherer(rig: Rig) -> Member | None:
 
 
 def _pacers(rig: Rig, member: Member) -> list[Member]:
-    """Give the readers by whose ticks a source paces itself when the clock is outside and may publish no /clock."""
+    """Give those by whose ticks a source paces itself when the clock is outside and may publish no /clock: its readers,
+    or who commands the clock.
+    """
     if not rig.clock.external or member.external or member.is_plant or member.links:
         return []
     readers = [m for p in member.outputs for m, _ in rig.readers(member, p) if not m.external]
-    return list(dict.fromkeys(readers))
+    gatherer = _gatherer(rig)
+    return list(dict.fromkeys(readers)) or ([gatherer] if gatherer is not None else [])
 
 
 def _acknowledging(rig: Rig) -> list[Member]:
@@ -411,13 +414,27 @@ def container_arguments(group: Sequence[Member], given: Mapping[str, dict[str, A
 
 def _ros_arguments(member: Member, parameters: dict[str, Any], directory: Path) -> list[str]:
     """Write a node's parameter file and give the arguments that name it, the node and its remaps."""
-    file = directory / f"{member.name}.params.yaml"
-    lines = [f"    {name}: {json.dumps(value)}" for name, value in parameters.items()]
-    file.write_text("/**:\n  ros__parameters:\n" + "\n".join(lines) + "\n")
+    file = parameter_file(member, parameters, directory)
     arguments = ["--ros-args", "-r", f"__node:={member.name}", "--params-file", str(file)]
     for old, new in member.remap.items():
         arguments += ["-r", f"{old}:={new}"]
     return arguments
+
+
+def parameter_file(member: Member, parameters: Mapping[str, Any], directory: Path) -> Path:
+    """Write the parameters of a node as `--params-file` takes them.
+
+    Parameters
+    ----------
+    member : Member
+    parameters : mapping
+        As `node_parameters` gives them.
+    directory : Path
+    """
+    file = directory / f"{member.name}.params.yaml"
+    lines = [f"    {name}: {json.dumps(value)}" for name, value in parameters.items()]
+    file.write_text("/**:\n  ros__parameters:\n" + "\n".join(lines) + "\n")
+    return file
 
 
 def _die_with_parent() -> None:

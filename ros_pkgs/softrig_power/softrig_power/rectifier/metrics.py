@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterator, Mapping
+from itertools import zip_longest
 from typing import Any
 
 from softrig_core.model.params import param
@@ -58,8 +59,8 @@ class RigMetrics(Watch[RigMetricsParams]):
 
     def measures(self) -> Iterator[Measure]:
         """Figures of each event until the next one."""
-        ends = [at - 0.5 * self.p.period for _, at, _ in self._events][1:] + [None]
-        for (k, at, w), end in zip(self._events, ends, strict=True):
+        ends = [at - 0.5 * self.p.period for _, at, _ in self._events][1:]
+        for (k, at, w), end in zip_longest(self._events, ends):
             part = {"signal": V_DC, "start": at, "end": end}
             yield Measure(f"event_{k}_v_min", metrics.minimum, part)
             yield Measure(f"event_{k}_v_max", metrics.maximum, part)

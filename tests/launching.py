@@ -1,0 +1,112 @@
+"""What of launch and launch_ros a launch file of ours needs; neither is in the package registries.
+
+After launch 3.4 and launch_ros 0.26: an argument has choices, `on_exit` is called with the event and the context, what
+it raises shuts the launch down with status 1, and a shutdown interrupts what still runs.
+"""
+
+import signal
+import subprocess
+import sys
+import time
+import types
+from pathlib import Path
+from types import SimpleNamespace
+
+from softrig_core.rig.processes import find_executable
+
+FILE = Path(__file__).parents[1] / "ros_pkgs" / "softrig_bringup" / "launch" / "rig.launch.py"
+
+
+class LaunchDescription(list):
+    pass
+
+
+class DeclareLaunchArgument:
+    def __init__(self, name, *, default_value=None, description="", choices=None):
+        self.name, self.default, self.choices = name, default_value, choices
+
+    def given(self, values):
+        value = values.get(self.name, self.default)
+        if value is None or (self.choices is not None and value not in self.choices):
+            raise RuntimeError(f"argument {self.name!r}: {value!r}, expected one of {self.choices}")
+        return value
+
+
+class LaunchConfiguration:
+    def __init__(self, name):
+        self.name = name
+
+    def perform(self, context):
+        return context.values[self.name]
+
+
+class OpaqueFunction:
+    def __init__(self, function):
+        self.function = function
+
+
+class Node:
+    def __init__(self, *, package, executable, name=None, output="log", on_exit=None, arguments=(), remappings=(),
+                 parameters=()):  # fmt: skip
+        self.package, self.executable, self.name, self.on_exit = package, executable, name, on_exit
+        self.parameters, self.remappings, self.arguments = list(parameters), list(remappings), list(arguments)
+
+    def command(self):
+        ros = [f"__node:={self.name}"] if self.name else []
+        ros += [f"{old}:={new}" for old, new in self.remappings]
+        options = [word for rule in ros for word in ("-r", rule)]
+        options += [word for file in self.parameters for word in ("--params-file", file)]
+        path = str(find_executable(self.package, self.executable))
+        return [path, *self.arguments, *(["--ros-args", *options] if options else [])]
+
+
+MODULES = {
+    "launch": [LaunchDescription],
+    "launch.actions": [DeclareLaunchArgument, OpaqueFunction],
+    "launch.substitutions": [LaunchConfiguration],
+    "launch_ros": [],
+    "launch_ros.actions": [Node],
+}
+
+
+def nodes_of(values):
+    """The Node actions of the launch file for these arguments."""
+    before = {name: sys.modules.get(name) for name in MODULES}
+    try:
+        for name, classes in MODULES.items():
+            sys.modules[name] = types.ModuleType(name)
+            sys.modules[name].__dict__.update({c.__name__: c for c in classes})
+        space = {}
+        exec(compile(FILE.read_text(), str(FILE), "exec"), space)
+    finally:
+        for name, module in before.items():
+            sys.modules.pop(name) if module is None else sys.modules.update({name: module})
+    *declared, last = space["generate_launch_description"]()
+    return last.function(SimpleNamespace(values={a.name: a.given(values) for a in declared}))
+
+
+def launch(values, variables, meddle=lambda processes: None):
+    """Launch until all have ended; gives the status and what was said. `meddle` gets the processes by node name."""
+    output = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
+    running = {node: subprocess.Popen(node.command(), env=variables, **output) for node in nodes_of(values)}
+    context, status, said = SimpleNamespace(is_shutdown=False), 0, []
+    try:
+        while running:
+            meddle({n.name: p for n, p in running.items()})
+            for node, process in [(n, p) for n, p in running.items() if p.poll() is not None]:
+                del running[node]
+                said.append(process.communicate()[0])
+                event = SimpleNamespace(returncode=process.returncode, process_name=node.name or node.executable)
+                try:
+                    node.on_exit(event, context)
+                except RuntimeError as error:
+                    said.append(str(error))
+                    status, context.is_shutdown = 1, True
+                    for other in running.values():
+                        other.send_signal(signal.SIGINT)
+            time.sleep(0.01)
+    finally:
+        for process in running.values():
+            process.kill()
+            process.wait()
+    return status, "".join(said)

@@ -1,0 +1,81 @@
+"""The launch file: one start and one end of all nodes, a status, and no node left behind."""
+
+import pytest
+from launching import launch, nodes_of
+from softrig_core.node.container import split
+from softrig_core.rig.domain import free_domain
+from softrig_core.rig.processes import environment
+from softrig_core.rig.scenario import load_scenario
+from test_outside import SYSTEMS, short
+
+SCENARIO = """
+title: First-order lag
+system: lag
+source: none
+duration: 0.5
+timeout: 60.0
+nodes:
+  plant: {package: faultrig, executable: plant}
+  source: {package: faultrig, executable: source}
+  gain: {package: faultrig, executable: gain, parameters: {noise: 0.01}}
+variants:
+  long: {duration: 1000.0}
+"""
+
+
+@pytest.fixture
+def lag(tmp_path, monkeypatch):
+    (tmp_path / "lag.yaml").write_text(SCENARIO)
+    monkeypatch.setenv("SOFTRIG_SCENARIOS", str(tmp_path))
+
+
+def test_nodes_and_parameters_are_those_of_the_scenario(lag):
+    nodes = nodes_of({"scenario": "lag", "mode": "lockstep"})
+    assert [n.executable for n in nodes] == ["plant", "source", "gain"]
+    with open(nodes[2].parameters[0]) as file:
+        assert {"    noise: 0.01", '    run.mode: "lockstep"'} <= set(file.read().splitlines())
+    (one,) = nodes_of({"scenario": "lag", "place": "container"})
+    groups = split(one.arguments)
+    assert [g[:2] for g in groups] == [["faultrig", "plant"], ["faultrig", "source"], ["faultrig", "gain"]]
+    with open(groups[2][-1]) as file:
+        assert '    run.mode: "realtime"' in file.read().splitlines()
+    with pytest.raises(RuntimeError, match="argument 'mode': 'lock', expected one of"):
+        nodes_of({"scenario": "lag", "mode": "lock"})
+
+
+@pytest.mark.processes
+@pytest.mark.parametrize(("mode", "place"), [("lockstep", "processes"), ("realtime", "container")])
+def test_a_launch_ends_by_itself(mode, place, lag, tmp_path):
+    with free_domain() as domain:
+        values = {"scenario": "lag", "mode": mode, "place": place}
+        assert launch(values, environment(domain, tmp_path))[0] == 0
+
+
+@pytest.mark.processes
+def test_a_node_that_dies_ends_the_launch_with_a_status(lag, tmp_path):
+    """At once, and not after the timeout of those who wait for it."""
+
+    def meddle(processes):
+        if "source" in processes and processes["source"].poll() is None:
+            processes["source"].kill()
+
+    with free_domain() as domain:
+        values = {"scenario": "lag_long", "mode": "lockstep"}
+        status, said = launch(values, environment(domain, tmp_path), meddle)
+    assert status == 1
+    assert "source ended with status -9" in said
+
+
+@pytest.mark.long
+@pytest.mark.processes
+@pytest.mark.parametrize("mode", ["lockstep", "realtime"])
+@pytest.mark.parametrize("system", SYSTEMS)
+def test_every_system_ends_by_itself(system, mode, tmp_path, monkeypatch):
+    file = tmp_path / "launched.yaml"
+    duration = short(system).scenario.duration
+    file.write_text(f"extends: {system}\ntitle: launched\nduration: {duration!r}\n")
+    monkeypatch.chdir(tmp_path)
+    assert load_scenario(str(file)).duration == duration
+    with free_domain() as domain:
+        status, said = launch({"scenario": str(file), "mode": mode}, environment(domain, tmp_path))
+    assert status == 0, said
