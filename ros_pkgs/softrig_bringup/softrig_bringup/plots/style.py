@@ -19,7 +19,7 @@ MANY = 8  # more curves than this in one axes get a colour scale instead of a le
 
 def style() -> dict[Any, Any]:
     """Give matplotlib's settings for every picture of the suite."""
-    from cycler import cycler
+    from matplotlib.rcsetup import cycler
 
     return {
         "font.size": 10.0,
