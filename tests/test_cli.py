@@ -6,6 +6,7 @@ import json
 import os
 import re
 import shutil
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -373,3 +374,32 @@ def test_no_home_and_no_place_for_temporary_files(folder, tmp_path):
     variables = {k: v for k, v in os.environ.items() if k != "XDG_CACHE_HOME"} | nowhere
     found = command("run", "lag", "--out", "a", "--no-plots", env=variables, capture_output=True, text=True)
     assert found.returncode == 0, found.stderr
+
+
+def test_a_signal_while_the_bag_is_written_waits_until_it_is_whole(folder, monkeypatch, capsys):
+    from softrig_bags import write
+
+    whole = write.write_bag
+
+    def struck(*arguments, **options):
+        os.kill(os.getpid(), signal.SIGTERM)
+        return whole(*arguments, **options)
+
+    monkeypatch.setattr(write, "write_bag", struck)
+    before = signal.getsignal(signal.SIGTERM)
+    assert run("lag", "--mode", "inprocess", "--out", "a") == 143
+    assert signal.getsignal(signal.SIGTERM) is before
+    assert capsys.readouterr().err == "softrig: stopped\n"
+    monkeypatch.setattr(write, "write_bag", whole)
+    assert run("lag", "--mode", "inprocess", "--out", "b", "--no-plots") == 0
+    assert main(["compare", "a/bag", "b/bag", "--bitwise"]) == 0
+    assert run("lag", "--mode", "inprocess", "--out", "a", "--no-plots") == 0  # its list of files was closed too
+
+
+def test_a_terminal_that_goes_while_a_table_is_printed(folder):
+    """rich by itself would end with status 1, which says that a metric misses."""
+    reader, writer = os.pipe()
+    os.close(reader)
+    found = command("list", stdout=writer, env=os.environ | {"COLUMNS": "60"}, stderr=subprocess.PIPE, text=True)
+    os.close(writer)
+    assert (found.returncode, found.stderr) == (141, "")

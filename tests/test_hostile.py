@@ -5,11 +5,13 @@ from pathlib import Path
 
 import pytest
 from conftest import make_scenario
+from pydantic import model_validator
 from softrig_core.errors import RunError, ScenarioError
 from softrig_core.model.answer import check
 from softrig_core.model.block import Block
 from softrig_core.model.params import LONGEST, BlockParams, ParameterError, build, check_steps, declarations, param
 from softrig_core.model.port import number
+from softrig_core.rig.domain import free_domain
 from softrig_core.rig.options import RunOptions
 from softrig_core.rig.rig import Rig
 
@@ -74,6 +76,30 @@ def test_a_set_up_that_fails_names_what_it_was_given():
         member.block(0)
 
 
+def test_what_does_not_fit_together_names_what_was_given():
+    class Pair(BlockParams):
+        low: float = param(0.0, "low")
+        high: float = param(1.0, "high")
+
+        @model_validator(mode="after")
+        def _order(self):
+            if self.high - self.low <= 0.0:
+                raise ValueError("the range is empty")
+            return self
+
+    with pytest.raises(ParameterError, match=r"^parameters: the range is empty \(with low = 2\.0\)$"):
+        build(Pair, {"low": 2.0})
+
+
+def test_elements_of_a_list_have_bounds():
+    class Rules(BlockParams):
+        rules: tuple[int, ...] = param((0, 1), "rules", each=(-3, 3))
+
+    assert build(Rules, {"rules": [3, -3]}).rules == (3, -3)
+    with pytest.raises(ParameterError, match=r"parameter rules = .*: expected -3 to 3, got 4"):
+        build(Rules, {"rules": [0, 4]})
+
+
 def test_no_memory_in_a_set_up_is_its_parameters_too():
     class Greedy(Block[SizeParams]):
         def setup(self):
@@ -106,3 +132,33 @@ def test_a_short_campaign():
     table = driver.campaign(dict.fromkeys(("bags", "messages", "parameters", "scenarios"), 6), 1, 15.0, None, 2)
     assert sum(row[0] for row in table.values()) >= 6
     assert {area: row[2] for area, row in table.items()} == {area: [] for area in table}
+
+
+@pytest.mark.processes
+def test_a_parameter_of_an_unknown_type_is_refused_and_the_node_lives_on():
+    import rclpy
+    from rcl_interfaces.msg import Parameter, ParameterValue
+    from rcl_interfaces.srv import SetParameters
+    from rclpy.context import Context
+    from rclpy.executors import SingleThreadedExecutor
+    from softrig_core.node.ros import ServingNode
+
+    with free_domain() as domain:
+        context = Context()
+        rclpy.init(context=context, domain_id=domain)
+        node = ServingNode("node", context=context)
+        executor = SingleThreadedExecutor(context=context)
+        executor.add_node(node)
+        client = node.create_client(SetParameters, "/node/set_parameters")
+        try:
+            assert client.wait_for_service(30.0)
+            for _ in range(2):
+                request = SetParameters.Request(parameters=[Parameter(name="x", value=ParameterValue(type=77))])
+                future = client.call_async(request)
+                executor.spin_until_future_complete(future, 30.0)
+                (result,) = future.result().results
+                assert (result.successful, "77" in result.reason) == (False, True)
+        finally:
+            executor.shutdown()
+            node.destroy_node()
+            rclpy.shutdown(context=context)

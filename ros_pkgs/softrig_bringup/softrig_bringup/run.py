@@ -25,7 +25,7 @@ from softrig_core.rig.inprocess import run_inprocess
 from softrig_core.rig.rig import CLOCK, Rig
 from softrig_core.rig.scenario import Scenario
 from softrig_core.rig.simulate import Run
-from softrig_core.rig.stopping import signal_of, stoppable
+from softrig_core.rig.stopping import signal_of, stoppable, unstopped
 from softrig_core.wire.recording import Recording
 
 from .citations import cited
@@ -228,14 +228,15 @@ def save(
 
 
 def _write(run: Run, content: Mapping[str, Any], directory: Path, *, record: bool, plots: bool, also: str) -> None:
-    # first: if the disk is full, this is what tells why
-    (directory / "metrics.json").write_text(json.dumps(content, indent=1) + "\n")
-    if record:
-        from softrig_bags.scenery import LATCHED, with_scenery
-        from softrig_bags.write import write_bag
+    with unstopped():
+        # first: if the disk is full, this is what tells why
+        (directory / "metrics.json").write_text(json.dumps(content, indent=1) + "\n")
+        if record:
+            from softrig_bags.scenery import LATCHED, with_scenery
+            from softrig_bags.write import write_bag
 
-        recording = with_scenery(run.recording, _scenes(run.rig))
-        write_bag(directory / "bag", recording, custom_data=_provenance(run, content), latched=LATCHED)
+            recording = with_scenery(run.recording, _scenes(run.rig))
+            write_bag(directory / "bag", recording, custom_data=_provenance(run, content), latched=LATCHED)
     if not plots:
         return
     from .report import write_report

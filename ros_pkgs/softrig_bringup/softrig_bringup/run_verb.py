@@ -46,9 +46,10 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run a scenario; gives the exit status."""
     from softrig_core.rig.domain import free_domain
+    from softrig_core.rig.stopping import stoppable
 
     # before anything of an earlier run is replaced: two runs in one domain would read each other's messages
-    with nullcontext() if options.domain is None else free_domain(options.domain):
+    with stoppable(), nullcontext() if options.domain is None else free_domain(options.domain):
         return _run_reserved(options)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import os
 import shlex
+import signal
 import sys
 from collections.abc import Callable
 from contextlib import suppress
@@ -28,8 +29,8 @@ def guarded(work: Callable[[], int]) -> int:
     Returns
     -------
     int
-        That of `work`; 2 bad input, 3 it broke, 4 an error of softrig itself (its traceback is in a file), 130
-        interrupted, 141 nobody reads the output any more.
+        That of `work`; 2 bad input, 3 it broke, 4 an error of softrig itself (its traceback is in a file), 128
+        and the number of the signal that stopped it, 141 nobody reads the output any more.
     """
     secure_streams()
     try:
@@ -49,9 +50,9 @@ def guarded(work: Callable[[], int]) -> int:
     except RunError as error:
         say(error)
         return 3
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as error:
         say("stopped")
-        return 130
+        return 128 + int(getattr(error, "number", signal.SIGINT))
     except MemoryError:
         say("out of memory; a shorter run or a smaller size may fit")
         return 3

@@ -193,7 +193,11 @@ def build(model: type[Params], values: Mapping[str, Any]) -> Params:
     try:
         return model(**nested)
     except ValidationError as error:
-        raise ParameterError("; ".join(_explain(model, e) for e in error.errors())) from None
+        text = "; ".join(_explain(model, e) for e in error.errors())
+        if values and not any(name in text for name in values):  # what follows from them does not fit together
+            given = ", ".join(f"{name} = {_shown(value)}" for name, value in values.items())
+            text += f" (with {given if len(given) < 400 else given[:400] + ' ...'})"
+        raise ParameterError(text) from None
 
 
 def _explain(model: type[Params], error: Any) -> str:

@@ -27,6 +27,7 @@ from .contained import ContainedMiddleware
 from .exchange import Exchange
 from .leave import leave
 from .profile import exclusive
+from .ros import ServingNode
 from .spin import conclude, failure
 from .startup import make_adapter
 
@@ -47,7 +48,7 @@ class Container:
     def add(self, group: Sequence[str]) -> None:
         """Make one node; `group` is its package, executable and ROS arguments."""
         package, executable, *arguments = group
-        node = Node(executable, cli_args=arguments, use_global_arguments=False)
+        node = ServingNode(executable, cli_args=arguments, use_global_arguments=False)
         self.nodes.append(node)
         middleware = ContainedMiddleware(node, self.exchange)
         self.adapters.append(make_adapter(node, load_block(package, executable), middleware))

@@ -7,6 +7,8 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
+from rcl_interfaces.msg import SetParametersResult
+from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy._rclpy_pybind11 import RCLError
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
@@ -21,6 +23,27 @@ from .middleware import Matched, Middleware, Peer, Receive
 
 # Depth 10: in lockstep at most two messages of a topic are ever under way; outside readers get some slack.
 QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
+
+
+class ServingNode(Node):  # type: ignore[misc]
+    """A node whose services outlive what they are asked: rclpy's own end it at a parameter of an unknown type."""
+
+    def create_service(self, srv_type: Any, srv_name: str, callback: Callable[[Any, Any], Any], **options: Any) -> Any:
+        """Offer a service; a call that fails is refused with the reason."""
+
+        def answer(request: Any, response: Any) -> Any:
+            try:
+                return callback(request, response)
+            except Exception as error:
+                self.get_logger().error(f"{srv_name}: {type(error).__name__}: {error}", once=True)
+                refusal = SetParametersResult(successful=False, reason=str(error))
+                if srv_type is SetParameters:
+                    response.results = [refusal] * len(request.parameters)
+                elif srv_type is SetParametersAtomically:
+                    response.result = refusal
+                return response
+
+        return super().create_service(srv_type, srv_name, answer, **options)
 
 
 class _RosTimer:

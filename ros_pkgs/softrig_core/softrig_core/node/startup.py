@@ -23,7 +23,7 @@ from .lockstep import Lockstep
 from .messages import range_descriptor
 from .middleware import Middleware
 from .realtime import Realtime
-from .ros import RosMiddleware
+from .ros import RosMiddleware, ServingNode
 from .spin import spin
 
 
@@ -41,7 +41,7 @@ def run_node(block_class: type[Block], argv: Sequence[str]) -> NoReturn:
             raise ValueError(f"unexpected argument {stray[0]!r}: expected --ros-args -p NAME:=VALUE and the like; "
                              "--help shows the parameters")  # fmt: skip
         rclpy.init(args=list(argv))
-        node = Node(name)
+        node = ServingNode(name)
         adapter = make_adapter(node, block_class, RosMiddleware(node))
         if not adapter.options.links:
             node.get_logger().info(introduction(adapter.block, adapter.options))

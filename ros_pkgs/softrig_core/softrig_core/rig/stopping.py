@@ -51,3 +51,21 @@ def stoppable() -> Iterator[None]:
     finally:
         for number, old in before.items():
             signal.signal(number, old)
+
+
+@contextmanager
+def unstopped() -> Iterator[None]:
+    """Let signals wait while something is written that is worth nothing by halves."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    came: list[int] = []
+    # not blocked: another thread would take them
+    before = {number: signal.signal(number, lambda number, frame: came.append(number)) for number in SIGNALS}
+    try:
+        yield
+    finally:
+        for number, old in before.items():
+            signal.signal(number, old)
+        if came:
+            signal.raise_signal(came[0])
