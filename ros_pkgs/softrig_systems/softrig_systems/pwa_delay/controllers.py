@@ -13,7 +13,7 @@ from softrig_core.node import executable
 
 from .params import DelayParams
 from .ports import INFLOW, LEVEL, SEEN, TORQUE
-from .profiles import delay_at, profile
+from .profiles import delay_at
 
 
 class TankControllerParams(BlockParams):
@@ -109,13 +109,9 @@ class DelayLine(Block[DelayLineParams]):
 
     def start(self) -> None:
         """Remember nothing."""
-        p = self.p
-        h = min(p.delay, p.max_delay)
-        if p.delay > p.max_delay:
-            self.report(Level.WARN, "delay", f"delay {p.delay:g} s clamped to max_delay = {p.max_delay:g} s")
-        self._profile = profile(p.profile, h, p.mu, seed=p.seed, horizon=p.horizon)
+        self._profile = self.p.bounded_profile(self)
         self._line: History | None = None
-        self._h = h
+        self._h = self._profile.h
 
     def update(self, t: int, *, state: tuple[float, ...]) -> Mapping[str, tuple[float, ...]]:
         """Give the delayed values."""

@@ -6,9 +6,10 @@ from functools import lru_cache
 from typing import Literal, Self
 
 from pydantic import model_validator
+from softrig_core.model.block import Block, Level
 from softrig_core.model.params import Params, param
 
-from .profiles import Kind
+from .profiles import Kind, Profile, profile
 from .system import PwaSystem, continuous_tank, from_lines, linear, pendulum, switched, tank
 
 SystemName = Literal["switched", "tank", "continuous_tank", "pendulum", "benchmark", "scalar", "user"]
@@ -85,3 +86,11 @@ class DelayParams(Params):
     mu: float = param(0.0, "bound of the rate of a sine", ge=0.0, le=100.0)
     seed: int = param(0, "of the telegraph", ge=0, le=2**31 - 1)
     horizon: float = param(1000.0, "time for which a telegraph has jumps", "s", gt=0.0, le=1e6)
+
+    def bounded_profile(self, block: Block) -> Profile:
+        """Give the delay over time; `block` tells when its bound is more than is allowed."""
+        h = min(self.delay, self.max_delay)
+        if self.delay > self.max_delay:
+            text = f"delay {self.delay:g} s clamped to max_delay = {self.max_delay:g} s"
+            block.report(Level.WARN, "delay", text)
+        return profile(self.profile, h, self.mu, seed=self.seed, horizon=self.horizon)

@@ -29,7 +29,7 @@ from .motion import (
 )  # fmt: skip
 from .params import DelayParams, SystemParams
 from .ports import INFLOW, LEVEL, PENDULUM, TORQUE, mode, state
-from .profiles import delay_at, profile
+from .profiles import delay_at
 from .system import TANK_C
 
 BEYOND = 1e6  # size of a state at which a run ends
@@ -66,11 +66,8 @@ class DelayPlant(Plant):
 
     def start(self) -> None:
         """Stand still in the past."""
-        p = self.p
-        h = min(p.delay, p.max_delay)
-        if p.delay > p.max_delay:
-            self.report(Level.WARN, "delay", f"delay {p.delay:g} s clamped to max_delay = {p.max_delay:g} s")
-        self._profile = profile(p.profile, h, p.mu, seed=p.seed, horizon=p.horizon)
+        self._profile = self.p.bounded_profile(self)
+        h = self._profile.h
         self._k = 0
         self._x = np.array(self.first(), dtype=float)
         self._past = trajectory(self._h, h + 2.0 * self._h, tuple(self._x), spare=64)
