@@ -21,8 +21,8 @@ from softrig_core.rig.rig import Rig
 from softrig_core.rig.scenario import list_scenarios, load_scenario
 from softrig_core.wire.signals import Signals
 from softrig_drives.dc_motor.kalman_surface import DcMotorSmcKalman
-from softrig_drives.dc_motor.metrics import DcMotorMetrics
 from softrig_drives.dc_motor.model import MotorConstants, state_space
+from softrig_drives.dc_motor.monitor import DcMotorMetrics
 from softrig_drives.dc_motor.pid import DcMotorPid
 from softrig_drives.dc_motor.plant import DcMotorPlant
 from softrig_drives.dc_motor.sliding_mode import DcMotorSmc

@@ -39,8 +39,8 @@ from softrig_power.pv.converter import (
 )  # fmt: skip
 from softrig_power.pv.curves import PvCurves
 from softrig_power.pv.figures import POWER
-from softrig_power.pv.metrics import MpptMetrics
 from softrig_power.pv.module import ModuleParams, cell
+from softrig_power.pv.monitor import MpptMetrics
 from softrig_power.pv.mppt import MpptOptimizer
 from softrig_power.pv.plant import PvPlant
 from softrig_power.pv.shading import ShadingSource

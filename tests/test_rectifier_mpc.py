@@ -36,8 +36,8 @@ from softrig_power.rectifier import pictures
 from softrig_power.rectifier.averaged import ode_abc
 from softrig_power.rectifier.circuit import INJECTION, SPWM, Circuit, Period, grid, phases
 from softrig_power.rectifier.controller import RectifierGpc
-from softrig_power.rectifier.metrics import RigMetrics
 from softrig_power.rectifier.models import SEED19_DEN, SEED19_NUM, d2, linearised, n3, seed19
+from softrig_power.rectifier.monitor import RigMetrics
 from softrig_power.rectifier.parameters import RectifierConstants
 from softrig_power.rectifier.plant import RectifierPlant
 from softrig_power.rectifier.ports import DC_LINK, POWER_QUALITY, V_DROP, events

@@ -27,8 +27,8 @@ from softrig_robots.rehab.computation import PUBLISHED, computation_times
 from softrig_robots.rehab.controller import VoltageController
 from softrig_robots.rehab.emvc import Emvc
 from softrig_robots.rehab.impedance import Impedance
-from softrig_robots.rehab.metrics import RehabMetrics
 from softrig_robots.rehab.model import JOINTS, foot_jacobian, rehab_urdf
+from softrig_robots.rehab.monitor import RehabMetrics
 from softrig_robots.rehab.patient import Patient
 from softrig_robots.rehab.plant import RehabPlant
 from softrig_robots.rehab.prom import PromReference

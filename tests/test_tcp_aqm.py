@@ -20,8 +20,8 @@ from softrig_core.rig.scenario import list_scenarios, load_scenario
 from softrig_core.wire.signals import Signals
 from softrig_systems.tcp_aqm.controller import HOLD, AqmController
 from softrig_systems.tcp_aqm.fluid_plant import TcpFluid
-from softrig_systems.tcp_aqm.metrics import AqmMetrics
 from softrig_systems.tcp_aqm.model import Bottleneck, equilibrium, phi, psi
+from softrig_systems.tcp_aqm.monitor import AqmMetrics
 from softrig_systems.tcp_aqm.packets_plant import TcpPackets
 
 NAMES = sorted(n for n in list_scenarios() if n.startswith("tcp_aqm_smc"))
