@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from conftest import differences, in_process, make_scenario
 from faultrig import COMMAND, STATE, Lag
-from simulated import SimulatedRig, World
+from simulated import SimulatedNode, SimulatedRig, World
 from softrig_core.model.block import Block
 from softrig_core.rig.rig import Rig
 from softrig_core.rig.scenario import load_scenario
@@ -164,6 +164,22 @@ def test_absurd_numbers_are_refused_and_what_overflows_all_the_same_brings_the_s
     u = Signals(run.recording, run.epoch)["lag/command/u/effort"].x
     assert list(u) == [1.0] * 5 + [1.0 if x > 1e9 else 0.0] + [1.0] * 4
     assert law.state == "running"
+
+
+@pytest.mark.parametrize("mode", ["lockstep", "realtime"])
+def test_who_publishes_with_another_type_is_named_and_not_taken_for_who_is_expected(mode):
+    nodes = BASIC | {"gain": {"executable": "gain", "external": True}}
+    world = World()
+    run = SimulatedRig(Rig.from_scenario(make_scenario(nodes, 0.1)), world, mode, departs=True, start_timeout=0.0)
+    SimulatedNode(world, "stranger", {}).publisher("lag/command", "std_msgs/msg/Float64", lambda count: None)
+    world.match()
+    world.run(world.now + 3000 * MS)
+    plant = run.adapters["plant"]
+    text = "lag/command exists with type std_msgs/msg/Float64, expected sensor_msgs/msg/JointState"
+    assert [t for _, t in run.nodes["plant"].logs] == [text]
+    assert plant.block.reports["type of lag/command"] == (2, text, 1)
+    assert plant.lacking == ["lag/command"]
+    assert plant.state == "starting"
 
 
 def test_a_node_whose_senders_have_ended_ends_too():

@@ -24,8 +24,10 @@ from .buttons import Buttons
 from .endpoint import Input, Output
 from .health import write_status
 from .middleware import Direct, Message, Middleware, Receive
+from .start import other_types
 from .tick import END, TICK, TickWriter
 
+LOOK_EVERY = 4  # watches between two looks at the types of topics on which nothing comes
 WATCH_PERIOD = SECOND // 4  # ns: progress check, status file, flush of the shard
 CLOCK_TOPIC = "/clock"
 CLOCK_LAYOUT = Layout("rosgraph_msgs/msg/Clock")
@@ -269,12 +271,26 @@ class Adapter:
         self.state = state
         self.on_finished()
 
+    def _notice_types(self) -> None:
+        """Name a topic that somebody publishes with another type: nothing of it ever arrives."""
+        for item in self.inputs:
+            key = f"type of {item.port.topic}"
+            if item.publishers or item.heard or key in self.block.reports:
+                continue
+            other = other_types(self.middleware, item.port)
+            if other:
+                text = f"{item.port.topic} exists with type {other}, expected {item.port.msgtype}"
+                self.block.report(Level.ERROR, key, text)
+                self.log_once(key, Level.ERROR, text)
+
     def _watch(self) -> None:
         if self.shard is not None:
             self.shard.flush()
         for key, (level, text, _) in self.block.reports.items():
             self.log_once(key, level, text)
         self.progress()
+        if self._watches % LOOK_EVERY == 0:
+            self._notice_types()
         self._watches += 1
         if self._watches % self.status_every == 0 or self.state != "running":
             write_status(self)

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from ..model.port import Port
 from .endpoint import Input, Output
-from .middleware import Peer
+from .middleware import Middleware, Peer
 
 if TYPE_CHECKING:
     from .adapter import Adapter
@@ -76,16 +77,30 @@ class Handshake:
         """Give the external nodes behind the topics that they publish."""
         peers = []
         self.lacking = []
+        resolve = self._node.middleware.resolve
+        unmatched = {resolve(i.port.topic) for i, _ in self._awaited if not i.publishers and not i.heard}
         for name in self._node.links.outside:
             # a name of the rig, not one of the node's own to be remapped
-            found = self._node.middleware.publishers(f"{self._node.namespace}/{name}")
-            if not found:
+            topic = name if name.startswith("/") else f"{self._node.namespace}/{name}"
+            found = self._node.middleware.publishers(topic)
+            if not found or topic in unmatched:
                 self.lacking.append(name)
+            if not found:
                 absent.append(f"no publisher on {name} (expected from an external node)")
             peers += found[:1]
         return list(dict.fromkeys(peers))
 
     def _other_type(self, item: Input) -> str:
-        middleware, port = self._node.middleware, item.port
-        other = [t for t in middleware.types(middleware.resolve(port.topic)) if t != port.msgtype]
-        return f"; the topic exists with type {', '.join(other)}" if other else ""
+        other = other_types(self._node.middleware, item.port)
+        return f"; the topic exists with type {other}" if other else ""
+
+
+def other_types(middleware: Middleware, port: Port) -> str:
+    """Name the types other than a port's own under which its topic exists: such endpoints never match.
+
+    Parameters
+    ----------
+    middleware : Middleware
+    port : Port
+    """
+    return ", ".join(t for t in middleware.types(middleware.resolve(port.topic)) if t != port.msgtype)

@@ -288,6 +288,7 @@ class _Guests:
             m.name: {p.topic for p in m.outputs if _ours(rig.readers(m, p))} for m in rig.members if m.external
         }  # fmt: skip
         self._rig = rig
+        self._warned: set[str] = set()
         self._awaited = [name for name, topics in self._needed.items() if topics]
 
     def invite(self, domain: int) -> None:
@@ -311,11 +312,21 @@ class _Guests:
         states = [_read_status(c.status) for c in children]
         if any("lacking" not in s for s in states):
             return  # not all of ours are there themselves
+        self._warn(states)
         lacking = {topic for s in states for topic in s["lacking"]}
         for name in [n for n in self._awaited if not self._needed[n] & lacking]:
             self._awaited.remove(name)
             if self._announce is not None:
                 self._announce(f"{name} is there")
+
+    def _warn(self, states: list[dict[str, Any]]) -> None:
+        """Say, once, who cannot be heard because of its type."""
+        for state in states:
+            for key, (_, text, _) in state.get("reports", {}).items():
+                if key.startswith("type of ") and text not in self._warned:
+                    self._warned.add(text)
+                    if self._announce is not None:
+                        self._announce(text)
 
 
 def _ours(readers: list[tuple[Member, Port]]) -> bool:
