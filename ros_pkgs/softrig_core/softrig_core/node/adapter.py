@@ -82,6 +82,7 @@ class Adapter:
         # A node that says everything at each tick, at its stamp, says a row of numbers.
         self._rows = not any(o.sporadic or o.delayed for o in self.outputs)
         self._sizes = tuple(o.port.size for o in self.outputs)
+        self._bound = min((o.bound for o in self.outputs), default=0.0)
         names = [o.name for o in self.outputs]
         self._pick = itemgetter(*names) if len(names) > 1 else lambda found: tuple(found[name] for name in names)
         self._open_record(sink)
@@ -94,7 +95,9 @@ class Adapter:
         for item in self.inputs:
             self._subscribe(item)
         for output in self.outputs:
-            output.send = middleware.sender(output.port.topic, output.layout, output.matched)
+            output.send, output.send_any = middleware.sender(
+                output.port.topic, output.layout, output.bound, output.matched
+            )
         middleware.timer(WATCH_PERIOD, self._watch)
 
     def _open_record(self, sink: Sink | None) -> None:
@@ -212,15 +215,14 @@ class Adapter:
         try:
             rows = self._pick(found)
             flat: tuple[float, ...] = sum(rows, ())
-            total = sum(flat)
-            if tuple(map(len, rows)) != self._sizes or total - total != 0.0:  # NaN or infinity
+            if tuple(map(len, rows)) != self._sizes or not sum(map(abs, flat)) <= self._bound:  # NaN, infinity, large
                 return None
         except (KeyError, TypeError, ValueError, OverflowError):  # told by `check`
             return None
         return rows, flat
 
     def _publish_each(self, t: int, stamp: int, found: Mapping[str, Any]) -> None:
-        """Do the same for an answer that leaves ports out, has stamps of its own, or is no plain row of numbers."""
+        """Do the same for an answer that leaves ports out, has its own stamps, or is no plain row of usual numbers."""
         burst: list[tuple[Output, Message]] = []
         for output in self.outputs:
             value = check(found, output.port, self.middleware.name, t)
@@ -229,7 +231,8 @@ class Adapter:
             elif value is not None:
                 burst.append((output, (stamp, value)))
         for output, message in burst:
-            output.send(message)
+            send = output.send if sum(map(abs, message[1])) <= output.bound else output.send_any
+            send(message)
         if self._publish_tick is not None:
             sent = [output.name for output, _ in burst if output.sporadic]
             self._publish_tick(self._tick_bytes(stamp, [*sent, END] if self.block.ended else sent))

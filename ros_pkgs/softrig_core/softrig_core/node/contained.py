@@ -31,7 +31,7 @@ class ContainedMiddleware(RosMiddleware):
         """Offer a topic; DDS carries it while somebody in another process reads it."""
         writer = self._exchange.writer(self.resolve(topic), msgtype, matched)
         carry = super().publisher(topic, msgtype, lambda number: self._exchange.outside(writer, number))
-        post, calls = self._exchange.poster(), writer.calls
+        post, calls = self._exchange.poster(), writer.byte_calls
 
         def publish(data: bytes) -> None:
             if calls:
@@ -41,11 +41,11 @@ class ContainedMiddleware(RosMiddleware):
 
         return publish
 
-    def sender(self, topic: str, layout: Layout, matched: Matched) -> Send:
-        """Offer a topic; its messages become bytes only for who is outside."""
-        writer = self._exchange.writer(self.resolve(topic), layout.msgtype, matched, layout)
+    def sender(self, topic: str, layout: Layout, bound: float, matched: Matched) -> tuple[Send, Send]:
+        """Offer a topic; its messages become bytes only for who is outside, and for a closer look."""
+        writer = self._exchange.writer(self.resolve(topic), layout.msgtype, matched, layout, bound)
         carry = super().publisher(topic, layout.msgtype, lambda number: self._exchange.outside(writer, number))
-        post, calls, encode = self._exchange.poster(), writer.calls, layout.encode
+        post, calls, byte_calls, encode = self._exchange.poster(), writer.calls, writer.byte_calls, layout.encode
 
         def send(message: Message) -> None:
             if calls:
@@ -53,7 +53,13 @@ class ContainedMiddleware(RosMiddleware):
             if writer.outside:
                 carry(encode(*message))
 
-        return send
+        def send_any(message: Message) -> None:
+            data = encode(*message)
+            post((byte_calls, data))
+            if writer.outside:
+                carry(data)
+
+        return send, send_any
 
     def subscribe(self, topic: str, msgtype: str, receive: Receive, matched: Matched) -> None:
         """Read a topic from both sides, as bytes."""

@@ -50,7 +50,9 @@ class Output:
         self.topic = topic
         self.number = number
         self.layout = port.layout()
-        self.send: Send = _unbound
+        self.bound = min(port.limits, default=0.0)
+        self.send: Send = _unbound  # of messages whose magnitudes add up to the bound at most
+        self.send_any: Send = _unbound
         self.readers = 0
         self.joined: Callable[[], object] = _nobody  # called when a reader has come
 

@@ -24,11 +24,13 @@ SLICE = 5_000_000  # ns: how long messages may keep a timer waiting
 class _Writer:
     """Who writes a topic, and how its messages reach the readers in this process."""
 
-    def __init__(self, matched: Matched, layout: Layout | None) -> None:
+    def __init__(self, matched: Matched, layout: Layout | None, bound: float) -> None:
         self.matched = matched
-        self.layout = layout  # None: sends bytes
+        self.layout = layout  # None: sends bytes only
+        self.bound = bound
         self.outside = 0  # readers in other processes that are matched
-        self.calls: list[Callable[[Any], None]] = []
+        self.calls: list[Send] = []
+        self.byte_calls: list[Receive] = []
 
 
 class _Reader:
@@ -99,10 +101,11 @@ class Exchange:
 
     # topics ----------------------------------------------------------------------------------------------------
 
-    def writer(self, topic: str, msgtype: str, matched: Matched, layout: Layout | None = None) -> _Writer:
-        """Add a writer, of bytes or of messages that all have one layout."""
+    def writer(self, topic: str, msgtype: str, matched: Matched, layout: Layout | None = None,
+               bound: float = 0.0) -> _Writer:  # fmt: skip
+        """Add a writer, of bytes or also of messages that all have one layout."""
         channel = self._channel(topic, msgtype)
-        channel.writers.append(writer := _Writer(matched, layout))
+        channel.writers.append(writer := _Writer(matched, layout, bound))
         self._connect(channel)
         return writer
 
@@ -127,13 +130,13 @@ class Exchange:
     def _connect(self, channel: _Channel) -> None:
         """Work out how what each writer sends reaches each reader."""
         for writer in channel.writers:
-            writer.calls[:] = [self._call(writer.layout, reader) for reader in channel.readers]
+            writer.byte_calls[:] = [reader.receive for reader in channel.readers]
+            if writer.layout is not None:
+                writer.calls[:] = [self._call(writer.layout, writer.bound, reader) for reader in channel.readers]
         self._tell(channel)
 
-    def _call(self, layout: Layout | None, reader: _Reader) -> Callable[[Any], None]:
-        if layout is None:
-            return reader.receive
-        call: Send | None = None if reader.direct is None else reader.direct(layout)
+    def _call(self, layout: Layout, bound: float, reader: _Reader) -> Send:
+        call = None if reader.direct is None else reader.direct(layout, bound)
         if call is None:
             receive, encode = reader.receive, layout.encode
 

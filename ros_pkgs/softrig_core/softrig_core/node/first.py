@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 
 from .endpoint import Output
-from .middleware import Message
+from .middleware import Message, Send
 
 
 def repeat_first(outputs: Iterable[Output], may_repeat: Callable[[], bool]) -> None:
@@ -27,16 +27,20 @@ def repeat_first(outputs: Iterable[Output], may_repeat: Callable[[], bool]) -> N
 
 
 def _keep(output: Output, may_repeat: Callable[[], bool]) -> None:
-    send = output.send
-    kept: list[Message] = []
+    send, send_any = output.send, output.send_any
+    kept: list[tuple[Send, Message]] = []
 
-    def first(message: Message) -> None:
-        output.send = send
-        kept.append(message)
-        send(message)
+    def first(say: Send) -> Send:
+        def keep(message: Message) -> None:
+            output.send, output.send_any = send, send_any
+            kept.append((say, message))
+            say(message)
+
+        return keep
 
     def again() -> None:
         if kept and may_repeat():
-            send(kept[0])
+            say, message = kept[0]
+            say(message)
 
-    output.send, output.joined = first, again
+    output.send, output.send_any, output.joined = first(send), first(send_any), again

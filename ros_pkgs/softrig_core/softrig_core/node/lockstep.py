@@ -56,7 +56,7 @@ class Lockstep(Adapter):
         self.clock_output = Output(CLOCK, "/clock", -1)
         super().__init__(middleware, block, options, sink)
         if self.links.owns_clock:
-            self.clock_output.send = middleware.sender(CLOCK_TOPIC, CLOCK_LAYOUT, self.clock_output.matched)
+            self.clock_output.send, _ = middleware.sender(CLOCK_TOPIC, CLOCK_LAYOUT, 0.0, self.clock_output.matched)
         if self.links.clock is not None:
             self._pace(self._pace_pairing(CLOCK, self.links.clock))
         if self.links.hears_clock:
@@ -170,25 +170,27 @@ class Lockstep(Adapter):
                 twice = " (already there)" if pairing.have else ""
                 self.refuse(item, f"stamp {got:.9g} s from {pairing.sender}, expected {want:.9g} s{twice}")
 
-        def direct(layout: Layout) -> Send | None:
-            if by_order or pairing.port or item.port.partial or record is not None:
+        def direct(layout: Layout, greatest: float) -> Send | None:
+            if greatest > decode.bound or by_order or pairing.port or item.port.partial or record is not None:
                 return None
             try:
                 pick = decode.pick(layout)
             except Refused:  # each message will be, with its reason
                 return None
-            due, inputs, bound, encode = schedule.due, self.values, decode.bound, layout.encode
+            due, inputs = schedule.due, self.values
 
             def receive_numbers(message: Message) -> None:
-                stamp, sent = message
-                values = sent if pick is None else pick(sent)
+                stamp, values = message
+                if pick is not None:
+                    values = pick(values)
                 item.heard = True
-                if not sum(map(abs, values)) <= bound:
-                    take(encode(stamp, sent))  # looks at each
-                elif stamp == pairing.want and not pairing.have and not pairing.said:
+                if stamp == pairing.want and not pairing.have and not pairing.said:
                     inputs[name] = values
                     pairing.stamp = pairing.used = stamp
-                    self._arrived(pairing)
+                    pairing.have = True
+                    self.missing -= 1
+                    if not self.missing and self.ready:
+                        self._step()
                 elif pairing.used < stamp < pairing.want and stamp not in pairing.said and due(stamp):
                     self._heard += 1  # of a faster sender only the newest may serve, when the run ends before its time
                     pairing.said = {stamp: (values, b"")}
@@ -317,7 +319,7 @@ class Lockstep(Adapter):
             self._heard += 1
             self._reached(pairing, message[0])
 
-        self._listen(item, receive, lambda layout: receive_numbers)
+        self._listen(item, receive, lambda layout, greatest: receive_numbers)
 
     def _listen(self, item: Input, receive: Receive, direct: Direct | None = None) -> None:
         def matched(count: int) -> None:
@@ -353,7 +355,10 @@ class Lockstep(Adapter):
         self.state = "running"
         self._since = self.middleware.steady()
         if self.is_plant:
-            self._guarded(self._send, 0)
+            try:
+                self._send(0)
+            except (ArithmeticError, RunError) as error:
+                self.broke(error)
         if not self.missing:
             self._step()
 
@@ -394,22 +399,18 @@ class Lockstep(Adapter):
 
     def _step(self) -> None:
         """Answer ticks as long as nothing is missing."""
-        self._guarded(self._answer_ticks)
-
-    def _guarded(self, call: Callable[..., None], *arguments: int) -> None:
         try:
-            call(*arguments)
+            while not self.missing and self.state == "running" and not self._over:
+                if self.is_plant:
+                    self._advance(self.t)
+                elif self._solving is not None and not self._solving.finished(
+                    self.t, None if self.bad else self.values
+                ):
+                    return
+                else:
+                    self._update(self.t)
         except (ArithmeticError, RunError) as error:
             self.broke(error)
-
-    def _answer_ticks(self) -> None:
-        while not self.missing and self.state == "running" and not self._over:
-            if self.is_plant:
-                self._advance(self.t)
-            elif self._solving is not None and not self._solving.finished(self.t, None if self.bad else self.values):
-                return
-            else:
-                self._update(self.t)
 
     def _advance(self, t: int) -> None:
         """Move the plant over one period and publish where it is."""

@@ -16,7 +16,9 @@ Receive = Callable[[bytes], None]
 Matched = Callable[[int], None]
 Message = tuple[int, tuple[float, ...]]  # stamp in ns and all numbers in wire order
 Send = Callable[[Message], None]
-Direct = Callable[[Layout], "Send | None"]  # a reader's way to take messages of a layout without bytes, if it has one
+# A reader's way to take messages of a layout without bytes, if it has one; the second is what the magnitudes of all
+# values of such a message add up to at most.
+Direct = Callable[[Layout, float], "Send | None"]
 
 
 class Peer(NamedTuple):
@@ -61,10 +63,29 @@ class Middleware(Protocol):
     def subscribe(self, topic: str, msgtype: str, receive: Receive, matched: Matched) -> None:
         """Read a topic; `matched` gets the number of writers at each change."""
 
-    def sender(self, topic: str, layout: Layout, matched: Matched) -> Send:
-        """Offer a topic all of whose messages have one layout, and give the function that publishes one."""
+    def sender(self, topic: str, layout: Layout, bound: float, matched: Matched) -> tuple[Send, Send]:
+        """Offer a topic all of whose messages have one layout.
+
+        Parameters
+        ----------
+        topic : str
+        layout : Layout
+        bound : float
+            Of the first function.
+        matched : callable
+            As for `publisher`.
+
+        Returns
+        -------
+        two callables
+            Both publish a message: the first one whose magnitudes add up to `bound` at most, the second any other.
+        """
         publish, encode = self.publisher(topic, layout.msgtype, matched), layout.encode
-        return lambda message: publish(encode(*message))
+
+        def send(message: Message) -> None:
+            publish(encode(*message))
+
+        return send, send
 
     def listen(self, topic: str, msgtype: str, receive: Receive, direct: Direct | None, matched: Matched) -> None:
         """Read a topic; a message from the same process may come by `direct` instead of as bytes."""

@@ -128,14 +128,14 @@ class Realtime(Adapter):
                 self.sink.add(record, now, data)
             self._take(feed, stamp, due, Sample(stamp - self.epoch, values) if delayed else values, now)
 
-        def direct(layout: Layout) -> Send | None:
-            if delayed or not stamped or partial or record is not None:
+        def direct(layout: Layout, greatest: float) -> Send | None:
+            if greatest > item.decode.bound or delayed or not stamped or partial or record is not None:
                 return None
             try:
                 pick = item.decode.pick(layout)
             except Refused:  # each message will be, with its reason
                 return None
-            window, encode, bound, clock = self._window, layout.encode, item.decode.bound, self.middleware.now
+            window, encode, clock = self._window, layout.encode, self.middleware.now
 
             def receive_numbers(message: Message) -> None:
                 stamp, sent = message
@@ -143,8 +143,7 @@ class Realtime(Adapter):
                     return
                 values = sent if pick is None else pick(sent)
                 now = clock()
-                usual = sum(map(abs, values)) <= bound and -window <= stamp - now <= window
-                if not (usual and item.publishers <= 1 and self.epoch):
+                if not -window <= stamp - now <= window or item.publishers > 1 or not self.epoch:
                     receive(encode(stamp, sent))
                 elif self._by_messages and feed.awaited and not self.stale:  # as `_take`
                     feed.put(stamp, values, now)
