@@ -33,7 +33,7 @@ from .startup import make_adapter
 
 LOOK = 100_000_000  # ns: how long a busy container leaves DDS alone: a look takes as long as some ticks
 SPIN = 300_000  # ns: a timer closer than this is waited for awake: to sleep and wake takes half as long
-YOUNG = 20_000  # objects between two garbage collections: what a tick makes dies with it
+YOUNG = 200_000  # new objects until the next garbage collection: what a tick makes dies with it, and to look takes long
 GRACE = 1.0  # s: after one node gives up, how long the others may take to say what they saw
 
 
