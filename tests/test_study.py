@@ -295,3 +295,10 @@ def test_every_shipped_study_can_run(monkeypatch):
     assert {"dc_motor_gains", "pv_mppt_hits"} <= set(names)
     for name in names:
         _check(load_study(name))
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", ["dc_motor_pid_tuning", "pv_mppt_draws"])
+def test_a_shipped_study_at_full_length_meets_its_expectations(name, monkeypatch, tmp_path):
+    monkeypatch.undo()
+    assert main(["study", name, "--out", str(tmp_path / name)]) == 0

@@ -60,6 +60,12 @@ def gmpp(signals: SignalMap, *, at: float, module: Mapping[str, Any] | None = No
     return float(_Run(signals, module, at, None).gmpp[0])
 
 
+@figure("W", (POWER, VOLTAGE))
+def local_maximum(signals: SignalMap, *, at: float, module: Mapping[str, Any] | None = None) -> float:
+    """Largest maximum power in W below the global one at the time `at` in s, of the static characteristic."""
+    return sorted(peak.p for peak in _Run(signals, module, at, None).source(0).peaks)[-2]
+
+
 @figure("%", (POWER, VOLTAGE))
 def efficiency(
     signals: SignalMap, *, start: float | None = None, end: float | None = None,
