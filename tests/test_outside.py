@@ -80,7 +80,7 @@ def replaced(rig, name, directory, seed=0):
     said = {p.topic for m in ours.members if not m.external for p in m.outputs}
     wrong = [outcome.error] if outcome.error else []
     wrong += [t for t in differences(expected, outcome.recording) if t in said]
-    return wrong + [f"{n} refused {s['refused']}" for n, s in outcome.status.items() if s["refused"]]
+    return wrong + [f"{n} refused {s['refused']}" for n, s in outcome.status.items() if s.get("refused")]
 
 
 def replaceable(rig):

@@ -9,6 +9,7 @@ from conftest import differences, in_process, make_scenario
 from faultrig import COMMAND, STATE, Lag
 from simulated import SimulatedNode, SimulatedRig, World
 from softrig_core.model.block import Block
+from softrig_core.model.port import array
 from softrig_core.rig.rig import Rig
 from softrig_core.rig.scenario import load_scenario
 from softrig_core.wire.signals import Signals
@@ -208,6 +209,33 @@ def test_the_ports_of_the_rigs_work_in_lockstep_whatever_the_order_of_delivery(n
         run = SimulatedRig(rig, World(jitter(seed, 1_000, 5 * MS)), "lockstep")
         assert set(run.run(1000.0).values()) == {"done"}, (seed, {n: str(a.error) for n, a in run.adapters.items()})
         assert differences(expected, run.recording) == [], seed
+
+
+def test_a_plant_waits_for_a_good_command_also_where_commands_have_no_stamp():
+    force = array("force", "lag/force", {"u": 1}, "N")
+
+    class Pushed(Lag):
+        INPUTS = (force,)
+
+        def advance(self, t, force):
+            super().advance(t, force, None, None)
+
+    class Push(Block):
+        INPUTS = (STATE,)
+        OUTPUTS = (force,)
+
+        def update(self, t, state):
+            return {"force": (1.0 - state[0],)}
+
+    rig = Rig.from_blocks({"plant": Pushed(), "law": Push()}, 0.2)
+    world = World()
+    run = SimulatedRig(rig, world, "lockstep")
+    world.match()
+    world.run(world.now + 3000 * MS, lambda: run.adapters["plant"].t >= 50 * MS)
+    send(run, "/lag/force", force.msgtype, force.layout().encode(0, (math.nan,)))
+    assert set(run.run().values()) == {"done"}
+    assert run.adapters["plant"].inputs[0].refused == 1
+    assert differences(in_process(rig), run.recording) == []
 
 
 def test_malformed_clocks_and_ticks_are_counted_and_do_no_harm():

@@ -141,7 +141,9 @@ class Lockstep(Adapter):
                 self.refuse(item, str(error))
                 # A controller answers a tick with a bad measurement too; a plant waits for a good command.
                 at = position if by_order else _stamp(data)
-                if not self.is_plant and pairing.may_come(at):
+                if self.is_plant:
+                    pairing.received -= by_order and not announced
+                elif pairing.may_come(at):
                     pairing.excused = at
                     self._heard_at(pairing, at, BAD)
                 return
