@@ -5,6 +5,7 @@ import hashlib
 import json
 import os
 import re
+import resource
 import shutil
 import signal
 import subprocess
@@ -403,3 +404,21 @@ def test_a_terminal_that_goes_while_a_table_is_printed(folder):
     found = command("list", stdout=writer, env=os.environ | {"COLUMNS": "60"}, stderr=subprocess.PIPE, text=True)
     os.close(writer)
     assert (found.returncode, found.stderr) == (141, "")
+
+
+def test_a_current_directory_that_has_been_removed_is_named(tmp_path):
+    gone = tmp_path / "gone"
+    gone.mkdir()
+    found = command("list", preexec_fn=lambda: (os.chdir(gone), gone.rmdir()), capture_output=True, text=True)
+    assert found.returncode == 2
+    assert found.stderr == "softrig: the current directory has been removed; change to one that exists\n"
+
+
+def test_a_full_disk_names_the_folder(folder):
+    def limit():
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (500, 500))
+
+    found = command("run", "lag", "--mode", "inprocess", "--out", "a", preexec_fn=limit, capture_output=True, text=True)
+    assert found.returncode == 3
+    assert found.stderr == f"softrig: {folder}/a: File too large\n"

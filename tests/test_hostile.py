@@ -134,6 +134,14 @@ def test_a_short_campaign():
     assert {area: row[2] for area, row in table.items()} == {area: [] for area in table}
 
 
+@pytest.mark.long
+@pytest.mark.processes
+@pytest.mark.timeout(3600)
+def test_a_campaign_over_the_real_middleware():
+    table = driver.campaign({"environments": 40, "kills": 20, "nodes": 80, "starts": 10}, 1, 3000.0, None, 1)
+    assert {area: row[2] for area, row in table.items()} == {area: [] for area in table}
+
+
 @pytest.mark.processes
 def test_a_parameter_of_an_unknown_type_is_refused_and_the_node_lives_on():
     import rclpy

@@ -16,7 +16,7 @@ import time
 import traceback
 from pathlib import Path
 
-CASE_LIMIT = 60  # s
+CASE_LIMIT = 240  # s; on a loaded machine too
 MEMORY = 6 << 30  # bytes of address space of a worker; numba and pyarrow reserve much that they do not use
 
 

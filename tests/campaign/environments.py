@@ -25,7 +25,7 @@ ROOT = Path(__file__).parents[2]
 SCENARIO = ["run", "dc_motor_smc_b2", "--duration", "0.05"]
 STATUSES = {0, 1, 2, 3, 130, 141}
 SILENT = ("Traceback (most recent call last)", "Exception ignored", "core dumped", "Fatal Python error")
-LIMIT = 50.0  # s
+LIMIT = 150.0  # s
 
 
 @dataclass

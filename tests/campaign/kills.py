@@ -28,21 +28,23 @@ class Enough(Exception):
 
 @cache
 def names() -> list[str]:
-    """Scenarios of at most six nodes, all of them ours, that are not over at once."""
-    found = []
-    for name in sorted(list_scenarios()):
-        scenario = load_scenario(name)
-        if len(scenario.nodes) <= 6 and not any(n.external for n in scenario.nodes.values()):
-            rig = Rig.from_scenario(scenario)
-            if rig.ticks >= 500:
-                found.append(name)
-    return found
+    """Give the names of all scenarios."""
+    return sorted(list_scenarios())
+
+
+def drawn(chance: random.Random) -> str:
+    """Draw a scenario of at most six nodes, all of them ours, that is not over at once."""
+    while True:
+        scenario = load_scenario(name := chance.choice(names()))
+        small = len(scenario.nodes) <= 6 and not any(n.external for n in scenario.nodes.values())
+        if small and Rig.from_scenario(scenario).ticks >= 500:
+            return name
 
 
 def attack(seed: int, directory: Path) -> None:
     """Start one run as the command line does, kill, and look at everything it leaves."""
     chance = random.Random(seed)
-    name = chance.choice(names())
+    name = drawn(chance)
     mode = chance.choice(("processes", "processes", "container"))
     out, said = directory / "out", directory / "said"
     command = ["run", name, "--mode", mode, "--no-plots", "--seed", str(seed), "--out", str(out)]
@@ -118,7 +120,7 @@ def strike(chance: random.Random, runner: int, directory: Path) -> tuple[str, in
 
 def ended(runner: int) -> int:
     """Wait for the runner; gives its exit status, negative for a signal."""
-    deadline = time.monotonic() + 50.0
+    deadline = time.monotonic() + 150.0
     while time.monotonic() < deadline:
         number, status = os.waitpid(runner, os.WNOHANG)
         if number:
@@ -126,7 +128,7 @@ def ended(runner: int) -> int:
         time.sleep(0.02)
     os.kill(runner, signal.SIGKILL)
     os.waitpid(runner, 0)
-    raise AssertionError("the runner did not end within 50 s")
+    raise AssertionError("the runner did not end within 150 s")
 
 
 def judge_status(status: int, victim: str, number: int, text: str, out: Path) -> None:

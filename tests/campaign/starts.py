@@ -79,7 +79,7 @@ def attack(seed: int, directory: Path) -> None:
     (directory / "case").write_text("\n".join(f"{r.scenario.model_dump(mode='json')} in {c}" for r, c, _ in drawn))
     started = [_fork(directory / str(k), *case) for k, case in enumerate(drawn)]
     wrong = []
-    deadline = time.monotonic() + 50.0
+    deadline = time.monotonic() + 150.0
     for k, runner in enumerate(started):
         while not (found := os.waitpid(runner, os.WNOHANG))[0] and time.monotonic() < deadline:
             time.sleep(0.02)
@@ -88,7 +88,7 @@ def attack(seed: int, directory: Path) -> None:
             os.waitpid(runner, 0)
         if not found[0] or found[1]:
             text = (directory / f"{k}.said").read_text(errors="replace")
-            wrong.append(f"rig {k}: {text[-1500:] if found[0] else 'no end within 50 s'}")
+            wrong.append(f"rig {k}: {text[-1500:] if found[0] else 'no end within 150 s'}")
     assert not wrong, "\n".join(wrong)
     assert (left := orphans(directory)) == [], f"{len(left)} processes live on"
 

@@ -223,6 +223,10 @@ def save(
     directory.mkdir(parents=True, exist_ok=True)
     try:
         _write(run, content, directory, record=record, plots=plots, also=also)
+    except OSError as error:
+        if error.filename is None:  # of a write that failed; of an open, Python says it
+            error.filename = str(directory)
+        raise
     finally:
         folder.close()
 

@@ -35,6 +35,7 @@ def guarded(work: Callable[[], int]) -> int:
     secure_streams()
     try:
         try:
+            _need_directory()
             return work()
         finally:
             _flush()  # while there is still somebody to tell that the disk is full
@@ -89,6 +90,13 @@ def secure_streams() -> None:
             setattr(sys, name, open(os.devnull, mode, encoding="utf-8"))  # noqa: SIM115 - for the life of the process
         elif isinstance(stream, io.TextIOWrapper) and stream.errors == "strict":
             stream.reconfigure(errors="replace")
+
+
+def _need_directory() -> None:
+    try:
+        os.getcwd()
+    except FileNotFoundError:
+        raise ScenarioError("the current directory has been removed; change to one that exists") from None
 
 
 def _flush() -> None:
