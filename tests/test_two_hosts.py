@@ -1,15 +1,18 @@
-"""A rig on two hosts: two network namespaces with a virtual link between them, made and removed by the test."""
+"""A rig on two hosts: parts of it started one by one, and in two network namespaces with a virtual link between them,
+made and removed by the test."""
 
 import os
 import shutil
 import subprocess
+import sys
 from contextlib import contextmanager
 
 import pytest
 from conftest import differences, in_process
+from softrig_bags.read import read_bag
+from softrig_bags.repair import repair
+from softrig_bringup.cli import main
 from softrig_core.rig.domain import free_domain
-from softrig_core.rig.processes import container_arguments, environment, find_executable, groups, node_parameters
-from softrig_core.wire.recording import Recording
 from test_processes import BASIC, rig
 
 pytestmark = pytest.mark.processes
@@ -53,34 +56,63 @@ def two_hosts(disturbance=""):
             command("ip netns del", host)
 
 
-def run_on(hosts, domain, wired, parts, directory):
-    """Run each part of a rig in a container on its host; gives exit statuses and what was recorded."""
-    variables = environment(domain, directory) | {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"}
+def run_parts(parts, domain, directory, prefix=()):
+    """Run each part of the rig as `softrig run --only` does; gives exit statuses, what was said and the shards."""
+    scenario = directory / "two.yaml"
+    nodes = "".join(f"  {name}: {{package: faultrig, executable: {name}}}\n" for name in BASIC)
+    scenario.write_text(f"title: t\nsystem: lag\nsource: s\nduration: 1.0\ntimeout: 30.0\nnodes:\n{nodes}")
     running = []
-    for host, group in zip(hosts, groups(wired, parts), strict=True):
-        given = {
-            m.name: node_parameters(wired, m, 0, "lockstep") | {"run.shard": str(directory / f"{m.name}.shard")}
-            for m in group
-        }
-        start = ["ip", "netns", "exec", host, str(find_executable("softrig_core", "container"))]
-        running.append(subprocess.Popen([*start, *container_arguments(group, given, directory)], env=variables))
+    for k, part in enumerate(parts):
+        only = [word for name in part for word in ("--only", name)]
+        command = [sys.executable, "-m", "softrig_bringup", "run", str(scenario), "--mode", "container", *only,
+                   "--domain", str(domain), "--wait", "60", "--out", str(directory / str(k))]  # fmt: skip
+        before = prefix[k] if prefix else []
+        running.append(subprocess.Popen([*before, *command], stderr=subprocess.PIPE, text=True))
     try:
-        statuses = [process.wait(120) for process in running]
+        said = [process.communicate(timeout=120)[1] for process in running]
     finally:
         for process in running:
             process.kill()
             process.wait()
-    recording = Recording((t, p.msgtype) for t, p in wired.topics.items())
-    for shard in directory.glob("*.shard"):
-        recording.read_shard(shard)
-    return statuses, recording
+    (directory / "all").mkdir()
+    for shard in directory.glob("*/log/*.shard"):
+        shard.rename(directory / "all" / shard.name)
+    return [process.returncode for process in running], said
+
+
+PARTS = [["plant", "source"], ["gain"]]
+
+
+def test_two_parts_of_a_rig_make_the_bag_of_the_whole(tmp_path):
+    with free_domain() as domain:
+        statuses, said = run_parts(PARTS, domain, tmp_path)
+    assert statuses == [0, 0], said
+    assert f"plant, source here, domain {domain}; elsewhere: gain" in said[0]
+    assert len(list((tmp_path / "0/log").glob("*.log"))) == 1  # both in one container
+    bag = read_bag(repair(tmp_path / "all").bag)
+    assert differences(in_process(rig(BASIC, 1.0)), bag) == []
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        (["--only", "gian", "--domain", "3"], "--only gian: no such node (did you mean 'gain'?)"),
+        (["--only", "gain"], "--only: expected --domain N"),
+        (["--only", "gain", "--domain", "3", "--mode", "inprocess"], "--only: blocks in process"),
+    ],
+)
+def test_a_part_that_cannot_be_is_told(arguments, text, tmp_path, capsys):
+    scenario = tmp_path / "two.yaml"
+    nodes = "".join(f"  {name}: {{package: faultrig, executable: {name}}}\n" for name in BASIC)
+    scenario.write_text(f"title: t\nsystem: lag\nsource: s\nduration: 1.0\nnodes:\n{nodes}")
+    assert main(["run", str(scenario), *arguments]) == 2
+    assert text in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("disturbance", ["", DISTURBED])
 def test_two_hosts_give_the_bytes_of_one(disturbance, tmp_path):
-    wired = rig(BASIC, 1.0, timeout=30.0)
     # reserved although the hosts have networks of their own: /dev/shm is one for all
     with free_domain() as domain, two_hosts(disturbance) as hosts:
-        statuses, recording = run_on(hosts, domain, wired, [["plant", "source"], ["gain"]], tmp_path)
-    assert statuses == [0, 0]
-    assert differences(in_process(wired), recording) == []
+        statuses, said = run_parts(PARTS, domain, tmp_path, [["ip", "netns", "exec", host] for host in hosts])
+    assert statuses == [0, 0], said
+    assert differences(in_process(rig(BASIC, 1.0)), read_bag(repair(tmp_path / "all").bag)) == []

@@ -9,12 +9,13 @@ from collections.abc import Callable, Sequence
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # before numpy, as the command line does
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from . import fault_location, gupfc, induction, loop, optimal_control, recorder, rectifier, rigs, systems
+from . import fault_location, gupfc, induction, loop, optimal_control, realtime, recorder, rectifier, rigs, systems
 from .console import console
 
 PARTS: dict[str, Callable[[], None]] = {
     "loop": loop.loop, "tick": loop.tick, "recording": loop.recording, "inprocess": rigs.inprocess,
     "processes": loop.processes, "bags": recorder.recorder_rate, "rigs": rigs.rigs, "containers": rigs.containers,
+    "realtime": realtime.realtime,
     "systems": systems.print_table, "induction": induction.print_table, "fault_location": fault_location.print_table,
     "gupfc": gupfc.print_table, "rectifier": rectifier.print_table, "optimal_control": optimal_control.print_table,
 }  # fmt: skip

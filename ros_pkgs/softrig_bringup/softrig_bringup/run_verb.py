@@ -33,6 +33,8 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--duration", type=float, metavar="S", help="instead of the scenario's")
     parser.add_argument("--seed", type=int, metavar="N", help="instead of the scenario's")
     parser.add_argument("--external", action="append", default=[], metavar="NODE", help="somebody else starts this one")
+    parser.add_argument("--only", action="append", default=[], metavar="NODE",
+                        help="start this one here, the others on another machine; needs --domain")  # fmt: skip
     parser.add_argument("--wait", type=Number(float, 0), metavar="S", help="limit of the wait for them (default: none)")
     parser.add_argument("--domain", type=int, metavar="N", help="ROS_DOMAIN_ID (default: a free one)")
     parser.add_argument(
@@ -49,7 +51,7 @@ def run(options: argparse.Namespace) -> int:
     from softrig_core.rig.stopping import stoppable
 
     # before anything of an earlier run is replaced: two runs in one domain would read each other's messages
-    with stoppable(), nullcontext() if options.domain is None else free_domain(options.domain):
+    with stoppable(), nullcontext() if options.domain is None or options.only else free_domain(options.domain):
         return _run_reserved(options)
 
 
@@ -71,7 +73,11 @@ def _run_reserved(options: argparse.Namespace) -> int:
         changes = merge(changes, {"nodes": {name: {"external": True}}})
     if changes:
         scenario = _changed(scenario, changes)
-    checked(scenario)  # before anything of an earlier run is replaced
+    rig = checked(scenario)  # before anything of an earlier run is replaced
+    if options.only:
+        from .part import run_part
+
+        return run_part(rig, options)
     changed = _changes(options)
     out = (options.out or Path("runs") / _folder_name(scenario.name, options, changed)).absolute()
     folder = ResultsFolder(out)

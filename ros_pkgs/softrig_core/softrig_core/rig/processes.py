@@ -187,6 +187,7 @@ def run_processes(
     announce: Callable[[str], object] | None = None,
     wait: float | None = None,
     containers: Iterable[Sequence[str]] = (),
+    only: Sequence[str] = (),
 ) -> Outcome:
     """Start all nodes of a rig, wait for them, gather what they recorded.
 
@@ -209,6 +210,8 @@ def run_processes(
         Limit in s of the wait for all nodes, 0 for none; by default the scenario's, and none for external nodes.
     containers : iterable of sequences of str
         Names of nodes that share a process; every other node has one of its own.
+    only : sequence of str
+        Names of the nodes that are started here, when the others run on another machine; all when empty.
 
     Returns
     -------
@@ -231,14 +234,14 @@ def run_processes(
         own_domain = domain is None
         domain = stack.enter_context(free_domain()) if domain is None else domain
         remove_leftovers()
-        variables = environment(domain, directory)
+        variables = environment(domain, directory, discovery="SUBNET" if only else "LOCALHOST")
         guests = _Guests(rig, announce)
         try:
             with stoppable():
                 try:
                     guests.invite(domain)
                     options = {"run.mode": mode, "run.start_timeout": wait}
-                    for group in groups(rig, containers):
+                    for group in groups(rig, containers, only):
                         children += _start(rig, group, seed, directory, options, record, variables)
                     error = _watch(rig, children, progress, guests, mode == "realtime")
                 except KeyboardInterrupt as interrupt:
@@ -261,12 +264,12 @@ def run_processes(
     return Outcome(recording, status, domain, epoch, error, stopped)
 
 
-def environment(domain: int, directory: Path) -> dict[str, str]:
-    """Give the environment of a node process: its domain on this host only, its logs in a directory."""
+def environment(domain: int, directory: Path, *, discovery: str = "LOCALHOST") -> dict[str, str]:
+    """Give the environment of a node process: its domain, as far as `discovery` reaches, its logs in a directory."""
     variables = dict(os.environ)
     variables |= {
         "ROS_DOMAIN_ID": str(domain),
-        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": discovery,
         "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp",
         "ROS_LOG_DIR": str(directory / "log"),
         "PYTHONUNBUFFERED": "1",
@@ -373,9 +376,9 @@ def placed(rig: Rig, place: str) -> Iterable[Sequence[str]]:
     return (rig.scenario.containers or [[m.name for m in rig.members]]) if place == "container" else ()
 
 
-def groups(rig: Rig, containers: Iterable[Sequence[str]]) -> list[list[Member]]:
-    """Give our nodes by process."""
-    own = {m.name: m for m in rig.members if not m.external}
+def groups(rig: Rig, containers: Iterable[Sequence[str]], only: Sequence[str] = ()) -> list[list[Member]]:
+    """Give our nodes by process, only those that are named if some are."""
+    own = {m.name: m for m in rig.members if not m.external and (not only or m.name in only)}
     shared = [[own.pop(name) for name in names if name in own] for names in containers]
     return [g for g in shared if g] + [[m] for m in own.values()]
 
@@ -464,7 +467,7 @@ def _watch(
     """
     late = math.inf
     first = starter(rig)
-    plant = next(c for c in children if c.member is first)
+    plant = next((c for c in children if c.member is first), children[0])  # the first may run on another machine
     last = -1
     while True:
         running = [c for c in children if c.process.poll() is None]
