@@ -1,7 +1,12 @@
 import numpy as np
 import pytest
+from conftest import differences, in_process
+from faultrig import COMMAND, STATE, Lag
 from rosbags.typesys import Stores, get_typestore
+from simulated import SimulatedRig, World
+from softrig_core.model.block import Block
 from softrig_core.model.port import Refused, array, pose
+from softrig_core.rig.rig import Rig
 from softrig_core.wire.cdr import parse
 from softrig_core.wire.codec import Decoder, selection
 from softrig_core.wire.recording import Recording
@@ -63,3 +68,59 @@ def test_shape_that_does_not_fit_the_data_is_refused():
     for n in range(len(data)):
         with pytest.raises(ValueError, match="std_msgs"):
             parse(MATRIX.msgtype, bytes(data[:n]))
+
+
+# in lockstep: they have no stamp and pair by order
+
+SPREAD = array("matrix", "lag/matrix", {"row": 1, "column": 2}, "m")
+
+
+class Spread(Block):
+    """The state as an array."""
+
+    INPUTS = (STATE,)
+    OUTPUTS = (SPREAD,)
+
+    def update(self, t, state):
+        return {"matrix": (state[0], 2.0 * state[0])}
+
+
+class Weigh(Block):
+    """A command from the array."""
+
+    INPUTS = (SPREAD,)
+    OUTPUTS = (COMMAND,)
+
+    def update(self, t, matrix):
+        return {"command": (1.0 - 0.5 * matrix[1],)}
+
+
+class Lossy(World):
+    """A graph that loses the sixth array."""
+
+    seen = 0
+
+    def send(self, writer, data):
+        self.seen += writer.topic == "/lag/matrix"
+        if writer.topic != "/lag/matrix" or self.seen != 6:
+            super().send(writer, data)
+
+
+@pytest.fixture
+def loop():
+    return Rig.from_blocks({"plant": Lag(), "spread": Spread(), "weigh": Weigh()}, 0.2)
+
+
+def test_arrays_pair_by_order(loop):
+    run = SimulatedRig(loop, World(), "lockstep")
+    assert set(run.run().values()) == {"done"}
+    assert differences(in_process(loop), run.recording) == []
+
+
+def test_a_lost_array_is_waited_for_by_name(loop):
+    """The arrays behind it do not take its place: the run ends, and says where it stands."""
+    run = SimulatedRig(loop, Lossy(), "lockstep")
+    states = run.run()
+    assert set(states.values()) == {"failed"}
+    assert "lag/matrix from spread" in str(run.adapters["weigh"].error)
+    assert len(run.recording.topics["lag/command"].data) == 5
