@@ -143,6 +143,25 @@ def death(kind, seed):
     return wrong
 
 
+def death_in_real_time(kind, seed):
+    """As `death`, against the wall clock: who is up goes on without the dead to the end, who waits for it names it."""
+    rng = random.Random(seed)
+    rig, _ = rig_and_record(kind)
+    world = World(lambda *_: rng.randrange(1_000, MS))
+    discovery = Discovery(world, rng)
+    run = SimulatedRig(
+        rig, world, "realtime", departs=True, after=lambda name: rng.randrange(300 * MS), start_timeout=3.0
+    )
+    victim = rng.choice(rig.members).name
+    world.at(world.now + 300 * MS + rng.randrange(1_000 * MS), lambda: discovery.kill(run.nodes[victim]))
+    states = run.run(30.0)
+    wrong = [f"{n} goes on" for n, state in states.items() if n != victim and state not in ("done", "failed")]
+    failed = [f"{a.error}" for n, a in run.adapters.items() if a.state == "failed" and n != victim]
+    if failed and not any(victim in text for text in failed):
+        wrong.append(f"{victim} died, blamed is {failed}")
+    return wrong
+
+
 def departure(kind, seed):
     """One start in real time, of nodes that come over three seconds: t = 0 is after the last, nobody misses any."""
     rng = random.Random(seed)
@@ -162,6 +181,8 @@ def departure(kind, seed):
 def test_when_a_node_dies_the_others_end_and_name_it(kind):
     for seed in range(10):
         assert death(kind, seed) == [], seed
+    for seed in range(4):
+        assert death_in_real_time(kind, seed) == [], seed
 
 
 @pytest.mark.parametrize("kind", ["basic", "two plants", "delayed link"])
@@ -185,6 +206,8 @@ def trial(seed):
         return f"departure of {kind}", departure(kind, seed)
     if what < 0.25:
         return f"death in {kind}", death(kind, seed)
+    if what < 0.3:
+        return f"death in {kind} in real time", death_in_real_time(kind, seed)
     if what < 0.5:
         outside = guests(kind, random.Random(seed))
         return f"{kind} with {outside} outside", start(kind, seed, outside)

@@ -62,7 +62,7 @@ def replaced(rig, name, directory, seed=0):
     about.write_text(json.dumps(relay(rig, member, expected, reads)))
     nodes = dict(rig.scenario.nodes)
     nodes[name] = nodes[name].model_copy(update={"external": True})
-    ours = Rig.from_scenario(rig.scenario.model_copy(update={"nodes": nodes}))
+    ours = Rig.from_scenario(rig.scenario.model_copy(update={"nodes": nodes, "timeout": 60.0}))
     outside = []
     with free_domain() as domain:
 

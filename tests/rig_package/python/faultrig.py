@@ -216,7 +216,7 @@ class Analyst(Block):
         return {}
 
     def finish(self, t, record):
-        return {"result": (record[1] - record[0],)}
+        return {"result": (record[1] - record[0],)} if record else {}
 
 
 class EnderParams(BlockParams):
