@@ -9,8 +9,13 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
+from faultrig import Gain
 from softrig_core.model import jit as module
+from softrig_core.model.block import Block
 from softrig_core.model.jit import jit, power
+from softrig_core.model.params import BlockParams
+from softrig_core.model.port import number
+from softrig_core.model.rehearsal import rehearse
 
 RELAY = '''
 """A relay over a delay line with every function of the C library that a model uses."""
@@ -231,3 +236,34 @@ def test_module_without_a_writable_cache_still_compiles(monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", "/proc/nowhere")
     assert jit(lambda x: x + 1.0)(2.0) == 3.0
     assert module._numba() is not None
+
+
+@jit
+def _twice(x):
+    return 2.0 * x
+
+
+class _Native(Block):
+    """Begins with its native code, counts its copies."""
+
+    INPUTS = (number("x", "x", "V"),)
+    OUTPUTS = (number("y", "y", "V"),)
+    ticks: list = []
+
+    def update(self, t, x):
+        self.ticks.append(t)
+        return {"y": (_twice(x[0]),)}
+
+
+class _Broken(_Native):
+    def update(self, t, x):
+        raise ArithmeticError("only in the run")
+
+
+def test_a_rehearsal_leaves_native_code_ready_and_nothing_else():
+    assert _twice._run == _twice._first
+    assert rehearse(_Native, BlockParams(), "a")
+    assert _twice._run != _twice._first
+    assert _Native.ticks == [0]
+    assert rehearse(_Broken, BlockParams(), "a")  # says so in the run
+    assert not rehearse(Gain, Gain.Params(), "a")

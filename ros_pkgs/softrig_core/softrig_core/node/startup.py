@@ -15,6 +15,7 @@ from rclpy.utilities import remove_ros_args
 from ..guard import secure_streams, tell
 from ..model.block import Block, Plant
 from ..model.params import Declaration, build, declarations, flatten
+from ..model.rehearsal import rehearse
 from ..rig.options import RunOptions
 from .adapter import Adapter
 from .faces import Faces
@@ -65,6 +66,7 @@ def make_adapter(node: Node, block_class: type[Block], middleware: Middleware) -
         Bad parameters.
     """
     params, options = _parameters(node, block_class)
+    rehearse(block_class, params, node.get_name())
     block = block_class(params, node.get_name())
     block.reset(options.seed)
     adapter = (Lockstep if options.mode == "lockstep" else Realtime)(middleware, block, options)
