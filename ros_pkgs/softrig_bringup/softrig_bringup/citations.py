@@ -106,14 +106,14 @@ def _plain(text: str) -> str:
 def _place(fields: dict[str, str]) -> str:
     """Journal 2(6), 582–587; or the publisher."""
     volume = fields.get("volume", "") + (f"({fields['number']})" if "number" in fields else "")
-    where = fields.get("journal", fields.get("booktitle", fields.get("publisher", fields.get("note", ""))))
+    where = fields.get("journal", fields.get("booktitle", fields.get("publisher", "")))
     return _plain(", ".join(filter(None, (" ".join(filter(None, (where, volume))), fields.get("pages", "")))))
 
 
 def sources(citations: Sequence[Citation]) -> Iterator[Element]:
     """Print papers for a page: each with its DOI, and its BibTeX entry to copy."""
     for c in citations:
-        doi = e("a", f"doi:{c.doi}", href=f"https://doi.org/{c.doi}") if c.doi else "no DOI known"
+        doi = e("a", f"doi:{c.doi}", href=f"https://doi.org/{c.doi}") if c.doi else "No DOI known"
         where = ", ".join(filter(None, (c.place, c.year)))
         yield e("p", f"{', '.join(c.authors)}: ", e("cite", c.title), f". {where}. ", doi, ".")
         yield e("details", e("summary", "BibTeX"), e("pre", c.bibtex))
@@ -123,6 +123,6 @@ def listed(citations: Sequence[Citation]) -> list[str]:
     """Print papers as the items of a Markdown list."""
     found = []
     for c in citations:
-        doi = f"[doi:{c.doi}](https://doi.org/{c.doi})" if c.doi else "no DOI known"
+        doi = f"[doi:{c.doi}](https://doi.org/{c.doi})" if c.doi else "No DOI known"
         found.append(f"- {', '.join(c.authors)}: *{c.title}*. {', '.join(filter(None, (c.place, c.year)))}. {doi}.")
     return found

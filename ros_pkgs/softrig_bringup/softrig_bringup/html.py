@@ -9,6 +9,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from xml.etree.ElementTree import Element, tostring
 
+NONE = "–"  # in a cell that has nothing to say
+
 
 def write_page(output: Path, title: str, body: Sequence[Element]) -> None:
     """Write a page; the file appears complete or not at all."""
@@ -45,10 +47,17 @@ def e(tag: str, *content: Element | str, **attributes: str) -> Element:
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[Element | str]], numbers: str = "") -> Element:
-    """Make a table that scrolls by itself; `numbers` has an ``n`` for each column of numbers, right-aligned."""
+    """Make a table; `numbers` has an ``n`` for each column of numbers, right-aligned.
+
+    It scrolls by itself; on a narrow screen each row becomes a list of its cells with their headings.
+    """
     kinds = [kind.replace("n", "number").strip() for kind in numbers.ljust(len(header))]
     head = e("tr", *(e("th", text, scope="col", class_=kind) for text, kind in zip(header, kinds, strict=True)))
-    body = [e("tr", *(e("td", cell, class_=kind) for cell, kind in zip(row, kinds, strict=True))) for row in rows]
+    body = [
+        e("tr", *(e("td", cell, class_=f"{kind} none".strip() if cell == NONE else kind, **{"data-label": label})
+                  for cell, kind, label in zip(row, kinds, header, strict=True)))
+        for row in rows
+    ]  # fmt: skip
     return e("div", e("table", e("thead", head), e("tbody", *body)), class_="scroll")
 
 
@@ -130,6 +139,21 @@ img { display: block; max-width: 100%; height: auto; }
 details { border-top: 1px solid var(--line); padding: .35rem 0; }
 summary { cursor: pointer; }
 details .pairs { padding: .3rem 0 .6rem 1.1rem; }
+@media screen and (max-width: 640px) {
+  main { padding: 1.2rem .9rem 3rem; }
+  figure { overflow-x: auto; }
+  figure img { max-width: none; width: 680px; }
+  figcaption { position: sticky; left: 0; overflow-wrap: anywhere; }
+  thead { display: none; }
+  table, tbody, tr, td { display: block; }
+  tr { border-bottom: 2px solid var(--line); padding: .45rem 0; }
+  td, td.number { display: flex; justify-content: space-between; gap: 1rem; border: 0; padding: .08rem 0;
+    text-align: right; white-space: normal; overflow-wrap: anywhere; }
+  td:first-child { font-weight: 600; }
+  td::before { content: attr(data-label); color: var(--soft); font-weight: 400; text-align: left; flex: none; }
+  td:first-child::before { content: none; }
+  td:empty, td.none { display: none; }
+}
 @media print {
   :root { --ink: #000; --soft: #444; --line: #bbb; --panel: #fff; --paper: #fff; --link: #000; --good: #000;
     --bad: #000; }

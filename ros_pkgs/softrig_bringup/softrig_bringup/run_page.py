@@ -12,11 +12,11 @@ from softrig_core.rig.figures import Result
 
 from .citations import sources
 from .diagram import draw_diagram
-from .html import e, mark, picture, table
+from .html import NONE, e, mark, picture, table
 from .plots.figures import OVERVIEW, plot_name
 from .plots.style import pretty_unit
 from .run_record import RunRecord
-from .wording import NONE, accepted, difference, measured, number
+from .wording import accepted, difference, measured, number
 
 
 def run_section(directory: Path, run: RunRecord, label: str, heading: str, anchor: str) -> Element:

@@ -6,7 +6,7 @@ import math
 
 from softrig_core.rig.figures import Result
 
-NONE = "–"
+from .html import NONE
 
 
 def number(value: float | None) -> str:

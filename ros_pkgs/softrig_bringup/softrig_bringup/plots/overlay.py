@@ -97,10 +97,14 @@ def _figure(runs: Sequence[Overlay], entry: PlotEntry) -> Figure:
     axes = figure.subplots(len(names), 1, sharex=True, squeeze=False)[:, 0]
     curves = {n: [(run, c) for run in having if len((c := _curve(run, n)).x)] for n in entry.signals}
     scale, time = time_scale([[c for _, c in found] for found in curves.values()])
+    said: list[str] = []
     for ax, name in zip(axes, names, strict=True):
         same = [n for n in references if about[n].unit == about[name].unit]
         lines = [r for n in same if (r := _common([c for _, c in curves[n]], entry.signals[n]))]
-        _overlaid(ax, curves[name], lines, scale)
+        drawn = _overlaid(ax, curves[name], lines, scale)
+        if [c.label for c in drawn] != said:  # once, if it is the same below
+            legend(ax, drawn, "", 110)
+            said = [c.label for c in drawn]
         label = entry.signals[name] or name
         unit = about[name].unit
         title = entry.quantity or (quantity(unit) if len(names) == 1 else "") or label
@@ -131,8 +135,10 @@ def _common(curves: Sequence[Curve], label: str) -> Curve | None:
     return Curve(label or "reference", longest.unit, longest.x, longest.y, longest.held, True)
 
 
-def _overlaid(ax: Axes, found: Sequence[tuple[Overlay, Curve]], references: Sequence[Curve], scale: float) -> None:
-    """Draw runs one by one, and groups of draws as their median in a band."""
+def _overlaid(
+    ax: Axes, found: Sequence[tuple[Overlay, Curve]], references: Sequence[Curve], scale: float
+) -> list[Curve]:
+    """Draw runs one by one, and groups of draws as their median in a band; gives what was drawn, in order."""
     groups: dict[str, list[Curve]] = {}
     for run, curve in found:
         groups.setdefault(run.group, []).append(curve)
@@ -152,7 +158,7 @@ def _overlaid(ax: Axes, found: Sequence[tuple[Overlay, Curve]], references: Sequ
         if curve.label in bands:
             t, low, high = bands[curve.label]
             ax.fill_between(t * scale, low, high, color=line.get_color(), alpha=0.25, linewidth=0, zorder=1.7)
-    legend(ax, curves, "", 110)
+    return curves
 
 
 def band(curves: Sequence[Curve]) -> tuple[Array, Array, Array, Array]:

@@ -16,6 +16,7 @@ from softrig_core.rig.simulate import rig_of
 
 from ..citations import cited, sources
 from ..html import e, mark, picture, table, write_page
+from ..plots.style import pretty_unit
 from ..wording import accepted
 from .definition import Study
 from .engine import run_study
@@ -123,12 +124,13 @@ def _page(
         body.append(e("figure", picture(path.read_bytes(), path.stem.replace("_", " "))))
     papers = cited(load_scenario(study.scenario).cites)
     names = chosen(study, rows)
-    header = ("Run", "Changed", "Seed", *(n.replace("_", " ") for n in names), "Broke")
+    broken = ["Broke"] if any(row["error"] for row in rows) else []
+    header = ("Run", "Changed", "Seed", *(_heading(n, units.get(n, "")) for n in names), *broken)
     lines = [
         (str(row["number"]), _changes(study, row), str(row["seed"]), *(_number(row["figures"].get(n)) for n in names),
-         row["error"]) for row in rows[:LONGEST]
+         *([row["error"]] if broken else [])) for row in rows[:LONGEST]
     ]  # fmt: skip
-    body += [e("h2", "Runs"), table(header, lines, "n n" + "n" * len(names))]
+    body += [e("h2", "Runs"), table(header, lines, "  n" + "n" * len(names))]
     note = "table.parquet and table.csv have every run with the command that repeats it."
     if len(rows) > LONGEST:
         note = f"The first {LONGEST} of {len(rows)} runs. {note}"
@@ -143,6 +145,10 @@ def _changes(study: Study, row: Row) -> str:
     return ", ".join(([row["case"]] if row["case"] else []) + [
         f"{k.rpartition('.')[2]} {_text(v)}" for k, v in row["overrides"].items()
     ])  # fmt: skip
+
+
+def _heading(name: str, unit: str) -> str:
+    return name.replace("_", " ") + (f" ({pretty_unit(unit)})" if unit else "")
 
 
 def _text(value: Any) -> str:

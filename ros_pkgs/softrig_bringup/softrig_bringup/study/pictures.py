@@ -245,11 +245,11 @@ def _bands(study: Study, signals: Iterable[Row], units: Mapping[str, str]) -> It
                 continue
             t = np.linspace(0.0, mine[0]["end"], study.samples)
             low, middle, high = np.quantile([k["x"] for k in mine], (BAND[0], 0.5, BAND[1]), axis=0)
-            (line,) = ax.plot(t, middle, label=f"{name}: median of {len(mine)}" if len(mine) > 1 else name)
+            share = f"median of {len(mine)}, {BAND[0]:.0%} to {BAND[1]:.0%}".replace("%", " %")
+            (line,) = ax.plot(t, middle, label=f"{name}: {share}" if len(mine) > 1 else name)
             if len(mine) > 1:
-                share = f"{BAND[0]:.0%} to {BAND[1]:.0%}".replace("%", " %")
-                ax.fill_between(t, low, high, color=line.get_color(), alpha=0.2, linewidth=0, label=share)
+                ax.fill_between(t, low, high, color=line.get_color(), alpha=0.25, linewidth=0)
         ax.set_xlabel(axis_title("Time", "s"))
         ax.set_ylabel(axis_title(quantity(units.get(signal, "")) or "Value", units.get(signal, "")))
-        ax.legend(fontsize=9, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=4)
+        ax.legend(fontsize=9, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3)
         yield f"Signal {signal}", figure
