@@ -82,7 +82,7 @@ def _run_reserved(options: argparse.Namespace) -> int:
     out = (options.out or Path("runs") / _folder_name(scenario.name, options, changed)).absolute()
     folder = ResultsFolder(out)
     if folder.replaced:
-        say(f"replacing {folder.replaced} in {os.path.relpath(out)}")
+        say(f"replacing {folder.replaced} in {_shown(out)}")
     folder.clear()
     with _progress(scenario) as progress:
         done = execute(scenario, options.mode, out / "log", realtime=options.realtime, domain=options.domain,
@@ -94,7 +94,7 @@ def _run_reserved(options: argparse.Namespace) -> int:
     save(done, content, folder, record=not options.no_record, plots=not options.no_plots, also=options.format)
     if done.error:
         say(f"the run broke: {done.error}")
-        say(f"what was recorded up to there is in {os.path.relpath(out)}, what the nodes said in its log/")
+        say(f"what was recorded up to there is in {_shown(out)}, what the nodes said in its log/")
         return 3
     _print_figures(scenario, done, out, changed)
     if done.stopped:
@@ -194,14 +194,22 @@ def _print_figures(scenario: Scenario, run: Run, out: Path, changed: Sequence[st
 
     console = make_console()
     title = f"{scenario.name}: {scenario.title}" + (f", changed: {', '.join(changed)}" if changed else "")
-    table = Table("figure", title=title, title_justify="left", box=None, pad_edge=False)
-    for name in ("published", "measured", "expected", "unit", ""):
-        table.add_column(name, justify="left" if name in ("unit", "") else "right")
+    # on a narrow terminal names are folded and tolerances go on a line of their own; numbers stay whole
+    table = Table(title=title, title_justify="left", box=None, pad_edge=False)
+    table.add_column("figure", overflow="fold", min_width=10)
+    published = any(f.published is not None for f in run.results)
+    for name in (["published"] if published else []) + ["measured", "expected", "unit", ""]:
+        table.add_column(name, justify="left" if name in ("unit", "") else "right", overflow="fold",
+                         no_wrap=name in ("published", "measured"))  # fmt: skip
     for f in run.results:
-        missed = f"[yellow]differs[/] {f.error}" if changed else f"[red]MISS[/] {f.error}"
-        mark = ("[green]pass[/]" if f.judged else f.error) if f.passed else missed
-        table.add_row(f.name, _number(f.published), _number(f.value), accepted(f), f.unit, mark)
+        missed = "[yellow]differs[/]" if changed else "[red]MISS[/]"
+        mark = ("[green]pass[/]" if f.judged else "") if f.passed else missed
+        row = [f.name, *([_number(f.published)] if published else []), _number(f.value), accepted(f), f.unit, mark]
+        table.add_row(*row)
     console.print(table)
+    for f in run.results:
+        if f.error:
+            console.print(f"{f.name}: {f.error}", markup=False)
     for claim in run.claims:
         if claim.holds is False and not changed:
             console.print(f"[red]claim {claim.key}[/]: {claim.false}")
@@ -217,7 +225,13 @@ def _print_figures(scenario: Scenario, run: Run, out: Path, changed: Sequence[st
         if "missed_deadlines" in status:
             figures = {k: v for k, v in status.items() if k.endswith("_ms") or k == "missed_deadlines"}
             console.print(f"{name}: " + ", ".join(f"{k} {v:.3g}" for k, v in figures.items()))
-    console.print(f"results in {os.path.relpath(out)}")
+    console.print(f"results in {_shown(out)}")
+
+
+def _shown(path: Path) -> str:
+    """Give a path as the reader would type it."""
+    relative = os.path.relpath(path)
+    return str(path) if relative.startswith("..") else relative
 
 
 def _number(value: float | None) -> str:

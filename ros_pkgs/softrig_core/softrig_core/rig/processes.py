@@ -351,8 +351,9 @@ def find_executable(package: str, executable: str) -> Path:
             return path
     there = sorted({p.name for prefix in installed for p in (prefix / "lib" / package).glob("*") if p.is_file()})
     if not there:
-        raise ScenarioError(f"package {package!r} has no executables in AMENT_PREFIX_PATH; is the workspace built "
-                            "and sourced?")  # fmt: skip
+        packages = [folder.name for prefix in installed for folder in (prefix / "lib").glob("*") if folder.is_dir()]
+        raise ScenarioError(f"package {package!r} has no executables here{closest(package, packages)}; one of your own "
+                            "is built by colcon and named by --workspace DIR before the verb")  # fmt: skip
     raise ScenarioError(f"package {package} has no executable {executable!r}{closest(executable, there)}; it has "
                         f"{', '.join(there)}")  # fmt: skip
 

@@ -53,6 +53,8 @@ def locate(name: str) -> tuple[str, Path]:
     if path.suffix in (".yaml", ".yml") and path.is_file():
         return path.stem, path
     found = _find(name)
+    if found is None and (path.suffix in (".yaml", ".yml") or len(path.parts) > 1):
+        raise ScenarioError(f"{name}: no such file, expected a scenario's YAML file or its name")
     if found is None:
         known = list_scenarios()
         raise ScenarioError(f"scenario {name!r} is unknown{closest(name, known)}; `softrig list` shows all "

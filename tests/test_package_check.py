@@ -1,0 +1,83 @@
+"""What `colcon test` asks of each package, and that it notices what is wrong."""
+
+from importlib.metadata import EntryPoint
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+from softrig_core.model.block import Block, Plant
+from softrig_core.model.params import BlockParams, param
+from softrig_core.model.port import scalars
+from softrig_core.rig.package_check import check_entry_point, entry_points
+
+PACKAGES = sorted(p.parent for p in (Path(__file__).parents[1] / "ros_pkgs").glob("*/package.xml"))
+
+
+class Steady(Plant):
+    OUTPUTS = (scalars("state", "state", {"x": "m"}),)
+
+    def start(self):
+        self.x = 1.0
+
+    def outputs(self, t):
+        return {"state": (self.x,)}
+
+
+class Twice(Block):
+    OUTPUTS = (scalars("a", "same", {"x": "m"}), scalars("b", "same", {"x": "m"}))
+
+
+class Drifting(Steady):
+    made = 0
+
+    def start(self):
+        Drifting.made += 1
+        self.x = float(Drifting.made)
+
+
+class Infinite(Steady):
+    def start(self):
+        self.x = float("inf")
+
+
+class Gain(BlockParams):
+    k: float = param(..., "gain")
+
+
+class Needs(Steady):
+    Params = Gain
+
+
+def point(target, monkeypatch):
+    monkeypatch.setattr(EntryPoint, "load", lambda self: target)
+    return EntryPoint("it", "somewhere:main", "console_scripts")
+
+
+def test_a_sound_block_passes_and_one_without_defaults_says_so(monkeypatch):
+    assert check_entry_point(point(Block.update, monkeypatch)) == ""  # a function, a tool
+    for block, left in ((Steady, ""), (Needs, "it has no defaults to begin with: parameter k")):
+        main = lambda: None  # noqa: E731
+        main.block = block
+        assert check_entry_point(point(main, monkeypatch)).startswith(left)
+
+
+@pytest.mark.parametrize(
+    ("block", "what"),
+    [(Twice, "two topics named 'same'"), (Drifting, "after a reset"), (Infinite, "state x/position became inf")],
+)
+def test_an_unsound_block_does_not(monkeypatch, block, what):
+    main = lambda: None  # noqa: E731
+    main.block = block
+    with pytest.raises(Exception, match=what):
+        check_entry_point(point(main, monkeypatch))
+
+
+def test_what_cannot_be_called_is_no_executable(monkeypatch):
+    with pytest.raises(TypeError, match="expected a function"):
+        check_entry_point(point(SimpleNamespace(block=Steady), monkeypatch))
+
+
+@pytest.mark.parametrize("package", PACKAGES, ids=lambda p: p.name)
+def test_every_package_has_such_tests(package):
+    assert f'entry_points("{package.name}")' in (package / "test" / f"test_{package.name}.py").read_text()
+    assert entry_points(package.name)
