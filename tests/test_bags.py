@@ -26,6 +26,7 @@ from rosbags.rosbag2.enums import CompressionFormat, CompressionMode
 from rosbags.typesys import Stores, get_typestore
 from ruamel.yaml import YAML
 from softrig_bags.bag import STORAGES, BagWriter
+from softrig_bags.cli import main_bag
 from softrig_bags.compare import Tolerance, compare
 from softrig_bags.errors import BagError
 from softrig_bags.mcap_recover import LIMIT
@@ -859,6 +860,17 @@ def test_a_chunk_that_would_fill_the_memory_is_left_out(tmp_path):
     tracemalloc.stop()
     assert done.files[0].lost == ["2 damaged chunks"]
     assert expected(read_bag(tmp_path / "new")) == expected(recording())
+
+
+def test_a_damaged_bag_leaves_one_line_and_no_log(tmp_path, monkeypatch, capsys):
+    (tmp_path / "logs").mkdir()
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "logs"))
+    write_bag(tmp_path / "bag", recording())
+    file = tmp_path / "bag/bag_0.mcap"
+    file.write_bytes(file.read_bytes().replace(b"plant/state", b"\xff" * 11))
+    assert main_bag(["info", str(tmp_path / "bag")]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+    assert list((tmp_path / "logs").iterdir()) == []
 
 
 def test_a_definition_that_cannot_be_read_is_named(tmp_path):

@@ -406,6 +406,12 @@ def test_a_terminal_that_goes_while_a_table_is_printed(folder):
     assert (found.returncode, found.stderr) == (141, "")
 
 
+def test_a_variant_may_be_named_by_a_number(folder, capsys):
+    (folder / "lag.yaml").write_text(SCENARIO + "  40: {title: Forty}\n")
+    assert main(["list", "lag_40"]) == 0
+    assert "Forty" in capsys.readouterr().out
+
+
 def test_a_current_directory_that_has_been_removed_is_named(tmp_path):
     gone = tmp_path / "gone"
     gone.mkdir()

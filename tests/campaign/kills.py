@@ -19,7 +19,7 @@ from softrig_core.wire.recording import Recording
 from traces import left_in_memory, of_run, orphans, segments
 
 ENDINGS = {signal.SIGINT: 130, signal.SIGTERM: 143, signal.SIGHUP: 129}
-LATEST = 6.0  # s after the start of the runner
+LATEST = 4.0  # s
 
 
 class Enough(Exception):
@@ -66,6 +66,10 @@ def strike_and_judge(
 ) -> None:
     """Kill at some moment and look at everything that is left."""
     out, said = directory / "out", directory / "said"
+    if chance.random() < 0.7:  # in the midst of it; else whatever it is then doing
+        deadline = time.monotonic() + 60.0
+        while not any((out / "log").glob("*.shard")) and time.monotonic() < deadline:
+            time.sleep(0.02)
     time.sleep(chance.uniform(0.0, LATEST))
     victim, number = strike(chance, runner, directory)
     with (directory / "case").open("a") as case:

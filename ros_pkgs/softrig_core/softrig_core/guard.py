@@ -40,8 +40,9 @@ def guarded(work: Callable[[], int]) -> int:
         finally:
             _flush()  # while there is still somebody to tell that the disk is full
     except ScenarioError as error:
-        # from another exception: the code of a user's package, whose traceback tells more than a line
-        say(f"{error}; the traceback is in {_traceback()}" if error.__cause__ else error)
+        # from another exception: code of a user's package, whose traceback tells more than a line (a bag's does not)
+        ours = type(error) is not ScenarioError or error.__cause__ is None
+        say(error if ours else f"{error}; the traceback is in {_traceback()}")
         return 2
     except BrokenPipeError:  # whoever read our output has enough
         return 141

@@ -196,7 +196,7 @@ def _variants(path: Path, raw: Mapping[str, Any]) -> dict[str, Any]:
     for name in variants:
         if not re.fullmatch(r"\w+", str(name)):
             raise ScenarioError(f"{path.name}: variant {name!r}: expected letters, digits and _ only")
-    return variants
+    return {str(name): changes for name, changes in variants.items()}  # YAML reads 40 as a number
 
 
 def _parent(path: Path, parent: Any) -> Path:
