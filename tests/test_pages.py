@@ -44,6 +44,23 @@ def test_the_counts_of_the_readme_are_as_the_scenarios_say():
     assert pages.generate(text) == text, WRITE.format("README.md")
 
 
+@pytest.mark.long
+@pytest.mark.parametrize("page", [p for p in PAGES if "<!-- measured: " in (ROOT / p).read_text()], ids=str)
+def test_what_pages_say_was_measured_is(page):
+    text = (ROOT / page).read_text()
+    assert pages.generate(text, runs=True) == text, WRITE.format(f"--runs {page}")
+
+
+def test_measured_figures_are_those_of_a_run(monkeypatch):
+    run = simulate("dc_motor_smc_b2")
+    monkeypatch.setattr(pages, "simulate", lambda name: run)
+    page = "<!-- measured: rise_time of dc_motor_smc_b2 -->\n<!-- end -->"
+    assert pages.generate(page) == page  # runs are asked for
+    row = pages.generate(page, runs=True).splitlines()[4]
+    assert row.split(" | ")[0] == "| `dc_motor_smc_b2`"
+    assert float(row.split(" | ")[2].split()[0]) == pytest.approx(run.figures["rise_time"], rel=1e-4)
+
+
 def test_a_stale_page_is_told_and_mended(tmp_path, capsys):
     source = ROOT / GENERATED[0]
     page = tmp_path / "page.md"

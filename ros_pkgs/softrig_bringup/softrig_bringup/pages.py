@@ -1,4 +1,4 @@
-"""The generated parts of the doc pages: ``python -m softrig_bringup.pages [--check] PAGE...``.
+"""The generated parts of the doc pages: ``python -m softrig_bringup.pages [--check] [--runs] PAGE...``.
 
 A page holds pairs of markers; what stands between them is made from the code and the scenario files::
 
@@ -7,15 +7,17 @@ A page holds pairs of markers; what stands between them is made from the code an
     <!-- scenarios: dc_motor_smc -->                                scenarios, by beginning of their names
     <!-- sources: dc_motor_smc -->                                  papers that these scenarios cite, with BibTeX
     <!-- verdicts: all -->                                          claims of each system by their verdicts
+    <!-- measured: v_min v_max of rectifier_mpc rectifier_mpc_n2 --> figures of these scenarios; anew only with --runs
     <!-- end -->
 """
 
 from __future__ import annotations
 
 import argparse
+import math
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from softrig_core.model.params import Declaration, declarations
@@ -23,22 +25,28 @@ from softrig_core.model.port import Port
 from softrig_core.rig.claims import VERDICTS
 from softrig_core.rig.rig import load_block
 from softrig_core.rig.scenario import list_scenarios, load_scenario
+from softrig_core.rig.simulate import simulate
 
 from .citations import cited, listed
 from .study.definition import list_studies, load_study
 
-_PART = re.compile(r"(<!-- (nodes|claims|scenarios|sources|verdicts): ([^>]*?) -->\n).*?(<!-- end -->)", re.DOTALL)
+_KINDS = "nodes|claims|scenarios|sources|verdicts|measured"
+_PART = re.compile(rf"(<!-- ({_KINDS}): ([^>]*?) -->\n).*?(<!-- end -->)", re.DOTALL)
 
 
-def generate(page: str) -> str:
-    """Give a page with its generated parts made anew."""
+def generate(page: str, runs: bool = False) -> str:
+    """Give a page with its generated parts made anew; what is measured stays unless `runs`, which simulates."""
 
     def part(found: re.Match[str]) -> str:
+        if found[2] == "measured" and not runs:
+            return found[0]
         first, *words = found[3].split()
-        made = {"nodes": lambda: nodes(first, words), "claims": lambda: claims([first, *words]),
-                "scenarios": lambda: scenarios([first, *words]), "sources": lambda: sources([first, *words]),
-                "verdicts": verdicts}[found[2]]()  # fmt: skip
-        return f"{found[1]}\n{made}\n\n{found[4]}"
+        made: dict[str, Callable[[], str]] = {
+            "nodes": lambda: nodes(first, words), "claims": lambda: claims([first, *words]),
+            "scenarios": lambda: scenarios([first, *words]), "sources": lambda: sources([first, *words]),
+            "verdicts": verdicts, "measured": lambda: measured(found[3]),
+        }  # fmt: skip
+        return f"{found[1]}\n{made[found[2]]()}\n\n{found[4]}"
 
     return _PART.sub(part, page)
 
@@ -124,16 +132,29 @@ def verdicts() -> str:
     return "\n".join(lines)
 
 
+def measured(what: str) -> str:
+    """Figures of runs in process, to five digits: ``FIGURE... of SCENARIO...`` gives a row a scenario."""
+    figures, names = (part.split() for part in what.split(" of "))
+    rows = []
+    for name in names:
+        results = simulate(name).results
+        found = {r.name: "never" if math.isinf(r.number) else f"{r.number:.5g} {r.unit}".strip() for r in results}
+        rows.append(" | ".join([f"| `{name}`", load_scenario(name).title, *(found.get(f, "") for f in figures)]) + " |")
+    titles = " | ".join(f.replace("_", " ") for f in figures)
+    return "\n".join([f"| scenario | | {titles} |", "|---" * (len(figures) + 2) + "|", *rows])
+
+
 def main(args: Sequence[str] | None = None) -> int:
     """Write the generated parts of pages, or check that they are as the code says; 1 when one is not."""
     parser = argparse.ArgumentParser(prog="python -m softrig_bringup.pages", description=main.__doc__)
     parser.add_argument("pages", nargs="+", type=Path, metavar="PAGE")
     parser.add_argument("--check", action="store_true")
+    parser.add_argument("--runs", action="store_true", help="also what is measured: takes as long as the runs")
     given = parser.parse_args(args)
     status = 0
     for path in given.pages:
         old = path.read_text(encoding="utf-8")
-        new = generate(old)
+        new = generate(old, given.runs)
         if new != old:
             print(f"{path}: {'is not as the code says' if given.check else 'written'}")
             status = 1 if given.check else status
