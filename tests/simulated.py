@@ -33,6 +33,7 @@ class Endpoint:
     born: int
     peers: int = 0  # that are matched, as this end sees it
     known: dict = field(default_factory=dict)  # of a writer: reader -> time from which that accepts what is sent
+    direct: Callable | None = None  # of a reader: its way to take numbers, if it has one
 
     @property
     def peer(self):
@@ -51,11 +52,13 @@ class World:
     readers: list = field(default_factory=list)
     last: dict = field(default_factory=dict)
     discovery: "Discovery | None" = None
+    direct: bool = False  # whether messages are handed over as numbers where the reader can take them so
 
     def at(self, t, call, node=None):
         heapq.heappush(self.events, (t, next(self.order), call, node))
 
-    def send(self, writer, data):
+    def send(self, writer, data, *form):
+        """Send bytes, or numbers of a layout with a bound."""
         if self.discovery is None:
             readers = [(r, 0) for r in self.readers if r.topic == writer.topic and r.msgtype == writer.msgtype]
         else:
@@ -64,7 +67,12 @@ class World:
             key = (writer, reader)  # one writer's messages never overtake each other
             when = max(self.now + self.latency(writer.topic, writer.node.name, reader.node.name), accepts)
             self.last[key] = when = max(when, self.last.get(key, 0))
-            self.at(when, lambda reader=reader: reader.receive(data), reader.node)
+            take, given = reader.receive, data
+            if form:
+                take = reader.direct and reader.direct(*form)
+                if take is None:
+                    take, given = reader.receive, form[0].encode(*data)
+            self.at(when, partial(take, given), reader.node)
 
     def add(self, end):
         ends, others = (self.readers, self.writers) if end.receive else (self.writers, self.readers)
@@ -198,8 +206,20 @@ class SimulatedNode(Middleware):
         self.world.add(end)
         return lambda data: self.world.send(end, data)
 
+    def sender(self, topic, layout, bound, matched):
+        if not self.world.direct:
+            return super().sender(topic, layout, bound, matched)
+        end = Endpoint(self, self.resolve(topic), layout.msgtype, None, matched, self.world.now)
+        self.world.add(end)
+        return (lambda message: self.world.send(end, message, layout, bound),
+                lambda message: self.world.send(end, layout.encode(*message)))  # fmt: skip
+
     def subscribe(self, topic, msgtype, receive, matched):
-        self.world.add(Endpoint(self, self.resolve(topic), msgtype, receive, matched, self.world.now))
+        self.listen(topic, msgtype, receive, None, matched)
+
+    def listen(self, topic, msgtype, receive, direct, matched):
+        end = Endpoint(self, self.resolve(topic), msgtype, receive, matched, self.world.now, direct=direct)
+        self.world.add(end)
 
     def timer(self, ns, callback):
         return SimulatedTimer(self.world, ns, callback, self)
