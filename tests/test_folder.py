@@ -54,7 +54,21 @@ def test_nothing_outside_the_folder_is_removed(tmp_path):
     (out / MANIFEST).write_text(json.dumps([*listed, MANIFEST]))
     ResultsFolder(out).clear()
     assert (precious / "file").read_text() == "keep"
-    assert names(out) == []
+    assert names(out) == [MANIFEST]
+
+
+def test_what_a_killed_run_has_left_stops_no_other(tmp_path):
+    out = tmp_path / "out"
+    (out / "mine").mkdir(parents=True)
+    (out / "mine/notes.txt").write_text("mine")
+    ResultsFolder(out).clear()
+    (out / "log").mkdir()
+    (out / "log/plant.shard").write_text("of a run that was killed here")
+    assert main([*RUN, "--out", str(out), "--no-plots"]) == 0
+    assert names(out) == ["bag/bag_0.mcap", "bag/metadata.yaml", "metrics.json", "mine/notes.txt", MANIFEST]
+    (out / "report.html").write_text("theirs")  # put here by somebody after the run has ended
+    with pytest.raises(ScenarioError, match="was not written by a run of softrig"):
+        ResultsFolder(out)
 
 
 def test_a_file_in_the_place_of_the_folder_is_refused(tmp_path):

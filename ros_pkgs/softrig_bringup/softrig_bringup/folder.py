@@ -11,6 +11,7 @@ from pathlib import Path
 from softrig_core.errors import ScenarioError
 
 MANIFEST = "softrig_files.json"
+UNDER_WAY = "*"  # in place of a list: a run has begun here and not ended; all that a run may write is its own
 OURS = re.compile(
     r"bag|log|metrics\.json|report\.html|(overview|plot_\d\d_[a-z0-9_]*)\.(png|svg|pdf)|softrig_files\.json"
 )
@@ -40,6 +41,9 @@ class ResultsFolder:
         if path.exists() and not path.is_dir():
             raise ScenarioError(f"{path} is a file, expected a folder for the results")
         self._old = _listed(path)
+        if UNDER_WAY in self._old:
+            self._old |= {f for f in _files(path) if OURS.fullmatch(Path(f).parts[0])}
+            self._old.discard(UNDER_WAY)
         self._foreign = {f for f in _files(path) if f not in self._old}
         for file in sorted(self._foreign):
             if OURS.fullmatch(Path(file).parts[0]):
@@ -55,6 +59,8 @@ class ResultsFolder:
                 place = self.path / file
                 if _inside(self.path, place):
                     place.unlink(missing_ok=True)
+            # what a run leaves that is killed, or refused by one of its nodes, must not stop the next one
+            (self.path / MANIFEST).write_text(json.dumps([MANIFEST, UNDER_WAY]) + "\n")
         except OSError as error:
             raise ScenarioError(f"{error.filename}: {error.strerror}; choose another --out") from None
         if not os.access(self.path, os.W_OK | os.X_OK):
