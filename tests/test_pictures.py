@@ -9,6 +9,7 @@ import bibtexparser
 import numpy as np
 import pytest
 from conftest import make_scenario
+from matplotlib import rc_context
 from matplotlib.figure import Figure
 from softrig_bringup.citations import cited
 from softrig_bringup.cli import main
@@ -20,7 +21,7 @@ from softrig_bringup.plots.curves import Curve, Shown, check_plots
 from softrig_bringup.plots.figures import places, plot_run
 from softrig_bringup.plots.marks import marks_of
 from softrig_bringup.plots.overlay import BAND, Overlay, band, draw_overlay
-from softrig_bringup.plots.style import ACCEPTED, PUBLISHED, axis_title
+from softrig_bringup.plots.style import ACCEPTED, PUBLISHED, axis_title, style
 from softrig_bringup.several import groups, labels
 from softrig_bringup.wiring import Node, Wire, Wiring, columns, wiring_of
 from softrig_core.errors import ScenarioError
@@ -144,15 +145,18 @@ def test_axis_titles(name, unit, title):
     assert axis_title(name, unit) == title
 
 
-def test_scale_factors_stand_in_the_axis_title_and_nowhere_else():
-    figure = Figure(layout="constrained")
-    ax = figure.subplots()
-    ax.plot([0.0, 1.0], [0.0, 3e7])
-    ax.set(ylabel="Cost, $/h", xlabel="Time, s")
-    fold_exponents(figure)
-    figure.draw_without_rendering()
-    assert (ax.get_ylabel(), ax.get_xlabel()) == (r"Cost, $\mathregular{10^{7}}$ $/h", "Time, s")
-    assert {t.get_text() for t in ax.get_yticklabels()} >= {"0.0", "1.0", "3.0"}
+@pytest.mark.parametrize(("largest", "power"), [(3e7, 7), (3e-4, -4)])
+def test_scale_factors_stand_in_the_axis_title_and_nowhere_else(largest, power):
+    with rc_context(style()):
+        figure = Figure(layout="constrained")
+        ax = figure.subplots()
+        ax.plot([0.0, 1.0], [0.0, largest])
+        ax.set(ylabel="Cost, $/h", xlabel="Time, s")
+        fold_exponents(figure)
+        figure.draw_without_rendering()
+    assert (ax.get_ylabel(), ax.get_xlabel()) == (rf"Cost, $\mathregular{{10^{{{power}}}}}$ $/h", "Time, s")
+    shown = {t.get_text().replace(r"$\mathdefault{", "").replace("}$", "") for t in ax.get_yticklabels()}
+    assert shown >= {"0.0", "1.0", "3.0"}
     assert not ax.yaxis.get_offset_text().get_visible()
 
 
@@ -192,6 +196,13 @@ def test_who_only_looks_on_stands_behind_the_plant():
              Wire(topic="u", type="T", source="law", readers=("plant", "log")),
              Wire(topic="y", type="T", source="log", readers=("note",)))  # fmt: skip
     assert columns(Wiring(nodes=nodes, wires=wires)) == [["law"], ["plant"], ["log"], ["note"]]
+
+
+def test_many_nodes_are_arranged_at_once():
+    names = [f"n{k}" for k in range(60)]  # each reads all before it: 2^58 ways lead to the last one
+    nodes = {n: Node(executable=f"p/{n}", period=0.1, plant=n == "n59") for n in names}
+    wires = tuple(Wire(topic=n, type="T", source=n, readers=tuple(names[k + 1 :])) for k, n in enumerate(names[:-1]))
+    assert columns(Wiring(nodes=nodes, wires=wires)) == [[n] for n in names]
 
 
 def segments(group):

@@ -149,7 +149,8 @@ details .pairs { padding: .3rem 0 .6rem 1.1rem; }
   tr { border-bottom: 2px solid var(--line); padding: .45rem 0; }
   td, td.number { display: flex; justify-content: space-between; gap: 1rem; border: 0; padding: .08rem 0;
     text-align: right; white-space: normal; overflow-wrap: anywhere; }
-  td:first-child { font-weight: 600; }
+  td:first-child { font-weight: 600; text-align: left; }
+  td .note { font-weight: 400; }
   td::before { content: attr(data-label); color: var(--soft); font-weight: 400; text-align: left; flex: none; }
   td:first-child::before { content: none; }
   td:empty, td.none { display: none; }

@@ -77,20 +77,26 @@ def columns(wiring: Wiring) -> list[list[str]]:
     plants = {n for n, node in wiring.nodes.items() if node.plant}
     forward = {n: [] if n in plants else after[n] for n in wiring.nodes}
     before = {n: [m for m in wiring.nodes if n in forward[m]] for n in wiring.nodes}
-    acting = {n: _longest(n, forward, plants) for n in wiring.nodes}
-    last = max((d for d in acting.values() if d is not None), default=-1)
-    looking = {n for n, d in acting.items() if d is None}
-    place = {n: last - d for n, d in acting.items() if d is not None}
+    acting = _longest(forward, plants)
+    last = max(acting.values(), default=-1)
+    looking = [n for n in wiring.nodes if n not in acting]
     watched = {n: [m for m in before[n] if m in looking] for n in looking}
-    place |= {n: last + 1 + (_longest(n, watched, {m for m in looking if not watched[m]}) or 0) for n in looking}
+    seen = _longest(watched, {n for n in looking if not watched[n]})
+    place = {n: last - acting[n] if n in acting else last + 1 + seen[n] for n in wiring.nodes}
     found = [[n for n in wiring.nodes if place[n] == k] for k in range(max(place.values(), default=-1) + 1)]
-    return _ordered(found, {n: [*after[n], *(m for m in wiring.nodes if n in after[m])] for n in wiring.nodes})
+    read = {n: [m for m in wiring.nodes if n in after[m]] for n in wiring.nodes}
+    return _ordered(found, {n: [*after[n], *read[n]] for n in wiring.nodes})
 
 
-def _longest(node: str, forward: Mapping[str, list[str]], goals: set[str]) -> int | None:
-    """Length of the longest way to a goal; None when there is none. No cycle is without a plant, whose ways are cut."""
-    ways = [d for n in forward[node] if (d := _longest(n, forward, goals)) is not None]
-    return 1 + max(ways) if ways else (0 if node in goals else None)
+def _longest(forward: Mapping[str, list[str]], goals: set[str]) -> dict[str, int]:
+    """Length of the longest way to a goal, for each node that has one. No cycle is without a plant, where ways end."""
+    found = dict.fromkeys(goals, 0)
+    for _ in forward:
+        longer = {n: 1 + max(ways) for n, to in forward.items() if (ways := [found[m] for m in to if m in found])}
+        if all(found.get(n) == d for n, d in longer.items()):
+            break
+        found |= longer
+    return found
 
 
 def _ordered(found: list[list[str]], neighbours: Mapping[str, list[str]]) -> list[list[str]]:

@@ -215,7 +215,7 @@ def fold_exponents(figure: Figure) -> None:
                 continue
             numbers.set_locs(axis.get_majorticklocs().tolist())
             axis.get_offset_text().set_visible(False)
-            power = re.search(r"(?:e|\^\{)(-?\d+)", numbers.get_offset())
+            power = re.search(r"(?:e|\^\{)(-?\d+)", numbers.get_offset().replace("\N{MINUS SIGN}", "-"))
             if power is None:
                 numbers.set_scientific(False)  # also when the layout gives other ticks
                 continue

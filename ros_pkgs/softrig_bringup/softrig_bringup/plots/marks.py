@@ -16,7 +16,7 @@ from softrig_core.rig.metrics import SignalMap
 from softrig_core.rig.rig import Rig
 
 BESIDE = 0.06  # of the window: how far the mark of an extreme reaches to either side
-NAMED = 3  # more instants than this in one picture would cover it with their names
+NAMED = 4  # more instants than this in one picture would cover it with their names
 
 
 @dataclass(frozen=True)
