@@ -14,7 +14,6 @@ system: lag
 source: none
 duration: 0.5
 timeout: 60.0
-start_timeout: 120.0
 nodes:
   plant: {package: faultrig, executable: plant}
   source: {package: faultrig, executable: source}

@@ -115,9 +115,7 @@ class Scenario(_Model):
     clock: float | str | None = Field(None, description="period in s of a clock that is no plant, also as 1/2880")
     seed: int = Field(0, ge=0, lt=2**63)
     timeout: float = Field(10.0, gt=0, le=1e6, description="wall-clock s without progress before a lockstep run fails")
-    start_timeout: float = Field(
-        30.0, gt=0, le=1e6, description="wall-clock s to wait for all nodes, 0 < external ones"
-    )
+    start_timeout: float = Field(120.0, gt=0, le=1e6, description="wall-clock s to wait for all nodes")
     shared: Annotated[dict[str, Any], BeforeValidator(_or_empty)] = {}
     nodes: dict[NodeName, NodeEntry] = Field(min_length=1)
     containers: tuple[tuple[str, ...], ...] = ()
