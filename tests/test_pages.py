@@ -26,10 +26,11 @@ WRITE = "run scripts/softrig python -m softrig_bringup.pages {}"
 
 
 def test_every_system_has_its_page():
+    """With claims, scenarios and nodes as the code says, and figures as runs give them."""
     assert {p.stem for p in GENERATED} >= SYSTEMS
     for page in (p for p in GENERATED if p.stem in SYSTEMS):
         text = (ROOT / page).read_text()
-        assert all(f"<!-- {part}: " in text for part in ("nodes", "claims", "scenarios")), page
+        assert all(f"<!-- {part}: " in text for part in ("nodes", "claims", "scenarios", "measured")), page
 
 
 @pytest.mark.parametrize("page", GENERATED, ids=str)
