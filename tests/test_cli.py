@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 from softrig_bringup.cli import _parser, main
 from softrig_bringup.run import _checkout, gaps
-from softrig_bringup.run_verb import repeat
+from softrig_bringup.run_verb import _announce, _folder_name, repeat
 from softrig_core.rig.registry import figure
 from softrig_core.rig.rig import Rig
 from softrig_core.rig.scenario import load_scenario
@@ -428,3 +428,16 @@ def test_a_full_disk_names_the_folder(folder):
     found = command("run", "lag", "--mode", "inprocess", "--out", "a", preexec_fn=limit, capture_output=True, text=True)
     assert found.returncode == 3
     assert found.stderr == f"softrig: {folder}/a: File too large\n"
+
+
+def test_what_a_run_waits_for_is_told_whole_and_in_lines(capsys):
+    text = "waiting for a\n" + "\n".join(f"    a must publish topic_{i}" for i in range(60))
+    _announce(text)
+    assert capsys.readouterr().err == f"softrig: {text}\n"
+
+
+def test_a_results_folder_is_named_after_what_was_changed():
+    parsed = _parser().parse_args(["run", "lag", "--external", "gain", "--duration", "0.5", "--set", "gain.k=[1, 2]"])
+    assert _folder_name("lag", parsed) == "lag-gain.k=_1_2_-external_gain-duration_0.5"
+    parsed = _parser().parse_args(["run", "lag", "--mode", "container", "--realtime"])
+    assert _folder_name("lag", parsed) == "lag-realtime"

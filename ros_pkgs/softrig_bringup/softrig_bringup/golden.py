@@ -190,7 +190,7 @@ def load(folder: Path, **changes: Any) -> Golden:
     """
     file = folder / "golden.yaml"
     if not file.is_file():
-        raise ScenarioError(f"{folder} has no golden.yaml")
+        raise ScenarioError(f"{folder} has no golden.yaml; --bags DIR says where golden bags are")
     content = read_yaml(file.read_text(errors="replace"), str(file))
     recipe = _recipe(file, content | changes if isinstance(content, dict) else content)
     return Golden(folder, recipe, _rig(recipe))

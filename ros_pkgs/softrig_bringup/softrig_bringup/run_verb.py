@@ -9,7 +9,7 @@ import shlex
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -79,14 +79,14 @@ def _run_reserved(options: argparse.Namespace) -> int:
 
         return run_part(rig, options)
     changed = _changes(options)
-    out = (options.out or Path("runs") / _folder_name(scenario.name, options, changed)).absolute()
+    out = (options.out or Path("runs") / _folder_name(scenario.name, options)).absolute()
     folder = ResultsFolder(out)
     if folder.replaced:
         say(f"replacing {folder.replaced} in {_shown(out)}")
     folder.clear()
     with _progress(scenario) as progress:
         done = execute(scenario, options.mode, out / "log", realtime=options.realtime, domain=options.domain,
-                       progress=progress, wait=options.wait, announce=say)  # fmt: skip
+                       progress=progress, wait=options.wait, announce=_announce)  # fmt: skip
     changed += [done.stopped_at] if done.stopped else []
     figures = [] if done.error else done.results
     command = shlex.join(["scripts/softrig", "run", *repeat(options)])
@@ -111,9 +111,11 @@ def _changes(options: argparse.Namespace) -> list[str]:
     return found + [f"{name} {value}" for name in ("duration", "seed") if (value := getattr(options, name)) is not None]
 
 
-def _folder_name(scenario: str, options: argparse.Namespace, changed: Sequence[str]) -> str:
+def _folder_name(scenario: str, options: argparse.Namespace) -> str:
     """Name the folder of a run so that runs that differ do not replace each other."""
-    parts = [scenario] + (["realtime"] if options.realtime or options.mode == "realtime" else []) + list(changed)
+    parts = [scenario] + (["realtime"] if options.realtime or options.mode == "realtime" else [])
+    parts += [*options.set, *(f"external_{name}" for name in options.external)]
+    parts += [f"{name}_{value}" for name in ("duration", "seed") if (value := getattr(options, name)) is not None]
     return re.sub(r"[^A-Za-z0-9_.=+-]+", "_", "-".join(parts))[:120]
 
 
@@ -172,6 +174,12 @@ def _progress(scenario: Scenario) -> Iterator[Callable[[int], None] | None]:
     with Progress(*columns, console=console(stderr=True, width=None), transient=True) as bar:
         task = bar.add_task("", total=scenario.duration)
         yield lambda t: bar.update(task, completed=t / 1e9)
+
+
+def _announce(text: str) -> None:
+    """Say what a run waits for, whole and with its lines: they are instructions."""
+    with suppress(OSError):
+        print(f"softrig: {text}", file=sys.stderr, flush=True)
 
 
 def _news(scenario: Scenario) -> Callable[[int], None]:

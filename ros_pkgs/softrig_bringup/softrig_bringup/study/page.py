@@ -23,6 +23,7 @@ from .engine import run_study
 from .pictures import chosen, draw_study, label
 from .table import Row, claims, command, results, without_signals, write_table
 
+FEW = 20  # runs whose figures are printed where a study has no summaries
 LONGEST = 200  # rows on the page; the table files have them all
 
 
@@ -74,10 +75,18 @@ def _print(study: Study, rows: Sequence[Row], found: Sequence[Result], held: Seq
     from rich.table import Table
 
     console = Console(highlight=False)
-    shown = Table("summary", "value", "expected", "published", "", title=study.title, title_justify="left", box=None)
+    shown = Table(title=study.title, title_justify="left", box=None)
+    for name in ("summary", "value", "expected", "published", "") if found else ():
+        shown.add_column(name, overflow="fold")
     for r in found:
         verdict = ("[green]pass[/]" if r.judged else "") if r.passed else f"[red]MISS[/] {r.error}"
         shown.add_row(r.name, _number(r.value), accepted(r), _number(r.published), verdict)
+    if not found and len(rows) <= FEW:
+        heads = list(dict.fromkeys(name for row in rows for part in ("overrides", "figures") for name in row[part]))
+        for name in heads:
+            shown.add_column(name, overflow="fold")
+        for row in rows:
+            shown.add_row(*(_cell((row["overrides"] | row["figures"]).get(name)) for name in heads))
     console.print(shown)
     for claim in held:
         if claim.holds is False:
@@ -90,6 +99,10 @@ def _print(study: Study, rows: Sequence[Row], found: Sequence[Result], held: Seq
     for row in broken[:3]:
         console.print(f"run {row['number']} broke: {row['error']}; {command(row, study.duration)}", soft_wrap=True)
     console.print(f"{len(rows)} runs, {len(broken)} broke; results in {out}")
+
+
+def _cell(value: Any) -> str:
+    return _number(value) if isinstance(value, int | float) and not isinstance(value, bool) else str(value)
 
 
 def _page(
