@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 from conftest import PRESS, differences, in_process, make_scenario
-from softrig_core.node.exchange import Exchange
+from softrig_core.node.exchange import BURST, Exchange
 from softrig_core.node.profile import PROPERTY, VARIABLE, exclusive, with_property
 from softrig_core.rig.domain import free_domain
 from softrig_core.rig.processes import environment, find_executable, run_processes
@@ -332,6 +332,24 @@ def test_a_reader_gets_numbers_where_it_can_and_the_same_bytes_where_not():
     exchange.post(writer.calls, (7, ()))
     exchange.serve(1 << 62)
     assert got == [layout.encode(7, ())] * 2 + [(7, ()), layout.encode(7, ())]
+
+
+def test_what_is_for_others_goes_out_in_bursts_and_when_there_is_time():
+    exchange, sent = Exchange(), []
+    for k in range(BURST + 1):
+        exchange.carry(sent.append, k)
+        assert sent == ([] if k < BURST - 1 else list(range(BURST)))  # a full burst at once
+    assert exchange.serve(1 << 62) > 0  # nothing else to do: the rest, before anybody sleeps
+    assert sent == list(range(BURST + 1))
+
+    def again(left):
+        if left:
+            exchange.post((again,), left - 1)
+
+    exchange.carry(sent.append, "late")
+    exchange.post((again,), 1000)
+    exchange.serve(0)  # no time at all
+    assert sent[-1] == "late"
 
 
 def test_a_full_queue_gives_way_in_time_and_an_error_has_an_owner():

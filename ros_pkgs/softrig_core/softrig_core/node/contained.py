@@ -29,35 +29,38 @@ class ContainedMiddleware(RosMiddleware):
 
     def publisher(self, topic: str, msgtype: str, matched: Matched) -> Callable[[bytes], None]:
         """Offer a topic; DDS carries it while somebody in another process reads it."""
-        writer = self._exchange.writer(self.resolve(topic), msgtype, matched)
-        carry = super().publisher(topic, msgtype, lambda number: self._exchange.outside(writer, number))
-        post, calls = self._exchange.poster(), writer.byte_calls
+        exchange = self._exchange
+        writer = exchange.writer(self.resolve(topic), msgtype, matched)
+        to_others = super().publisher(topic, msgtype, lambda number: exchange.outside(writer, number))
+        post, calls, carry = exchange.poster(), writer.byte_calls, exchange.carry
 
         def publish(data: bytes) -> None:
             if calls:
                 post((calls, data))
             if writer.outside:
-                carry(data)
+                carry(to_others, data)
 
         return publish
 
     def sender(self, topic: str, layout: Layout, bound: float, matched: Matched) -> tuple[Send, Send]:
         """Offer a topic; its messages become bytes only for who is outside, and for a closer look."""
-        writer = self._exchange.writer(self.resolve(topic), layout.msgtype, matched, layout, bound)
-        carry = super().publisher(topic, layout.msgtype, lambda number: self._exchange.outside(writer, number))
-        post, calls, byte_calls, encode = self._exchange.poster(), writer.calls, writer.byte_calls, layout.encode
+        exchange = self._exchange
+        writer = exchange.writer(self.resolve(topic), layout.msgtype, matched, layout, bound)
+        to_others = super().publisher(topic, layout.msgtype, lambda number: exchange.outside(writer, number))
+        post, calls, byte_calls, encode = exchange.poster(), writer.calls, writer.byte_calls, layout.encode
+        carry = exchange.carry
 
         def send(message: Message) -> None:
             if calls:
                 post((calls, message))
             if writer.outside:
-                carry(encode(*message))
+                carry(to_others, encode(*message))
 
         def send_any(message: Message) -> None:
             data = encode(*message)
             post((byte_calls, data))
             if writer.outside:
-                carry(data)
+                carry(to_others, data)
 
         return send, send_any
 

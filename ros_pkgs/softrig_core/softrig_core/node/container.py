@@ -66,6 +66,7 @@ class Container:
         stopped = False
         try:
             stopped = not self._loop(executor)
+            self.exchange.flush()
             for adapter in self.adapters:
                 if adapter.state == "done":
                     adapter.middleware.drain()

@@ -18,6 +18,8 @@ from ..wire.cdr import Layout
 from .middleware import Direct, Matched, Message, Receive, Send
 
 BATCH = 16  # messages between two looks at the time
+BURST = 8  # messages for other processes that go out together: to wake a reader costs four times as much as to send
+SLACK = 150_000  # ns to the next timer from which on they go out at once
 SLICE = 5_000_000  # ns: how long messages may keep a timer waiting
 
 
@@ -97,6 +99,8 @@ class Exchange:
         self._order = count()
         self._owners: dict[Callable[..., None], str] = {}  # node names
         self._culprit: Callable[..., None] | None = None
+        self._outbox: list[tuple[Receive, bytes]] = []
+        self._turns = 0  # that the outbox has waited
         self.listens = False  # whether a writer in another process is matched
 
     # topics ----------------------------------------------------------------------------------------------------
@@ -170,6 +174,18 @@ class Exchange:
         """Give the shortest way into the queue."""
         return self._queue.append
 
+    def carry(self, publish: Receive, data: bytes) -> None:
+        """Have a message published to other processes: soon, in a burst, when the loop has no time."""
+        self._outbox.append((publish, data))
+        if len(self._outbox) >= BURST:
+            self.flush()
+
+    def flush(self) -> None:
+        """Publish what is for other processes."""
+        outbox, self._outbox, self._turns = self._outbox, [], 0
+        for publish, data in outbox:
+            publish(data)
+
     def serve(self, until: int, awake: int = 0) -> int:
         """Fire timers and hand over messages until nothing is due for `awake` ns or `until` has passed.
 
@@ -192,6 +208,11 @@ class Exchange:
             if due <= t:
                 self._fire()
             elif not queue:
+                if self._outbox:
+                    self._turns += 1
+                    if due - t > min(SLACK, awake) or self._turns >= BURST:
+                        self.flush()
+                        continue
                 if due - t > awake:
                     return due - t
                 limit = min(due, until)
@@ -200,6 +221,7 @@ class Exchange:
             if queue:
                 self._drain(min(until, t + SLICE))
             if now() > until:
+                self.flush()
                 return 0
 
     def _drain(self, until: int) -> None:
