@@ -356,6 +356,8 @@ def test_the_report_of_several_runs_overlays_their_bags(tmp_path):
     assert page.index("dc_motor: signals") < page.index('alt="Armature voltage and current"')
     assert '<a href="#run-2">dc_motor_plant.R=0.6, duration 0.5</a>' in page
     assert 'href="https://doi.org/10.18196/jrc.26140"' in page
+    assert "differs" in page
+    assert "✗" not in page  # changed runs are compared, not judged
     assert "@article{maarif2021," in page
     assert page.count('class="diagram"') == 2
     for png in re.findall(r'src="data:image/png;base64,([^"]*)"', page):

@@ -74,7 +74,7 @@ def verdict(run: RunRecord) -> Element:
         return mark(False, "broke")
     if not run.judged:
         return e("span", NONE)
-    if run.changed or run.stopped:
+    if run.compared:
         return e("span", "compared, not judged")
     text = f"{len(run.judged) - len(run.missed)} of {len(run.judged)} pass"
     return mark(not run.missed, text)
@@ -93,7 +93,7 @@ def _metrics(run: RunRecord) -> Element:
             difference(m.value, m.published),
             accepted(m) or NONE,
             _gauge(m),
-            _result(m),
+            _result(m, run.compared),
         )
         for m in run.metrics
     ]
@@ -101,11 +101,14 @@ def _metrics(run: RunRecord) -> Element:
     return e("div", table(header, rows, " nn nn "), e("p", note, class_="note"))
 
 
-def _result(metric: Result) -> Element:
+def _result(metric: Result, compared: bool) -> Element:
     if not metric.judged:
         return e("span", NONE)
-    verdict = mark(metric.passed, "pass" if metric.passed else "miss")
-    return e("div", verdict, e("div", metric.error, class_="note")) if metric.error else verdict
+    if compared:
+        said = e("span", "agrees" if metric.passed else "differs")
+    else:
+        said = mark(metric.passed, "pass" if metric.passed else "miss")
+    return e("div", said, e("div", metric.error, class_="note")) if metric.error else said
 
 
 def _gauge(metric: Result) -> Element | str:

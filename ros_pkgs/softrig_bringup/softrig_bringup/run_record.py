@@ -45,6 +45,11 @@ class RunRecord(BaseModel):
     signals: dict[str, Shown] = {}
 
     @property
+    def compared(self) -> bool:
+        """Whether the paper's numbers stand beside it for comparison alone: it was changed, or stopped early."""
+        return bool(self.changed or self.stopped)
+
+    @property
     def judged(self) -> list[Result]:
         """The metrics that can pass or miss."""
         return [m for m in self.metrics if m.judged]

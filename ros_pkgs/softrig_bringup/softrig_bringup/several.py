@@ -69,7 +69,7 @@ def index(runs: Sequence[RunRecord], names: Sequence[str]) -> Element:
         )
         for i, run in enumerate(runs, 1)
     ]
-    header = ("Run", "Title", "Mode", "Seed", "Simulated", "Wall time", "Metrics", "Missed")
+    header = ("Run", "Title", "Mode", "Seed", "Simulated", "Wall time", "Metrics", "Missed or different")
     return table(header, rows, "   nnn  ")
 
 
@@ -84,7 +84,7 @@ def side_by_side(runs: Sequence[RunRecord], names: Sequence[str]) -> Iterator[El
         rows: list[list[Element | str]] = []
         for i, run in group:
             have = {(m.name, m.unit): m for m in run.metrics}
-            cells = [_cell(have.get(key)) for key in columns]
+            cells = [_cell(have.get(key), run.compared) for key in columns]
             rows.append([e("a", names[i - 1], href=f"#run-{i}"), run.mode, *cells])
         header = [f"{name.replace('_', ' ')} ({pretty_unit(unit)})" if unit else name.replace("_", " ")
                   for name, unit in columns]  # fmt: skip
@@ -92,11 +92,11 @@ def side_by_side(runs: Sequence[RunRecord], names: Sequence[str]) -> Iterator[El
         yield table(("Run", "Mode", *header), rows, "  " + "n" * len(columns))
 
 
-def _cell(metric: Result | None) -> Element | str:
+def _cell(metric: Result | None, compared: bool) -> Element | str:
     if metric is None:
         return ""
     text = measured(metric)
-    return text if metric.passed else mark(False, text)
+    return text if metric.passed or compared else mark(False, text)
 
 
 def overlaid(runs: Sequence[tuple[Path, RunRecord]], names: Sequence[str]) -> Iterator[Element]:
