@@ -17,6 +17,7 @@ import traceback
 from pathlib import Path
 
 CASE_LIMIT = 240  # s; on a loaded machine too
+SLICE = 25  # cases of one worker; the limit on time is looked at between two
 MEMORY = 6 << 30  # bytes of address space of a worker; numba and pyarrow reserve much that they do not use
 
 
@@ -65,7 +66,9 @@ def campaign(counts: dict[str, int], first: int, limit: float, keep: Path | None
     context = multiprocessing.get_context("spawn")
     results = context.Queue()
     table = {area: [0, 0, [], 0.0] for area in counts}
-    waiting = [(area, first + at, min(count - at, 50)) for area, count in counts.items() for at in range(0, count, 50)]
+    waiting = [
+        (area, first + at, min(count - at, SLICE)) for area, count in counts.items() for at in range(0, count, SLICE)
+    ]
     running: dict = {}
     deadline = time.monotonic() + limit
 
