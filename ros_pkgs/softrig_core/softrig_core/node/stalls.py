@@ -1,0 +1,90 @@
+"""A lockstep run that makes no progress ends, and says who is missing; the only use of wall-clock time in lockstep."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from ..model.timebase import SECOND
+from .endpoint import Input
+from .middleware import Middleware
+
+if TYPE_CHECKING:
+    from .lockstep import Lockstep
+
+GONE_AFTER = 0.5  # s without the awaited message after its only sender has vanished
+
+
+class Stalls:
+    """Looks, again and again, whether the run goes on.
+
+    Parameters
+    ----------
+    node : Lockstep
+    middleware : Middleware
+
+    Attributes
+    ----------
+    rivals : Input or None
+        An input with more than one publisher.
+    """
+
+    def __init__(self, node: Lockstep, middleware: Middleware) -> None:
+        self._node = node
+        self._middleware = middleware
+        self._progress = (-1, 0)
+        self.rivals: Input | None = None
+        self.restart()
+
+    def restart(self) -> None:
+        """Count the time from now."""
+        self._since = self._middleware.steady()
+
+    def look(self) -> None:
+        """End the run when a peer is gone, stalls or never came."""
+        node, arrivals = self._node, self._node.arrivals
+        waited = self._middleware.steady() - self._since
+        if self.rivals is not None:
+            self._name(self.rivals, waited)
+        elif node.state == "starting" or (node.state == "running" and not self._begun()):
+            limit = node.options.start_timeout
+            if limit and waited > limit:
+                silent = [f"nothing on {p.topic} yet" for p in arrivals.pairings if not p.have]
+                node.fail(f"not all peers after {limit:g} s: {'; '.join(node.handshake.absent() or silent)}")
+        elif node.state == "running":
+            if self._progress != (node.t, arrivals.heard):
+                self._progress = (node.t, arrivals.heard)
+                self.restart()
+            else:
+                self._judge(waited)
+
+    def _begun(self) -> bool:
+        """Whether the rig has sent anything: before that, somebody still waits for an outside node."""
+        node = self._node
+        if node.links.owns_clock or node.arrivals.heard:
+            return True
+        # a source of an outside plant says t = 0 unasked
+        others = [p for p in node.arrivals.pairings if not p.earlier]
+        return any(p.have for p in others) or (node.ticks > 0 and bool(others))
+
+    def _name(self, item: Input, waited: float) -> None:
+        """End the run with the names of all who publish a topic, when the graph knows them."""
+        node, topic = self._node, item.port.topic
+        rivals = self._middleware.publishers(self._middleware.resolve(topic))
+        names = sorted({p.full_name for p in rivals})
+        if not any("UNKNOWN" in n for n in names) or waited > node.options.timeout:
+            node.fail(f"{len(rivals)} publishers on {topic} ({', '.join(names)}), expected exactly one")
+
+    def _judge(self, waited: float) -> None:
+        node = self._node
+        lacking = [p for p in node.arrivals.pairings if not p.have]
+        gone = [p for p in lacking if not p.item.publishers]
+        if lacking and (waited > node.options.timeout or (gone and waited > GONE_AFTER)):
+            lacking = gone or lacking
+            what = ", ".join(
+                f"{p.topic} from {p.sender}{' (gone)' if p in gone else ''}"
+                f"{'; last refused: ' + p.item.last_refusal if p.item.last_refusal else ''}"
+                f"{f'; it is ahead, at {max(p.said) / SECOND:.9g} s' if p.said else ''}"
+                for p in lacking
+            )
+            node.waits_for = [p.sender for p in lacking]
+            node.fail(f"nothing stamped t = {node.t / SECOND:.9g} s within {waited:.1f} s on {what}")
