@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
 from conftest import make_scenario
@@ -32,6 +33,21 @@ def test_a_signal_becomes_an_interrupt_once_and_the_handlers_come_back():
         stopped_twice()
     assert caught.value.number == signal.SIGTERM
     assert signal.getsignal(signal.SIGTERM) is before
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+def test_a_signal_that_strikes_where_python_swallows_it_still_stops():
+    class Swallows:
+        def __del__(self):
+            os.kill(os.getpid(), signal.SIGTERM)
+
+    def strike(stopping):
+        Swallows()
+        stopping.check()
+
+    with pytest.raises(Stopped) as caught, stoppable() as asked:
+        strike(asked)
+    assert caught.value.number == signal.SIGTERM
 
 
 def test_a_run_in_process_can_be_stopped():
@@ -73,6 +89,23 @@ def test_an_interrupted_run_gives_what_it_has(mode, tmp_path):
     assert (outcome.error, outcome.stopped) == ("", signal.SIGTERM)
     assert len(outcome.recording.topics["lag/state"].times) > 10
     assert all("Traceback" not in log.read_text() for log in tmp_path.glob("*.log"))
+
+
+@pytest.mark.processes
+@pytest.mark.parametrize("containers", [(), [("plant", "source", "gain")]])
+def test_nodes_whose_processes_are_held_end_the_run_by_name(containers, tmp_path):
+    rig = Rig.from_scenario(make_scenario(BASIC, 1e4, timeout=1.0))
+
+    def progress(t):
+        if t > 100_000_000:
+            for pid in Path(f"/proc/self/task/{os.getpid()}/children").read_text().split():
+                if b"__node:=plant" in Path(f"/proc/{pid}/cmdline").read_bytes():
+                    os.kill(int(pid), signal.SIGSTOP)
+
+    outcome = run_processes(rig, 0, tmp_path, progress=progress, containers=containers)
+    held = "plant, source, gain" if containers else "plant"
+    assert f"node {held}: its process has been stopped (SIGSTOP)" in outcome.error or "from plant" in outcome.error
+    assert len(outcome.recording.topics["lag/state"].times) > 10
 
 
 @pytest.mark.processes

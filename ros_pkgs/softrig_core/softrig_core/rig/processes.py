@@ -28,7 +28,7 @@ from .options import InputLink, Links
 from .rig import Member, Rig, load_main
 from .scenario_file import closest
 from .shared_memory import remove_leftovers
-from .stopping import signal_of, stoppable
+from .stopping import Stopping, signal_of, stoppable
 
 GRACE = 1.5  # s: after one node fails, how long the others may take to say what they saw
 LIBC = ctypes.CDLL(None)  # loaded here: between fork and exec another thread may hold the loader's lock
@@ -237,13 +237,13 @@ def run_processes(
         variables = environment(domain, directory, discovery="SUBNET" if only else "LOCALHOST")
         guests = _Guests(rig, announce)
         try:
-            with stoppable():
+            with stoppable() as stopping:
                 try:
                     guests.invite(domain)
                     options = {"run.mode": mode, "run.start_timeout": wait}
                     for group in groups(rig, containers, only):
                         children += _start(rig, group, seed, directory, options, record, variables)
-                    error = _watch(rig, children, progress, guests, mode == "realtime")
+                    error = _watch(rig, children, progress, guests, mode == "realtime", stopping)
                 except KeyboardInterrupt as interrupt:
                     stopped = signal_of(interrupt)
                 finally:
@@ -459,18 +459,20 @@ def _die_with_parent() -> None:
 
 
 def _watch(
-    rig: Rig, children: list[_Child], progress: Callable[[int], object] | None, guests: _Guests, realtime: bool
-) -> str:
+    rig: Rig, children: list[_Child], progress: Callable[[int], object] | None, guests: _Guests, realtime: bool,
+    stopping: Stopping,
+) -> str:  # fmt: skip
     """Wait until all have ended or one has failed; gives the reason of a failure.
 
     A node may wait for ever for a peer that has ended: it has the scenario's timeout, in realtime from the end of the
-    run, in lockstep from the end of a node or the last progress.
+    run, in lockstep from the end of a node or the last progress. So has one whose process is stopped (SIGSTOP).
     """
-    late = math.inf
+    late = math.inf if realtime else time.monotonic() + rig.scenario.timeout
     first = starter(rig)
     plant = next((c for c in children if c.member is first), children[0])  # the first may run on another machine
     last = -1
     while True:
+        stopping.check()
         running = [c for c in children if c.process.poll() is None]
         failed = [c for c in children if c.process.poll() not in (None, 0)]
         if failed:
@@ -485,9 +487,12 @@ def _watch(
             if late == math.inf and state.get("epoch"):
                 to_start = state["epoch"] / 1e9 - time.time()
                 late = time.monotonic() + to_start + rig.scenario.duration + rig.scenario.timeout
-        elif t != last or busy or len(running) == len(children):
+        elif t != last or busy or (len(running) == len(children) and not any(_is_stopped(c) for c in running)):
             late = time.monotonic() + rig.scenario.timeout
         if time.monotonic() > late:
+            asleep = ", ".join(c.member.name for c in running if _is_stopped(c))
+            if asleep:
+                return f"node {asleep}: its process has been stopped (SIGSTOP) for {rig.scenario.timeout:g} s"
             names = ", ".join(c.member.name for c in running)
             return f"node {names} did not reach the end of the run within {rig.scenario.timeout:g} s after it"
         if t != last and progress is not None:
@@ -496,6 +501,13 @@ def _watch(
         # A child's end wakes the wait; otherwise look at the progress ten times a second. (Popen.wait with a limit
         # wakes up all the time, and each time takes a node's core.)
         select.select([c.end for c in running], [], [], 0.1)
+
+
+def _is_stopped(child: _Child) -> bool:
+    """Whether a process is held by SIGSTOP or a terminal (Linux)."""
+    with suppress(OSError):
+        return Path(f"/proc/{child.process.pid}/stat").read_text().rpartition(")")[2].split()[0] == "T"
+    return False
 
 
 def _reason(children: list[_Child], failed: list[_Child]) -> str:

@@ -30,24 +30,37 @@ def signal_of(error: KeyboardInterrupt) -> int:
     return error.number if isinstance(error, Stopped) else int(signal.SIGINT)
 
 
+class Stopping:
+    """Whether a signal has come."""
+
+    number = 0
+
+    def check(self) -> None:
+        """Raise `Stopped` once more: Python may have swallowed it where it struck (at a fork, in a finaliser)."""
+        if self.number:
+            raise Stopped(self.number)
+
+
 @contextmanager
-def stoppable() -> Iterator[None]:
+def stoppable() -> Iterator[Stopping]:
     """Turn the first signal into `Stopped` raised in the main thread, and let no later one disturb the clearing up.
 
-    In other threads, which get no signals, it does nothing.
+    In other threads, which get no signals, it does nothing. A long wait asks `Stopping.check` now and then.
     """
+    stopping = Stopping()
     if threading.current_thread() is not threading.main_thread():
-        yield
+        yield stopping
         return
 
     def handle(number: int, frame: FrameType | None) -> None:
         for other in SIGNALS:
             signal.signal(other, signal.SIG_IGN)
+        stopping.number = number
         raise Stopped(number)
 
     before = {number: signal.signal(number, handle) for number in SIGNALS}
     try:
-        yield
+        yield stopping
     finally:
         for number, old in before.items():
             signal.signal(number, old)
