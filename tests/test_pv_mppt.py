@@ -112,6 +112,15 @@ def test_module_at_standard_conditions():
     assert characteristic(MODULE, (1000.0,), (55.0,)).gmpp.p == pytest.approx(51.44, abs=5e-3)
 
 
+@pytest.mark.timeout(20)
+def test_currents_too_large_for_the_fine_tolerance_are_found():
+    c = cell(ModuleParams(V_oc=0.001, R_s=2.35e-6, R_p=1e12), 1000.0, 25.0)
+    found = c.current(-0.8)  # thousands of A, whose neighbours are further apart than 1e-14 A
+    junction = -0.8 + c.R_s * found
+    assert found > 1e3
+    assert c.I_ph - c.I_0 * math.expm1(junction / c.aV_t) - junction / c.R_p == pytest.approx(found, rel=1e-12)
+
+
 def exact_voltage(i, irradiance, temperature):
     """String voltage by the Lambert W function, nothing shared with the package but the parameters' values."""
     total = 0.0

@@ -58,6 +58,8 @@ class Cell(NamedTuple):
         low, high = -1e3, self.I_ph + self.I_0 + max(-V, 0.0) / self.R_p
         while high - low > 1e-14 * max(1.0, -low):
             I = 0.5 * (low + high)  # noqa: E741
+            if not low < I < high:
+                break  # neighbours: large currents have no finer numbers
             U = V + self.R_s * I
             if self.I_ph - self.I_0 * math.expm1(U / self.aV_t) - U / self.R_p > I:
                 low = I
