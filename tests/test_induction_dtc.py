@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
-from softrig_bringup import plots
+from softrig_bringup.plots import figures as plots
 from softrig_bringup.run import execute
 from softrig_core.errors import ScenarioError
 from softrig_core.model import compiled
@@ -406,7 +406,7 @@ def test_flux_error_is_drawn_as_a_difference(monkeypatch, tmp_path):
     monkeypatch.setattr(plots, "save_figure", lambda figure, *_: figures.append(figure))
     plots.plot_run(signals, rig, tmp_path)
     (axes,) = figures[0].axes
-    assert axes.get_ylabel() == "Wb"
+    assert axes.get_ylabel() == "Flux error, Wb"
     for line, axis in zip(axes.lines, "xy", strict=True):
         expected = signals[f"flux_estimate/{axis}"].x - signals[f"flux_true/{axis}"].x[:-1]
         np.testing.assert_array_equal(line.get_ydata(), expected)
