@@ -19,10 +19,11 @@ from typing import Any, Literal
 from softrig_core.errors import RunError
 from softrig_core.model.block import Block, Observer
 from softrig_core.model.params import declarations, flatten
+from softrig_core.model.port import CLOCK
 from softrig_core.model.scene import Scene
 from softrig_core.rig.figures import Result, figures_of
 from softrig_core.rig.inprocess import run_inprocess
-from softrig_core.rig.rig import CLOCK, Rig
+from softrig_core.rig.rig import Rig
 from softrig_core.rig.scenario import Scenario
 from softrig_core.rig.simulate import Run
 from softrig_core.rig.stopping import signal_of, stoppable, unstopped

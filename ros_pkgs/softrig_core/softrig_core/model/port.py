@@ -320,3 +320,6 @@ def _named(msgtype: str, name: str, topic: str, channels: Sequence[str], units: 
     each = {f: [unit] * len(channels) if isinstance(unit, str) else unit for f, unit in units.items()}
     flat = tuple("" if unit == "1" else unit for f in fields for unit in each[f])
     return Port(name, topic, msgtype, tuple(channels), fields, flat, **options)  # type: ignore[arg-type]
+
+
+CLOCK = Port("clock", "/clock", "rosgraph_msgs/msg/Clock")

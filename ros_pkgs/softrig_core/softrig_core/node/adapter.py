@@ -14,7 +14,7 @@ from typing import Any, Literal
 from ..errors import RunError, describe
 from ..model.answer import check
 from ..model.block import Block, Level, Plant
-from ..model.port import Port, Sample
+from ..model.port import CLOCK, Port, Sample
 from ..model.schedule import Schedule
 from ..model.timebase import SECOND
 from ..rig.options import InputLink, Links, RunOptions
@@ -29,8 +29,7 @@ from .tick import END, TICK, TickWriter
 
 LOOK_EVERY = 4  # watches between two looks at the types of topics on which nothing comes
 WATCH_PERIOD = SECOND // 4  # ns: progress check, status file, flush of the shard
-CLOCK_TOPIC = "/clock"
-CLOCK_LAYOUT = Layout("rosgraph_msgs/msg/Clock")
+CLOCK_LAYOUT = Layout(CLOCK.msgtype)
 
 
 class Adapter:
@@ -112,7 +111,7 @@ class Adapter:
         self.extra_numbers = len(recorded)
         row = {o.number: o.layout for o in self.outputs} if self._rows else {}
         if self.links.owns_clock:
-            recorded.append((CLOCK_TOPIC, CLOCK_LAYOUT.msgtype))
+            recorded.append((CLOCK.topic, CLOCK.msgtype))
             if self._rows and self.options.mode == "lockstep":
                 row[self.extra_numbers] = CLOCK_LAYOUT
         self.recorded = recorded

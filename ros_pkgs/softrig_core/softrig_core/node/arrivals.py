@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from ..model.port import Port, Refused, Sample
+from ..model.port import CLOCK, Port, Refused, Sample
 from ..model.schedule import Schedule
 from ..model.timebase import SECOND
 from ..rig.options import InputLink
 from ..wire.cdr import Layout
 from ..wire.codec import Decoder
-from .adapter import CLOCK_LAYOUT, CLOCK_TOPIC
 from .endpoint import Input
 from .middleware import Direct, Message, Receive, Send
 from .pairing import BAD, KEEP, Pairing
@@ -19,8 +18,6 @@ from .tick import END, TICK, TickReader
 
 if TYPE_CHECKING:
     from .lockstep import Lockstep
-
-CLOCK = Port("clock", CLOCK_TOPIC, CLOCK_LAYOUT.msgtype)
 
 
 class Arrivals:

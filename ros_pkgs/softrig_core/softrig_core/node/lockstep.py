@@ -11,12 +11,13 @@ from typing import Any
 
 from ..errors import RunError
 from ..model.block import Block
+from ..model.port import CLOCK
 from ..model.schedule import Schedule
 from ..model.solver import Solver
 from ..rig.options import RunOptions
 from ..wire.recording import Sink
-from .adapter import CLOCK_LAYOUT, CLOCK_TOPIC, Adapter
-from .arrivals import CLOCK, Arrivals
+from .adapter import CLOCK_LAYOUT, Adapter
+from .arrivals import Arrivals
 from .endpoint import Input, Output
 from .first import repeat_first
 from .health import percentiles
@@ -38,14 +39,14 @@ class Lockstep(Adapter):
         self._tick = 0
         self._durations: deque[int] = deque(maxlen=100_000)
         self._sent = self._first = 0
-        self.clock_output = Output(CLOCK, "/clock", -1)
+        self.clock_output = Output(CLOCK, CLOCK.topic, -1)
         super().__init__(middleware, block, options, sink)
         if self.links.owns_clock:
-            self.clock_output.send, _ = middleware.sender(CLOCK_TOPIC, CLOCK_LAYOUT, 0.0, self.clock_output.matched)
+            self.clock_output.send, _ = middleware.sender(CLOCK.topic, CLOCK_LAYOUT, 0.0, self.clock_output.matched)
         if self.links.clock is not None:
             self.arrivals.follow_clock(self.links.clock)
         if self.links.hears_clock:
-            middleware.subscribe(CLOCK_TOPIC, CLOCK.msgtype, lambda data: None, lambda count: None)
+            middleware.subscribe(CLOCK.topic, CLOCK.msgtype, lambda data: None, lambda count: None)
         if self.links.guests:
             stamped = [o for o in self.outputs if o.port.stamped and not o.delayed]
             first = 0 if self.is_plant else 1

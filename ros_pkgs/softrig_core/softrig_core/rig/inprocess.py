@@ -9,9 +9,9 @@ from typing import Any
 from ..errors import RunError, ScenarioError, describe
 from ..model.answer import check
 from ..model.block import Block, Plant
-from ..model.port import Sample
+from ..model.port import CLOCK, Sample
 from ..wire.recording import Sink
-from .rig import CLOCK, Member, Rig
+from .rig import Member, Rig
 
 
 class _Step:

@@ -14,7 +14,7 @@ from pydantic import ValidationError
 from ..errors import ScenarioError, describe
 from ..model.block import Block, Plant
 from ..model.params import BlockParams, ParameterError, build, flatten
-from ..model.port import Port, Refused
+from ..model.port import CLOCK, Port, Refused
 from ..model.schedule import Schedule
 from ..wire.cdr import Pick
 from ..wire.codec import selection
@@ -203,7 +203,6 @@ class Rig:
         return [m for m in self.members if not m.is_plant and not awaited(m)]
 
 
-CLOCK = Port("clock", "/clock", "rosgraph_msgs/msg/Clock")
 CLOCK_NODE = "clock"  # node and executable of a clock that is no plant
 
 
