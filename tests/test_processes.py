@@ -179,7 +179,7 @@ def fault(how, **keys):
     ("how", "texts"),
     [
         ("kill", ["node gain was killed by SIGKILL"]),
-        ("stop", ["plant: nothing stamped t = 0.2 s within", "lag/command from gain"]),
+        ("stop", ["node gain: its process is stopped (SIGSTOP)"]),
         ("hang", ["plant: nothing stamped t = 0.2 s within", "lag/command from gain"]),
         ("nan", ["gain: command u/effort became nan at t = 0.2 s"]),
         ("raise", ["gain: failed at t = 0.2 s: ArithmeticError: deliberate"]),

@@ -490,9 +490,8 @@ def _watch(
         elif t != last or busy or (len(running) == len(children) and not any(_is_stopped(c) for c in running)):
             late = time.monotonic() + rig.scenario.timeout
         if time.monotonic() > late:
-            asleep = ", ".join(c.member.name for c in running if _is_stopped(c))
-            if asleep:
-                return f"node {asleep}: its process has been stopped (SIGSTOP) for {rig.scenario.timeout:g} s"
+            if asleep := _asleep(running):
+                return asleep
             names = ", ".join(c.member.name for c in running)
             return f"node {names} did not reach the end of the run within {rig.scenario.timeout:g} s after it"
         if t != last and progress is not None:
@@ -501,6 +500,12 @@ def _watch(
         # A child's end wakes the wait; otherwise look at the progress ten times a second. (Popen.wait with a limit
         # wakes up all the time, and each time takes a node's core.)
         select.select([c.end for c in running], [], [], 0.1)
+
+
+def _asleep(children: list[_Child]) -> str:
+    """Name the nodes whose processes are held; empty without any."""
+    names = ", ".join(c.member.name for c in children if _is_stopped(c))
+    return f"node {names}: its process is stopped (SIGSTOP); it was waited for until the timeout" if names else ""
 
 
 def _is_stopped(child: _Child) -> bool:
@@ -519,7 +524,11 @@ def _reason(children: list[_Child], failed: list[_Child]) -> str:
         failed = [c for c in children if c.process.poll() not in (None, 0)]
     # a container fails as one, but some of its nodes may have finished before
     failed = [c for c in failed if _read_status(c.status).get("state") != "done"] or failed
-    causes = blamed({c.member.name: _read_status(c.status).get("waits_for", []) for c in failed})
+    waits = {c.member.name: _read_status(c.status).get("waits_for", []) for c in failed}
+    held = _asleep([c for c in children if any(c.member.name in names for names in waits.values())])
+    if held and all(waits.values()):
+        return held
+    causes = blamed(waits)
     texts = []
     for child in (c for c in failed if c.member.name in causes):
         code = child.process.returncode or 0
