@@ -9,6 +9,7 @@ from ruamel.yaml import YAML
 from softrig_bringup import pages
 from softrig_bringup.cli import _FOREIGN, _parser, main
 from softrig_bringup.study.definition import list_studies, make_study
+from softrig_core.errors import ScenarioError
 from softrig_core.rig.figures import figures_of
 from softrig_core.rig.processes import find_executable
 from softrig_core.rig.rig import Rig
@@ -50,6 +51,19 @@ def test_the_counts_of_the_readme_are_as_the_scenarios_say():
 def test_what_pages_say_was_measured_is(page):
     text = (ROOT / page).read_text()
     assert pages.generate(text, runs=True) == text, WRITE.format(f"--runs {page}")
+
+
+def test_pictures_are_plot_entries_drawn_from_a_run(tmp_path):
+    page = tmp_path / "page.md"
+    page.write_text("<!-- picture: dc_motor_smc_b2 2 -->\n<!-- end -->")
+    assert pages.main([str(page)]) == 0
+    title = load_scenario("dc_motor_smc_b2").plots[1].title
+    assert f"![{title}](dc_motor_smc_b2_2.png)" in page.read_text()
+    assert [p.name for p in tmp_path.iterdir()] == ["page.md"]  # runs are asked for
+    assert pages.main(["--runs", str(page)]) == 0
+    assert (tmp_path / "dc_motor_smc_b2_2.png").read_bytes().startswith(b"\x89PNG")
+    with pytest.raises(ScenarioError, match="picture 9 of dc_motor_smc_b2: expected a plot entry from 1 to 5"):
+        pages.generate("<!-- picture: dc_motor_smc_b2 9 -->\n<!-- end -->")
 
 
 def test_measured_figures_are_those_of_a_run(monkeypatch):

@@ -7,6 +7,7 @@ A page holds pairs of markers; what stands between them is made from the code an
     <!-- scenarios: dc_motor_smc -->                                scenarios, by beginning of their names
     <!-- sources: dc_motor_smc -->                                  papers that these scenarios cite, with BibTeX
     <!-- verdicts: all -->                                          claims of each system by their verdicts
+    <!-- picture: dc_motor_smc_b2 1 -->                             plot entry of a scenario; anew only with --runs
     <!-- measured: v_min v_max of rectifier_mpc rectifier_mpc_n2 --> figures of these scenarios; anew only with --runs
     <!-- end -->
 """
@@ -28,9 +29,10 @@ from softrig_core.rig.scenario import list_scenarios, load_scenario
 from softrig_core.rig.simulate import simulate
 
 from .citations import cited, listed
+from .page_pictures import draw, picture
 from .study.definition import list_studies, load_study
 
-_KINDS = "nodes|claims|scenarios|sources|verdicts|measured"
+_KINDS = "nodes|claims|scenarios|sources|verdicts|picture|measured"
 _PART = re.compile(rf"(<!-- ({_KINDS}): ([^>]*?) -->\n).*?(<!-- end -->)", re.DOTALL)
 
 
@@ -45,6 +47,7 @@ def generate(page: str, runs: bool = False) -> str:
             "nodes": lambda: nodes(first, words), "claims": lambda: claims([first, *words]),
             "scenarios": lambda: scenarios([first, *words]), "sources": lambda: sources([first, *words]),
             "verdicts": verdicts, "measured": lambda: measured(found[3]),
+            "picture": lambda: picture(first, int(words[0])),
         }  # fmt: skip
         return f"{found[1]}\n{made[found[2]]()}\n\n{found[4]}"
 
@@ -155,6 +158,8 @@ def main(args: Sequence[str] | None = None) -> int:
     for path in given.pages:
         old = path.read_text(encoding="utf-8")
         new = generate(old, given.runs)
+        for name, number in re.findall(r"<!-- picture: (\S+) (\d+) -->", old) if given.runs and not given.check else ():
+            draw(name, int(number), path.parent)
         if new != old:
             print(f"{path}: {'is not as the code says' if given.check else 'written'}")
             status = 1 if given.check else status

@@ -1,0 +1,50 @@
+"""Pictures on doc pages: a plot entry of a scenario, drawn from a run in process beside the page."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from softrig_core.errors import ScenarioError
+from softrig_core.rig.scenario import PlotEntry, load_scenario
+from softrig_core.rig.simulate import simulate
+
+
+def picture(scenario: str, number: int) -> str:
+    """Give the Markdown of a picture.
+
+    Parameters
+    ----------
+    scenario : str
+    number : int
+        Of one of its plot entries, from 1.
+
+    Raises
+    ------
+    ScenarioError
+        It has no such entry.
+    """
+    return f"![{_entry(scenario, number).title}]({_file(scenario, number)})"
+
+
+def draw(scenario: str, number: int, directory: Path) -> None:
+    """Run a scenario in process and draw one of its plot entries; parameters as for `picture`."""
+    from .plots.figures import plot_name, plot_run
+
+    title = _entry(scenario, number).title
+    run = simulate(scenario)
+    with TemporaryDirectory() as drawn:
+        plot_run(run.signals, run.rig, Path(drawn))
+        shutil.copyfile(Path(drawn) / plot_name(number, title), directory / _file(scenario, number))
+
+
+def _entry(scenario: str, number: int) -> PlotEntry:
+    plots = load_scenario(scenario).plots
+    if not 1 <= number <= len(plots):
+        raise ScenarioError(f"picture {number} of {scenario}: expected a plot entry from 1 to {len(plots)}")
+    return plots[number - 1]
+
+
+def _file(scenario: str, number: int) -> str:
+    return f"{scenario}_{number}.png"
