@@ -92,6 +92,14 @@ def test_an_interrupted_run_gives_what_it_has(mode, tmp_path):
 
 
 @pytest.mark.processes
+def test_a_signal_during_the_fork_of_a_node_stops_the_run_without_a_trace(tmp_path):
+    strikes = [signal.SIGINT]
+    os.register_at_fork(after_in_parent=lambda: strikes and os.kill(os.getpid(), strikes.pop()))  # a trace is an error
+    outcome = run_processes(Rig.from_scenario(make_scenario(BASIC, 1e4)), 0, tmp_path)
+    assert (outcome.error, outcome.stopped) == ("", signal.SIGINT)
+
+
+@pytest.mark.processes
 @pytest.mark.parametrize("containers", [(), [("plant", "source", "gain")]])
 def test_nodes_whose_processes_are_held_end_the_run_by_name(containers, tmp_path):
     rig = Rig.from_scenario(make_scenario(BASIC, 1e4, timeout=1.0))

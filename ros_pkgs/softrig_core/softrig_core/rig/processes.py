@@ -28,7 +28,7 @@ from .options import InputLink, Links
 from .rig import Member, Rig, load_main
 from .scenario_file import closest
 from .shared_memory import remove_leftovers
-from .stopping import Stopping, signal_of, stoppable
+from .stopping import Stopping, signal_of, stoppable, unstopped
 
 GRACE = 1.5  # s: after one node fails, how long the others may take to say what they saw
 LIBC = ctypes.CDLL(None)  # loaded here: between fork and exec another thread may hold the loader's lock
@@ -404,8 +404,9 @@ def _start(rig: Rig, group: list[Member], seed: int, directory: Path, options: d
         executable = find_executable("softrig_core", "container")
         arguments = container_arguments(group, given, directory)
     # A process group of its own, so that Ctrl-C reaches the runner alone; not a session of its own, because Linux
-    # schedules sessions against each other and a loop across them runs a fifth slower.
-    with log.open("wb") as output:
+    # schedules sessions against each other and a loop across them runs a fifth slower. A signal waits until the fork is
+    # over: what Python does at a fork would swallow it with a traceback.
+    with log.open("wb") as output, unstopped():
         process = subprocess.Popen(
             [str(executable), *arguments], stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT,
             env=variables, process_group=0, preexec_fn=_die_with_parent,
