@@ -124,3 +124,15 @@ def bench(tmp_path):
         finally:
             for name in list(bench.nodes):
                 bench.kill(name)
+
+
+def no_process_left(directory):
+    """Whether no process of the run is alive: their command lines name the run's parameter files."""
+    for entry in Path("/proc").iterdir():
+        if entry.name.isdigit():
+            try:
+                if str(directory).encode() in (entry / "cmdline").read_bytes():
+                    return False
+            except OSError:
+                continue
+    return True

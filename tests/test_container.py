@@ -11,7 +11,7 @@ from contextlib import suppress
 from pathlib import Path
 
 import pytest
-from conftest import PRESS, differences, in_process, make_scenario
+from conftest import PRESS, differences, in_process, make_scenario, no_process_left
 from softrig_core.node.exchange import BURST, Exchange
 from softrig_core.node.profile import PROPERTY, VARIABLE, exclusive, with_property
 from softrig_core.rig.domain import free_domain
@@ -21,7 +21,7 @@ from softrig_core.rig.scenario import list_scenarios, load_scenario
 from softrig_core.wire.cdr import Layout
 from softrig_core.wire.recording import Recording
 from softrig_core.wire.signals import Signals
-from test_processes import BASIC, OUTSIDE, RIGS, no_process_left, params, rig
+from test_processes import BASIC, OUTSIDE, RIGS, params, rig
 
 pytestmark = pytest.mark.processes
 
@@ -183,7 +183,7 @@ def test_a_press_by_service_is_recorded_at_the_tick_that_saw_it(tmp_path):
     ],
 )
 def test_a_failing_node_ends_the_run_with_its_name_and_a_readable_record(how, text, tmp_path):
-    wired = rig(BASIC | {"gain": params("killed", how=how, at=0.2)}, 1.0, timeout=1.5)
+    wired = rig(BASIC | {"gain": params("killed", how=how, at=0.2)}, 1.0, timeout=2.5)
     outcome = run(wired, tmp_path)
     assert text in outcome.error
     good = in_process(rig(BASIC, 0.2))
@@ -211,7 +211,7 @@ def test_a_bad_command_line_is_one_line(arguments, text, tmp_path):
 
 
 def with_outside_controller(extra, directory, realtime=False):
-    wired = rig(BASIC | {"gain": {"executable": "gain", "external": True}}, 1.0, timeout=1.5)
+    wired = rig(BASIC | {"gain": {"executable": "gain", "external": True}}, 1.0, timeout=2.5)
     with free_domain() as domain:
         script = directory / "outside.py"
         script.write_text(OUTSIDE.replace("EXTRA", extra))

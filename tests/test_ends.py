@@ -9,7 +9,7 @@ import time
 from pathlib import Path
 
 import pytest
-from conftest import make_scenario
+from conftest import make_scenario, no_process_left
 from softrig_core.rig.inprocess import run_inprocess
 from softrig_core.rig.processes import run_processes
 from softrig_core.rig.rig import Rig
@@ -97,12 +97,13 @@ def test_a_signal_during_the_fork_of_a_node_stops_the_run_without_a_trace(tmp_pa
     os.register_at_fork(after_in_parent=lambda: strikes and os.kill(os.getpid(), strikes.pop()))  # a trace is an error
     outcome = run_processes(Rig.from_scenario(make_scenario(BASIC, 1e4)), 0, tmp_path)
     assert (outcome.error, outcome.stopped) == ("", signal.SIGINT)
+    assert no_process_left(tmp_path)
 
 
 @pytest.mark.processes
 @pytest.mark.parametrize("containers", [(), [("plant", "source", "gain")]])
 def test_nodes_whose_processes_are_held_end_the_run_by_name(containers, tmp_path):
-    rig = Rig.from_scenario(make_scenario(BASIC, 1e4, timeout=1.0))
+    rig = Rig.from_scenario(make_scenario(BASIC, 1e4, timeout=2.0))
 
     def progress(t):
         if t > 100_000_000:

@@ -242,7 +242,10 @@ def run_processes(
                     guests.invite(domain)
                     options = {"run.mode": mode, "run.start_timeout": wait}
                     for group in groups(rig, containers, only):
-                        children += _start(rig, group, seed, directory, options, record, variables)
+                        # A signal waits until it is known who has been started; what Python does at a fork would
+                        # swallow it with a traceback, besides.
+                        with unstopped():
+                            children += _start(rig, group, seed, directory, options, record, variables)
                     error = _watch(rig, children, progress, guests, mode == "realtime", stopping)
                 except KeyboardInterrupt as interrupt:
                     stopped = signal_of(interrupt)
@@ -404,9 +407,8 @@ def _start(rig: Rig, group: list[Member], seed: int, directory: Path, options: d
         executable = find_executable("softrig_core", "container")
         arguments = container_arguments(group, given, directory)
     # A process group of its own, so that Ctrl-C reaches the runner alone; not a session of its own, because Linux
-    # schedules sessions against each other and a loop across them runs a fifth slower. A signal waits until the fork is
-    # over: what Python does at a fork would swallow it with a traceback.
-    with log.open("wb") as output, unstopped():
+    # schedules sessions against each other and a loop across them runs a fifth slower.
+    with log.open("wb") as output:
         process = subprocess.Popen(
             [str(executable), *arguments], stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT,
             env=variables, process_group=0, preexec_fn=_die_with_parent,
