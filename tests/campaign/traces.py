@@ -4,8 +4,11 @@ import os
 import signal
 import time
 from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
 
+from softrig_core.errors import RunError
+from softrig_core.rig.domain import free_domain
 from softrig_core.rig.shared_memory import AGE, _ownerless, remove_leftovers
 
 SHARED = Path("/dev/shm")
@@ -44,12 +47,23 @@ def segments() -> set[str]:
 
 
 def left_in_memory(before: set[str], domain: int | None) -> list[str]:
-    """Give the files that came since, have no living owner and that the next run would not remove either.
+    """Give the files that came since, have no living owner and that the next runs would not remove either.
 
-    Other runs of this machine come and go meanwhile: of theirs, only what has an owner's lock is judged.
+    Other runs of this machine come and go, and die, meanwhile: only what outlives three clearings is judged, and
+    what lies in the domain only if nobody uses that again by now.
     """
-    time.sleep(AGE + 0.1)  # the clearing itself leaves alone what is younger
-    remove_leftovers(domain)
-    first = 7400 + 250 * (-1000 if domain is None else domain)
-    ours = {f"fastrtps_port{n}" for n in range(first, first + 250)}
-    return sorted(n for n in segments() - before if (n in ours or n.endswith("_el")) and _ownerless(SHARED / n))
+    left = segments() - before
+    with ExitStack() as stack:
+        try:
+            stack.enter_context(free_domain(domain))
+        except RunError:
+            domain = None
+        first = 7400 + 250 * (-1000 if domain is None else domain)
+        ours = {f"fastrtps_port{n}" for n in range(first, first + 250)}
+        for _ in range(3):
+            time.sleep(AGE + 0.1)  # the clearing itself leaves alone what is younger
+            remove_leftovers(domain)
+            left &= {n for n in segments() if (n in ours or n.endswith("_el")) and _ownerless(SHARED / n)}
+            if not left:
+                break
+    return sorted(left)
