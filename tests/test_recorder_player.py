@@ -23,6 +23,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from softrig_bags.bag import BagWriter
 from softrig_bags.cli import main_bag, main_compare, main_play, main_record
 from softrig_bags.compare import compare
+from softrig_bags.holds import Holds, patience
 from softrig_bags.read import read_bag, signals
 from softrig_bags.reader import BagReader
 from softrig_bags.recorder import Recorder
@@ -283,6 +284,41 @@ def test_topics_without_header_get_the_newest_stamp(recorder, tmp_path):
     topics = read_bag(tmp_path / "bag").topics
     assert sorted(topics["stamped"].times) == [3, 5]
     assert topics["bare"].times == [5]
+
+
+def test_a_recorder_that_was_held_does_not_say_that_nothing_was_lost(listener, tmp_path):
+    now = [100.0]
+    writer = BagWriter(tmp_path / "bag")
+    made = Recorder(SimpleNamespace(node=listener), writer, Selection(("/late",)), holds=Holds(2.5, lambda: now[0]))
+    topic = BagTopic.known("/late", STATE)
+    made._numbers["/late"] = writer.add_topic(topic)
+    for pause in (0.1, 2.4, 0.1):  # a slow machine, but nobody minds
+        now[0] += pause
+        made._discover()
+        made._receiver(topic)(Layout(STATE).encode(1, ()))
+    assert made.losses() == "none lost"
+    assert "held" not in writer.custom_data
+    now[0] += 7.3
+    made._discover()
+    now[0] += 0.1
+    made._discover()
+    assert made.losses() == (
+        "none counted as lost, but HELD for 7.3 s after message 3: what was sent then may be missing"
+    )
+    writer.close()
+    with BagReader(tmp_path / "bag") as bag:
+        assert bag.custom_data["held"] == "7.3 s after message 3"
+
+
+def test_the_patience_of_publishers_is_that_of_the_profile(tmp_path, monkeypatch):
+    monkeypatch.setenv("FASTRTPS_DEFAULT_PROFILES_FILE", str(PROFILE))
+    assert patience() == 2.5
+    own = tmp_path / "own.xml"
+    own.write_text(PROFILE.read_text().replace("<sec>3</sec>", "<sec>DURATION_INFINITY</sec>"))
+    monkeypatch.setenv("FASTRTPS_DEFAULT_PROFILES_FILE", str(own))
+    assert patience() == float("inf")
+    monkeypatch.delenv("FASTRTPS_DEFAULT_PROFILES_FILE")
+    assert patience() == 17.0
 
 
 def received(directory: Path, source: Recording) -> None:

@@ -84,7 +84,7 @@ def _selection_arguments(parser: argparse.ArgumentParser) -> None:
 @_leaving
 @_command
 def main_record(argv: list[str]) -> int:
-    """Record topics into a bag until SIGINT or SIGTERM; exit status 1 when messages were lost on the way."""
+    """Record topics into a bag until SIGINT or SIGTERM; exit status 1 when messages were lost on the way, or may be."""
     parser = Parser(
         prog="softrig record",
         description="Record topics into a rosbag2 bag until Ctrl-C. Topics are picked up as they appear.",
@@ -125,10 +125,8 @@ def main_record(argv: list[str]) -> int:
     recorder = Recorder(session, writer, selection, options.use_sim_time)
     print(f"recording into {directory}", flush=True)
     recorder.run()
-    lost = recorder.lost
-    print(f"{writer.count} messages of {len(writer.topics)} topics in {directory}, "
-          + (f"LOST {sum(lost.values())}: {writer.custom_data['lost']}" if lost else "none lost"))  # fmt: skip
-    return 1 if lost else 0
+    print(f"{writer.count} messages of {len(writer.topics)} topics in {directory}, {recorder.losses()}")
+    return 1 if recorder.lost or recorder.holds.found else 0
 
 
 @_leaving

@@ -15,6 +15,7 @@ from softrig_core.errors import RunError
 from softrig_core.node.messages import message_class
 
 from .bag import BagWriter
+from .holds import Holds, patience
 from .ros import EventPoll, Session, offered, subscription_profile
 from .selection import Selection
 from .stamps import is_stamped, stamp
@@ -35,9 +36,12 @@ class Recorder:
     selection : Selection
     stamped : bool
         Bag time is the header stamp (topics without header: the newest stamp seen) instead of the time of arrival.
+    holds : Holds, optional
+        Notices that this process was held.
     """
 
-    def __init__(self, session: Session, writer: BagWriter, selection: Selection, stamped: bool = False) -> None:
+    def __init__(self, session: Session, writer: BagWriter, selection: Selection, stamped: bool = False,
+                 holds: Holds | None = None) -> None:  # fmt: skip
         self._session = session
         self._node = session.node
         self._writer = writer
@@ -50,6 +54,7 @@ class Recorder:
         self._events = EventPoll(self._node)
         self._lost: dict[str, int] = {}
         self._lost_before: dict[str, int] = {}
+        self.holds = holds or Holds(patience())
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._node.create_timer(DISCOVERY_PERIOD, self._discover, clock=steady)
         self._node.create_timer(FLUSH_PERIOD, self._flush, clock=steady)
@@ -58,6 +63,15 @@ class Recorder:
     def lost(self) -> dict[str, int]:
         """Number of messages lost by topic."""
         return {t: n for t in self._numbers if (n := self._lost.get(t, 0) + self._lost_before.get(t, 0))}
+
+    def losses(self) -> str:
+        """Tell in a few words what is missing."""
+        lost = self.lost
+        told = f"LOST {sum(lost.values())}: {self._writer.custom_data['lost']}" if lost else ""
+        if self.holds.found:
+            held = f"HELD for {self.holds}: what was sent then may be missing"
+            return f"{told}; {held}" if lost else f"none counted as lost, but {held}"
+        return told or "none lost"
 
     def run(self) -> None:
         """Record until a signal comes, then take what has arrived and close the bag.
@@ -77,6 +91,7 @@ class Recorder:
             self._drain()
             self._events.poll()
             self._note_losses()
+            self._note_holds()
             self._writer.close()
         except OSError as error:
             unwritten = self._writer.salvage()
@@ -86,6 +101,7 @@ class Recorder:
             ) from error
 
     def _discover(self) -> None:
+        self._note_holds()
         for name, types in self._node.get_topic_names_and_types():
             if name in self._subscriptions or name in self._refused or name not in self._selection:
                 continue
@@ -163,6 +179,18 @@ class Recorder:
         if text != self._writer.custom_data.get("lost", ""):
             self._writer.custom_data["lost"] = text
             self._node.get_logger().error(f"messages lost so far: {text}")
+
+    def _note_holds(self) -> None:
+        if self.holds.wake(self._count):
+            self._writer.custom_data["held"] = str(self.holds)
+            self._node.get_logger().error(
+                f"this process was held for {self.holds}: publishers may have taken it for dead, and what they sent "
+                "then is neither here nor counted"
+            )
+
+    def _count(self) -> int:
+        self._writer.flush()
+        return self._writer.count
 
     def _drain(self) -> None:
         """Take what had arrived before the signal."""
