@@ -389,6 +389,36 @@ def test_hidden_change():
     assert pv_figures.efficiency(signals, start=8.0) == pytest.approx(87.7, abs=0.05)
 
 
+DAILY = ["issa", "pso", "certified"]
+OTHERS = ["ssa", "de_rand1", "de_best1", "fa", "fa_all_pairs", "gwo", "woa", "ga"]  # a sweep sees each voltage once
+
+
+@pytest.mark.parametrize("algorithm", [*DAILY, *(pytest.param(a, marks=pytest.mark.long) for a in OTHERS)])
+def test_light_that_comes_back_during_a_search_starts_another(algorithm):
+    """What was found is right again at the end of the search, but what was measured in the shade is not."""
+
+    def searches(light, **changes):
+        overrides = {"mppt_optimizer.algorithm": algorithm, "shading_source.times": (0.0, 0.1, 0.3)}
+        overrides["shading_source.irradiance"] = PATTERN1 + light + PATTERN1
+        run = simulate("pv_mppt_s5", duration=7.0, overrides=overrides | changes)
+        status = {key: run.signals[f"mppt/status/{key}/position"].x for key in ("restarts", "phase")}
+        assert status["phase"][-1] == 2.0
+        return status["restarts"][-1]
+
+    assert searches(tuple(0.7 * g for g in PATTERN1)) == 1.0
+    assert searches(PATTERN1) == 0.0
+    assert searches(PATTERN1, **{"pv_plant.noise": 0.005}) == 0.0
+
+
+def test_what_one_characteristic_gives_contradicts_nothing():
+    tracker = MpptOptimizer()
+    assert tracker.contradiction(()) == 0.0
+    assert tracker.contradiction(((50.0, 2.0, 25.0), (20.0, 3.0, 25.0), (60.0, 1.5, 25.0), (20.0, 3.0, 25.0))) == 0.0
+    assert tracker.contradiction(((50.0, 2.0, 25.0), (20.0, 1.5, 25.0), (60.0, 1.0, 25.0))) == pytest.approx(
+        (2.0 / 1.5) ** 2 - 1.0
+    )
+
+
 def test_same_seed_same_bits():
     """Acceptance 7, in process: every message of every topic; another seed draws other conditions."""
     rig = Rig.from_scenario(load_scenario("pv_mppt_s4_issa"))

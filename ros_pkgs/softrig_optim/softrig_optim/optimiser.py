@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from enum import IntEnum
 from typing import Self
 
@@ -21,6 +21,7 @@ from .algorithms import Algorithm, AlgorithmParams, make
 from .search import Point, Search
 
 CONSECUTIVE = 2  # deviations of the held objective in a row that start a new search
+REMEMBERED = 1000  # measurements of a search: more than one that ends makes
 
 
 class Phase(IntEnum):
@@ -73,6 +74,8 @@ class CommandSearch(Block, ABC):
 
     - when the value at the end of `settle_time` differs by more than `restart_threshold` from what the search found:
       the plant changed meanwhile (once, not again after that search);
+    - at once when what the search measured contradicts itself by more than that (`contradiction`): the plant changed
+      and perhaps changed back (once likewise);
     - when two samples in a row, `hold_time` apart, differ so much from the value at the end of `settle_time`;
     - `rescan_period` after the start of the last search: what changes elsewhere does not show in the value held.
 
@@ -98,6 +101,18 @@ class CommandSearch(Block, ABC):
     def slew(self) -> float:
         """Give the most change of a command in a second; 0: no limit."""
 
+    def contradiction(self, samples: Sequence[Point]) -> float:
+        """Give the relative change of the objective that the measurements of a search prove.
+
+        It is zero when one plant that does not change may have given them all; always without knowledge of the plant.
+
+        Parameters
+        ----------
+        samples : sequence of tuple of float
+            The measurement at the end of each candidate's time, in order.
+        """
+        return 0.0
+
     def setup(self) -> None:
         """Times in ns."""
         p: SearchParams = self.p
@@ -111,6 +126,7 @@ class CommandSearch(Block, ABC):
         """No candidate yet."""
         self._pressed: tuple[bool, ...] = (False, False, False)
         self._window: deque[float] = deque(maxlen=self._window_size)
+        self._samples: deque[Point] = deque(maxlen=REMEMBERED)
         self._command: Point | None = None
         self._restarts = -1
         self._rechecked = False
@@ -178,6 +194,7 @@ class CommandSearch(Block, ABC):
         self._began = t
         self._restarts += 1
         self._search = self.new_search(self.rng)
+        self._samples.clear()
         self._aim(self._search.ask())
 
     def _search_tick(self, t: int, sample: Point) -> None:
@@ -187,10 +204,15 @@ class CommandSearch(Block, ABC):
             search.watch(sample)
             return
         search.tell(self._mean(), sample)
+        self._samples.append(sample)
         if not search.done:
             self._aim(search.ask())
         elif self.p.floor is not None and search.expected <= self.p.floor:
             self.report(Level.WARN, "no signal", "no candidate gave a value above the floor: searching on")
+            self._begin(t)
+        elif not self._rechecked and self._changed_meanwhile():
+            self._rechecked = True
+            self.report(Level.WARN, "changed", "the plant changed during the search: searching anew")
             self._begin(t)
         else:
             self._phase = Phase.HOLD
@@ -200,6 +222,10 @@ class CommandSearch(Block, ABC):
             self._deviations = 0
             self._lost = False
         self._note()
+
+    def _changed_meanwhile(self) -> bool:
+        threshold = self.p.restart_threshold
+        return threshold > 0.0 and self.contradiction(tuple(self._samples)) > threshold
 
     def _hold_tick(self, t: int) -> None:
         if self._since is None or t - self._since < self._next_sample:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Literal, Self
 
 import numpy as np
@@ -17,6 +18,7 @@ from softrig_optim.search import Point, Search
 from .converter import BuckBoostMatching
 from .ports import array_port
 
+SMALL = 1e-6  # V, A: less is none
 Tracker = Literal["certified", "certified_transients", "ramp"]
 
 
@@ -75,6 +77,16 @@ class MpptOptimizer(CommandSearch):
     def objective(self, sample: Point) -> float:
         """The power in W."""
         return sample[0] * sample[1]
+
+    def contradiction(self, samples: Sequence[Point]) -> float:
+        """Share of the power by which two measurements differ that are not of one characteristic.
+
+        On one, the current never rises with the voltage: of two points, not both can be larger at one of them. A change
+        that leaves all that was measured after it as it was does not show; the rescan finds it.
+        """
+        v, i = (np.array([max(sample[k], SMALL) for sample in samples]) for k in (0, 1))
+        rise = np.minimum(np.divide.outer(v, v), np.divide.outer(i, i))  # at least 1 on the diagonal
+        return float(np.max(rise, initial=1.0)) ** 2 - 1.0
 
     def slew(self) -> float:
         """As the parameter says."""
