@@ -2,10 +2,11 @@
 
     python relay.py FILE
 
-FILE is JSON: ``name``, ``plant`` (whether it begins), ``outputs`` (topic, type, readers, times in ns, bytes in hex) and
-``reads`` (topic, type); the first topic that it reads calls for its answers: ``ticks`` are the times of the caller,
-``by_order`` says that its messages have no stamp of their tick. To a call at t it says all that is due before the
-caller's next tick; a plant says what is due up to that tick, and begins when its readers are there.
+FILE is JSON: ``name``, ``plant`` (whether it begins), ``outputs`` (topic, type, readers, whether stamped, times in ns,
+bytes in hex) and ``reads`` (topic, type); the first topic that it reads calls for its answers: ``ticks`` are the times
+of the caller, ``by_order`` says that its messages have no stamp of their tick. To a call at t it says all that is due
+before the caller's next tick; a plant says what is due up to that tick, and begins when its readers are there. In real
+time (``realtime``) t = 0 is at the stamp of the first call, and what it says is stamped accordingly.
 """
 
 import importlib
@@ -23,6 +24,7 @@ class Relay(Node):
     def __init__(self, about):
         super().__init__(about["name"])
         self.plant, self.ticks, self.by_order = about["plant"], about["ticks"], about["by_order"]
+        self.epoch = None if about["realtime"] else 0
         self.calls, self.called = 0, False
         self.outputs = [(o, self.create_publisher(message(o["type"]), o["topic"], 10)) for o in about["outputs"]]
         self.said = [0] * len(self.outputs)
@@ -39,7 +41,9 @@ class Relay(Node):
 
     def call(self, data):
         self.called = True
-        k = self.calls if self.by_order else bisect_right(self.ticks, stamp(data)) - 1
+        if self.epoch is None:
+            self.epoch = stamp(data)
+        k = self.calls if self.by_order else bisect_right(self.ticks, stamp(data) - self.epoch) - 1
         self.calls += 1
         following = self.ticks[k + 1] if k + 1 < len(self.ticks) else 1 << 62
         self.say(following if self.plant else following - 1)
@@ -47,12 +51,18 @@ class Relay(Node):
     def say(self, until):
         for k, (about, publisher) in enumerate(self.outputs):
             while self.said[k] < len(about["times"]) and about["times"][self.said[k]] <= until:
-                publisher.publish(bytes.fromhex(about["data"][self.said[k]]))
+                data = bytes.fromhex(about["data"][self.said[k]])
+                publisher.publish(stamped(data, stamp(data) + self.epoch) if about["stamped"] else data)
                 self.said[k] += 1
 
 
 def stamp(data):
     return int.from_bytes(data[4:8], "little") * 1_000_000_000 + int.from_bytes(data[8:12], "little")
+
+
+def stamped(data, t):
+    seconds, nanoseconds = divmod(t, 1_000_000_000)
+    return data[:4] + seconds.to_bytes(4, "little") + nanoseconds.to_bytes(4, "little") + data[12:]
 
 
 def message(kind):

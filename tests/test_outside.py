@@ -1,17 +1,20 @@
-"""A plain rclpy node in place of each node of each system: our nodes say the same bytes as without it."""
+"""Plain rclpy nodes in place of each node of each system: our nodes say the same bytes as without them."""
 
 import json
+import math
 import random
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
-from conftest import differences, in_process
+from conftest import in_process
+from softrig_core.node.tick import TICK
 from softrig_core.rig.domain import free_domain
 from softrig_core.rig.processes import environment, run_processes
 from softrig_core.rig.rig import CLOCK_NODE, Rig
 from softrig_core.rig.scenario import load_scenario
+from softrig_core.wire.signals import Signals
 
 pytestmark = pytest.mark.processes
 
@@ -29,70 +32,107 @@ def short(name):
     return Rig.from_scenario(rig.scenario.changed(duration=duration))
 
 
-def relay(rig, member, expected, reads):
+def relay(rig, member, expected, reads, realtime=False):
     """What `relay.py` is to do in place of a member that reads some of its topics."""
     calls = min(reads, key=lambda p: member.links[p.name].source.schedule.every, default=None)
     caller = rig.clock if calls is None else member.links[calls.name].source
+    topics = [CLOCK]
+    if calls is not None:
+        topics = [{"topic": p.topic, "type": p.msgtype} for p in [calls, *(p for p in reads if p is not calls)]]
+    elif member is rig.clock:  # nobody commands it: it goes by who acknowledges
+        caller = next(m for m in rig.leaves() if member in [k.source for k in m.links.values()])
+        topics = [{"topic": f"{caller.name}/tick", "type": TICK}]
     schedule = caller.schedule
     return {
         "name": member.name,
         "plant": member.is_plant,
+        "realtime": realtime,
         "ticks": [schedule.time(k) for k in range(schedule.count())],
         "by_order": calls is not None and (calls.delayed or not calls.stamped),
         "outputs": [
-            {"topic": p.topic, "type": p.msgtype, "readers": len(rig.readers(member, p)),
+            {"topic": p.topic, "type": p.msgtype, "readers": len(rig.readers(member, p)), "stamped": p.stamped,
              "times": expected.topics[p.topic].times, "data": [bytes(d).hex() for d in expected.topics[p.topic].data]}
             for p in member.outputs
         ],
-        "reads": [CLOCK] if calls is None else [
-            {"topic": p.topic, "type": p.msgtype} for p in [calls, *(p for p in reads if p is not calls)]
-        ],
+        "reads": topics,
     }  # fmt: skip
 
 
-def replaced(rig, name, directory, seed=0):
-    """Run a rig with a relay in place of a node; gives what is wrong."""
+def with_outside(rig, names, directory, seed=0, realtime=False):
+    """Run a rig with a relay in place of each of some nodes; gives the rig, what it was to say and what came of it."""
     expected = in_process(rig, rig.scenario.seed)
     rng = random.Random(seed)
-    member = next(m for m in rig.members if m.name == name)
-    linked = [p for p in member.inputs if p.name in member.links]
-    about = directory / "relay.json"
-    fastest = min(linked, key=lambda p: member.links[p.name].source.schedule.every, default=None)
-    reads = [p for p in linked if p is fastest or rng.random() < 0.5]
-    about.write_text(json.dumps(relay(rig, member, expected, reads)))
-    nodes = dict(rig.scenario.nodes)
-    nodes[name] = nodes[name].model_copy(update={"external": True})
+    commands = []
+    for member in (m for m in rig.members if m.name in names):
+        linked = [p for p in member.inputs if p.name in member.links and member.links[p.name].source.name not in names]
+        fastest = min(linked, key=lambda p: member.links[p.name].source.schedule.every, default=None)
+        reads = [p for p in linked if p is fastest or rng.random() < 0.5]
+        about = directory / f"{member.name}.relay.json"
+        about.write_text(json.dumps(relay(rig, member, expected, reads, realtime)))
+        commands.append([sys.executable, str(Path(__file__).with_name("relay.py")), str(about)])
+    nodes = {n: e.model_copy(update={"external": True} if n in names else {}) for n, e in rig.scenario.nodes.items()}
     ours = Rig.from_scenario(rig.scenario.model_copy(update={"nodes": nodes, "timeout": 60.0}))
     outside = []
     with free_domain() as domain:
 
         def announce(text):
             if not outside:
-                command = [sys.executable, str(Path(__file__).with_name("relay.py")), str(about)]
-                outside.append(subprocess.Popen(command, env=environment(domain, directory)))
+                outside.extend(subprocess.Popen(c, env=environment(domain, directory)) for c in commands)
 
         try:
-            outcome = run_processes(ours, rig.scenario.seed, directory, domain=domain, announce=announce, wait=60.0)
+            outcome = run_processes(
+                ours, rig.scenario.seed, directory, domain=domain, announce=announce, wait=60.0,
+                mode="realtime" if realtime else "lockstep",
+            )  # fmt: skip
         finally:
             for process in outside:
                 process.kill()
                 process.wait()
-    said = {p.topic for m in ours.members if not m.external for p in m.outputs}
+    return ours, expected, outcome
+
+
+def by_chance(rig):
+    """Nodes that hear of what an outside node says now and then, whose silence nobody tells, and who hears of them."""
+    found = set()
+    while True:
+        more = {
+            m.name for m in rig.members for k in m.links.values()
+            if k.source.name in found or (k.source.external and k.port.sporadic)
+        }  # fmt: skip
+        if more <= found:
+            return found
+        found |= more
+
+
+def replaced(rig, name, directory, seed=0):
+    """Run a rig in lockstep with a relay in place of a node, or of several; gives what is wrong."""
+    ours, expected, outcome = with_outside(rig, (name,) if isinstance(name, str) else name, directory, seed)
+    chance = by_chance(ours)
     wrong = [outcome.error] if outcome.error else []
-    wrong += [t for t in differences(expected, outcome.recording) if t in said]
+    for member in (m for m in ours.members if not m.external):
+        for port in member.outputs:
+            found, wanted = outcome.recording.topics[port.topic], expected.topics[port.topic]
+            if member.name not in chance:
+                same = (found.times, found.data) == (wanted.times, wanted.data)
+            else:  # when it hears of it is chance, but it speaks at each of its ticks
+                same = port.sporadic or found.times == wanted.times
+            wrong += [] if same else [port.topic]
     return wrong + [f"{n} refused {s['refused']}" for n, s in outcome.status.items() if s.get("refused")]
 
 
 def replaceable(rig):
-    """Members whose silence nobody needs to be told of, who do not end the run, and whom something calls."""
-    members = [m for m in rig.members if m.outputs and m.name != CLOCK_NODE and not m.block_class.ENDS]
-    members = [m for m in members if m.links or not m.is_plant]
-    return [m.name for m in members if not any(p.sporadic for p in m.outputs)]
+    """All members but the rig's own clock and who ends the run before its time."""
+    ended = len(in_process(rig, rig.scenario.seed).topics["/clock"].times) <= rig.ticks
+    return [m.name for m in rig.members if m.name != CLOCK_NODE and not (m.block_class.ENDS and ended)]
 
 
 @pytest.mark.parametrize("name", ["dc_motor_plant", "dc_motor_smc", "motor_reference"])
 def test_a_plain_node_takes_the_place_of_ours(name, tmp_path):
     assert replaced(short("dc_motor_smc"), name, tmp_path) == []
+
+
+def test_a_plain_plant_that_nobody_commands_goes_by_who_acknowledges(tmp_path):
+    assert replaced(short("fault_location"), "line_plant", tmp_path) == []
 
 
 @pytest.mark.long
@@ -105,3 +145,50 @@ def test_a_plain_node_takes_the_place_of_each(system, tmp_path):
         directory.mkdir()
         found[name] = replaced(rig, name, directory)
     assert {n: wrong for n, wrong in found.items() if wrong} == {}
+
+
+TOGETHER = [
+    ("dc_motor_smc_b2", ("motor_reference", "dc_motor_smc", "dc_motor_metrics")),
+    ("gupfc", ("shunt_controller", "references_1", "series_controller_2")),
+    ("optimal_control_mvim", ("mvim_planner", "ocp_evaluator")),
+    ("tcp_aqm_smc", ("tcp_fluid", "aqm_metrics")),
+]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("system", "names"), TOGETHER, ids=[system for system, _ in TOGETHER])
+def test_plain_nodes_take_the_places_of_several_at_once(system, names, tmp_path):
+    assert replaced(short(system), names, tmp_path) == []
+
+
+def unaccounted(rig, outcome):
+    """What our nodes neither said nor counted in real time, from the first to the last thing that each said."""
+    wrong = [outcome.error] if outcome.error else []
+    for member in (m for m in rig.members if not m.external):
+        state = outcome.status[member.name]
+        if state["state"] != "done" or not member.outputs:
+            wrong += [] if state["state"] == "done" else [f"{member.name} is {state['state']}: {state['error']}"]
+            continue
+        for port in (p for p in member.outputs if not p.sporadic and p.stamped and not p.delayed):
+            ticks = [member.schedule.tick(t - outcome.epoch) for t in outcome.recording.topics[port.topic].times]
+            due = range(ticks[0], ticks[-1] + 1) if ticks else ()
+            if not ticks or sorted(set(ticks)) != ticks or len(due) - len(ticks) != state["missed_deadlines"]:
+                missed = state["missed_deadlines"]
+                wrong.append(f"{port.topic}: {len(ticks)} messages in {len(due)} ticks, {missed} counted as missed")
+    signals = Signals(outcome.recording, outcome.epoch)
+    return wrong + [name for name in signals if not all(map(math.isfinite, signals[name].x))]
+
+
+IN_REAL_TIME = [
+    pytest.param("dc_motor_smc", "dc_motor_smc"),
+    *(pytest.param(system, name, marks=pytest.mark.long) for system, name in (
+        ("dc_motor_fsfb", "fsfb_controller"), ("gupfc", "shunt_controller"), ("manipulator_adsmc", "vcs_controller"),
+        ("pv_mppt", "mppt_optimizer"), ("rehab_impedance", "voltage_controller"), ("tcp_aqm_smc", "aqm_controller"),
+    )),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("system", "name"), IN_REAL_TIME)
+def test_in_real_time_every_tick_is_answered_or_counted_beside_a_plain_node(system, name, tmp_path):
+    rig, _, outcome = with_outside(short(system), (name,), tmp_path, realtime=True)
+    assert unaccounted(rig, outcome) == []

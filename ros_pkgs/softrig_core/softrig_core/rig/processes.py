@@ -88,6 +88,8 @@ def links(rig: Rig, member: Member) -> Links:
     pacers = _pacers(rig, member)
     acknowledging = [m for m in _acknowledging(rig) if m is not member] if member is _gatherer(rig) else []
     by_readers = rig.clock.external and bool(pacers or member.links)
+    # an outside plant that nobody commands has nothing else to pace itself by
+    unheard = rig.clock.external and _gatherer(rig) is None and member in _acknowledging(rig)
     clocked = member in _clocked(rig)
     return Links(
         base=_seconds(rig.clock),
@@ -100,7 +102,7 @@ def links(rig: Rig, member: Member) -> Links:
         clock=InputLink(period=_seconds(rig.clock), node=rig.clock.name) if clocked and not by_readers else None,
         hears_clock=clocked and by_readers,
         owns_clock=member is rig.clock,
-        acknowledges=bool(tick_readers),
+        acknowledges=bool(tick_readers) or unheard,
         tick_readers=tick_readers,
         enders={m.name: _seconds(m) for m in rig.enders if not m.external},
         stride=rig.stride,
