@@ -1,31 +1,110 @@
+"""Arrays: their bytes, and the number in their layout that stands for the stamp which they have not."""
+
+import subprocess
+import sys
+from itertools import count
+
 import numpy as np
 import pytest
-from conftest import differences, in_process
-from faultrig import COMMAND, STATE, Lag
+from conftest import differences, in_process, make_scenario
+from faultrig import MATRIX as SPREAD
+from faultrig import STATE, Lag
+from hypothesis import given
+from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_typestore
 from simulated import SimulatedRig, World
-from softrig_core.model.block import Block
+from softrig_core.model.block import Block, Level
 from softrig_core.model.port import Refused, array, pose
+from softrig_core.rig.domain import free_domain
+from softrig_core.rig.processes import environment, run_processes
 from softrig_core.rig.rig import Rig
-from softrig_core.wire.cdr import parse
+from softrig_core.wire.cdr import Layout, parse
 from softrig_core.wire.codec import Decoder, selection
 from softrig_core.wire.recording import Recording
 from softrig_core.wire.signals import Signals
 
 MATRIX = array("m", "matrix", {"row": 2, "column": 3}, "kg m^2")
 POSE = pose("p", "tool_pose", "base_link")
+MULTI = "std_msgs/msg/Float64MultiArray"
+MS = 1_000_000
 store = get_typestore(Stores.ROS2_JAZZY)
+types = store.types
+
+
+def message(dims, values):
+    """What somebody writes who knows ROS and not us."""
+    dimension, layout = types["std_msgs/msg/MultiArrayDimension"], types["std_msgs/msg/MultiArrayLayout"]
+    strides = np.cumprod([size for _, size in reversed(dims)])[::-1].tolist()
+    dim = [dimension(label, size, stride) for (label, size), stride in zip(dims, strides, strict=True)]
+    return bytes(store.serialize_cdr(types[MULTI](layout(dim, 0), np.array(values, dtype=float)), MULTI))
 
 
 def test_array_bytes_are_those_of_the_ros_type():
     values = (1.0, -2.5, 3.0, 4.0, 5.0, 6.0)
-    data = MATRIX.layout().encode(0, values)
-    message = store.deserialize_cdr(data, "std_msgs/msg/Float64MultiArray")
-    assert [(d.label, d.size, d.stride) for d in message.layout.dim] == [("row", 2, 6), ("column", 3, 3)]
+    data = MATRIX.layout().encode(17, values)
+    message = store.deserialize_cdr(data, MULTI)
+    dim = message.layout.dim
+    assert [(d.label, d.size, d.stride) for d in dim] == [("row; sequence 000000000017", 2, 6), ("column", 3, 3)]
     assert message.layout.data_offset == 0
     assert tuple(message.data) == values
-    assert bytes(store.serialize_cdr(message, "std_msgs/msg/Float64MultiArray")) == data
-    assert Decoder(MATRIX)(data) == (0, values)
+    assert bytes(store.serialize_cdr(message, MULTI)) == data
+    assert Decoder(MATRIX)(data) == (17, values)
+
+
+def test_a_reader_that_knows_nothing_of_the_number_sees_the_matrix():
+    values = np.arange(6.0)
+    found = store.deserialize_cdr(MATRIX.layout().encode(4, values.tolist()), MULTI)
+    dim, offset = found.layout.dim, found.layout.data_offset
+    expected = values.reshape(2, 3)
+    np.testing.assert_array_equal(found.data.reshape([d.size for d in dim]), expected)
+    np.testing.assert_array_equal(found.data.reshape(dim[0].size, dim[1].size), expected)
+    for i in range(2):  # as MultiArrayLayout.msg says it
+        for j in range(3):
+            assert found.data[offset + dim[1].stride * i + j] == expected[i, j]
+    assert dim[0].stride == found.data.size
+
+
+@given(st.integers(0, 10**12 - 1))
+def test_every_number_has_as_many_bytes(number):
+    layout = MATRIX.layout()
+    data = layout.encode(number, (0.5,) * 6)
+    assert len(data) == layout.length
+    assert Decoder(MATRIX)(data) == layout.decode(data) == (number, (0.5,) * 6)
+    assert parse(MULTI, data).number == parse(MULTI, data).mark == number
+
+
+@pytest.mark.parametrize("number", [-1, 10**12])
+def test_a_number_beyond_twelve_digits_is_no_number(number):
+    with pytest.raises(ValueError, match=f"message number {number}"):
+        MATRIX.layout().encode(number, (0.0,) * 6)
+
+
+@pytest.mark.parametrize(
+    ("label", "number"), [("row", -1), ("row; sequence 5", 5), ("row; sequence 000000000000005", 5)]
+)
+def test_others_may_leave_the_number_out_or_write_it_as_they_like(label, number):
+    decode, values = Decoder(MATRIX), tuple(map(float, range(6)))
+    data = message([(label, 2), ("column", 3)], values)
+    assert [decode(data), decode(MATRIX.layout().encode(7, values)), decode(data)] == [
+        (number, values), (7, values), (number, values)
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("label", ["row; sequence ", "row; sequence -5", "row; sequence 0x5", "row sequence 5"])
+def test_a_label_that_says_no_number_is_another_label(label):
+    decode = Decoder(MATRIX)
+    decode(MATRIX.layout().encode(7, (0.0,) * 6))
+    with pytest.raises(Refused, match=r"expected {'row': 2, 'column': 3}"):
+        decode(message([(label, 2), ("column", 3)], (0.0,) * 6))
+    spoilt = bytearray(MATRIX.layout().encode(7, (0.0,) * 6))
+    spoilt[spoilt.index(b"000000000007")] = ord("x")
+    with pytest.raises(Refused, match=r"expected {'row': 2, 'column': 3}"):
+        decode(bytes(spoilt))
+
+
+def test_an_array_port_has_a_dimension():
+    with pytest.raises(ValueError, match="at least one dimension"):
+        array("m", "matrix", {}, "m")
 
 
 def test_pose_bytes_are_those_of_the_ros_type():
@@ -42,7 +121,7 @@ def test_pose_bytes_are_those_of_the_ros_type():
 def test_signals_of_an_array_are_named_by_index():
     recording = Recording([("matrix", MATRIX.msgtype), ("tool_pose", POSE.msgtype)])
     for k in range(3):
-        recording.add(0, k * 10**9, MATRIX.layout().encode(0, [k + 0.1 * i for i in range(6)]))
+        recording.add(0, k * 10**9, MATRIX.layout().encode(k, [k + 0.1 * i for i in range(6)]))
         recording.add(1, k * 10**9, POSE.layout().encode(k * 10**9, (k, 0, 0, 0, 0, 0, 1)))
     signals = Signals(recording)
     assert MATRIX.labels == ("0,0", "0,1", "0,2", "1,0", "1,1", "1,2")
@@ -62,7 +141,7 @@ def test_other_shape_is_refused(dims):
 
 def test_shape_that_does_not_fit_the_data_is_refused():
     data = bytearray(MATRIX.layout().encode(0, [0.0] * 6))
-    data[data.index(b"row\0") + 4] = 5  # the size of the first dimension
+    data[data.index(b"000\0") + 5] = 5  # the size of the first dimension
     with pytest.raises(Refused, match=r"6 values for the shape {'row': 5, 'column': 3}"):
         Decoder(MATRIX)(bytes(data))
     for n in range(len(data)):
@@ -72,55 +151,270 @@ def test_shape_that_does_not_fit_the_data_is_refused():
 
 # in lockstep: they have no stamp and pair by order
 
-SPREAD = array("matrix", "lag/matrix", {"row": 1, "column": 2}, "m")
+ARRAYS = {"plant": "plant", "spread": "spread", "peaks": "peaks", "weigh": "weigh"}
 
 
-class Spread(Block):
-    """The state as an array."""
+class Meddler(World):
+    """A graph that hands over other messages than one topic was given: `change` gives what becomes of message k."""
 
-    INPUTS = (STATE,)
-    OUTPUTS = (SPREAD,)
-
-    def update(self, t, state):
-        return {"matrix": (state[0], 2.0 * state[0])}
-
-
-class Weigh(Block):
-    """A command from the array."""
-
-    INPUTS = (SPREAD,)
-    OUTPUTS = (COMMAND,)
-
-    def update(self, t, matrix):
-        return {"command": (1.0 - 0.5 * matrix[1],)}
-
-
-class Lossy(World):
-    """A graph that loses the sixth array."""
-
-    seen = 0
+    def __init__(self, topic, change, **options):
+        super().__init__(**options)
+        self.topic, self.change, self.seen = f"/{topic}", change, 0
 
     def send(self, writer, data):
-        self.seen += writer.topic == "/lag/matrix"
-        if writer.topic != "/lag/matrix" or self.seen != 6:
+        if writer.topic != self.topic:
             super().send(writer, data)
+            return
+        for changed in self.change(self.seen, data):
+            super().send(writer, changed)
+        self.seen += 1
+
+
+def bare(k, data):
+    """The message without its number."""
+    found = parse(MULTI, data)
+    values = found.fields["data"]
+    return [Layout(MULTI, dims=found.dims, counts={"data": len(values)}).encode(0, values)]
+
+
+def twice(k, data):
+    return [data, data] if k == 5 else [data]
+
+
+def lost(k, data):
+    return [] if k == 5 else [data]
+
+
+def skipping(k, data):
+    return [renumbered(data, k + (k > 4))]
+
+
+def renumbered(data, number):
+    found = parse(MULTI, data)
+    return found.layout(MULTI).encode(number, found.fields["data"])
 
 
 @pytest.fixture
 def loop():
-    return Rig.from_blocks({"plant": Lag(), "spread": Spread(), "weigh": Weigh()}, 0.2)
+    return Rig.from_scenario(make_scenario(ARRAYS, 0.3))
 
 
-def test_arrays_pair_by_order(loop):
-    run = SimulatedRig(loop, World(), "lockstep")
+def numbers(recording, topic):
+    return [parse(MULTI, data).number for data in recording.topics[topic].data]
+
+
+@pytest.mark.parametrize("direct", [False, True])
+def test_arrays_are_numbered_in_the_order_of_their_topic(loop, direct):
+    run = SimulatedRig(loop, World(direct=direct), "lockstep")
     assert set(run.run().values()) == {"done"}
     assert differences(in_process(loop), run.recording) == []
+    assert numbers(run.recording, "lag/matrix") == list(range(30))
+    assert numbers(run.recording, "lag/peaks") == list(range(10))
+    assert run.recording.topics["lag/peaks"].times == [(3 * k + 1) * 10 * MS for k in range(10)]
 
 
-def test_a_lost_array_is_waited_for_by_name(loop):
-    """The arrays behind it do not take its place: the run ends, and says where it stands."""
-    run = SimulatedRig(loop, Lossy(), "lockstep")
-    states = run.run()
-    assert set(states.values()) == {"failed"}
-    assert "lag/matrix from spread" in str(run.adapters["weigh"].error)
-    assert len(run.recording.topics["lag/command"].data) == 5
+def test_arrays_have_the_same_numbers_in_real_time(loop):
+    expected = in_process(loop)
+    run = SimulatedRig(loop, World(), "realtime")
+    assert set(run.run().values()) == {"done"}
+    for topic in ("lag/matrix", "lag/peaks"):
+        found = numbers(run.recording, topic)
+        assert found == list(range(len(found)))
+        assert len(found) >= len(expected.topics[topic].data) - 1
+    assert "lost_arrays" not in run.adapters["weigh"].statistics()
+
+
+@pytest.mark.parametrize("topic", ["lag/matrix", "lag/peaks"])
+def test_arrays_without_a_number_pair_by_order(loop, topic):
+    run = SimulatedRig(loop, Meddler(topic, bare), "lockstep")
+    assert set(run.run().values()) == {"done"}
+    assert differences(in_process(loop), run.recording) == []
+    assert not any(i.refused for i in run.adapters["weigh"].inputs)
+
+
+@pytest.mark.parametrize(("topic", "sender"), [("lag/matrix", "spread"), ("lag/peaks", "peaks")])
+def test_a_repeated_array_is_refused_and_the_run_goes_on_with_the_same_numbers(loop, topic, sender):
+    run = SimulatedRig(loop, Meddler(topic, twice), "lockstep")
+    assert set(run.run().values()) == {"done"}
+    assert differences(in_process(loop), run.recording) == []
+    refused = {i.port.topic: (i.refused, i.last_refusal) for i in run.adapters["weigh"].inputs if i.refused}
+    assert refused == {topic: (1, f"number 5 from {sender}, expected 6 (already there)")}
+    text = f"refused on {topic}: number 5 from {sender}, expected 6 (already there)"
+    assert (Level.ERROR, text) in run.nodes["weigh"].logs
+
+
+@pytest.mark.parametrize(("topic", "sender"), [("lag/matrix", "spread"), ("lag/peaks", "peaks")])
+def test_a_skipped_number_ends_the_run_at_once_and_is_named(loop, topic, sender):
+    run = SimulatedRig(loop, Meddler(topic, skipping), "lockstep")
+    assert set(run.run().values()) == {"failed"}
+    assert str(run.adapters["weigh"].error) == f"{topic}: number 6 from {sender}, expected 5 (1 lost)"
+
+
+@pytest.mark.parametrize(("topic", "sender"), [("lag/matrix", "spread"), ("lag/peaks", "peaks")])
+def test_a_lost_array_is_waited_for_by_name(loop, topic, sender):
+    run = SimulatedRig(loop, Meddler(topic, lost), "lockstep")
+    assert set(run.run().values()) == {"failed"}
+    assert f"{topic} from {sender}" in str(run.adapters["weigh"].error)
+    assert len(run.recording.topics["lag/command"].data) == (5 if sender == "spread" else 16)
+
+
+def test_a_lost_array_of_who_runs_ahead_is_named_by_the_next_one():
+    """Nobody who is waited for needs it to go on, as of a fast sender with a slow reader."""
+    nodes = {"plant": "plant", "spread": "spread", "gain": "gain", "source": "source",
+             "watch": {"executable": "weigh", "remap": {"lag/command": "watch/command"}, "parameters": {"period": 0.1}},
+             "peaks": "peaks"}  # fmt: skip
+    run = SimulatedRig(Rig.from_scenario(make_scenario(nodes, 0.5)), Meddler("lag/matrix", lost), "lockstep")
+    assert set(run.run().values()) == {"failed"}
+    assert str(run.adapters["watch"].error) == "lag/matrix: number 6 from spread, expected 5 (1 lost)"
+
+
+def test_a_bad_array_is_answered_and_a_better_one_comes_too_late(loop):
+    """A law answers by what it holds; what has the same number again is no message of the next tick."""
+    bad = SPREAD.layout().encode(5, (float("nan"), 0.0))
+    run = SimulatedRig(loop, Meddler("lag/matrix", lambda k, data: [bad, data] if k == 5 else [data]), "lockstep")
+    assert set(run.run().values()) == {"done"}
+    assert [i.refused for i in run.adapters["weigh"].inputs] == [2, 0]
+    command = Signals(run.recording)["lag/command/u/effort"].x
+    x = Signals(run.recording)["lag/state/x/position"].x
+    peaks = Signals(run.recording)["lag/peaks/1"].x
+    assert command[5] == command[4]
+    assert command[6] == 1.0 - 0.5 * (2.0 * x[6]) - 0.1 * peaks[1]
+
+
+PUSH = array("push", "lag/push", {"axis": 1}, "N")
+
+
+class Pushed(Lag):
+    """The plant, with an array as its command."""
+
+    INPUTS = (PUSH,)
+
+    def advance(self, t, push):
+        super().advance(t, push, None, None)
+
+
+class Push(Block):
+    INPUTS = (STATE,)
+    OUTPUTS = (PUSH,)
+
+    def update(self, t, state):
+        return {"push": (1.0 - state[0],)}
+
+
+def test_a_plant_takes_the_better_array_after_a_bad_one():
+    pair = Rig.from_blocks({"plant": Pushed(), "law": Push()}, 0.2)
+    bad = PUSH.layout().encode(5, (float("nan"),))
+    run = SimulatedRig(pair, Meddler("lag/push", lambda k, data: [bad, data] if k == 5 else [data]), "lockstep")
+    assert set(run.run().values()) == {"done"}
+    assert differences(in_process(pair), run.recording) == []
+    assert [i.refused for i in run.adapters["plant"].inputs] == [1]
+
+
+# in real time: the newest one counts
+
+
+def test_in_real_time_a_repeated_array_is_refused_and_a_lost_one_counted(loop):
+    change = {5: lambda data: [data, data], 8: lambda data: [], 9: lambda data: []}
+    run = SimulatedRig(loop, Meddler("lag/matrix", lambda k, data: change.get(k, lambda d: [d])(data)), "realtime")
+    assert set(run.run().values()) == {"done"}
+    weigh = run.adapters["weigh"]
+    assert [i.refused for i in weigh.inputs] == [1, 0]
+    assert weigh.inputs[0].last_refusal == "number 5 from spread, expected 6 (already there)"
+    assert [i.lost for i in weigh.inputs] == [2, 0]
+    assert weigh.statistics()["lost_arrays"] == 2
+    assert weigh.block.reports["lost lag/matrix"][:2] == (Level.WARN, "2 messages of spread are lost")
+
+
+def test_in_real_time_arrays_without_a_number_are_taken(loop):
+    run = SimulatedRig(loop, Meddler("lag/matrix", bare), "realtime")
+    assert set(run.run().values()) == {"done"}
+    assert [(i.refused, i.lost) for i in run.adapters["weigh"].inputs] == [(0, 0)] * 2
+    assert len(run.recording.topics["lag/command"].data) >= 29
+
+
+@pytest.mark.parametrize(("first", "matched"), [(0, False), (3, True)])
+def test_in_real_time_a_sender_that_comes_again_counts_from_the_beginning(loop, first, matched):
+    """A bag in a loop begins with number 0; of a new publisher the first ones may have been missed."""
+    again = count(first)
+    world = Meddler("lag/matrix", lambda k, data: [renumbered(data, next(again))] if k >= 12 else [data])
+    run = SimulatedRig(loop, world, "realtime")
+    reader = next(r for r in world.readers if r.topic == "/lag/matrix")
+    if matched:
+        world.at(run.epoch + 115 * MS, lambda: (reader.matched(0), reader.matched(1)))
+    assert set(run.run().values()) == {"done"}
+    assert [(i.refused, i.lost) for i in run.adapters["weigh"].inputs] == [(0, 0)] * 2
+
+
+# a plain rclpy node
+
+OUTSIDE = """
+import rclpy
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray, MultiArrayDimension
+
+rclpy.init()
+node = Node("others")
+publisher = node.create_publisher(Float64MultiArray, "lag/matrix", 10)
+said = []
+
+def state(received):
+    k, x = len(said), received.position[0]
+    matrix = Float64MultiArray(data=[x, 2.0 * x])
+    matrix.layout.dim = [MultiArrayDimension(label=LABEL, size=1, stride=2),
+                         MultiArrayDimension(label="column", size=2, stride=2)]
+    said.append(matrix)
+    publisher.publish(matrix)
+    if k == 20 and TWICE:
+        publisher.publish(matrix)
+
+node.create_subscription(JointState, "lag/state", state, 10)
+rclpy.spin(node)
+"""
+NUMBER = 'f"row; sequence {k}"'
+
+
+def with_outside_sender(label, twice, directory):
+    """Run the rig with a plain rclpy node in place of the one that sends the matrix."""
+    nodes = ARRAYS | {"spread": {"executable": "spread", "external": True}}
+    wired = Rig.from_scenario(make_scenario(nodes, 0.3, timeout=60.0))
+    script = directory / "outside.py"
+    script.write_text(OUTSIDE.replace("LABEL", label).replace("TWICE", str(twice)))
+    outside = []
+    with free_domain() as domain:
+
+        def announce(text):
+            if not outside:
+                outside.append(subprocess.Popen([sys.executable, script], env=environment(domain, directory)))
+
+        try:
+            return run_processes(wired, 0, directory, domain=domain, announce=announce, wait=60.0)
+        finally:
+            for process in outside:
+                process.kill()
+                process.wait()
+
+
+@pytest.mark.processes
+@pytest.mark.parametrize("label", ['"row"', NUMBER])
+def test_an_outside_sender_may_number_its_arrays_or_not(loop, label, tmp_path):
+    outcome = with_outside_sender(label, False, tmp_path)
+    assert outcome.error == ""
+    assert not any(s["refused"] for s in outcome.status.values())
+    assert set(differences(in_process(loop), outcome.recording)) == {"lag/matrix"}  # its bytes are its own
+
+
+@pytest.mark.processes
+def test_an_outside_sender_that_repeats_one_is_named(loop, tmp_path):
+    outcome = with_outside_sender(NUMBER, True, tmp_path)
+    assert outcome.error == ""
+    refused = outcome.status["weigh"]["refused"]
+    assert refused == {"lag/matrix": [1, "number 20 from spread, expected 21 (already there)"]}
+    assert set(differences(in_process(loop), outcome.recording)) == {"lag/matrix"}
+
+
+@pytest.mark.processes
+def test_an_outside_sender_that_skips_one_ends_the_run_by_name(tmp_path):
+    outcome = with_outside_sender('f"row; sequence {k + (k > 20)}"', False, tmp_path)
+    assert "lag/matrix: number 22 from spread, expected 21 (1 lost)" in outcome.error
+    assert len(outcome.recording.topics["lag/command"].data) == 21

@@ -292,13 +292,14 @@ def test_a_shard_gives_rows_of_numbers_as_the_messages_that_they_were(tmp_path_f
     assert shard_topics(path) == dict(topics)
 
 
+@pytest.mark.parametrize("numbered", [False, True])
 @pytest.mark.parametrize("name", sorted(TYPES))
-def test_a_block_of_messages_has_the_bytes_of_each(name):
+def test_a_block_of_messages_has_the_bytes_of_each(name, numbered):
     kind = TYPES[name]
     fields = {i.name: 2 for i in kind.schema if i.kind == "sequence"}
     dims = [("rows", 2)] if kind.shaped else ()
-    layout = Layout(name, "abc", "xy" if kind.named else (), fields, dims)
-    stamps = [0, 1, 1_700_000_000_123_456_789, 2**31 * 10**9 - 1]
+    layout = Layout(name, "abc", "xy" if kind.named else (), fields, dims, numbered and kind.shaped)
+    stamps = [0, 1, 17, 10**12 - 1] if layout.numbered else [0, 1, 1_700_000_000_123_456_789, 2**31 * 10**9 - 1]
     values = np.random.default_rng(1).normal(size=(4, layout.size))
     values[0] = 0.0
     values[1, :1] = -0.0

@@ -24,6 +24,7 @@ DELAY = {"package": "softrig_control", "executable": "unit_delay", "parameters":
 BASIC = {"plant": "plant", "source": "source", "gain": "gain"}
 RIGS = {
     "events": ({"plant": "plant", "burst": "burst", "gain": "burst_gain"}, 0.3, {}),
+    "arrays": ({"plant": "plant", "spread": "spread", "peaks": "peaks", "weigh": "weigh"}, 0.3, {}),
     "record": (BASIC | {"record": "record", "analyst": "analyst"}, 0.1, {}),
     "end": (
         {

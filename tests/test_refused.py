@@ -7,6 +7,7 @@ import pytest
 from simulated import SimulatedRig, World
 from softrig_core.model.block import Observer
 from softrig_core.rig.rig import load_main
+from softrig_core.wire.cdr import parse
 from softrig_core.wire.signals import Signals
 from test_outside import SYSTEMS, short
 
@@ -25,8 +26,8 @@ def spoilt(rig, member, port, at):
     def spoil(data):
         count[0] += 1
         if count[0] == at + 1:
-            stamp = int.from_bytes(data[4:8], "little") * 1_000_000_000 + int.from_bytes(data[8:12], "little")
-            data = link.port.layout().encode(stamp if port.stamped else 0, (math.nan,) * link.port.size)
+            stamp = max(0, parse(port.msgtype, data).mark)
+            data = link.port.layout().encode(stamp, (math.nan,) * link.port.size)
         receive(data)
 
     reader.receive = spoil

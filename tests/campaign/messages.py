@@ -44,7 +44,8 @@ def attack(seed: int, directory: Path) -> None:
         layout, decode = port.layout(), Decoder(port)
         good = [chance.choice((0.0, 1.0)) if port.msgtype.endswith("Bool") else chance.gauss(0, 1e3)
                 for _ in range(layout.size)]  # fmt: skip
-        data = layout.encode(chance.randrange(2**31) * 10**9, good)
+        seconds = chance.randrange(2**31)
+        data = layout.encode(seconds if layout.numbered else seconds * 10**9, good)
         for _ in range(100):
             (directory / "message").write_bytes(bad := damaged(data, chance))
             try:

@@ -24,7 +24,8 @@ from softrig_core.node.messages import message_class
 from softrig_core.node.ros import QOS
 from softrig_core.rig.domain import free_domain
 from softrig_core.rig.processes import environment, find_executable
-from softrig_core.wire.codec import Decoder
+from softrig_core.wire.cdr import Layout
+from softrig_core.wire.codec import Decoder, encoder
 from std_srvs.srv import Trigger
 
 from bags import damaged
@@ -41,7 +42,10 @@ class Attacker:
                  chance: random.Random, live: bool) -> None:  # fmt: skip
         self.node, self.executor, self.chance, self.live = node, executor, chance, live
         self.ports = inputs
-        self.layouts = [p.layout() for p in inputs]
+        layouts = [p.layout() for p in inputs]
+        if not live:  # an array that is out of turn ends a run in lockstep, as it should
+            layouts = [Layout(*layout.form[:-1]) for layout in layouts]
+        self.encoders = [encoder(layout) for layout in layouts]
         self.decoders = [Decoder(p) for p in inputs]
         self.publishers = [node.create_publisher(message_class(p.msgtype), topic(p), QOS) for p in inputs]
         self.bad = dict.fromkeys((p.topic for p in inputs), 0)
@@ -80,21 +84,21 @@ class Attacker:
 
     def message(self, k: int) -> bytes:
         """Make a message: sound, damaged, with numbers or a stamp that cannot be."""
-        chance, port, layout = self.chance, self.ports[k], self.layouts[k]
+        chance, port, encode = self.chance, self.ports[k], self.encoders[k]
         stamp = time.time_ns() if self.live else 0
-        values = [float(v) for v in port.safe] if port.safe else [0.0] * layout.size
+        values = [float(v) for v in port.safe] if port.safe else [0.0] * port.size
         match chance.randrange(6):
             case 0:
                 stamp = chance.choice((0, 1, 2**31 * 10**9 - 1, stamp + 10**12, stamp - 10**12))
             case 1 if values and not port.msgtype.endswith("Bool"):
                 values[chance.randrange(len(values))] = chance.choice((float("nan"), float("inf"), 1e308, -1e300))
             case 2:
-                return layout.encode(stamp, values)
+                return encode(stamp, values)
             case 3:
                 return chance.randbytes(chance.randrange(300))
             case _:
-                return damaged(layout.encode(stamp, values), chance)
-        return layout.encode(stamp, values)
+                return damaged(encode(stamp, values), chance)
+        return encode(stamp, values)
 
     def call(self, client: object, request: object, what: str) -> object:
         """Call a service; it must answer."""

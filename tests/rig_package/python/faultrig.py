@@ -219,6 +219,40 @@ class Analyst(Block):
         return {"result": (record[1] - record[0],)} if record else {}
 
 
+MATRIX = array("matrix", "lag/matrix", {"row": 1, "column": 2}, "m")
+PEAKS = array("peaks", "lag/peaks", {"peak": 2}, "m", sporadic=True)
+
+
+class Spread(Block):
+    """The state as an array."""
+
+    INPUTS = (STATE,)
+    OUTPUTS = (MATRIX,)
+
+    def update(self, t, state):
+        return {"matrix": (state[0], 2.0 * state[0])}
+
+
+class Peaks(Block):
+    """The state and its square, at one tick out of three."""
+
+    INPUTS = (STATE,)
+    OUTPUTS = (PEAKS,)
+
+    def update(self, t, state):
+        return {"peaks": (state[0], state[0] ** 2)} if t % 30_000_000 == 10_000_000 else {}
+
+
+class Weigh(Block):
+    """A command from both."""
+
+    INPUTS = (MATRIX, PEAKS)
+    OUTPUTS = (COMMAND,)
+
+    def update(self, t, matrix, peaks):
+        return {"command": (1.0 - 0.5 * matrix[1] - 0.1 * peaks[1],)}
+
+
 class EnderParams(BlockParams):
     level: float = param(0.05, "level of the state at which the run ends", "m")
 
@@ -307,5 +341,8 @@ burst = executable(Burst)
 burst_gain = executable(BurstGain)
 record = executable(Record)
 analyst = executable(Analyst)
+spread = executable(Spread)
+peaks = executable(Peaks)
+weigh = executable(Weigh)
 ender = executable(Ender)
 accumulator = executable(Accumulator)

@@ -87,6 +87,8 @@ class Port:
     limits: tuple[float, ...] = field(default=())
 
     def __post_init__(self) -> None:
+        if self.type.shaped and not self.dims:
+            raise ValueError(f"port {self.name}: an array needs at least one dimension")
         if len(self.units) != self.size:
             raise ValueError(f"port {self.name}: {len(self.units)} units for {self.size} values")
         object.__setattr__(self, "safe", tuple(map(float, self.safe)))
@@ -134,7 +136,8 @@ class Port:
         """Wire layout of what this port publishes."""
         names = self.channels if self.type.named else ()
         count = self.size if self.dims else len(self.channels)
-        return Layout(self.msgtype, self.frame_id, names, dict.fromkeys(self.fields, count), self.dims)
+        counts = dict.fromkeys(self.fields, count)
+        return Layout(self.msgtype, self.frame_id, names, counts, self.dims, numbered=self.type.shaped)
 
     def renamed(self, topic: str) -> Port:
         """Give the same port on another topic."""

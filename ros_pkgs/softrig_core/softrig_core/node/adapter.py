@@ -32,6 +32,11 @@ WATCH_PERIOD = SECOND // 4  # ns: progress check, status file, flush of the shar
 CLOCK_LAYOUT = Layout(CLOCK.msgtype)
 
 
+def repeated(number: int, sender: str, expected: int) -> str:
+    """Say that an array has come that was there before."""
+    return f"number {number} from {sender}, expected {expected} (already there)"
+
+
 class Adapter:
     """A block as a node.
 
@@ -82,6 +87,7 @@ class Adapter:
         self._rows = not any(o.sporadic or o.delayed for o in self.outputs)
         self._sizes = tuple(o.port.size for o in self.outputs)
         self._bound = min((o.bound for o in self.outputs), default=0.0)
+        self._numbered = [o for o in self.outputs if o.numbered]
         names = [o.name for o in self.outputs]
         self._pick = itemgetter(*names) if len(names) > 1 else lambda found: tuple(found[name] for name in names)
         self._open_record(sink)
@@ -122,7 +128,7 @@ class Adapter:
 
     def _subscribe(self, item: Input) -> None:
         def matched(count: int) -> None:
-            item.publishers = count
+            item.matched(count)
             self.on_matched(item)
 
         receive, direct = self.receiver(item)
@@ -198,14 +204,17 @@ class Adapter:
             return
         rows, flat = numbers
         for output, values in zip(self.outputs, rows, strict=True):
-            output.send((stamp, values))
+            output.send((output.said if output.numbered else stamp, values))
         if self._publish_tick is not None:
             self._publish_tick(self._tick_bytes(stamp, (END,) if self.block.ended else ()))
         if self._add_row is not None:
             self._add_row(stamp, flat)
         elif self.sink is not None:
             for output, values in zip(self.outputs, rows, strict=True):
-                self.sink.add(output.number, stamp, output.layout.encode(stamp, values))
+                mark = output.said if output.numbered else stamp
+                self.sink.add(output.number, stamp, output.layout.encode(mark, values))
+        for output in self._numbered:
+            output.said += 1
 
     def _numbers(self, found: Mapping[str, Any]) -> tuple[tuple[tuple[float, ...], ...], tuple[float, ...]] | None:
         """Give the values of all outputs, and all in one tuple; None when each has to be looked at."""
@@ -225,10 +234,10 @@ class Adapter:
         burst: list[tuple[Output, Message]] = []
         for output in self.outputs:
             value = check(found, output.port, self.middleware.name, t)
-            if isinstance(value, Sample):
-                burst.append((output, (value.stamp + self.epoch, value.data)))
-            elif value is not None:
-                burst.append((output, (stamp, value)))
+            if value is None:
+                continue
+            mark, values = (value.stamp + self.epoch, value.data) if isinstance(value, Sample) else (stamp, value)
+            burst.append((output, (output.said if output.numbered else mark, values)))
         for output, message in burst:
             send = output.send if sum(map(abs, message[1])) <= output.bound else output.send_any
             send(message)
@@ -240,6 +249,8 @@ class Adapter:
         elif self.sink is not None:
             for output, message in burst:
                 self.sink.add(output.number, stamp, output.layout.encode(*message))
+        for output, _ in burst:
+            output.said += 1
 
     # health ----------------------------------------------------------------------------------------------------
 
@@ -250,6 +261,35 @@ class Adapter:
             item.last_refusal = reason
             kind = reason.split()[0]  # not the whole: a wrong stamp is another each time
             self.log_once(f"{item.port.topic}: {kind}", Level.ERROR, f"refused on {item.port.topic}: {reason}")
+
+    def in_order(self, item: Input, number: int) -> bool:
+        """Whether an array is new to an input that takes the newest; refuses one that is repeated, counts lost ones.
+
+        Number 0 may begin anew: a bag that is played in a loop.
+
+        Parameters
+        ----------
+        item : Input
+        number : int
+            What the array says of itself; -1 when it says nothing: then it is new.
+        """
+        expected = item.following
+        if number < 0 or expected is None:
+            pass
+        elif number < expected and (number or expected == 1):
+            self.refuse(item, repeated(number, self.sender(item), expected))
+            return False
+        elif number > expected:
+            item.lost += number - expected
+            text = f"{item.lost} messages of {self.sender(item)} are lost"
+            self.block.report(Level.WARN, f"lost {item.port.topic}", text)
+        item.following = None if number < 0 else number + 1
+        return True
+
+    def sender(self, item: Input) -> str:
+        """Name who publishes what an input reads, as far as the rig says."""
+        link = self.links.inputs.get(item.name)
+        return link.node if link else "another node"
 
     def log_once(self, key: str, level: Level, text: str) -> None:
         """Log a text the first time its key appears."""

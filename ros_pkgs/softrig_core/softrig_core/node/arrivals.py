@@ -11,9 +11,10 @@ from ..model.timebase import SECOND
 from ..rig.options import InputLink
 from ..wire.cdr import Layout
 from ..wire.codec import Decoder
+from .adapter import repeated
 from .endpoint import Input
 from .middleware import Direct, Message, Receive, Send
-from .pairing import BAD, KEEP, Pairing
+from .pairing import BAD, KEEP, Counted, Pairing
 from .tick import END, TICK, TickReader
 
 if TYPE_CHECKING:
@@ -45,7 +46,7 @@ class Arrivals:
         self.unpaced: list[Pairing] = []
         self.missing = 0
         self.heard = 0
-        self._takes: dict[str, Callable[[bytes, int], None]] = {}
+        self._takes: dict[str, Callable[[Counted, int], None]] = {}
         self._came: dict[str, int] = {}  # tick at which a held input came last
         self._by_port: dict[str, Pairing] = {}
 
@@ -76,6 +77,8 @@ class Arrivals:
                 node.refuse(item, str(error))
                 node.bad = True
                 return
+            if not (item.port.stamped or node.in_order(item, stamp)):
+                return
             if item.port.partial:
                 item.decode.kept = values
             node.values[item.name] = Sample(stamp, values) if item.port.delayed else values
@@ -90,19 +93,10 @@ class Arrivals:
         name, decode, delayed = item.name, item.decode, item.port.delayed
         # stamps that are acquisition times, and messages without one, are paired by counting
         by_order = delayed or not item.port.stamped
-        announced = by_order and pairing.port != ""
         record = node.foreign.get(name)
         schedule = pairing.schedule
 
-        def receive_by_order(data: bytes) -> None:
-            if announced:
-                pairing.queue.append(data)
-                self._serve(pairing, take)
-            else:
-                pairing.received += 1
-                take(data, schedule.time(pairing.received - 1))
-
-        def take(data: bytes, position: int = -1) -> None:
+        def receive(data: bytes) -> None:
             if node.state in ("done", "failed"):
                 return
             item.heard = True
@@ -110,15 +104,43 @@ class Arrivals:
                 stamp, values = decode(data)
             except Refused as error:
                 node.refuse(item, str(error))
-                # A controller answers a tick with a bad measurement too; a plant waits for a good command.
-                at = position if by_order else _stamp(data)
-                if node.is_plant:
-                    pairing.received -= by_order and not announced
-                elif pairing.may_come(at):
-                    pairing.excused = at
-                    self._heard_at(pairing, at, BAD)
+                if not node.is_plant:
+                    spoilt(_stamp(data))
                 return
-            accept(stamp, values, position if by_order else stamp, data)
+            accept(stamp, values, stamp, data)
+
+        def receive_by_order(data: bytes) -> None:
+            if node.state in ("done", "failed"):
+                return
+            item.heard = True
+            values: tuple[float, ...] | None = None
+            try:
+                stamp, values = decode(data)
+            except Refused as error:
+                node.refuse(item, str(error))
+                if node.is_plant:
+                    return
+                stamp = decode.number(data)
+            if not (item.port.stamped or self._in_turn(pairing, stamp)):
+                return
+            pairing.queue.append((stamp, values, data))
+            if not pairing.port:
+                pairing.announced.append(schedule.time(pairing.received))
+            pairing.received += 1
+            self._serve(pairing, take)
+
+        def take(message: Counted, position: int) -> None:
+            stamp, values, data = message
+            if values is None:
+                spoilt(position)
+            else:
+                accept(stamp, values, position, data)
+
+        def spoilt(position: int) -> None:
+            """A controller answers a tick with a bad measurement too; a plant waits for a good command."""
+            if pairing.may_come(position):
+                pairing.excused = position
+                self._heard_at(pairing, position, BAD)
 
         def accept(stamp: int, values: tuple[float, ...], position: int, data: bytes = b"") -> None:
             if position == pairing.want and not pairing.have and not pairing.said and not pairing.port:
@@ -173,9 +195,21 @@ class Arrivals:
             return receive_numbers
 
         self._takes[name] = take
-        return (receive_by_order if by_order else take), direct
+        return (receive_by_order if by_order else receive), direct
 
-    def _serve(self, pairing: Pairing, take: Callable[[bytes, int], None]) -> None:
+    def _in_turn(self, pairing: Pairing, number: int) -> bool:
+        """Whether an array is the next one; one that is repeated is refused, one that is missing ends the run."""
+        node, expected = self._node, pairing.received
+        if number in (-1, expected):
+            return True
+        if number > expected:
+            lost = f"{number - expected} lost"
+            node.fail(f"{pairing.topic}: number {number} from {pairing.sender}, expected {expected} ({lost})")
+        elif number or not node.links.guests:  # else it is said again for somebody else
+            node.refuse(pairing.item, repeated(number, pairing.sender, expected))
+        return False
+
+    def _serve(self, pairing: Pairing, take: Callable[[Counted, int], None]) -> None:
         """Bring together messages without a stamp and the ticks at which their sender says it has spoken."""
         while pairing.queue and pairing.announced:
             take(pairing.queue.popleft(), pairing.announced.popleft())
@@ -298,12 +332,8 @@ class Arrivals:
 
     def _listen(self, item: Input, receive: Receive, direct: Direct | None = None) -> None:
         node = self._node
-
-        def matched(count: int) -> None:
-            item.publishers = count
-
         node.paces.append(item)
-        node.middleware.listen(item.port.topic, item.port.msgtype, receive, direct, matched)
+        node.middleware.listen(item.port.topic, item.port.msgtype, receive, direct, item.matched)
 
     def _reached(self, pairing: Pairing, stamp: int) -> None:
         """A clock or an acknowledgement: its sender has come to a tick of its own."""

@@ -16,6 +16,10 @@ class Input:
     ----------
     publishers : int
         Writers that are matched.
+    following : int or None
+        Of arrays: the number after that of the newest one; None when any may come, as from a new writer.
+    lost : int
+        Arrays that were sent, as the numbers of others say, and did not come.
     heard : bool
         Whether a message has come.
     refused : int
@@ -28,9 +32,17 @@ class Input:
         self.name = port.name
         self.decode = Decoder(port)
         self.publishers = 0
+        self.following: int | None = None
+        self.lost = 0
         self.heard = False
         self.refused = 0
         self.last_refusal = ""
+
+    def matched(self, count: int) -> None:
+        """Note how many writers there are."""
+        if count != self.publishers:
+            self.following = None
+        self.publishers = count
 
 
 class Output:
@@ -40,6 +52,10 @@ class Output:
     ----------
     readers : int
         Readers that are matched, as the writer sees them.
+    numbered : bool
+        Whether its messages have no stamp but a number.
+    said : int
+        Of these: the number of the next one.
     """
 
     def __init__(self, port: Port, topic: str, number: int) -> None:
@@ -50,6 +66,8 @@ class Output:
         self.topic = topic
         self.number = number
         self.layout = port.layout()
+        self.numbered = self.layout.numbered
+        self.said = 0
         self.bound = min(port.limits, default=0.0)
         self.send: Send = _unbound  # of messages whose magnitudes add up to the bound at most
         self.send_any: Send = _unbound

@@ -8,6 +8,8 @@ from typing import Any
 from ..model.schedule import Schedule
 from .endpoint import Input
 
+Counted = tuple[int, "tuple[float, ...] | None", bytes]  # stamp or number, values (None: refused), message
+
 KEEP = object()  # a sporadic sender was silent at a tick
 BAD = object()  # what was said at a tick was refused
 _FOREVER = 1 << 62
@@ -51,7 +53,7 @@ class Pairing:
     reached : int
         The tick up to which its silences and acknowledgements tell.
     received : int
-        Number of messages so far: of those without a stamp, the tick.
+        Number of messages so far, of those that are paired by order; a plant does not count what it refuses.
     excused : int
         Stamp of the newest refused message that is answered: a better one that follows is too late.
     """
@@ -75,8 +77,8 @@ class Pairing:
         self.received = 0
         self.excused = -1
         self.said: dict[int, Any] = {}  # what was said at ticks that are not used yet
-        self.queue: deque[bytes] = deque()  # of a sporadic sender without stamps: messages and
-        self.announced: deque[int] = deque()  # the ticks at which they were sent, as they come
+        self.queue: deque[Counted] = deque()  # of messages paired by order: what has come, and
+        self.announced: deque[int] = deque()  # the ticks at which it was sent, as a sporadic sender tells them
 
     def may_come(self, position: int) -> bool:
         """Whether a message of this tick of the sender is new and possible."""

@@ -118,8 +118,10 @@ class Realtime(Adapter):
                 if not self.is_plant:
                     self._refused(feed, data, now)
                 return
+            if not (stamped or self.in_order(item, stamp)):
+                return
             # A delayed message tells when it was measured, one without a stamp nothing: the answer is due now.
-            due = stamp if stamp and not delayed else self._grid_time(now)
+            due = stamp if stamped and stamp and not delayed else self._grid_time(now)
             if not self.is_plant:
                 self.epoch = self.epoch or self.schedule.held(due)
             if partial:
@@ -432,6 +434,8 @@ class Realtime(Adapter):
             figures["incomplete_ticks"] = self.incomplete
         if self.skipped:
             figures["skipped_periods"] = self.skipped
+        if lost := sum(feed.item.lost for feed in self.feeds.values()):
+            figures["lost_arrays"] = lost
         figures |= percentiles("lateness", self._lateness) | percentiles("round_trip", self._round_trip)
         if self._lateness:
             figures["jitter_ms"] = figures["lateness_p99_ms"] - figures["lateness_p50_ms"]

@@ -10,6 +10,7 @@ from ..errors import RunError, ScenarioError, describe
 from ..model.answer import check
 from ..model.block import Block, Plant
 from ..model.port import CLOCK, Sample
+from ..wire.codec import encoder
 from ..wire.recording import Sink
 from .rig import Member, Rig
 
@@ -37,7 +38,7 @@ class _Step:
         self.events = [r for r in reads if r[0] in silent]
         self.slots = {name: slot for name, slot, *_ in reads}
         self.writes = [
-            (p, slots[p.topic], p.layout().encode, topics.index(p.topic), p.sporadic) for p in member.outputs
+            (p, slots[p.topic], encoder(p.layout()), topics.index(p.topic), p.sporadic) for p in member.outputs
         ]  # fmt: skip
 
     def gather(self, t: int, values: list[Any]) -> dict[str, Any]:

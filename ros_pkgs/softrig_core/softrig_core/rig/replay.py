@@ -9,7 +9,7 @@ from ..errors import RunError
 from ..model.answer import check
 from ..model.block import Block, Plant
 from ..model.port import Sample
-from ..wire.codec import Decoder
+from ..wire.codec import Decoder, encoder
 from ..wire.recording import Recording
 from .rig import Member, Rig
 
@@ -42,7 +42,7 @@ def feed(rig: Rig, member: Member, seed: int, recording: Recording) -> Recording
     answers = Recording((p.topic, p.msgtype) for p in member.outputs)
     inputs = [_Input(member, port_name, recording) for port_name in member.links]
     idle = dict.fromkeys((p.name for p in member.inputs if p.name not in member.links), None)
-    layouts = [p.layout() for p in member.outputs]
+    encoders = [encoder(p.layout()) for p in member.outputs]
     schedule = rig.schedule_of(member, recording)
     ticks = schedule.count()
     by_name, now = {i.name: i for i in inputs}, 0
@@ -54,12 +54,12 @@ def feed(rig: Rig, member: Member, seed: int, recording: Recording) -> Recording
         now = t
         last = k + 1 == ticks and block.finishes()
         found = block.finish(t, **given) if last else _answer(block, t, given)
-        for number, (port, layout) in enumerate(zip(member.outputs, layouts, strict=True)):
+        for number, (port, encode) in enumerate(zip(member.outputs, encoders, strict=True)):
             value = check(found, port, member.name, t)
             if value is None:
                 continue
             stamp, data = value if isinstance(value, Sample) else (t, value)
-            answers.add(number, t, layout.encode(stamp, data))
+            answers.add(number, t, encode(stamp, data))
         if isinstance(block, Plant) and advances:
             block.advance(t, **given)
     return answers

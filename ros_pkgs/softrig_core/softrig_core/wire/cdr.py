@@ -3,11 +3,16 @@
 A `Layout` is a message whose variable-size parts (frame, names, sequence lengths) are fixed; only the
 stamp and the float64 numbers change: one prepared struct packs or unpacks it whole, fixed bytes included, and
 decoding compares those. A message of another layout goes through `parse`.
+
+A Float64MultiArray has no stamp. Ours say instead which one of their topic they are, counted from 0, at the end of the
+label of the first dimension: ``row; sequence 000000000017``. Number, sizes and strides of the dimensions stay those of
+the data: who reshapes by them, or reads ``dim[0].size``, need not know of it. Only the twelve digits change.
 """
 
 from __future__ import annotations
 
 import math
+import re
 import struct
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -23,6 +28,11 @@ from .types import TYPES, Dims
 
 Pick = Callable[[tuple[Any, ...]], tuple[Any, ...]]  # takes some items
 
+NUMBER = "; sequence "  # between the label of an array's first dimension and the number of the message
+DIGITS = 12
+_NUMBERS = 10**DIGITS
+_NUMBERED = re.compile(rf"(.*){NUMBER}([0-9]{{1,18}})", re.DOTALL)  # others need not fill up with zeros
+
 
 class CdrError(ValueError):
     """Bytes are not a well-formed message of the expected type."""
@@ -30,18 +40,28 @@ class CdrError(ValueError):
 
 @dataclass(frozen=True)
 class Message:
-    """A parsed message: stamp in ns (None without header), frame, channel names, numbers by field, array shape."""
+    """A parsed message: stamp in ns (None without header), frame, channel names, numbers by field, array shape.
+
+    Of an array also its number on its topic, None where it says none.
+    """
 
     stamp: int | None
     frame_id: str
     names: tuple[str, ...]
     fields: dict[str, tuple[float, ...]]
     dims: Dims | None = None
+    number: int | None = None
+
+    @property
+    def mark(self) -> int:
+        """Stamp in ns; of an array its number; -1 of what has neither."""
+        mark = self.number if self.stamp is None else self.stamp
+        return -1 if mark is None else mark
 
     def layout(self, msgtype: str) -> Layout:
         """Give the layout that messages of this form have."""
         counts = {name: len(values) for name, values in self.fields.items()}
-        return Layout(msgtype, self.frame_id, self.names, counts, self.dims or ())
+        return Layout(msgtype, self.frame_id, self.names, counts, self.dims or (), self.number is not None)
 
 
 class Layout:
@@ -58,18 +78,23 @@ class Layout:
         Length of each ``seq`` field; a field that is absent is empty.
     dims : Dims
         Shape of a Float64MultiArray.
+    numbered : bool
+        Whether an array says its number.
     """
 
     def __init__(
         self, msgtype: str, frame_id: str = "", names: Sequence[str] = (), counts: Mapping[str, int] | None = None,
-        dims: Dims = (),
+        dims: Dims = (), numbered: bool = False,
     ) -> None:  # fmt: skip
         counts = counts or {}
-        self.form = (msgtype, frame_id, tuple(names), dict(counts), tuple(dims))  # what makes an equal layout
+        # what makes an equal layout
+        self.form = (msgtype, frame_id, tuple(names), dict(counts), tuple(dims), numbered)
+        self.numbered = numbered
         out = bytearray(b"\x00\x01\x00\x00")  # little endian
         fixed: list[tuple[int, int]] = []
         slots: list[tuple[int, str]] = []
         self.stamp_offset: int | None = None
+        number_offset = -1
         self.fields: list[tuple[str, int]] = []
 
         def align(size: int) -> None:
@@ -115,7 +140,15 @@ class Layout:
             elif kind == "dims":
                 length(len(dims))
                 for i, (label, extent) in enumerate(dims):
-                    string(label)
+                    if numbered and i == 0:
+                        text = label + NUMBER
+                        length(len(text.encode()) + DIGITS + 1)
+                        const(text.encode())
+                        number_offset = len(out)
+                        out.extend(bytes(DIGITS))
+                        const(b"\0")
+                    else:
+                        string(label)
                     length(extent)
                     length(math.prod(size for _, size in dims[i:]))  # the stride
                 length(0)  # the offset of the data
@@ -130,15 +163,21 @@ class Layout:
         self.size = sum(n for _, n in self.fields)
         self.slots = slots
         self._fixed = [(a, b, bytes(out[a:b])) for a, b in [(0, 2), *_merge(fixed)]]
-        # One struct for the whole message. Its items in wire order are picked from (s, ns, *values, *constants).
+        # One struct for the whole message. Its items in wire order are picked from (s, ns, *values, *constants);
+        # of an array the first one is the text of its number.
         spans = [(a, f"{b - a}s") for a, b, _ in self._fixed]
         stamp = [] if self.stamp_offset is None else [(self.stamp_offset, "iI")]
+        if numbered:
+            stamp = [(number_offset, f"{DIGITS}s")]
+        self._number_offset = number_offset
         form, at, wire = "<", 0, []
         values, constants = count(2), count(2 + self.size)
         for offset, code in sorted(spans + stamp + slots):
             form += f"{offset - at}x{code}"
             at = offset + struct.calcsize("<" + code)
-            if code[-1] == "s":
+            if offset == number_offset:
+                wire.append(0)
+            elif code[-1] == "s":
                 wire.append(next(constants))
             else:
                 wire += [0, 1] if code == "iI" else islice(values, int(code[:-1]))
@@ -157,24 +196,29 @@ class Layout:
         Parameters
         ----------
         stamp : int
-            ns; ignored where the type has no header.
+            ns; of an array that is numbered its number on its topic, from 0; ignored where a message has neither.
         values : sequence of float
             All numbers of the message in wire order, field by field.
         """
         if len(values) != self.size:
             raise ValueError(f"{len(values)} values, expected {self.size}")
+        if self.numbered:
+            return self._pack(*self._wire((_digits(stamp), 0, *values, *self._constants)))
         return self._pack(*self._wire((stamp // SECOND, stamp % SECOND, *values, *self._constants)))
 
     def decode(self, data: bytes) -> tuple[int, tuple[float, ...]] | None:
-        """Give (stamp in ns, numbers) or None when the bytes have another layout."""
+        """Give (stamp in ns, numbers) or None when the bytes have another layout; for the stamp see `Message.mark`."""
         if len(data) != self.length:
             return None
         found = self._unpack(data)
         if self._constants_of(found) != self._constants:
             return None
-        if self.stamp_offset is None:
-            return 0, self._values_of(found)
-        return found[self._seconds] * SECOND + found[self._nanoseconds], self._values_of(found)
+        if self.stamp_offset is not None:
+            return found[self._seconds] * SECOND + found[self._nanoseconds], self._values_of(found)
+        if not self.numbered:
+            return -1, self._values_of(found)
+        digits = found[self._seconds]
+        return (int(digits), self._values_of(found)) if digits.isdigit() else None
 
     def encode_block(self, stamps: NDArray[np.int64], values: NDArray[np.float64]) -> NDArray[np.uint8]:
         """Give the bytes of n messages as an array of shape (n, length): row by row what `encode` gives.
@@ -182,7 +226,7 @@ class Layout:
         Parameters
         ----------
         stamps : array of shape (n,)
-            ns.
+            ns, or the numbers of arrays.
         values : array of shape (n, size)
         """
         rows = np.tile(np.frombuffer(self.encode(0, (0.0,) * self.size), dtype=np.uint8), (len(stamps), 1))
@@ -190,6 +234,10 @@ class Layout:
             at = self.stamp_offset
             parts = np.column_stack((stamps // SECOND, stamps % SECOND)).astype("<u4")
             rows[:, at : at + 8] = parts.view(np.uint8)
+        if self.numbered:
+            at = self._number_offset
+            text = b"".join(map(_digits, stamps.tolist()))
+            rows[:, at : at + DIGITS] = np.frombuffer(text, dtype=np.uint8).reshape(-1, DIGITS)
         first = 0
         for offset, code in self.slots:
             n = int(code[:-1])
@@ -220,6 +268,12 @@ def getter(places: Sequence[int]) -> Pick:
         return itemgetter(*places)
     start = places[0] if places else 0
     return itemgetter(slice(start, start + len(places)))
+
+
+def _digits(number: int) -> bytes:
+    if not 0 <= number < _NUMBERS:
+        raise ValueError(f"message number {number}, expected one of at most {DIGITS} digits")
+    return b"%012d" % number
 
 
 def _merge(spans: list[tuple[int, int]]) -> list[tuple[int, int]]:
@@ -280,6 +334,7 @@ def parse(msgtype: str, data: bytes) -> Message:
     names: tuple[str, ...] = ()
     fields: dict[str, tuple[float, ...]] = {}
     dims: Dims | None = None
+    number: int | None = None
     for kind, name, size in TYPES[msgtype].schema:
         if kind == "stamp":
             stamp = int(take("i")[0]) * SECOND + int(take("I")[0])
@@ -303,8 +358,11 @@ def parse(msgtype: str, data: bytes) -> Message:
             if count * 13 > len(data):
                 raise CdrError(f"{msgtype}: claims {count} dimensions in {len(data)} bytes")
             shape = []
-            for _ in range(count):
-                shape.append((string(), int(take("I")[0])))
+            for i in range(count):
+                label = string()
+                if i == 0 and (found := _NUMBERED.fullmatch(label)):
+                    label, number = found[1], int(found[2])
+                shape.append((label, int(take("I")[0])))
                 take("I")
             dims = tuple(shape)
             take("I")
@@ -315,4 +373,4 @@ def parse(msgtype: str, data: bytes) -> Message:
             take("I")
     if dims and math.prod(size for _, size in dims) != len(fields["data"]):
         raise CdrError(f"{msgtype}: {len(fields['data'])} values for the shape {dict(dims)}")
-    return Message(stamp, frame_id, names, fields, dims)
+    return Message(stamp, frame_id, names, fields, dims, number)

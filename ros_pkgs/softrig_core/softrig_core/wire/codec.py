@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from itertools import count
 
 from ..model.port import Port, Refused
 from .cdr import CdrError, Layout, Message, Pick, getter, parse
@@ -29,7 +30,7 @@ class Decoder:
         self.kept = port.safe  # of a partial port: what channels that a message leaves out keep; its reader updates it
 
     def __call__(self, data: bytes) -> tuple[int, tuple[float, ...]]:
-        """Give (stamp in ns, values).
+        """Give (stamp in ns, values); for the stamp of what has none see `cdr.Message.mark`.
 
         Raises
         ------
@@ -81,7 +82,14 @@ class Decoder:
         order = self._order(message)
         values = tuple([*flat, *self.kept][i] for i in order)
         self._check(values)
-        return message.stamp or 0, values
+        return message.mark, values
+
+    def number(self, data: bytes) -> int:
+        """Give the number that a refused array says of itself; -1 when there is none or it cannot be read."""
+        try:
+            return self._parse(data).mark
+        except Refused:
+            return -1
 
     def _parse(self, data: bytes) -> Message:
         try:
@@ -122,6 +130,14 @@ class Decoder:
 def _check_partial(names: Sequence[str], port: Port) -> None:
     if not names or len(set(names)) != len(names) or not set(names) <= set(port.channels):
         raise Refused(f"names {list(names)}, expected some of {list(port.channels)}")
+
+
+def encoder(layout: Layout) -> Callable[[int, Sequence[float]], bytes]:
+    """Give what makes one topic's messages, each from its stamp and values; arrays it numbers in the order of calls."""
+    if not layout.numbered:
+        return layout.encode
+    numbers = count()
+    return lambda stamp, values: layout.encode(next(numbers), values)
 
 
 def selection(source: Port, sink: Port) -> Pick | None:

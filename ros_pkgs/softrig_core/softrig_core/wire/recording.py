@@ -161,7 +161,9 @@ class Recording:
         values = np.ascontiguousarray(block[:, _ROW_HEAD.size :]).view("<f8")
         first = 0
         for topic, layout in row:
-            raw = layout.encode_block(stamps, values[:, first : first + layout.size]).tobytes()
+            said = len(self._order[topic].data)
+            marks = np.arange(said, said + len(stamps)) if layout.numbered else stamps
+            raw = layout.encode_block(marks, values[:, first : first + layout.size]).tobytes()
             first += layout.size
             self._order[topic].times += stamps.tolist()
             self._order[topic].data += [raw[i : i + layout.length] for i in range(0, len(raw), layout.length)]
