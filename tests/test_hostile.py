@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 from conftest import make_scenario
 from pydantic import model_validator
+from softrig_bringup.cli import main
 from softrig_core.errors import RunError, ScenarioError
 from softrig_core.model.answer import check
 from softrig_core.model.block import Block
@@ -14,6 +15,7 @@ from softrig_core.model.port import number
 from softrig_core.rig.domain import free_domain
 from softrig_core.rig.options import RunOptions
 from softrig_core.rig.rig import Rig
+from softrig_core.rig.scenario import load_scenario
 
 sys.path.insert(0, str(Path(__file__).parent / "campaign"))
 
@@ -119,6 +121,34 @@ def test_more_steps_in_a_period_than_ever_end():
 def test_absurd_lengths_are_refused(duration, text):
     with pytest.raises(ValueError, match=text):
         Rig.from_scenario(make_scenario({"plant": "plant", "source": "source", "gain": "gain"}, duration=duration))
+
+
+LONG = "x" * 5000
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (f"extends: {LONG}", "h.yaml: extends 'xxx"),
+        (f"{{extends: dc_motor_smc_b2, nodes: {{dc_motor_smc: {{executable: {LONG}}}}}}}", "has no executable 'xxx"),
+        (f"{{extends: dc_motor_smc_b2, nodes: {{dc_motor_smc: {{package: {LONG}}}}}}}", "package 'xxx"),
+        (f"{{extends: manipulator_adsmc, nodes: {{manipulator_plant: {{parameters: {{urdf: {LONG}}}}}}}}}", "urdf"),
+    ],
+    ids=["scenario", "executable", "package", "file"],
+)
+def test_names_longer_than_any_file_name_are_unknown(text, said, tmp_path):
+    path = tmp_path / "h.yaml"
+    path.write_text(text)
+    with pytest.raises(ScenarioError, match=said):
+        Rig.from_scenario(load_scenario(str(path)))
+
+
+@pytest.mark.parametrize(
+    "command", [["run", LONG], ["run", f"{LONG}.yaml"], ["report", LONG], ["study", LONG], ["locate", LONG]]
+)
+def test_arguments_longer_than_any_file_name_are_bad_input(command, capsys):
+    assert main(command) == 2
+    assert len(capsys.readouterr().err.splitlines()) == 1
 
 
 def test_an_answer_that_is_no_row_of_numbers_is_the_nodes_fault():

@@ -24,7 +24,8 @@ def mutated(text: str, chance: random.Random) -> str:
     at = chance.randrange(len(lines))
     kind = chance.randrange(9)
     if kind <= 3:  # what stands behind a colon
-        places = list(re.finditer(r": *([^\n{},\[\]]+)", text))
+        if not (places := list(re.finditer(r": *([^\n{},\[\]]+)", text))):
+            return text  # mutated before to a text without a value
         place = chance.choice(places)
         return text[: place.start(1)] + chance.choice(JUNK) + text[place.end(1) :]
     if kind == 4:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import os
 import shlex
@@ -48,7 +49,7 @@ def guarded(work: Callable[[], int]) -> int:
         return 141
     except OSError as error:
         say(f"{error.filename}: {error.strerror}" if error.filename is not None else error)
-        return 2 if isinstance(error, _NAMED) else 3
+        return 2 if isinstance(error, _NAMED) or error.errno == errno.ENAMETOOLONG else 3
     except RunError as error:
         say(error)
         return 3

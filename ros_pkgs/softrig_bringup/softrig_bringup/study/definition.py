@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from os.path import isfile
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -184,7 +185,7 @@ def load_study(name: str) -> Study:
         Unknown, not YAML, an unknown key or a bad value; names file and key.
     """
     path = Path(name)
-    if not (path.suffix in (".yaml", ".yml") and path.is_file()):
+    if not (path.suffix in (".yaml", ".yml") and isfile(path)):
         known = list_studies()
         if name not in known:
             raise ScenarioError(f"study {name!r} is unknown{closest(name, known)}; there are {', '.join(known)}")

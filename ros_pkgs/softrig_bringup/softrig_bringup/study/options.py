@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from argparse import Namespace
+from os.path import isfile
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,7 @@ def study_of(options: Namespace) -> Study:
     name: str = options.study
     changes = _changes(options)
     path = Path(name)
-    file = path.suffix in (".yaml", ".yml") and path.is_file()
+    file = path.suffix in (".yaml", ".yml") and isfile(path)
     if name in list_studies() or (file and "scenario" in (read_yaml(path.read_text(), path.name) or {})):
         return make_study(load_study(name).model_dump() | changes)
     if not file and name not in list_scenarios():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import os
+from os.path import isfile
 from pathlib import Path
 
 
@@ -35,6 +36,6 @@ def resource(source: str, kind: str = "file") -> Path:
     else:
         places = [Path(source)]
     for place in places:
-        if place.is_file():
+        if isfile(place):
             return place
     raise ValueError(f"no {kind} {source!r}; looked for {', '.join(map(str, places))}")

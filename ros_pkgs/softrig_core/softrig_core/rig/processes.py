@@ -14,6 +14,7 @@ import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
+from os.path import isfile
 from pathlib import Path
 from typing import Any, Literal
 
@@ -352,7 +353,7 @@ def find_executable(package: str, executable: str) -> Path:
     installed = prefixes()
     for prefix in installed:
         path = prefix / "lib" / package / executable
-        if path.is_file() and os.access(path, os.X_OK):
+        if isfile(path) and os.access(path, os.X_OK):
             return path
     there = sorted({p.name for prefix in installed for p in (prefix / "lib" / package).glob("*") if p.is_file()})
     if not there:

@@ -7,6 +7,7 @@ import os
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from functools import lru_cache
+from os.path import isfile
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -50,7 +51,7 @@ def locate(name: str) -> tuple[str, Path]:
         There is none of that name; gives the closest.
     """
     path = Path(name)
-    if path.suffix in (".yaml", ".yml") and path.is_file():
+    if path.suffix in (".yaml", ".yml") and isfile(path):
         return path.stem, path
     found = _find(name)
     if found is None and (path.suffix in (".yaml", ".yml") or len(path.parts) > 1):
@@ -203,7 +204,7 @@ def _parent(path: Path, parent: Any) -> Path:
     if not isinstance(parent, str) or "/" in parent:
         raise ScenarioError(f"{path.name}: extends: expected the name of a scenario, got {parent!r}"[:200])
     beside = path.with_name(f"{parent}.yaml")
-    found = beside if beside.is_file() else _find(parent, path.parent)
+    found = beside if isfile(beside) else _find(parent, path.parent)
     if found is None:
         raise ScenarioError(f"{path.name}: extends {parent!r}, which is unknown{closest(parent, list_scenarios())}")
     return found

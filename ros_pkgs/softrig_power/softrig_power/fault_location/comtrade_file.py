@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime as dt
 from collections.abc import Sequence
+from os.path import isfile
 from pathlib import Path
 from typing import Any, Literal
 
@@ -68,7 +69,7 @@ def read_comtrade(paths: Sequence[Path | str], channels: Sequence[str] = ()) -> 
 def _load(path: Path) -> Any:
     import comtrade
 
-    if not path.is_file():
+    if not isfile(path):
         raise ComtradeFileError(f"{path}: no such file")
     try:
         file = comtrade.Comtrade(ignore_warnings=True, use_numpy_arrays=True, use_double_precision=True)
