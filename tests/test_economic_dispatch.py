@@ -254,6 +254,12 @@ def test_order_and_copies_of_units_change_nothing():
     assert double.cost == pytest.approx(2 * cost, rel=2e-3)
 
 
+@pytest.mark.parametrize(("name", "boxes"), [("I", 41), ("II", 629), ("II, e_3 = 150", 477), ("III", 1153)])
+def test_the_proof_takes_few_boxes(name, boxes):
+    table, demand, *_ = CASES[name]
+    assert Optimiser(Units.read(table)).certified(demand).nodes == pytest.approx(boxes, rel=0.05)
+
+
 def test_where_boxes_run_out_the_adaptive_milps_prove_it():
     """The certificate of the paper's own machinery: chords lowered below the cost and split where they are too low."""
     units = Units.read("units_3")

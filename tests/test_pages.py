@@ -2,11 +2,12 @@
 
 import re
 import shutil
+from functools import cache
 from pathlib import Path
 
 import pytest
 from ruamel.yaml import YAML
-from softrig_bringup import pages
+from softrig_bringup import numbers, pages
 from softrig_bringup.cli import _FOREIGN, _parser, main
 from softrig_bringup.study.definition import list_studies, make_study
 from softrig_core.errors import ScenarioError
@@ -23,6 +24,8 @@ SYSTEMS = {
     "manipulator_adsmc", "optimal_control_mvim", "pv_mppt", "pwa_delay", "rectifier_mpc", "rehab_impedance", "tcp_aqm",
 }  # fmt: skip
 GENERATED = [p for p in PAGES if "<!-- end -->" in (ROOT / p).read_text()]
+LATER = {"rehab_impedance", "pwa_delay", "optimal_control_mvim", "studies", "model_kit", "placements", "tick"}
+HELD = [p for p in PAGES if p.stem not in LATER]
 WRITE = "run scripts/softrig python -m softrig_bringup.pages {}"
 
 
@@ -38,6 +41,12 @@ def test_every_system_has_its_page():
 def test_generated_parts_are_as_the_code_says(page):
     text = (ROOT / page).read_text()
     assert pages.generate(text) == text, WRITE.format(page)
+    assert " | ? | " not in text, WRITE.format(f"--runs {page}")
+
+
+@pytest.mark.parametrize("page", HELD, ids=str)
+def test_every_number_of_a_page_has_its_source_and_is_as_it_says(page):
+    assert pages.untrue((ROOT / page).read_text(), ROOT / page) == []
 
 
 @pytest.mark.long
@@ -51,6 +60,7 @@ def test_the_counts_of_the_readme_are_as_the_scenarios_say():
 def test_what_pages_say_was_measured_is(page):
     text = (ROOT / page).read_text()
     assert pages.generate(text, runs=True) == text, WRITE.format(f"--runs {page}")
+    assert pages.untrue(text, ROOT / page, runs=True) == []
 
 
 def test_pictures_are_plot_entries_drawn_from_a_run(tmp_path):
@@ -74,6 +84,81 @@ def test_measured_figures_are_those_of_a_run(monkeypatch):
     row = pages.generate(page, runs=True).splitlines()[4]
     assert row.split(" | ")[0] == "| `dc_motor_smc_b2`"
     assert float(row.split(" | ")[2].split()[0]) == pytest.approx(run.figures["rise_time"], rel=1e-4)
+
+
+def test_what_claims_measured_stays_until_runs_are_asked_for(monkeypatch):
+    monkeypatch.setattr(pages, "results", lambda name: simulate_once(name).results)
+    simulate_once = cache(simulate)
+    page = "<!-- claims: dc_motor_smc_b1 -->\n<!-- end -->"
+    without = pages.generate(page)
+    row = without.splitlines()[4]
+    assert row.split(" | ")[3] == "?"
+    measured = pages.generate(page, runs=True)
+    share = simulate_once("dc_motor_smc_b1").figures["overshoot"]
+    assert float(measured.splitlines()[4].split(" | ")[3].split()[0]) == pytest.approx(share, rel=1e-4)
+    assert pages.generate(measured) == measured
+
+
+def test_numbers_without_source_and_wrong_ones_are_told(tmp_path):
+    (tmp_path / "test_here.py").write_text(
+        "def test_one():\n    assert 1153 == 2.5\n\n\ndef test_two():\n    assert 7.25\n\n\nTABLE = {1: 7250.0}\n"
+    )
+    given = """# Motor
+It rises in 0.607 s, {} later than 10 V `12.345` in [b](x123.45), in all 1,153 s and 1.005e-4; 347 V; 3.927; 42.1.
+
+    scripts/softrig run 99.999
+
+<!-- numbers
+{}
+-->
+## Next
+<!-- measured: rise_time of dc_motor_smc -->
+
+| scenario | | rise time |
+|---|---|---|
+| `dc_motor_smc` | t | 0.60695 s |
+
+<!-- end -->
+"""
+    ties = {
+        "0.607": "dc_motor_smc.rise_time", "1,153": "test_here.py::test_one", "1.005e-4": "paper Table 1",
+        "347": "1 * rectifier_mpc.v_min", "3.927": "= 5*pi/4", "42.1": "bench gupfc",
+    }  # fmt: skip
+
+    def told(extra="", run=None, **changed):
+        lines = (f"{n}: {s}" for n, s in (ties | changed).items() if s)
+        return [f.removeprefix("Motor: ") for f in numbers.faults(given.format(extra, "\n".join(lines)), tmp_path, run)]
+
+    assert told() == []
+    assert told("1.23 s") == ["1.23 has no source"]
+    assert told("0.12 s of 1200") == []  # few digits
+    assert told(**{"0.607": ""}) == ["0.607 has no source"]  # what was measured is no source by itself
+    assert told(**{"3.14": "= pi"}) == ["3.14 is not in this section"]
+    assert told("0.608", **{"0.608": "dc_motor_smc.rise_time"}) == ["0.608: the table has 0.60695"]
+    assert told("0.61", **{"0.61": "dc_motor_smc.rise_time"}) == []
+    assert told(run={"dc_motor_smc": {"rise_time": 0.6}, "rectifier_mpc": {"v_min": 347.4}}.get) == [
+        "0.607: a run gives 0.6"
+    ]
+    assert "expects" in told("0.350", **{"0.350": "1e-3 * rectifier_mpc.v_min"})[0]
+    assert told("0.347", **{"0.347": "1e-3 * rectifier_mpc.v_min"}) == []
+    assert told(**{"0.607": "dc_motor_smc.rise"}) == ["0.607: dc_motor_smc has no figure rise"]
+    assert told(**{"0.607": "dc_motor.rise_time"}) == ["0.607: no scenario or study dc_motor"]
+    assert (
+        told("7.25", **{"7.25": "test_here.py::test_two"})
+        == told("7.25", **{"7.25": "1e-3 * test_here.py::TABLE"})
+        == []
+    )
+    for source in (
+        "test_here.py::test_one",
+        "test_none.py::test_two",
+        "test_here.py",
+        "= 7.26",
+        "scenario gupfc",
+        "paper",
+        "somewhere",
+    ):
+        assert told("7.25", **{"7.25": source})[0].startswith("7.25: "), source
+    assert told("0.0166667 and 1.5", **{"1.5": "scenario gupfc", "0.0166667": "= 1/60"}) == []
 
 
 def test_a_stale_page_is_told_and_mended(tmp_path, capsys):

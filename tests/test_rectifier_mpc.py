@@ -181,6 +181,7 @@ def test_sampled_models_agree_with_scipy():
         np.testing.assert_allclose(model.a, a, rtol=1e-9)
         np.testing.assert_allclose(model.b, b[0][1:], rtol=1e-7, atol=1e-15)
     assert seed19(T).dc_gain == pytest.approx(77.003, abs=1e-3)
+    assert seed19(T).b == pytest.approx((0.16467, 0.15255), abs=1e-5)  # printed: 0.116, 0.107
 
 
 def test_corrected_models_are_those_of_the_operating_point():
@@ -190,6 +191,8 @@ def test_corrected_models_are_those_of_the_operating_point():
     assert [RectifierConstants(R_L=16 / f).current for f in (1.25, 1.5, 2, 2.5)] == pytest.approx(
         [47.553, 57.385, 77.402, 97.919], abs=1e-3
     )
+    high = RectifierConstants(V_g=234.0)  # the voltage that unity power factor takes is beyond 400/sqrt(3)
+    assert abs(234.0 - complex(c.R, 2 * math.pi * 60 * c.L) * high.current) == pytest.approx(232.07, abs=0.01)
     third, second = n3(c, T), d2(c, T)
     assert third.b == pytest.approx((-0.00553621, 0.07332316, -0.00135521), abs=1e-8)
     assert third.a == pytest.approx((1.0, -2.72329524, 2.55901776, -0.82629094), abs=1e-8)

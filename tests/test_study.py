@@ -298,7 +298,7 @@ def test_every_shipped_study_can_run(monkeypatch):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("name", ["dc_motor_pid_tuning", "pv_mppt_draws"])
+@pytest.mark.parametrize("name", ["dc_motor_pid_tuning", "pv_mppt_draws", "pv_mppt_hits", "pv_mppt_settling"])
 def test_a_shipped_study_at_full_length_meets_its_expectations(name, monkeypatch, tmp_path):
     monkeypatch.undo()
     assert main(["study", name, "--out", str(tmp_path / name)]) == 0

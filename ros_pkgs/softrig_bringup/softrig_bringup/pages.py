@@ -3,13 +3,16 @@
 A page holds pairs of markers; what stands between them is made from the code and the scenario files::
 
     <!-- nodes: softrig_drives dc_motor_plant dc_motor_smc -->      topics and parameters of executables
-    <!-- claims: dc_motor_smc -->                                   what the paper says, by beginning of scenario names
+    <!-- claims: dc_motor_smc -->                                   what the paper says, by beginning of scenario names;
+                                                                    what was measured anew only with --runs
     <!-- scenarios: dc_motor_smc -->                                scenarios, by beginning of their names
     <!-- sources: dc_motor_smc -->                                  papers that these scenarios cite, with BibTeX
     <!-- verdicts: all -->                                          claims of each system by their verdicts
     <!-- picture: dc_motor_smc_b2 1 -->                             plot entry of a scenario; anew only with --runs
     <!-- measured: v_min v_max of rectifier_mpc rectifier_mpc_n2 --> figures of these scenarios; anew only with --runs
     <!-- end -->
+
+Numbers in the text that people write have their sources too, see `numbers`.
 """
 
 from __future__ import annotations
@@ -19,15 +22,18 @@ import math
 import re
 from collections import Counter
 from collections.abc import Callable, Sequence
+from functools import cache
 from pathlib import Path
 
 from softrig_core.model.params import Declaration, declarations
 from softrig_core.model.port import Port
 from softrig_core.rig.claims import VERDICTS
+from softrig_core.rig.figures import Result
 from softrig_core.rig.rig import load_block
 from softrig_core.rig.scenario import list_scenarios, load_scenario
 from softrig_core.rig.simulate import simulate
 
+from . import numbers
 from .citations import cited, listed
 from .page_pictures import draw, picture
 from .study.definition import list_studies, load_study
@@ -44,7 +50,7 @@ def generate(page: str, runs: bool = False) -> str:
             return found[0]
         first, *words = found[3].split()
         made: dict[str, Callable[[], str]] = {
-            "nodes": lambda: nodes(first, words), "claims": lambda: claims([first, *words]),
+            "nodes": lambda: nodes(first, words), "claims": lambda: claims([first, *words], None if runs else found[0]),
             "scenarios": lambda: scenarios([first, *words]), "sources": lambda: sources([first, *words]),
             "verdicts": verdicts, "measured": lambda: measured(found[3]),
             "picture": lambda: picture(first, int(words[0])),
@@ -89,17 +95,34 @@ def chosen(prefixes: Sequence[str]) -> list[str]:
     return [n for n in sorted(list_scenarios()) if any(n == p or n.startswith(f"{p}_") for p in prefixes)]
 
 
-def claims(prefixes: Sequence[str]) -> str:
-    """Claims of the paper with their verdicts; `softrig results` adds what is measured."""
-    lines = ["| the paper says | where | published | verdict | scenario |", "|---|---|---|---|---|"]
+def claims(prefixes: Sequence[str], old: str | None) -> str:
+    """Claims of the paper with what was measured, as the `old` table says it or by runs, and their verdicts."""
+    kept: dict[tuple[str, ...], list[str]] = {}
+    for row in (row[2:-2].split(" | ") for row in (old or "").splitlines() if row.startswith("| ")):
+        if len(row) == 6:
+            kept.setdefault((*row[:3], row[-1]), []).append(row[3])
+    lines = ["| the paper says | where | published | measured | verdict | scenario |", "|---|---|---|---|---|---|"]
     for name in chosen(prefixes):
         for key, claim in load_scenario(name).claims.items():
             compared = ", ".join(f"{kind} {x}" for kind, x in claim.compared().items())
             number = f"{claim.published:.6g}" if claim.published is not None else compared
             verdict = f"**{claim.verdict.replace('_', ' ')}**" + (f": {claim.reason}" if claim.reason else "")
             cells = [claim.text or key.replace("_", " "), claim.where, number, verdict, f"`{name}`"]
-            lines.append("| " + " | ".join(c.replace("|", "\\|") for c in cells) + " |")
+            cells = [c.replace("|", "\\|") for c in cells]
+            if claim.verdict == "not_checkable" and not claim.figure:
+                found = " "
+            elif old is not None:
+                found = (kept.get((*cells[:3], cells[-1])) or ["?"]).pop(0)
+            else:
+                scenario, _, figure = (claim.figure or key).rpartition(".")
+                found = next(_shown(r) for r in results(scenario or name) if r.name == figure)
+            lines.append("| " + " | ".join([*cells[:3], found, *cells[3:]]) + " |")
     return "\n".join(lines)
+
+
+def _shown(result: Result) -> str:
+    """A figure to five digits."""
+    return "never" if math.isinf(result.number) else f"{result.number:.5g} {result.unit}".strip()
 
 
 def scenarios(prefixes: Sequence[str]) -> str:
@@ -135,20 +158,32 @@ def verdicts() -> str:
     return "\n".join(lines)
 
 
+@cache
+def results(name: str) -> list[Result]:
+    """Figures of a scenario, run once in process."""
+    return simulate(name).results
+
+
 def measured(what: str) -> str:
     """Figures of runs in process, to five digits: ``FIGURE... of SCENARIO...`` gives a row a scenario."""
     figures, names = (part.split() for part in what.split(" of "))
     rows = []
     for name in names:
-        results = simulate(name).results
-        found = {r.name: "never" if math.isinf(r.number) else f"{r.number:.5g} {r.unit}".strip() for r in results}
+        found = {r.name: _shown(r) for r in results(name)}
         rows.append(" | ".join([f"| `{name}`", load_scenario(name).title, *(found.get(f, "") for f in figures)]) + " |")
     titles = " | ".join(f.replace("_", " ") for f in figures)
     return "\n".join([f"| scenario | | {titles} |", "|---" * (len(figures) + 2) + "|", *rows])
 
 
+def untrue(page: str, path: Path, runs: bool = False) -> list[str]:
+    """Say which numbers of the text of a page at `path` have no source or are not as it says."""
+    tests = next((f / "tests" for f in path.resolve().parents if (f / "tests").is_dir()), path.parent)
+    run = (lambda name: {r.name: r.number for r in results(name)}) if runs else None
+    return list(numbers.faults(page, tests, run))
+
+
 def main(args: Sequence[str] | None = None) -> int:
-    """Write the generated parts of pages, or check that they are as the code says; 1 when one is not."""
+    """Write the generated parts of pages, or check that they are as the code says, and the numbers of the rest."""
     parser = argparse.ArgumentParser(prog="python -m softrig_bringup.pages", description=main.__doc__)
     parser.add_argument("pages", nargs="+", type=Path, metavar="PAGE")
     parser.add_argument("--check", action="store_true")
@@ -165,6 +200,9 @@ def main(args: Sequence[str] | None = None) -> int:
             status = 1 if given.check else status
             if not given.check:
                 path.write_text(new, encoding="utf-8")
+        for fault in untrue(new, path, given.runs):
+            print(f"{path}: {fault}")
+            status = 1
     return status
 
 

@@ -1,0 +1,215 @@
+"""Where the numbers in the hand-written text of a page come from, and whether they are right.
+
+Each number of three or more significant digits, outside of code and of the generated parts, either stands in a
+generated part of its page too (parameters, published values, titles), or is named in a comment of its section::
+
+    <!-- numbers
+    0.607, 0.1830: dc_motor_smc.rise_time       figure of a scenario or a study
+    31: 1000 * rectifier_mpc.settling_time      the same in another unit
+    1153: test_economic_dispatch.py::CASES      stands in that test, or in a table of its file
+    1.31: scenario fault_location               stands in that scenario
+    0.75: = 3/4                                 arithmetic
+    0.0193: paper Table 2                       printed there
+    2.5: bench gupfc                            time, memory or speed, by that command on the machine it names
+    -->
+
+A figure is held against the measured table of its page, else against what its scenario expects, as far as the number is
+rounded; with a run, against the run.
+"""
+
+from __future__ import annotations
+
+import ast
+import math
+import re
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from softrig_core.rig.scenario import list_scenarios, load_scenario
+
+from .study.definition import list_studies, load_study
+
+FORMS = "scenario.figure, test_file.py::test, scenario NAME, = ..., paper ... or bench ..."
+DIGITS = 3  # a number of fewer may stand without its source
+_GENERATED = re.compile(r"<!-- (\w+): [^>]*? -->\n.*?<!-- end -->", re.DOTALL)
+_COMMENT = re.compile(r"<!-- numbers\n(.*?)-->", re.DOTALL)
+_CODE = re.compile(
+    r"```.*?```|^(?:    [^\n]*\n)+|`[^`\n]*`|\]\([^)]*\)|<!--.*?-->|https?://\S+", re.DOTALL | re.MULTILINE
+)
+_NUMBER = re.compile(
+    r"(?<![\w.^])(?:(?<![\w)]-)(?<![\w)])[+-])?(?:\d{1,3}(?:,\d{3})+|\d+)(?:\.\d+)?(?:e[+-]?\d+)?(?!\w|\.\d)"
+)
+_FACTOR = r"(?:([-\d.e/*() ]+?) \* )?"
+_FIGURE = re.compile(_FACTOR + r"(\w+)\.(\w+)")
+_TEST = re.compile(_FACTOR + r"(test_\w+\.py)::(\w+)")
+
+
+Runs = Callable[[str], dict[str, float]]  # figures of a scenario by its name
+
+
+@dataclass(frozen=True)
+class Tie:
+    """A number of a page as it is written, and what is said of its source."""
+
+    number: str
+    source: str = ""
+
+    @property
+    def value(self) -> float:
+        """The number itself."""
+        return float(self.number.replace(",", ""))
+
+    @property
+    def half(self) -> float:
+        """Half a unit of its last digit."""
+        mantissa, _, exponent = self.number.partition("e")
+        return 0.5 * 10.0 ** (int(exponent or 0) - len(mantissa.partition(".")[2]))
+
+    def near(self, value: float, slack: float = 0.0) -> bool:
+        """Whether it is `value` as far as it is rounded."""
+        return math.isfinite(value) and abs(value - self.value) <= self.half * (1.0 + 1e-6) + slack
+
+    def is_one_of(self, values: Iterable[float]) -> bool:
+        """Whether it is exactly one of some numbers, but for the sign."""
+        return any(math.isclose(abs(self.value), abs(x), rel_tol=1e-12) for x in values)
+
+
+def faults(page: str, tests: Path, run: Runs | None = None) -> Iterator[str]:
+    """Say which numbers of a page have no source, which are wrong, and which sources have no number any more.
+
+    Parameters
+    ----------
+    page : str
+    tests : Path
+        Where the test files are.
+    run : callable, optional
+        Gives the figures of a scenario by a run; without it, those that the page or the scenario states.
+    """
+    known = [Tie(n).value for part in _GENERATED.finditer(page) if part[1] != "measured" for n in _in(part[0])]
+    table = _measured(page)
+    for heading, section in _sections(page):
+        ties = list(_ties(section))
+        written = list(dict.fromkeys(_in(_CODE.sub(" ", _COMMENT.sub("", _GENERATED.sub("", section))))))
+        tied = {tie.number for tie in ties}
+        for number in written:
+            if digits(number) >= DIGITS and number not in tied and not Tie(number).is_one_of(known):
+                yield f"{heading}: {number} has no source"
+        for tie in ties:
+            if not _NUMBER.fullmatch(tie.number):
+                yield f"{heading}: {tie.number!r} is no number"
+            elif tie.number not in written:
+                yield f"{heading}: {tie.number} is not in this section"
+            elif problem := _wrong(tie, table, tests, run):
+                yield f"{heading}: {tie.number}: {problem}"
+
+
+def digits(number: str) -> int:
+    """Give the significant digits of a number as written; zeros at the end of a whole number are none."""
+    mantissa = number.partition("e")[0].lstrip("+-").replace(",", "")
+    plain = mantissa.replace(".", "").lstrip("0")
+    return len(plain if "." in mantissa else plain.rstrip("0"))
+
+
+def _in(text: str) -> Iterator[str]:
+    return (found[0] for found in _NUMBER.finditer(text))
+
+
+def _sections(page: str) -> Iterator[tuple[str, str]]:
+    starts = [m.start() for m in re.finditer(r"^#+ ", page, re.MULTILINE)] or [0]
+    for start, end in zip(starts, [*starts[1:], len(page)], strict=True):
+        yield page[start:end].partition("\n")[0].lstrip("# "), page[start:end]
+
+
+def _ties(section: str) -> Iterator[Tie]:
+    for comment in _COMMENT.finditer(section):
+        for line in filter(None, map(str.strip, comment[1].splitlines())):
+            numbers, _, source = line.partition(": ")
+            yield from (Tie(number, source.strip()) for number in numbers.split(", "))
+
+
+def _measured(page: str) -> dict[tuple[str, str], float]:
+    """Read the measured tables of a page: (scenario, figure) to value."""
+    found: dict[tuple[str, str], float] = {}
+    for part in re.finditer(r"<!-- measured: ([^>]*?) of [^>]*? -->\n(.*?)<!-- end -->", page, re.DOTALL):
+        for row in re.findall(r"^\| `(\w+)` (.*)\|$", part[2], re.MULTILINE):
+            cells = [cell.strip() for cell in row[1].split(" | ")][-len(part[1].split()) :]
+            for figure, cell in zip(part[1].split(), cells, strict=True):
+                if cell.strip("| ") not in ("", "never"):
+                    found[row[0], figure] = float(cell.split()[0])
+    return found
+
+
+def _wrong(tie: Tie, table: dict[tuple[str, str], float], tests: Path, run: Runs | None) -> str:
+    """Say what is wrong with a number, or nothing."""
+    try:
+        return _differs(tie, table, tests, run)
+    except (ArithmeticError, NameError, SyntaxError, TypeError, ValueError) as error:
+        return f"{tie.source}: {error}"
+
+
+def _differs(tie: Tie, table: dict[tuple[str, str], float], tests: Path, run: Runs | None) -> str:
+    kind, _, rest = tie.source.partition(" ")
+    if kind in ("paper", "bench") and rest:
+        return ""
+    if kind == "=":
+        return "" if tie.near(_computed(rest)) else f"{rest} is {_computed(rest):g}"
+    if kind == "scenario":
+        return "" if tie.is_one_of(_values(load_scenario(rest).model_dump())) else f"does not stand in scenario {rest}"
+    if found := _TEST.fullmatch(tie.source):
+        held = (_computed(found[1] or "1") * x for x in _literals(tests / found[2], found[3]))
+        return "" if any(tie.near(x) or tie.near(-x) for x in held) else f"does not stand in {tie.source}"
+    if found := _FIGURE.fullmatch(tie.source):
+        return _unlike(tie, _computed(found[1] or "1"), (found[2], found[3]), table, run)
+    return f"source {tie.source!r}: expected {FORMS}"
+
+
+def _unlike(
+    tie: Tie, factor: float, what: tuple[str, str], table: dict[tuple[str, str], float], run: Runs | None
+) -> str:
+    """Say how a number differs from the figure of a scenario or of a study, or nothing."""
+    name, figure = what
+    if name in list_studies():
+        expect, figures = load_study(name).expect, set(load_study(name).expect)
+        run = None  # hundreds of runs: what it expects is held by `softrig study`
+    elif name in list_scenarios():
+        expect, figures = load_scenario(name).expect, set(load_scenario(name).figures)
+    else:
+        return f"no scenario or study {name}"
+    if figure not in figures:
+        return f"{name} has no figure {figure}"
+    if run is not None:
+        value = factor * run(name)[figure]
+        return "" if tie.near(value) else f"a run gives {value:.6g}"
+    if what in table:
+        value = factor * table[what]
+        return "" if tie.near(value, 5e-5 * abs(value)) else f"the table has {value:.6g}"  # of five digits
+    expected = expect.get(figure)
+    grid = (tie.value + share * tie.half for share in (-1.0, -0.5, 0.0, 0.5, 1.0))  # what it may be rounded from
+    return "" if expected is None or any(expected.holds(x / factor) for x in grid) else f"{name} expects {expected}"
+
+
+def _computed(expression: str) -> float:
+    names = {k: v for k, v in vars(math).items() if not k.startswith("_")}
+    return float(eval(expression, {"__builtins__": {}}, names))
+
+
+def _values(given: Any) -> Iterator[float]:
+    """All numbers in nested data."""
+    if isinstance(given, dict):
+        given = list(given.values())
+    if isinstance(given, list | tuple):
+        for item in given:
+            yield from _values(item)
+    elif isinstance(given, int | float):
+        yield float(given)
+
+
+def _literals(file: Path, name: str) -> Iterator[float]:
+    """All numbers in a function of a test file and in its decorators, or in what is assigned to a name there."""
+    tree = ast.parse(file.read_text(encoding="utf-8") if file.exists() else "")
+    for node in tree.body:
+        targets = [n.id for n in getattr(node, "targets", []) if isinstance(n, ast.Name)]
+        if getattr(node, "name", None) == name or name in targets:
+            yield from _values([n.value for n in ast.walk(node) if isinstance(n, ast.Constant)])
