@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import differences, in_process, make_scenario
-from faultrig import Planner
+from faultrig import Planner, Unreadable, unreadable
 from simulated import SimulatedRig, World
 from softrig_core.errors import RunError
 from softrig_core.model.solver import Solver
@@ -161,11 +161,6 @@ def test_worker_ends_with_its_owner_and_with_the_process_that_started_it():
         time.sleep(0.02)
 
 
-class Unreadable:
-    def __reduce__(self):
-        return int, ("no number",)
-
-
 def test_a_request_that_cannot_be_read_fails_and_the_next_is_worked_on():
     worker = Worker(Planner.solve)
     worker.submit(Unreadable())
@@ -175,6 +170,15 @@ def test_a_request_that_cannot_be_read_fails_and_the_next_is_worked_on():
     worker.submit((1, 0.0, 1.0, 0.0, ""))
     assert worker.wait(60.0)
     assert (worker.state, worker.answer) == ("done", 1.5)
+    worker.cancel()
+
+
+def test_an_answer_that_cannot_be_read_is_a_failure():
+    worker = Worker(unreadable)
+    worker.submit(None)
+    assert worker.wait(60.0)
+    assert worker.state == "failed"
+    assert worker.error.startswith("its answer cannot be read: ValueError: invalid literal for int()")
     worker.cancel()
 
 

@@ -327,6 +327,17 @@ class Planner(Solver[PlannerParams]):
         return {"inner": (result.answer,), "plan": (result.stamp * 1e-9, float(result.repeatable))}
 
 
+class Unreadable:
+    """Cannot be made anew in another process."""
+
+    def __reduce__(self):
+        return int, ("no number",)
+
+
+def unreadable(request, work):
+    return Unreadable()
+
+
 plant = executable(Lag)
 planner = executable(Planner)
 source = executable(Source)

@@ -163,23 +163,25 @@ def _listen(owner: weakref.ref[Worker], process: subprocess.Popen[bytes], pipe: 
         if worker is not None:
             worker._heard(process, kind, content)
 
-    try:
-        while True:
-            tell(*_receive(pipe))
-    except (EOFError, OSError, ValueError):  # ValueError: the pipe was closed under the reader
-        code = process.wait()
-        how = f"was killed by {signal.Signals(-code).name}" if code < 0 else f"ended with status {code}"
-        tell("failed", f"the process that works {how}")
+    while True:
+        try:
+            data = _read(pipe)
+        except (EOFError, OSError, ValueError):  # ValueError: the pipe was closed under the reader
+            code = process.wait()
+            how = f"was killed by {signal.Signals(-code).name}" if code < 0 else f"ended with status {code}"
+            tell("failed", f"the process that works {how}")
+            return
+        try:
+            kind, content = pickle.loads(data)
+        except Exception as error:  # whatever an object raises that is made anew here
+            kind, content = "failed", f"its answer cannot be read: {type(error).__name__}: {error}"
+        tell(kind, content)
 
 
 def _send(pipe: IO[bytes], content: Any) -> None:
     data = pickle.dumps(content, pickle.HIGHEST_PROTOCOL)
     pipe.write(LENGTH.pack(len(data)) + data)
     pipe.flush()
-
-
-def _receive(pipe: IO[bytes]) -> Any:
-    return pickle.loads(_read(pipe))
 
 
 def _read(pipe: IO[bytes]) -> bytes:
@@ -196,7 +198,7 @@ def main() -> None:
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
     os.dup2(2, 1)  # a solver that prints must not break the pickles
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the caller's; it ends us
-    parent, path, module, name = _receive(incoming)
+    parent, path, module, name = pickle.loads(_read(incoming))
     pr_set_pdeathsig = 1
     ctypes.CDLL(None).prctl(pr_set_pdeathsig, signal.SIGKILL)
     if os.getppid() != parent:
