@@ -32,8 +32,8 @@ def short(name):
     return Rig.from_scenario(rig.scenario.changed(duration=duration))
 
 
-def relay(rig, member, expected, reads, realtime=False):
-    """What `relay.py` is to do in place of a member that reads some of its topics."""
+def relay(rig, member, expected, reads, names, realtime=False):
+    """What `relay.py` is to do in place of a member, one of some names, that reads some of its topics."""
     calls = min(reads, key=lambda p: member.links[p.name].source.schedule.every, default=None)
     caller = rig.clock if calls is None else member.links[calls.name].source
     topics = [CLOCK]
@@ -50,8 +50,9 @@ def relay(rig, member, expected, reads, realtime=False):
         "ticks": [schedule.time(k) for k in range(schedule.count())],
         "by_order": calls is not None and (calls.delayed or not calls.stamped),
         "outputs": [
-            {"topic": p.topic, "type": p.msgtype, "readers": len(rig.readers(member, p)), "stamped": p.stamped,
-             "times": expected.topics[p.topic].times, "data": [bytes(d).hex() for d in expected.topics[p.topic].data]}
+            {"topic": p.topic, "type": p.msgtype, "stamped": p.stamped, "times": expected.topics[p.topic].times,
+             "readers": sum(m.name not in names for m, _ in rig.readers(member, p)),
+             "data": [bytes(d).hex() for d in expected.topics[p.topic].data]}
             for p in member.outputs
         ],
         "reads": topics,
@@ -68,7 +69,7 @@ def with_outside(rig, names, directory, seed=0, realtime=False):
         fastest = min(linked, key=lambda p: member.links[p.name].source.schedule.every, default=None)
         reads = [p for p in linked if p is fastest or rng.random() < 0.5]
         about = directory / f"{member.name}.relay.json"
-        about.write_text(json.dumps(relay(rig, member, expected, reads, realtime)))
+        about.write_text(json.dumps(relay(rig, member, expected, reads, names, realtime)))
         commands.append([sys.executable, str(Path(__file__).with_name("relay.py")), str(about)])
     nodes = {n: e.model_copy(update={"external": True} if n in names else {}) for n, e in rig.scenario.nodes.items()}
     ours = Rig.from_scenario(rig.scenario.model_copy(update={"nodes": nodes, "timeout": 60.0}))

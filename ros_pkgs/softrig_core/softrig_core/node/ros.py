@@ -5,8 +5,10 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Any
+from functools import wraps
+from typing import Any, ParamSpec
 
+import rclpy
 from rcl_interfaces.msg import SetParametersResult
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy._rclpy_pybind11 import RCLError
@@ -49,6 +51,29 @@ class ServingNode(Node):  # type: ignore[misc]
         return super().create_service(srv_type, srv_name, answer, **options)
 
 
+Arguments = ParamSpec("Arguments")
+
+
+def quiet_after_shutdown(callback: Callable[Arguments, None]) -> Callable[Arguments, None]:
+    """Let a callback end without a word in which a signal has shut the context down; the executor would log its stack.
+
+    Parameters
+    ----------
+    callback : callable
+        Of a timer or a subscription; it may publish.
+    """
+
+    @wraps(callback)  # rclpy asks for the signature
+    def call(*data: Arguments.args, **named: Arguments.kwargs) -> None:
+        try:
+            callback(*data, **named)
+        except RCLError:
+            if rclpy.ok():
+                raise
+
+    return call
+
+
 class _RosTimer:
     def __init__(self, timer: Any) -> None:
         self._timer = timer
@@ -86,11 +111,13 @@ class RosMiddleware(Middleware):
     def subscribe(self, topic: str, msgtype: str, receive: Receive, matched: Matched) -> None:
         """Read the bytes of a topic."""
         events = SubscriptionEventCallbacks(matched=lambda status: matched(status.current_count))
-        self.node.create_subscription(message_class(msgtype), topic, receive, QOS, raw=True, event_callbacks=events)
+        take = quiet_after_shutdown(receive)
+        self.node.create_subscription(message_class(msgtype), topic, take, QOS, raw=True, event_callbacks=events)
 
     def timer(self, ns: int, callback: Callable[[], None]) -> _RosTimer:
         """Call back every `ns`."""
-        return _RosTimer(self.node.create_timer(ns / 1e9, callback, clock=self._steady))
+        fire = quiet_after_shutdown(callback)
+        return _RosTimer(self.node.create_timer(ns / 1e9, fire, clock=self._steady))
 
     def now(self) -> int:
         """Wall-clock time in ns."""
