@@ -707,6 +707,18 @@ def test_split_by_size(tmp_path, storage):
 
 
 @pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
+def test_a_split_size_below_the_head_of_a_file_does_not_make_a_file_of_each_message(tmp_path, storage):
+    writer = BagWriter(tmp_path / "bag", storage=storage, split_bytes=2_000)
+    number = writer.add_topic(BagTopic.known("/x", STATE))
+    for k in range(400):
+        writer.write(number, k, bytes(100))
+    writer.close()
+    files = len(list((tmp_path / "bag").glob("bag_*")))
+    assert 20 <= files <= 45  # 40,000 bytes and what a message costs beside
+    assert read_bag(tmp_path / "bag").topics["x"].times == list(range(400))
+
+
+@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
 def test_split_bags_are_read_and_repaired(tmp_path, storage):
     source = recording(ticks=12_000)
     writer = BagWriter(tmp_path / "bag", storage=storage, split_ns=5_000_000_000)

@@ -124,6 +124,7 @@ class BagWriter:
         self._file = file
         self._files.append(file)
         self._started: int | None = None
+        self._head = 0
         self._open = True
 
     def add_topic(self, topic: BagTopic) -> int:
@@ -143,12 +144,12 @@ class BagWriter:
         self._file.write(number, t, data)
 
     def _split(self, t: int) -> None:
-        if self._started is None:
-            self._started = t
-        due = self._split_ns and t - self._started >= self._split_ns
-        if due or (self._split_bytes and self._file.size >= self._split_bytes):
-            self.next_file()
-            self._started = t
+        if self._started is not None:
+            due = self._split_ns and t - self._started >= self._split_ns
+            if due or (self._split_bytes and self._file.size - self._head >= self._split_bytes):
+                self.next_file()
+        if self._started is None:  # what stands before the first message counts for none
+            self._started, self._head = t, self._file.size
 
     def next_file(self) -> None:
         """Close the file and go on in a new one."""
