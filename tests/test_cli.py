@@ -13,6 +13,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from softrig_bags.reader import BagReader
 from softrig_bringup.cli import _parser, main
 from softrig_bringup.run import _checkout, gaps
 from softrig_bringup.run_verb import _announce, _folder_name, repeat
@@ -43,6 +44,8 @@ plots:
 variants:
   misses:
     expect: {last: 9.0}
+  watched:
+    nodes: {watcher: {package: faultrig, executable: watcher}}
   typo:
     figures: {last: {function: finalvalue}}
   plot_typo:
@@ -80,6 +83,23 @@ def test_a_run_leaves_bag_metrics_plots_and_report(folder, capsys):
     printed = capsys.readouterr().out
     assert "last" in printed
     assert "pass" in printed
+
+
+def test_the_last_figures_of_an_observer_stand_in_metrics_and_bag(folder):
+    assert run("lag_watched", "--mode", "inprocess", "--no-plots", "--out", "seen") == 0
+    figures = {"seen": [101.0, ""]}
+    assert json.loads((folder / "seen" / "metrics.json").read_text())["nodes"]["watcher"]["figures"] == figures
+    with BagReader(folder / "seen" / "bag") as bag:
+        assert json.loads(bag.custom_data["observed"]) == {"watcher": figures}
+
+
+@pytest.mark.processes
+def test_a_run_whose_outside_node_never_comes_scores_nothing(folder, capsys):
+    assert run("lag", "--external", "gain", "--realtime", "--wait", "1", "--no-plots", "--out", "alone") == 3
+    content = json.loads((folder / "alone" / "metrics.json").read_text())
+    assert "not all peers after 1 s" in content["error"]
+    assert (content["metrics"], content["ticks"]) == ([], 0)
+    assert "pass" not in capsys.readouterr().out
 
 
 def test_exit_status_tells_a_miss_from_a_mistake_from_a_break(folder, capsys):
