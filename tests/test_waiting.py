@@ -1,0 +1,130 @@
+"""A rig waits for outside nodes as long as it takes, and no clock but the steady one decides; over simulated nodes."""
+
+import random
+import time
+from types import SimpleNamespace
+
+import pytest
+import rclpy
+from conftest import differences, in_process, make_scenario
+from faultrig import COMMAND, Gain
+from rclpy._rclpy_pybind11 import RCLError
+from simulated import Discovery, SimulatedNode, SimulatedRig, World
+from simulated_outside import SimulatedOutside
+from softrig_core.node.realtime import Realtime
+from softrig_core.node.ros import RosMiddleware, quiet_after_shutdown
+from softrig_core.rig.options import RunOptions
+from softrig_core.rig.rig import Rig
+from softrig_core.rig.scenario import load_scenario
+from test_discovery import rig_and_record, with_guests
+
+MS, SECOND = 1_000_000, 1_000_000_000
+HOUR = 3600 * SECOND
+
+
+def lacking(run):
+    return sorted({topic for adapter in run.adapters.values() for topic in adapter.lacking})
+
+
+def waiting(mode, seconds):
+    """A rig without its controller, which is outside, for some time."""
+    world = World()
+    Discovery(world, random.Random(0))
+    run = SimulatedRig(with_guests("basic", ("gain",)), world, mode, departs=True, start_timeout=0.0)
+    run.run(seconds)
+    assert {a.state for a in run.adapters.values()} == {"starting"}
+    assert lacking(run) == ["lag/command"]
+    assert {(a.t, a.ticks, a.epoch) for a in run.adapters.values()} == {(0, 0, 0)}
+    return run
+
+
+def test_in_lockstep_a_controller_may_come_after_minutes_and_nothing_is_lost():
+    run = waiting("lockstep", 120.0)
+    ours, expected = rig_and_record("basic")
+    gain = next(m for m in ours.members if m.name == "gain")
+    SimulatedOutside(ours, gain, expected, run.world, list(gain.inputs))
+    assert set(run.run(100.0).values()) == {"done"}
+    assert lacking(run) == []
+    assert [t for t in differences(expected, run.recording) if t != "lag/command"] == []
+
+
+def test_in_real_time_the_start_is_after_the_controller_has_come():
+    run = waiting("realtime", 120.0)
+    world, came = run.world, run.world.now
+    node = SimulatedNode(world, "somebody", {})
+    for port in Gain.INPUTS:
+        node.subscribe(port.topic, port.msgtype, lambda data: None, lambda count: None)
+    node.publisher(COMMAND.topic, COMMAND.msgtype, lambda count: None)
+    world.run(world.now + 10 * SECOND, lambda: all(a.state == "running" for a in run.adapters.values()))
+    (epoch,) = {a.epoch for a in run.adapters.values()}
+    assert came < epoch < world.now + SECOND
+    assert lacking(run) == []
+
+
+def test_a_topic_of_an_outside_node_is_not_remapped_by_who_looks_for_it():
+    """The metrics of this rig read `motor/applied` of the plant in place of `motor/command`."""
+    scenario = load_scenario("dc_motor_smc_b2")
+    nodes = {n: e.model_copy(update={"external": n == "dc_motor_smc"}) for n, e in scenario.nodes.items()}
+    assert nodes["dc_motor_metrics"].remap["motor/command"] == "motor/applied"
+    world = World()
+    run = SimulatedRig(Rig.from_scenario(scenario.model_copy(update={"nodes": nodes})), world, "lockstep",
+                       start_timeout=0.0)  # fmt: skip
+    run.run(100.0)
+    assert {a.state for a in run.adapters.values()} == {"starting"}
+    assert {tuple(a.lacking) for a in run.adapters.values()} == {("motor/command",)}
+
+
+def test_a_node_by_hand_does_not_take_a_stamp_from_the_future_for_the_beginning():
+    world = World()
+    node = SimulatedNode(world, "gain", {})
+    gain, sent = Realtime(node, Gain(), RunOptions(mode="realtime")), []
+    SimulatedNode(world, "plant", {}).subscribe(COMMAND.topic, COMMAND.msgtype, sent.append, lambda count: None)
+    world.match()
+
+    def say(stamp):
+        for reader in [r for r in world.readers if r.node is node and r.topic != "/softrig/tick"]:
+            port = next((p for p in Gain.INPUTS if f"/{p.topic}" == reader.topic), None)
+            if port is not None:
+                reader.receive(port.layout().encode(stamp, (1.0,) * port.size))
+
+    first = gain.schedule.held(world.now)
+    for k, off in enumerate((HOUR, -HOUR, 0, 0, 0)):
+        world.run(first + k * 10 * MS)
+        say(first + k * 10 * MS + off)
+    world.run(first + 100 * MS)
+    assert [i.refused for i in gain.inputs] == [2, 2]
+    assert (gain.ticks, len(sent)) == (3, 3)
+    assert gain.epoch == first + 20 * MS
+
+
+def test_a_system_clock_that_jumps_decides_nothing_in_lockstep(monkeypatch):
+    rng = random.Random(0)
+    monkeypatch.setattr(SimulatedNode, "now", lambda self: self.world.now + rng.randrange(-HOUR, HOUR))
+    rig = Rig.from_scenario(make_scenario({"plant": "plant", "source": "source", "gain": "gain"}, 0.2))
+    run = SimulatedRig(rig, World(), "lockstep")
+    assert set(run.run().values()) == {"done"}
+    assert differences(in_process(rig), run.recording) == []
+
+
+def test_the_wall_clock_of_a_node_goes_on_steadily_whatever_the_system_clock_does(monkeypatch):
+    ros = RosMiddleware(SimpleNamespace(get_name=lambda: "a", get_fully_qualified_name=lambda: "/a"))
+    before = ros.now()
+    assert abs(before - time.time_ns()) < HOUR
+    monkeypatch.setattr(time, "time_ns", lambda: 0)
+    monkeypatch.setattr(time, "time", lambda: 0.0)
+    assert 0 <= ros.now() - before < HOUR
+
+
+@pytest.mark.parametrize("ok", [True, False])
+def test_a_publish_after_the_shutdown_of_the_context_is_no_error(ok, monkeypatch):
+    """It happens between a signal and the end of the callback under way; the executor would log a stack."""
+
+    def publish(data):
+        raise RCLError("publisher's context is invalid")
+
+    monkeypatch.setattr(rclpy, "ok", lambda: ok)
+    if ok:
+        with pytest.raises(RCLError):
+            quiet_after_shutdown(publish)(b"")
+    else:
+        assert quiet_after_shutdown(publish)(b"") is None
