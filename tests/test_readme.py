@@ -52,7 +52,7 @@ def test_every_command_of_the_readme_exists():
             assert find_executable(*rest.split()[:2])
     for package, executable in re.findall(r"ros2 run (\w+) (\w+)", README):
         assert find_executable(package, executable)
-    for path in re.findall(r"\]\((\S+?)\)", README):
+    for path in [*re.findall(r"\]\((\S+?)\)", README), *re.findall(r'src="(.+?)"', README)]:
         assert path.startswith("http") or (ROOT / path).exists(), path
 
 

@@ -7,11 +7,11 @@ A page holds pairs of markers; what stands between them is made from the code an
                                                                     what was measured anew only with --runs
     <!-- scenarios: dc_motor_smc -->                                scenarios, by beginning of their names
     <!-- sources: dc_motor_smc -->                                  papers that these scenarios cite, with BibTeX
-    <!-- verdicts: all -->                                          claims of each system by their verdicts
     <!-- picture: dc_motor_smc_b2 1 -->                             plot entry of a scenario; anew only with --runs
     <!-- measured: v_min v_max of rectifier_mpc rectifier_mpc_n2 --> figures of these scenarios; anew only with --runs
     <!-- end -->
 
+and, within a line, ``<!-- verdicts: dc_motor -->``, how many claims of a system have which verdict.
 Numbers in the text that people write have their sources too, see `numbers`.
 """
 
@@ -38,8 +38,9 @@ from .citations import cited, listed
 from .page_pictures import draw, picture
 from .study.definition import list_studies, load_study
 
-_KINDS = "nodes|claims|scenarios|sources|verdicts|picture|measured"
+_KINDS = "nodes|claims|scenarios|sources|picture|measured"
 _PART = re.compile(rf"(<!-- ({_KINDS}): ([^>]*?) -->\n).*?(<!-- end -->)", re.DOTALL)
+_VERDICTS = re.compile(r"(<!-- verdicts: ([^>]*?) -->)[^\n]*?(<!-- end -->)")
 
 
 def generate(page: str, runs: bool = False) -> str:
@@ -52,12 +53,11 @@ def generate(page: str, runs: bool = False) -> str:
         made: dict[str, Callable[[], str]] = {
             "nodes": lambda: nodes(first, words), "claims": lambda: claims([first, *words], None if runs else found[0]),
             "scenarios": lambda: scenarios([first, *words]), "sources": lambda: sources([first, *words]),
-            "verdicts": verdicts, "measured": lambda: measured(found[3]),
-            "picture": lambda: picture(first, int(words[0])),
+            "picture": lambda: picture(first, int(words[0])), "measured": lambda: measured(found[3]),
         }  # fmt: skip
         return f"{found[1]}\n{made[found[2]]()}\n\n{found[4]}"
 
-    return _PART.sub(part, page)
+    return _VERDICTS.sub(lambda found: f"{found[1]}{verdicts(found[2])}{found[3]}", _PART.sub(part, page))
 
 
 def nodes(package: str, executables: Sequence[str]) -> str:
@@ -141,21 +141,13 @@ def sources(prefixes: Sequence[str]) -> str:
     return "\n".join([*listed(found), "", "```bibtex", "\n\n".join(c.bibtex for c in found), "```"])
 
 
-def verdicts() -> str:
-    """How many claims of each system have which verdict."""
-    counts: dict[str, Counter[str]] = {}
-    for name in sorted(list_scenarios()):
-        scenario = load_scenario(name)
-        counts.setdefault(scenario.system, Counter()).update(c.verdict for c in scenario.claims.values())
-    for name in list_studies():
-        study = load_study(name)
-        counts[load_scenario(study.scenario).system].update(c.verdict for c in study.claims.values())
-    lines = ["| system | " + " | ".join(v.replace("_", " ") for v in VERDICTS) + " |", "|---" * 6 + "|"]
-    lines += [
-        f"| {system} | " + " | ".join(str(found[v] or "") for v in VERDICTS) + " |"
-        for system, found in sorted(counts.items()) if found
-    ]  # fmt: skip
-    return "\n".join(lines)
+def verdicts(system: str) -> str:
+    """How many claims of a system have which verdict."""
+    claims = [c for n in list_scenarios() if (s := load_scenario(n)).system == system for c in s.claims.values()]
+    studies = [load_study(name) for name in list_studies()]
+    claims += [c for s in studies if load_scenario(s.scenario).system == system for c in s.claims.values()]
+    counts = Counter(c.verdict for c in claims)
+    return ", ".join(f"{counts[v]} {v.replace('_', ' ')}" for v in VERDICTS if counts[v])
 
 
 @cache
