@@ -103,6 +103,7 @@ class Adapter:
             output.send, output.send_any = middleware.sender(
                 output.port.topic, output.layout, output.bound, output.matched
             )
+        self._send_row = middleware.together([o.send for o in self.outputs])
         middleware.timer(WATCH_PERIOD, self._watch)
 
     def _open_record(self, sink: Sink | None) -> None:
@@ -198,13 +199,18 @@ class Adapter:
         All messages go out in one burst: a reader that wakes for the first finds the others already there, and
         recording takes place while it works. (Each wake-up between two messages costs as much as the law.)
         """
+        if not self.outputs and self._publish_tick is None and self._add_row is None:
+            return  # an observer
         numbers = self._numbers(found)
         if numbers is None:
             self._publish_each(t, stamp, found)
             return
         rows, flat = numbers
-        for output, values in zip(self.outputs, rows, strict=True):
-            output.send((output.said if output.numbered else stamp, values))
+        if self._numbered:
+            for output, values in zip(self.outputs, rows, strict=True):
+                output.send((output.said if output.numbered else stamp, values))
+        else:
+            self._send_row((stamp, rows))
         if self._publish_tick is not None:
             self._publish_tick(self._tick_bytes(stamp, (END,) if self.block.ended else ()))
         if self._add_row is not None:

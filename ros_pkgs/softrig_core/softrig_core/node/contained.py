@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from rclpy.node import Node
 
 from ..wire.cdr import Layout
-from .exchange import Exchange, ExchangeTimer
-from .middleware import Direct, Matched, Message, Receive, Send
+from .exchange import Exchange, ExchangeTimer, Writer
+from .middleware import Direct, Join, Matched, Message, Receive, Row, Send, SendRow
 from .ros import RosMiddleware
 
 
@@ -26,6 +26,7 @@ class ContainedMiddleware(RosMiddleware):
     def __init__(self, node: Node, exchange: Exchange) -> None:
         super().__init__(node)
         self._exchange = exchange
+        self._writers: dict[Send, Writer] = {}
 
     def publisher(self, topic: str, msgtype: str, matched: Matched) -> Callable[[bytes], None]:
         """Offer a topic; DDS carries it while somebody in another process reads it."""
@@ -46,7 +47,9 @@ class ContainedMiddleware(RosMiddleware):
         """Offer a topic; its messages become bytes only for who is outside, and for a closer look."""
         exchange = self._exchange
         writer = exchange.writer(self.resolve(topic), layout.msgtype, matched, layout, bound)
-        to_others = super().publisher(topic, layout.msgtype, lambda number: exchange.outside(writer, number))
+        writer.to_others = to_others = super().publisher(
+            topic, layout.msgtype, lambda number: exchange.outside(writer, number)
+        )
         post, calls, byte_calls, encode = exchange.poster(), writer.calls, writer.byte_calls, layout.encode
         carry = exchange.carry
 
@@ -62,7 +65,25 @@ class ContainedMiddleware(RosMiddleware):
             if writer.outside:
                 carry(to_others, data)
 
+        self._writers[send] = writer
         return send, send_any
+
+    def together(self, sends: Sequence[Send]) -> SendRow:
+        """Publish several messages at once: each node here that reads some of them is called once."""
+        bundle = self._exchange.bundle([self._writers[send] for send in sends])
+        post, calls, abroad, carry = self._exchange.poster(), bundle.calls, bundle.abroad, self._exchange.carry
+
+        def send_row(row: Row) -> None:
+            if calls:
+                post((calls, row))
+            for k, to_others, encode in abroad:
+                carry(to_others, encode(row[0], row[1][k]))
+
+        return send_row
+
+    def join(self, join: Join) -> None:
+        """Take what a node here says together by one call."""
+        self._exchange.join(self.name, join)
 
     def subscribe(self, topic: str, msgtype: str, receive: Receive, matched: Matched) -> None:
         """Read a topic from both sides, as bytes."""

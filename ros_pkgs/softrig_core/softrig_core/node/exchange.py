@@ -15,7 +15,7 @@ from itertools import count
 from typing import Any
 
 from ..wire.cdr import Layout
-from .middleware import Direct, Matched, Message, Receive, Send
+from .middleware import Direct, Join, Matched, Message, Receive, Row, Send, SendRow
 
 BATCH = 16  # messages between two looks at the time
 BURST = 8  # messages for other processes that go out together: to wake a reader costs four times as much as to send
@@ -23,7 +23,7 @@ SLACK = 150_000  # ns to the next timer from which on they go out at once
 SLICE = 5_000_000  # ns: how long messages may keep a timer waiting
 
 
-class _Writer:
+class Writer:
     """Who writes a topic, and how its messages reach the readers in this process."""
 
     def __init__(self, matched: Matched, layout: Layout | None, bound: float) -> None:
@@ -33,6 +33,17 @@ class _Writer:
         self.outside = 0  # readers in other processes that are matched
         self.calls: list[Send] = []
         self.byte_calls: list[Receive] = []
+        self.nodes: list[str] = []  # whose calls they are
+        self.to_others: Receive | None = None  # publishes bytes to other processes
+
+
+class Bundle:
+    """Writers of one node that say something at each of its ticks, all at once."""
+
+    def __init__(self, writers: Sequence[Writer]) -> None:
+        self.writers = writers
+        self.calls: list[SendRow] = []  # one for each node here that reads some of it
+        self.abroad: list[tuple[int, Receive, Callable[..., bytes]]] = []  # what somebody in another process reads
 
 
 class _Reader:
@@ -46,14 +57,14 @@ class _Reader:
         self.outside = 0  # writers in other processes that are matched
 
 
-End = _Writer | _Reader
+End = Writer | _Reader
 
 
 class _Channel:
     """One topic of one message type."""
 
     def __init__(self) -> None:
-        self.writers: list[_Writer] = []
+        self.writers: list[Writer] = []
         self.readers: list[_Reader] = []
 
 
@@ -94,6 +105,8 @@ class Exchange:
     def __init__(self) -> None:
         self._queue: deque[tuple[Sequence[Callable[[Any], None]], Any]] = deque()
         self._channels: dict[tuple[str, str], _Channel] = {}
+        self._bundles: list[Bundle] = []
+        self._joins: dict[str, Join] = {}  # by node
         self._timers: list[tuple[int, int, ExchangeTimer]] = []
         self._moved: list[ExchangeTimer] = []
         self._order = count()
@@ -106,10 +119,10 @@ class Exchange:
     # topics ----------------------------------------------------------------------------------------------------
 
     def writer(self, topic: str, msgtype: str, matched: Matched, layout: Layout | None = None,
-               bound: float = 0.0) -> _Writer:  # fmt: skip
+               bound: float = 0.0) -> Writer:  # fmt: skip
         """Add a writer, of bytes or also of messages that all have one layout."""
         channel = self._channel(topic, msgtype)
-        channel.writers.append(writer := _Writer(matched, layout, bound))
+        channel.writers.append(writer := Writer(matched, layout, bound))
         self._connect(channel)
         return writer
 
@@ -125,8 +138,23 @@ class Exchange:
     def outside(self, end: End, number: int) -> None:
         """Note how many ends in other processes are matched with one of ours."""
         end.outside = number
+        for bundle in self._bundles:
+            bundle.abroad[:] = [
+                (k, w.to_others, w.layout.encode) for k, w in enumerate(bundle.writers)
+                if w.outside and w.layout is not None and w.to_others is not None
+            ]  # fmt: skip
         self.listens = any(r.outside for c in self._channels.values() for r in c.readers)
         self._tell(next(c for c in self._channels.values() if end in c.writers or end in c.readers))
+
+    def bundle(self, writers: Sequence[Writer]) -> Bundle:
+        """Have writers say something together: whoever reads several of them gets it by one call."""
+        self._bundles.append(bundle := Bundle(writers))
+        self._bind(bundle)
+        return bundle
+
+    def join(self, node: str, join: Join) -> None:
+        """Note how a node takes by one call what another one says together."""
+        self._joins[node] = join
 
     def _channel(self, topic: str, msgtype: str) -> _Channel:
         return self._channels.setdefault((topic, msgtype), _Channel())
@@ -135,9 +163,22 @@ class Exchange:
         """Work out how what each writer sends reaches each reader."""
         for writer in channel.writers:
             writer.byte_calls[:] = [reader.receive for reader in channel.readers]
+            writer.nodes[:] = [reader.node for reader in channel.readers]
             if writer.layout is not None:
                 writer.calls[:] = [self._call(writer.layout, writer.bound, reader) for reader in channel.readers]
+        for bundle in self._bundles:
+            if any(writer in bundle.writers for writer in channel.writers):
+                self._bind(bundle)
         self._tell(channel)
+
+    def _bind(self, bundle: Bundle) -> None:
+        """Work out who gets what of a bundle."""
+        parts: dict[str, list[tuple[int, Send]]] = {}
+        for k, writer in enumerate(bundle.writers):
+            for node, call in zip(writer.nodes, writer.calls, strict=True):
+                parts.setdefault(node, []).append((k, call))
+        bundle.calls[:] = [self._joins.get(node, one_by_one)(found) for node, found in parts.items()]
+        self._owners |= dict(zip(bundle.calls, parts, strict=True))
 
     def _call(self, layout: Layout, bound: float, reader: _Reader) -> Send:
         call = None if reader.direct is None else reader.direct(layout, bound)
@@ -215,14 +256,20 @@ class Exchange:
                         continue
                 if due - t > awake:
                     return due - t
-                limit = min(due, until)
-                while now() < limit:
-                    pass
+                self._wait(limit := min(due, until))
+                if limit == due:
+                    self._fire()
             if queue:
                 self._drain(min(until, t + SLICE))
             if now() > until:
                 self.flush()
                 return 0
+
+    def _wait(self, limit: int) -> None:
+        """Stay awake until a time (ns, monotonic)."""
+        now = time.monotonic_ns
+        while now() < limit:
+            pass
 
     def _drain(self, until: int) -> None:
         """Hand over what is queued and what comes of it until nothing is left or `until` (ns, monotonic) has passed."""
@@ -263,3 +310,14 @@ class Exchange:
             raise
         if timer.due == due:  # it has not moved itself
             timer.again(timer.period)
+
+
+def one_by_one(parts: Sequence[tuple[int, Send]]) -> SendRow:
+    """Take what a node says together message by message; see `Join`."""
+
+    def take(row: Row) -> None:
+        stamp, messages = row
+        for k, call in parts:
+            call((stamp, messages[k]))
+
+    return take

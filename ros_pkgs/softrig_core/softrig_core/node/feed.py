@@ -30,6 +30,10 @@ class Feed:
         Wall-clock time at which it came.
     fresh : bool
         Whether something has come since the last answer.
+    recent : deque of (stamp, value)
+        The newest messages; those that no tick needs any more fall out when it is full.
+    holds : int
+        For ticks stamped before it what is due is there.
     """
 
     def __init__(self, item: Input, schedule: Schedule | None, awaited: bool) -> None:
@@ -43,7 +47,8 @@ class Feed:
         self.fresh = False
         self.bad: int | None = None  # stamp of a refused message
         self.interval = 0 if schedule is None else schedule.time(1)
-        self._recent: deque[tuple[int, Any]] = deque(maxlen=KEPT)
+        self.recent: deque[tuple[int, Any]] = deque(maxlen=KEPT)
+        self.holds = 0
 
     def put(self, stamp: int, value: Any, now: int) -> None:
         """Take a good message."""
@@ -56,7 +61,7 @@ class Feed:
             self.stamp = stamp
         self.arrived = now
         self.fresh = True
-        self._recent.append((stamp, value))
+        self.recent.append((stamp, value))
 
     def refuse(self, stamp: int, now: int) -> None:
         """Note a refused message: its tick need not wait for another."""
@@ -74,25 +79,21 @@ class Feed:
         if self.by_arrival:
             return self.fresh or self.interval > period
         if self.schedule is not None:
-            return self.stamp >= epoch + self.schedule.held(t)
+            there = self.stamp >= epoch + self.schedule.held(t)
+            if there and self.ready(epoch + t):
+                self.holds = epoch + self.schedule.next(t)
+            return there
         # by hand: a sender whose interval is not known yet is not waited for
         return self.interval == 0 or epoch + t - self.stamp < self.interval - 2 - period // 1000
 
     def ready(self, stamp: int) -> bool:
         """Whether there is a value for a tick stamped `stamp`."""
-        return bool(self._recent) and (self.by_arrival or self._recent[0][0] <= stamp)
+        return bool(self.recent) and (self.by_arrival or self.recent[0][0] <= stamp)
 
     def take(self, stamp: int) -> Any:
         """Give the value of a tick stamped `stamp`: the newest one not after it; None when there is none."""
         self.fresh = False
-        recent = self._recent
-        if recent and recent[-1][0] == stamp and not self.by_arrival:  # nearly always
-            value = recent[-1][1]
-            if len(recent) > 1:
-                recent.clear()
-                recent.append((stamp, value))
-            self.used = stamp
-            return value
+        recent = self.recent
         if self.by_arrival:
             stamp = max(stamp, self.stamp or 0)
         while len(recent) > 1 and recent[1][0] <= stamp:

@@ -6,7 +6,7 @@ behind it in `ros.RosMiddleware`; a test, a simulation or a container hands over
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple, Protocol
 
 from ..model.block import Level
@@ -19,6 +19,11 @@ Send = Callable[[Message], None]
 # A reader's way to take messages of a layout without bytes, if it has one; the second is what the magnitudes of all
 # values of such a message add up to at most.
 Direct = Callable[[Layout, float], "Send | None"]
+Row = tuple[int, tuple[tuple[float, ...], ...]]  # what a node says at a tick: stamp in ns, numbers of each message
+SendRow = Callable[[Row], None]
+# A node's way to take by one call what another one of its process says at a tick: given are the places in the row that
+# it reads and its functions for each of them.
+Join = Callable[[Sequence[tuple[int, Send]]], SendRow]
 
 
 class Peer(NamedTuple):
@@ -86,6 +91,20 @@ class Middleware(Protocol):
             publish(encode(*message))
 
         return send, send
+
+    def together(self, sends: Sequence[Send]) -> SendRow:
+        """Give what publishes one message by each of some functions that `sender` has given, all at one stamp."""
+
+        def send_row(row: Row) -> None:
+            stamp, messages = row
+            for send, values in zip(sends, messages, strict=True):
+                send((stamp, values))
+
+        return send_row
+
+    def join(self, join: Join) -> None:
+        """Let this node take by one call what a node of the same process says `together`, where that can be."""
+        return
 
     def listen(self, topic: str, msgtype: str, receive: Receive, direct: Direct | None, matched: Matched) -> None:
         """Read a topic; a message from the same process may come by `direct` instead of as bytes."""

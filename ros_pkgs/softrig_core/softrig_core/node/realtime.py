@@ -8,6 +8,7 @@ all of them that are due at its stamp are there, or, a stated part of its period
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from typing import Any
 
 from ..errors import RunError, describe
@@ -15,14 +16,14 @@ from ..model.block import Block, Level, Plant
 from ..model.port import Port, Refused, Sample
 from ..model.timebase import SECOND, to_ns
 from ..rig.options import RunOptions
-from ..wire.cdr import Layout
+from ..wire.cdr import Layout, Pick
 from ..wire.recording import Sink
 from .adapter import Adapter
 from .departure import Departure
 from .endpoint import Input
 from .feed import Feed
 from .health import percentiles
-from .middleware import Direct, Message, Middleware, Receive, Send
+from .middleware import Direct, Message, Middleware, Receive, Row, Send, SendRow
 from .start import Handshake
 from .tick import END, TICK, TickReader
 
@@ -38,6 +39,8 @@ class Realtime(Adapter):
 
     def __init__(self, middleware: Middleware, block: Block, options: RunOptions, sink: Sink | None = None) -> None:
         self.feeds: dict[str, Feed] = {}
+        self._numbers_of: dict[Send, tuple[Feed, Pick | None]] = {}  # by the function that takes them
+        self._contested = False  # whether an input has two writers
         self.stale: set[str] = set()
         self.tick_number: int | None = None
         self.missed = 0
@@ -50,16 +53,23 @@ class Realtime(Adapter):
         self._pending: deque[int] = deque()  # stamps of ticks that have begun, oldest first
         self._last_stamp: int | None = None
         self._following = -1  # stamp of the tick after the newest one that has begun
+        self._unarmed = False  # whether the oldest pending tick has no limit yet
+        self._refusals: list[Feed] = []  # whose tick has not been answered
         self._complete = 0  # so many of the awaited inputs are there for the oldest pending tick
         self._window = to_ns(options.stamp_window)
         self._started = middleware.now()
         block.realtime = True
+        middleware.join(self._take_together)
         super().__init__(middleware, block, options, sink)
+        if not block.ENDS:
+            self._publish_tick = None  # nobody waits for ticks in real time, they only tell the end
         self.epoch = options.epoch
         self._period = self.schedule.time(1)
         self._patience = round(options.patience * self._period)
         self._awaited = [f for f in self.feeds.values() if f.awaited]
-        self._used = [(name, f) for name, f in self.feeds.items() if f.awaited or not f.item.port.held]
+        self._stamped = [(n, f, f.recent) for n, f in self.feeds.items() if f.awaited and not f.by_arrival]
+        used = {n: f for n, f in self.feeds.items() if f.awaited or not f.item.port.held}
+        self._others = [(n, f) for n, f in used.items() if not f.awaited or f.by_arrival]
         self._stale_after = (to_ns(options.watchdog) if self.is_plant else 0) or self.schedule.time(block.STALE_PERIODS)
         self._by_messages = not self.is_plant and bool(self._awaited)
         if self._by_messages:
@@ -154,9 +164,41 @@ class Realtime(Adapter):
                 else:
                     self._take(feed, stamp, stamp, values, now)
 
+            if feed.awaited and feed.schedule is not None:
+                self._numbers_of[receive_numbers] = feed, pick
             return receive_numbers
 
         return receive, direct
+
+    def _take_together(self, parts: Sequence[tuple[int, Send]]) -> SendRow:
+        """Take what another node says together: what a tick waits for is looked at once; see `Join`."""
+        found = [(k, *self._numbers_of[call]) for k, call in parts if call in self._numbers_of]
+        known = [(k, feed, feed.recent.append, pick) for k, feed, pick in found]
+        rest = [(k, call) for k, call in parts if call not in self._numbers_of]
+        feeds = {feed for _, feed, _ in found}
+        window, clock = self._window, self.middleware.now
+
+        def receive_row(row: Row) -> None:
+            stamp, messages = row
+            now = clock()
+            usual = -window <= stamp - now <= window and self.epoch and not self.stale and not self._contested
+            if not usual or self.state != "running" or not self._by_messages:
+                for k, call in parts:
+                    call((stamp, messages[k]))
+                return
+            for k, feed, keep, pick in known:  # as `Feed.put`
+                keep((stamp, messages[k] if pick is None else pick(messages[k])))
+                feed.arrived = now
+                if stamp > (feed.stamp or 0):
+                    feed.stamp = stamp
+            for k, call in rest:
+                call((stamp, messages[k]))
+            if stamp >= self._following:
+                self._open(stamp)
+            elif self._pending and self._awaited[self._complete] in feeds:
+                self._answer_complete()
+
+        return receive_row
 
     def _take(self, feed: Feed, stamp: int, due: int, value: Any, now: int) -> None:
         """Keep a good message; `due` is the time of the tick that it belongs to."""
@@ -201,6 +243,8 @@ class Realtime(Adapter):
         if not self.epoch:
             return
         feed.refuse(due, now)
+        if feed not in self._refusals and (feed.awaited or not feed.item.port.held):
+            self._refusals.append(feed)
         if feed.awaited:
             self._begin(due, feed)
 
@@ -209,6 +253,7 @@ class Realtime(Adapter):
 
     def on_matched(self, item: Input) -> None:
         """Two publishers on one input: neither is believed until one of them has gone."""
+        self._contested = any(i.publishers > 1 for i in self.inputs)
         if not item.port.held and self._rivals(item):
             self.values[item.name] = item.port.safe
             self.feeds[item.name].arrived = None
@@ -237,14 +282,18 @@ class Realtime(Adapter):
     def _begin(self, due: int, feed: Feed) -> None:
         """A message of the tick that `due` belongs to has come: answer what is complete, set the limit for the rest."""
         if due >= self._following:
-            stamp = self._grid_time(due)
-            if stamp >= self.epoch:
-                self._following = self.epoch + self.schedule.next(stamp - self.epoch)
-                if not self._pending:
-                    self._deadline.again(self._patience)
-                self._pending.append(stamp)
-        if self._pending and feed is self._awaited[self._complete]:  # else the oldest tick waits for another one
+            self._open(due)
+        elif self._pending and feed is self._awaited[self._complete]:  # else the oldest tick waits for another one
             self._answer_complete()
+
+    def _open(self, due: int) -> None:
+        """Begin the tick that `due` belongs to, and answer what is complete."""
+        stamp = self._grid_time(due)
+        if stamp >= self.epoch:
+            self._following = self.epoch + self.schedule.next(stamp - self.epoch)
+            self._unarmed = self._unarmed or not self._pending
+            self._pending.append(stamp)
+        self._answer_complete()
 
     def _answer_complete(self) -> None:
         """Answer pending ticks, oldest first, as long as all that is due has come."""
@@ -253,14 +302,19 @@ class Realtime(Adapter):
             stamp = pending[0]
             for k in range(self._complete, len(awaited)):
                 feed = awaited[k]
-                if feed.stamp == stamp and not feed.by_arrival:
+                if (feed.stamp == stamp and not feed.by_arrival) or stamp < feed.holds:
                     continue  # nearly always
                 if not (feed.complete(stamp - self.epoch, self.epoch, self._period) and feed.ready(stamp)):
                     self._complete = k
+                    if self._unarmed:
+                        self._unarmed = False
+                        self._deadline.again(self._patience)
                     return
             self._complete = 0
             self._answer(pending.popleft())
-        if not pending:
+        if self._unarmed:
+            self._unarmed = False
+        else:
             self._deadline.cancel()
 
     def _give_up(self) -> None:
@@ -292,18 +346,32 @@ class Realtime(Adapter):
         self._last_stamp = stamp
         t = stamp - self.epoch
         now = self.middleware.now()
-        stale = now - self._stale_after
-        for name, feed in self._used:
-            value = feed.take(stamp)
-            if value is not None:
-                self.values[name] = value
-            if feed.bad is not None and feed.bad <= stamp:
-                self.bad, feed.bad = True, None
+        stale, values = now - self._stale_after, self.values
+        for name, feed, recent in self._stamped:
+            if recent and recent[-1][0] == stamp:  # nearly always
+                values[name] = recent[-1][1]
+                feed.used = stamp
+            elif (value := feed.take(stamp)) is not None:
+                values[name] = value
+            if feed.arrived is not None and feed.arrived < stale:
+                self._notice_silence(feed, now)
+        for name, feed in self._others:
+            if (value := feed.take(stamp)) is not None:
+                values[name] = value
             if feed.awaited and feed.arrived is not None and feed.arrived < stale:
                 self._notice_silence(feed, now)
+        if self._refusals:
+            self._take_refusals(stamp)
         self.t = t
         self._say(t)
         self._advance_to(t)
+
+    def _take_refusals(self, stamp: int) -> None:
+        """Have the tick see what was refused up to it."""
+        for feed in self._refusals:
+            if feed.bad is not None and feed.bad <= stamp:
+                self.bad, feed.bad = True, None
+        self._refusals = [feed for feed in self._refusals if feed.bad is not None]
 
     def _say(self, t: int) -> None:
         """Publish the answer of tick `t`; the safe values when the law overflows or gives what nobody may send."""
@@ -356,7 +424,8 @@ class Realtime(Adapter):
     def _advance_to(self, t: int) -> None:
         self.t = t
         self.ticks += 1
-        self.buttons.release()
+        if self.buttons.pressed:
+            self.buttons.release()
         if (self.schedule.end is not None and t >= self.schedule.end) or self.block.ended:
             self.finish()
 
@@ -421,10 +490,11 @@ class Realtime(Adapter):
 
     def _fresh_inputs(self, now: int) -> dict[str, Any]:
         """Newest commands; the safe value in place of a stale one."""
-        inputs = dict(self.values)
-        for name, feed in self.feeds.items():
-            if feed.awaited and self._notice_silence(feed, now):
-                inputs[name] = feed.item.port.safe
+        inputs = self.values
+        stale = now - self._stale_after
+        for feed in self._awaited:
+            if feed.arrived is not None and feed.arrived < stale and self._notice_silence(feed, now):
+                inputs = inputs | {feed.item.name: feed.item.port.safe}
         return inputs
 
     def statistics(self) -> dict[str, Any]:

@@ -1,0 +1,189 @@
+"""Real time on a container's exchange, with a clock that stands in for the machine's: nothing depends on speed."""
+
+import time
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from conftest import in_process, make_scenario
+from faultrig import COMMAND, STATE, Lag
+from simulated import _Sink
+from softrig_core.model.block import Block
+from softrig_core.model.port import command
+from softrig_core.node import exchange as exchange_module
+from softrig_core.node import ros
+from softrig_core.node.contained import ContainedMiddleware
+from softrig_core.node.exchange import Exchange
+from softrig_core.node.realtime import Realtime
+from softrig_core.rig.options import RunOptions
+from softrig_core.rig.processes import node_parameters
+from softrig_core.rig.rig import Rig
+from softrig_core.rig.scenario import load_scenario
+from softrig_core.wire.recording import Recording
+from softrig_core.wire.signals import Signals
+
+SECOND = 1_000_000_000
+
+
+class StandIn:
+    """A clock that moves only when somebody waits; what is worked out takes no time."""
+
+    def __init__(self):
+        self.t = time.monotonic_ns()
+
+    def monotonic_ns(self):
+        return self.t
+
+    def time_ns(self):
+        return self.t
+
+    def monotonic(self):
+        return self.t / 1e9
+
+
+class PatientExchange(Exchange):
+    """Waits by moving the clock."""
+
+    def _wait(self, limit):
+        clock = exchange_module.time
+        clock.t = max(clock.t, limit) + 1
+
+
+class Contained:
+    """All nodes of a rig on one exchange, without ROS: `carried` gets what is for other processes, by topic."""
+
+    def __init__(self, rig, monkeypatch, seed=0):
+        self.clock = StandIn()
+        self.exchange = PatientExchange()
+        self.carried, self.logs = {}, []
+        monkeypatch.setattr(exchange_module, "time", self.clock)
+        monkeypatch.setattr(ros, "time", self.clock)
+        monkeypatch.setattr(ros.RosMiddleware, "publisher", lambda m, topic, *_: self.carried.setdefault(
+            m.resolve(topic), []).append)  # fmt: skip
+        monkeypatch.setattr(ros.RosMiddleware, "subscribe", lambda *_: None)
+        monkeypatch.setattr(ros.RosMiddleware, "log", lambda m, level, text: self.logs.append(text))
+        monkeypatch.setattr(ros.RosMiddleware, "types", lambda m, topic: [])
+        monkeypatch.setattr(ros.RosMiddleware, "publishers", lambda m, topic: [])
+        self.recording = Recording((t, p.msgtype) for t, p in rig.topics.items())
+        slowest = max((m.schedule for m in rig.members), key=lambda s: s.period)
+        self.epoch = slowest.held(self.clock.t + SECOND)
+        self.adapters = {m.name: self._adapter(rig, m, seed) for m in rig.members}
+
+    def _adapter(self, rig, member, seed):
+        def resolve(topic):
+            topic = member.remap.get(topic, topic).replace("~", f"/{member.name}")
+            return topic if topic.startswith("/") else f"/{topic}"
+
+        node = SimpleNamespace(get_name=lambda: member.name, get_fully_qualified_name=lambda: f"/{member.name}",
+                               resolve_topic_name=resolve)  # fmt: skip
+        given = {k.removeprefix("run."): v for k, v in node_parameters(rig, member, seed, "realtime").items()
+                 if k.startswith("run.")} | {"epoch": self.epoch}  # fmt: skip
+        sink = _Sink.__new__(_Sink)
+        adapter = Realtime(ContainedMiddleware(node, self.exchange), member.block(seed), RunOptions(**given), sink)
+        sink.__init__(self.recording, adapter.recorded)
+        return adapter
+
+    def run(self, until=1 << 62):
+        while self.clock.t < until and any(a.state == "running" for a in self.adapters.values()):
+            rest = self.exchange.serve(min(until, self.clock.t + SECOND // 10), awake=SECOND)
+            self.clock.t += max(1, rest)
+        return {a.state for a in self.adapters.values()}
+
+    def numbers(self):
+        return Signals(self.recording, self.epoch)
+
+
+def shortened(name, duration):
+    return Rig.from_scenario(load_scenario(name).changed(duration=duration))
+
+
+@pytest.mark.parametrize(("name", "duration"), [
+    ("induction_dtc", 0.03), ("dc_motor_smc_b2", 0.3), ("rehab_impedance", 0.1), ("lsrm_fuzzy", 0.02),
+])  # fmt: skip
+def test_what_a_node_says_together_gives_the_numbers_of_lockstep(name, duration, monkeypatch):
+    rig = shortened(name, duration)
+    expected = Signals(in_process(rig))
+    run = Contained(rig, monkeypatch)
+    assert run.run() == {"done"}
+    found = run.numbers()
+    for member in rig.members:
+        adapter = run.adapters[member.name]
+        assert adapter.missed == adapter.incomplete == 0, member.name
+        assert not adapter.stale, member.name
+        for port in member.outputs:
+            for label in port.labels if not port.held else ():
+                a, b = expected[f"{port.topic}/{label}"], found[f"{port.topic}/{label}"]
+                n = min(len(a.x), len(b.x))
+                assert n >= len(a.x) - 1
+                assert np.array_equal(a.x[:n], b.x[:n]), f"{port.topic}/{label}"
+
+
+def test_a_held_input_said_together_with_an_awaited_one_is_of_the_same_tick(monkeypatch):
+    extra = command("extra", "lag/extra", ("u",), "N", held=True)
+
+    class Both(Lag):
+        OUTPUTS = (STATE, extra)
+
+        def outputs(self, t):
+            return {**super().outputs(t), "extra": (t * 1e-9,)}
+
+    class Law(Block):
+        INPUTS = (STATE, extra)
+        OUTPUTS = (COMMAND,)
+
+        def update(self, t, state, extra):
+            return {"command": extra}
+
+    run = Contained(Rig.from_blocks({"plant": Both(), "law": Law()}, 0.5), monkeypatch)
+    assert run.run() == {"done"}
+    u = run.numbers()["lag/command/u/effort"]
+    assert len(u.x) >= 50
+    assert list(u.x) == [k * 10_000_000 * 1e-9 for k in range(len(u.x))]
+
+
+def test_what_somebody_outside_reads_is_carried_beside(monkeypatch):
+    run = Contained(shortened("induction_dtc", 0.02), monkeypatch)
+    channel = run.exchange._channels["/currents_meas", "geometry_msgs/msg/Vector3Stamped"]
+    run.exchange.outside(channel.writers[0], 1)
+    run.run()
+    recorded = run.recording.topics["currents_meas"].data
+    assert len(recorded) > 390
+    assert run.carried["/currents_meas"] == recorded
+    assert not any(data for topic, data in run.carried.items() if topic != "/currents_meas")
+
+
+def test_of_two_writers_none_is_believed_until_one_has_gone(monkeypatch):
+    run = Contained(shortened("induction_dtc", 0.05), monkeypatch)
+    controller = run.adapters["dtc_controller"]
+    item = next(i for i in controller.inputs if i.name == "currents_meas")
+    run.run(run.epoch + SECOND // 100)
+    assert controller.ticks > 190
+    reader = run.exchange._channels["/currents_meas", "geometry_msgs/msg/Vector3Stamped"].readers[0]
+    run.exchange.outside(reader, 1)
+    before = run.adapters["im_plant"].ticks
+    run.run(run.epoch + SECOND // 50)
+    during = run.adapters["im_plant"].ticks - before
+    assert item.refused == during + 1  # the change itself counts, too
+    assert "2 publishers at once" in item.last_refusal
+    run.exchange.outside(reader, 0)
+    refused, ticks = item.refused, controller.ticks
+    run.run(run.epoch + 3 * SECOND // 100)
+    assert item.refused <= refused + 1
+    assert controller.ticks > ticks + 190
+
+
+def test_a_message_that_fails_is_answered_by_what_was_said_and_its_neighbours_are_used(monkeypatch):
+    rig = Rig.from_scenario(make_scenario({"plant": "plant", "source": "source", "gain": "gain"}, 1.0))
+    run = Contained(rig, monkeypatch)
+    run.run(run.epoch + SECOND // 10)
+    gain = run.adapters["gain"]
+    ticks = gain.ticks
+    stamp = run.epoch + SECOND // 10
+    port = next(p for p in rig.clock.outputs if p.name == "state")
+    receive = run.exchange._channels["/lag/state", port.msgtype].readers[0].receive
+    run.exchange.post((receive,), port.layout().encode(stamp + 3600 * SECOND, (7.0, 7.0)))
+    run.run(run.epoch + 2 * SECOND // 10)
+    assert gain.inputs[0].refused == 1
+    assert "from now" in gain.inputs[0].last_refusal
+    assert gain.ticks == ticks + 10
+    assert gain.missed == gain.incomplete == 0
