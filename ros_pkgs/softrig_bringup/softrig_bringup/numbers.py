@@ -11,6 +11,8 @@ generated part of its page too (parameters, published values, titles), or is nam
     0.75: = 3/4                                 arithmetic
     0.0193: paper Table 2                       printed there
     2.5: bench gupfc                            time, memory or speed, by that command on the machine it names
+    rest: bench placements                      all others of the section
+    3.11: version of Python
     -->
 
 A figure is held against the measured table of its page, else against what its scenario expects, as far as the number is
@@ -31,9 +33,9 @@ from softrig_core.rig.scenario import list_scenarios, load_scenario
 
 from .study.definition import list_studies, load_study
 
-FORMS = "scenario.figure, test_file.py::test, scenario NAME, = ..., paper ... or bench ..."
+FORMS = "scenario.figure, test_file.py::test, scenario NAME, = ..., paper ..., bench ... or version ..."
 DIGITS = 3  # a number of fewer may stand without its source
-_GENERATED = re.compile(r"<!-- (\w+): [^>]*? -->\n.*?<!-- end -->", re.DOTALL)
+_GENERATED = re.compile(r"<!-- (\w+): [^>]*? -->.*?<!-- end -->", re.DOTALL)
 _COMMENT = re.compile(r"<!-- numbers\n(.*?)-->", re.DOTALL)
 _CODE = re.compile(
     r"```.*?```|^(?:    [^\n]*\n)+|`[^`\n]*`|\]\([^)]*\)|<!--.*?-->|https?://\S+", re.DOTALL | re.MULTILINE
@@ -94,9 +96,11 @@ def faults(page: str, tests: Path, run: Runs | None = None) -> Iterator[str]:
         written = list(dict.fromkeys(_in(_CODE.sub(" ", _COMMENT.sub("", _GENERATED.sub("", section))))))
         tied = {tie.number for tie in ties}
         for number in written:
-            if digits(number) >= DIGITS and number not in tied and not Tie(number).is_one_of(known):
+            if digits(number) >= DIGITS and not {number, "rest"} & tied and not Tie(number).is_one_of(known):
                 yield f"{heading}: {number} has no source"
         for tie in ties:
+            if tie.number == "rest" and tie.source.startswith("bench "):
+                continue
             if not _NUMBER.fullmatch(tie.number):
                 yield f"{heading}: {tie.number!r} is no number"
             elif tie.number not in written:
@@ -151,7 +155,7 @@ def _wrong(tie: Tie, table: dict[tuple[str, str], float], tests: Path, run: Runs
 
 def _differs(tie: Tie, table: dict[tuple[str, str], float], tests: Path, run: Runs | None) -> str:
     kind, _, rest = tie.source.partition(" ")
-    if kind in ("paper", "bench") and rest:
+    if kind in ("paper", "bench", "version") and rest:
         return ""
     if kind == "=":
         return "" if tie.near(_computed(rest)) else f"{rest} is {_computed(rest):g}"
