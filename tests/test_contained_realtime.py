@@ -1,5 +1,6 @@
 """Real time on a container's exchange, with a clock that stands in for the machine's: nothing depends on speed."""
 
+import json
 import time
 from types import SimpleNamespace
 
@@ -14,6 +15,8 @@ from softrig_core.node import exchange as exchange_module
 from softrig_core.node import ros
 from softrig_core.node.contained import ContainedMiddleware
 from softrig_core.node.exchange import Exchange
+from softrig_core.node.garbage import CLEAN, UNCLEAN, YOUNG, Garbage
+from softrig_core.node.health import write_status
 from softrig_core.node.realtime import Realtime
 from softrig_core.rig.options import RunOptions
 from softrig_core.rig.processes import node_parameters
@@ -187,3 +190,61 @@ def test_a_message_that_fails_is_answered_by_what_was_said_and_its_neighbours_ar
     assert "from now" in gain.inputs[0].last_refusal
     assert gain.ticks == ticks + 10
     assert gain.missed == gain.incomplete == 0
+
+
+# what keeps a loop from its ticks ----------------------------------------------------------------------------------
+
+
+class Collector:
+    """Stands in for `gc`: finds what it is told to find."""
+
+    def __init__(self):
+        self.found, self.searches, self.frozen = 0, 0, 0
+
+    def collect(self, generation=2):
+        self.searches += generation == 0
+        return self.found
+
+    def freeze(self):
+        self.frozen += 1
+
+    def set_threshold(self, number):
+        self.threshold = number
+
+
+def test_cycles_are_searched_for_seldom_while_there_are_none_and_as_usual_while_there_are():
+    collector = Collector()
+    garbage = Garbage(collector)
+    assert collector.threshold == YOUNG
+    for _ in range(UNCLEAN - 1):
+        garbage.step()
+    assert (collector.searches, collector.frozen) == (0, 1)  # at first nobody knows
+    for _ in range(CLEAN):
+        garbage.step()
+    assert (collector.searches, collector.frozen) == (1, 1 + CLEAN)
+    collector.found = 1
+    garbage.step()
+    assert (collector.searches, collector.frozen) == (2, 1 + CLEAN)
+    for _ in range(3 * UNCLEAN):
+        garbage.step()
+    assert (collector.searches, collector.frozen) == (5, 1 + CLEAN)
+
+
+def test_a_status_is_whole_while_it_is_changed_in_its_place(tmp_path, monkeypatch):
+    run = Contained(shortened("induction_dtc", 0.02), monkeypatch)
+    plant = run.adapters["im_plant"]
+    path = tmp_path / "im_plant.status"
+    object.__setattr__(plant.options, "status", str(path))
+    write_status(plant)
+    number, before = path.stat().st_ino, json.loads(path.read_text())
+    plant.error, plant.t = RuntimeError("x" * 3000), 7
+    write_status(plant)  # longer
+    assert json.loads(path.read_text())["error"] == "x" * 3000
+    plant.error = None
+    write_status(plant)  # shorter
+    assert json.loads(path.read_text()) == before | {"t": 7, "cpu_s": json.loads(path.read_text())["cpu_s"]}
+    assert path.stat().st_ino == number
+    plant.state = "done"
+    write_status(plant)
+    assert path.stat().st_ino != number
+    assert json.loads(path.read_text())["missed_deadlines"] == 0

@@ -7,7 +7,6 @@ Each group between two ``--`` is what `ros2 run` would get. The adapters are tho
 
 from __future__ import annotations
 
-import gc
 import sys
 import time
 import traceback
@@ -25,6 +24,7 @@ from ..rig.rig import load_block
 from .adapter import Adapter
 from .contained import ContainedMiddleware
 from .exchange import Exchange
+from .garbage import Garbage
 from .leave import leave
 from .profile import exclusive
 from .ros import ServingNode
@@ -33,7 +33,6 @@ from .startup import make_adapter
 
 LOOK = 100_000_000  # ns: how long a busy container leaves DDS alone: a look takes as long as some ticks
 SPIN = 300_000  # ns: a timer closer than this is waited for awake: to sleep and wake takes half as long
-YOUNG = 200_000  # new objects until the next garbage collection: what a tick makes dies with it, and to look takes long
 GRACE = 1.0  # s: after one node gives up, how long the others may take to say what they saw
 
 
@@ -60,9 +59,6 @@ class Container:
         executor = EventsExecutor()
         for node in self.nodes:
             executor.add_node(node)
-        gc.collect()
-        gc.freeze()
-        gc.set_threshold(YOUNG)
         stopped = False
         try:
             stopped = not self._loop(executor)
@@ -81,7 +77,8 @@ class Container:
 
     def _loop(self, executor: Executor) -> bool:
         """Turn until the end; False when the process was told to stop."""
-        exchange, limit = self.exchange, 0.0
+        exchange, garbage, limit = self.exchange, Garbage(), 0.0
+        next_step = time.monotonic_ns() + LOOK
         while rclpy.ok():
             # Someone outside who writes is heard as soon as nothing is left to do; everybody else now and then.
             awake = 0 if exchange.listens else SPIN
@@ -93,6 +90,9 @@ class Container:
                 limit = limit or time.monotonic() + GRACE
                 if time.monotonic() > limit:
                     return True
+            if time.monotonic_ns() >= next_step:
+                garbage.step()
+                next_step = time.monotonic_ns() + LOOK
             executor.spin_once((rest - SPIN // 2) / SECOND if rest > SPIN else 0.0)
         return False
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import time
 from collections.abc import Iterable
 from pathlib import Path
@@ -34,9 +35,24 @@ def write_status(adapter: Adapter) -> None:
     if isinstance(block, Observer) and adapter.state == "done":
         status["figures"] = {k: v for k, v in block.status().items() if math.isfinite(v[0])}
     path = Path(adapter.options.status)
+    if adapter.open_ended and adapter.state == "running" and path.exists():
+        _overwrite(path, json.dumps(status).encode())
+        return
     new = path.with_suffix(".new")
     new.write_text(json.dumps(status))
     new.replace(path)
+
+
+def _overwrite(path: Path, content: bytes) -> None:
+    """Change a file in its place, padded to its length: 10 us between two ticks, while to replace it takes 0.4 to 4 ms.
+
+    Who reads it at that moment may find it half written: no JSON, and he looks again.
+    """
+    file = os.open(path, os.O_WRONLY)
+    try:
+        os.pwrite(file, content.ljust(os.fstat(file).st_size), 0)
+    finally:
+        os.close(file)
 
 
 def percentiles(name: str, samples: Iterable[int]) -> dict[str, float]:
