@@ -22,6 +22,7 @@ from .endpoint import Input, Output
 from .first import repeat_first
 from .health import percentiles
 from .middleware import Direct, Middleware, Receive
+from .pace import follow_clock, follow_ticks
 from .solving import Solving, hear_busy
 from .stalls import Stalls
 from .start import CHECK, Handshake
@@ -44,14 +45,14 @@ class Lockstep(Adapter):
         if self.links.owns_clock:
             self.clock_output.send, _ = middleware.sender(CLOCK.topic, CLOCK_LAYOUT, 0.0, self.clock_output.matched)
         if self.links.clock is not None:
-            self.arrivals.follow_clock(self.links.clock)
+            follow_clock(self.arrivals, self.links.clock)
         if self.links.hears_clock:
             middleware.subscribe(CLOCK.topic, CLOCK.msgtype, lambda data: None, lambda count: None)
         if self.links.guests:
             stamped = [o for o in self.outputs if o.port.stamped and not o.delayed]
             first = 0 if self.is_plant else 1
             repeat_first([*stamped, self.clock_output], lambda: self.state == "running" and self.ticks == first)
-        self.arrivals.follow_ticks()
+        follow_ticks(self.arrivals)
         self.arrivals.await_tick(0)
         readers = self.links.readers
         wanted = [(o, list(readers.get(o.name, []))) for o in self.outputs]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 from typing import Any
 
 from ..model.schedule import Schedule
@@ -79,6 +80,7 @@ class Pairing:
         self.said: dict[int, Any] = {}  # what was said at ticks that are not used yet
         self.queue: deque[Counted] = deque()  # of messages paired by order: what has come, and
         self.announced: deque[int] = deque()  # the ticks at which it was sent, as a sporadic sender tells them
+        self.serve: Callable[[], None] = lambda: None  # brings the two together
 
     def may_come(self, position: int) -> bool:
         """Whether a message of this tick of the sender is new and possible."""

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from ..rig.processes import PROFILE
+from ..rig.executables import PROFILE
 
 PROPERTY = "fastdds.ignore_local_endpoints"
 VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
