@@ -12,7 +12,7 @@ import types
 from pathlib import Path
 from types import SimpleNamespace
 
-from softrig_core.rig.processes import find_executable
+from softrig_core.rig.executables import find_executable
 
 FILE = Path(__file__).parents[1] / "ros_pkgs" / "softrig_bringup" / "launch" / "rig.launch.py"
 

@@ -19,7 +19,7 @@ from softrig_core.node.lockstep import Lockstep
 from softrig_core.node.middleware import Middleware, Peer
 from softrig_core.node.realtime import Realtime
 from softrig_core.rig.options import RunOptions
-from softrig_core.rig.processes import node_parameters
+from softrig_core.rig.starting import node_parameters
 from softrig_core.wire.recording import Recording
 
 

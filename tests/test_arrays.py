@@ -16,7 +16,8 @@ from simulated import SimulatedRig, World
 from softrig_core.model.block import Block, Level
 from softrig_core.model.port import Refused, array, pose
 from softrig_core.rig.domain import free_domain
-from softrig_core.rig.processes import environment, run_processes
+from softrig_core.rig.executables import environment
+from softrig_core.rig.processes import run_processes
 from softrig_core.rig.rig import Rig
 from softrig_core.wire.cdr import Layout, parse
 from softrig_core.wire.codec import Decoder, selection

@@ -19,9 +19,9 @@ from softrig_core.node.garbage import CLEAN, UNCLEAN, YOUNG, Garbage
 from softrig_core.node.health import write_status
 from softrig_core.node.realtime import Realtime
 from softrig_core.rig.options import RunOptions
-from softrig_core.rig.processes import node_parameters
 from softrig_core.rig.rig import Rig
 from softrig_core.rig.scenario import load_scenario
+from softrig_core.rig.starting import node_parameters
 from softrig_core.wire.recording import Recording
 from softrig_core.wire.signals import Signals
 

@@ -11,9 +11,11 @@ from softrig_bringup.golden import create, load, main
 from softrig_bringup.run import versions
 from softrig_core.errors import ScenarioError
 from softrig_core.rig.domain import free_domain
-from softrig_core.rig.processes import environment, find_executable, node_parameters, run_processes
+from softrig_core.rig.executables import environment, find_executable
+from softrig_core.rig.processes import run_processes
 from softrig_core.rig.rig import Rig
 from softrig_core.rig.scenario import load_scenario
+from softrig_core.rig.starting import node_parameters
 from softrig_core.wire.signals import Signals
 
 BAGS = Path(__file__).parents[1] / "bags"

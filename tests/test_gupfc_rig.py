@@ -19,7 +19,8 @@ from softrig_control.phase_locked_loop import PhaseLockedLoop, PllParams
 from softrig_core.model.block import Level
 from softrig_core.model.params import ParameterError
 from softrig_core.rig.domain import free_domain
-from softrig_core.rig.processes import environment, run_processes
+from softrig_core.rig.executables import environment
+from softrig_core.rig.processes import run_processes
 from softrig_core.rig.rig import Rig
 from softrig_core.rig.scenario import load_scenario
 from softrig_core.rig.simulate import rig_of, simulate

@@ -4,7 +4,7 @@ import pytest
 from launching import launch, nodes_of
 from softrig_core.node.container import split
 from softrig_core.rig.domain import free_domain
-from softrig_core.rig.processes import environment
+from softrig_core.rig.executables import environment
 from softrig_core.rig.scenario import load_scenario
 from test_outside import SYSTEMS, short
 

@@ -11,8 +11,8 @@ from softrig_bringup import numbers, pages
 from softrig_bringup.cli import _FOREIGN, _parser, main
 from softrig_bringup.study.definition import list_studies, make_study
 from softrig_core.errors import ScenarioError
+from softrig_core.rig.executables import find_executable
 from softrig_core.rig.figures import figures_of
-from softrig_core.rig.processes import find_executable
 from softrig_core.rig.rig import Rig
 from softrig_core.rig.scenario import list_scenarios, load_scenario
 from softrig_core.rig.simulate import simulate

@@ -34,7 +34,7 @@ from softrig_bags.topics import BagTopic
 from softrig_bags.write import write_bag
 from softrig_core.node.messages import message_class
 from softrig_core.rig.domain import free_domain
-from softrig_core.rig.processes import PROFILE, environment, find_executable
+from softrig_core.rig.executables import PROFILE, environment, find_executable
 from softrig_core.wire.cdr import Layout, parse
 from softrig_core.wire.recording import Recording
 from std_srvs.srv import Trigger

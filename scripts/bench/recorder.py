@@ -19,7 +19,7 @@ from softrig_bags.stamps import stamp
 from softrig_core.model.timebase import SECOND
 from softrig_core.node.leave import leave
 from softrig_core.rig.domain import free_domain
-from softrig_core.rig.processes import environment
+from softrig_core.rig.executables import environment
 from softrig_core.wire.cdr import Layout
 
 from .console import console

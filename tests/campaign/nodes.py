@@ -23,7 +23,7 @@ from softrig_core.model.port import Port, Refused
 from softrig_core.node.messages import message_class
 from softrig_core.node.ros import QOS
 from softrig_core.rig.domain import free_domain
-from softrig_core.rig.processes import environment, find_executable
+from softrig_core.rig.executables import environment, find_executable
 from softrig_core.wire.cdr import Layout
 from softrig_core.wire.codec import Decoder, encoder
 from std_srvs.srv import Trigger

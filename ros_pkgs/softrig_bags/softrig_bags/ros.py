@@ -25,7 +25,7 @@ from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, Qo
 from softrig_core.model.params import Declaration
 from softrig_core.model.timebase import SECOND
 from softrig_core.node.messages import range_descriptor
-from softrig_core.rig.processes import PROFILE
+from softrig_core.rig.executables import PROFILE
 
 from .errors import BagError
 from .topics import BagTopic

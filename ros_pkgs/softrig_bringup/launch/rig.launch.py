@@ -40,9 +40,9 @@ def _ended(event, context):
 
 
 def _nodes(context):
-    from softrig_core.rig.processes import container_arguments, groups, node_parameters, parameter_file, placed
     from softrig_core.rig.rig import Rig
     from softrig_core.rig.scenario import load_scenario
+    from softrig_core.rig.starting import container_arguments, groups, node_parameters, parameter_file, placed
 
     def value(name):
         return LaunchConfiguration(name).perform(context)

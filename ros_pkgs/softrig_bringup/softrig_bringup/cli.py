@@ -141,7 +141,7 @@ def _completion(options: argparse.Namespace) -> int:
 
 
 def _node(options: argparse.Namespace) -> int:
-    from softrig_core.rig.processes import node_main
+    from softrig_core.rig.executables import node_main
 
     return node_main(options.package, options.executable, options.arguments)
 

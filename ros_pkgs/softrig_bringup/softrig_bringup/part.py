@@ -8,9 +8,10 @@ from pathlib import Path
 
 from softrig_core.errors import ScenarioError
 from softrig_core.guard import say
-from softrig_core.rig.processes import placed, run_processes
+from softrig_core.rig.processes import run_processes
 from softrig_core.rig.rig import Rig
 from softrig_core.rig.scenario_file import closest
+from softrig_core.rig.starting import placed
 
 
 def run_part(rig: Rig, options: argparse.Namespace) -> int:

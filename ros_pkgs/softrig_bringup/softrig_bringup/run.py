@@ -83,7 +83,8 @@ def execute(
         wall_s = time.perf_counter() - started
         run = Run(rig, scenario.seed, recording, wall_s, status=status, error=error, stopped=stopped)
     else:
-        from softrig_core.rig.processes import placed, run_processes
+        from softrig_core.rig.processes import run_processes
+        from softrig_core.rig.starting import placed
 
         realtime = realtime or mode == "realtime"
         outcome = run_processes(rig, scenario.seed, directory, mode="realtime" if realtime else "lockstep",
