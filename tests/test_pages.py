@@ -189,6 +189,18 @@ def test_commands_and_links_of_a_page_exist(page):
         assert link.startswith("http") or (ROOT / page).parent.joinpath(link).exists(), link
 
 
+@pytest.mark.parametrize("page", [Path("README.md"), *PAGES], ids=str)
+def test_links_to_headings_of_a_page_lead_somewhere(page):
+    text = (ROOT / page).read_text()
+    for target, anchor in re.findall(r"\]\(([^)\s#]*)#([^)\s]+)\)", text):
+        if not target.startswith("http"):
+            there = (ROOT / page).parent.joinpath(target).read_text() if target else text
+            headings = [
+                re.sub(r"[^\w\- ]", "", h.lower()).replace(" ", "-") for h in re.findall(r"^#+ (.*)", there, re.M)
+            ]
+            assert anchor in headings, anchor
+
+
 def test_the_worked_example_of_the_scenario_file_runs(tmp_path, monkeypatch):
     text = (ROOT / "ros_pkgs/softrig_bringup/doc/scenario_file.md").read_text()
     example = text[text.index("## From an empty file") : text.index("## Keys")]
