@@ -101,7 +101,7 @@ class Bench:
         except (FileNotFoundError, json.JSONDecodeError):
             return {}
 
-    def wait(self, condition, seconds=15.0):
+    def wait(self, condition, seconds=60.0):  # a loaded machine takes 15 s to start three nodes
         deadline = time.monotonic() + seconds
         while not condition():
             assert time.monotonic() < deadline, {n: self.status(n) for n in self.nodes}
