@@ -146,6 +146,9 @@ It rises in 0.607 s, {} later than 10 V `12.345` in [b](x123.45), in all 1,153 s
         == told("7.25", **{"7.25": "1e-3 * test_here.py::TABLE"})
         == []
     )
+    table = "<!-- measured: v_min of rectifier_mpc -->\n\n| `rectifier_mpc` | t | 346.2 V |\n<!-- end -->\n"
+    lines = "\n".join(f"{n}: {s}" for n, s in ties.items())
+    assert list(numbers.faults(given.format("", lines), tmp_path, None, table)) == ["Motor: 347: the table has 346.2"]
     for source in (
         "test_here.py::test_one",
         "test_none.py::test_two",

@@ -15,8 +15,8 @@ generated part of its page too (parameters, published values, titles), or is nam
     3.11: version of Python
     -->
 
-A figure is held against the measured table of its page, else against what its scenario expects, as far as the number is
-rounded; with a run, against the run.
+A figure is held against the measured tables of the pages, else against what its scenario expects, as far as the number
+is rounded; with a run, against the run.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ class Tie:
         return any(math.isclose(abs(self.value), abs(x), rel_tol=1e-12) for x in values)
 
 
-def faults(page: str, tests: Path, run: Runs | None = None) -> Iterator[str]:
+def faults(page: str, tests: Path, run: Runs | None = None, others: str = "") -> Iterator[str]:
     """Say which numbers of a page have no source, which are wrong, and which sources have no number any more.
 
     Parameters
@@ -87,10 +87,12 @@ def faults(page: str, tests: Path, run: Runs | None = None) -> Iterator[str]:
     tests : Path
         Where the test files are.
     run : callable, optional
-        Gives the figures of a scenario by a run; without it, those that the page or the scenario states.
+        Gives the figures of a scenario by a run; without it, those that a page or the scenario states.
+    others : str
+        Pages whose measured tables count, too.
     """
     known = [Tie(n).value for part in _GENERATED.finditer(page) if part[1] != "measured" for n in _in(part[0])]
-    table = _measured(page)
+    table = _measured(others + page)
     for heading, section in _sections(page):
         ties = list(_ties(section))
         written = list(dict.fromkeys(_in(_CODE.sub(" ", _COMMENT.sub("", _GENERATED.sub("", section))))))
@@ -134,7 +136,7 @@ def _ties(section: str) -> Iterator[Tie]:
 
 
 def _measured(page: str) -> dict[tuple[str, str], float]:
-    """Read the measured tables of a page: (scenario, figure) to value."""
+    """Read the measured tables of pages: (scenario, figure) to value."""
     found: dict[tuple[str, str], float] = {}
     for part in re.finditer(r"<!-- measured: ([^>]*?) of [^>]*? -->\n(.*?)<!-- end -->", page, re.DOTALL):
         for row in re.findall(r"^\| `(\w+)` (.*)\|$", part[2], re.MULTILINE):

@@ -171,7 +171,8 @@ def untrue(page: str, path: Path, runs: bool = False) -> list[str]:
     """Say which numbers of the text of a page at `path` have no source or are not as it says."""
     tests = next((f / "tests" for f in path.resolve().parents if (f / "tests").is_dir()), path.parent)
     run = (lambda name: {r.name: r.number for r in results(name)}) if runs else None
-    return list(numbers.faults(page, tests, run))
+    others = (p.read_text(encoding="utf-8") for p in sorted(tests.parent.glob("ros_pkgs/*/doc/*.md")))
+    return list(numbers.faults(page, tests, run, "".join(others)))
 
 
 def main(args: Sequence[str] | None = None) -> int:
