@@ -434,6 +434,12 @@ def test_several_runs_get_an_index_and_stand_side_by_side(make_run, tmp_path):
 def test_bad_run_directories_are_refused(make_run, tmp_path):
     with pytest.raises(ScenarioError, match=r"nowhere: no metrics.json in it"):
         write_report([tmp_path / "nowhere"], tmp_path / "r.html")
+    (tmp_path / "part" / "log").mkdir(parents=True)
+    with pytest.raises(ScenarioError, match=r"expected directories of runs$"):
+        write_report([tmp_path / "part"], tmp_path / "r.html")
+    (tmp_path / "part" / "log" / "plant.shard").touch()
+    with pytest.raises(ScenarioError, match=r"part: no metrics.json there, .* softrig bag repair makes one bag"):
+        write_report([tmp_path / "part"], tmp_path / "r.html")
     file = make_run() / "metrics.json"
     content = file.read_text()
     for changed, message in (

@@ -36,7 +36,9 @@ def write_report(directories: Sequence[Path], output: Path) -> None:
         else:
             runs.append((directory, read_run(directory)))
     if not runs:
-        raise ScenarioError(f"{', '.join(without)}: no metrics.json there, expected directories of runs")
+        part = any(any(Path(directory, "log").glob("*.shard")) for directory in without)
+        rest = "; of parts of a rig (--only) softrig bag repair makes one bag from their .shard files" if part else ""
+        raise ScenarioError(f"{', '.join(without)}: no metrics.json there, expected directories of runs{rest}")
     records = [run for _, run in runs]
     names = labels(records)
     if len(runs) == 1:
