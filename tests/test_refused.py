@@ -1,4 +1,4 @@
-"""A bad message in each input of each law of each system: the run goes on, what is said stays finite."""
+"""A bad message in each input of each node of each system: the run goes on, what is said stays finite."""
 
 import importlib.metadata
 import math
@@ -6,6 +6,7 @@ import math
 import pytest
 from simulated import SimulatedRig, World
 from softrig_core.model.block import Observer
+from softrig_core.model.timebase import SECOND
 from softrig_core.rig.rig import load_main
 from softrig_core.wire.cdr import parse
 from softrig_core.wire.signals import Signals
@@ -51,6 +52,36 @@ def test_a_law_goes_on_after_a_bad_message(system):
     }  # fmt: skip
     assert found
     assert {n: wrong for n, wrong in found.items() if wrong} == {}
+
+
+def in_real_time(rig, member=None, port=None):
+    """Run in real time, with a message from the future to an input if one is given; gives ticks and refusals."""
+    world = World()
+    run = SimulatedRig(rig, world, "realtime", seed=rig.scenario.seed)
+    world.match()
+    if port is not None:
+        world.run(run.epoch + rig.end // 3)
+        link = member.links[port.name]
+        reader = next(r for r in world.readers if r.node.name == member.name and r.topic == f"/{link.port.topic}")
+        reader.receive(link.port.layout().encode(world.now + 3600 * SECOND, link.port.safe))
+    states = run.run()
+    return {n: (states[n], a.ticks, a.missed, a.incomplete) for n, a in run.adapters.items()}, {
+        (n, i.name): i.refused for n, a in run.adapters.items() for i in a.inputs if i.refused
+    }
+
+
+@pytest.mark.parametrize("system", [s if s in DAILY else pytest.param(s, marks=pytest.mark.long) for s in SYSTEMS])
+def test_no_node_is_deaf_after_a_message_from_the_future(system):
+    rig = short(system)
+    undisturbed, refused = in_real_time(rig)
+    assert refused == {}
+    asked = 0
+    for member in rig.members:
+        for port in member.inputs:
+            if port.name in member.links and port.stamped:
+                assert in_real_time(rig, member, port) == (undisturbed, {(member.name, port.name): 1})
+                asked += 1
+    assert asked
 
 
 def test_every_observer_can_be_asked_before_its_first_tick():
