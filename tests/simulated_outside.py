@@ -20,10 +20,13 @@ class SimulatedOutside:
         The topics that it reads; the fastest one calls for its answers. None: /clock.
     pause : callable
         Gives the ns between making its endpoints, one after the other.
+    realtime : bool
+        Whether t = 0 is at the stamp of the first call; what it says is then stamped accordingly. It must be called.
     """
 
-    def __init__(self, rig, member, said, world, reads, pause=lambda: 0, name=None):
+    def __init__(self, rig, member, said, world, reads, pause=lambda: 0, name=None, realtime=False):
         self.member, self.world = member, world
+        self.epoch = None if realtime else 0
         self.node = SimulatedNode(world, name or f"others_{member.name}", {})
         self.said = {p.topic: said.topics[p.topic] for p in member.outputs}
         self.next = dict.fromkeys(self.said, 0)
@@ -72,16 +75,23 @@ class SimulatedOutside:
     def _called(self, t):
         if self.member.is_plant:
             self.starter.cancel()
+        self.epoch = t if self.epoch is None else self.epoch
+        t -= self.epoch
         following = self.caller.next(t)
         self._say(following if self.member.is_plant else following - 1)
 
     def _say(self, until):
         for topic, record in self.said.items():
             while self.next[topic] < len(record.times) and record.times[self.next[topic]] <= until:
-                data = record.data[self.next[topic]]
+                data = bytes(record.data[self.next[topic]])
                 self.next[topic] += 1
-                self.writers[topic](bytes(data))
+                self.writers[topic](_stamped(data, _stamp(data) + self.epoch) if self.epoch else data)
 
 
 def _stamp(data):
     return int.from_bytes(data[4:8], "little") * 1_000_000_000 + int.from_bytes(data[8:12], "little")
+
+
+def _stamped(data, t):
+    seconds, nanoseconds = divmod(t, 1_000_000_000)
+    return data[:4] + seconds.to_bytes(4, "little") + nanoseconds.to_bytes(4, "little") + data[12:]

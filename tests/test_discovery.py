@@ -86,12 +86,12 @@ def start(kind, seed, outside=(), stalls=0):
     return wrong
 
 
-def stall(run, rng):
+def stall(run, rng, longest=3_000):
     """One of the nodes is stopped for a while, its messages wait for it."""
     if not run.nodes:
         return
     node = rng.choice(list(run.nodes.values()))
-    node.stalled = max(node.stalled, run.world.now + rng.randrange(3_000 * MS))
+    node.stalled = max(node.stalled, run.world.now + rng.randrange(longest * MS))
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -177,6 +177,71 @@ def departure(kind, seed):
     return wrong + [f"{n} has missed ticks" for n, a in run.adapters.items() if a.missed + a.incomplete]
 
 
+def called(kind, rng):
+    """Draw nodes that may be outside in real time: what calls for their answers has stamps and is ours."""
+    rig, _ = rig_and_record(kind)
+    outside = set(guests(kind, rng)) if rng.random() < 0.5 else set()
+    for member in rig.members:
+        calls = [k for k in member.links.values() if k.source.name not in outside and k.port.stamped]
+        said = all(p.stamped and not p.delayed for p in member.outputs)
+        if member.is_plant or not said or not any(not k.port.sporadic and not k.port.delayed for k in calls):
+            outside.discard(member.name)
+    return tuple(sorted(outside))
+
+
+def real_time(kind, seed, outside=(), stalls=0):
+    """One run in real time whose orders are drawn: what each of our nodes did not say at its ticks it has counted."""
+    rng = random.Random(seed)
+    ours, expected = rig_and_record(kind)
+    rig = with_guests(kind, outside)
+    longest = rng.choice((1, 5, 20)) * MS
+    world = World(lambda *_: rng.randrange(1_000, longest), direct=seed % 2 == 1)
+    Discovery(world, rng)
+    run = SimulatedRig(rig, world, "realtime", departs=True, after=lambda name: rng.randrange(300 * MS),
+                       start_timeout=0.0)  # fmt: skip
+    for member in (m for m in ours.members if m.name in outside):
+        links = {p: member.links[p.name] for p in member.inputs if p.name in member.links}
+        reads = [p for p, k in links.items() if k.source.name not in outside and k.port.stamped
+                 and not k.port.sporadic and not k.port.delayed]  # fmt: skip
+        world.at(world.now + rng.randrange(1_000 * MS), partial(
+            SimulatedOutside, ours, member, expected, world, reads, lambda: rng.randrange(100 * MS), realtime=True,
+        ))  # fmt: skip
+
+    def strike():
+        begun = max((a.epoch for a in run.adapters.values()), default=0)
+        if begun:
+            world.at(begun + rng.randrange(rig.end), lambda: stall(run, rng, 100))
+        else:
+            world.at(world.now + 50 * MS, strike)
+
+    for k in range(stalls):  # before the start and during the run
+        world.at(world.now + rng.randrange(1_000 * MS), strike if k % 2 == 0 else lambda: stall(run, rng))
+    states = run.run(60.0)
+    wrong = [f"{m.name} has not come" for m in rig.members if not m.external and m.name not in states]
+    wrong += [f"{n}: {a.state} at {a.t}: {a.error}" for n, a in run.adapters.items() if a.state != "done"]
+    wrong += [f"{n} refused {i.port.topic}: {i.last_refusal}" for n, a in run.adapters.items()
+              for i in a.inputs if i.refused and not i.last_refusal.startswith("stamp is -")]  # fmt: skip
+    epochs = {a.epoch for a in run.adapters.values()}
+    if len(epochs) != 1:
+        return [*wrong, f"t = 0 at {epochs}"]
+    (epoch,) = epochs
+    for member in (m for m in rig.members if not m.external):
+        missed = run.adapters[member.name].missed if member.name in run.adapters else 0
+        for port in (p for p in member.outputs if not p.sporadic and p.stamped and not p.delayed):
+            ticks = [member.schedule.tick(t - epoch) for t in run.recording.topics[port.topic].times]
+            due = ticks[-1] - ticks[0] + 1 if ticks else 0
+            if ticks != sorted(set(ticks)) or due - len(ticks) != missed:
+                wrong.append(f"{port.topic}: {len(ticks)} messages in {due} ticks, {missed} counted as missed")
+    return wrong
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_in_real_time_every_tick_is_answered_or_counted(kind):
+    for seed in range(8):
+        outside = called(kind, random.Random(seed))
+        assert real_time(kind, seed, outside, stalls=seed % 4) == [], (seed, outside)
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_when_a_node_dies_the_others_end_and_name_it(kind):
     for seed in range(10):
@@ -208,7 +273,10 @@ def trial(seed):
         return f"death in {kind}", death(kind, seed)
     if what < 0.3:
         return f"death in {kind} in real time", death_in_real_time(kind, seed)
-    if what < 0.5:
+    if what < 0.45:
+        outside = called(kind, random.Random(seed))
+        return f"{kind} in real time with {outside} outside", real_time(kind, seed, outside, stalls=seed % 4)
+    if what < 0.6:
         outside = guests(kind, random.Random(seed))
         return f"{kind} with {outside} outside", start(kind, seed, outside)
     return f"start of {kind}", start(kind, seed, stalls=seed % 4)

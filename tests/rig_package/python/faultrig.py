@@ -183,7 +183,7 @@ class BurstGain(Block):
     def update(self, t, state, burst):
         age = self.age("burst")
         fresh = age is not None and age < 30_000_000
-        assert self.age("state") == 0
+        assert self.realtime or self.age("state") == 0
         return {"command": (burst[0] + (burst[1] if fresh else -burst[1]) - state[0],)}
 
 
@@ -202,7 +202,7 @@ class Record(Block):
 
     def finish(self, t, state):
         self.seen.append(state[0])
-        return {"record": (self.seen[1], self.seen[-1], float(len(self.seen)))}
+        return {"record": (self.seen[min(1, len(self.seen) - 1)], self.seen[-1], float(len(self.seen)))}
 
 
 class Analyst(Block):

@@ -2,7 +2,8 @@
 
 Each node says again and again that it is ready (`READY`, a Header with its name). One of them, the starter, has heard
 all of them and is ready itself: it sets the time of t = 0 and says it (`START`, a Header with that time), again for
-each node that still says that it is ready. Neither needs a message to arrive at the first try.
+each node that still says that it is ready. Readiness need not arrive at the first try; the start is said when all nodes
+hear it, as the starter's writer sees them, for a run may be over before somebody asks again.
 """
 
 from __future__ import annotations
@@ -40,6 +41,7 @@ class Departure:
         self.absent: list[str] = []  # who is not there yet
         self._is_starter = node.links.starter == node.middleware.name
         self._silent = set(node.links.starts) - {node.middleware.name}
+        self._unheard = len(self._silent)  # nodes that do not hear the starter yet
         self._epoch = 0
         self._checks = 0
         self._header, self._read = TickWriter(), TickReader()
@@ -48,11 +50,14 @@ class Departure:
         heard = START if not self._is_starter else READY
         self._input = Input(Port("stamp", heard, TICK))
         node.paces.append(self._input)
-        self._publish = middleware.publisher(READY if not self._is_starter else START, TICK, lambda count: None)
+        self._publish = middleware.publisher(READY if not self._is_starter else START, TICK, self._matched)
         middleware.subscribe(
             heard, TICK, self._hear_ready if self._is_starter else self._hear_start, lambda count: None
         )
         self._timer = middleware.timer(CHECK, self._look)
+
+    def _matched(self, count: int) -> None:
+        self._unheard = len(self._node.links.starts) - 1 - count
 
     def _hear_ready(self, data: bytes) -> None:
         try:
@@ -84,6 +89,8 @@ class Departure:
         self._checks += 1
         if self._is_starter:
             self.absent += [f"{name} is not ready" for name in sorted(self._silent)]
+            if self._unheard > 0:
+                self.absent.append(f"{self._unheard} nodes do not hear {START} yet")
             if not self.absent:
                 self._timer.cancel()
                 grid = Schedule(self._node.links.grid)
