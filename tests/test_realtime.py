@@ -16,7 +16,7 @@ def test_nodes_started_by_hand_close_the_loop_and_stop_on_ctrl_c(bench):
     bench.wait(lambda: bench.status("gain").get("ticks", 0) > 50)
     for process in (gain, plant):
         process.send_signal(2)
-        assert process.wait(10) == 0
+        assert process.wait(60) == 0
     t, x = bench.signal("plant", "lag/state/x/position")
     assert abs(x).max() > 0.01
     # the rate is the wall clock's: the n-th message is stamped n periods after the first
