@@ -84,13 +84,19 @@ class Departure:
     def _say_start(self) -> None:
         self._publish(self._header(self._epoch, ()))
 
+    def _deaf(self) -> str:
+        """Name who does not read when the run starts, as far as the graph shows it."""
+        middleware = self._node.middleware
+        there = {middleware.name, *(peer.name for peer in middleware.subscribers(middleware.resolve(START)))}
+        return ", ".join(n for n in self._node.links.starts if n not in there) or f"one of {len(there)} nodes"
+
     def _look(self) -> None:
         self.absent = self.handshake.absent()
         self._checks += 1
         if self._is_starter:
             self.absent += [f"{name} is not ready" for name in sorted(self._silent)]
             if self._unheard > 0:
-                self.absent.append(f"{self._unheard} nodes do not hear {START} yet")
+                self.absent.append(f"{self._deaf()} does not hear {START} yet")
             if not self.absent:
                 self._timer.cancel()
                 grid = Schedule(self._node.links.grid)
