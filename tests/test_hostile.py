@@ -93,6 +93,24 @@ def test_what_does_not_fit_together_names_what_was_given():
         build(Pair, {"low": 2.0})
 
 
+def test_a_parameter_is_named_as_a_word_and_a_check_may_divide_by_nothing():
+    class Line(BlockParams):
+        f: float = param(1.0, "factor")
+        x: float = param(1.0, "reactance")
+
+        @model_validator(mode="after")
+        def _possible(self):
+            if self.f < 0.0:
+                raise ValueError("half of it is missing")
+            1.0 / (self.f * self.x)
+            return self
+
+    with pytest.raises(ParameterError, match=r"^parameters: half of it is missing \(with f = -1\.0\)$"):
+        build(Line, {"f": -1.0})
+    with pytest.raises(ParameterError, match=r"^parameters: float division by zero \(with f = 1e-200, x = 1e-200\)$"):
+        build(Line, {"f": 1e-200, "x": 1e-200})
+
+
 def test_elements_of_a_list_have_bounds():
     class Rules(BlockParams):
         rules: tuple[int, ...] = param((0, 1), "rules", each=(-3, 3))

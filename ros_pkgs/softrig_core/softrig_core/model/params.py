@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, get_args
@@ -194,10 +195,16 @@ def build(model: type[Params], values: Mapping[str, Any]) -> Params:
         return model(**nested)
     except ValidationError as error:
         text = "; ".join(_explain(model, e) for e in error.errors())
-        if values and not any(name in text for name in values):  # what follows from them does not fit together
-            given = ", ".join(f"{name} = {_shown(value)}" for name, value in values.items())
-            text += f" (with {given if len(given) < 400 else given[:400] + ' ...'})"
-        raise ParameterError(text) from None
+    except ArithmeticError as error:  # of a check that reckons with them
+        text = f"parameters: {error}"
+    if values and not any(_named(name, text) for name in values):  # what follows from them does not fit together
+        given = ", ".join(f"{name} = {_shown(value)}" for name, value in values.items())
+        text += f" (with {given if len(given) < 400 else given[:400] + ' ...'})"
+    raise ParameterError(text)
+
+
+def _named(parameter: str, text: str) -> bool:
+    return re.search(rf"(?<![\w.]){re.escape(parameter)}(?![\w.])", text) is not None
 
 
 def _explain(model: type[Params], error: Any) -> str:

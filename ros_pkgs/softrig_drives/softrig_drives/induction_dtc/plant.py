@@ -23,7 +23,7 @@ class ImPlantParams(AdcParams, MachineConstants, BlockParams):
     """Machine, inverter and converters."""
 
     period: float = param(5e-5, "control and sampling period T_s", "s", gt=0.0, le=100.0)
-    substeps: int = param(1, "Runge-Kutta steps in one period; one is exact to 2e-10 Wb", ge=1, le=1000)
+    substeps: int = param(1, "Runge-Kutta steps in one period; one is exact to 2e-10 Wb", ge=1, le=100)
     U_dc: float = param(540.0, "DC-link voltage", "V", gt=0.0)
     trip_current: float = param(28.0, "phase current at which the inverter trips, 4 times the rated peak", "A", gt=0.0)
 

@@ -31,7 +31,7 @@ class EvaluatorParams(ProblemParams):
     order: int = param(8, "power: highest order of the plan", ge=1, le=60)
     stages: int = param(1, "power: stages of the plan", ge=1, le=64)
     samples: int = param(101, "time: columns of the plan", ge=4, le=10_001)
-    substeps: int = param(4, "Runge-Kutta steps in a period, for the running cost", ge=1, le=1000)
+    substeps: int = param(4, "Runge-Kutta steps in a period, for the running cost", ge=1, le=100)
     eps_res: float = param(1e-4, "largest residual of an optimum", gt=0.0, le=1e3)
 
 

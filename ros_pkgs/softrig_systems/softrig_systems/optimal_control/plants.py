@@ -26,7 +26,7 @@ ESCAPED = 1e3  # a state beyond it stops the plant
 class OcpPlantParams(ProblemParams):
     """Problem, disturbance and steps."""
 
-    substeps: int = param(4, "Runge-Kutta steps in a period", ge=1, le=1000)
+    substeps: int = param(4, "Runge-Kutta steps in a period", ge=1, le=100)
     bias: tuple[float, ...] = param((), "added to each command, in its unit; nothing when empty")
     torque_limit: float | None = param(None, "largest absolute command; without limit when absent", gt=0.0, le=1e9)
 
