@@ -1,5 +1,6 @@
 """How a run ends that is stopped from outside: nodes leave, what was recorded is kept, the status says what it was."""
 
+import fcntl
 import json
 import os
 import signal
@@ -74,6 +75,24 @@ def test_leftovers_of_the_dead_go_and_those_of_the_living_stay(tmp_path):
     owner.communicate(b"\n")
     assert remove_leftovers(1, tmp_path) == 3  # of a domain that is over: ports that nobody had locked, too
     assert {p.name for p in tmp_path.iterdir()} == {"fastrtps_00cc", "fastrtps_00cc_el", "other"}
+
+
+def test_nobody_takes_a_port_while_it_is_removed(tmp_path, monkeypatch):
+    lock = tmp_path / "fastrtps_port7411_el"
+    for path in (tmp_path / "fastrtps_port7411", tmp_path / "sem.fastrtps_port7411_mutex", lock):
+        path.touch()
+        os.utime(path, (0, 0))
+    removed, unlink = [], Path.unlink
+
+    def contested(path):
+        with lock.open() as file, pytest.raises(BlockingIOError):
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        removed.append(path.name)
+        unlink(path)
+
+    monkeypatch.setattr(Path, "unlink", contested)
+    assert remove_leftovers(folder=tmp_path) == 3
+    assert removed == ["fastrtps_port7411", "sem.fastrtps_port7411_mutex", "fastrtps_port7411_el"]
 
 
 @pytest.mark.processes

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from softrig_core.errors import RunError
 from softrig_core.rig.domain import free_domain
-from softrig_core.rig.shared_memory import AGE, _ownerless, remove_leftovers
+from softrig_core.rig.shared_memory import AGE, _taken, remove_leftovers
 
 SHARED = Path("/dev/shm")
 
@@ -63,7 +63,8 @@ def left_in_memory(before: set[str], domain: int | None) -> list[str]:
         for _ in range(3):
             time.sleep(AGE + 0.1)  # the clearing itself leaves alone what is younger
             remove_leftovers(domain)
-            left &= {n for n in segments() if (n in ours or n.endswith("_el")) and _ownerless(SHARED / n)}
+            with ExitStack() as held:
+                left &= {n for n in segments() if (n in ours or n.endswith("_el")) and _taken(SHARED / n, held)}
             if not left:
                 break
     return sorted(left)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import fcntl
 import os
 import time
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
 
 FOLDER = Path("/dev/shm")
@@ -31,26 +31,25 @@ def remove_leftovers(domain: int | None = None, folder: Path = FOLDER) -> int:
         stems |= {f"fastrtps_port{n}" for n in range(first, first + 250) if (folder / f"fastrtps_port{n}").exists()}
     for stem in sorted(stems):
         locks = [p for p in (folder / f"{stem}_el", folder / f"{stem}_sl") if p.exists()]
-        if not all(_ownerless(lock) for lock in locks):
-            continue
-        for path in (*locks, folder / stem, folder / f"sem.{stem}_mutex"):
-            with suppress(OSError):
-                path.unlink()
-                removed += 1
+        # the locks last, and held until then: a node that starts now must not take the port meanwhile
+        with ExitStack() as held:
+            if not all(_taken(lock, held) for lock in locks):
+                continue
+            for path in (folder / stem, folder / f"sem.{stem}_mutex", *locks):
+                with suppress(OSError):
+                    path.unlink()
+                    removed += 1
     return removed
 
 
-def _ownerless(lock: Path) -> bool:
+def _taken(lock: Path, held: ExitStack) -> bool:
+    """Whether a lock file is old and nobody's; it is ours then until `held` ends."""
     try:
         if time.time() - lock.stat().st_mtime < AGE:
             return False
         file = os.open(lock, os.O_RDWR | os.O_NOFOLLOW | os.O_CLOEXEC)
-    except OSError:
-        return False
-    try:
+        held.callback(os.close, file)
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError:
         return False
-    finally:
-        os.close(file)
     return True
