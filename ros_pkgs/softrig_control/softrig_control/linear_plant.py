@@ -21,9 +21,12 @@ class LinearPlantParams(BlockParams):
     """Transfer function num(s)/den(s) and the names of its two signals."""
 
     period: float = param(0.00083, "sampling period T, also of the zero-order hold", "s", gt=0.0, le=10.0)
-    num: tuple[float, ...] = param((2.8286, 2.8286 * 175100.0), "numerator, highest power of s first", min_length=1)
-    den: tuple[float, ...] = param((1.0, 51.17 + 125.7, 51.17 * 125.7), "denominator, highest power of s first",
-                                   min_length=2)  # fmt: skip
+    num: tuple[float, ...] = param(
+        (2.8286, 2.8286 * 175100.0), "numerator, highest power of s first", min_length=1, max_length=50
+    )
+    den: tuple[float, ...] = param(
+        (1.0, 51.17 + 125.7, 51.17 * 125.7), "denominator, highest power of s first", min_length=2, max_length=50
+    )
     command: str = param("command/u/effort", "signal that comes in, topic/channel/field")
     command_unit: str = param("V", "its unit")
     output: str = param("output/v_dc/position", "signal that goes out, topic/channel/field")

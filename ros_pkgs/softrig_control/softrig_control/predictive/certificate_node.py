@@ -19,8 +19,10 @@ class CertificateParams(BlockParams):
     """Model, weights, and optionally the K and Qbar of somebody else."""
 
     period: float = param(0.1, "time between looks at the button", "s", gt=0.0, le=100.0)
-    num: tuple[float, ...] = param((2.8286, 2.8286 * 175100.0), "numerator, highest power of s first")
-    den: tuple[float, ...] = param((1.0, 51.17 + 125.7, 51.17 * 125.7), "denominator, highest power of s first")
+    num: tuple[float, ...] = param((2.8286, 2.8286 * 175100.0), "numerator, highest power of s first", max_length=50)
+    den: tuple[float, ...] = param(
+        (1.0, 51.17 + 125.7, 51.17 * 125.7), "denominator, highest power of s first", max_length=50
+    )
     T: float = param(0.001, "sampling time of the model", "s", gt=0.0, le=10.0)
     Q: float = param(1.0, "weight of y: Q C'C", gt=0.0, le=1e12)
     R: float = param(1.0, "weight of u", gt=0.0, le=1e12)

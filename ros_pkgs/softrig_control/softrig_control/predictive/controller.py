@@ -81,10 +81,12 @@ class GpcLawParams(BlockParams):
 class GpcControllerParams(GpcLawParams):
     """The model: a transfer function in s, or A(z) and B(z)."""
 
-    num: tuple[float, ...] = param((2.8286, 2.8286 * 175100.0), "numerator, highest power of s first")
-    den: tuple[float, ...] = param((1.0, 51.17 + 125.7, 51.17 * 125.7), "denominator, highest power of s first")
-    a: tuple[float, ...] = param((), "instead: A(z) = 1 + a1 z^-1 + ..., beginning with the 1")
-    b: tuple[float, ...] = param((), "instead: B(z) = b0 + b1 z^-1 + ..., b0 being that of u(t-1)")
+    num: tuple[float, ...] = param((2.8286, 2.8286 * 175100.0), "numerator, highest power of s first", max_length=50)
+    den: tuple[float, ...] = param(
+        (1.0, 51.17 + 125.7, 51.17 * 125.7), "denominator, highest power of s first", max_length=50
+    )
+    a: tuple[float, ...] = param((), "instead: A(z) = 1 + a1 z^-1 + ..., beginning with the 1", max_length=200)
+    b: tuple[float, ...] = param((), "instead: B(z) = b0 + b1 z^-1 + ..., b0 being that of u(t-1)", max_length=200)
 
     def carima(self) -> Carima:
         """Give A(z), B(z), or the transfer function sampled with zero-order hold."""

@@ -195,8 +195,8 @@ def build(model: type[Params], values: Mapping[str, Any]) -> Params:
         return model(**nested)
     except ValidationError as error:
         text = "; ".join(_explain(model, e) for e in error.errors())
-    except ArithmeticError as error:  # of a check that reckons with them
-        text = f"parameters: {error}"
+    except (ArithmeticError, MemoryError) as error:  # of a check that reckons with them
+        text = f"parameters: {error or 'out of memory'}"
     if values and not any(_named(name, text) for name in values):  # what follows from them does not fit together
         given = ", ".join(f"{name} = {_shown(value)}" for name, value in values.items())
         text += f" (with {given if len(given) < 400 else given[:400] + ' ...'})"

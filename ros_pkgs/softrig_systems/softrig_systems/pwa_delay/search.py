@@ -81,7 +81,8 @@ def growth_rate(run: Run) -> float:
     peak = np.flatnonzero((x[1:-1] >= x[:-2]) & (x[1:-1] > x[2:])) + 1
     peak = peak[x[peak] > 0.0]
     if peak.size < 3:
-        raise ValueError(f"{peak.size} maxima in {t[-1] - t[0]:g} s: the run is too short for a growth rate")
+        raise ValueError(f"{peak.size} maxima in {np.ptp(t) if t.size else 0.0:g} s: the run is too short for a growth "
+                         "rate")  # fmt: skip
     return float(np.polyfit(t[peak], np.log(x[peak]), 1)[0])
 
 
