@@ -14,6 +14,7 @@ from softrig_core.errors import RunError, ScenarioError
 from softrig_core.model.block import Block
 from softrig_core.model.params import BlockParams, Declaration, declarations
 from softrig_core.model.port import Port, Sample
+from softrig_core.model.solver import Solver
 from softrig_core.rig.inprocess import run_inprocess
 from softrig_core.rig.rig import Rig, load_block
 from softrig_core.rig.scenario import Scenario
@@ -115,7 +116,9 @@ def run_one(package: str, executable: str, block: type[Block], values: dict, see
     ports = [
         replace(p, name=f"out{i}", held=False, partial=False, sporadic=False) for i, p in enumerate(inputs.values())
     ]
-    entries = {"victim": {"package": package, "executable": executable, "parameters": values}}
+    # what is asked of a solver may take days: it has a limit for that
+    limit = {"limit": 20.0} if issubclass(block, Solver) else {}
+    entries = {"victim": {"package": package, "executable": executable, "parameters": limit | values}}
     classes: dict[str, type[Block]] = {"victim": block}
     period = values.get("period", block.Params.model_fields["period"].default)
     if ports:

@@ -6,10 +6,17 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from ..model.block import Plant
+from ..model.params import BlockParams, param
 from . import executable
 
 
-class Clock(Plant):
+class ClockParams(BlockParams):
+    """A period as long as that of the slowest node."""
+
+    period: float = param(0.01, "period; also a fraction as text: 1/2880", "s", gt=0.0, le=86400.0)
+
+
+class Clock(Plant[ClockParams]):
     """Has a period and nothing else; a node of it publishes /clock."""
 
     @property
