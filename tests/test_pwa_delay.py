@@ -532,3 +532,7 @@ def test_processes_give_the_bits_of_in_process(name, tmp_path):
     outcome = run_processes(rig, 1, tmp_path)
     assert outcome.error == ""
     assert differences(in_process(rig, 1), outcome.recording) == []
+
+
+def test_a_search_narrower_than_numbers_are_ends():
+    assert dry_margin(0.2, 6.5, 6.56, width=1e-300) == pytest.approx(6.531, abs=0.005)

@@ -76,7 +76,7 @@ class CertificateParams(CriterionParams, SolverParams):
     h: float = param(0.0, "delay bound; 0: the largest that can be certified", "s", ge=0.0, le=1e6)
     low: float = param(0.0, "where the search begins; 0: found by itself", "s", ge=0.0, le=1e6)
     high: float = param(0.0, "where it ends at first; 0: found by itself", "s", ge=0.0, le=1e6)
-    width: float = param(1e-4, "relative width at which the search ends", gt=0.0, le=0.1)
+    width: float = param(1e-4, "relative width at which the search ends", ge=1e-9, le=0.1)
     at_start: bool = param(True, "ask once at the start; later at each press of the button")
 
     @model_validator(mode="after")

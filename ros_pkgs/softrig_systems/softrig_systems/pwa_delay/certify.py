@@ -141,7 +141,7 @@ def certified_margin(
         best, low, high = above, high, 2.0 * high
         if high > 1e9 * _fast_time(system):
             return best  # stable for every delay, as far as that can be told
-    while high - low > width * low:
+    while high - low > max(width * low, 2.0 * math.ulp(high)):  # numbers between them, too
         middle = 0.5 * (low + high)
         found = ask(middle)
         if found.valid:

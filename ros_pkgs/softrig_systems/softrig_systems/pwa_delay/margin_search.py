@@ -23,7 +23,7 @@ class MarginSearchParams(SystemParams, SolverParams):
 
     low: float = param(0.0195, "delay at which it is stable", "s", gt=0.0, le=1e3)
     high: float = param(0.021, "delay at which it is not", "s", gt=0.0, le=1e3)
-    width: float = param(1e-5, "width of the answer", "s", gt=0.0, le=1.0)
+    width: float = param(1e-5, "width of the answer", "s", ge=1e-12, le=1.0)
     duration: float = param(60.0, "length of a run; growth is taken from its second half", "s", gt=0.0, le=1e6)
     steps: int = param(50, "integration steps in a delay", ge=10, le=100000)
     x0: tuple[float, ...] = param((-2.0, 0.0), "state at and before the start")

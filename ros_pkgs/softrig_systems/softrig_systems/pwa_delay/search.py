@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
@@ -109,7 +110,7 @@ def find_margin(growth: Callable[[float], float], low: float, high: float, *, wi
         raise ValueError(f"growth {at_low:.3g} 1/s at {low:g} s and {at_high:.3g} 1/s at {high:g} s: no margin between")
     h = before = low
     side = 0
-    while high - low > width:
+    while high - low > max(width, 2.0 * math.ulp(high)):  # numbers between them, too
         h = (low * at_high - high * at_low) / (at_high - at_low)
         rate = growth(h)
         found[h] = rate
@@ -142,7 +143,7 @@ def dry_margin(level: float, low: float, high: float, *, width: float = 1e-3, pw
 
     if dry(low) or not dry(high):
         raise ValueError(f"the tank does not begin to run empty between {low:g} s and {high:g} s")
-    while high - low > width:
+    while high - low > max(width, 2.0 * math.ulp(high)):  # numbers between them, too
         middle = 0.5 * (low + high)
         if dry(middle):
             high = middle
