@@ -77,6 +77,18 @@ def test_leftovers_of_the_dead_go_and_those_of_the_living_stay(tmp_path):
     assert {p.name for p in tmp_path.iterdir()} == {"fastrtps_00cc", "fastrtps_00cc_el", "other"}
 
 
+def test_ctrl_c_cannot_be_swallowed_while_a_node_starts():
+    """By a module that is being imported, say: the node would wait for its peers."""
+    code = ("import os, signal; from softrig_core.node.interrupt import interrupt; interrupt.install()\n"
+            "try: os.kill(os.getpid(), signal.SIGINT)\n"
+            "except BaseException: pass\n"
+            "print('alive')")  # fmt: skip
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+    late = code.replace("interrupt.install()", "interrupt.install(); interrupt.early = False")
+    assert subprocess.run([sys.executable, "-c", late], capture_output=True, text=True).stdout == "alive\n"
+
+
 def test_nobody_takes_a_port_while_it_is_removed(tmp_path, monkeypatch):
     lock = tmp_path / "fastrtps_port7411_el"
     for path in (tmp_path / "fastrtps_port7411", tmp_path / "sem.fastrtps_port7411_mutex", lock):

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import Any, NoReturn
 
 from ..model.block import Block
+from .interrupt import interrupt
 
 
 class _Main:
@@ -16,6 +17,7 @@ class _Main:
         self.block = block
 
     def __call__(self, args: Sequence[str] | None = None) -> NoReturn:
+        interrupt.install()
         from .startup import run_node  # rclpy is imported only in a node process
 
         run_node(self.block, sys.argv if args is None else list(args))

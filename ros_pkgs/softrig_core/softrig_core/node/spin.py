@@ -22,12 +22,12 @@ def spin(node: Node, adapter: Adapter) -> int:
 
     finished: Future[None] = Future()
     adapter.on_finished = lambda: None if finished.done() else finished.set_result(None)
-    executor = EventsExecutor()
-    executor.add_node(node)
-    gc.collect()
-    gc.freeze()
     stopped = False
     try:
+        executor = EventsExecutor()
+        executor.add_node(node)
+        gc.collect()
+        gc.freeze()
         while rclpy.ok() and not finished.done():
             # without a timeout this executor never delivers anything (rclpy 7.1)
             executor.spin_until_future_complete(finished, 5.0)

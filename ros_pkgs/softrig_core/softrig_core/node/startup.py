@@ -19,6 +19,7 @@ from ..model.rehearsal import rehearse
 from ..rig.options import RunOptions
 from .adapter import Adapter
 from .faces import Faces
+from .interrupt import interrupt
 from .leave import leave
 from .lockstep import Lockstep
 from .messages import range_descriptor
@@ -42,6 +43,7 @@ def run_node(block_class: type[Block], argv: Sequence[str]) -> NoReturn:
             raise ValueError(f"unexpected argument {stray[0]!r}: expected --ros-args -p NAME:=VALUE and the like; "
                              "--help shows the parameters")  # fmt: skip
         rclpy.init(args=list(argv))
+        interrupt.early = False
         node = ServingNode(name)
         adapter = make_adapter(node, block_class, RosMiddleware(node))
         if not adapter.options.links:
@@ -49,12 +51,16 @@ def run_node(block_class: type[Block], argv: Sequence[str]) -> NoReturn:
     except KeyboardInterrupt:
         leave([node] if node else [], 0)
     except Exception as error:  # every start-up error ends in one line: what was wrong and where
-        if node is not None and not rclpy.ok():  # a signal has shut the context down under it
-            leave([node], 0)
+        if not interrupt.early and not rclpy.ok():  # a signal has shut the context down under it
+            leave([node] if node else [], 0)
         where = node.get_name() if node is not None else name
         tell(where, error)
         leave([node] if node else [], 2)
-    leave([node], spin(node, adapter))
+    try:
+        status = spin(node, adapter)
+    except KeyboardInterrupt:  # before the first turn, or a second one
+        status = 0
+    leave([node], status)
 
 
 def make_adapter(node: Node, block_class: type[Block], middleware: Middleware) -> Adapter:
