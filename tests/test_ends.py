@@ -79,7 +79,9 @@ def test_leftovers_of_the_dead_go_and_those_of_the_living_stay(tmp_path):
 
 def test_ctrl_c_cannot_be_swallowed_while_a_node_starts():
     """By a module that is being imported, say: the node would wait for its peers."""
-    code = ("import os, signal; from softrig_core.node.interrupt import interrupt; interrupt.install()\n"
+    # a shell that starts the tests in the background has SIGINT ignored
+    code = ("import os, signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+            "from softrig_core.node.interrupt import interrupt; interrupt.install()\n"
             "try: os.kill(os.getpid(), signal.SIGINT)\n"
             "except BaseException: pass\n"
             "print('alive')")  # fmt: skip

@@ -128,7 +128,9 @@ def replaceable(rig):
     return [m.name for m in rig.members if m.name != CLOCK_NODE and not (m.block_class.ENDS and ended)]
 
 
-@pytest.mark.parametrize("name", ["dc_motor_plant", "dc_motor_smc", "motor_reference"])
+@pytest.mark.parametrize(
+    "name", ["dc_motor_plant", "dc_motor_smc", pytest.param("motor_reference", marks=pytest.mark.long)]
+)
 def test_a_plain_node_takes_the_place_of_ours(name, tmp_path):
     assert replaced(short("dc_motor_smc"), name, tmp_path) == []
 

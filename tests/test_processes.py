@@ -102,13 +102,13 @@ def test_an_observer_sees_every_sample_up_to_the_end(tmp_path):
 
 
 def test_many_starts_are_identical_also_under_load(tmp_path):
-    """20 starts, two at a time on two cores with a spinning process beside them; test_starts.py has a thousand."""
+    """A dozen starts, two at a time on two cores with a spinning process beside them; test_starts.py has a thousand."""
     wired = rig(BASIC, 0.3)
     expected = in_process(wired)
     load = subprocess.Popen([sys.executable, "-c", "while True: pass"])
     try:
         with ThreadPoolExecutor(2) as pool:
-            outcomes = list(pool.map(lambda i: run_processes(wired, 0, tmp_path / str(i)), range(20)))
+            outcomes = list(pool.map(lambda i: run_processes(wired, 0, tmp_path / str(i)), range(12)))
     finally:
         load.kill()
         load.wait()
