@@ -12,7 +12,7 @@ from pathlib import Path
 
 from softrig_core.errors import RunError, ScenarioError
 from softrig_core.model.block import Block
-from softrig_core.model.params import BlockParams, Declaration, declarations
+from softrig_core.model.params import BlockParams, Declaration, declarations, param
 from softrig_core.model.port import Port, Sample
 from softrig_core.model.solver import Solver
 from softrig_core.rig.inprocess import run_inprocess
@@ -70,10 +70,16 @@ def extreme(declaration: Declaration, chance: random.Random) -> object:
     return chance.choice((*EXTREME, *edges))
 
 
+class FeederParams(BlockParams):
+    """A period as long as that of the slowest node."""
+
+    period: float = param(0.01, "period", "s", gt=0.0, le=86400.0)
+
+
 def feeder(ports: list[Port], seed: int) -> type[Block]:
     """Make a block that publishes what another reads: zeros, safe values, large and small numbers."""
 
-    class Feeder(Block[BlockParams]):
+    class Feeder(Block[FeederParams]):
         OUTPUTS = tuple(ports)
 
         def update(self, t: int, **inputs: object) -> dict:
