@@ -693,14 +693,20 @@ def test_a_single_database_is_repaired_with_write_permission_for_the_new_bag_alo
     assert expected(read_bag(tmp_path / "home/new")) == expected(recording())
 
 
+def split(bag, storage, limit, count, size):
+    """Files of a bag with `count` messages of `size` bytes, split at `limit`."""
+    writer = BagWriter(bag, storage=storage, split_bytes=limit)
+    number = writer.add_topic(BagTopic.known("/x", STATE))
+    for k in range(count):
+        writer.write(number, k, bytes(size))
+    writer.close()
+    return sorted(bag.glob("bag_*"))
+
+
 @pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
 def test_split_by_size(tmp_path, storage):
-    writer = BagWriter(tmp_path / "bag", storage=storage, split_bytes=700_000)
-    number = writer.add_topic(BagTopic.known("/x", STATE))
-    for k in range(2000):
-        writer.write(number, k, bytes(1000))
-    writer.close()
-    sizes = [p.stat().st_size for p in sorted((tmp_path / "bag").glob("bag_*"))]
+    files = split(tmp_path / "bag", storage, 700_000, 2000, 1000)
+    sizes = [p.stat().st_size for p in files]
     assert len(sizes) >= 3
     assert all(650_000 < n < 800_000 for n in sizes[:-1])
     assert read_bag(tmp_path / "bag").topics["x"].times == list(range(2000))
@@ -708,13 +714,8 @@ def test_split_by_size(tmp_path, storage):
 
 @pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
 def test_a_split_size_below_the_head_of_a_file_does_not_make_a_file_of_each_message(tmp_path, storage):
-    writer = BagWriter(tmp_path / "bag", storage=storage, split_bytes=2_000)
-    number = writer.add_topic(BagTopic.known("/x", STATE))
-    for k in range(400):
-        writer.write(number, k, bytes(100))
-    writer.close()
-    files = len(list((tmp_path / "bag").glob("bag_*")))
-    assert 20 <= files <= 45  # 40,000 bytes and what a message costs beside
+    files = split(tmp_path / "bag", storage, 2_000, 400, 100)
+    assert 20 <= len(files) <= 45  # 40,000 bytes and what a message costs beside
     assert read_bag(tmp_path / "bag").topics["x"].times == list(range(400))
 
 

@@ -47,7 +47,6 @@ def test_every_number_of_a_page_has_its_source_and_is_as_it_says(page):
     assert pages.untrue((ROOT / page).read_text(), ROOT / page) == []
 
 
-@pytest.mark.long
 def test_the_counts_of_the_readme_are_as_the_scenarios_say():
     text = (ROOT / "README.md").read_text()
     assert pages.generate(text) == text, WRITE.format("README.md")

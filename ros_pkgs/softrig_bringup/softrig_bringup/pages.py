@@ -143,11 +143,21 @@ def sources(prefixes: Sequence[str]) -> str:
 
 def verdicts(system: str) -> str:
     """How many claims of a system have which verdict."""
-    claims = [c for n in list_scenarios() if (s := load_scenario(n)).system == system for c in s.claims.values()]
-    studies = [load_study(name) for name in list_studies()]
-    claims += [c for s in studies if load_scenario(s.scenario).system == system for c in s.claims.values()]
-    counts = Counter(c.verdict for c in claims)
+    counts = _verdict_counts().get(system, Counter())
     return ", ".join(f"{counts[v]} {v.replace('_', ' ')}" for v in VERDICTS if counts[v])
+
+
+@cache
+def _verdict_counts() -> dict[str, Counter[str]]:
+    """Count the verdicts of all scenarios and studies, by system; read once."""
+    counts: dict[str, Counter[str]] = {}
+    for name in list_scenarios():
+        scenario = load_scenario(name)
+        counts.setdefault(scenario.system, Counter()).update(c.verdict for c in scenario.claims.values())
+    for name in list_studies():
+        study = load_study(name)
+        counts[load_scenario(study.scenario).system].update(c.verdict for c in study.claims.values())
+    return counts
 
 
 @cache

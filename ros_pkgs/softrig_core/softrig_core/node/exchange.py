@@ -15,7 +15,7 @@ from itertools import count
 from typing import Any
 
 from ..wire.cdr import Layout
-from .middleware import Direct, Join, Matched, Message, Receive, Row, Send, SendRow
+from .middleware import Direct, Join, Matched, Message, Receive, Send, SendRow, one_by_one
 
 BATCH = 16  # messages between two looks at the time
 BURST = 8  # messages for other processes that go out together: to wake a reader costs four times as much as to send
@@ -310,14 +310,3 @@ class Exchange:
             raise
         if timer.due == due:  # it has not moved itself
             timer.again(timer.period)
-
-
-def one_by_one(parts: Sequence[tuple[int, Send]]) -> SendRow:
-    """Take what a node says together message by message; see `Join`."""
-
-    def take(row: Row) -> None:
-        stamp, messages = row
-        for k, call in parts:
-            call((stamp, messages[k]))
-
-    return take

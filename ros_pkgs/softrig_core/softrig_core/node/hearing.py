@@ -11,11 +11,12 @@ from ..model.port import Refused, Sample
 from ..model.timebase import SECOND, to_ns
 from ..rig.options import RunOptions
 from ..wire.cdr import Layout, Pick
+from ..wire.codec import readable_stamp
 from ..wire.recording import Sink
 from .adapter import Adapter
 from .endpoint import Input
 from .feed import Feed
-from .middleware import Direct, Message, Middleware, Receive, Row, Send, SendRow
+from .middleware import Direct, Message, Middleware, Receive, Row, Send, SendRow, one_by_one
 
 
 class Hearing(Adapter):
@@ -131,15 +132,14 @@ class Hearing(Adapter):
         known = [(k, feed, feed.recent.append, pick) for k, feed, pick in found]
         rest = [(k, call) for k, call in parts if call not in self._numbers_of]
         feeds = {feed for _, feed, _ in found}
-        window, clock = self._window, self.middleware.now
+        window, clock, apart = self._window, self.middleware.now, one_by_one(parts)
 
         def receive_row(row: Row) -> None:
             stamp, messages = row
             now = clock()
             usual = -window <= stamp - now <= window and self.epoch and not self.stale and not self._contested
             if not usual or self.state != "running" or not self._by_messages:
-                for k, call in parts:
-                    call((stamp, messages[k]))
+                apart(row)
                 return
             for k, feed, keep, pick in known:  # as `Feed.put`
                 keep((stamp, messages[k] if pick is None else pick(messages[k])))
@@ -187,8 +187,8 @@ class Hearing(Adapter):
     def _refused(self, feed: Feed, data: bytes, now: int) -> None:
         """A refused message counts as that of its tick, which the block then answers by `Block.refused`."""
         stamp = 0
-        if feed.item.port.stamped and not feed.by_arrival and len(data) >= 12 and data[1] == 1:
-            stamp = int.from_bytes(data[4:8], "little", signed=True) * SECOND + int.from_bytes(data[8:12], "little")
+        if feed.item.port.stamped and not feed.by_arrival:
+            stamp = readable_stamp(data) or 0
         if stamp and abs(stamp - now) > self._window:
             return  # nobody knows of which tick it is
         if not self._by_messages:

@@ -26,6 +26,17 @@ SendRow = Callable[[Row], None]
 Join = Callable[[Sequence[tuple[int, Send]]], SendRow]
 
 
+def one_by_one(parts: Sequence[tuple[int, Send]]) -> SendRow:
+    """Hand on what a node says together message by message; `parts` as for `Join`."""
+
+    def send_row(row: Row) -> None:
+        stamp, messages = row
+        for k, call in parts:
+            call((stamp, messages[k]))
+
+    return send_row
+
+
 class Peer(NamedTuple):
     """An endpoint as the graph shows it."""
 

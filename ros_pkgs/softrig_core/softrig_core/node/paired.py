@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from ..model.port import Refused, Sample
 from ..model.timebase import SECOND
 from ..wire.cdr import Layout
+from ..wire.codec import readable_stamp
 from .adapter import repeated
 from .endpoint import Input
 from .middleware import Direct, Message, Receive, Send
@@ -43,7 +44,8 @@ def paired(arrivals: Arrivals, pairing: Pairing, item: Input) -> tuple[Receive, 
         except Refused as error:
             node.refuse(item, str(error))
             if not node.is_plant:
-                spoilt(_stamp(data))
+                found = readable_stamp(data)
+                spoilt(-1 if found is None else found)
             return
         accept(stamp, values, stamp, data)
 
@@ -149,10 +151,3 @@ def _in_turn(node: Lockstep, pairing: Pairing, number: int) -> bool:
     elif number or not node.links.guests:  # else it is said again for somebody else
         node.refuse(pairing.item, repeated(number, pairing.sender, expected))
     return False
-
-
-def _stamp(data: bytes) -> int:
-    """The stamp of a refused message, as far as it can be read."""
-    if len(data) < 12 or data[1] != 1:
-        return -1
-    return int.from_bytes(data[4:8], "little", signed=True) * SECOND + int.from_bytes(data[8:12], "little")

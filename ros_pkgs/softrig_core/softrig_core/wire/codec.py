@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from itertools import count
 
 from ..model.port import Port, Refused
+from ..model.timebase import SECOND
 from .cdr import CdrError, Layout, Message, Pick, getter, parse
 
 
@@ -174,3 +175,16 @@ def selection(source: Port, sink: Port) -> Pick | None:
         return lambda values: some(values + sink.safe)
     order = tuple(source.labels.index(label) for label in sink.labels)
     return None if order == tuple(range(source.size)) else getter(order)
+
+
+def readable_stamp(data: bytes) -> int | None:
+    """Give the stamp (ns) of a message that is refused, where it stands at the begin; None when it cannot be read.
+
+    Parameters
+    ----------
+    data : bytes
+        Little-endian CDR of a message that begins with a stamp or a header.
+    """
+    if len(data) < 12 or data[1] != 1:
+        return None
+    return int.from_bytes(data[4:8], "little", signed=True) * SECOND + int.from_bytes(data[8:12], "little")
