@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-PACKAGES = Path(__file__).parents[1] / "ros_pkgs"
+PACKAGES = Path(__file__).parents[2] / "ros_pkgs"
 DOMAINS = ("softrig_drives", "softrig_power", "softrig_robots", "softrig_systems")
 INTERFACES = ("std_msgs", "sensor_msgs", "geometry_msgs", "diagnostic_msgs", "visualization_msgs", "trajectory_msgs")
 MIDDLEWARE = ("rclpy", "rcl_interfaces", "std_srvs", "rosgraph_msgs", "builtin_interfaces", *INTERFACES)

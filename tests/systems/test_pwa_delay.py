@@ -384,7 +384,7 @@ def test_verdicts_of_long_scenarios_hold(name):
 
 @pytest.mark.parametrize("page", ["pwa_delay.md", "tcp_aqm.md"])
 def test_generated_parts_of_the_pages_are_as_the_code_says(page):
-    text = (Path(__file__).parents[1] / "ros_pkgs/softrig_systems/doc" / page).read_text()
+    text = (Path(__file__).parents[2] / "ros_pkgs/softrig_systems/doc" / page).read_text()
     assert pages.generate(text) == text
 
 

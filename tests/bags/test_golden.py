@@ -18,7 +18,7 @@ from softrig_core.rig.scenario import load_scenario
 from softrig_core.rig.starting import node_parameters
 from softrig_core.wire.signals import Signals
 
-BAGS = Path(__file__).parents[1] / "bags"
+BAGS = Path(__file__).parents[2] / "bags"
 GOLDEN = sorted(p.parent.name for p in BAGS.glob("*/golden.yaml"))
 THROUGH_PROCESSES = ("dc_motor_smc_b1", "dc_motor_smc_b4", "dc_motor_fsfb", "pv_mppt")
 NODES = [(name, node) for name in GOLDEN for node in load_scenario(load(BAGS / name).recipe.scenario).nodes]

@@ -71,7 +71,7 @@ def with_outside(rig, names, directory, seed=0, realtime=False):
         reads = [p for p in linked if p is fastest or rng.random() < 0.5]
         about = directory / f"{member.name}.relay.json"
         about.write_text(json.dumps(relay(rig, member, expected, reads, names, realtime)))
-        commands.append([sys.executable, str(Path(__file__).with_name("relay.py")), str(about)])
+        commands.append([sys.executable, str(Path(__file__).parents[1] / "relay.py"), str(about)])
     nodes = {n: e.model_copy(update={"external": True} if n in names else {}) for n, e in rig.scenario.nodes.items()}
     ours = Rig.from_scenario(rig.scenario.model_copy(update={"nodes": nodes, "timeout": 60.0}))
     outside = []

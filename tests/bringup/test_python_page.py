@@ -7,7 +7,7 @@ import matplotlib
 import numpy as np
 import pytest
 
-PAGE = Path(__file__).parents[1] / "ros_pkgs" / "softrig_core" / "doc" / "python.md"
+PAGE = Path(__file__).parents[2] / "ros_pkgs" / "softrig_core" / "doc" / "python.md"
 
 
 @pytest.fixture(scope="module")

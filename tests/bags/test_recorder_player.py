@@ -41,7 +41,7 @@ from std_srvs.srv import Trigger
 
 pytestmark = pytest.mark.processes
 STATE, CLOCK = "sensor_msgs/msg/JointState", "rosgraph_msgs/msg/Clock"
-NODES = Path(__file__).with_name("bag_nodes.py")
+NODES = Path(__file__).parents[1] / "bag_nodes.py"
 LIMIT = 30.0  # s: a test whose condition has not come by then has failed
 
 

@@ -10,7 +10,7 @@ from softrig_core.model.params import BlockParams, param
 from softrig_core.model.port import scalars
 from softrig_core.rig.package_check import check_entry_point, entry_points
 
-PACKAGES = sorted(p.parent for p in (Path(__file__).parents[1] / "ros_pkgs").glob("*/package.xml"))
+PACKAGES = sorted(p.parent for p in (Path(__file__).parents[2] / "ros_pkgs").glob("*/package.xml"))
 
 
 class Steady(Plant):

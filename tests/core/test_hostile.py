@@ -17,7 +17,7 @@ from softrig_core.rig.options import RunOptions
 from softrig_core.rig.rig import Rig
 from softrig_core.rig.scenario import load_scenario
 
-sys.path.insert(0, str(Path(__file__).parent / "campaign"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "campaign"))
 
 import driver
 from parameters import executables

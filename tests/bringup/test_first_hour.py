@@ -14,7 +14,7 @@ from softrig_bringup.new import new_package
 from softrig_core.errors import ScenarioError
 
 UID = 54321  # of nobody
-SOFTRIG = Path(__file__).parents[1] / "scripts" / "softrig"
+SOFTRIG = Path(__file__).parents[2] / "scripts" / "softrig"
 
 LAW = '''
 """A law of one's own for the motor of the paper."""

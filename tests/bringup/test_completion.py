@@ -12,7 +12,7 @@ from softrig_core.node.startup import introduction
 from softrig_core.rig.options import RunOptions
 from softrig_drives.dc_motor.sliding_mode import DcMotorSmc
 
-SOFTRIG = Path(__file__).parents[1] / "scripts" / "softrig"
+SOFTRIG = Path(__file__).parents[2] / "scripts" / "softrig"
 
 
 def offered(*words):

@@ -17,7 +17,7 @@ from softrig_core.rig.rig import Rig
 from softrig_core.rig.scenario import list_scenarios, load_scenario
 from softrig_core.rig.simulate import simulate
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 PAGES = sorted(p.relative_to(ROOT) for p in (*ROOT.glob("ros_pkgs/*/doc/*.md"),))
 SYSTEMS = {
     "dc_motor_smc", "dc_motor_fsfb", "economic_dispatch", "fault_location", "gupfc", "induction_dtc", "lsrm_fuzzy",

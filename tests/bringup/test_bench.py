@@ -10,7 +10,7 @@ from bench import induction, rectifier, systems
 from bench.__main__ import PARTS, main
 from softrig_drives.induction_dtc.switching import VECTORS
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 
 
 def test_the_script_names_the_parts_from_anywhere(tmp_path):

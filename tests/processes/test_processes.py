@@ -201,7 +201,7 @@ def test_a_failing_controller_ends_the_run_with_its_name_and_a_readable_record(h
 
 def test_ctrl_c_stops_all_nodes(tmp_path):
     code = textwrap.dedent(f"""
-        import sys; sys.path.insert(0, {str(Path(__file__).parent)!r})
+        import sys; sys.path.insert(0, {str(Path(__file__).parents[1])!r})
         from conftest import make_scenario
         from softrig_core.rig.rig import Rig
         from softrig_core.rig.processes import run_processes
@@ -219,7 +219,7 @@ def test_ctrl_c_stops_all_nodes(tmp_path):
 
 def test_nodes_die_with_a_killed_runner(tmp_path):
     code = textwrap.dedent(f"""
-        import sys; sys.path.insert(0, {str(Path(__file__).parent)!r})
+        import sys; sys.path.insert(0, {str(Path(__file__).parents[1])!r})
         from conftest import make_scenario
         from softrig_core.rig.rig import Rig
         from softrig_core.rig.processes import run_processes

@@ -23,7 +23,7 @@ from softrig_core.rig.scenario import load_scenario
 from softrig_core.wire import signals
 from softrig_core.wire.recording import Recording
 
-SCRIPTS = Path(__file__).parents[1] / "scripts"
+SCRIPTS = Path(__file__).parents[2] / "scripts"
 
 SCENARIO = """
 title: First-order lag

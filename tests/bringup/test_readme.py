@@ -12,7 +12,7 @@ from softrig_core.rig.domain import free_domain
 from softrig_core.rig.executables import PROFILE, find_executable
 from softrig_core.rig.scenario import list_scenarios
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text()
 
 
