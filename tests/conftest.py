@@ -22,13 +22,10 @@ import sys  # noqa: E402
 
 sys.path.insert(0, str(PACKAGE / "python"))
 
+from softrig_core import Recording, Rig, Scenario, Signals, run_inprocess  # noqa: E402
 from softrig_core.rig.domain import free_domain  # noqa: E402
 from softrig_core.rig.executables import environment, find_executable  # noqa: E402
-from softrig_core.rig.inprocess import run_inprocess  # noqa: E402
-from softrig_core.rig.rig import Rig  # noqa: E402
-from softrig_core.rig.scenario import Scenario  # noqa: E402
-from softrig_core.wire.recording import Recording, shard_topics  # noqa: E402
-from softrig_core.wire.signals import Signals  # noqa: E402
+from softrig_core.wire.recording import shard_topics  # noqa: E402
 
 
 def make_scenario(nodes, duration=1.0, **keys):

@@ -13,14 +13,12 @@ from dataclasses import dataclass, field
 from functools import partial
 from itertools import count
 
-from softrig_core.model.solver import Solver
-from softrig_core.model.worker import Work
+from softrig_core import Recording, Solver, Work
 from softrig_core.node.lockstep import Lockstep
 from softrig_core.node.middleware import Middleware, Peer
 from softrig_core.node.realtime import Realtime
 from softrig_core.rig.options import RunOptions
 from softrig_core.rig.starting import node_parameters
-from softrig_core.wire.recording import Recording
 
 
 @dataclass(eq=False)

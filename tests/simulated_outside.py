@@ -3,7 +3,7 @@
 from functools import partial
 
 from simulated import SimulatedNode, SimulatedTimer
-from softrig_core.model.port import Port
+from softrig_core import Port
 
 
 class SimulatedOutside:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 
-from softrig_core.rig.simulate import rig_of, simulate
+from softrig_core import rig_of, simulate
 from softrig_power.gupfc.network import NetworkParams
 from softrig_power.gupfc.plant import GupfcPlant
 from softrig_power.gupfc.power_flow import PowerFlow, References

@@ -11,11 +11,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
-from softrig_core.rig.inprocess import run_inprocess
-from softrig_core.rig.rig import Rig
-from softrig_core.rig.scenario import load_scenario
-from softrig_core.wire.recording import Recording
-from softrig_core.wire.signals import Signals
+from softrig_core import Recording, Rig, Signals, load_scenario, run_inprocess
 
 from .induction_peers import LEGS
 from .timing import cpu

@@ -14,12 +14,10 @@ from typing import Any
 
 from rich.table import Table
 from softrig_bags.write import write_bag
-from softrig_core.errors import ScenarioError
+from softrig_core import Rig, Scenario, ScenarioError, run_processes
 from softrig_core.rig.domain import free_domain
 from softrig_core.rig.executables import environment
-from softrig_core.rig.processes import run_processes
-from softrig_core.rig.rig import Rig
-from softrig_core.rig.scenario import NodeEntry, Scenario
+from softrig_core.rig.scenario import NodeEntry
 from softrig_core.wire.codec import Decoder
 from softrig_core.wire.recording import ShardWriter
 

@@ -10,12 +10,10 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from rich.table import Table
-from softrig_core.errors import ScenarioError
+from softrig_core import Rig, ScenarioError, load_scenario, run_processes
 from softrig_core.rig.domain import free_domain
 from softrig_core.rig.executables import environment
-from softrig_core.rig.processes import Outcome, run_processes
-from softrig_core.rig.rig import Rig
-from softrig_core.rig.scenario import load_scenario
+from softrig_core.rig.processes import Outcome
 from softrig_core.rig.starting import placed
 
 from .console import console

@@ -16,7 +16,7 @@ from pathlib import Path
 
 from rich.table import Table
 from softrig_bags.stamps import stamp
-from softrig_core.model.timebase import SECOND
+from softrig_core import SECOND
 from softrig_core.node.leave import leave
 from softrig_core.rig.domain import free_domain
 from softrig_core.rig.executables import environment

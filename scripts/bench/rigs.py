@@ -9,14 +9,18 @@ from pathlib import Path
 from typing import Any
 
 from rich.table import Table
-from softrig_core.errors import ScenarioError
-from softrig_core.model.block import Block
-from softrig_core.rig.inprocess import run_inprocess
-from softrig_core.rig.processes import run_processes
-from softrig_core.rig.rig import Member, Rig
-from softrig_core.rig.scenario import list_scenarios, load_scenario
+from softrig_core import (
+    Block,
+    Recording,
+    Rig,
+    ScenarioError,
+    list_scenarios,
+    load_scenario,
+    run_inprocess,
+    run_processes,
+)
+from softrig_core.rig.rig import Member
 from softrig_core.rig.starting import placed
-from softrig_core.wire.recording import Recording
 
 from .console import console
 from .loop import dc_motor_rig

@@ -75,7 +75,7 @@ def works() -> Iterator[Work]:
 
 
 def _core() -> Iterator[Work]:
-    from softrig_core.rig.scenario import list_scenarios, load_scenario
+    from softrig_core import list_scenarios, load_scenario
 
     names = list(list_scenarios())
     yield Work("core", "a scenario resolved", lambda: [load_scenario(n) for n in names], len(names))

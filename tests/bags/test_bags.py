@@ -19,8 +19,7 @@ import numpy as np
 import pyarrow.parquet
 import pytest
 from mcap.reader import make_reader
-from mcap.writer import CompressionType
-from mcap.writer import Writer as McapLibraryWriter
+from mcap.writer import CompressionType, Writer as McapLibraryWriter
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from rosbags.rosbag2.enums import CompressionFormat, CompressionMode
 from rosbags.typesys import Stores, get_typestore
@@ -35,10 +34,9 @@ from softrig_bags.repair import repair
 from softrig_bags.stamps import is_stamped
 from softrig_bags.topics import BagTopic, qos
 from softrig_bags.write import write_bag
-from softrig_core.errors import RunError
+from softrig_core import Recording, RunError, Signals
 from softrig_core.wire.cdr import Layout
-from softrig_core.wire.recording import Recording, ShardWriter
-from softrig_core.wire.signals import Signals
+from softrig_core.wire.recording import ShardWriter
 
 if sys.version_info >= (3, 14):
     from compression import zstd

@@ -12,8 +12,8 @@ from softrig_bags.errors import BagError
 from softrig_bags.read import read_bag
 from softrig_bags.reader import BagReader
 from softrig_bags.repair import repair
+from softrig_core import Recording
 from softrig_core.wire.cdr import Layout
-from softrig_core.wire.recording import Recording
 
 STATE = "sensor_msgs/msg/JointState"
 PLUGINS = {".mcap": StoragePlugin.MCAP, ".db3": StoragePlugin.SQLITE3}

@@ -9,14 +9,10 @@ from softrig_bags.compare import compare
 from softrig_bags.read import read_bag
 from softrig_bringup.golden import create, load, main
 from softrig_bringup.run import versions
-from softrig_core.errors import ScenarioError
+from softrig_core import Rig, ScenarioError, Signals, load_scenario, run_processes
 from softrig_core.rig.domain import free_domain
 from softrig_core.rig.executables import environment, find_executable
-from softrig_core.rig.processes import run_processes
-from softrig_core.rig.rig import Rig
-from softrig_core.rig.scenario import load_scenario
 from softrig_core.rig.starting import node_parameters
-from softrig_core.wire.signals import Signals
 
 BAGS = Path(__file__).parents[2] / "bags"
 GOLDEN = sorted(p.parent.name for p in BAGS.glob("*/golden.yaml"))

@@ -32,11 +32,11 @@ from softrig_bags.ros import publisher_profile
 from softrig_bags.selection import Selection
 from softrig_bags.topics import BagTopic
 from softrig_bags.write import write_bag
+from softrig_core import Recording
 from softrig_core.node.messages import message_class
 from softrig_core.rig.domain import free_domain
 from softrig_core.rig.executables import PROFILE, environment, find_executable
 from softrig_core.wire.cdr import Layout, parse
-from softrig_core.wire.recording import Recording
 from std_srvs.srv import Trigger
 
 pytestmark = pytest.mark.processes

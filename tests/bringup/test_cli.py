@@ -17,11 +17,8 @@ from softrig_bags.reader import BagReader
 from softrig_bringup.cli import _parser, main
 from softrig_bringup.run import _checkout, gaps
 from softrig_bringup.run_verb import _announce, _folder_name, repeat
-from softrig_core.rig.registry import figure
-from softrig_core.rig.rig import Rig
-from softrig_core.rig.scenario import load_scenario
+from softrig_core import Recording, Rig, figure, load_scenario
 from softrig_core.wire import signals
-from softrig_core.wire.recording import Recording
 
 SCRIPTS = Path(__file__).parents[2] / "scripts"
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from softrig_bringup.cli import main
 from softrig_bringup.new import new_package
-from softrig_core.errors import ScenarioError
+from softrig_core import ScenarioError
 
 UID = 54321  # of nobody
 SOFTRIG = Path(__file__).parents[2] / "scripts" / "softrig"

@@ -5,7 +5,7 @@ import json
 import pytest
 from softrig_bringup.cli import main
 from softrig_bringup.folder import MANIFEST, ResultsFolder
-from softrig_core.errors import ScenarioError
+from softrig_core import ScenarioError
 
 RUN = ["run", "dc_motor_smc_b2", "--mode", "inprocess"]
 
@@ -102,7 +102,7 @@ def test_a_changed_gain_is_no_failure(tmp_path, capsys):
     ("{reference: motor/reference}", "{reference: ../x}", "remap"),
 ])  # fmt: skip
 def test_names_that_are_no_ros_names_are_refused(tmp_path, capsys, monkeypatch, old, new, message):
-    from softrig_core.rig.scenario import list_scenarios
+    from softrig_core import list_scenarios
 
     text = list_scenarios()["dc_motor_smc"].read_text()
     assert old in text

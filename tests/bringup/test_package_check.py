@@ -5,9 +5,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from softrig_core.model.block import Block, Plant
-from softrig_core.model.params import BlockParams, param
-from softrig_core.model.port import scalars
+from softrig_core import Block, BlockParams, Plant, param, scalars
 from softrig_core.rig.package_check import check_entry_point, entry_points
 
 PACKAGES = sorted(p.parent for p in (Path(__file__).parents[2] / "ros_pkgs").glob("*/package.xml"))

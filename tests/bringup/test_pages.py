@@ -10,12 +10,8 @@ from ruamel.yaml import YAML
 from softrig_bringup import numbers, pages
 from softrig_bringup.cli import _FOREIGN, _parser, main
 from softrig_bringup.study.definition import list_studies, make_study
-from softrig_core.errors import ScenarioError
+from softrig_core import Rig, ScenarioError, figures_of, list_scenarios, load_scenario, simulate
 from softrig_core.rig.executables import find_executable
-from softrig_core.rig.figures import figures_of
-from softrig_core.rig.rig import Rig
-from softrig_core.rig.scenario import list_scenarios, load_scenario
-from softrig_core.rig.simulate import simulate
 
 ROOT = Path(__file__).parents[2]
 PAGES = sorted(p.relative_to(ROOT) for p in (*ROOT.glob("ros_pkgs/*/doc/*.md"),))
@@ -219,8 +215,9 @@ def test_the_worked_example_of_the_scenario_file_runs(tmp_path, monkeypatch):
 
 
 def test_every_key_of_the_scenario_file_is_on_its_page():
+    from softrig_core import Scenario
     from softrig_core.rig.claims import Claim
-    from softrig_core.rig.scenario import NodeEntry, PlotEntry, Scenario
+    from softrig_core.rig.scenario import NodeEntry, PlotEntry
 
     text = (ROOT / "ros_pkgs/softrig_bringup/doc/scenario_file.md").read_text()
     for model in (Scenario, NodeEntry, PlotEntry, Claim):

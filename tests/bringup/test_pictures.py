@@ -24,10 +24,8 @@ from softrig_bringup.plots.overlay import BAND, Overlay, band, draw_overlay
 from softrig_bringup.plots.style import ACCEPTED, PUBLISHED, axis_title, style
 from softrig_bringup.several import groups, labels
 from softrig_bringup.wiring import Node, Wire, Wiring, columns, wiring_of
-from softrig_core.errors import ScenarioError
-from softrig_core.rig.rig import Rig
-from softrig_core.rig.scenario import PlotEntry, list_scenarios, load_scenario
-from softrig_core.rig.simulate import simulate
+from softrig_core import Rig, ScenarioError, list_scenarios, load_scenario, simulate
+from softrig_core.rig.scenario import PlotEntry
 
 X = "lag/state/x/position"
 

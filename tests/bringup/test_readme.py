@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 from softrig_bringup.cli import _FOREIGN, _parser, main
+from softrig_core import list_scenarios
 from softrig_core.rig.domain import free_domain
 from softrig_core.rig.executables import PROFILE, find_executable
-from softrig_core.rig.scenario import list_scenarios
 
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text()

@@ -4,7 +4,7 @@ import pytest
 from softrig_control.command_source import CommandSource
 from softrig_control.profile import NEVER, StepProfile
 from softrig_control.reference_source import ReferenceSource
-from softrig_core.model.params import ParameterError
+from softrig_core import ParameterError
 
 
 def test_profile_changes_at_its_times():

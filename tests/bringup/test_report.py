@@ -6,8 +6,7 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from softrig_bringup.folder import ResultsFolder
 from softrig_bringup.plots import figures as plots
 from softrig_bringup.plots.curves import envelope
@@ -15,17 +14,26 @@ from softrig_bringup.plots.figures import OVERVIEW, plot_name, plot_run
 from softrig_bringup.plots.style import pretty_unit
 from softrig_bringup.report import write_report
 from softrig_bringup.run import save, summary
-from softrig_core.errors import ScenarioError
-from softrig_core.model.block import Block, Plant
-from softrig_core.model.params import BlockParams, param
-from softrig_core.model.port import command, joint_state, number, reference, scalars, vector3
+from softrig_core import (
+    Block,
+    BlockParams,
+    Plant,
+    Recording,
+    Rig,
+    Run,
+    Scenario,
+    ScenarioError,
+    Signals,
+    command,
+    joint_state,
+    number,
+    param,
+    reference,
+    run_inprocess,
+    scalars,
+    vector3,
+)
 from softrig_core.rig.figures import Result, signal_units
-from softrig_core.rig.inprocess import run_inprocess
-from softrig_core.rig.rig import Rig
-from softrig_core.rig.scenario import Scenario
-from softrig_core.rig.simulate import Run
-from softrig_core.wire.recording import Recording
-from softrig_core.wire.signals import Signals
 
 
 class Drive(Plant):

@@ -5,20 +5,15 @@ import math
 import pytest
 from conftest import in_process, make_scenario
 from faultrig import Gain, Lag, Source
-from softrig_core.errors import ScenarioError
+from softrig_core import Rig, ScenarioError, Signals, evaluate, figures_of, list_scenarios, load_scenario, simulate
 from softrig_core.rig import registry
 from softrig_core.rig.claims import Claim
 from softrig_core.rig.expectation import Expectation, parse
-from softrig_core.rig.figures import evaluate, figures_of
 from softrig_core.rig.findings import findings, needed
 from softrig_core.rig.references import fill
-from softrig_core.rig.rig import Rig
-from softrig_core.rig.scenario import list_scenarios, load_scenario
 from softrig_core.rig.scenario_file import inherit
-from softrig_core.rig.simulate import simulate
 from softrig_core.rig.units import compose, factor
 from softrig_core.rig.yaml_file import NODES, SIZE, read_yaml
-from softrig_core.wire.signals import Signals
 
 BASE = """
 title: First-order lag

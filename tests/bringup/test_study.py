@@ -19,7 +19,7 @@ from softrig_bringup.study.draw import cases, count, draw
 from softrig_bringup.study.engine import _check, run_study
 from softrig_bringup.study.table import summarise, without_signals
 from softrig_bringup.study.work import Log
-from softrig_core.errors import ScenarioError
+from softrig_core import ScenarioError
 
 LAG = """
 title: First-order lag

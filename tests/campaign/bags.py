@@ -10,8 +10,8 @@ from tempfile import mkdtemp
 from softrig_bags.cli import main_bag, main_compare
 from softrig_bags.reader import BagReader
 from softrig_bags.write import write_bag
+from softrig_core import Recording
 from softrig_core.wire.cdr import Layout
-from softrig_core.wire.recording import Recording
 
 STATE, VECTOR, NUMBER = "sensor_msgs/msg/JointState", "geometry_msgs/msg/Vector3Stamped", "std_msgs/msg/Float64"
 

@@ -12,10 +12,7 @@ from pathlib import Path
 
 from softrig_bags.read import read_bag
 from softrig_bringup.cli import main
-from softrig_core.rig.inprocess import run_inprocess
-from softrig_core.rig.rig import Rig
-from softrig_core.rig.scenario import Scenario, list_scenarios, load_scenario
-from softrig_core.wire.recording import Recording
+from softrig_core import Recording, Rig, Scenario, list_scenarios, load_scenario, run_inprocess
 from traces import left_in_memory, of_run, orphans, segments
 
 ENDINGS = {signal.SIGINT: 130, signal.SIGTERM: 143, signal.SIGHUP: 129}

@@ -4,7 +4,7 @@ import math
 import random
 from pathlib import Path
 
-from softrig_core.model.port import (
+from softrig_core import (
     Port,
     Refused,
     array,

@@ -18,8 +18,8 @@ from rclpy.context import Context
 from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from softrig_core import Port, Refused
 from softrig_core.model.params import declarations
-from softrig_core.model.port import Port, Refused
 from softrig_core.node.messages import message_class
 from softrig_core.node.ros import QOS
 from softrig_core.rig.domain import free_domain

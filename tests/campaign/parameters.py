@@ -10,15 +10,22 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
-from softrig_core.errors import RunError, ScenarioError
-from softrig_core.model.block import Block
-from softrig_core.model.params import BlockParams, Declaration, declarations, param
-from softrig_core.model.port import Port, Sample
-from softrig_core.model.solver import Solver
-from softrig_core.rig.inprocess import run_inprocess
-from softrig_core.rig.rig import Rig, load_block
-from softrig_core.rig.scenario import Scenario
-from softrig_core.wire.recording import Recording
+from softrig_core import (
+    Block,
+    BlockParams,
+    Port,
+    Recording,
+    Rig,
+    RunError,
+    Sample,
+    Scenario,
+    ScenarioError,
+    Solver,
+    param,
+    run_inprocess,
+)
+from softrig_core.model.params import Declaration, declarations
+from softrig_core.rig.rig import load_block
 
 TICKS = 4
 NUMBERS = (0.0, -0.0, 5e-324, 1e-300, 1e-12, 1e-3, 1.0, -1.0, 1e6, -1e6, 1e12, -1e12, 0, 1, -1, 2)
@@ -138,7 +145,8 @@ def run_one(package: str, executable: str, block: type[Block], values: dict, see
 
 
 def _inputs(block: type[Block], values: dict) -> tuple[Port, ...]:
-    from softrig_core.model.params import ParameterError, build
+    from softrig_core import ParameterError
+    from softrig_core.model.params import build
 
     try:
         return block.ports(build(block.Params, values))[0]

@@ -5,12 +5,17 @@ import re
 from pathlib import Path
 
 from softrig_bringup.plots.curves import check_plots
-from softrig_core.errors import RunError, ScenarioError
-from softrig_core.rig.figures import figures_of
-from softrig_core.rig.inprocess import run_inprocess
-from softrig_core.rig.rig import Rig
-from softrig_core.rig.scenario import Scenario, list_scenarios, load_scenario
-from softrig_core.wire.recording import Recording
+from softrig_core import (
+    Recording,
+    Rig,
+    RunError,
+    Scenario,
+    ScenarioError,
+    figures_of,
+    list_scenarios,
+    load_scenario,
+    run_inprocess,
+)
 
 JUNK = ("", "~", "0", "-1", "1e300", "-1e300", "1e-300", "1e-12", ".nan", ".inf", "1" * 5000, "9" * 400, "true", "[]",
         "{}", "[[]]", "{a: 1}", "x" * 5000, "'", '"', "$", "$plant", "$plant.x", "$a.b.c", "../../etc/passwd", "/etc",

@@ -11,8 +11,8 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from conftest import differences, in_process, make_scenario
-from softrig_core.rig.processes import run_processes
-from softrig_core.rig.rig import Rig, load_block
+from softrig_core import Rig, run_processes
+from softrig_core.rig.rig import load_block
 from traces import orphans
 
 TICKS = 1500  # of a run, at most

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
 
-from softrig_core.errors import RunError
+from softrig_core import RunError
 from softrig_core.rig.domain import free_domain
 from softrig_core.rig.shared_memory import AGE, _taken, remove_leftovers
 

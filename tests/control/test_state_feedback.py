@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 import scipy.signal
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from softrig_control.discretise import zero_order_hold
 from softrig_control.predictor import CommandReplay
 from softrig_control.state_feedback import StateFeedback, UnstableDesign, closed_loop_poles, place

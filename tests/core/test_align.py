@@ -10,8 +10,8 @@ from softrig_bags.compare import Tolerance
 from softrig_bags.errors import BagError
 from softrig_bags.read import EPOCH, signals
 from softrig_bags.write import write_bag
+from softrig_core import Recording
 from softrig_core.wire.cdr import Layout
-from softrig_core.wire.recording import Recording
 
 STATE = "sensor_msgs/msg/JointState"
 LAYOUT = Layout(STATE, "", ["x", "y"], {"position": 2})

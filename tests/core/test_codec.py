@@ -6,20 +6,9 @@ import struct
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from rosbags.typesys import Stores, get_typestore
-from softrig_core.model.port import (
-    Refused,
-    button,
-    command,
-    joint_state,
-    number,
-    reference,
-    scalars,
-    vector3,
-    wrench,
-)
+from softrig_core import Refused, button, command, joint_state, number, reference, scalars, vector3, wrench
 from softrig_core.wire.cdr import Layout, parse
 from softrig_core.wire.codec import Decoder, selection
 

@@ -3,8 +3,8 @@ import struct
 
 import casadi as ca
 import pytest
+from softrig_core import Compiled
 from softrig_core.model import compiled
-from softrig_core.model.compiled import Compiled
 
 
 def pendulum(gain: float = 9.81) -> ca.Function:

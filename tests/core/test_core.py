@@ -6,17 +6,26 @@ import numpy as np
 import pytest
 from conftest import in_process, make_scenario
 from faultrig import Gain, Lag
-from hypothesis import given
-from hypothesis import strategies as st
-from softrig_core.errors import RunError, ScenarioError
-from softrig_core.model.block import Block
-from softrig_core.model.params import BlockParams, ParameterError, Params, build, declarations, flatten, param
-from softrig_core.rig.inprocess import run_inprocess
-from softrig_core.rig.rig import Rig, load_block
-from softrig_core.rig.scenario import load_scenario, merge
+from hypothesis import given, strategies as st
+from softrig_core import (
+    Block,
+    BlockParams,
+    ParameterError,
+    Params,
+    Recording,
+    Rig,
+    RunError,
+    ScenarioError,
+    Signals,
+    load_scenario,
+    param,
+    run_inprocess,
+)
+from softrig_core.model.params import build, declarations, flatten
+from softrig_core.rig.rig import load_block
+from softrig_core.rig.scenario import merge
 from softrig_core.wire.cdr import Layout
-from softrig_core.wire.recording import Recording, ShardWriter, shard_topics
-from softrig_core.wire.signals import Signals
+from softrig_core.wire.recording import ShardWriter, shard_topics
 from softrig_core.wire.types import TYPES
 
 

@@ -9,8 +9,8 @@ import pytest
 from conftest import differences, in_process, make_scenario
 from simulated import Discovery, SimulatedRig, World
 from simulated_outside import SimulatedOutside
+from softrig_core import Rig
 from softrig_core.node.endpoint import Output
-from softrig_core.rig.rig import Rig
 from softrig_core.rig.supervision import blamed
 from test_ports import RIGS as PORT_RIGS
 from test_processes import RIGS as PROCESS_RIGS

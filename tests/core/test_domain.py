@@ -5,7 +5,7 @@ import subprocess
 import sys
 
 import pytest
-from softrig_core.errors import RunError, ScenarioError
+from softrig_core import RunError, ScenarioError
 from softrig_core.model import compiled
 from softrig_core.rig import domain
 from softrig_core.rig.domain import free_domain

@@ -2,16 +2,9 @@
 
 import pytest
 from conftest import in_process
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from softrig_control.delay import FieldbusDelay
-from softrig_core.errors import ScenarioError
-from softrig_core.model.block import Level
-from softrig_core.model.params import ParameterError
-from softrig_core.model.port import Sample
-from softrig_core.rig.rig import Rig
-from softrig_core.rig.scenario import Scenario, load_scenario
-from softrig_core.wire.signals import Signals
+from softrig_core import Level, ParameterError, Rig, Sample, Scenario, ScenarioError, Signals, load_scenario
 
 PERIOD = 10_000_000
 

@@ -7,9 +7,9 @@ import sys
 
 import numpy as np
 import pytest
+from softrig_core import jit
 from softrig_core.model.dde import delayed, integrator, reach, trajectory
 from softrig_core.model.history import History, cubic, hermite, linear, put
-from softrig_core.model.jit import jit
 
 
 def polynomial(c, t):

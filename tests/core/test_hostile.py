@@ -7,15 +7,22 @@ import pytest
 from conftest import make_scenario
 from pydantic import model_validator
 from softrig_bringup.cli import main
-from softrig_core.errors import RunError, ScenarioError
+from softrig_core import (
+    Block,
+    BlockParams,
+    ParameterError,
+    Rig,
+    RunError,
+    ScenarioError,
+    check_steps,
+    load_scenario,
+    number,
+    param,
+)
 from softrig_core.model.answer import check
-from softrig_core.model.block import Block
-from softrig_core.model.params import LONGEST, BlockParams, ParameterError, build, check_steps, declarations, param
-from softrig_core.model.port import number
+from softrig_core.model.params import LONGEST, build, declarations
 from softrig_core.rig.domain import free_domain
 from softrig_core.rig.options import RunOptions
-from softrig_core.rig.rig import Rig
-from softrig_core.rig.scenario import load_scenario
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "campaign"))
 

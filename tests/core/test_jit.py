@@ -10,11 +10,9 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 from faultrig import Gain
+from softrig_core import Block, BlockParams, jit, number
 from softrig_core.model import jit as module
-from softrig_core.model.block import Block
-from softrig_core.model.jit import jit, power
-from softrig_core.model.params import BlockParams
-from softrig_core.model.port import number
+from softrig_core.model.jit import power
 from softrig_core.model.rehearsal import rehearse
 
 RELAY = '''

@@ -6,11 +6,7 @@ import casadi as ca
 import control
 import numpy as np
 import pytest
-from softrig_core.errors import RunError
-from softrig_core.model.compiled import Compiled
-from softrig_core.model.jit import jit
-from softrig_core.model.linear import equilibrium, linearise
-from softrig_core.model.ode import rk4, rk4_loop
+from softrig_core import Compiled, RunError, equilibrium, jit, linearise, rk4, rk4_loop
 from softrig_drives.dc_motor.model import MotorConstants, state_space
 from softrig_drives.dc_motor.plant import DcMotorPlant
 

@@ -10,11 +10,7 @@ import numpy as np
 import pytest
 from softrig_control.discretise import zero_order_hold
 from softrig_control.linear_plant import LinearPlant
-from softrig_core.errors import ScenarioError
-from softrig_core.model.block import Plant
-from softrig_core.model.linear import Sampled, equilibrium
-from softrig_core.model.state import state_type
-from softrig_core.model.timebase import to_ns
+from softrig_core import Plant, Sampled, ScenarioError, equilibrium, state_type, to_ns
 from softrig_core.rig.rig import load_block
 from softrig_drives.dc_motor.model import state_space
 from softrig_drives.dc_motor.plant import DcMotorPlant

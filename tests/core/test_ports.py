@@ -2,21 +2,27 @@
 
 import pytest
 from conftest import differences, in_process, make_scenario
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from softrig_bringup.run import gaps
-from softrig_core.errors import RunError, ScenarioError
+from softrig_core import (
+    Block,
+    BlockParams,
+    Refused,
+    Rig,
+    RunError,
+    ScenarioError,
+    Signals,
+    command,
+    feed,
+    joint_state,
+    param,
+    run_processes,
+    wrench,
+)
 from softrig_core.model.answer import check
-from softrig_core.model.block import Block
-from softrig_core.model.params import BlockParams, param
-from softrig_core.model.port import Refused, command, joint_state, wrench
 from softrig_core.model.schedule import Schedule
-from softrig_core.rig.processes import run_processes
-from softrig_core.rig.replay import feed
-from softrig_core.rig.rig import Rig
 from softrig_core.wire.cdr import Layout
 from softrig_core.wire.codec import Decoder, selection
-from softrig_core.wire.signals import Signals
 
 DELAY = {"package": "softrig_control", "executable": "unit_delay", "parameters": {
     "topic_in": "loop/sum", "topic_out": "loop/back", "channels": ["y"], "fields": ["position"],

@@ -8,11 +8,7 @@ import pytest
 from conftest import differences, in_process, make_scenario
 from faultrig import COMMAND, STATE, Lag
 from simulated import SimulatedNode, SimulatedRig, World
-from softrig_core.model.block import Block
-from softrig_core.model.port import array
-from softrig_core.rig.rig import Rig
-from softrig_core.rig.scenario import load_scenario
-from softrig_core.wire.signals import Signals
+from softrig_core import Block, Rig, Signals, array, load_scenario
 from test_ports import RIGS
 
 BASIC = {"plant": "plant", "source": "source", "gain": "gain"}

@@ -5,11 +5,9 @@ import math
 
 import pytest
 from simulated import SimulatedRig, World
-from softrig_core.model.block import Observer
-from softrig_core.model.timebase import SECOND
+from softrig_core import SECOND, Observer, Signals
 from softrig_core.rig.rig import load_main
 from softrig_core.wire.cdr import parse
-from softrig_core.wire.signals import Signals
 from test_outside import SYSTEMS, short
 
 DAILY = ("dc_motor_smc_b2", "induction_dtc", "rehab_impedance")

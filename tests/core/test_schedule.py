@@ -4,15 +4,11 @@ from fractions import Fraction
 
 import pytest
 from conftest import differences, in_process, make_scenario
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from softrig_bringup.run import gaps
-from softrig_core.errors import ScenarioError
-from softrig_core.model.params import BlockParams, ParameterError, build
+from softrig_core import BlockParams, ParameterError, Rig, ScenarioError, feed, run_processes
+from softrig_core.model.params import build
 from softrig_core.model.schedule import Schedule, rational
-from softrig_core.rig.processes import run_processes
-from softrig_core.rig.replay import feed
-from softrig_core.rig.rig import Rig
 
 periods = st.builds(Fraction, st.integers(1, 1000), st.integers(1, 100_000))
 

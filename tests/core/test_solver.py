@@ -13,12 +13,8 @@ import pytest
 from conftest import differences, in_process, make_scenario
 from faultrig import Planner, Unreadable, unreadable
 from simulated import SimulatedRig, World
-from softrig_core.errors import RunError
-from softrig_core.model.solver import Solver
+from softrig_core import Rig, RunError, Signals, Solver, run_processes
 from softrig_core.model.worker import Worker
-from softrig_core.rig.processes import run_processes
-from softrig_core.rig.rig import Rig
-from softrig_core.wire.signals import Signals
 
 
 def rig(duration=1.0, timeout=10.0, **planner):

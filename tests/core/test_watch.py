@@ -3,11 +3,9 @@
 import pytest
 from conftest import in_process, make_scenario
 from faultrig import COMMAND, REFERENCE, STATE, Gain, Lag, Source
+from softrig_core import Rig, Signals, run_inprocess
 from softrig_core.rig import metrics
-from softrig_core.rig.inprocess import run_inprocess
-from softrig_core.rig.rig import Rig
 from softrig_core.rig.watch import Measure, Watch, WatchParams
-from softrig_core.wire.signals import Signals
 
 X, U, R = "lag/state/x/position", "lag/command/u/effort", "lag/reference/x/position"
 

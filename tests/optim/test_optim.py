@@ -9,12 +9,10 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from scipy import stats
 from scipy.optimize import differential_evolution, minimize_scalar
-from softrig_core.model.block import Level, Plant
-from softrig_core.model.params import ParameterError
+from softrig_core import Level, ParameterError, Plant
 from softrig_optim.algorithms import AlgorithmParams, make
 from softrig_optim.de import DifferentialEvolution
 from softrig_optim.firefly import Firefly

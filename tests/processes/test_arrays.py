@@ -7,22 +7,15 @@ from itertools import count
 import numpy as np
 import pytest
 from conftest import differences, in_process, make_scenario
-from faultrig import MATRIX as SPREAD
-from faultrig import STATE, Lag
-from hypothesis import given
-from hypothesis import strategies as st
+from faultrig import MATRIX as SPREAD, STATE, Lag
+from hypothesis import given, strategies as st
 from rosbags.typesys import Stores, get_typestore
 from simulated import SimulatedRig, World
-from softrig_core.model.block import Block, Level
-from softrig_core.model.port import Refused, array, pose
+from softrig_core import Block, Level, Recording, Refused, Rig, Signals, array, pose, run_processes
 from softrig_core.rig.domain import free_domain
 from softrig_core.rig.executables import environment
-from softrig_core.rig.processes import run_processes
-from softrig_core.rig.rig import Rig
 from softrig_core.wire.cdr import Layout, parse
 from softrig_core.wire.codec import Decoder, selection
-from softrig_core.wire.recording import Recording
-from softrig_core.wire.signals import Signals
 
 MATRIX = array("m", "matrix", {"row": 2, "column": 3}, "kg m^2")
 POSE = pose("p", "tool_pose", "base_link")

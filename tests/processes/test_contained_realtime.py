@@ -9,21 +9,15 @@ import pytest
 from conftest import in_process, make_scenario
 from faultrig import COMMAND, STATE, Lag
 from simulated import _Sink
-from softrig_core.model.block import Block
-from softrig_core.model.port import command
-from softrig_core.node import exchange as exchange_module
-from softrig_core.node import ros
+from softrig_core import Block, Recording, Rig, Signals, command, load_scenario
+from softrig_core.node import exchange as exchange_module, ros
 from softrig_core.node.contained import ContainedMiddleware
 from softrig_core.node.exchange import Exchange
 from softrig_core.node.garbage import CLEAN, UNCLEAN, YOUNG, Garbage
 from softrig_core.node.health import write_status
 from softrig_core.node.realtime import Realtime
 from softrig_core.rig.options import RunOptions
-from softrig_core.rig.rig import Rig
-from softrig_core.rig.scenario import load_scenario
 from softrig_core.rig.starting import node_parameters
-from softrig_core.wire.recording import Recording
-from softrig_core.wire.signals import Signals
 
 SECOND = 1_000_000_000
 

@@ -12,16 +12,12 @@ from pathlib import Path
 
 import pytest
 from conftest import PRESS, differences, in_process, make_scenario, no_process_left
+from softrig_core import Recording, Rig, Signals, list_scenarios, load_scenario, run_processes
 from softrig_core.node.exchange import BURST, Exchange
 from softrig_core.node.profile import PROPERTY, VARIABLE, exclusive, with_property
 from softrig_core.rig.domain import free_domain
 from softrig_core.rig.executables import environment, find_executable
-from softrig_core.rig.processes import run_processes
-from softrig_core.rig.rig import Rig
-from softrig_core.rig.scenario import list_scenarios, load_scenario
 from softrig_core.wire.cdr import Layout
-from softrig_core.wire.recording import Recording
-from softrig_core.wire.signals import Signals
 from test_processes import BASIC, OUTSIDE, RIGS, params, rig
 
 pytestmark = pytest.mark.processes

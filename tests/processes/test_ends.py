@@ -11,9 +11,7 @@ from pathlib import Path
 
 import pytest
 from conftest import make_scenario, no_process_left
-from softrig_core.rig.inprocess import run_inprocess
-from softrig_core.rig.processes import run_processes
-from softrig_core.rig.rig import Rig
+from softrig_core import Rig, run_inprocess, run_processes
 from softrig_core.rig.shared_memory import remove_leftovers
 from softrig_core.rig.stopping import Stopped, stoppable
 

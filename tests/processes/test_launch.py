@@ -2,10 +2,10 @@
 
 import pytest
 from launching import launch, nodes_of
+from softrig_core import load_scenario
 from softrig_core.node.container import split
 from softrig_core.rig.domain import free_domain
 from softrig_core.rig.executables import environment
-from softrig_core.rig.scenario import load_scenario
 from test_outside import SYSTEMS, short
 
 SCENARIO = """

@@ -9,13 +9,11 @@ from pathlib import Path
 
 import pytest
 from conftest import in_process
+from softrig_core import Rig, Signals, load_scenario, run_processes
 from softrig_core.node.tick import TICK
 from softrig_core.rig.domain import free_domain
 from softrig_core.rig.executables import environment
-from softrig_core.rig.processes import run_processes
-from softrig_core.rig.rig import CLOCK_NODE, Rig
-from softrig_core.rig.scenario import load_scenario
-from softrig_core.wire.signals import Signals
+from softrig_core.rig.rig import CLOCK_NODE
 
 pytestmark = pytest.mark.processes
 

@@ -12,12 +12,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import PRESS, differences, in_process, make_scenario, no_process_left
-from softrig_core.errors import ScenarioError
+from softrig_core import Rig, ScenarioError, Signals, run_processes
 from softrig_core.rig.domain import free_domain
 from softrig_core.rig.executables import environment, find_executable
-from softrig_core.rig.processes import run_processes
-from softrig_core.rig.rig import Rig
-from softrig_core.wire.signals import Signals
 
 pytestmark = pytest.mark.processes
 

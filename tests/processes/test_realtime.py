@@ -2,9 +2,7 @@
 
 import pytest
 from conftest import PRESS, make_scenario
-from softrig_core.rig.processes import run_processes
-from softrig_core.rig.rig import Rig
-from softrig_core.wire.signals import Signals
+from softrig_core import Rig, Signals, run_processes
 
 pytestmark = pytest.mark.processes
 

@@ -3,7 +3,7 @@
 import warnings
 
 import pytest
-from softrig_core.rig.simulate import simulate
+from softrig_core import simulate
 from test_outside import SYSTEMS, short
 
 

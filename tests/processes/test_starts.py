@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from conftest import differences
-from softrig_core.rig.processes import run_processes
+from softrig_core import run_processes
 from test_discovery import KINDS, guests, rig_and_record
 from test_outside import replaced
 

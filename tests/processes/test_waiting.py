@@ -11,11 +11,10 @@ from faultrig import COMMAND, Gain
 from rclpy._rclpy_pybind11 import RCLError
 from simulated import Discovery, SimulatedNode, SimulatedRig, World
 from simulated_outside import SimulatedOutside
+from softrig_core import Rig, load_scenario
 from softrig_core.node.realtime import Realtime
 from softrig_core.node.ros import RosMiddleware, quiet_after_shutdown
 from softrig_core.rig.options import RunOptions
-from softrig_core.rig.rig import Rig
-from softrig_core.rig.scenario import load_scenario
 from test_discovery import rig_and_record, with_guests
 
 MS, SECOND = 1_000_000, 1_000_000_000

@@ -8,16 +8,19 @@ import numpy as np
 import pytest
 from conftest import in_process
 from scipy.optimize import brentq
-from softrig_core.errors import ScenarioError
-from softrig_core.model.block import Level
-from softrig_core.model.params import ParameterError
-from softrig_core.model.port import Sample
+from softrig_core import (
+    Level,
+    ParameterError,
+    Rig,
+    Sample,
+    ScenarioError,
+    Signals,
+    evaluate,
+    list_scenarios,
+    load_scenario,
+    run_inprocess,
+)
 from softrig_core.rig import metrics
-from softrig_core.rig.figures import evaluate
-from softrig_core.rig.inprocess import run_inprocess
-from softrig_core.rig.rig import Rig
-from softrig_core.rig.scenario import list_scenarios, load_scenario
-from softrig_core.wire.signals import Signals
 from softrig_drives.dc_axis.buttons import StepButtons
 from softrig_drives.dc_axis.controller import FsfbController, design
 from softrig_drives.dc_axis.plant import DcAxisPlant

@@ -11,15 +11,18 @@ from softrig_control.discretise import expm, zero_order_hold
 from softrig_control.kalman import SteadyKalman, steady_kalman_gain
 from softrig_control.pid import Pid, PidParams
 from softrig_control.sliding_mode import switching
-from softrig_core.model.block import Level
-from softrig_core.model.params import ParameterError
+from softrig_core import (
+    Level,
+    ParameterError,
+    Rig,
+    Signals,
+    evaluate,
+    list_scenarios,
+    load_scenario,
+    run_inprocess,
+    run_processes,
+)
 from softrig_core.rig import metrics
-from softrig_core.rig.figures import evaluate
-from softrig_core.rig.inprocess import run_inprocess
-from softrig_core.rig.processes import run_processes
-from softrig_core.rig.rig import Rig
-from softrig_core.rig.scenario import list_scenarios, load_scenario
-from softrig_core.wire.signals import Signals
 from softrig_drives.dc_motor.kalman_surface import DcMotorSmcKalman
 from softrig_drives.dc_motor.model import MotorConstants, state_space
 from softrig_drives.dc_motor.monitor import DcMotorMetrics

@@ -5,12 +5,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from conftest import differences, in_process
-from softrig_core.model.block import Level
-from softrig_core.model.params import ParameterError
-from softrig_core.rig.processes import run_processes
-from softrig_core.rig.rig import Rig
-from softrig_core.rig.scenario import list_scenarios, load_scenario
-from softrig_core.rig.simulate import simulate
+from softrig_core import Level, ParameterError, Rig, list_scenarios, load_scenario, run_processes, simulate
 from softrig_power.dispatch.baselines import lambda_iteration, swarm, without_ripples
 from softrig_power.dispatch.branch import branch_and_bound, chord_excess
 from softrig_power.dispatch.certify import InfeasibleError, Optimiser, lowering
@@ -155,8 +150,7 @@ def test_kink_enumeration_agrees_with_the_proof():
 @pytest.mark.long
 def test_scip_confirms_the_13_units():
     """A global solver of other people's, the sine kept as it is."""
-    from pyscipopt import Model, quicksum
-    from pyscipopt import sin as scip_sin
+    from pyscipopt import Model, quicksum, sin as scip_sin
 
     for table, _, _, _ in list(CASES.values())[:3]:
         units = Units.read(table)

@@ -11,12 +11,8 @@ from softrig_bags.read import read_bag
 from softrig_bags.write import write_bag
 from softrig_bringup.cli import main
 from softrig_bringup.locate import read
-from softrig_core.model.block import Level
-from softrig_core.model.params import ParameterError, build
-from softrig_core.rig.processes import run_processes
-from softrig_core.rig.replay import feed
-from softrig_core.rig.simulate import simulate
-from softrig_core.wire.recording import Recording
+from softrig_core import Level, ParameterError, Recording, feed, run_processes, simulate
+from softrig_core.model.params import build
 from softrig_power.fault_location import pictures, study
 from softrig_power.fault_location.cases import PUBLISHED, RESISTANCES, Case
 from softrig_power.fault_location.comtrade_file import ComtradeFileError, read_comtrade, write_comtrade
@@ -575,7 +571,7 @@ def test_scenarios(variant):
 
 
 def test_every_variant_is_tested():
-    from softrig_core.rig.scenario import list_scenarios
+    from softrig_core import list_scenarios
 
     names = {n.removeprefix("fault_location") for n in list_scenarios() if n.startswith("fault_location")}
     assert names == set(VARIANTS)

@@ -16,15 +16,9 @@ from scipy.sparse import lil_matrix
 from scipy.sparse.linalg import spsolve
 from softrig_control.filters import SecondOrderFilter
 from softrig_control.phase_locked_loop import PhaseLockedLoop, PllParams
-from softrig_core.model.block import Level
-from softrig_core.model.params import ParameterError
+from softrig_core import Level, ParameterError, Rig, Signals, load_scenario, rig_of, run_processes, simulate
 from softrig_core.rig.domain import free_domain
 from softrig_core.rig.executables import environment
-from softrig_core.rig.processes import run_processes
-from softrig_core.rig.rig import Rig
-from softrig_core.rig.scenario import load_scenario
-from softrig_core.rig.simulate import rig_of, simulate
-from softrig_core.wire.signals import Signals
 from softrig_power.gupfc import circuit as steps
 from softrig_power.gupfc.figures import cycles
 from softrig_power.gupfc.network import BUSES, Network, NetworkParams

@@ -6,25 +6,28 @@ from itertools import groupby
 import numpy as np
 import pytest
 from conftest import differences, in_process
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 from softrig_bringup.plots import figures as plots
 from softrig_bringup.run import execute
-from softrig_core.errors import ScenarioError
+from softrig_core import (
+    Level,
+    ParameterError,
+    Refused,
+    Rig,
+    Scenario,
+    ScenarioError,
+    Signals,
+    evaluate,
+    list_scenarios,
+    load_scenario,
+    rig_of,
+    run_inprocess,
+)
 from softrig_core.model import compiled
-from softrig_core.model.block import Level
-from softrig_core.model.params import ParameterError
-from softrig_core.model.port import Refused
-from softrig_core.rig.figures import evaluate
-from softrig_core.rig.inprocess import run_inprocess
-from softrig_core.rig.rig import Rig
-from softrig_core.rig.scenario import Scenario, list_scenarios, load_scenario
-from softrig_core.rig.simulate import rig_of
 from softrig_core.wire.cdr import Layout
 from softrig_core.wire.codec import Decoder
-from softrig_core.wire.signals import Signals
 from softrig_drives.induction_dtc.adc import AdcParams, Converter
 from softrig_drives.induction_dtc.dtc import DtcController
 from softrig_drives.induction_dtc.estimator import EstimatorParams, make_estimator

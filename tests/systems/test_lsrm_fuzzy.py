@@ -8,16 +8,11 @@ from functools import cache
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from scipy.integrate import solve_ivp
 from scipy.linalg import solve_continuous_are
 from softrig_control.fuzzy import TakagiSugeno, sum_rules
-from softrig_core.model.block import Level
-from softrig_core.model.params import ParameterError
-from softrig_core.model.port import Refused
-from softrig_core.rig.scenario import list_scenarios, load_scenario
-from softrig_core.rig.simulate import simulate
+from softrig_core import Level, ParameterError, Refused, list_scenarios, load_scenario, simulate
 from softrig_core.wire.cdr import Layout
 from softrig_core.wire.codec import Decoder
 from softrig_drives.lsrm.current_controller import CurrentController

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from conftest import differences, in_process
 from softrig_bringup.run import execute
-from softrig_core.rig.rig import Rig
-from softrig_core.rig.scenario import load_scenario
+from softrig_core import Rig, load_scenario
 
 pytestmark = pytest.mark.processes
 

@@ -12,18 +12,23 @@ import softrig_robots
 from conftest import differences, in_process
 from scipy.integrate import solve_ivp
 from simulated import SimulatedRig, World
-from softrig_core.errors import RunError, ScenarioError
+from softrig_core import (
+    Level,
+    ParameterError,
+    Rig,
+    RunError,
+    ScenarioError,
+    Signals,
+    evaluate,
+    list_scenarios,
+    load_scenario,
+    rig_of,
+    run_inprocess,
+)
 from softrig_core.model import compiled
-from softrig_core.model.block import Level
-from softrig_core.model.params import ParameterError, build
+from softrig_core.model.params import build
 from softrig_core.node.messages import marker_array
 from softrig_core.rig import metrics
-from softrig_core.rig.figures import evaluate
-from softrig_core.rig.inprocess import run_inprocess
-from softrig_core.rig.rig import Rig
-from softrig_core.rig.scenario import list_scenarios, load_scenario
-from softrig_core.rig.simulate import rig_of
-from softrig_core.wire.signals import Signals
 from softrig_robots.driven_robot import compile_robot
 from softrig_robots.dynamics import RobotDynamics
 from softrig_robots.manipulator.controller import VcsController

@@ -5,8 +5,7 @@ import math
 import casadi as ca
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from softrig_systems.optimal_control import collocation, exact, series
 from softrig_systems.optimal_control.mvim import solve
 from softrig_systems.optimal_control.problem import Problem, ProblemError, find

@@ -6,13 +6,7 @@ import math
 import numpy as np
 import pytest
 from conftest import differences, in_process
-from softrig_core.model.block import Level
-from softrig_core.model.params import ParameterError
-from softrig_core.model.solver import Result
-from softrig_core.rig.processes import run_processes
-from softrig_core.rig.rig import Rig
-from softrig_core.rig.scenario import list_scenarios, load_scenario
-from softrig_core.rig.simulate import simulate
+from softrig_core import Level, ParameterError, Result, Rig, list_scenarios, load_scenario, run_processes, simulate
 from softrig_systems.optimal_control import collocation
 from softrig_systems.optimal_control.collocation_planner import CollocationPlanner
 from softrig_systems.optimal_control.evaluator import FIGURES, OcpEvaluator

@@ -6,8 +6,7 @@ import math
 import numpy as np
 import pytest
 from conftest import differences, in_process
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 from scipy.special import lambertw
@@ -15,17 +14,19 @@ from simulated import SimulatedRig, World
 from softrig_bringup.study.definition import load_study, make_study
 from softrig_bringup.study.draw import cases
 from softrig_bringup.study.table import results
-from softrig_bringup.study.work import Work
-from softrig_bringup.study.work import run as run_case
-from softrig_core.model.block import Level
-from softrig_core.model.params import ParameterError
-from softrig_core.rig.figures import evaluate
+from softrig_bringup.study.work import Work, run as run_case
+from softrig_core import (
+    Level,
+    ParameterError,
+    Rig,
+    Signals,
+    evaluate,
+    list_scenarios,
+    load_scenario,
+    run_processes,
+    simulate,
+)
 from softrig_core.rig.metrics import mean
-from softrig_core.rig.processes import run_processes
-from softrig_core.rig.rig import Rig
-from softrig_core.rig.scenario import list_scenarios, load_scenario
-from softrig_core.rig.simulate import simulate
-from softrig_core.wire.signals import Signals
 from softrig_optim.algorithms import AlgorithmParams, make
 from softrig_optim.search import run
 from softrig_power.pv import figures as pv_figures

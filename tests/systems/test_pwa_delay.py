@@ -9,14 +9,9 @@ import numpy as np
 import pytest
 from conftest import differences, in_process
 from softrig_bringup import pages
-from softrig_core.model.block import Level
+from softrig_core import Level, ParameterError, Rig, list_scenarios, load_scenario, run_processes, simulate
 from softrig_core.model.dde import trajectory
-from softrig_core.model.params import ParameterError
 from softrig_core.rig.findings import findings, values
-from softrig_core.rig.processes import run_processes
-from softrig_core.rig.rig import Rig
-from softrig_core.rig.scenario import list_scenarios, load_scenario
-from softrig_core.rig.simulate import simulate
 from softrig_systems.pwa_delay import search
 from softrig_systems.pwa_delay.applicability import NotApplicable, require_no_sliding
 from softrig_systems.pwa_delay.bessel import bessel

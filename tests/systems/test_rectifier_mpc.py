@@ -10,8 +10,7 @@ from functools import cache
 import numpy as np
 import pytest
 from conftest import differences
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from scipy import linalg, signal
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
@@ -23,13 +22,18 @@ from softrig_control.predictive.certificate_node import CertificateNode
 from softrig_control.predictive.controller import GpcController
 from softrig_control.predictive.gpc import Gpc, Tuning, invert
 from softrig_control.predictive.qp import make_solver
-from softrig_core.model.block import Level
-from softrig_core.model.params import ParameterError
-from softrig_core.model.port import Refused, scalars
+from softrig_core import (
+    Level,
+    ParameterError,
+    Refused,
+    list_scenarios,
+    load_scenario,
+    rig_of,
+    run_processes,
+    scalars,
+    simulate,
+)
 from softrig_core.rig.findings import findings, values
-from softrig_core.rig.processes import run_processes
-from softrig_core.rig.scenario import list_scenarios, load_scenario
-from softrig_core.rig.simulate import rig_of, simulate
 from softrig_core.wire.cdr import Layout
 from softrig_core.wire.codec import Decoder
 from softrig_power.rectifier import pictures

@@ -11,15 +11,19 @@ import pytest
 import softrig_robots
 from conftest import in_process
 from scipy.integrate import solve_ivp
-from softrig_core.model.block import Level
-from softrig_core.model.params import ParameterError, build
-from softrig_core.model.port import Sample
+from softrig_core import (
+    Level,
+    ParameterError,
+    Rig,
+    Sample,
+    Signals,
+    evaluate,
+    list_scenarios,
+    load_scenario,
+    run_inprocess,
+)
+from softrig_core.model.params import build
 from softrig_core.rig import metrics
-from softrig_core.rig.figures import evaluate
-from softrig_core.rig.inprocess import run_inprocess
-from softrig_core.rig.rig import Rig
-from softrig_core.rig.scenario import list_scenarios, load_scenario
-from softrig_core.wire.signals import Signals
 from softrig_robots.driven_robot import compile_robot
 from softrig_robots.dynamics import RobotDynamics
 from softrig_robots.figures import repeatability

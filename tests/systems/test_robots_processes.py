@@ -2,10 +2,7 @@
 
 import pytest
 from conftest import differences, in_process
-from softrig_core.rig.processes import run_processes
-from softrig_core.rig.rig import Rig
-from softrig_core.rig.scenario import load_scenario
-from softrig_core.wire.signals import Signals
+from softrig_core import Rig, Signals, load_scenario, run_processes
 
 pytestmark = pytest.mark.processes
 

@@ -9,15 +9,18 @@ import sys
 import numpy as np
 import pytest
 from conftest import differences, in_process
-from softrig_core.model.block import Level
-from softrig_core.model.params import ParameterError
-from softrig_core.rig.figures import evaluate
+from softrig_core import (
+    Level,
+    ParameterError,
+    Rig,
+    Signals,
+    evaluate,
+    list_scenarios,
+    load_scenario,
+    run_inprocess,
+    run_processes,
+)
 from softrig_core.rig.findings import findings, values
-from softrig_core.rig.inprocess import run_inprocess
-from softrig_core.rig.processes import run_processes
-from softrig_core.rig.rig import Rig
-from softrig_core.rig.scenario import list_scenarios, load_scenario
-from softrig_core.wire.signals import Signals
 from softrig_systems.tcp_aqm.controller import HOLD, AqmController
 from softrig_systems.tcp_aqm.fluid_plant import TcpFluid
 from softrig_systems.tcp_aqm.model import Bottleneck, equilibrium, phi, psi

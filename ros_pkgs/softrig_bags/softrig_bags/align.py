@@ -10,8 +10,9 @@ from fnmatch import fnmatchcase
 
 import numpy as np
 from numpy.typing import NDArray
+from softrig_core import Signals
 from softrig_core.wire.recording import Topic
-from softrig_core.wire.signals import Signals, Table
+from softrig_core.wire.signals import Table
 
 from .compare import Tolerance, plain
 from .errors import BagError

@@ -14,10 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from rosbags.typesys.store import Typestore
-from softrig_core.model.timebase import SECOND
+from softrig_core import SECOND, Signals
 from softrig_core.wire.cdr import parse
 from softrig_core.wire.recording import Topic
-from softrig_core.wire.signals import Signals
 from softrig_core.wire.types import TYPES
 
 from .errors import BagError

@@ -1,6 +1,6 @@
 """What can be wrong with a bag."""
 
-from softrig_core.errors import ScenarioError
+from softrig_core import ScenarioError
 
 
 class BagError(ScenarioError):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from datetime import UTC, datetime
 from pathlib import Path
 
-from softrig_core.model.timebase import SECOND
+from softrig_core import SECOND
 
 from .read import WALL_CLOCK
 from .reader import BagReader

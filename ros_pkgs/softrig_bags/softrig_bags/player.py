@@ -17,11 +17,10 @@ from rclpy.duration import Duration
 from rclpy.node import NodeNameNonExistentError
 from rclpy.qos import HistoryPolicy, QoSProfile
 from rclpy.subscription import Subscription
-from softrig_core.errors import RunError
-from softrig_core.model.timebase import SECOND
+from softrig_core import SECOND, Recording, RunError
 from softrig_core.node.messages import message_class
 from softrig_core.wire.cdr import Layout
-from softrig_core.wire.recording import Recording, relative
+from softrig_core.wire.recording import relative
 from std_srvs.srv import Trigger
 
 from .errors import BagError

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 from rosbags.typesys.store import Typestore
-from softrig_core.model.timebase import SECOND
-from softrig_core.wire.recording import Recording, Topic, relative
-from softrig_core.wire.signals import Signals, Table
+from softrig_core import SECOND, Recording, Signals
+from softrig_core.wire.recording import Topic, relative
+from softrig_core.wire.signals import Table
 from softrig_core.wire.types import TYPES
 
 from .errors import BagError

@@ -8,10 +8,9 @@ from collections.abc import Callable
 from typing import Any
 
 from rclpy.clock import Clock, ClockType
-from rclpy.event_handler import QoSSubscriptionEventType as Event
-from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.event_handler import QoSSubscriptionEventType as Event, SubscriptionEventCallbacks
 from rclpy.subscription import Subscription
-from softrig_core.errors import RunError
+from softrig_core import RunError
 from softrig_core.node.messages import message_class
 
 from .bag import BagWriter

@@ -14,7 +14,8 @@ from typing import Any
 from mcap.records import Channel, Footer, Message, Metadata, Schema
 from rosbags.rosbag2.metadata import parse_qos
 from ruamel.yaml import YAML
-from softrig_core.wire.recording import Recording, shard_topics
+from softrig_core import Recording
+from softrig_core.wire.recording import shard_topics
 
 from .bag import BagWriter
 from .compressed import expanded, expanded_message, plain, storage_files

@@ -12,8 +12,7 @@ from typing import Any, ClassVar
 import rclpy
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.duration import Duration
-from rclpy.event_handler import EventHandler
-from rclpy.event_handler import QoSSubscriptionEventType as Event
+from rclpy.event_handler import EventHandler, QoSSubscriptionEventType as Event
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
@@ -22,8 +21,8 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
 from rclpy.task import Future
 from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
+from softrig_core import SECOND
 from softrig_core.model.params import Declaration
-from softrig_core.model.timebase import SECOND
 from softrig_core.node.messages import range_descriptor
 from softrig_core.rig.executables import PROFILE
 

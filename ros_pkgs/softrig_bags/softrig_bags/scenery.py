@@ -8,10 +8,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from softrig_core.model.scene import Point, Pose, Scene
-from softrig_core.model.timebase import SECOND
-from softrig_core.wire.recording import Recording
-from softrig_core.wire.signals import Signals
+from softrig_core import SECOND, Pose, Recording, Scene, Signals
+from softrig_core.model.scene import Point
 
 from .topics import typestore
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from struct import Struct
 
 from rosbags.typesys.store import Typestore
-from softrig_core.model.timebase import SECOND
+from softrig_core import SECOND
 from softrig_core.wire.types import TYPES
 
 from .topics import BagTopic

@@ -8,8 +8,7 @@ from collections.abc import Collection, Mapping
 from pathlib import Path
 
 from rosbags.interfaces import QosDurability
-from softrig_core.errors import RunError
-from softrig_core.wire.recording import Recording
+from softrig_core import Recording, RunError
 
 from .bag import BagWriter
 from .errors import BagError

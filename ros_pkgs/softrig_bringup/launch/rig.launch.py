@@ -40,8 +40,7 @@ def _ended(event, context):
 
 
 def _nodes(context):
-    from softrig_core.rig.rig import Rig
-    from softrig_core.rig.scenario import load_scenario
+    from softrig_core import Rig, load_scenario
     from softrig_core.rig.starting import container_arguments, groups, node_parameters, parameter_file, placed
 
     def value(name):

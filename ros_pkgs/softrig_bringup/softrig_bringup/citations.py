@@ -8,7 +8,7 @@ from pathlib import Path
 from xml.etree.ElementTree import Element
 
 from pydantic import BaseModel, ConfigDict
-from softrig_core.errors import ScenarioError
+from softrig_core import ScenarioError
 from softrig_core.rig.scenario_file import closest, scenario_folders
 
 from .html import e

@@ -116,7 +116,7 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _script(options: argparse.Namespace) -> int:
-    from softrig_core.errors import ScenarioError
+    from softrig_core import ScenarioError
 
     raise ScenarioError(f"{', '.join(_SCRIPT)} are verbs of scripts/softrig, which has not been used here")
 

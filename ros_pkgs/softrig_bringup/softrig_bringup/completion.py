@@ -49,7 +49,7 @@ def _all(parser: argparse.ArgumentParser, before: Sequence[str], current: str) -
     if previous == "--external":
         return _parameters(before)
     if verb in ("run", "golden", "study") and (option is None or option.nargs == 0):
-        from softrig_core.rig.scenario_file import list_scenarios
+        from softrig_core import list_scenarios
 
         return list_scenarios()
     return ()
@@ -72,10 +72,9 @@ def _executables(given: Sequence[str]) -> Iterable[str]:
 
 def _parameters(before: Sequence[str]) -> dict[str, list[str]]:
     """Nodes of the scenario that is named, with the names of their parameters."""
-    from softrig_core.errors import ScenarioError
+    from softrig_core import ScenarioError, load_scenario
     from softrig_core.model.params import declarations
     from softrig_core.rig.rig import load_block
-    from softrig_core.rig.scenario import load_scenario
 
     for word in before[1:]:
         try:

@@ -8,7 +8,7 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
-from softrig_core.errors import ScenarioError
+from softrig_core import ScenarioError
 
 MANIFEST = "softrig_files.json"
 UNDER_WAY = "*"  # in place of a list: a run has begun here and not ended; all that a run may write is its own

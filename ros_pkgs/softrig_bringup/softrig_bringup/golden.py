@@ -16,15 +16,9 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from softrig_bags.compare import Comparison, Tolerance, compare
 from softrig_bags.read import read_bag
 from softrig_bags.write import write_bag
-from softrig_core.errors import RunError, ScenarioError
+from softrig_core import Recording, Rig, RunError, ScenarioError, Signals, feed, load_scenario, simulate
 from softrig_core.model.params import flatten
-from softrig_core.rig.replay import feed
-from softrig_core.rig.rig import Rig
-from softrig_core.rig.scenario import load_scenario
-from softrig_core.rig.simulate import simulate
 from softrig_core.rig.yaml_file import read_yaml
-from softrig_core.wire.recording import Recording
-from softrig_core.wire.signals import Signals
 
 from .run import versions
 

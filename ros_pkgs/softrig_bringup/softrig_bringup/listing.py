@@ -11,7 +11,7 @@ from typing import Any
 from rich.console import Console
 from rich.markup import escape
 from rich.tree import Tree
-from softrig_core.rig.scenario import Scenario, list_scenarios, load_scenario
+from softrig_core import Scenario, list_scenarios, load_scenario
 
 
 def console(**options: Any) -> Console:

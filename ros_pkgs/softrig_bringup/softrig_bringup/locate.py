@@ -15,8 +15,7 @@ if TYPE_CHECKING:
 
 def main(arguments: Sequence[str]) -> int:
     """Read, locate, tell; 0 when the fault has a position, 1 when not, 2 for input that cannot be used."""
-    from softrig_core.errors import RunError, ScenarioError
-    from softrig_core.model.params import ParameterError
+    from softrig_core import ParameterError, RunError, ScenarioError
     from softrig_power.fault_location.comtrade_file import ComtradeFileError
     from softrig_power.fault_location.confidence import confidence, describe
     from softrig_power.fault_location.inception import windowed
@@ -58,8 +57,8 @@ def read(sources: Sequence[Path], channels: Sequence[str] = ()) -> Record:
 
     if len(sources) == 1 and sources[0].is_dir():
         from softrig_bags.read import read_bag
+        from softrig_core import Signals
         from softrig_core.wire.cdr import parse
-        from softrig_core.wire.signals import Signals
 
         recording = read_bag(sources[0])
         topic = recording.topics.get("line/record")
@@ -75,8 +74,7 @@ def read(sources: Sequence[Path], channels: Sequence[str] = ()) -> Record:
 def to_bag(record: Record, path: Path) -> None:
     """Write a record as the bag that `line_plant` would have left: the four streams."""
     from softrig_bags.write import write_bag
-    from softrig_core.model.port import vector3
-    from softrig_core.wire.recording import Recording
+    from softrig_core import Recording, vector3
     from softrig_power.fault_location.record import GROUPS, TOPICS
 
     ports = [vector3(name, TOPICS[name], "abc", "V" if name[0] == "u" else "A") for name in GROUPS]
@@ -109,7 +107,7 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _assignments(texts: Sequence[str]) -> dict[str, Any]:
-    from softrig_core.errors import ScenarioError
+    from softrig_core import ScenarioError
 
     found: dict[str, Any] = {}
     for text in texts:

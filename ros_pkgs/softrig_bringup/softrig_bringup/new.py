@@ -12,7 +12,7 @@ from importlib.resources import files
 from pathlib import Path
 from string import Template
 
-from softrig_core.errors import ScenarioError
+from softrig_core import ScenarioError
 
 # template, and where it goes; $name below stands for the package's name
 FILES = {

@@ -29,7 +29,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from softrig_core.rig.scenario import list_scenarios, load_scenario
+from softrig_core import list_scenarios, load_scenario
 
 from .study.definition import list_studies, load_study
 

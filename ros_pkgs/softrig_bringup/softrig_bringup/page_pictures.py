@@ -6,9 +6,8 @@ import shutil
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from softrig_core.errors import ScenarioError
-from softrig_core.rig.scenario import PlotEntry, load_scenario
-from softrig_core.rig.simulate import simulate
+from softrig_core import ScenarioError, load_scenario, simulate
+from softrig_core.rig.scenario import PlotEntry
 
 
 def picture(scenario: str, number: int) -> str:

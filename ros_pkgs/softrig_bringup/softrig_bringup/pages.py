@@ -25,13 +25,11 @@ from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path
 
+from softrig_core import Port, list_scenarios, load_scenario, simulate
 from softrig_core.model.params import Declaration, declarations
-from softrig_core.model.port import Port
 from softrig_core.rig.claims import VERDICTS
 from softrig_core.rig.figures import Result
 from softrig_core.rig.rig import load_block
-from softrig_core.rig.scenario import list_scenarios, load_scenario
-from softrig_core.rig.simulate import simulate
 
 from . import numbers
 from .citations import cited, listed

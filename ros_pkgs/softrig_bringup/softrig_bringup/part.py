@@ -6,10 +6,8 @@ import argparse
 import os
 from pathlib import Path
 
-from softrig_core.errors import ScenarioError
+from softrig_core import Rig, ScenarioError, run_processes
 from softrig_core.guard import say
-from softrig_core.rig.processes import run_processes
-from softrig_core.rig.rig import Rig
 from softrig_core.rig.scenario_file import closest
 from softrig_core.rig.starting import placed
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from softrig_core.errors import ScenarioError
+from softrig_core import ScenarioError
 
 from .html import e, write_page
 from .run_page import run_section

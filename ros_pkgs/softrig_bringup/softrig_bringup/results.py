@@ -7,10 +7,8 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from softrig_core.errors import RunError, ScenarioError
+from softrig_core import RunError, Scenario, ScenarioError, list_scenarios, load_scenario, simulate
 from softrig_core.rig.findings import Finding, findings, needed, values
-from softrig_core.rig.scenario import Scenario, list_scenarios, load_scenario
-from softrig_core.rig.simulate import simulate
 from softrig_optim.sweep import progress, stream
 
 

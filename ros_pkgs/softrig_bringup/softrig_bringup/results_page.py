@@ -7,9 +7,9 @@ from collections.abc import Iterator, Sequence
 from itertools import groupby
 from xml.etree.ElementTree import Element
 
+from softrig_core import Scenario
 from softrig_core.rig.claims import VERDICTS
 from softrig_core.rig.findings import Finding
-from softrig_core.rig.scenario import Scenario
 
 from .citations import Citation, cited, listed, sources
 from .html import e, mark, page, table

@@ -16,18 +16,11 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal
 
-from softrig_core.errors import RunError
-from softrig_core.model.block import Block, Observer
+from softrig_core import Block, Observer, Recording, Rig, Run, RunError, Scenario, Scene, figures_of, run_inprocess
 from softrig_core.model.params import declarations, flatten
 from softrig_core.model.port import CLOCK
-from softrig_core.model.scene import Scene
-from softrig_core.rig.figures import Result, figures_of
-from softrig_core.rig.inprocess import run_inprocess
-from softrig_core.rig.rig import Rig
-from softrig_core.rig.scenario import Scenario
-from softrig_core.rig.simulate import Run
+from softrig_core.rig.figures import Result
 from softrig_core.rig.stopping import signal_of, stoppable, unstopped
-from softrig_core.wire.recording import Recording
 
 from .citations import cited
 from .folder import ResultsFolder
@@ -83,7 +76,7 @@ def execute(
         wall_s = time.perf_counter() - started
         run = Run(rig, scenario.seed, recording, wall_s, status=status, error=error, stopped=stopped)
     else:
-        from softrig_core.rig.processes import run_processes
+        from softrig_core import run_processes
         from softrig_core.rig.starting import placed
 
         realtime = realtime or mode == "realtime"

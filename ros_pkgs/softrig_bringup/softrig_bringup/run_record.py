@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from pydantic import BaseModel, ConfigDict, ValidationError
-from softrig_core.errors import ScenarioError
+from softrig_core import ScenarioError
 from softrig_core.rig.figures import Result
 from softrig_core.rig.scenario import PlotEntry
 

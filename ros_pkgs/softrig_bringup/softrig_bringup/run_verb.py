@@ -17,8 +17,7 @@ from softrig_core.command_line import Number
 from softrig_core.guard import say
 
 if TYPE_CHECKING:
-    from softrig_core.rig.scenario import Scenario
-    from softrig_core.rig.simulate import Run
+    from softrig_core import Run, Scenario
 
 NEWS = 10.0  # s of wall-clock time between two lines of progress
 
@@ -56,8 +55,8 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _run_reserved(options: argparse.Namespace) -> int:
-    from softrig_core.errors import ScenarioError
-    from softrig_core.rig.scenario import load_scenario, merge
+    from softrig_core import ScenarioError, load_scenario
+    from softrig_core.rig.scenario import merge
 
     from .folder import ResultsFolder
     from .run import checked, execute, save, summary
@@ -133,7 +132,7 @@ def repeat(options: argparse.Namespace) -> list[str]:
 
 
 def _assignment(text: str) -> tuple[str, Any]:
-    from softrig_core.errors import ScenarioError
+    from softrig_core import ScenarioError
     from softrig_core.rig.yaml_file import read_yaml
 
     key, separator, value = text.partition("=")
@@ -144,7 +143,7 @@ def _assignment(text: str) -> tuple[str, Any]:
 
 def _changed(scenario: Scenario, changes: dict[str, Any]) -> Scenario:
     from pydantic import ValidationError
-    from softrig_core.errors import ScenarioError
+    from softrig_core import ScenarioError
     from softrig_core.rig.scenario import merge
     from softrig_core.rig.scenario_file import closest
 

@@ -8,8 +8,8 @@ from xml.etree.ElementTree import Element
 
 from softrig_bags.errors import BagError
 from softrig_bags.read import signals
+from softrig_core import Signals
 from softrig_core.rig.figures import Result
-from softrig_core.wire.signals import Signals
 
 from .html import e, mark, picture, table
 from .plots.overlay import Overlay, draw_overlay

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from pydantic import BaseModel, ConfigDict
-from softrig_core.rig.rig import Rig
+from softrig_core import Rig
 
 SWEEPS = 8  # over the columns, until neighbours stand side by side
 

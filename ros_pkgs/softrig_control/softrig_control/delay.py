@@ -8,11 +8,7 @@ from collections.abc import Mapping
 from typing import Self
 
 from pydantic import model_validator
-from softrig_core.model.block import Block, Level
-from softrig_core.model.params import param
-from softrig_core.model.port import Port, Sample
-from softrig_core.model.timebase import to_ns
-from softrig_core.node import executable
+from softrig_core import Block, Level, Port, Sample, executable, param, to_ns
 
 from .unit_delay import LinkParams
 

@@ -6,11 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Self
 
 from pydantic import model_validator
-from softrig_core.model.block import Plant
-from softrig_core.model.params import BlockParams, param
-from softrig_core.model.port import Port
-from softrig_core.model.state import state_type
-from softrig_core.node import executable
+from softrig_core import BlockParams, Plant, Port, executable, param, state_type
 
 from .discretise import matmul
 from .predictive.carima import sample_transfer_function

@@ -5,7 +5,7 @@ from __future__ import annotations
 import cmath
 import math
 
-from softrig_core.model.params import Params, param
+from softrig_core import Params, param
 
 
 class PllParams(Params):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from softrig_core.model.params import Params, param
+from softrig_core import Params, param
 
 
 class PidParams(Params):

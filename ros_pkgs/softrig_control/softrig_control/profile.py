@@ -7,8 +7,7 @@ from collections.abc import Sequence
 from typing import Generic, Self, TypeVar
 
 from pydantic import model_validator
-from softrig_core.model.params import BlockParams, param
-from softrig_core.model.timebase import to_ns
+from softrig_core import BlockParams, param, to_ns
 
 T = TypeVar("T")
 

@@ -6,10 +6,7 @@ from collections.abc import Mapping
 from typing import Any, Self
 
 from pydantic import model_validator
-from softrig_core.model.block import Block
-from softrig_core.model.params import param
-from softrig_core.model.port import Port, scalars
-from softrig_core.node import executable
+from softrig_core import Block, Port, executable, param, scalars
 
 from .profile import ProfileParams, StepProfile
 

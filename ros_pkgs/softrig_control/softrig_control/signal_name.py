@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from softrig_core.model.port import Port, joint_state
+from softrig_core import Port, joint_state
 
 FIELDS = ("position", "velocity", "effort")
 

@@ -6,11 +6,18 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Literal, Self
 
 from pydantic import model_validator
-from softrig_core.model.block import Plant
-from softrig_core.model.params import BlockParams, param
-from softrig_core.model.port import Port, joint_state, reference, vector3, wrench
-from softrig_core.model.state import state_type
-from softrig_core.node import executable
+from softrig_core import (
+    BlockParams,
+    Plant,
+    Port,
+    executable,
+    joint_state,
+    param,
+    reference,
+    state_type,
+    vector3,
+    wrench,
+)
 from softrig_core.wire import types
 
 MessageType = Literal[

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Literal, assert_never
 
 import numpy as np
-from softrig_core.model.params import Params, param
+from softrig_core import Params, param
 
 from .de import DifferentialEvolution
 from .firefly import Firefly

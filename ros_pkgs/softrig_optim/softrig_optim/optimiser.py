@@ -11,11 +11,7 @@ from typing import Self
 
 import numpy as np
 from pydantic import model_validator
-from softrig_core.model.block import Block, Level
-from softrig_core.model.params import BlockParams, param
-from softrig_core.model.port import Port, button, command, scalars
-from softrig_core.model.timebase import to_ns
-from softrig_core.node import executable
+from softrig_core import Block, BlockParams, Level, Port, button, command, executable, param, scalars, to_ns
 
 from .algorithms import Algorithm, AlgorithmParams, make
 from .search import Point, Search

@@ -14,19 +14,13 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self
 
 from pydantic import model_validator
-from softrig_core.errors import RunError
-from softrig_core.model.block import Level, Plant
-from softrig_core.model.compiled import Compiled
-from softrig_core.model.ode import rk4
-from softrig_core.model.params import BlockParams, Params, param
-from softrig_core.model.state import state_type
-from softrig_core.model.timebase import to_ns, to_s
+from softrig_core import BlockParams, Compiled, Level, Params, Plant, RunError, param, rk4, state_type, to_ns, to_s
 
 from .joints import PerJoint, require_positive, spread
 
 if TYPE_CHECKING:
     import casadi as ca
-    from softrig_core.model.scene import Scene
+    from softrig_core import Scene
 
 Vector = tuple[float, ...]
 

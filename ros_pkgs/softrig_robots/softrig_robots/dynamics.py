@@ -6,11 +6,7 @@ from collections.abc import Mapping
 from typing import Self
 
 from pydantic import model_validator
-from softrig_core.model.block import Block
-from softrig_core.model.marker import Marker
-from softrig_core.model.params import BlockParams, param
-from softrig_core.model.port import Port, array, joint_state, pose, reference
-from softrig_core.node import executable
+from softrig_core import Block, BlockParams, Marker, Port, array, executable, joint_state, param, pose, reference
 
 from .joints import PerJoint, require_positive, spread
 from .urdf import read_urdf, root_link

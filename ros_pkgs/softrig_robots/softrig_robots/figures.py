@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from softrig_core.rig.metrics import SignalMap
+from softrig_core import SignalMap
 
 
 def repeatability(first: SignalMap, second: SignalMap, signal: str) -> float:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Annotated, Any, Self
 
 from pydantic import BeforeValidator, model_validator
-from softrig_core.model.params import Params
+from softrig_core import Params
 
 
 def _as_sequence(value: Any) -> Any:

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from softrig_core.model.scene import Point, Pose
+from softrig_core import Pose
+from softrig_core.model.scene import Point
 
 from .rigid_body import frame_id, load_model
 from .urdf import root_link

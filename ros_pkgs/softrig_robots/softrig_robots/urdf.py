@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from xml.etree import ElementTree
 
-from softrig_core.model.resource import resource
+from softrig_core import resource
 
 Vector = tuple[float, float, float]
 ENDLESS = "1e9"  # rad

@@ -5,11 +5,24 @@ import signal
 import time
 from typing import ClassVar
 
-from softrig_core.model.block import Block, Observer, Plant
-from softrig_core.model.params import BlockParams, param
-from softrig_core.model.port import Sample, array, button, command, joint_state, number, reference, scalars
-from softrig_core.model.solver import Solver, SolverParams
-from softrig_core.node import executable
+from softrig_core import (
+    Block,
+    BlockParams,
+    Observer,
+    Plant,
+    Sample,
+    Solver,
+    SolverParams,
+    array,
+    button,
+    command,
+    executable,
+    joint_state,
+    number,
+    param,
+    reference,
+    scalars,
+)
 
 STATE = joint_state("state", "lag/state", ["x"], position="m", velocity="m/s")
 COMMAND = command("command", "lag/command", ["u"], "N")

@@ -8,13 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
-from softrig_core.errors import ScenarioError
-from softrig_core.model.port import XYZ, Port
+from softrig_core import Port, Rig, ScenarioError, Signals
+from softrig_core.model.port import XYZ
 from softrig_core.rig.figures import signal_units
-from softrig_core.rig.rig import Rig
 from softrig_core.rig.scenario import PlotEntry
 from softrig_core.rig.scenario_file import closest
-from softrig_core.wire.signals import Signals
 
 Array = NDArray[np.float64]
 

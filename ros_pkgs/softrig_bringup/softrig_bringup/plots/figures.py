@@ -8,9 +8,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from softrig_core.rig.rig import Rig
+from softrig_core import Rig, Signals
 from softrig_core.rig.scenario import PlotEntry
-from softrig_core.wire.signals import Signals
 
 from . import style as look
 from .axes import UNIT, draw, draw_logic, draw_marks, fold_exponents, is_logic, legend, styles

@@ -9,11 +9,10 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
+from softrig_core import Rig, SignalMap, figures_of
 from softrig_core.rig import metrics
 from softrig_core.rig.expectation import Expectation
-from softrig_core.rig.figures import Figure, figures_of
-from softrig_core.rig.metrics import SignalMap
-from softrig_core.rig.rig import Rig
+from softrig_core.rig.figures import Figure
 
 BESIDE = 0.06  # of the window: how far the mark of an extreme reaches to either side
 NAMED = 4  # more instants than this in one picture would cover it with their names

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from softrig_core import Signals
 from softrig_core.rig.scenario import PlotEntry
-from softrig_core.wire.signals import Signals
 
 from . import style as look
 from .axes import draw, fold_exponents, legend

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
-from softrig_core.errors import ScenarioError
+from softrig_core import ScenarioError
 from softrig_core.rig.claims import Claim
 from softrig_core.rig.expectation import Expected
 from softrig_core.rig.references import fill

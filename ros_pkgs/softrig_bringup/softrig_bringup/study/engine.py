@@ -9,9 +9,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from softrig_core.errors import ScenarioError
-from softrig_core.rig.figures import figures_of
-from softrig_core.rig.simulate import rig_of
+from softrig_core import ScenarioError, figures_of, rig_of
 from softrig_optim.sweep import progress, stream
 
 from .definition import Search, Study

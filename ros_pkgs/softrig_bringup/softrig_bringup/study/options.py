@@ -7,8 +7,8 @@ from os.path import isfile
 from pathlib import Path
 from typing import Any
 
-from softrig_core.errors import ScenarioError
-from softrig_core.rig.scenario_file import list_scenarios, locate
+from softrig_core import ScenarioError, list_scenarios
+from softrig_core.rig.scenario_file import locate
 from softrig_core.rig.yaml_file import read_yaml
 
 from .definition import Study, list_studies, load_study, make_study

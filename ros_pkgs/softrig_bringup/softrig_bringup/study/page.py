@@ -8,11 +8,10 @@ from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import Element
 
+from softrig_core import figures_of, load_scenario, rig_of
 from softrig_core.model.params import declarations
-from softrig_core.rig.figures import Result, figures_of, signal_units
+from softrig_core.rig.figures import Result, signal_units
 from softrig_core.rig.findings import Finding
-from softrig_core.rig.scenario import load_scenario
-from softrig_core.rig.simulate import rig_of
 
 from ..citations import cited, sources
 from ..html import e, mark, picture, table, write_page

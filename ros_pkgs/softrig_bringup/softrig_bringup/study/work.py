@@ -11,9 +11,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from softrig_core.errors import RunError, ScenarioError
-from softrig_core.rig.scenario import load_scenario
-from softrig_core.rig.simulate import simulate
+from softrig_core import RunError, ScenarioError, load_scenario, simulate
 
 from .draw import Case
 

@@ -6,10 +6,7 @@ from collections.abc import Mapping
 from typing import Any, Self
 
 from pydantic import model_validator
-from softrig_core.model.block import Block, Level
-from softrig_core.model.params import BlockParams, param
-from softrig_core.model.port import Port, array, button, scalars
-from softrig_core.node import executable
+from softrig_core import Block, BlockParams, Level, Port, array, button, executable, param, scalars
 
 from .carima import Carima
 from .certificate import Certificate, certify, check, companion

@@ -7,10 +7,7 @@ from collections.abc import Mapping
 from typing import ClassVar, Literal, Self
 
 from pydantic import model_validator
-from softrig_core.model.block import Block, Level
-from softrig_core.model.params import BlockParams, param
-from softrig_core.model.port import Port, scalars
-from softrig_core.node import executable
+from softrig_core import Block, BlockParams, Level, Port, executable, param, scalars
 
 from ..signal_name import signal_port, split
 from .carima import Carima

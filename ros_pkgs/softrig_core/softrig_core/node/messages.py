@@ -84,8 +84,7 @@ def marker_array(stamp: int, markers: Sequence[Marker]) -> Any:
         What a block has to show.
     """
     from geometry_msgs.msg import Point as PointMessage
-    from visualization_msgs.msg import Marker as MarkerMessage
-    from visualization_msgs.msg import MarkerArray
+    from visualization_msgs.msg import Marker as MarkerMessage, MarkerArray
 
     array = MarkerArray()
     for marker in markers:

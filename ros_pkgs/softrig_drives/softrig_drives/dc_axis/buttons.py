@@ -5,10 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from softrig_core.model.block import Block
-from softrig_core.model.params import BlockParams, param
-from softrig_core.model.timebase import to_ns
-from softrig_core.node import executable
+from softrig_core import Block, BlockParams, executable, param, to_ns
 
 from .ports import FORWARD, REVERSE
 

@@ -11,11 +11,7 @@ from softrig_control.delay import whole_periods
 from softrig_control.discretise import zero_order_hold
 from softrig_control.predictor import CommandReplay
 from softrig_control.state_feedback import Gains, StateFeedback, closed_loop_poles, place, require_stable
-from softrig_core.model.block import Block, Level
-from softrig_core.model.params import param
-from softrig_core.model.port import Sample
-from softrig_core.model.timebase import to_ns
-from softrig_core.node import executable
+from softrig_core import Block, Level, Sample, executable, param, to_ns
 
 from .motor import MotorParams
 from .nominal import NominalAxis

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from softrig_core.model.params import param
-from softrig_core.node import executable
+from softrig_core import executable, param
 from softrig_core.rig import metrics
 from softrig_core.rig.watch import Measure, Watch, WatchParams
 

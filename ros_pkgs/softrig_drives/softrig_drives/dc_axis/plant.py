@@ -7,9 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple, Self
 
 from pydantic import model_validator
-from softrig_core.model.block import Plant
-from softrig_core.model.params import param
-from softrig_core.node import executable
+from softrig_core import Plant, executable, param
 
 from .motor import Motion, MotorParams
 from .ports import COMMAND, STATE, TRUE_STATE

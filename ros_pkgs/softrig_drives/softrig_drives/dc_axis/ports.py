@@ -1,6 +1,6 @@
 """Signals that the nodes of the axis exchange."""
 
-from softrig_core.model.port import button, command, joint_state, reference, scalars
+from softrig_core import button, command, joint_state, reference, scalars
 
 _AXIS = ("axis",)
 

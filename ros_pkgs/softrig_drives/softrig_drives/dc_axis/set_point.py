@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from softrig_core.model.block import Level
+from softrig_core import Level
 
 
 class SetPoint:

@@ -7,8 +7,7 @@ from collections.abc import Mapping
 
 from softrig_control.discretise import zero_order_hold
 from softrig_control.kalman import SteadyKalman
-from softrig_core.model.params import param
-from softrig_core.node import executable
+from softrig_core import executable, param
 
 from .model import MotorConstants, SensorConstants, state_space
 from .ports import APPLIED, REFERENCE, SENSORS

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from softrig_control.discretise import Matrix
-from softrig_core.model.params import Params, param
+from softrig_core import Params, param
 
 
 class MotorConstants(Params):

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from softrig_control.pid import Pid, PidParams
-from softrig_core.model.params import param
-from softrig_core.node import executable
+from softrig_core import executable, param
 
 from .ports import COMMAND, REFERENCE, SPEED
 from .speed_control import SpeedControl, SpeedControlParams

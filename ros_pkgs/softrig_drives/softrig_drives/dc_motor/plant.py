@@ -9,11 +9,7 @@ from typing import NamedTuple, Self
 from pydantic import model_validator
 from softrig_control.discretise import zero_order_hold
 from softrig_control.profile import StepProfile
-from softrig_core.model.block import Level, Plant
-from softrig_core.model.params import BlockParams, param
-from softrig_core.model.port import Port
-from softrig_core.model.timebase import to_ns
-from softrig_core.node import executable
+from softrig_core import BlockParams, Level, Plant, Port, executable, param, to_ns
 
 from .model import MotorConstants, SensorConstants, state_space
 from .ports import APPLIED, COMMAND, SENSORS, STATE, TRUE_STATE

@@ -7,9 +7,7 @@ from collections.abc import Mapping
 from typing import Literal
 
 from softrig_control.sliding_mode import switching
-from softrig_core.model.params import param
-from softrig_core.model.port import Port
-from softrig_core.node import executable
+from softrig_core import Port, executable, param
 
 from .ports import COMMAND, REFERENCE, SENSORS, SPEED, SURFACE
 from .speed_control import SpeedControl, SpeedControlParams

@@ -6,8 +6,7 @@ from collections.abc import Mapping
 from typing import Self
 
 from pydantic import model_validator
-from softrig_core.model.block import Block, Level
-from softrig_core.model.params import BlockParams, param
+from softrig_core import Block, BlockParams, Level, param
 
 
 class SpeedControlParams(BlockParams):

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from math import floor
 from typing import TYPE_CHECKING, Literal
 
-from softrig_core.model.params import Params, param
+from softrig_core import Params, param
 
 if TYPE_CHECKING:
     import numpy as np

@@ -8,11 +8,7 @@ from math import sqrt
 from typing import Self
 
 from pydantic import model_validator
-from softrig_core.model.block import Block, Level
-from softrig_core.model.params import BlockParams, param
-from softrig_core.model.port import Port
-from softrig_core.model.timebase import to_ns, to_s
-from softrig_core.node import executable
+from softrig_core import Block, BlockParams, Level, Port, executable, param, to_ns, to_s
 
 from .estimator import EstimatorParams, make_estimator
 from .ports import CURRENTS_MEAS, DC_LINK, FLUX_ESTIMATE, SPEED, SWITCHES, TORQUE_ESTIMATE, TORQUE_REF

@@ -10,8 +10,7 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from softrig_core.rig.metrics import SignalMap, window
-from softrig_core.rig.registry import figure
+from softrig_core import SignalMap, figure, window
 
 Array = NDArray[np.float64]
 Vectors = NDArray[np.complex128]

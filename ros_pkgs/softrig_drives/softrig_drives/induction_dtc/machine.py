@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from softrig_core.model.ode import rk4
-from softrig_core.model.params import Params, param
+from softrig_core import Params, param, rk4
 
 if TYPE_CHECKING:
     import casadi as ca

@@ -7,9 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from softrig_core.model.block import Observer
-from softrig_core.model.params import BlockParams, param
-from softrig_core.node import executable
+from softrig_core import BlockParams, Observer, executable, param
 
 from .figures import circle, device_frequency, last_revolution, slope
 from .ports import CURRENTS_MEAS, CURRENTS_TRUE, FLUX_ESTIMATE, FLUX_TRUE, SWITCHES

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from softrig_core.model.block import Level, Plant
-from softrig_core.model.compiled import Compiled
-from softrig_core.model.params import BlockParams, param
-from softrig_core.node import executable
+from softrig_core import BlockParams, Compiled, Level, Plant, executable, param
 
 from .adc import AdcParams, Converter
 from .machine import STATES, MachineConstants, State, currents_and_torque, numbers, step_function

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from softrig_core.model.port import command, joint_state, reference, scalars, vector3
+from softrig_core import command, joint_state, reference, scalars, vector3
 
 SHAFT = ("shaft",)
 

@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from softrig_control.pid import Pid, PidParams
-from softrig_core.model.block import Block
-from softrig_core.model.params import BlockParams, param
-from softrig_core.node import executable
+from softrig_core import Block, BlockParams, executable, param
 
 from .ports import SPEED, SPEED_REF, TORQUE_REF
 

@@ -6,10 +6,7 @@ import math
 from collections.abc import Mapping
 
 import numpy as np
-from softrig_core.model.block import Block
-from softrig_core.model.jit import jit
-from softrig_core.model.params import BlockParams, param
-from softrig_core.node import executable
+from softrig_core import Block, BlockParams, executable, jit, param
 
 from .machine import N_PHASES, Array, Geometry, distance, slope
 from .ports import FORCE_CMD, MOTION, PHASE_CURRENTS, PHASE_VOLTAGE

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from softrig_core.model.marker import Marker, Point
+from softrig_core import Marker
+from softrig_core.model.marker import Point
 
 from .machine import Geometry
 

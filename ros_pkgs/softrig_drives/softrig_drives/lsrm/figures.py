@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from softrig_core.rig.metrics import SignalMap, window
-from softrig_core.rig.registry import figure
+from softrig_core import SignalMap, figure, window
 
 Array = NDArray[np.float64]
 

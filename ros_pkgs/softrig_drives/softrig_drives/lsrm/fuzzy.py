@@ -8,8 +8,7 @@ from typing import Self
 
 from pydantic import model_validator
 from softrig_control.fuzzy import And, TakagiSugeno, sum_rules
-from softrig_core.model.params import param
-from softrig_core.node import executable
+from softrig_core import executable, param
 
 from .speed_control import SpeedControl, SpeedControlParams
 

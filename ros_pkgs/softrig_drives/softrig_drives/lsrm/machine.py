@@ -8,8 +8,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import model_validator
-from softrig_core.model.jit import jit
-from softrig_core.model.params import Params, param
+from softrig_core import Params, jit, param
 
 Array = NDArray[np.float64]
 

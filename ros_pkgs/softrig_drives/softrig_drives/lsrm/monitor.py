@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from softrig_core.model.params import param
-from softrig_core.node import executable
+from softrig_core import executable, param
 from softrig_core.rig import metrics
 from softrig_core.rig.watch import Measure, Watch, WatchParams
 
 from .figures import POSITION, REFERENCE, SPEED, dip, iae, itae, overshoot, peak_force
-from .ports import FORCE_CMD, JOINT_STATES, LOAD, PHASE_CURRENTS, PHASE_VOLTAGE
-from .ports import REFERENCE as REFERENCE_PORT
+from .ports import FORCE_CMD, JOINT_STATES, LOAD, PHASE_CURRENTS, PHASE_VOLTAGE, REFERENCE as REFERENCE_PORT
 
 PHASES = "abcd"
 

@@ -7,8 +7,7 @@ from collections.abc import Mapping
 from typing import Self
 
 from pydantic import model_validator
-from softrig_core.model.params import param
-from softrig_core.node import executable
+from softrig_core import executable, param
 
 from .machine import Mechanics
 from .ports import FORCE_CMD, REFERENCE, SPEED, THETA

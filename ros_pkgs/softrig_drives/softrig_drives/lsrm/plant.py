@@ -6,11 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from softrig_core.model.block import Level, Plant
-from softrig_core.model.jit import jit
-from softrig_core.model.marker import Marker
-from softrig_core.model.params import BlockParams, param
-from softrig_core.node import executable
+from softrig_core import BlockParams, Level, Marker, Plant, executable, jit, param
 
 from .drawing import stator, translator
 from .machine import N_PHASES, STATES, Array, Geometry, Mechanics, V, X, advance, current, force

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from softrig_core.model.port import command, joint_state, reference, scalars
+from softrig_core import command, joint_state, reference, scalars
 
 PHASES = ("a", "b", "c", "d")
 TRANSLATOR = ("translator",)

@@ -6,10 +6,7 @@ from collections.abc import Mapping
 from math import inf
 from typing import Any
 
-from softrig_core.model.block import Block, Level
-from softrig_core.model.params import BlockParams, param
-from softrig_core.model.timebase import to_s
-from softrig_core.node import executable
+from softrig_core import Block, BlockParams, Level, executable, param, to_s
 
 from .machine import Mechanics
 from .ports import REFERENCE

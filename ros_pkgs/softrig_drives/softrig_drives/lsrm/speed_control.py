@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import ClassVar
 
-from softrig_core.model.block import Block
-from softrig_core.model.params import BlockParams, param
-from softrig_core.model.port import Port
+from softrig_core import Block, BlockParams, Port, param
 
 from .ports import FORCE_CMD, REFERENCE, SPEED
 

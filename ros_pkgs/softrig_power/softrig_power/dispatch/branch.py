@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from softrig_core.model.jit import jit
+from softrig_core import jit
 
 from .units import NARROW, Array, Units
 

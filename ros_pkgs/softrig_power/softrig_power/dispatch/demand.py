@@ -5,11 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from pydantic import model_validator
-from softrig_core.model.block import Block
-from softrig_core.model.params import BlockParams, param
-from softrig_core.model.port import scalars
-from softrig_core.model.timebase import to_ns
-from softrig_core.node import executable
+from softrig_core import Block, BlockParams, executable, param, scalars, to_ns
 
 
 class DemandParams(BlockParams):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from softrig_core.model.jit import jit
+from softrig_core import jit
 
 from .branch import unit_cost
 from .certify import InfeasibleError

@@ -7,11 +7,7 @@ from typing import Any
 
 import numpy as np
 from pydantic import field_validator
-from softrig_core.model.block import Plant
-from softrig_core.model.params import BlockParams, param
-from softrig_core.model.port import Port, command, joint_state, scalars
-from softrig_core.model.state import state_type
-from softrig_core.node import executable
+from softrig_core import BlockParams, Plant, Port, command, executable, joint_state, param, scalars, state_type
 
 from .units import Units
 

@@ -7,12 +7,20 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from pydantic import field_validator
-from softrig_core.model.block import Level
-from softrig_core.model.params import param
-from softrig_core.model.port import Port, array, button, command, scalars
-from softrig_core.model.solver import Result, Solver, SolverParams
-from softrig_core.model.worker import Work
-from softrig_core.node import executable
+from softrig_core import (
+    Level,
+    Port,
+    Result,
+    Solver,
+    SolverParams,
+    Work,
+    array,
+    button,
+    command,
+    executable,
+    param,
+    scalars,
+)
 
 from .baselines import Baseline, lambda_iteration, swarm, without_ripples
 from .certify import Dispatch, InfeasibleError, Method, Optimiser

@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from softrig_core.model.resource import resource
+from softrig_core import resource
 
 Array = NDArray[np.float64]
 COLUMNS = (

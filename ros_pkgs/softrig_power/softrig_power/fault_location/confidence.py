@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from softrig_core.model.params import Params, param
+from softrig_core import Params, param
 
 from .equations import lagrange
 from .location import Location, Locator, LocatorParams, locate

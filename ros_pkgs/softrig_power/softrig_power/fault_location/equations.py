@@ -25,7 +25,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from softrig_core.model.jit import jit
+from softrig_core import jit
 
 from ..lines.section import Section
 

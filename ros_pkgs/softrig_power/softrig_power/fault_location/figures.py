@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from softrig_core.rig.metrics import SignalMap
-from softrig_core.rig.registry import figure
+from softrig_core import SignalMap, figure
 
 from .ports import LOCATION, VERDICT
 from .record import Status

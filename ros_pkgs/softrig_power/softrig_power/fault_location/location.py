@@ -10,7 +10,7 @@ from typing import Literal, Self
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import model_validator
-from softrig_core.model.params import Params, param
+from softrig_core import Params, param
 
 from ..lines.modal import AERIAL
 from .equations import TAPS, Equations, Model, model, objectives

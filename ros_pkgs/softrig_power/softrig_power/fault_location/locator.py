@@ -9,10 +9,7 @@ from typing import Literal, Self
 
 import numpy as np
 from pydantic import model_validator
-from softrig_core.model.block import Block, Level
-from softrig_core.model.params import BlockParams, param
-from softrig_core.model.port import Port, array, button
-from softrig_core.node import executable
+from softrig_core import Block, BlockParams, Level, Port, array, button, executable, param
 
 from .confidence import ErrorBudget, confidence
 from .equations import TAPS, model, objectives

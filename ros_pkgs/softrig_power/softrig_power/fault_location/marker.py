@@ -5,11 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from softrig_core.model.block import Observer
-from softrig_core.model.marker import Marker
-from softrig_core.model.params import BlockParams, param
-from softrig_core.model.port import Port
-from softrig_core.node import executable
+from softrig_core import BlockParams, Marker, Observer, Port, executable, param
 
 from .ports import LOCATION, location_port
 

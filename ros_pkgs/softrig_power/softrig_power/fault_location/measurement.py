@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from softrig_core.model.jit import jit
+from softrig_core import jit
 
 from .parameters import RATES, RigParams
 

@@ -6,7 +6,7 @@ import math
 from typing import Literal, Self
 
 from pydantic import model_validator
-from softrig_core.model.params import Params, param
+from softrig_core import Params, param
 
 from ..lines.bergeron import LEAST_DELAY
 from ..lines.section import Section

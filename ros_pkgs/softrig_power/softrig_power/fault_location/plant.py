@@ -7,11 +7,7 @@ from typing import Any, Self
 
 import numpy as np
 from pydantic import model_validator
-from softrig_core.model.block import Level, Plant
-from softrig_core.model.params import BlockParams, param
-from softrig_core.model.port import Port, button, vector3
-from softrig_core.model.state import state_type
-from softrig_core.node import executable
+from softrig_core import BlockParams, Level, Plant, Port, button, executable, param, state_type, vector3
 
 from .parameters import RATES, RigParams
 from .ports import record_port, streams

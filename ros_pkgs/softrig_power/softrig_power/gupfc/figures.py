@@ -7,8 +7,7 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from softrig_core.rig.metrics import SignalMap, window
-from softrig_core.rig.registry import figure
+from softrig_core import SignalMap, figure, window
 
 from .ports import TRACE
 

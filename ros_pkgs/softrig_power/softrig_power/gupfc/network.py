@@ -10,7 +10,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import model_validator
-from softrig_core.model.params import Params, param
+from softrig_core import Params, param
 
 from ..lines.section import Section
 

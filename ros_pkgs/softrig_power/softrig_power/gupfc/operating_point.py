@@ -12,7 +12,7 @@ from typing import Literal, Self
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import model_validator
-from softrig_core.model.params import BlockParams, param
+from softrig_core import BlockParams, param
 
 from . import steady
 from .circuit import BUS1, BUS2, BUS4, I12, I34, I_SH, PULSE, SE12, SE34, SH, circuit

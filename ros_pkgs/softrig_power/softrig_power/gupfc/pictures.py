@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from softrig_core.rig.simulate import Run, simulate
+from softrig_core import Run, simulate
 
 from . import pulses
 from .figures import cycles

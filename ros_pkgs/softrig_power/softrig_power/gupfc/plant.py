@@ -8,11 +8,7 @@ from collections.abc import Mapping
 from typing import Any, ClassVar
 
 import numpy as np
-from softrig_core.model.block import Level, Plant
-from softrig_core.model.params import param
-from softrig_core.model.port import Port, array
-from softrig_core.model.state import state_type
-from softrig_core.node import executable
+from softrig_core import Level, Plant, Port, array, executable, param, state_type
 
 from .circuit import BUS1, BUS2, BUS4, I12, I34, I_SH, State, advance, circuit
 from .measurement import Weights

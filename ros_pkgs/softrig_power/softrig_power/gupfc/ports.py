@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from softrig_core.model.port import Port, command, scalars, vector3
+from softrig_core import Port, command, scalars, vector3
 
 
 def measured(name: str) -> Port:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from softrig_core.model.params import Params, param
+from softrig_core import Params, param
 
 from .injection import converter_power, series_power
 from .network import BUSES, Network, NetworkParams

@@ -6,10 +6,7 @@ import cmath
 from collections.abc import Mapping
 from dataclasses import replace
 
-from softrig_core.model.block import Block, Level
-from softrig_core.model.params import BlockParams, param
-from softrig_core.model.port import array, button
-from softrig_core.node import executable
+from softrig_core import Block, BlockParams, Level, array, button, executable, param
 
 from .network import BUSES, NetworkParams
 from .ports import SERIES_REFERENCE, SHUNT_REFERENCE

@@ -5,10 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from softrig_core.model.block import Block, Level
-from softrig_core.model.params import BlockParams, param
-from softrig_core.model.port import array, scalars, vector3
-from softrig_core.node import executable
+from softrig_core import Block, BlockParams, Level, array, executable, param, scalars, vector3
 
 from . import pulses
 from .ports import converter_command

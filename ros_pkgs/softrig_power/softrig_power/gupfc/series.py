@@ -9,10 +9,7 @@ from typing import Any, Literal
 
 from softrig_control.filters import SecondOrderFilter
 from softrig_control.phase_locked_loop import PhaseLockedLoop, PllParams
-from softrig_core.model.block import Block, Level
-from softrig_core.model.params import param
-from softrig_core.model.port import Port
-from softrig_core.node import executable
+from softrig_core import Block, Level, Port, executable, param
 
 from .operating_point import DeviceParams, operating_point
 from .ports import SERIES, SERIES_REFERENCE, measured

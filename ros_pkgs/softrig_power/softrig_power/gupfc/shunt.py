@@ -9,9 +9,7 @@ from collections.abc import Mapping
 from softrig_control.filters import SecondOrderFilter
 from softrig_control.phase_locked_loop import PhaseLockedLoop, PllParams
 from softrig_control.pid import Pid, PidParams
-from softrig_core.model.block import Block, Level
-from softrig_core.model.params import param
-from softrig_core.node import executable
+from softrig_core import Block, Level, executable, param
 
 from .operating_point import DeviceParams, operating_point
 from .ports import SHUNT, SHUNT_REFERENCE, measured

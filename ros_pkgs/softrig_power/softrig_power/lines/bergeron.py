@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from softrig_core.model.jit import jit
+from softrig_core import jit
 
 from .section import Complex, Section
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 from typing import Self
 
 from pydantic import model_validator
-from softrig_core.model.block import Block, Level
-from softrig_core.model.params import Params, param
+from softrig_core import Block, Level, Params, param
 
 from .module import ModuleParams
 

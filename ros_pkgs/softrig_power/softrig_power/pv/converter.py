@@ -6,9 +6,7 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from softrig_core.model.jit import jit
-from softrig_core.model.ode import rk4_loop
-from softrig_core.model.params import Params, param
+from softrig_core import Params, jit, param, rk4_loop
 
 from .module import Array
 from .string import Characteristic

@@ -5,10 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from softrig_core.model.block import Block
-from softrig_core.model.params import BlockParams, param
-from softrig_core.model.port import Port, array, button
-from softrig_core.node import executable
+from softrig_core import Block, BlockParams, Port, array, button, executable, param
 
 from .array import ArrayParams, possible, split
 from .ports import environment

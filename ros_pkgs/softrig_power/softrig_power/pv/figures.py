@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from softrig_core.rig.metrics import HALF_NS, SignalMap, window
-from softrig_core.rig.registry import figure
+from softrig_core import SignalMap, figure, window
+from softrig_core.rig.metrics import HALF_NS
 
 from .array import split
 from .module import Array, ModuleParams

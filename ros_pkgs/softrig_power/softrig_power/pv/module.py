@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from softrig_core.model.params import Params, param
+from softrig_core import Params, param
 
 Array = NDArray[np.float64]
 

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from softrig_core.model.block import Observer
-from softrig_core.model.params import BlockParams, param
-from softrig_core.model.port import Port
-from softrig_core.node import executable
+from softrig_core import BlockParams, Observer, Port, executable, param
 
 from .array import ArrayParams, possible
 from .figures import characteristic_of

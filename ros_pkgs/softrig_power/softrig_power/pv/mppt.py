@@ -7,9 +7,7 @@ from typing import Literal, Self
 
 import numpy as np
 from pydantic import model_validator
-from softrig_core.model.params import param
-from softrig_core.model.port import Port, command
-from softrig_core.node import executable
+from softrig_core import Port, command, executable, param
 from softrig_optim.algorithms import Algorithm, make
 from softrig_optim.load_line import CertifiedSearch, RampScan
 from softrig_optim.optimiser import CommandSearch, SearchParams, buttons, state_port

@@ -6,10 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import ClassVar, Literal, Self
 
 from pydantic import model_validator
-from softrig_core.model.block import Level, Plant
-from softrig_core.model.params import BlockParams, check_steps, param
-from softrig_core.model.port import Port, command, scalars
-from softrig_core.node import executable
+from softrig_core import BlockParams, Level, Plant, Port, check_steps, command, executable, param, scalars
 
 from .array import ArrayParams, possible, split
 from .converter import Converter, ConverterParams, State, steady_state

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from softrig_core.model.port import Port, scalars
+from softrig_core import Port, scalars
 
 
 def array_port(name: str) -> Port:

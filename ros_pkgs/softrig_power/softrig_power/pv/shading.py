@@ -7,10 +7,7 @@ from typing import Any, Self
 
 from pydantic import model_validator
 from softrig_control.profile import StepProfile
-from softrig_core.model.block import Block
-from softrig_core.model.params import BlockParams, param
-from softrig_core.model.port import Port
-from softrig_core.node import executable
+from softrig_core import Block, BlockParams, Port, executable, param
 
 from .array import IRRADIANCE, TEMPERATURE, refuse
 from .ports import environment

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from softrig_core.model.jit import jit
+from softrig_core import jit
 
 SPWM = 1.0  # largest |v_r| as a multiple of v/2
 INJECTION = 2.0 / math.sqrt(3.0)  # with min-max zero-sequence injection

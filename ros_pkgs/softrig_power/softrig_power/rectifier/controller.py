@@ -6,8 +6,7 @@ from typing import ClassVar, Literal
 
 from softrig_control.predictive.carima import Carima
 from softrig_control.predictive.controller import GpcController, GpcLawParams
-from softrig_core.model.params import BlockParams, param
-from softrig_core.node import executable
+from softrig_core import BlockParams, executable, param
 
 from .models import d2, n3, seed19
 from .parameters import RectifierConstants

@@ -7,9 +7,7 @@ from collections.abc import Iterator, Mapping
 from itertools import zip_longest
 from typing import Any
 
-from softrig_core.model.params import param
-from softrig_core.model.port import scalars
-from softrig_core.node import executable
+from softrig_core import executable, param, scalars
 from softrig_core.rig import metrics
 from softrig_core.rig.watch import Measure, Watch, WatchParams
 

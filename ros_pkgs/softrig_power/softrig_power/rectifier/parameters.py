@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from softrig_core.model.params import Params, param
+from softrig_core import Params, param
 
 
 class RectifierConstants(Params):

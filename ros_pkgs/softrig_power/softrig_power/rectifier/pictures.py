@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from softrig_core.rig.simulate import simulate
+from softrig_core import simulate
 
 from .parameters import RectifierConstants
 from .ports import WAVEFORM_CHANNELS

@@ -7,11 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Literal, NamedTuple, Self
 
 from pydantic import model_validator
-from softrig_core.model.block import Level, Plant
-from softrig_core.model.params import BlockParams, check_steps, param
-from softrig_core.model.port import Port
-from softrig_core.model.timebase import to_ns
-from softrig_core.node import executable
+from softrig_core import BlockParams, Level, Plant, Port, check_steps, executable, param, to_ns
 
 from . import averaged, ports, switched
 from .circuit import INJECTION, SPWM, Circuit, Period, grid, phases

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from softrig_core.model.port import Port, array, command, scalars, vector3
+from softrig_core import Port, array, command, scalars, vector3
 
 from .quality import FIGURES
 

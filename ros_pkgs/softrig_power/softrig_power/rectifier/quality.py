@@ -10,7 +10,7 @@ import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
-from softrig_core.model.jit import jit
+from softrig_core import jit
 
 if TYPE_CHECKING:
     import numpy as np

@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from softrig_core.model.jit import jit
-from softrig_core.model.ode import rk4_loop
+from softrig_core import jit, rk4_loop
 
 from .circuit import Circuit, Period, grid, limited, phases, wanted
 from .quality import PLAIN, WINDOWS, sample, turn_over

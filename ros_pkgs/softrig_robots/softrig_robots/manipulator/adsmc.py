@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from softrig_core.model.params import param
+from softrig_core import param
 
 from ..joints import PerJoint
 from .surfaces import Coefficients, SurfaceGains

@@ -6,10 +6,7 @@ from collections.abc import Mapping
 from typing import Any, Literal, Protocol, Self
 
 from pydantic import model_validator
-from softrig_core.model.block import Block
-from softrig_core.model.params import BlockParams, param
-from softrig_core.model.port import Port, command, joint_state, reference, scalars
-from softrig_core.node import executable
+from softrig_core import Block, BlockParams, Port, command, executable, joint_state, param, reference, scalars
 
 from ..joints import motor_names
 from .adsmc import Adsmc, AdsmcGains

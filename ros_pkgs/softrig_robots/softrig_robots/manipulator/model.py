@@ -9,7 +9,7 @@ from __future__ import annotations
 from math import cos, pi, sin
 
 from pydantic import model_validator
-from softrig_core.model.params import Params, param
+from softrig_core import Params, param
 
 from ..urdf import Link, Vector, check_inertia, robot_urdf
 

@@ -8,10 +8,7 @@ from __future__ import annotations
 from typing import Self
 
 from pydantic import model_validator
-from softrig_core.model.params import Params, param
-from softrig_core.model.port import Port, command, joint_state
-from softrig_core.model.timebase import to_ns
-from softrig_core.node import executable
+from softrig_core import Params, Port, command, executable, joint_state, param, to_ns
 
 from ..driven_robot import DrivenRobot, DrivenRobotParams, Vector
 from ..joints import PerJoint, motor_names, spread

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from softrig_control.sliding_mode import switching
-from softrig_core.model.params import param
+from softrig_core import param
 
 from ..joints import JointGains, PerJoint
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from softrig_core.model.params import param
+from softrig_core import param
 
 from ..joints import JointGains, PerJoint
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from math import tanh
 
-from softrig_core.model.params import param
+from softrig_core import param
 
 from ..joints import JointGains, PerJoint
 

@@ -6,10 +6,7 @@ from collections.abc import Mapping
 from typing import Any, ClassVar, Literal, Protocol, Self
 
 from pydantic import model_validator
-from softrig_core.model.block import Block, Level
-from softrig_core.model.params import BlockParams, param
-from softrig_core.model.port import Port, command, joint_state, reference, scalars
-from softrig_core.node import executable
+from softrig_core import Block, BlockParams, Level, Port, command, executable, joint_state, param, reference, scalars
 
 from .arsc import Arsc, ArscGains
 from .emvc import Emvc, EmvcGains

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Self
 
 from pydantic import model_validator
-from softrig_core.model.params import param
+from softrig_core import param
 
 from ..joints import JointGains, PerJoint, require_positive
 

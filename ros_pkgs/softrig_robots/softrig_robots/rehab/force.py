@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from softrig_core.model.block import Block, Level
+from softrig_core import Block, Level
 
 
 def clip_force(block: Block, wrench: tuple[float, ...] | None, limit: float) -> tuple[float, float, float]:

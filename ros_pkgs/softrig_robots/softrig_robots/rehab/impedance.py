@@ -10,11 +10,19 @@ from collections.abc import Mapping
 from typing import Self
 
 from pydantic import model_validator
-from softrig_core.model.block import Block, Level
-from softrig_core.model.params import BlockParams, param
-from softrig_core.model.port import Sample, joint_state, number, reference, wrench
-from softrig_core.model.timebase import to_ns
-from softrig_core.node import executable
+from softrig_core import (
+    Block,
+    BlockParams,
+    Level,
+    Sample,
+    executable,
+    joint_state,
+    number,
+    param,
+    reference,
+    to_ns,
+    wrench,
+)
 
 from ..joints import PerJoint, require_positive, spread
 from .force import clip_force

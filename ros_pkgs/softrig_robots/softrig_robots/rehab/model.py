@@ -9,7 +9,7 @@ from math import cos, radians, sin
 from typing import Self
 
 from pydantic import model_validator
-from softrig_core.model.params import Params, param
+from softrig_core import Params, param
 
 from ..driven_robot import Motors
 from ..joints import PerJoint, require_positive

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from softrig_core.model.params import param
-from softrig_core.model.port import command, joint_state, reference
-from softrig_core.node import executable
+from softrig_core import command, executable, joint_state, param, reference
 from softrig_core.rig import metrics
 from softrig_core.rig.watch import Measure, Watch, WatchParams
 

@@ -7,11 +7,7 @@ from math import pi, sin
 from typing import Any, Self
 
 from pydantic import model_validator
-from softrig_core.model.block import Block
-from softrig_core.model.params import BlockParams, param
-from softrig_core.model.port import wrench
-from softrig_core.model.timebase import to_ns
-from softrig_core.node import executable
+from softrig_core import Block, BlockParams, executable, param, to_ns, wrench
 
 FOOT = "foot"
 PATIENT_FORCE = "patient_force"

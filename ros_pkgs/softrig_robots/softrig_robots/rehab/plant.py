@@ -7,11 +7,7 @@ from math import radians
 from typing import Literal, Self
 
 from pydantic import model_validator
-from softrig_core.model.block import Level
-from softrig_core.model.params import Params, param
-from softrig_core.model.port import command, joint_state, wrench
-from softrig_core.model.timebase import to_ns, to_s
-from softrig_core.node import executable
+from softrig_core import Level, Params, command, executable, joint_state, param, to_ns, to_s, wrench
 
 from ..driven_robot import DrivenRobot, DrivenRobotParams, Friction, Vector
 from ..joints import PerJoint, require_positive, spread

@@ -7,11 +7,7 @@ from math import exp, radians
 from typing import Any, Self
 
 from pydantic import model_validator
-from softrig_core.model.block import Block
-from softrig_core.model.params import BlockParams, param
-from softrig_core.model.port import reference
-from softrig_core.model.timebase import to_ns, to_s
-from softrig_core.node import executable
+from softrig_core import Block, BlockParams, executable, param, reference, to_ns, to_s
 
 from ..joints import PerJoint, require_positive, spread
 from .model import JOINTS, LOWER, UPPER

@@ -9,13 +9,7 @@ from typing import NamedTuple, Self
 
 import numpy as np
 from pydantic import model_validator
-from softrig_core.model.block import Values
-from softrig_core.model.params import param
-from softrig_core.model.port import Sample, array, button
-from softrig_core.model.solver import Result, Solver, SolverParams
-from softrig_core.model.timebase import to_ns
-from softrig_core.model.worker import Work
-from softrig_core.node import executable
+from softrig_core import Result, Sample, Solver, SolverParams, Values, Work, array, button, executable, param, to_ns
 from softrig_optim.genetic import Genetic
 from softrig_optim.search import Evaluation, Point, run
 

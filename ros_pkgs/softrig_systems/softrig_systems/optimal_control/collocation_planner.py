@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from softrig_core.model.params import param
-from softrig_core.model.worker import Work
-from softrig_core.node import executable
+from softrig_core import Work, executable, param
 
 from .collocation import sampled, solve
 from .mvim import END

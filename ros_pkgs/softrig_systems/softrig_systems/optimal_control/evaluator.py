@@ -8,11 +8,7 @@ from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
-from softrig_core.model.block import Level, Observer
-from softrig_core.model.params import param
-from softrig_core.model.port import Port, scalars
-from softrig_core.model.timebase import to_s
-from softrig_core.node import executable
+from softrig_core import Level, Observer, Port, executable, param, scalars, to_s
 
 from .exact import least_cost
 from .mvim import polynomials

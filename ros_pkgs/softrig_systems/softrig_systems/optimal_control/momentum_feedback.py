@@ -4,10 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from softrig_core.model.block import Block
-from softrig_core.model.port import Port
-from softrig_core.model.timebase import to_s
-from softrig_core.node import executable
+from softrig_core import Block, Port, executable, to_s
 
 from .parameters import ProblemParams
 from .ports import control, state

@@ -20,7 +20,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from softrig_core.model.jit import jit
+from softrig_core import jit
 
 from .series import slope, value
 from .tape import evaluate, expand

@@ -7,9 +7,7 @@ from typing import Any, Literal, Self
 
 import numpy as np
 from pydantic import model_validator
-from softrig_core.model.params import param
-from softrig_core.model.worker import Work
-from softrig_core.node import executable
+from softrig_core import Work, executable, param
 
 from .mvim import Solution, solve
 from .planning import Planned, Planner, PlannerParams, Request

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Self
 
 from pydantic import model_validator
-from softrig_core.model.params import BlockParams, param
+from softrig_core import BlockParams, param
 
 from .problem import Problem, ProblemError, find
 from .problems import INERTIA, spacecraft

@@ -7,11 +7,7 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
-from softrig_core.model.block import Level
-from softrig_core.model.params import param
-from softrig_core.model.port import Port, button
-from softrig_core.model.solver import Result, Solver, SolverParams
-from softrig_core.model.timebase import to_s
+from softrig_core import Level, Port, Result, Solver, SolverParams, button, param, to_s
 
 from .parameters import ProblemParams
 from .ports import plan, state, summary

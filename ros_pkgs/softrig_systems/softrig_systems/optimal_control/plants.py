@@ -7,14 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Self
 
 from pydantic import model_validator
-from softrig_core.model.block import Level, Plant
-from softrig_core.model.compiled import Compiled
-from softrig_core.model.marker import Marker
-from softrig_core.model.ode import rk4
-from softrig_core.model.params import param
-from softrig_core.model.port import Port
-from softrig_core.model.state import state_type
-from softrig_core.node import executable
+from softrig_core import Compiled, Level, Marker, Plant, Port, executable, param, rk4, state_type
 
 from .parameters import ProblemParams
 from .ports import control, state

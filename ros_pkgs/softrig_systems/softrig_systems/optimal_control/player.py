@@ -7,11 +7,7 @@ from collections.abc import Mapping
 from typing import Any, Literal
 
 import numpy as np
-from softrig_core.model.block import Block, Level
-from softrig_core.model.params import param
-from softrig_core.model.port import Port, scalars
-from softrig_core.model.timebase import to_s
-from softrig_core.node import executable
+from softrig_core import Block, Level, Port, executable, param, scalars, to_s
 
 from .mvim import polynomials
 from .parameters import ProblemParams

@@ -14,7 +14,8 @@ import math
 from typing import TYPE_CHECKING
 
 import numpy as np
-from softrig_core.model.jit import jit, power
+from softrig_core import jit
+from softrig_core.model.jit import power
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

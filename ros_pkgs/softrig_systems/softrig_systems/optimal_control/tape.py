@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from softrig_core.model.jit import jit
+from softrig_core import jit
 
 from .series import exp_at, log_at, power_at, product_at, quotient_at, sin_cos_at
 

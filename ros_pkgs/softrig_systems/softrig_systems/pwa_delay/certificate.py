@@ -7,12 +7,7 @@ from typing import Any, Literal, NamedTuple, Self
 
 import numpy as np
 from pydantic import model_validator
-from softrig_core.model.block import Level
-from softrig_core.model.params import param
-from softrig_core.model.port import Port, array, button, scalars
-from softrig_core.model.solver import Result, Solver, SolverParams
-from softrig_core.model.worker import Work
-from softrig_core.node import executable
+from softrig_core import Level, Port, Result, Solver, SolverParams, Work, array, button, executable, param, scalars
 
 from .applicability import NotApplicable
 from .certify import Certificate, Criterion, certified_margin, certify

@@ -5,11 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Literal
 
-from softrig_core.model.block import Block, Level
+from softrig_core import Block, BlockParams, Level, Port, executable, joint_state, param
 from softrig_core.model.history import History
-from softrig_core.model.params import BlockParams, param
-from softrig_core.model.port import Port, joint_state
-from softrig_core.node import executable
 
 from .params import DelayParams
 from .ports import INFLOW, LEVEL, SEEN, TORQUE

@@ -7,10 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from softrig_core.model.block import Block, Level
-from softrig_core.model.params import BlockParams, param
-from softrig_core.model.port import Port, scalars
-from softrig_core.node import executable
+from softrig_core import Block, BlockParams, Level, Port, executable, param, scalars
 
 from .certificate import VERDICT, CriterionParams
 from .lmi import Array

@@ -6,12 +6,7 @@ from collections.abc import Mapping
 from typing import Any, Self
 
 from pydantic import model_validator
-from softrig_core.model.block import Level
-from softrig_core.model.params import param
-from softrig_core.model.port import button, scalars
-from softrig_core.model.solver import Result, Solver, SolverParams
-from softrig_core.model.worker import Work
-from softrig_core.node import executable
+from softrig_core import Level, Result, Solver, SolverParams, Work, button, executable, param, scalars
 
 from .params import SystemParams
 from .profiles import profile

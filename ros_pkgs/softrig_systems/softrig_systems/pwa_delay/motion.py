@@ -6,8 +6,8 @@ import math
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from softrig_core import jit
 from softrig_core.model.dde import Trajectory, delayed, integrator
-from softrig_core.model.jit import jit
 
 from .profiles import Profile, delay_at
 

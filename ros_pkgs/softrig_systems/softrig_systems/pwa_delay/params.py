@@ -6,8 +6,7 @@ from functools import lru_cache
 from typing import Literal, Self
 
 from pydantic import model_validator
-from softrig_core.model.block import Block, Level
-from softrig_core.model.params import Params, param
+from softrig_core import Block, Level, Params, param
 
 from .profiles import Kind, Profile, profile
 from .system import PwaSystem, continuous_tank, from_lines, linear, pendulum, switched, tank

@@ -11,8 +11,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from softrig_core.rig.metrics import SignalMap
-from softrig_core.rig.simulate import simulate
+from softrig_core import SignalMap, simulate
 
 from .certify import Criterion, certified_margin
 from .controllers import TankController

@@ -8,12 +8,8 @@ from typing import Any, Literal, NamedTuple, Self
 
 import numpy as np
 from pydantic import model_validator
-from softrig_core.model.block import Level, Plant
+from softrig_core import BlockParams, Level, Plant, Port, check_steps, executable, param, state_type
 from softrig_core.model.dde import trajectory
-from softrig_core.model.params import BlockParams, check_steps, param
-from softrig_core.model.port import Port
-from softrig_core.model.state import state_type
-from softrig_core.node import executable
 
 from .motion import (
     FREE,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from softrig_core.model.port import Port, command, joint_state, scalars
+from softrig_core import Port, command, joint_state, scalars
 
 LEVEL = scalars("level", "tank/level", {"level": ""})
 INFLOW = command("inflow", "tank/inflow", ("inflow",), "kg/s")

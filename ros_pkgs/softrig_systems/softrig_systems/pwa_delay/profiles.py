@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
-from softrig_core.model.jit import jit
+from softrig_core import jit
 
 if TYPE_CHECKING:
     import numpy as np

@@ -6,12 +6,8 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Literal, Self
 
 from pydantic import model_validator
-from softrig_core.model.block import Block, Level
+from softrig_core import Block, BlockParams, Level, executable, jit, param, to_ns
 from softrig_core.model.history import History, linear
-from softrig_core.model.jit import jit
-from softrig_core.model.params import BlockParams, param
-from softrig_core.model.timebase import to_ns
-from softrig_core.node import executable
 
 from .laws import LAWS, Gains, LawName, Measured
 from .model import Bottleneck, phi, psi

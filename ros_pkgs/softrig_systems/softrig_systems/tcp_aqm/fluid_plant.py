@@ -6,10 +6,8 @@ from typing import Self
 
 import numpy as np
 from pydantic import model_validator
-from softrig_core.model.block import Level
+from softrig_core import Level, check_steps, executable, param
 from softrig_core.model.dde import trajectory
-from softrig_core.model.params import check_steps, param
-from softrig_core.node import executable
 
 from .fluid import QUEUE, Constants, look_back, period
 from .network import Network, NetworkParams

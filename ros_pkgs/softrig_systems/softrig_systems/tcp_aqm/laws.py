@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import Literal, NamedTuple, Protocol
 
 from softrig_control.sliding_mode import switching
-from softrig_core.model.params import Params, param
+from softrig_core import Params, param
 
 
 class Gains(Params):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from softrig_core.model.params import Params, param
+from softrig_core import Params, param
 
 
 class Bottleneck(Params):

@@ -6,9 +6,7 @@ from collections import deque
 from collections.abc import Mapping
 from typing import Any
 
-from softrig_core.model.block import Observer
-from softrig_core.model.params import BlockParams, param
-from softrig_core.node import executable
+from softrig_core import BlockParams, Observer, executable, param
 
 from .model import Bottleneck, equilibrium
 from .ports import COMMAND, REFERENCE, STATE, TRUTH

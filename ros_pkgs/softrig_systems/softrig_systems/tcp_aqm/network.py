@@ -7,9 +7,7 @@ from collections.abc import Mapping
 from typing import Literal, NamedTuple, Self
 
 from pydantic import model_validator
-from softrig_core.model.block import Level, Plant
-from softrig_core.model.params import BlockParams, param
-from softrig_core.model.port import Port
+from softrig_core import BlockParams, Level, Plant, Port, param
 
 from .model import Bottleneck
 from .ports import COMMAND, STATE, TRUTH, events

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from softrig_core.model.jit import jit
+from softrig_core import jit
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

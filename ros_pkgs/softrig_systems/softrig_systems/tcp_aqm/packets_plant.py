@@ -6,10 +6,8 @@ from typing import Self
 
 import numpy as np
 from pydantic import model_validator
-from softrig_core.model.block import Level
+from softrig_core import Level, executable, param
 from softrig_core.model.history import History
-from softrig_core.model.params import param
-from softrig_core.node import executable
 
 from .network import Network, NetworkParams
 from .packets import NOBODY, START, Agenda, Counts, Fifo, Sources, arrive, mean_window, run_until, schedule

@@ -10,8 +10,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from softrig_core.rig.metrics import Array, SignalMap
-from softrig_core.rig.simulate import simulate
+from softrig_core import SignalMap, simulate
+from softrig_core.rig.metrics import Array
 
 QUEUE = "network/truth/queue/position"
 LAWS = {"SSPD": "", "SSPID": "_sspid", "PI": "_pi", "PID": "_pid"}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from softrig_core.model.port import Port, command, scalars
+from softrig_core import Port, command, scalars
 
 STATE = scalars("state", "network/state", {"window": "packet", "queue": "packet", "rtt": "s"})
 TRUTH = scalars(
