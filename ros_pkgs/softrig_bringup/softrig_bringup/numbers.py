@@ -164,7 +164,7 @@ def _differs(tie: Tie, table: dict[tuple[str, str], float], tests: Path, run: Ru
     if kind == "scenario":
         return "" if tie.is_one_of(_values(load_scenario(rest).model_dump())) else f"does not stand in scenario {rest}"
     if found := _TEST.fullmatch(tie.source):
-        held = (_computed(found[1] or "1") * x for x in _literals(tests / found[2], found[3]))
+        held = (_computed(found[1] or "1") * x for x in _literals(tests, found[2], found[3]))
         return "" if any(tie.near(x) or tie.near(-x) for x in held) else f"does not stand in {tie.source}"
     if found := _FIGURE.fullmatch(tie.source):
         return _unlike(tie, _computed(found[1] or "1"), (found[2], found[3]), table, run)
@@ -212,10 +212,10 @@ def _values(given: Any) -> Iterator[float]:
         yield float(given)
 
 
-def _literals(file: Path, name: str) -> Iterator[float]:
+def _literals(tests: Path, file: str, name: str) -> Iterator[float]:
     """All numbers in a function of a test file and in its decorators, or in what is assigned to a name there."""
-    tree = ast.parse(file.read_text(encoding="utf-8") if file.exists() else "")
-    for node in tree.body:
+    trees = [ast.parse(found.read_text(encoding="utf-8")) for found in sorted(tests.rglob(file))]
+    for node in (node for tree in trees for node in tree.body):
         targets = [n.id for n in getattr(node, "targets", []) if isinstance(n, ast.Name)]
         if getattr(node, "name", None) == name or name in targets:
             yield from _values([n.value for n in ast.walk(node) if isinstance(n, ast.Constant)])
