@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import hypothesis
@@ -14,6 +15,7 @@ hypothesis.settings.register_profile("any_speed", deadline=None,
                                      suppress_health_check=[hypothesis.HealthCheck.too_slow])  # fmt: skip
 hypothesis.settings.load_profile("any_speed")
 os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"  # rclpy then refuses what it would send as garbage
+PATIENCE = 300.0  # s: what has not come by then has failed; nine nodes took 70 s to start on a loaded machine
 PACKAGE = Path(__file__).parent / "rig_package"
 os.environ["AMENT_PREFIX_PATH"] = f"{PACKAGE}{os.pathsep}{os.environ.get('AMENT_PREFIX_PATH', '')}"
 os.environ["PYTHONPATH"] = f"{PACKAGE / 'python'}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"
@@ -34,6 +36,7 @@ def make_scenario(nodes, duration=1.0, **keys):
         name: {"package": "faultrig", **({"executable": entry} if isinstance(entry, str) else entry)}
         for name, entry in nodes.items()
     }
+    keys.setdefault("timeout", PATIENCE / 5)  # a node that is late on a loaded machine is not lost
     return Scenario(name="test", title="test", system="lag", source="", duration=duration, nodes=entries, **keys)
 
 
@@ -68,6 +71,17 @@ rclpy.spin_until_future_complete(node, client.call_async(Trigger.Request()))
 """
 
 
+def until(condition, what=str):
+    """Wait for something that other processes do; what is not written yet (KeyError, IndexError) has not happened."""
+    deadline = time.monotonic() + PATIENCE
+    while True:
+        with suppress(KeyError, IndexError):
+            if found := condition():
+                return found
+        assert time.monotonic() < deadline, f"never happened: {what() if callable(what) else what}"
+        time.sleep(0.02)
+
+
 class Bench:
     """Real nodes on a domain of their own, started one by one, each with a status file and a shard."""
 
@@ -98,11 +112,14 @@ class Bench:
         except (FileNotFoundError, json.JSONDecodeError):
             return {}
 
-    def wait(self, condition, seconds=60.0):  # a loaded machine takes 15 s to start three nodes
-        deadline = time.monotonic() + seconds
-        while not condition():
-            assert time.monotonic() < deadline, {n: self.status(n) for n in self.nodes}
-            time.sleep(0.05)
+    def wait(self, condition):
+        until(condition, lambda: {n: self.status(n) for n in self.nodes})
+
+    def ends(self, name):
+        """Wait until a process has ended; gives its exit status."""
+        status = self.nodes[name].wait(PATIENCE)
+        del self.nodes[name]
+        return status
 
     def signal(self, name, signal):
         """What a node recorded: its outputs, and its inputs from outside."""

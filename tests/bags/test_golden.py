@@ -5,6 +5,7 @@ import subprocess
 from pathlib import Path
 
 import pytest
+from conftest import PATIENCE
 from softrig_bags.compare import compare
 from softrig_bags.read import read_bag
 from softrig_bringup.golden import create, load, main
@@ -103,7 +104,7 @@ def test_a_replay_in_lockstep_into_one_real_node_agrees(name, node, tmp_path):
                 [str(find_executable("softrig_bags", "player")), str(golden.bag), "--lockstep", *topics,
                  "--topics", *[p.topic for p in member.inputs if p.name in member.links],
                  "--answers", str(tmp_path / "answers")],
-                env=variables, capture_output=True, text=True, timeout=120,
+                env=variables, capture_output=True, text=True, timeout=PATIENCE,
             )  # fmt: skip
         finally:
             process.kill()

@@ -7,13 +7,13 @@ import resource
 import signal
 import subprocess
 import sys
-import time
 from contextlib import ExitStack, suppress
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 import rclpy
+from conftest import PATIENCE, until
 from rcl_interfaces.msg import Parameter, ParameterValue
 from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParameters
 from rclpy.duration import Duration
@@ -42,7 +42,6 @@ from std_srvs.srv import Trigger
 pytestmark = pytest.mark.processes
 STATE, CLOCK = "sensor_msgs/msg/JointState", "rosgraph_msgs/msg/Clock"
 NODES = Path(__file__).parents[1] / "bag_nodes.py"
-LIMIT = 30.0  # s: a test whose condition has not come by then has failed
 
 
 class Rig:
@@ -81,17 +80,8 @@ def finish(process: subprocess.Popen, number: int | None = None) -> tuple[int, s
     """Send a signal, if any; give exit status and output."""
     if number is not None:
         process.send_signal(number)
-    output = process.communicate(timeout=LIMIT)[0]
+    output = process.communicate(timeout=PATIENCE)[0]
     return process.returncode, output
-
-
-def until(condition, what: str):
-    """Wait for something that another process does."""
-    limit = time.monotonic() + LIMIT
-    while not (found := condition()):
-        assert time.monotonic() < limit, f"never happened: {what}"
-        time.sleep(0.01)
-    return found
 
 
 @pytest.fixture

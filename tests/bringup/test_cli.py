@@ -13,6 +13,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from conftest import PATIENCE
 from softrig_bags.reader import BagReader
 from softrig_bringup.cli import _parser, main
 from softrig_bringup.run import _checkout, gaps
@@ -244,7 +245,7 @@ def test_a_gap_is_found(folder):
 def test_the_node_verb_is_the_executable(folder):
     done = subprocess.run(
         [sys.executable, "-m", "softrig_bringup", "node", "faultrig", "plant", "--ros-args", "-p", "gain:=0.0"],
-        capture_output=True, text=True, timeout=60, env=os.environ | {"ROS_LOG_DIR": str(folder)},
+        capture_output=True, text=True, timeout=PATIENCE, env=os.environ | {"ROS_LOG_DIR": str(folder)},
     )  # fmt: skip
     assert done.returncode == 2
     assert done.stderr.strip() == "plant: parameter gain = 0.0: input should be greater than 0"
@@ -253,7 +254,7 @@ def test_the_node_verb_is_the_executable(folder):
 
 def test_a_node_explains_itself():
     done = subprocess.run([sys.executable, "-m", "softrig_bringup", "node", "softrig_drives", "dc_motor_smc", "--help"],
-                          capture_output=True, text=True, timeout=60)  # fmt: skip
+                          capture_output=True, text=True, timeout=PATIENCE)  # fmt: skip
     assert done.returncode == 0
     assert "reads motor/state" in done.stdout
     assert "delta = 0.0 rad/s^2: softening" in done.stdout
@@ -287,7 +288,7 @@ def test_a_call_that_waited_for_the_set_up_of_another_runs_as_that_one(tmp_path)
                          stderr=subprocess.PIPE, text=True)
         for _ in range(2)
     ]  # fmt: skip
-    (first, said), (second, also) = (call.communicate(timeout=60) for call in calls)
+    (first, said), (second, also) = (call.communicate(timeout=PATIENCE) for call in calls)
     assert [call.returncode for call in calls] == [0, 0], said + also
     assert sorted(("ready after" in said, "ready after" in also)) == [False, True]  # one set up, one waited
     assert first == second
@@ -351,7 +352,7 @@ def test_nothing_is_imported_from_the_current_directory(tmp_path):
 
 def command(*arguments, **options):
     """The command line in a process of its own, without the time that scripts/softrig takes."""
-    return subprocess.run([sys.executable, "-P", "-m", "softrig_bringup", *arguments], timeout=60, **options)
+    return subprocess.run([sys.executable, "-P", "-m", "softrig_bringup", *arguments], timeout=PATIENCE, **options)
 
 
 @pytest.mark.parametrize("encoding", ["ascii", "latin-1"])

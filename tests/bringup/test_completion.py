@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from conftest import PATIENCE
 from softrig_bringup.cli import _parser, main
 from softrig_bringup.completion import candidates
 from softrig_core.node.startup import introduction
@@ -35,7 +36,7 @@ def test_each_place_of_a_command_is_completed():
 def test_bash_uses_it():
     script = f"""eval "$('{SOFTRIG}' completion)"; COMP_WORDS=('{SOFTRIG}' run dc_motor_smc_b5_p); COMP_CWORD=2
         compopt() {{ :; }}; _softrig; echo "${{COMPREPLY[@]}}" """
-    done = subprocess.run(["bash", "-c", script], capture_output=True, text=True, timeout=120)
+    done = subprocess.run(["bash", "-c", script], capture_output=True, text=True, timeout=PATIENCE)
     assert done.stdout == "dc_motor_smc_b5_pid\n", done.stderr
 
 
@@ -59,7 +60,7 @@ def test_the_list_is_a_tree_where_it_is_narrow_and_one_line_a_scenario_in_a_pipe
 def test_stray_arguments_of_a_node_are_refused(stray, tmp_path):
     command = [sys.executable, "-m", "softrig_bringup", "node", "faultrig", "plant", stray]
     logs = os.environ | {"ROS_LOG_DIR": str(tmp_path)}
-    done = subprocess.run(command, text=True, capture_output=True, timeout=120, env=logs)
+    done = subprocess.run(command, text=True, capture_output=True, timeout=PATIENCE, env=logs)
     assert done.returncode == 2
     assert done.stderr.startswith(f"plant: unexpected argument '{stray}': expected --ros-args")
 

@@ -9,6 +9,7 @@ import tempfile
 from pathlib import Path
 
 import pytest
+from conftest import PATIENCE
 from softrig_bringup.cli import main
 from softrig_bringup.new import new_package
 from softrig_core import ScenarioError
@@ -81,7 +82,7 @@ class User:
                 for place in (folder, home, self.folder):
                     os.chown(place, UID, UID)
 
-    def __call__(self, command, status=0, timeout=240):
+    def __call__(self, command, status=0, timeout=PATIENCE):
         """Type a command; gives what it printed, and what it complained of."""
         done = subprocess.run([*self.become, "bash", "-c", command], cwd=self.folder, env=self.environment,
                               stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=timeout)  # fmt: skip

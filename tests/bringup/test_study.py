@@ -13,6 +13,7 @@ import time
 import numpy as np
 import pyarrow.parquet
 import pytest
+from conftest import PATIENCE
 from softrig_bringup.cli import main
 from softrig_bringup.study.definition import list_studies, load_study, make_study
 from softrig_bringup.study.draw import cases, count, draw
@@ -197,7 +198,7 @@ def test_workers_do_not_matter_and_a_killed_one_costs_nothing(folder):
     thread = threading.Thread(target=kill)
     thread.start()
     there = rows_of(demo, out, workers=2)
-    thread.join(30.0)
+    thread.join(PATIENCE)
     assert killed
     assert [(r["number"], r["figures"]) for r in there] == [(r["number"], r["figures"]) for r in here]
 

@@ -275,13 +275,17 @@ def test_a_shard_gives_rows_of_numbers_as_the_messages_that_they_were(tmp_path_f
     writer = ShardWriter(path, topics, ROW)
     head, expected = path.stat().st_size, {name: [] for name, _ in topics}
     size = head
+
+    def said():
+        return path.stat().st_size + len(writer._buffer)
+
     for row in rows:  # a message from outside may come between two rows
-        before = len(writer._buffer)
+        before = said()
         if isinstance(row, bytes):
             writer.add(1, 5, row)
         else:
             writer.add_row(row[0], (row[1], *row[2]))
-        expected["end"] = [*expected.get("end", []), (len(writer._buffer) - before, row)]
+        expected["end"] = [*expected.get("end", []), (said() - before, row)]
     writer.close()
     whole = path.read_bytes()
     path.write_bytes(whole[: max(head, len(whole) - cut)])
@@ -316,6 +320,24 @@ def test_a_block_of_messages_has_the_bytes_of_each(name, numbered):
     assert [row.tobytes() for row in block] == [
         layout.encode(s, v) for s, v in zip(stamps, values.tolist(), strict=True)
     ]
+
+
+def test_the_first_message_of_a_shard_is_there_at_once_and_the_next_come_together(tmp_path):
+    path = tmp_path / "x.shard"
+    writer = ShardWriter(path, [("a", "std_msgs/msg/Float64")])
+
+    def there():
+        recording = Recording([("a", "std_msgs/msg/Float64")])
+        recording.read_shard(path)
+        return recording.topics["a"].times
+
+    assert there() == []
+    writer.add(0, 1, b"first")
+    assert there() == [1]
+    writer.add(0, 2, b"second")
+    assert there() == [1]
+    writer.flush()
+    assert there() == [1, 2]
 
 
 def test_a_shard_cut_in_its_head_has_no_messages(tmp_path):

@@ -7,6 +7,7 @@ import sys
 
 import numpy as np
 import pytest
+from conftest import PATIENCE
 from softrig_core import jit
 from softrig_core.model.dde import delayed, integrator, reach, trajectory
 from softrig_core.model.history import History, cubic, hermite, linear, put
@@ -230,7 +231,7 @@ def test_bits_without_numba():
     path = os.pathsep.join((here, os.environ.get("PYTHONPATH", "")))
     plain, native = (
         subprocess.run([sys.executable, "-c", code], env={**os.environ, "PYTHONPATH": path, "SOFTRIG_JIT": jit},
-                       check=True, capture_output=True, timeout=240).stdout
+                       check=True, capture_output=True, timeout=PATIENCE).stdout
         for jit in "01"
     )  # fmt: skip
     assert len(plain) == 8 * 1200

@@ -9,6 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
+from conftest import PATIENCE
 from faultrig import Gain
 from softrig_core import Block, BlockParams, jit, number
 from softrig_core.model import jit as module
@@ -60,7 +61,7 @@ FACTOR = 1.25
 
 def relay(folder, **environment):
     env = {**os.environ, "XDG_CACHE_HOME": str(folder / "cache"), **environment}
-    done = subprocess.run([sys.executable, "relay.py"], cwd=folder, env=env, capture_output=True, timeout=240)
+    done = subprocess.run([sys.executable, "relay.py"], cwd=folder, env=env, capture_output=True, timeout=PATIENCE)
     assert done.returncode == 0, done.stderr.decode()
     return np.frombuffer(done.stdout)
 
@@ -120,7 +121,7 @@ def test_numba_is_imported_at_the_first_call_only():
         assert "numba" in sys.modules
         assert twice.py_func(3.0) == 6.0
     """
-    subprocess.run([sys.executable, "-c", textwrap.dedent(code)], check=True, timeout=120)
+    subprocess.run([sys.executable, "-c", textwrap.dedent(code)], check=True, timeout=PATIENCE)
 
 
 def test_without_numba_the_plain_function_runs():
@@ -135,7 +136,7 @@ def test_without_numba_the_plain_function_runs():
 
         assert twice(3.0) == 6.0
     """
-    subprocess.run([sys.executable, "-c", textwrap.dedent(code)], check=True, timeout=120)
+    subprocess.run([sys.executable, "-c", textwrap.dedent(code)], check=True, timeout=PATIENCE)
 
 
 def cube(x):

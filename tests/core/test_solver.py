@@ -5,12 +5,11 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import differences, in_process, make_scenario
+from conftest import PATIENCE, differences, in_process, make_scenario, until
 from faultrig import Planner, Unreadable, unreadable
 from simulated import SimulatedRig, World
 from softrig_core import Rig, RunError, Signals, Solver, run_processes
@@ -107,7 +106,7 @@ def test_failed_work_ends_a_run_and_is_reported_against_the_wall_clock(fault, re
     found = []
     for k in range(5):
         found += drive(block, 1, k)
-        assert block._worker.wait(20.0)
+        assert block._worker.wait(PATIENCE)
     # each tick gives what the request of the tick before came to; the third plan comes from a new process
     assert [round(v["plan"][0], 9) for v in found] == [-1.0, 0.0, 0.0, 0.2, 0.3]
     assert block.reports["work"][2] == 1
@@ -119,7 +118,7 @@ def test_against_the_wall_clock_nothing_waits():
     block._worker.warm()
     found = drive(block, 5)  # answers without the plan, which takes longer than five ticks
     assert [v["plan"][0] for v in found] == [-1.0] * 5
-    assert block._worker.wait(20.0)
+    assert block._worker.wait(PATIENCE)
     assert drive(block, 1, 5)[0]["plan"] == (0.0, 1.0)
     assert block._active[0] == 500_000_000, "the newest request is next, the four between are forgotten"
     assert set(block.health()) >= {"work"}
@@ -147,24 +146,21 @@ def test_worker_ends_with_its_owner_and_with_the_process_that_started_it():
         "while not worker.has_best: worker.wait(0.01)\n"
         "print(worker._process.pid, flush=True); os.kill(os.getpid(), signal.SIGKILL)\n"
     )
-    done = subprocess.run([sys.executable, "-c", code], stdout=subprocess.PIPE, timeout=60)
+    done = subprocess.run([sys.executable, "-c", code], stdout=subprocess.PIPE, timeout=PATIENCE)
     assert done.returncode == -signal.SIGKILL
     orphan = int(done.stdout)
-    deadline = time.monotonic() + 10.0
     status = Path(f"/proc/{orphan}/status")
-    while status.exists() and "State:\tZ" not in status.read_text():
-        assert time.monotonic() < deadline
-        time.sleep(0.02)
+    until(lambda: not status.exists() or "State:\tZ" in status.read_text())
 
 
 def test_a_request_that_cannot_be_read_fails_and_the_next_is_worked_on():
     worker = Worker(Planner.solve)
     worker.submit(Unreadable())
-    assert worker.wait(60.0)
+    assert worker.wait(PATIENCE)
     assert worker.state == "failed"
     assert worker.error.startswith("ValueError: invalid literal for int()")
     worker.submit((1, 0.0, 1.0, 0.0, ""))
-    assert worker.wait(60.0)
+    assert worker.wait(PATIENCE)
     assert (worker.state, worker.answer) == ("done", 1.5)
     worker.cancel()
 
@@ -172,7 +168,7 @@ def test_a_request_that_cannot_be_read_fails_and_the_next_is_worked_on():
 def test_an_answer_that_cannot_be_read_is_a_failure():
     worker = Worker(unreadable)
     worker.submit(None)
-    assert worker.wait(60.0)
+    assert worker.wait(PATIENCE)
     assert worker.state == "failed"
     assert worker.error.startswith("its answer cannot be read: ValueError: invalid literal for int()")
     worker.cancel()

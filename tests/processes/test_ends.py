@@ -10,7 +10,7 @@ import time
 from pathlib import Path
 
 import pytest
-from conftest import make_scenario, no_process_left
+from conftest import PATIENCE, make_scenario, no_process_left, until
 from softrig_core import Rig, run_inprocess, run_processes
 from softrig_core.rig.shared_memory import remove_leftovers
 from softrig_core.rig.stopping import Stopped, stoppable
@@ -157,13 +157,14 @@ def test_a_stopped_run_has_bag_and_metrics_and_its_status(number, status, tmp_pa
     command = [sys.executable, "-m", "softrig_bringup", "run", "dc_motor_smc", "--duration", "500", "--out", str(out),
                "--no-plots"]  # fmt: skip
     process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
-    deadline = time.monotonic() + 60
-    while not any(shard.stat().st_size > 100_000 for shard in (out / "log").glob("*.shard")):
+
+    def runs():
         assert process.poll() is None, process.stderr.read()
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
+        return any(shard.stat().st_size > 100_000 for shard in (out / "log").glob("*.shard"))
+
+    until(runs)
     process.send_signal(number)
-    _, said = process.communicate(timeout=60)
+    _, said = process.communicate(timeout=PATIENCE)
     assert process.returncode == status, said
     name = signal.Signals(number).name
     content = json.loads((out / "metrics.json").read_text())

@@ -4,6 +4,7 @@ import subprocess
 import sys
 
 import pytest
+from conftest import PATIENCE
 
 STUCK = """
 import ctypes
@@ -22,6 +23,6 @@ leave([Node()], {status})
 
 @pytest.mark.parametrize("status", [0, 3])
 def test_a_node_that_cannot_leave_ends_with_its_status(status):
-    done = subprocess.run([sys.executable, "-c", STUCK.format(status=status)], capture_output=True, timeout=60)
+    done = subprocess.run([sys.executable, "-c", STUCK.format(status=status)], capture_output=True, timeout=PATIENCE)
     assert done.returncode == status
     assert done.stderr == b""

@@ -5,13 +5,12 @@ import signal
 import subprocess
 import sys
 import textwrap
-import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import PRESS, differences, in_process, make_scenario, no_process_left
+from conftest import PATIENCE, PRESS, differences, in_process, make_scenario, no_process_left, until
 from softrig_core import Rig, ScenarioError, Signals, run_processes
 from softrig_core.rig.domain import free_domain
 from softrig_core.rig.executables import environment, find_executable
@@ -164,7 +163,7 @@ def test_a_press_by_service_in_lockstep_is_recorded_at_the_tick_that_saw_it(tmp_
 def test_an_unwritable_status_file_is_one_line(tmp_path):
     executable = str(find_executable("faultrig", "plant"))
     done = subprocess.run([executable, "--ros-args", "-p", f"run.status:={tmp_path}/nowhere/s"], capture_output=True,
-                          text=True, env=environment(1, tmp_path), timeout=30)  # fmt: skip
+                          text=True, env=environment(1, tmp_path), timeout=PATIENCE)  # fmt: skip
     assert done.returncode == 3
     assert "No such file or directory" in done.stderr.splitlines()[-1]
 
@@ -210,7 +209,7 @@ def test_ctrl_c_stops_all_nodes(tmp_path):
     while int(process.stdout.readline()) == 0:
         pass
     os.killpg(process.pid, signal.SIGINT)
-    process.communicate(timeout=60)  # each node gets up to 9 s, and the machine may be busy
+    process.communicate(timeout=PATIENCE)  # each node gets up to 9 s, and the machine may be busy
     assert no_process_left(tmp_path)
 
 
@@ -229,9 +228,7 @@ def test_nodes_die_with_a_killed_runner(tmp_path):
         pass
     process.kill()
     process.wait()
-    deadline = time.monotonic() + 10
-    while not no_process_left(tmp_path):
-        assert time.monotonic() < deadline, "nodes outlive their runner"
+    until(lambda: no_process_left(tmp_path), "nodes outlive their runner")
 
 
 def test_bad_parameters_stop_a_node_with_one_line(tmp_path):
@@ -244,7 +241,7 @@ def test_bad_parameters_stop_a_node_with_one_line(tmp_path):
         ("run.mode:=fast", "run.mode"),
     ]:
         done = subprocess.run([executable, "--ros-args", "-p", argument], capture_output=True, text=True,
-                              env=variables, timeout=30)  # fmt: skip
+                              env=variables, timeout=PATIENCE)  # fmt: skip
         assert done.returncode == 2
         assert text.removeprefix("run.") in done.stderr
         assert len(done.stderr.strip().splitlines()) == 1

@@ -8,7 +8,7 @@ import sys
 from contextlib import contextmanager
 
 import pytest
-from conftest import differences, in_process
+from conftest import PATIENCE, differences, in_process
 from softrig_bags.read import read_bag
 from softrig_bags.repair import repair
 from softrig_bringup.cli import main
@@ -20,7 +20,8 @@ DISTURBED = "delay 2ms 1ms loss 2% reorder 20%"
 
 
 def command(*words, **keys):
-    return subprocess.run([*" ".join(words).split()], check=True, capture_output=True, text=True, timeout=20, **keys)
+    done = {"check": True, "capture_output": True, "text": True, "timeout": PATIENCE}
+    return subprocess.run(" ".join(words).split(), **done, **keys)
 
 
 @contextmanager
@@ -60,16 +61,16 @@ def run_parts(parts, domain, directory, prefix=()):
     """Run each part of the rig as `softrig run --only` does; gives exit statuses, what was said and the shards."""
     scenario = directory / "two.yaml"
     nodes = "".join(f"  {name}: {{package: faultrig, executable: {name}}}\n" for name in BASIC)
-    scenario.write_text(f"title: t\nsystem: lag\nsource: s\nduration: 1.0\ntimeout: 30.0\nnodes:\n{nodes}")
+    scenario.write_text(f"title: t\nsystem: lag\nsource: s\nduration: 1.0\ntimeout: 60.0\nnodes:\n{nodes}")
     running = []
     for k, part in enumerate(parts):
         only = [word for name in part for word in ("--only", name)]
         command = [sys.executable, "-m", "softrig_bringup", "run", str(scenario), "--mode", "container", *only,
-                   "--domain", str(domain), "--wait", "60", "--out", str(directory / str(k))]  # fmt: skip
+                   "--domain", str(domain), "--wait", str(PATIENCE), "--out", str(directory / str(k))]  # fmt: skip
         before = prefix[k] if prefix else []
         running.append(subprocess.Popen([*before, *command], stderr=subprocess.PIPE, text=True))
     try:
-        said = [process.communicate(timeout=120)[1] for process in running]
+        said = [process.communicate(timeout=PATIENCE)[1] for process in running]
     finally:
         for process in running:
             process.kill()

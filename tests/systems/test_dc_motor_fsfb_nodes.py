@@ -71,27 +71,24 @@ class Axis:
         bench.start("plant", "dc_axis_plant", package="softrig_drives")
         bench.start("link", "fieldbus_delay", package="softrig_control")
         self.start_controller()
-        bench.wait(lambda: bench.status("controller").get("ticks", 0) > 30)
+        bench.wait(lambda: bench.status("controller")["ticks"] > 30 and len(bench.signal("plant", Y).x) > 0)
 
     def start_controller(self, *arguments):
         self.bench.start("controller", "fsfb_controller", *arguments, package="softrig_drives")
 
     def ask(self, *lines):
         code = f"import sys; sys.argv[1:] = {list(lines)!r}\n{PERSON}"
-        assert self.bench.python("person", code).wait(30) == 0
-        del self.bench.nodes["person"]
+        self.bench.python("person", code)
+        assert self.bench.ends("person") == 0
 
     def arrives(self, where):
         """Wait until set point and axis stand there."""
 
         def there():
-            try:
-                asked, y = self.bench.signal("controller", SET_POINT).x, self.bench.signal("plant", Y).x[-50:]
-            except KeyError:  # nothing written yet
-                return False
+            asked, y = self.bench.signal("controller", SET_POINT).x, self.bench.signal("plant", Y).x[-50:]
             return asked[-1] == where and np.abs(y - where).max() < 0.1
 
-        self.bench.wait(there, 30.0)
+        self.bench.wait(there)
 
 
 @pytest.fixture

@@ -64,13 +64,13 @@ class Hand:
         parameters = {"period": 0.01, "substeps": 1000, "locked": True, "x_0": 0.0415}
         arguments = [a for k, v in parameters.items() for a in ("-p", f"{k}:={str(v).lower()}")]
         bench.start("plant", "lsrm_plant", *arguments, package="softrig_drives")
-        bench.wait(lambda: bench.status("plant").get("ticks", 0) > 3, 30.0)
+        bench.wait(lambda: bench.status("plant")["ticks"] > 3)
 
     def sends(self, topic, names, effort, until):
         """Command until something holds."""
         code = f"import sys; sys.argv[1:] = {[topic, names, effort]!r}\n{PERSON}"
         self.bench.python("person", code)
-        self.bench.wait(until, 30.0)
+        self.bench.wait(until)
         self.bench.kill("person")
 
     def current(self):
@@ -96,8 +96,8 @@ def test_nodes_started_by_hand_move_the_translator_in_real_time(bench):
         arguments = [a for k, v in parameters.items() for a in ("-p", f"{k}:={v}")]
         bench.start(name, executable, *arguments, package="softrig_drives")
     for name in nodes:
-        bench.wait(lambda name=name: bench.status(name).get("ticks", 0) > 20, 40.0)
-    bench.wait(lambda: bench.signal("lsrm_plant", "joint_states/translator/position").x[-1] > 0.1, 40.0)
+        bench.wait(lambda name=name: bench.status(name)["ticks"] > 20)
+    bench.wait(lambda: bench.signal("lsrm_plant", "joint_states/translator/position").x[-1] > 0.1)
     assert "overcurrent" not in bench.status("lsrm_plant")["reports"]
     assert bench.signal("speed_controller", "force_cmd/translator/effort").x.max() > 2.0  # it needs 2.4 N
 

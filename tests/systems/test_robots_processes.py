@@ -38,10 +38,10 @@ def test_leg_started_by_hand_long_before_its_controller(bench):
         bench.start(name, name, package="softrig_robots")
 
     start("rehab_plant")
-    bench.wait(lambda: bench.status("rehab_plant").get("ticks", 0) > 4000)
+    bench.wait(lambda: bench.status("rehab_plant")["ticks"] > 4000)
     start("prom_reference")
     start("voltage_controller")
-    bench.wait(lambda: bench.status("voltage_controller").get("ticks", 0) > 300)
+    bench.wait(lambda: bench.status("voltage_controller")["ticks"] > 300)
     assert "safe" not in bench.status("rehab_plant")["reports"]
     bench.kill("voltage_controller")
     bench.wait(lambda: "stale motor_command" in bench.status("rehab_plant")["reports"])

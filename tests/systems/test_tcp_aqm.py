@@ -8,7 +8,7 @@ import sys
 
 import numpy as np
 import pytest
-from conftest import differences, in_process
+from conftest import PATIENCE, differences, in_process
 from softrig_core import (
     Level,
     ParameterError,
@@ -547,7 +547,7 @@ for plant, period in ((TcpFluid(input_delay=True, w0=14.0, q0=110.0), 0.001), (T
 @pytest.mark.long
 def test_native_and_plain_python_give_the_same_bits():
     found = [subprocess.run([sys.executable, "-c", PLAIN], env={**os.environ, "SOFTRIG_JIT": jit}, text=True,
-                            capture_output=True, check=True, timeout=300).stdout for jit in "01"]  # fmt: skip
+                            capture_output=True, check=True, timeout=PATIENCE).stdout for jit in "01"]  # fmt: skip
     assert found[0] == found[1]
 
 

@@ -35,6 +35,8 @@ class Sink(Protocol):
 class ShardWriter:
     """Append-only file of one node's messages; cheap in the loop, flushed by size and by `flush`.
 
+    The first message goes out at once: who looks at the file sees that the node speaks.
+
     What a node says at each of its ticks is a row: its messages have one stamp, and only their numbers are written.
     Their bytes are made when the shard is read, from the layouts in its head.
 
@@ -56,20 +58,21 @@ class ShardWriter:
         self._buffer = bytearray(_MAGIC + json.dumps(head).encode() + b"\n")
         self._pack_row = struct.Struct(f"{_ROW_HEAD.format}{sum(layout.size for layout in row.values())}d").pack
         self.flush()
+        self._limit = 0
 
     def add(self, topic: int, t: int, data: bytes) -> None:
         """Append one message."""
         buffer = self._buffer
         buffer += _RECORD.pack(t, topic, len(data))
         buffer += data
-        if len(buffer) > self.LIMIT:
+        if len(buffer) > self._limit:
             self.flush()
 
     def add_row(self, t: int, values: Iterable[float]) -> None:
         """Append one message of each topic of the row, all stamped `t`, by their numbers."""
         buffer = self._buffer
         buffer += self._pack_row(t, _ROW, *values)
-        if len(buffer) > self.LIMIT:
+        if len(buffer) > self._limit:
             self.flush()
 
     def flush(self) -> None:
@@ -77,6 +80,7 @@ class ShardWriter:
         while self._buffer:
             written = self._file.write(self._buffer)
             del self._buffer[: written or 0]
+        self._limit = self.LIMIT
 
     def close(self) -> None:
         """Flush and close."""
