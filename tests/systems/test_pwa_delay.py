@@ -9,7 +9,16 @@ import numpy as np
 import pytest
 from conftest import differences, in_process
 from softrig_bringup import pages
-from softrig_core import Level, ParameterError, Rig, list_scenarios, load_scenario, run_processes, simulate
+from softrig_core import (
+    Level,
+    ParameterError,
+    Rig,
+    ScenarioError,
+    list_scenarios,
+    load_scenario,
+    run_processes,
+    simulate,
+)
 from softrig_core.model.dde import trajectory
 from softrig_core.rig.findings import findings, values
 from softrig_systems.pwa_delay import search
@@ -184,6 +193,91 @@ def test_no_delay_empties_the_tank_below_its_certified_level(seed):
         lowest = min(lowest, level[0])
         plant.advance(k, inflow=controller.update(k, level=level)["inflow"])
     assert bound.lowest - 1e-3 <= lowest < 0.5
+
+
+# Which parameter of the tank and its law to change, and to what; all others are in FREE_OF_THE_LEVEL.
+TANKS = {
+    "tank_controller.switch": 0.7, "tank_controller.k_low": 0.1, "tank_controller.k_high": 0.15, "tank_plant.c": 0.02,
+    "tank_controller.A": 20.0, "tank_controller.phi": 500.0, "tank_plant.x0": 1.5,
+}  # fmt: skip
+REFUSED_OF_THE_LEVEL = {
+    "tank_plant.model": "pwa", "tank_plant.A": 20.0, "tank_plant.phi": 500.0, "tank_plant.switch": 0.7,
+    "tank_plant.k_low": 0.1, "tank_plant.k_high": 0.15,
+}  # fmt: skip
+FREE_OF_THE_LEVEL = {  # it holds for any delay up to h; the rest is how a run is computed
+    "tank_plant.delay", "tank_plant.max_delay", "tank_plant.profile", "tank_plant.mu", "tank_plant.seed",
+    "tank_plant.horizon", "tank_plant.period", "tank_plant.step", "tank_controller.period",
+}  # fmt: skip
+
+
+def test_every_parameter_of_the_tank_is_held_against_its_certificate():
+    nodes = {"tank_plant": TankPlant, "tank_controller": TankController}
+    fields = {f"{node}.{name}" for node, block in nodes.items() for name in block.Params.model_fields}
+    assert fields == {*TANKS, *REFUSED_OF_THE_LEVEL, *FREE_OF_THE_LEVEL}
+
+
+@pytest.mark.parametrize(("parameter", "value"), TANKS.items())
+def test_level_certificate_is_of_the_tank_and_law_that_the_rig_has(parameter, value):
+    """With each other value the certified delay keeps the tank from running empty, however it jumps below it."""
+    rig = Rig.from_scenario(load_scenario("pwa_delay_p2", {parameter: value}))
+    asked = next(m.params for m in rig.members if m.name == "certificate")
+    h = CertificateNode.solve(asked, None).certificate.h
+    assert h == pytest.approx(level_margin(**asked.tank))
+    assert (abs(h - 5.9716) > 1e-3) == (parameter.split(".")[1] not in ("A", "phi"))
+    for profile_of in ("constant", "telegraph"):
+        changes = {parameter: value, "tank_plant.delay": h - 0.01, "tank_plant.profile": profile_of}
+        found = simulate("pwa_delay_p2", overrides=changes, duration=20.0 * h)
+        assert (found.figures["h"], found.figures["covered"]) == (h, 1.0)
+        assert found.figures["lowest_level"] >= level_bound(h, **asked.tank).lowest - 1e-6
+
+
+def test_certificate_does_not_cover_a_tank_that_runs_dry():
+    """Today's: valid, h = 5.9716 beside a dry tank."""
+    found = simulate("pwa_delay_p2", overrides={"tank_plant.delay": 5.9, "tank_controller.k_high": 0.15}).figures
+    assert found["lowest_level"] == 0.0
+    assert found["h"] == pytest.approx(4.2645, abs=1e-4)
+    assert found["covered"] == 0.0
+
+
+@pytest.mark.parametrize(("parameter", "value"), REFUSED_OF_THE_LEVEL.items())
+def test_certificate_of_another_tank_is_refused_by_name(parameter, value):
+    with pytest.raises(ScenarioError, match=r"must agree on tank/.*but tank_plant has "):
+        Rig.from_scenario(load_scenario("pwa_delay_p2", {parameter: value}))
+
+
+def test_no_level_is_certified_where_the_drain_outweighs_the_inflow():
+    for tank_of in ({"c": 0.2}, {"kL": 0.0}, {"s": 0.0}):
+        assert level_margin(**tank_of) == 0.0
+        assert not level_bound(1e3, **tank_of).certified
+    answer = CertificateNode.solve(CertificateNode.Params(system="tank", method="level", c=0.2), None)
+    assert (answer.certificate.valid, answer.reason) == (False, "no certificate: the tank may run empty")
+
+
+@pytest.mark.parametrize(
+    ("scenario", "changes", "quantity"),
+    [("pwa_delay", {"certificate.system": "benchmark"}, "pwa/system"),
+     ("pwa_delay", {"certificate.mu": 0.5}, "certificate/mu"),
+     ("pwa_delay_margin_user", {"switched_delay_plant.Ad": [-1.0, 0.0, -1.0, -2.0]}, "pwa/Ad"),
+     ("pwa_delay_margin_scalar", {"margin_search.A": [0.1]}, "pwa/A"),
+     ("pwa_delay_p2c", {"switched_delay_plant.system": "scalar"}, "pwa/system")],
+)  # fmt: skip
+def test_certificate_of_another_system_is_refused_by_name(scenario, changes, quantity):
+    with pytest.raises(ScenarioError, match=f"must agree on {quantity}"):
+        Rig.from_scenario(load_scenario(scenario, changes))
+
+
+def test_certificate_of_the_pendulum_is_of_its_gains():
+    """With a weaker gain on the right the margin is another one, and the simulated motion says the same."""
+    weak = CriterionParams(system="pendulum", k_positive=2.0, cell_terms=True).build()
+    found = certify(weak, 0.45, Criterion("constant", order=2, cell_terms=True))
+    assert found.valid
+    assert not certify(pendulum(), 0.45, Criterion("constant", order=2, cell_terms=True)).valid
+    assert growth_rate(simulate_pwa(weak, profile("constant", 0.45), (1.0, 0.0), 200.0)) < 0.0
+    assert growth_rate(simulate_pwa(pendulum(), profile("constant", 0.45), (1.0, 0.0), 200.0)) > 0.0
+    nodes = {"pendulum_plant": PendulumPlant(model="nonlinear"), "certificate": CertificateNode(system="pendulum")}
+    with pytest.raises(ScenarioError, match="must agree on pendulum/model"):
+        Rig.from_blocks({**nodes, "pendulum_controller": PendulumController()}, 1.0,
+                        remap={"pendulum_controller": {"pendulum/delayed_state": "pendulum/state"}})  # fmt: skip
 
 
 # C6: simulated margins

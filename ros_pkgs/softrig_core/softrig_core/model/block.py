@@ -89,6 +89,15 @@ class Block(Generic[P]):
         """Give (inputs, outputs) for these parameters; override when channels depend on them. Must stay cheap."""
         return cls.INPUTS, cls.OUTPUTS
 
+    @classmethod
+    def agreed(cls, params: Any) -> Mapping[str, Any]:
+        """Give what must be equal in all nodes of a rig that name it: quantity (``tank/k_high``) to value.
+
+        For a plant, for those that judge it (figures, monitors, certificates, proofs), and for what they say of a law.
+        What a law assumes of its plant is its own: it may be wrong, that is an experiment.
+        """
+        return {}
+
     def setup(self) -> None:
         """Compute what depends on the parameters only; called once. Import heavy libraries here."""
 

@@ -19,6 +19,7 @@ from ..model.schedule import Schedule
 from ..wire.cdr import Pick
 from ..wire.codec import selection
 from ..wire.recording import Recording
+from .agreement import require_agreement
 from .node_parameters import NodeParameters
 from .scenario import Scenario, explain
 from .scenario_file import closest
@@ -102,6 +103,7 @@ class Rig:
         if clock.schedule.ticks is not None and clock.schedule.ticks > TICKS:
             raise ScenarioError(f"{scenario.name}: {scenario.duration:g} s are {clock.schedule.ticks:.3g} periods of "
                                 f"{clock.name}, expected at most {TICKS:.0e}")  # fmt: skip
+        require_agreement(scenario.name, members)
         _wire(scenario, members)
         return cls(scenario, (*plants, *_sorted([m for m in members if not m.is_plant])), clock)
 

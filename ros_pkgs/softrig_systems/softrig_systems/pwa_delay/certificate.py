@@ -13,7 +13,8 @@ from .applicability import NotApplicable
 from .certify import Certificate, Criterion, certified_margin, certify
 from .level import level_bound, level_margin
 from .lmi import Array
-from .params import SystemParams
+from .params import SystemParams, law_of_the_tank
+from .system import TANK_C
 
 VERDICT = {"h": "s", "valid": "", "t": "", "smallest": "", "inequalities": ""}
 
@@ -73,12 +74,22 @@ class CertificateParams(CriterionParams, SolverParams):
     high: float = param(0.0, "where it ends at first; 0: found by itself", "s", ge=0.0, le=1e6)
     width: float = param(1e-4, "relative width at which the search ends", ge=1e-9, le=0.1)
     at_start: bool = param(True, "ask once at the start; later at each press of the button")
+    switch: float = param(0.5, "level: where the law changes its gain", ge=0.0, le=10.0)
+    k_low: float = param(0.2, "level: gain below it", "1/s", ge=0.0, le=10.0)
+    k_high: float = param(0.1, "level: gain above it, taken away", "1/s", ge=0.0, le=10.0)
+    c: float = param(TANK_C, "level: drain c of c sqrt(x)", gt=0.0, le=1.0)
+    x0: float = param(0.2, "level: at and before the start", ge=0.0, le=10.0)
 
     @model_validator(mode="after")
     def _tank(self) -> Self:
         if self.method == "level" and self.system != "tank":
             raise ValueError("method = level: expected system = tank")
         return self
+
+    @property
+    def tank(self) -> dict[str, float]:
+        """What the bound of the level is for."""
+        return {"s": self.switch, "kL": self.k_low, "kR": self.k_high, "c": self.c, "start": self.x0}
 
 
 class Answer(NamedTuple):
@@ -95,7 +106,19 @@ class CertificateNode(Solver[CertificateParams]):
     share of its largest, and the number of inequalities. ``certificate/matrices``: every unknown in the order of the
     problem, in the time t/h, filled up with zeros; names are in the diagnostics. A system to which the theorem does not
     apply gets valid = 0, h = 0 and the reason as a warning, never a margin.
+
+    It is a certificate of what its parameters say; a rig whose plant or law has other values is refused by name. h of a
+    level is of pipe and hold of the law together.
     """
+
+    @classmethod
+    def agreed(cls, params: CertificateParams) -> Mapping[str, Any]:
+        """The system, or tank and law."""
+        if params.method != "level":
+            criterion = {f"certificate/{k}": getattr(params, k) for k in ("method", "mu", "order", "cell_terms")}
+            return {**params.agreed(), **criterion}
+        tank = {"tank/c": params.c, "tank/x0": params.x0, "tank/model": "nonlinear"}
+        return {**law_of_the_tank(params), **tank}
 
     @classmethod
     def ports(cls, params: CertificateParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
@@ -121,12 +144,14 @@ class CertificateNode(Solver[CertificateParams]):
     def solve(request: CertificateParams, work: Work) -> Answer:
         """Solve in another process."""
         p = request
+        found: Certificate | None
         try:
             if p.method == "level":
-                return Answer(_level(p.h or level_margin()), "")
+                found = _level(p.h or level_margin(**p.tank), p.tank)
+                return Answer(found, "" if found.valid else "no certificate: the tank may run empty")
             system = p.build()
             if p.h > 0.0:
-                found: Certificate | None = certify(system, p.h, p.criterion)
+                found = certify(system, p.h, p.criterion)
             else:
                 found = certified_margin(system, p.criterion, low=p.low, high=p.high, width=p.width,
                                          tell=lambda c: work.status(h=c.h, t=c.t, valid=float(c.valid)))  # fmt: skip
@@ -161,8 +186,8 @@ class CertificateNode(Solver[CertificateParams]):
         return figures
 
 
-def _level(h: float) -> Certificate:
-    bound = level_bound(h)
+def _level(h: float, tank: Mapping[str, float]) -> Certificate:
+    bound = level_bound(h, **tank)
     return Certificate(h, bound.certified, bound.lowest, {}, [], "closed form", 0.0)
 
 

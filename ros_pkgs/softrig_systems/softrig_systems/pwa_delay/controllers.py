@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Literal
+from typing import Any, Literal
 
 from softrig_core import Block, BlockParams, Level, Port, executable, joint_state, param
 from softrig_core.model.history import History
 
-from .params import DelayParams
+from .params import DelayParams, inflow_of_the_tank, law_of_the_tank
 from .ports import INFLOW, LEVEL, SEEN, TORQUE
 from .profiles import delay_at
 
@@ -25,10 +25,15 @@ class TankControllerParams(BlockParams):
 
 
 class TankController(Block[TankControllerParams]):
-    """u = 0.2 A phi x below the switching level, -0.1 A phi x from there on, as the paper's law."""
+    """u = k_low A phi x below the switching level, -k_high A phi x from there on, as the paper's law."""
 
     INPUTS = (LEVEL,)
     OUTPUTS = (INFLOW,)
+
+    @classmethod
+    def agreed(cls, params: TankControllerParams) -> Mapping[str, Any]:
+        """The law, and what a command is worth."""
+        return {**law_of_the_tank(params), **inflow_of_the_tank(params)}
 
     def start(self) -> None:
         """No inflow before a level."""
@@ -61,6 +66,11 @@ class PendulumController(Block[PendulumControllerParams]):
 
     INPUTS = (SEEN,)
     OUTPUTS = (TORQUE,)
+
+    @classmethod
+    def agreed(cls, params: PendulumControllerParams) -> Mapping[str, Any]:
+        """The gains."""
+        return {"pendulum/k_negative": params.k_negative, "pendulum/k_positive": params.k_positive}
 
     def start(self) -> None:
         """No torque before a state."""

@@ -20,6 +20,25 @@ def fall(signals: SignalMap, *, delay: float) -> float:
     return -float(np.median(_over_a_delay(signals, delay)))
 
 
+@figure("", reads=["certificate/verdict/h/position", "certificate/verdict/valid/position"])
+def level_covered(signals: SignalMap, *, delay: float, hold: float = 0.0) -> float:
+    """Tell whether the newest certificate holds for a pipe of this delay under a law that holds its command so long.
+
+    Parameters
+    ----------
+    delay, hold : float
+        Largest delay of the pipe and sampling period of the law, s.
+
+    Returns
+    -------
+    float
+        1 or 0.
+    """
+    _, h = signals["certificate/verdict/h/position"]
+    _, valid = signals["certificate/verdict/valid/position"]
+    return float(valid[-1] == 1.0 and delay + hold <= h[-1])
+
+
 def _over_a_delay(signals: SignalMap, delay: float) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
     t, v = signals[V]
     m = round(delay / float(t[1] - t[0]))

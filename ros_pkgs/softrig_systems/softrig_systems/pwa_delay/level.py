@@ -8,7 +8,9 @@ a limit cycle; what can be proven is that it does not run empty. By comparison, 
     s1   = min(h, (X - s)/r)
     m(h) = s - [kR (s s1 + r s1^2/2) + kR X (h - s1) + c sqrt(s) h]        nor below
 
-certified while m(h) >= (c/kL) sqrt(s), from where on the inflow outweighs the drain, and the history is in (m, X].
+certified while m(h) >= (c/kL) sqrt(s), from where on the inflow outweighs the drain, and the history is in (m, X]. A
+constant history above X takes the place of X, one below m that of m. A law that holds its command for a period makes it
+late by up to that period: h is pipe and period together.
 """
 
 from __future__ import annotations
@@ -27,23 +29,48 @@ class LevelBound(NamedTuple):
     certified: bool
 
 
-def level_bound(h: float, *, s: float = 0.5, kL: float = 0.2, kR: float = 0.1, c: float = TANK_C) -> LevelBound:
-    """Bound the level for every delay between 0 and h (s)."""
-    highest = s + (kL * s - c * math.sqrt(s)) * h
+def level_bound(
+    h: float, *, s: float = 0.5, kL: float = 0.2, kR: float = 0.1, c: float = TANK_C, start: float | None = None
+) -> LevelBound:
+    """Bound the level for every delay between 0 and h.
+
+    Parameters
+    ----------
+    h : float
+        Delay bound, s.
+    s : float
+        Level at which the law changes its gain.
+    kL, kR : float
+        Gains below and above it, 1/s.
+    c : float
+        Of the drain c sqrt(x).
+    start : float, optional
+        Level at and before the start; any in (m, X] when absent.
+    """
+    if kL * s <= c * math.sqrt(s):
+        return LevelBound(0.0, max(s, start or 0.0), False)  # the drain outweighs the largest inflow
+    highest = max(s + (kL * s - c * math.sqrt(s)) * h, start or 0.0)
     r = kR * highest + c * math.sqrt(highest)
     s1 = min(h, (highest - s) / r)
     lowest = s - (kR * (s * s1 + 0.5 * r * s1 * s1) + kR * highest * (h - s1) + c * math.sqrt(s) * h)
+    lowest = lowest if start is None else min(lowest, start)
     return LevelBound(lowest, highest, lowest >= c / kL * math.sqrt(s))
 
 
-def level_margin(*, s: float = 0.5, kL: float = 0.2, kR: float = 0.1, c: float = TANK_C) -> float:
-    """Give the largest h (s) with a certified level."""
+def level_margin(
+    *, s: float = 0.5, kL: float = 0.2, kR: float = 0.1, c: float = TANK_C, start: float | None = None
+) -> float:
+    """Give the largest h (s) with a certified level, 0 when there is none; parameters as of `level_bound`."""
+
+    def certified(h: float) -> bool:
+        return level_bound(h, s=s, kL=kL, kR=kR, c=c, start=start).certified
+
     low, high = 0.0, 1.0
-    while level_bound(high, s=s, kL=kL, kR=kR, c=c).certified:
+    while certified(high):
         low, high = high, 2.0 * high
     while high - low > 1e-9 * high:
         middle = 0.5 * (low + high)
-        if level_bound(middle, s=s, kL=kL, kR=kR, c=c).certified:
+        if certified(middle):
             low = middle
         else:
             high = middle

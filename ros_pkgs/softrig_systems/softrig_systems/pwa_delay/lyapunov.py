@@ -80,6 +80,12 @@ class LyapunovMonitor(Block[LyapunovMonitorParams]):
     OUTPUTS = (VALUE,)
 
     @classmethod
+    def agreed(cls, params: LyapunovMonitorParams) -> Mapping[str, Any]:
+        """System and criterion: the matrices mean nothing under another."""
+        criterion = {f"certificate/{k}": getattr(params, k) for k in ("method", "mu", "order", "cell_terms")}
+        return {**params.agreed(), **criterion}
+
+    @classmethod
     def ports(cls, params: LyapunovMonitorParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
         """State and mode of the plant, matrices and verdict of the certificate."""
         verdict = scalars("verdict", "certificate/verdict", VERDICT, held=True)

@@ -43,6 +43,11 @@ class MarginSearch(Solver[MarginSearchParams]):
     INPUTS = (button("search", "search", held=True),)
     OUTPUTS = (scalars("margin", "margin", {"margin": "s", "low": "s", "high": "s", "growth": "1/s"}, sporadic=True),)
 
+    @classmethod
+    def agreed(cls, params: MarginSearchParams) -> Mapping[str, Any]:
+        """The system."""
+        return params.agreed()
+
     def start(self) -> None:
         """Not asked yet."""
         self._down = False

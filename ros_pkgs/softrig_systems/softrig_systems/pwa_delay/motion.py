@@ -117,7 +117,7 @@ def tank_slopes(t: float, x: Array, past: Trajectory, p: TankConstants, dx: Arra
         inflow = past_value(past, t, d, x, 1)
     level = x[0]
     if p.pwa > 0.0:
-        drain = 8.6928e-4 * level + 2.1732e-4 if level < p.s else 5.0188e-4 * level + 3.7641e-4
+        drain = 8.6928e-4 * level + 2.1732e-4 if level < 0.5 else 5.0188e-4 * level + 3.7641e-4
     else:
         drain = p.c * math.sqrt(level) if level > 0.0 else 0.0
     dx[0] = inflow - drain

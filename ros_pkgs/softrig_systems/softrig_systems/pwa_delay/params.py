@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Literal, Self
+from typing import Any, Literal, Protocol, Self
 
 from pydantic import model_validator
 from softrig_core import Block, Level, Params, param
@@ -25,6 +25,8 @@ class SystemParams(Params):
     lines: tuple[float, ...] = param((), "user: switching lines c of c'x = 0; the first one's sign changes slowest")
     lines_delayed: tuple[float, ...] = param((), "user: switching lines c of c'x_d = 0, after those on x")
     offsets: tuple[float, ...] = param((), "user: a_i of every cell; none")
+    k_negative: float = param(1.0, "pendulum: gain k while theta <= 0", ge=0.0, le=1e3)
+    k_positive: float = param(5.0, "pendulum: gain k while theta > 0", ge=0.0, le=1e3)
 
     @model_validator(mode="after")
     def _builds(self) -> Self:
@@ -40,7 +42,21 @@ class SystemParams(Params):
         ValueError
             The matrices do not fit; names cell and face.
         """
+        if self.system == "pendulum":
+            return pendulum(self.k_negative, self.k_positive)
         return _build(self.system, self.n, self.A, self.Ad, self.lines, self.lines_delayed, self.offsets)
+
+    def agreed(self) -> dict[str, Any]:
+        """Give what all nodes of a rig that speak of this system must have in common."""
+        own = {"pwa/system": self.system}
+        if self.system == "pendulum":
+            gains = {"pendulum/k_negative": self.k_negative, "pendulum/k_positive": self.k_positive}
+            return {**own, **gains, "pendulum/model": "pwa"}
+        if self.system != "user":
+            return own
+        return own | {
+            f"pwa/{name}": getattr(self, name) for name in ("n", "A", "Ad", "lines", "lines_delayed", "offsets")
+        }
 
     @property
     def states(self) -> int:
@@ -54,7 +70,7 @@ def _build(
     name: str, n: int, A: tuple[float, ...], Ad: tuple[float, ...], lines: tuple[float, ...],
     lines_delayed: tuple[float, ...], offsets: tuple[float, ...],
 ) -> PwaSystem:  # fmt: skip
-    published = {"switched": switched, "tank": tank, "continuous_tank": continuous_tank, "pendulum": pendulum}
+    published = {"switched": switched, "tank": tank, "continuous_tank": continuous_tank}
     if name in published:
         return published[name]()
     if name == "benchmark":
@@ -74,6 +90,31 @@ def _build(
         return [every[k : k + n] for k in range(0, len(every), n)]
 
     return from_lines(squares(A), squares(Ad), rows(lines), rows(lines_delayed), rows(offsets) or None)
+
+
+class TankLaw(Protocol):
+    """Parameters of the tank's law."""
+
+    switch: float
+    k_low: float
+    k_high: float
+
+
+class Inflow(Protocol):
+    """Parameters that turn an inflow in kg/s into one of the level."""
+
+    A: float
+    phi: float
+
+
+def law_of_the_tank(params: TankLaw) -> dict[str, Any]:
+    """Give what all nodes must have in common that speak of the tank's law."""
+    return {"tank/switch": params.switch, "tank/k_low": params.k_low, "tank/k_high": params.k_high}
+
+
+def inflow_of_the_tank(params: Inflow) -> dict[str, Any]:
+    """Give what law and tank must have in common, for the gains to be those of the level."""
+    return {"tank/A phi": params.A * params.phi}
 
 
 class DelayParams(Params):

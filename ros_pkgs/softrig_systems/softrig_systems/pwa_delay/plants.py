@@ -23,7 +23,7 @@ from .motion import (
     run_tank,
     tank_cell,
 )  # fmt: skip
-from .params import DelayParams, SystemParams
+from .params import DelayParams, SystemParams, inflow_of_the_tank, law_of_the_tank
 from .ports import INFLOW, LEVEL, PENDULUM, TORQUE, mode, state
 from .profiles import delay_at
 from .system import TANK_C
@@ -124,6 +124,11 @@ class SwitchedDelayPlant(DelayPlant):
     cell_of = pwa_cell
 
     @classmethod
+    def agreed(cls, params: SwitchedDelayPlantParams) -> Mapping[str, Any]:
+        """The system."""
+        return params.agreed()
+
+    @classmethod
     def ports(cls, params: SwitchedDelayPlantParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
         """As many states as the system has."""
         return (), (state(params.states), mode("pwa/mode"))
@@ -161,6 +166,10 @@ class TankPlantParams(DelayPlantParams):
     phi: float = param(1000.0, "density", "kg/m^3", gt=0.0, le=1e5)
     c: float = param(TANK_C, "drain c of c sqrt(x): sqrt(phi g)/(A phi H), units mixed as in the paper", gt=0.0, le=1.0)
     model: Literal["pwa", "nonlinear"] = param("nonlinear", "drain of two slopes, or of the root")
+    switch: float = param(0.5, "level at which the law changes its gain: for the cell, and what fills the pipe at the "
+                          "start", ge=0.0, le=10.0)  # fmt: skip
+    k_low: float = param(0.2, "gain below it, of the inflow in the pipe at the start", "1/s", ge=0.0, le=10.0)
+    k_high: float = param(0.1, "gain above it, taken away", "1/s", ge=0.0, le=10.0)
 
 
 class TankState(NamedTuple):
@@ -170,7 +179,11 @@ class TankState(NamedTuple):
 
 
 class TankPlant(DelayPlant):
-    """x' = -c sqrt(x) + u(t - d)/(A phi): a tank at the end of a pipe; an empty one stays at 0 (DRY, an error)."""
+    """x' = -c sqrt(x) + u(t - d)/(A phi): a tank at the end of a pipe; an empty one stays at 0 (DRY, an error).
+
+    At the start the pipe holds what the law gives for x0; the other nodes' values of tank, law and x0 are held against
+    these.
+    """
 
     Params = TankPlantParams
     INPUTS = (INFLOW,)
@@ -180,13 +193,23 @@ class TankPlant(DelayPlant):
 
     def first(self) -> tuple[float, ...]:
         """The level, and what the law gives for it."""
-        x = self.p.x0
-        return x, x * (0.2 if x < 0.5 else -0.1)
+        p, x = self.p, self.p.x0
+        return x, x * (p.k_low if x < p.switch else -p.k_high)
+
+    @classmethod
+    def agreed(cls, params: TankPlantParams) -> Mapping[str, Any]:
+        """The law in the pipe, what a command is worth, and what a bound of the level is for."""
+        return {
+            **law_of_the_tank(params), **inflow_of_the_tank(params), "tank/c": params.c, "tank/x0": params.x0,
+            "tank/model": params.model,
+        }  # fmt: skip
 
     def constants(self) -> Any:
         """The tank with the inflow as a command."""
         p = self.p
-        return TankConstants(p.c, 0.5, 0.2, 0.1, 0.0, float(p.model == "pwa"), np.array([FREE]), self._profile)
+        return TankConstants(
+            p.c, p.switch, p.k_low, p.k_high, 0.0, float(p.model == "pwa"), np.array([FREE]), self._profile
+        )
 
     @property
     def state(self) -> TankState:
@@ -237,6 +260,11 @@ class PendulumPlant(DelayPlant):
     def constants(self) -> Any:
         """The pendulum with the torque as a command."""
         return PendulumConstants(float(self.p.model == "nonlinear"), 0.0, np.array([FREE]), self._profile)
+
+    @classmethod
+    def agreed(cls, params: PendulumPlantParams) -> Mapping[str, Any]:
+        """Which pendulum."""
+        return {"pendulum/model": params.model}
 
     @property
     def state(self) -> PendulumState:

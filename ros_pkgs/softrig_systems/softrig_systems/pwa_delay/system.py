@@ -201,11 +201,11 @@ def switched() -> PwaSystem:
     return from_lines([-0.1 * np.eye(2)] * 4, [tall, wide, wide, tall], [[1.0, -1.0], [1.0, 1.0]])
 
 
-def pendulum() -> PwaSystem:
+def pendulum(k_negative: float = 1.0, k_positive: float = 5.0) -> PwaSystem:
     """P3: theta' = omega, omega' = a theta - k (theta_d + omega_d); a by the sign of theta, k by that of theta_d."""
     A, Ad = [], []
     for a in (-0.825, -0.4875):
-        for k in (1.0, 5.0):
+        for k in (k_negative, k_positive):
             A.append([[0.0, 1.0], [a, 0.0]])
             Ad.append([[0.0, 0.0], [-k, -k]])
     return from_lines(A, Ad, [[1.0, 0.0]], [[1.0, 0.0]])

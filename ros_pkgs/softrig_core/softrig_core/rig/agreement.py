@@ -1,0 +1,58 @@
+"""Nodes of a rig that speak of the same thing must mean the same: a certificate its loop, a figure its network."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from typing import Any, Protocol
+
+from ..errors import ScenarioError
+from ..model.block import Block
+
+
+class Named(Protocol):
+    """What is needed of a member."""
+
+    name: str
+    block_class: type[Block]
+    params: Any
+
+
+def require_agreement(where: str, members: Iterable[Named]) -> None:
+    """Hold what the blocks say by `Block.agreed` against each other.
+
+    Parameters
+    ----------
+    where : str
+        Name of the scenario, for the message.
+    members : iterable
+        The nodes of the rig.
+
+    Raises
+    ------
+    ScenarioError
+        Two nodes have different values of a quantity; names it, both nodes and both values.
+    """
+    first: dict[str, tuple[str, Any]] = {}
+    for member in members:
+        for quantity, value in member.block_class.agreed(member.params).items():
+            node, known = first.setdefault(quantity, (member.name, value))
+            if not _same(known, value):
+                raise ScenarioError(
+                    f"{where}: {node} and {member.name} must agree on {quantity}, but {node} has {_shown(known)} and "
+                    f"{member.name} has {_shown(value)}; a shared value or ${node}.PARAMETER keeps them together"
+                )
+
+
+def _same(one: Any, other: Any) -> bool:
+    """Compare with room for the last digits of a product."""
+    if isinstance(one, tuple) and isinstance(other, tuple):
+        return len(one) == len(other) and all(map(_same, one, other))
+    if isinstance(one, float) and isinstance(other, float | int):
+        return math.isclose(one, other, rel_tol=1e-12, abs_tol=1e-300)
+    return bool(one == other)
+
+
+def _shown(value: Any) -> str:
+    text = f"{value:.12g}" if isinstance(value, float) else str(value)
+    return text if len(text) <= 100 else f"{text[:100]} ..."
