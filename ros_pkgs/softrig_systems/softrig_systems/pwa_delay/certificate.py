@@ -118,7 +118,7 @@ class CertificateNode(Solver[CertificateParams]):
             criterion = {f"certificate/{k}": getattr(params, k) for k in ("method", "mu", "order", "cell_terms")}
             return {**params.agreed(), **criterion}
         tank = {"tank/c": params.c, "tank/x0": params.x0, "tank/model": "nonlinear"}
-        return {**law_of_the_tank(params), **tank}
+        return {**law_of_the_tank(params.switch, params.k_low, params.k_high), **tank}
 
     @classmethod
     def ports(cls, params: CertificateParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:

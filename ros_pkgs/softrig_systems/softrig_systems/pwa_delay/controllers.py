@@ -8,7 +8,7 @@ from typing import Any, Literal
 from softrig_core import Block, BlockParams, Level, Port, executable, joint_state, param
 from softrig_core.model.history import History
 
-from .params import DelayParams, inflow_of_the_tank, law_of_the_tank
+from .params import DelayParams, law_of_the_tank
 from .ports import INFLOW, LEVEL, SEEN, TORQUE
 from .profiles import delay_at
 
@@ -33,7 +33,7 @@ class TankController(Block[TankControllerParams]):
     @classmethod
     def agreed(cls, params: TankControllerParams) -> Mapping[str, Any]:
         """The law, and what a command is worth."""
-        return {**law_of_the_tank(params), **inflow_of_the_tank(params)}
+        return {**law_of_the_tank(params.switch, params.k_low, params.k_high), "tank/A phi": params.A * params.phi}
 
     def start(self) -> None:
         """No inflow before a level."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Any, Literal, Protocol, Self
+from typing import Any, Literal, Self
 
 from pydantic import model_validator
 from softrig_core import Block, Level, Params, param
@@ -92,29 +92,9 @@ def _build(
     return from_lines(squares(A), squares(Ad), rows(lines), rows(lines_delayed), rows(offsets) or None)
 
 
-class TankLaw(Protocol):
-    """Parameters of the tank's law."""
-
-    switch: float
-    k_low: float
-    k_high: float
-
-
-class Inflow(Protocol):
-    """Parameters that turn an inflow in kg/s into one of the level."""
-
-    A: float
-    phi: float
-
-
-def law_of_the_tank(params: TankLaw) -> dict[str, Any]:
+def law_of_the_tank(switch: float, k_low: float, k_high: float) -> dict[str, Any]:
     """Give what all nodes must have in common that speak of the tank's law."""
-    return {"tank/switch": params.switch, "tank/k_low": params.k_low, "tank/k_high": params.k_high}
-
-
-def inflow_of_the_tank(params: Inflow) -> dict[str, Any]:
-    """Give what law and tank must have in common, for the gains to be those of the level."""
-    return {"tank/A phi": params.A * params.phi}
+    return {"tank/switch": switch, "tank/k_low": k_low, "tank/k_high": k_high}
 
 
 class DelayParams(Params):

@@ -23,7 +23,7 @@ from .motion import (
     run_tank,
     tank_cell,
 )  # fmt: skip
-from .params import DelayParams, SystemParams, inflow_of_the_tank, law_of_the_tank
+from .params import DelayParams, SystemParams, law_of_the_tank
 from .ports import INFLOW, LEVEL, PENDULUM, TORQUE, mode, state
 from .profiles import delay_at
 from .system import TANK_C
@@ -199,10 +199,9 @@ class TankPlant(DelayPlant):
     @classmethod
     def agreed(cls, params: TankPlantParams) -> Mapping[str, Any]:
         """The law in the pipe, what a command is worth, and what a bound of the level is for."""
-        return {
-            **law_of_the_tank(params), **inflow_of_the_tank(params), "tank/c": params.c, "tank/x0": params.x0,
-            "tank/model": params.model,
-        }  # fmt: skip
+        law = law_of_the_tank(params.switch, params.k_low, params.k_high)
+        worth = {"tank/A phi": params.A * params.phi}
+        return {**law, **worth, "tank/c": params.c, "tank/x0": params.x0, "tank/model": params.model}
 
     def constants(self) -> Any:
         """The tank with the inflow as a command."""
