@@ -23,6 +23,7 @@ from softrig_core.model.answer import check
 from softrig_core.model.schedule import Schedule
 from softrig_core.wire.cdr import Layout
 from softrig_core.wire.codec import Decoder, selection
+from typing_extensions import TypeVar
 
 DELAY = {"package": "softrig_control", "executable": "unit_delay", "parameters": {
     "topic_in": "loop/sum", "topic_out": "loop/back", "channels": ["y"], "fields": ["position"],
@@ -181,3 +182,29 @@ def test_a_block_of_parameters_has_them_as_its_params():
     assert Law(k=2.0).p.k == 2.0
     assert Derived().p.k == 3.0
     assert Block.Params is BlockParams
+
+
+class Ranged(BlockParams):
+    top: float = param(1.0, "range")
+
+
+class Turned(Ranged):
+    gain: float = param(2.0, "gain")
+
+
+R = TypeVar("R", bound=Ranged, default=Turned)
+S = TypeVar("S", bound=Ranged)
+
+
+def test_a_base_leaves_its_parameters_open():
+    class Base(Block[R]):
+        """Several laws are one."""
+
+    class Law(Base[Ranged]):
+        """One."""
+
+    class Bound(Block[S]):
+        """Without a default."""
+
+    assert (Base.Params, Law.Params, Bound.Params) == (Turned, Ranged, Ranged)
+    assert Base(gain=3.0).p.gain == 3.0

@@ -24,10 +24,8 @@ class CommandSourceParams(ProfileParams):
         return self
 
 
-class CommandSource(Block):
+class CommandSource(Block[CommandSourceParams]):
     """Publishes the command of the actuators at every tick."""
-
-    Params = CommandSourceParams
 
     @classmethod
     def ports(cls, params: CommandSourceParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:

@@ -42,14 +42,12 @@ class LinearPlantParams(BlockParams):
         )
 
 
-class LinearPlant(Plant):
+class LinearPlant(Plant[LinearPlantParams]):
     """x' = A x + B u, y = C x from num(s)/den(s) in controllable form, from rest, stepped exactly.
 
     The default is the transfer function (19) of Radmanesh and Saeidi (IECO, 2020) from the drop V' to the DC voltage
     of their rectifier, 2.8286 (s + 175100)/((s + 51.17)(s + 125.7)).
     """
-
-    Params = LinearPlantParams
 
     @classmethod
     def ports(cls, params: LinearPlantParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:

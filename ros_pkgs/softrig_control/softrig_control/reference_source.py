@@ -47,10 +47,8 @@ class ReferenceSourceParams(ProfileParams):
         return self
 
 
-class ReferenceSource(Block):
+class ReferenceSource(Block[ReferenceSourceParams]):
     """Publishes the reference of the axes at every tick."""
-
-    Params = ReferenceSourceParams
 
     @classmethod
     def ports(cls, params: ReferenceSourceParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:

@@ -26,10 +26,8 @@ class ScalarSourceParams(ProfileParams):
         return self
 
 
-class ScalarSource(Block):
+class ScalarSource(Block[ScalarSourceParams]):
     """Publishes the scalars at every tick."""
-
-    Params = ScalarSourceParams
 
     @classmethod
     def ports(cls, params: ScalarSourceParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:

@@ -12,6 +12,7 @@ from typing import Self
 import numpy as np
 from pydantic import model_validator
 from softrig_core import Block, BlockParams, Level, Port, button, command, executable, param, scalars, to_ns
+from typing_extensions import TypeVar
 
 from .algorithms import Algorithm, AlgorithmParams, make
 from .search import Point, Search
@@ -62,7 +63,10 @@ def state_port(topic: str, channels: Mapping[str, str]) -> Port:
     return scalars("state", topic, units | {f"best_{name}": unit for name, unit in channels.items()})
 
 
-class CommandSearch(Block, ABC):
+P = TypeVar("P", bound=SearchParams, default=SearchParams)
+
+
+class CommandSearch(Block[P], ABC):
     """What the optimiser nodes share; a subclass says what is searched and what the objective is.
 
     A candidate is applied, the command moving at most `slew` a second; `hold_time` after it has arrived its value is
@@ -111,7 +115,7 @@ class CommandSearch(Block, ABC):
 
     def setup(self) -> None:
         """Times in ns."""
-        p: SearchParams = self.p
+        p = self.p
         self._period, self._hold, self._settle, self._rescan = (
             to_ns(t) for t in (p.period, p.hold_time, p.settle_time, p.rescan_period)
         )
@@ -303,13 +307,11 @@ class OptimiserParams(SearchParams):
         return self
 
 
-class Optimiser(CommandSearch):
+class Optimiser(CommandSearch[OptimiserParams]):
     """Optimiser of any plant with bounded commands and one measured objective.
 
     The objective comes as a named scalar on ``objective``, the commands go out on ``command``; remap both.
     """
-
-    Params = OptimiserParams
 
     @classmethod
     def ports(cls, params: OptimiserParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
@@ -321,7 +323,7 @@ class Optimiser(CommandSearch):
 
     def new_search(self, rng: np.random.Generator) -> Search:
         """Make a search over the channels."""
-        p: OptimiserParams = self.p
+        p = self.p
         return make(p.algorithm, p.lower, p.upper, rng, p, maximise=p.maximise)
 
     def objective(self, sample: Point) -> float:

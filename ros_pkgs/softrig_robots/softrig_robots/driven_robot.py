@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self
 
 from pydantic import model_validator
 from softrig_core import BlockParams, Compiled, Level, Params, Plant, RunError, param, rk4, state_type, to_ns, to_s
+from typing_extensions import TypeVar
 
 from .joints import PerJoint, require_positive, spread
 
@@ -80,13 +81,15 @@ class Friction(NamedTuple):
     edge_speed: float
 
 
-class DrivenRobot(Plant):
+P = TypeVar("P", bound=DrivenRobotParams, default=DrivenRobotParams)
+
+
+class DrivenRobot(Plant[P]):
     """Rigid robot, gears and armature circuits, fourth-order Runge-Kutta with the inputs held.
 
     A subclass says which robot, from where and with which loads.
     """
 
-    p: DrivenRobotParams
     STALE_PERIODS: ClassVar[int] = 20  # at 1 kHz a late wake-up of the controller's host is not yet a lost controller
     TIP: ClassVar[str] = "tool"  # frame of the payload and of the outside force
 

@@ -32,7 +32,7 @@ class RobotDynamicsParams(BlockParams):
         return self
 
 
-class RobotDynamics(Block):
+class RobotDynamics(Block[RobotDynamicsParams]):
     """Answers a joint state with everything a model-based law or a check of one needs.
 
     Notation of pinocchio: M(q) a + nle(q, v) = tau. The Jacobian is that of the tool with axes of the base
@@ -40,7 +40,6 @@ class RobotDynamics(Block):
     was refused gets no answer.
     """
 
-    Params = RobotDynamicsParams
     p: RobotDynamicsParams
 
     @classmethod

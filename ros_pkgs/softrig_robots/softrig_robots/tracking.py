@@ -22,8 +22,6 @@ class TrackingMetricsParams(WatchParams):
 class TrackingMetrics(Watch[TrackingMetricsParams]):
     """Largest and rms errors, largest late errors, settling times, peak voltages and their total variation."""
 
-    Params = TrackingMetricsParams
-
     @classmethod
     def ports(cls, params: TrackingMetricsParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
         """Listens only."""

@@ -34,10 +34,9 @@ class LagParams(BlockParams):
     limit: float = param(10.0, "command limit", "N", gt=0.0)
 
 
-class Lag(Plant):
+class Lag(Plant[LagParams]):
     """x' = gain (u - x), explicit Euler."""
 
-    Params = LagParams
     INPUTS = (COMMAND, number("offset", "lag/offset", "N", held=True), button("kick", "lag/kick", held=True))
     OUTPUTS = (STATE, joint_state("applied", "lag/applied", ["u"], effort="N"))
 
@@ -67,10 +66,9 @@ class GainParams(BlockParams):
     noise: float = param(0.0, "amplitude of seeded noise", ge=0.0)
 
 
-class Gain(Block):
+class Gain(Block[GainParams]):
     """u = k (r - x) + noise."""
 
-    Params = GainParams
     INPUTS = (STATE, REFERENCE)
     OUTPUTS = (COMMAND,)
 
@@ -93,10 +91,9 @@ class WatcherParams(BlockParams):
     lingers_after: int = param(0, "samples after which it never comes to an end; 0: it does", ge=0)
 
 
-class Watcher(Observer):
+class Watcher(Observer[WatcherParams]):
     """Counts what it sees."""
 
-    Params = WatcherParams
     INPUTS = (STATE, COMMAND)
 
     def start(self) -> None:
@@ -146,10 +143,9 @@ class LinkParams(BlockParams):
     samples: int = param(3, "delay in samples", ge=0)
 
 
-class DelayedLink(Block):
+class DelayedLink(Block[LinkParams]):
     """The state some samples late, with its acquisition stamp."""
 
-    Params = LinkParams
     INPUTS = (STATE,)
     OUTPUTS = (joint_state("late", "lag/late_state", ["x"], position="m", velocity="m/s", delayed=True),)
 

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import ClassVar, Literal, Self
+from typing import Literal, Self
 
 from pydantic import model_validator
 from softrig_core import Block, BlockParams, Level, Port, executable, param, scalars
+from typing_extensions import TypeVar
 
 from ..signal_name import signal_port, split
 from .carima import Carima
@@ -92,7 +93,10 @@ class GpcControllerParams(GpcLawParams):
         return Carima.from_continuous(self.num, self.den, self.period)
 
 
-class GpcController(Block):
+P = TypeVar("P", bound=GpcLawParams, default=GpcControllerParams)
+
+
+class GpcController(Block[P]):
     """Generalised predictive control; `Gpc` has the law, `qp` the programme with bounds.
 
     The law starts from the first sample as if it had been there for ever, with `u_start` applied. ``NAME/health``
@@ -102,8 +106,6 @@ class GpcController(Block):
     A programme without a solution holds the last command. Bad input, too; the third bad sample in a row, or a measured
     value outside `trip_low`, `trip_high`, trips: `u_safe` from then on, for good.
     """
-
-    Params: ClassVar[type[BlockParams]] = GpcControllerParams
 
     @classmethod
     def ports(cls, params: GpcLawParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
@@ -118,7 +120,7 @@ class GpcController(Block):
 
     def setup(self) -> None:
         """Build the law, its solver if it has one."""
-        p: GpcLawParams = self.p
+        p = self.p
         self.law = Gpc(p.carima(), p.tuning())
         self._solver: MoveSolver | None = None
         if p.solver != "closed_form":

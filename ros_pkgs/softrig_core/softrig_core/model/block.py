@@ -35,7 +35,8 @@ class Level(IntEnum):
 class Block(Generic[P]):
     """A controller, reference, observer, delay or other block with `update`.
 
-    ``class Lag(Block[LagParams])`` has parameters of that type, as `Params` and as type of ``self.p``.
+    ``class Lag(Block[LagParams])`` has parameters of that type, as `Params` and as type of ``self.p``. A base of
+    several blocks leaves it open, ``class Law(Block[P])``; by itself it has the default of `P`, or what binds it.
 
     Parameters
     ----------
@@ -62,11 +63,10 @@ class Block(Generic[P]):
 
     def __init_subclass__(cls, **keywords: Any) -> None:
         super().__init_subclass__(**keywords)
-        if "Params" not in cls.__dict__:
-            for base in cls.__dict__.get("__orig_bases__", ()):
-                for argument in get_args(base):
-                    if isinstance(argument, type) and issubclass(argument, BlockParams):
-                        cls.Params = argument
+        for base in cls.__dict__.get("__orig_bases__", ()):
+            for argument in get_args(base):
+                of = (argument, getattr(argument, "__default__", None), getattr(argument, "__bound__", None))
+                cls.Params = next((p for p in of if isinstance(p, type) and issubclass(p, BlockParams)), cls.Params)
 
     def __init__(self, params: P | None = None, name: str = "", **values: Any) -> None:
         self.p: P = build(self.Params, values) if params is None else params  # type: ignore[assignment]

@@ -82,7 +82,6 @@ class Solver(Block[S]):
     ...         return {"dispatch": result.answer if result else self.idle}
     """
 
-    Params: ClassVar[type[BlockParams]] = SolverParams
     # a new request kills the work under way instead of waiting for its end; with requests that come faster than
     # the latency there is never a result then
     CANCELS: ClassVar[bool] = False

@@ -18,10 +18,9 @@ class StepButtonsParams(BlockParams):
     hold: float = param(0.1, "how long a press lasts", "s", gt=0.0)
 
 
-class StepButtons(Block):
+class StepButtons(Block[StepButtonsParams]):
     """Gives the state of both buttons at every tick: 1 while pressed."""
 
-    Params = StepButtonsParams
     OUTPUTS = (FORWARD, REVERSE)
 
     def setup(self) -> None:

@@ -70,7 +70,7 @@ def design(poles: Sequence[complex], motor: MotorParams | None = None) -> tuple[
     return gains.k[0], gains.k[1], gains.ki
 
 
-class FsfbController(Block):
+class FsfbController(Block[FsfbControllerParams]):
     """u = -kv v - kp y + ki xi, xi' = r - y, on the state that the compensation makes of a late measurement.
 
     none
@@ -92,13 +92,12 @@ class FsfbController(Block):
     integrator, age of the feedback.
     """
 
-    Params = FsfbControllerParams
     INPUTS = (FEEDBACK, REFERENCE, FORWARD, REVERSE)
     OUTPUTS = (COMMAND, MODEL, CONTROLLER_STATE)
 
     def setup(self) -> None:
         """Gains in volts, the sampled motor, the predictor."""
-        p: FsfbControllerParams = self.p
+        p = self.p
         self._period = to_ns(p.period)
         self._max_age = to_ns(p.max_age)
         phi, gamma = zero_order_hold(p.a, [[b] for b in p.b], p.period)
@@ -198,7 +197,7 @@ class FsfbController(Block):
 
     def _compensate(self, t: int) -> bool:
         """Make the state for the law of the late measurement; False when that cannot be done."""
-        p: FsfbControllerParams = self.p
+        p = self.p
         assert self._stamp is not None
         v, y = self._measured
         late = self._fixed

@@ -24,7 +24,6 @@ class AxisMetricsParams(WatchParams):
 class AxisMetrics(Watch[AxisMetricsParams]):
     """Step response of the true position to the newest change of the set point."""
 
-    Params = AxisMetricsParams
     INPUTS = (TRUE_STATE, COMMAND, CONTROLLER_STATE)
 
     def start(self) -> None:

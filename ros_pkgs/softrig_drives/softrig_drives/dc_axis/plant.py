@@ -39,7 +39,7 @@ class State(NamedTuple):
     v: float
 
 
-class DcAxisPlant(Plant):
+class DcAxisPlant(Plant[DcAxisParams]):
     """Axis with y' = v, v' = -pole v + gain u_m - friction, |u_V| <= u_limit_v, held over the period.
 
     Without friction one exact step a period; with friction sub-steps of at most 1 ms, each exact between the events
@@ -52,13 +52,12 @@ class DcAxisPlant(Plant):
     loop G/(1 + G), G = 2.2862 / (s (s + 5.26)); G itself is the motor.
     """
 
-    Params = DcAxisParams
     INPUTS = (COMMAND,)
     OUTPUTS = (STATE, TRUE_STATE)
 
     def setup(self) -> None:
         """Prepare the exact steps."""
-        p: DcAxisParams = self.p
+        p = self.p
         self._gain = p.gain * p.mm_per_volt
         self._steps = math.ceil(p.period / SUBSTEP - 1e-9) if p.friction else 1
         self._motion = Motion(p.pole, p.period / self._steps)

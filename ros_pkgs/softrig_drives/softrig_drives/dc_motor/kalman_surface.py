@@ -25,7 +25,7 @@ class DcMotorSmcKalmanParams(SensorConstants, MotorConstants, SurfaceParams):
     var_load: float = param(1e-8, "variance of the load torque's change in one step", "N^2 m^2", gt=0.0)
 
 
-class DcMotorSmcKalman(SurfaceControl):
+class DcMotorSmcKalman(SurfaceControl[DcMotorSmcKalmanParams]):
     """Sliding mode on a filtered speed and w' = (-b w + Kt i - TL)/J.
 
     The states are (w, i, theta, TL) with TL' = 0; measured are the current and the encoder's angle, taken in the
@@ -33,13 +33,12 @@ class DcMotorSmcKalman(SurfaceControl):
     paper's law this one knows of the bridge drop, and its surface stays right under load.
     """
 
-    Params = DcMotorSmcKalmanParams
     INPUTS = (SENSORS, APPLIED, REFERENCE)
 
     def setup(self) -> None:
         """Find the steady gain."""
         super().setup()
-        p: DcMotorSmcKalmanParams = self.p
+        p = self.p
         self._rad_per_count = math.tau / p.counts_per_rev
         a, b = state_space(p)  # in the order theta, w, i; the load is an input there and a state here
         order = (1, 2, 0)

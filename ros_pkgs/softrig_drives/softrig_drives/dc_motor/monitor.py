@@ -29,7 +29,6 @@ class DcMotorMetrics(Watch[DcMotorMetricsParams]):
     figures.
     """
 
-    Params = DcMotorMetricsParams
     INPUTS = (SPEED, SENSORS, COMMAND, REFERENCE)
 
     def start(self) -> None:

@@ -20,10 +20,9 @@ class DcMotorPidParams(PidParams, SpeedControlParams):
     u_max: float = param(12.0, "supply voltage that the anti-windup assumes", "V", gt=0.0)
 
 
-class DcMotorPid(SpeedControl):
+class DcMotorPid(SpeedControl[DcMotorPidParams]):
     """u = Kp e + Ki int e + Kd e' on the measured speed, e = wd - w; see `softrig_control.pid.Pid`."""
 
-    Params = DcMotorPidParams
     INPUTS = (SPEED, REFERENCE)
     OUTPUTS = (COMMAND,)
 

@@ -51,7 +51,7 @@ class State(NamedTuple):
     i: float
 
 
-class DcMotorPlant(Plant):
+class DcMotorPlant(Plant[DcMotorPlantParams]):
     """Brushed DC motor with zero-order hold, stepped exactly; see `model.state_space` for the equations.
 
     One period of the rig is: the sensors are read, the command of the same instant is applied, the motor moves.
@@ -64,7 +64,6 @@ class DcMotorPlant(Plant):
     voltage that the bridge applied over the period that ends at t.
     """
 
-    Params = DcMotorPlantParams
     INPUTS = (COMMAND,)
     OUTPUTS = (STATE, SENSORS)
 
@@ -75,7 +74,7 @@ class DcMotorPlant(Plant):
 
     def setup(self) -> None:
         """Sample the equations and scale the sensors."""
-        p: DcMotorPlantParams = self.p
+        p = self.p
         self._period = to_ns(p.period)
         self._whole = self._transition(self._period)
         self._profile = StepProfile(p.load_times, p.load_torques)

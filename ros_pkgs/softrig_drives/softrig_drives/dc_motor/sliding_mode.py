@@ -8,6 +8,7 @@ from typing import Literal
 
 from softrig_control.sliding_mode import switching
 from softrig_core import Port, executable, param
+from typing_extensions import TypeVar
 
 from .ports import COMMAND, REFERENCE, SENSORS, SPEED, SURFACE
 from .speed_control import SpeedControl, SpeedControlParams
@@ -31,7 +32,10 @@ class SurfaceParams(SpeedControlParams):
     publish_surface: bool = param(False, "also publish s on motor/surface")
 
 
-class SurfaceControl(SpeedControl):
+P = TypeVar("P", bound=SurfaceParams, default=SurfaceParams)
+
+
+class SurfaceControl(SpeedControl[P]):
     """The sliding mode law on a speed and its derivative, wherever they come from.
 
     ::
@@ -44,7 +48,6 @@ class SurfaceControl(SpeedControl):
     follows the reference, a reference of zero keeps the K of the one before, or nothing would brake the motor.
     """
 
-    Params = SurfaceParams
     OUTPUTS = (COMMAND,)
 
     @classmethod
@@ -54,7 +57,7 @@ class SurfaceControl(SpeedControl):
 
     def setup(self) -> None:
         """Divide the law by the gain of its model."""
-        p: SurfaceParams = self.p
+        p = self.p
         self._w_gain = p.model_a0 / p.model_gain
         self._wd_gain = (p.model_a1 - p.c) / p.model_gain
         self._c, self._delta, self._surface = p.c, p.delta, p.publish_surface
@@ -66,7 +69,7 @@ class SurfaceControl(SpeedControl):
         self._rescale(self._r)
 
     def _rescale(self, r: float) -> None:
-        p: SurfaceParams = self.p
+        p = self.p
         self._scaled_to = r
         if p.k is not None:
             self._k_gain = p.k / p.model_gain
@@ -93,16 +96,15 @@ class DcMotorSmcParams(SurfaceParams):
     wd_i: float = param(37.5, "Kt/J in w' of the current", "rad/s^2/A")
 
 
-class DcMotorSmc(SurfaceControl):
+class DcMotorSmc(SurfaceControl[DcMotorSmcParams]):
     """Sliding mode on the measured speed and current; see `SurfaceControl` for the law."""
 
-    Params = DcMotorSmcParams
     INPUTS = (SPEED, SENSORS, REFERENCE)
 
     def setup(self) -> None:
         """Prepare law and filter."""
         super().setup()
-        p: DcMotorSmcParams = self.p
+        p = self.p
         self._current = p.wd_source == "current"
         self._wd_w, self._wd_i = p.wd_w, p.wd_i
         self._rate = 1.0 / p.period

@@ -7,6 +7,7 @@ from typing import Self
 
 from pydantic import model_validator
 from softrig_core import Block, BlockParams, Level, param
+from typing_extensions import TypeVar
 
 
 class SpeedControlParams(BlockParams):
@@ -24,7 +25,10 @@ class SpeedControlParams(BlockParams):
         return self
 
 
-class SpeedControl(Block):
+P = TypeVar("P", bound=SpeedControlParams, default=SpeedControlParams)
+
+
+class SpeedControl(Block[P]):
     """Base of the speed controllers.
 
     A law calls `reference` for the reference that holds at this tick. A tick of which something was refused gets

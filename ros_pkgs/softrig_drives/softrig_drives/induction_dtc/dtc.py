@@ -39,7 +39,7 @@ class DtcControllerParams(EstimatorParams, BlockParams):
         return self
 
 
-class DtcController(Block):
+class DtcController(Block[DtcControllerParams]):
     """Flux and torque within hysteresis bands by choosing the inverter's voltage from a table.
 
     At every period the flux estimate gives the sector, the two comparators say what flux and torque need, the table
@@ -49,7 +49,6 @@ class DtcController(Block):
     `magnetising_time` V1 builds up the flux, in turn with V0.
     """
 
-    Params = DtcControllerParams
     INPUTS = (CURRENTS_MEAS, DC_LINK, TORQUE_REF)
     OUTPUTS = (SWITCHES, FLUX_ESTIMATE, TORQUE_ESTIMATE)
 
@@ -60,7 +59,7 @@ class DtcController(Block):
 
     def setup(self) -> None:
         """Scale the vectors and pick the table."""
-        p: DtcControllerParams = self.p
+        p = self.p
         self._unit = [voltage(v) for v in VECTORS]
         self._table = TABLES[p.table]
         self._magnetised = to_ns(p.magnetising_time)
@@ -68,7 +67,7 @@ class DtcController(Block):
 
     def start(self) -> None:
         """No flux, no history."""
-        p: DtcControllerParams = self.p
+        p = self.p
         self._estimator = make_estimator(p, p.period)
         self._flux = FluxComparator(p.flux_band)
         self._torque = TorqueComparator(p.torque_band)

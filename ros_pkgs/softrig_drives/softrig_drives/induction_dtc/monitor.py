@@ -21,14 +21,13 @@ class FluxMonitorParams(BlockParams):
     pole_pairs: int = param(2, "pole pairs p, for the torque", ge=1, le=100)
 
 
-class FluxMonitor(Observer):
+class FluxMonitor(Observer[FluxMonitorParams]):
     """Flux error and its slope, circles of true and estimated flux, converter errors, switching, torque.
 
     All over the last `window`, but the number of leg transitions, which counts from the start. The circles are those
     of the last revolution; before there was one they are not reported.
     """
 
-    Params = FluxMonitorParams
     INPUTS = (FLUX_TRUE, FLUX_ESTIMATE, CURRENTS_TRUE, CURRENTS_MEAS, SWITCHES)
 
     def start(self) -> None:

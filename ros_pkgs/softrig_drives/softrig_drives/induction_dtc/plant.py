@@ -25,7 +25,7 @@ class ImPlantParams(AdcParams, MachineConstants, BlockParams):
     trip_current: float = param(28.0, "phase current at which the inverter trips, 4 times the rated peak", "A", gt=0.0)
 
 
-class ImPlant(Plant):
+class ImPlant(Plant[ImPlantParams]):
     """Induction machine on an ideal two-level inverter; see `machine.step_function` for the equations.
 
     A controller gets only ``currents_meas``, the two converted phase currents y_a, y_b and y_c = -y_a - y_b; the true
@@ -36,13 +36,12 @@ class ImPlant(Plant):
     fault: the inverter goes to V0 for good.
     """
 
-    Params = ImPlantParams
     INPUTS = (SWITCHES, LOAD_TORQUE)
     OUTPUTS = (JOINT_STATES, CURRENTS_TRUE, CURRENTS_MEAS, FLUX_TRUE, DC_LINK)
 
     def setup(self) -> None:
         """Compile the equations, scale the voltages."""
-        p: ImPlantParams = self.p
+        p = self.p
         self._step = Compiled(step_function(p.substeps))
         self._constants = numbers(p, p.period / p.substeps)
         vectors = {v: voltage(v) * p.U_dc for v in VECTORS}

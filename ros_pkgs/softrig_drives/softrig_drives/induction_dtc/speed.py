@@ -21,10 +21,9 @@ class SpeedControllerParams(PidParams, BlockParams):
     slew: float = param(500.0, "slew rate of the speed reference", "rad/s^2", gt=0.0)
 
 
-class SpeedController(Block):
+class SpeedController(Block[SpeedControllerParams]):
     """PID on the speed error, its reference slewed, its output clipped; see `softrig_control.pid.Pid`."""
 
-    Params = SpeedControllerParams
     INPUTS = (SPEED, SPEED_REF)
     OUTPUTS = (TORQUE_REF,)
 

@@ -27,7 +27,7 @@ class CurrentControllerParams(Geometry, BlockParams):
     R: float = param(2.5, "phase resistance that the feed-forward assumes", "ohm", gt=0.0, le=1e3)
 
 
-class CurrentController(Block):
+class CurrentController(Block[CurrentControllerParams]):
     """Share the force among the phases whose slope has its sign, and control their currents.
 
     ::
@@ -42,13 +42,12 @@ class CurrentController(Block):
     the phases freewheel.
     """
 
-    Params = CurrentControllerParams
     INPUTS = (MOTION, PHASE_CURRENTS, FORCE_CMD)
     OUTPUTS = (PHASE_VOLTAGE,)
 
     def setup(self) -> None:
         """Lay the constants out for the compiled law."""
-        p: CurrentControllerParams = self.p
+        p = self.p
         self._geometry = p.numbers()
         self._law = np.array([p.K_pc, p.K_ic, p.U_dc, p.I_max, p.threshold, p.zero_current, p.resolution, p.period,
                               float(p.feed_forward), p.R])  # fmt: skip

@@ -39,7 +39,7 @@ class LsrmFuzzyParams(SpeedControlParams):
         return self
 
 
-class LsrmFuzzy(SpeedControl):
+class LsrmFuzzy(SpeedControl[LsrmFuzzyParams]):
     """Incremental fuzzy controller of 49 rules.
 
     ::
@@ -51,11 +51,9 @@ class LsrmFuzzy(SpeedControl):
     is e/K_e + de/K_de exactly: there the law is the PI controller with K_p = K_u/K_de and K_i = K_u/(K_e Ts).
     """
 
-    Params = LsrmFuzzyParams
-
     def setup(self) -> None:
         """Make the surface."""
-        p: LsrmFuzzyParams = self.p
+        p = self.p
         outputs = [THIRDS[n + LARGEST] for n in p.rules]
         table = [outputs[k : k + TERMS] for k in range(0, len(outputs), TERMS)]
         self._surface = TakagiSugeno((p.peaks, p.peaks), table, p.conjunction)

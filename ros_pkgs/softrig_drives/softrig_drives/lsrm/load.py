@@ -32,15 +32,14 @@ class LsrmLoadParams(BlockParams):
         return self
 
 
-class LsrmLoad(Block):
+class LsrmLoad(Block[LsrmLoadParams]):
     """Publishes the added mass m and its friction mu m g."""
 
-    Params = LsrmLoadParams
     OUTPUTS = (LOAD,)
 
     def setup(self) -> None:
         """Prepare the answer for each time."""
-        p: LsrmLoadParams = self.p
+        p = self.p
         self._answers = StepProfile(p.times, [{"load": (m, p.mu * m * GRAVITY)} for m in p.masses])
 
     def update(self, t: int, **inputs: Any) -> Mapping[str, tuple[float, ...]]:

@@ -31,7 +31,6 @@ class MotionMonitor(Watch[MotionMonitorParams]):
     At the monitor's own period; the figures of a scenario see every sample.
     """
 
-    Params = MotionMonitorParams
     INPUTS = (JOINT_STATES, PHASE_CURRENTS, PHASE_VOLTAGE, FORCE_CMD, REFERENCE_PORT, LOAD)
 
     def start(self) -> None:

@@ -36,7 +36,7 @@ class LsrmMracParams(Mechanics, SpeedControlParams):
         return self
 
 
-class LsrmMrac(SpeedControl):
+class LsrmMrac(SpeedControl[LsrmMracParams]):
     """Adaptive control of M v' = F - b v - f with the reference speed as the model's.
 
     ::
@@ -50,13 +50,12 @@ class LsrmMrac(SpeedControl):
     Lyapunov: V' = -M k eps^2. Chosen; the paper's own baseline (Rahideh, Ketabi, Halvaei Niasar 2020) is not available.
     """
 
-    Params = LsrmMracParams
     INPUTS = (SPEED, REFERENCE)
     OUTPUTS = (FORCE_CMD, THETA)
 
     def setup(self) -> None:
         """Solve the Riccati equation."""
-        p: LsrmMracParams = self.p
+        p = self.p
         a, b = -(p.C + p.k_p) / p.M, 1.0 / p.M
         self.k = math.sqrt(a * a + b * b * p.q / p.r)
         self._rates = tuple(gain * p.period for gain in p.gains)

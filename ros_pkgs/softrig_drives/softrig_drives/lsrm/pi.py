@@ -19,17 +19,15 @@ class LsrmPiParams(SpeedControlParams):
     K_i: float = param(3.2, "integral gain", "1/m", ge=0.0, le=1e5)
 
 
-class LsrmPi(SpeedControl):
+class LsrmPi(SpeedControl[LsrmPiParams]):
     """F* = K_F (K_p e + K_i int e dt), within plus and minus F_max, with conditional anti-windup.
 
     The integral does not contain the newest error yet (see `softrig_control.pid.Pid`).
     """
 
-    Params = LsrmPiParams
-
     def setup(self) -> None:
         """Make the law."""
-        p: LsrmPiParams = self.p
+        p = self.p
         self._pid = Pid(PidParams(kp=p.K_F * p.K_p, ki=p.K_F * p.K_i, u_max=p.F_max), p.period)
 
     def start(self) -> None:

@@ -38,7 +38,7 @@ class LsrmPlantParams(Geometry, Mechanics, BlockParams):
     locked: bool = param(False, "translator clamped at x_0, as in a test of the phase windings")
 
 
-class LsrmPlant(Plant):
+class LsrmPlant(Plant[LsrmPlantParams]):
     """Four-phase linear switched reluctance motor; see `machine.derivative` for the equations.
 
     The load adds mass at unchanged speed and Coulomb friction. A negative mass or friction is refused, the load before
@@ -46,13 +46,12 @@ class LsrmPlant(Plant):
     0 V, for good.
     """
 
-    Params = LsrmPlantParams
     INPUTS = (PHASE_VOLTAGE, LOAD)
     OUTPUTS = (JOINT_STATES, PHASE_CURRENTS, FORCE_PHASES)
 
     def setup(self) -> None:
         """Lay the constants out for the compiled step."""
-        p: LsrmPlantParams = self.p
+        p = self.p
         self._geometry = p.numbers()
         self._h = p.period / p.substeps
 

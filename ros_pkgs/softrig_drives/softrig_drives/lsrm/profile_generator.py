@@ -29,24 +29,23 @@ class ProfileGeneratorParams(Mechanics, BlockParams):
     F_max: float = param(40.0, "largest force of the motor", "N", gt=0.0, le=1e4)
 
 
-class ProfileGenerator(Block):
+class ProfileGenerator(Block[ProfileGeneratorParams]):
     """Publishes a speed profile with its position and acceleration; see `profile.Profile`.
 
     Warns when the motor cannot follow (M a + (C + k_p) v beyond F_max somewhere) and when a given distance makes the
     speed leave the range between 0 and v_d.
     """
 
-    Params = ProfileGeneratorParams
     OUTPUTS = (REFERENCE,)
 
     def setup(self) -> None:
         """Make the profile."""
-        p: ProfileGeneratorParams = self.p
+        p = self.p
         self.profile = Profile(p.profile, p.v_d, p.t_d, p.x_d, inf if p.t_b is None else p.t_b, p.t_db)
 
     def start(self) -> None:
         """Tell what is wrong with the profile."""
-        p: ProfileGeneratorParams = self.p
+        p = self.p
         need = self._largest_force()
         if need > p.F_max:
             self.report(Level.WARN, "infeasible", f"reference infeasible: it needs {need:.3g} N, the motor gives "
@@ -59,7 +58,7 @@ class ProfileGenerator(Block):
                             f"m/s, outside 0 to {p.v_d:g} m/s")  # fmt: skip
 
     def _largest_force(self) -> float:
-        p: ProfileGeneratorParams = self.p
+        p = self.p
         times = [p.t_d * n / SAMPLES for n in range(SAMPLES + 1)]
         if p.t_b is not None:
             times += [p.t_b + p.t_db * n / SAMPLES for n in range(SAMPLES + 1)]

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import ClassVar
 
 from softrig_core import Block, BlockParams, Port, param
+from typing_extensions import TypeVar
 
 from .ports import FORCE_CMD, REFERENCE, SPEED
 
@@ -17,7 +18,10 @@ class SpeedControlParams(BlockParams):
     F_max: float = param(40.0, "largest force command, G I_max^2/2", "N", gt=0.0, le=1e4)
 
 
-class SpeedControl(Block):
+P = TypeVar("P", bound=SpeedControlParams, default=SpeedControlParams)
+
+
+class SpeedControl(Block[P]):
     """Base of the speed controllers: speed and reference in, force out.
 
     A measurement or reference that is refused leaves the law's state alone and holds the force for one period.

@@ -47,8 +47,6 @@ class FaultLocator(Block[FaultLocatorParams]):
     them.
     """
 
-    Params = FaultLocatorParams
-
     @classmethod
     def ports(cls, params: FaultLocatorParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
         """Either form, and the button; the answers are sent only when there is one."""

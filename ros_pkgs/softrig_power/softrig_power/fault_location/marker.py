@@ -25,8 +25,6 @@ class LocationMarkerParams(BlockParams):
 class LocationMarker(Observer[LocationMarkerParams]):
     """Line along x from bus S in the frame ``line``, towers, a ball at the newest location; it and F as figures."""
 
-    Params = LocationMarkerParams
-
     @classmethod
     def ports(cls, params: LocationMarkerParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
         """Only the location."""

@@ -56,8 +56,6 @@ class LinePlant(Plant[LinePlantParams]):
     the line is ours.
     """
 
-    Params = LinePlantParams
-
     @classmethod
     def ports(cls, params: LinePlantParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
         """The four streams, the current of the fault itself, and the record with as many rows as it has samples."""

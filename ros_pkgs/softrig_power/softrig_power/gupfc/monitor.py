@@ -29,7 +29,6 @@ class GupfcMonitor(Watch[GupfcMonitorParams]):
     The settling time of a flow is the time from the change to the first sample from which on it stays in the band.
     """
 
-    Params = GupfcMonitorParams
     INPUTS = (STATUS, *(replace(port, name=f"series_{k}") for k, port in SERIES_REFERENCE.items()))
 
     def start(self) -> None:

@@ -32,7 +32,7 @@ class GupfcPlantParams(DeviceParams):
     trace: bool = param(False, "publish gupfc/trace, waveforms at every step of the circuit")
 
 
-class GupfcPlant(Plant):
+class GupfcPlant(Plant[GupfcPlantParams]):
     """Double-circuit line with a shunt and two series converters on one DC link; see `circuit` for the equations.
 
     Source 2, bus A, 200 km, bus 1, series converter 1, bus 2, 200 km, bus B, source 1; circuit 2 likewise over buses 3
@@ -51,7 +51,6 @@ class GupfcPlant(Plant):
     VSC-based GUPFC for Parallel Transmission Lines, 2020.
     """
 
-    Params = GupfcPlantParams
     STALE_PERIODS: ClassVar[int] = 3
 
     @classmethod
@@ -63,14 +62,14 @@ class GupfcPlant(Plant):
 
     def setup(self) -> None:
         """Constants of the steps, and the operating point."""
-        p: GupfcPlantParams = self.p
+        p = self.p
         self._circuit, self._lines = circuit(p.network, p.step)
         self._weights = Weights(p.network.omega, p.step, p.substeps)
         self._point = operating_point(p)
 
     def start(self) -> None:
         """Steady state at the references of the parameters, as if its last command had always held."""
-        p: GupfcPlantParams = self.p
+        p = self.p
         point, begin = self._point, self._point.start
         self._sigma = np.array(
             [p.network.shunt_sigma, *(self._conduction(v, point.v_dc) for v in (point.v12, point.v34))]
@@ -106,7 +105,7 @@ class GupfcPlant(Plant):
         self, t: int, shunt: tuple[float, ...], series_1: tuple[float, ...], series_2: tuple[float, ...]
     ) -> None:
         """Move by one control period."""
-        p: GupfcPlantParams = self.p
+        p = self.p
         for k, command in enumerate((shunt, series_1, series_2)):
             self._take(k, command)
         self._power = advance(
@@ -124,7 +123,7 @@ class GupfcPlant(Plant):
 
     def _take(self, k: int, command: tuple[float, ...]) -> None:
         """Take the command of converter k over, or what stands in for it."""
-        p: GupfcPlantParams = self.p
+        p = self.p
         amplitude, angle, omega = command
         nominal = p.network.omega
         highest = math.pi * (1.0 + 1e-12) if k == 0 else MAGNITUDE_LIMIT

@@ -25,7 +25,7 @@ class PowerFlowParams(BlockParams):
     initial: References = References()
 
 
-class PowerFlowNode(Block):
+class PowerFlowNode(Block[PowerFlowParams]):
     """Operating point for the newest references, at the start, on each request and whenever a reference changes.
 
     ``power_flow/bus``: a row a bus (A, 1, 2, 3, 4, B) with magnitude (pu), angle (rad) and the P and Q (pu) that the
@@ -34,7 +34,6 @@ class PowerFlowNode(Block):
     diverged iteration has no voltages.
     """
 
-    Params = PowerFlowParams
     INPUTS = (
         button("request", "power_flow/request", held=True),
         *(replace(port, name=f"series_{k}") for k, port in SERIES_REFERENCE.items()),

@@ -22,7 +22,7 @@ class PulseGeneratorParams(BlockParams):
     command_period: float = param(1.0 / 2880.0, "period of the commands, a multiple of `period`", "s", ge=1e-6, le=1.0)
 
 
-class PulseGenerator(Block):
+class PulseGenerator(Block[PulseGeneratorParams]):
     """Gates of the four three-level bridges under the newest command, see `pulses`.
 
     ``pulses/gates``: bridge by switch (Q1 to Q4 of phase a, b, c), 1 conducts. ``pulses/voltage``: the space vector
@@ -32,7 +32,6 @@ class PulseGenerator(Block):
     angle that is none is refused: the last one holds.
     """
 
-    Params = PulseGeneratorParams
     INPUTS = (
         converter_command(
             "command", "shunt/command", "sigma", "rad", held=True, partial=True, safe=(SIGMA, 0.0, OMEGA)

@@ -29,7 +29,7 @@ class SeriesControllerParams(DeviceParams):
     pll: PllParams = PllParams()
 
 
-class SeriesController(Block):
+class SeriesController(Block[SeriesControllerParams]):
     r"""Current regulator in the frame of a phase-locked loop on the voltage behind the converter.
 
     With the current reference :math:`i_{ref} = ((P_{ref} + jQ_{ref})/u)^*`:
@@ -42,8 +42,6 @@ class SeriesController(Block):
     \|v\| is at most `network.series_limit`; what is cut off is taken back from the integrator.
     """
 
-    Params = SeriesControllerParams
-
     @classmethod
     def ports(cls, params: SeriesControllerParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
         """Give the ports of its circuit."""
@@ -52,7 +50,7 @@ class SeriesController(Block):
 
     def setup(self) -> None:
         """Solve the power flow of the start."""
-        p: SeriesControllerParams = self.p
+        p = self.p
         point, first = operating_point(p), p.circuit == 1
         self._point = point
         self._u, self._i, self._v = (point.u2, point.i12, point.v12) if first else (point.u4, point.i34, point.v34)
@@ -65,7 +63,7 @@ class SeriesController(Block):
 
     def start(self) -> None:
         """Integrator, filters and loop as in the steady state."""
-        p: SeriesControllerParams = self.p
+        p = self.p
         theta = cmath.phase(self._u)
         back = cmath.rect(1.0, -theta)
         omega = 2.0 * math.pi * p.filter_frequency
@@ -81,7 +79,7 @@ class SeriesController(Block):
 
     def update(self, t: int, reference: tuple[float, ...] | None, **inputs: Any) -> Mapping[str, tuple[float, ...]]:
         """Answer one tick; P and Q are those of the parameters until a reference comes."""
-        p: SeriesControllerParams = self.p
+        p = self.p
         asked = self._asked if reference is None else complex(reference[0], reference[1])
         u, i = (complex(x[0], x[1]) for x in (inputs[self._voltage], inputs[self._current]))
         theta = self._pll(u)

@@ -29,7 +29,7 @@ class ShuntControllerParams(DeviceParams):
     angle_limit: float = param(30.0, "limit of alpha", "deg", gt=0.0, le=90.0)
 
 
-class ShuntController(Block):
+class ShuntController(Block[ShuntControllerParams]):
     r"""Two cascaded regulators: the reactive current that the voltage needs, the angle that the current needs.
 
     .. math::
@@ -41,7 +41,6 @@ class ShuntController(Block):
     at the operating point of the parameters.
     """
 
-    Params = ShuntControllerParams
     INPUTS = (measured("u1"), measured("i_sh"), SHUNT_REFERENCE)
     OUTPUTS = (SHUNT,)
 
@@ -51,7 +50,7 @@ class ShuntController(Block):
 
     def start(self) -> None:
         """Integrators, filters and loop as in the steady state."""
-        p: ShuntControllerParams = self.p
+        p = self.p
         u1, alpha = self._point.u1, math.degrees(cmath.phase(self._point.v_sh / self._point.u1))
         i_q = -(self._point.i_sh * u1.conjugate()).imag / abs(u1)
         omega = 2.0 * math.pi * p.filter_frequency
@@ -72,7 +71,7 @@ class ShuntController(Block):
         self, t: int, u1: tuple[float, ...], i_sh: tuple[float, ...], reference: tuple[float, ...] | None
     ) -> Mapping[str, tuple[float, ...]]:
         """Answer one tick; v_ref is that of the parameters until a reference comes."""
-        p: ShuntControllerParams = self.p
+        p = self.p
         v_ref = p.initial.v if reference is None else reference[0]
         u = complex(u1[0], u1[1])
         theta = self._pll(u)

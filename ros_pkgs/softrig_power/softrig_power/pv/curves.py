@@ -19,14 +19,12 @@ class PvCurvesParams(ArrayParams, BlockParams):
     n_points: int = param(201, "points from 0 V to open circuit", ge=2, le=1000)
 
 
-class PvCurves(Block):
+class PvCurves(Block[PvCurvesParams]):
     """I-V and P-V curve of the string in the conditions at the last press of ``pv/curves/request``.
 
     ``pv/curves`` has three rows, voltage (V), current (A) and power (W), and a column a point. Before the first press
     it shows the conditions of the first tick.
     """
-
-    Params = PvCurvesParams
 
     @classmethod
     def ports(cls, params: PvCurvesParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
@@ -50,7 +48,7 @@ class PvCurves(Block):
             self._conditions = environment
         pressed = request == (1.0,)
         if (pressed and not self._pressed) or not self._answer:
-            p: PvCurvesParams = self.p
+            p = self.p
             curve = characteristic(p.module, *split(self._conditions))
             v = np.linspace(0.0, curve.open_circuit, p.n_points)
             i = np.interp(v, curve.v, curve.i)

@@ -18,7 +18,7 @@ class MpptMetricsParams(ArrayParams, BlockParams):
     level: float = param(0.98, "tracked: at least this share of the maximum", gt=0.0, le=1.0)
 
 
-class MpptMetrics(Observer):
+class MpptMetrics(Observer[MpptMetricsParams]):
     """Efficiency, basin, tracking time and energy share, from what a tracker sees and from what it must not see.
 
     - efficiency: power now over the global maximum
@@ -26,8 +26,6 @@ class MpptMetrics(Observer):
     - tracking_time: from the last change of the conditions until the power stayed at `level` or above
     - energy_share: energy since the start over the energy at the global maximum
     """
-
-    Params = MpptMetricsParams
 
     @classmethod
     def ports(cls, params: MpptMetricsParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:

@@ -54,13 +54,11 @@ class MpptParams(SearchParams):
                 return make(algorithm, lower, upper, seed, self, maximise=True)
 
 
-class MpptOptimizer(CommandSearch):
+class MpptOptimizer(CommandSearch[MpptParams]):
     """Tracker of the maximum power point; sees only voltage and current of the string.
 
     See `CommandSearch` for when it searches and restarts, `softrig_optim` for the algorithms.
     """
-
-    Params = MpptParams
 
     @classmethod
     def ports(cls, params: MpptParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:

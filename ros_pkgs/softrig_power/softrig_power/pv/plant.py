@@ -38,7 +38,7 @@ class PvPlantParams(ArrayParams, BlockParams):
         return self
 
 
-class PvPlant(Plant):
+class PvPlant(Plant[PvPlantParams]):
     """Modules in series, each with a bypass diode, feed a resistive load through a buck-boost converter.
 
     See `module.cell`, `string.characteristic` and `converter.Converter` for the equations. ``pv/port`` carries what the
@@ -50,7 +50,6 @@ class PvPlant(Plant):
     Four MSX-60 modules of J. Farzaneh, A. Karsaz (2020).
     """
 
-    Params = PvPlantParams
     STALE_PERIODS: ClassVar[int] = 200  # 0.2 s: five periods of a tracker at 25 Hz, not five of the sensors
 
     @classmethod
@@ -62,14 +61,14 @@ class PvPlant(Plant):
 
     def setup(self) -> None:
         """Steps of a period."""
-        p: PvPlantParams = self.p
+        p = self.p
         self._converter = Converter(p.converter)
         self._switching = 1.0 / p.converter.f_sw
         self._steps = round(p.period / (p.step if p.model == "averaged" else self._switching))
 
     def start(self) -> None:
         """Steady state at d_min under the conditions of the parameters."""
-        p: PvPlantParams = self.p
+        p = self.p
         self._adopt(p.irradiance + p.temperature)
         self._duty = p.d_min
         self.x = steady_state(p.converter, self.source, self._duty)
@@ -109,7 +108,7 @@ class PvPlant(Plant):
             self.x = self._switch(d)
 
     def _limited(self, d: float) -> float:
-        p: PvPlantParams = self.p
+        p = self.p
         if p.d_min <= d <= p.d_max:
             self._duty = d
         else:

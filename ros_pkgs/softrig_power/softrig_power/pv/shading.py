@@ -53,10 +53,8 @@ class ShadingSourceParams(BlockParams):
         return self.irradiance[k * n : (k + 1) * n], self.temperature[first : first + n]
 
 
-class ShadingSource(Block):
+class ShadingSource(Block[ShadingSourceParams]):
     """Irradiance and cell temperature of every module, changing at given times."""
-
-    Params = ShadingSourceParams
 
     @classmethod
     def ports(cls, params: ShadingSourceParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
@@ -65,7 +63,7 @@ class ShadingSource(Block):
 
     def start(self) -> None:
         """Draw the fluctuation of this run."""
-        p: ShadingSourceParams = self.p
+        p = self.p
         n, patterns = p.modules, [p.pattern(k) for k in range(len(p.times))]
         factors = (1.0 + p.fluctuation * self.rng.uniform(-1.0, 1.0, 2 * n)).tolist()
         limits = [IRRADIANCE] * n + [TEMPERATURE] * n

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, Literal
+from typing import Literal
 
 from softrig_control.predictive.carima import Carima
 from softrig_control.predictive.controller import GpcController, GpcLawParams
-from softrig_core import BlockParams, executable, param
+from softrig_core import executable, param
 
 from .models import d2, n3, seed19
 from .parameters import RectifierConstants
@@ -46,13 +46,11 @@ class RectifierGpcParams(RectifierConstants, GpcLawParams):
         return self.i_start if self.model == "d2" else self.impedance * self.i_start
 
 
-class RectifierGpc(GpcController):
+class RectifierGpc(GpcController[RectifierGpcParams]):
     """Holds the DC voltage by the drop V', or by the current of the decoupled structure; see `GpcController`.
 
     A trip commands V' = 0: the converter's voltage equals the grid's, as with diodes that do not conduct.
     """
-
-    Params: ClassVar[type[BlockParams]] = RectifierGpcParams
 
 
 main = executable(RectifierGpc)

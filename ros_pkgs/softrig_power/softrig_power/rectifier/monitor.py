@@ -35,7 +35,6 @@ class RigMetrics(Watch[RigMetricsParams]):
     stayed within the band; it is left out while the voltage is outside.
     """
 
-    Params = RigMetricsParams
     INPUTS = (DC_LINK, REFERENCE, events(NOMINAL.R_L, NOMINAL.V_g))
 
     def start(self) -> None:

@@ -68,7 +68,7 @@ class StateAbc(NamedTuple):
     v: float
 
 
-class RectifierPlant(Plant):
+class RectifierPlant(Plant[RectifierPlantParams]):
     """Three-phase six-switch rectifier with its modulator.
 
     The equations are in `averaged` and `switched`, the modulator's in `circuit`. The command of t_k acts from t_k on
@@ -84,7 +84,6 @@ class RectifierPlant(Plant):
     switches open, the link discharges into the load.
     """
 
-    Params = RectifierPlantParams
     STALE_PERIODS = 20  # realtime: an older command is replaced by 0
     LATE_PERIODS = 5  # older than this it is held with a warning
 
@@ -99,7 +98,7 @@ class RectifierPlant(Plant):
 
     def setup(self) -> None:
         """Prepare the constants."""
-        p: RectifierPlantParams = self.p
+        p = self.p
         self._circuit = Circuit(p.omega, p.L, p.R, p.C, p.phi)
         self._reach = INJECTION if p.injection else SPWM
         self._forward = 1.0 if p.feedforward == "instantaneous" else 0.0
@@ -113,7 +112,7 @@ class RectifierPlant(Plant):
         """Begin at the given voltage and current, on the nominal grid and load."""
         import numpy as np
 
-        p: RectifierPlantParams = self.p
+        p = self.p
         abc = phases(p.i_start, 0.0, 0.0)
         self._x = np.array((p.i_start, 0.0, p.v_start) if p.model == "averaged_dq" else (*abc, p.v_start))
         self._legs = np.zeros(3)
@@ -158,7 +157,7 @@ class RectifierPlant(Plant):
 
     def advance(self, t: int, *, command: tuple[float, ...], events: tuple[float, ...] | None) -> None:
         """Hold the command over one period."""
-        p: RectifierPlantParams = self.p
+        p = self.p
         if events is not None:
             self._take(events)
         start = t / 1e9

@@ -62,10 +62,9 @@ class VcsControllerParams(BlockParams):
         return [Adsmc(**self.adsmc.of_joint("adsmc", i, n), **common) for i in range(n)]
 
 
-class VcsController(Block):
+class VcsController(Block[VcsControllerParams]):
     """Joint states and reference in, motor voltages out."""
 
-    Params = VcsControllerParams
     p: VcsControllerParams
 
     @classmethod

@@ -51,10 +51,9 @@ class ManipulatorParams(DrivenRobotParams):
         return self
 
 
-class ManipulatorPlant(DrivenRobot):
+class ManipulatorPlant(DrivenRobot[ManipulatorParams]):
     """Motor voltages in, joint and motor states out."""
 
-    Params = ManipulatorParams
     p: ManipulatorParams
 
     @classmethod

@@ -27,10 +27,9 @@ class TrajectoryParams(BlockParams):
         return self
 
 
-class TrajectorySource(Block):
+class TrajectorySource(Block[TrajectoryParams]):
     """Publishes positions, velocities and accelerations at every tick."""
 
-    Params = TrajectoryParams
     p: TrajectoryParams
 
     @classmethod

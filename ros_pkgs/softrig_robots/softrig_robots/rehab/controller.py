@@ -60,13 +60,12 @@ class VoltageControllerParams(BlockParams):
         return [LAWS[self.law](**gains.of_joint(self.law, i, n), **common) for i in range(n)]
 
 
-class VoltageController(Block):
+class VoltageController(Block[VoltageControllerParams]):
     """Joint and motor states and a reference in, motor voltages out.
 
     Reads the topic ``reference``; remap it to ``regenerated`` behind an impedance law.
     """
 
-    Params = VoltageControllerParams
     p: VoltageControllerParams
 
     @classmethod

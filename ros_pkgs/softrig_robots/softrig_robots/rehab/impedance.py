@@ -54,7 +54,7 @@ class ImpedanceParams(BlockParams):
         return self
 
 
-class Impedance(Block):
+class Impedance(Block[ImpedanceParams]):
     """Reference, force and joint states in, regenerated reference out; semi-implicit Euler.
 
     Starts on the reference. When the force stops coming, the regenerated reference stays where it is, and goes on
@@ -62,7 +62,6 @@ class Impedance(Block):
     regenerated reference and its rate go on without a jump.
     """
 
-    Params = ImpedanceParams
     p: ImpedanceParams
     INPUTS = (
         reference("reference", "reference", JOINTS, **UNITS),

@@ -24,7 +24,6 @@ class RehabMetrics(Watch[RehabMetricsParams]):
     Remap ``reference`` to ``regenerated`` behind an impedance law.
     """
 
-    Params = RehabMetricsParams
     INPUTS = (
         joint_state("joint_states", "joint_states", JOINTS, position="rad"),
         joint_state("motor_states", "motor_states", JOINTS, effort="A"),

@@ -31,10 +31,9 @@ class PatientParams(BlockParams):
         return self
 
 
-class Patient(Block):
+class Patient(Block[PatientParams]):
     """Publishes the force at the foot at every tick, in axes of the base."""
 
-    Params = PatientParams
     p: PatientParams
     OUTPUTS = (wrench(PATIENT_FORCE, PATIENT_FORCE, FOOT),)
 

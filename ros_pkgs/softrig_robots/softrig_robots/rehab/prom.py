@@ -37,10 +37,9 @@ class PromReferenceParams(BlockParams):
         return self
 
 
-class PromReference(Block):
+class PromReference(Block[PromReferenceParams]):
     """Publishes positions, velocities and accelerations at every tick."""
 
-    Params = PromReferenceParams
     p: PromReferenceParams
     OUTPUTS = (
         reference("reference", "reference", JOINTS, position="rad", velocity="rad/s", acceleration="rad/s^2"),

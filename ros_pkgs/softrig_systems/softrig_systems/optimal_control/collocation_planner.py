@@ -20,10 +20,9 @@ class CollocationParams(PlannerParams):
     warm_start: bool = param(True, "begin with what the last plan says of the time left")
 
 
-class CollocationPlanner(Planner):
+class CollocationPlanner(Planner[CollocationParams]):
     """Direct collocation by casadi and ipopt: see `collocation`."""
 
-    Params = CollocationParams
     LABEL = "time"
 
     @classmethod

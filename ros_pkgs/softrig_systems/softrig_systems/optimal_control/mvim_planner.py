@@ -39,14 +39,12 @@ class MvimParams(PlannerParams):
         return self.order_max or self.order
 
 
-class MvimPlanner(Planner):
+class MvimPlanner(Planner[MvimParams]):
     """Modified variational iteration: see `mvim`.
 
     Rows of the plan are states, costates and controls; columns the coefficients of powers of s = (t - start)/horizon,
     in each stage of its own length. Orders below `order_max` leave the last columns 0.
     """
-
-    Params = MvimParams
 
     @classmethod
     def shape(cls, params: Any) -> tuple[int, int]:

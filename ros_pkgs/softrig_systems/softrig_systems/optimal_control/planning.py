@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from softrig_core import Level, Port, Result, Solver, SolverParams, button, param, to_s
+from typing_extensions import TypeVar
 
 from .parameters import ProblemParams
 from .ports import plan, state, summary
@@ -54,7 +55,10 @@ class Planned(NamedTuple):
     """For the next request."""
 
 
-class Planner(Solver[PlannerParams]):
+P = TypeVar("P", bound=PlannerParams, default=PlannerParams)
+
+
+class Planner(Solver[P]):
     """Plans from the first measured state to the end of the horizon, and again from later ones on what is left of it.
 
     A press on `replan`, or each `k_replan` periods, asks for a new plan, unless less than two periods are left. A state

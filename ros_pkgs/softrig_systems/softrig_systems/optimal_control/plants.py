@@ -8,6 +8,7 @@ from typing import Any, Self
 
 from pydantic import model_validator
 from softrig_core import Compiled, Level, Marker, Plant, Port, executable, param, rk4, state_type
+from typing_extensions import TypeVar
 
 from .parameters import ProblemParams
 from .ports import control, state
@@ -43,7 +44,10 @@ def step_function(name: str, problem: Problem, substeps: int) -> Compiled:
     return Compiled(ca.Function(name, [x, u, h], [end[:n], end[n]]))
 
 
-class OcpPlant(Plant[OcpPlantParams]):
+P = TypeVar("P", bound=OcpPlantParams, default=OcpPlantParams)
+
+
+class OcpPlant(Plant[P]):
     """Any problem's equations, integrated by Runge-Kutta steps of order 4 with the command held.
 
     A state that leaves [-1000, 1000] (the scalar and the two-state problem can escape in finite time) stops the plant:
@@ -117,10 +121,8 @@ class TwoStatePlantParams(OcpPlantParams):
     problem: str = param("two_state", "the problem")
 
 
-class ScalarPlant(OcpPlant):
+class ScalarPlant(OcpPlant[ScalarPlantParams]):
     r""":math:`\dot x = x^2 \sin(x)/2 + u`."""
-
-    Params = ScalarPlantParams
 
 
 class SpacecraftPlant(OcpPlant):
@@ -136,10 +138,8 @@ class SpacecraftPlant(OcpPlant):
         )
 
 
-class TwoStatePlant(OcpPlant):
+class TwoStatePlant(OcpPlant[TwoStatePlantParams]):
     r""":math:`\dot x_1 = x_2 + x_1 x_2`, :math:`\dot x_2 = -x_1 + x_2 + x_2^2 + u`."""
-
-    Params = TwoStatePlantParams
 
 
 ocp_main = executable(OcpPlant)

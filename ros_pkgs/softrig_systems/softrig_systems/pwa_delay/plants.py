@@ -10,6 +10,7 @@ import numpy as np
 from pydantic import model_validator
 from softrig_core import BlockParams, Level, Plant, Port, check_steps, executable, param, state_type
 from softrig_core.model.dde import trajectory
+from typing_extensions import TypeVar
 
 from .motion import (
     FREE,
@@ -43,7 +44,10 @@ class DelayPlantParams(DelayParams, BlockParams):
         return self
 
 
-class DelayPlant(Plant):
+P = TypeVar("P", bound=DelayPlantParams, default=DelayPlantParams)
+
+
+class DelayPlant(Plant[P]):
     """A plant whose delay equation is stepped with located switches; a constant history is the start.
 
     A delay beyond `max_delay` is clamped and told; a state beyond 1e6 ends the run.
@@ -52,7 +56,6 @@ class DelayPlant(Plant):
     ENDS = True
     loop: Callable[..., int]
     cell_of: Callable[..., int]
-    p: Any
 
     def setup(self) -> None:
         """Count the steps in a period."""
@@ -116,10 +119,9 @@ class SwitchedDelayPlantParams(SystemParams, DelayPlantParams):
         return self
 
 
-class SwitchedDelayPlant(DelayPlant):
+class SwitchedDelayPlant(DelayPlant[SwitchedDelayPlantParams]):
     """x' = A_i x + Ad_i x(t - d) + a_i, any piecewise affine system whose cells come from lines."""
 
-    Params = SwitchedDelayPlantParams
     loop = run_pwa
     cell_of = pwa_cell
 
@@ -178,14 +180,13 @@ class TankState(NamedTuple):
     x: float
 
 
-class TankPlant(DelayPlant):
+class TankPlant(DelayPlant[TankPlantParams]):
     """x' = -c sqrt(x) + u(t - d)/(A phi): a tank at the end of a pipe; an empty one stays at 0 (DRY, an error).
 
     At the start the pipe holds what the law gives for x0; the other nodes' values of tank, law and x0 are held against
     these.
     """
 
-    Params = TankPlantParams
     INPUTS = (INFLOW,)
     OUTPUTS = (LEVEL, mode("tank/mode"))
     loop = run_tank
@@ -243,10 +244,9 @@ class PendulumState(NamedTuple):
     omega: float
 
 
-class PendulumPlant(DelayPlant):
+class PendulumPlant(DelayPlant[PendulumPlantParams]):
     """theta'' = a theta + u, a = -0.825 or -0.4875 by the sign of theta; or theta'' = -sin(theta) + u (per M L^2)."""
 
-    Params = PendulumPlantParams
     INPUTS = (TORQUE,)
     OUTPUTS = (PENDULUM, mode("pendulum/mode"))
     loop = run_pendulum

@@ -54,7 +54,7 @@ def note(ring: Ring, count: int, w: float, R: float, age: float) -> tuple[float,
     return linear(ring, count + 1, age, 0), linear(ring, count + 1, age, 1)
 
 
-class AqmController(Block):
+class AqmController(Block[AqmControllerParams]):
     """Drop probability from window, queue and round trip time, by one of `laws`, clipped to [0, 1].
 
     Window and round trip of one round trip ago come from the controller's own record of the state, interpolated
@@ -64,13 +64,12 @@ class AqmController(Block):
     ticks without a valid one by 0, for then only a full queue may drop.
     """
 
-    Params = AqmControllerParams
     INPUTS = (STATE, REFERENCE)
     OUTPUTS = (COMMAND, HEALTH)
 
     def setup(self) -> None:
         """Choose the law."""
-        p: AqmControllerParams = self.p
+        p = self.p
         self._law = LAWS[p.law]
         self._printed = p.phi_form == "printed"
         self._freezes = p.anti_windup or p.law == "robust"

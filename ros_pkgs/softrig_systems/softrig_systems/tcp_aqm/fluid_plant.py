@@ -31,24 +31,22 @@ class TcpFluidParams(NetworkParams):
         return self
 
 
-class TcpFluid(Network):
+class TcpFluid(Network[TcpFluidParams]):
     """Fluid model of Misra, Gong and Towsley (2000), eq. (1)-(5) of the paper; see `fluid.slopes`.
 
     Runge-Kutta steps of order 4 over the history that the suite's delay equations have. The delay can grow faster than
     time (N w/R > 2 C); that is legal, counted and reported.
     """
 
-    Params = TcpFluidParams
-
     def setup(self) -> None:
         """Count the steps in a period."""
-        p: TcpFluidParams = self.p
+        p = self.p
         self._steps = round(p.period / p.h)
         self._h = p.period / self._steps
 
     def begin(self) -> None:
         """A constant past."""
-        p: TcpFluidParams = self.p
+        p = self.p
         self._x = np.array([p.w0, p.q0, p.p0, 0.0])
         self._past = trajectory(self._h, p.history, tuple(self._x))
         self._step = 0
@@ -68,7 +66,7 @@ class TcpFluid(Network):
 
     def changed(self) -> None:
         """Take the constants of the network as they are now."""
-        p: TcpFluidParams = self.p
+        p = self.p
         self._constants = Constants(float(self.flows), self.capacity, self.propagation, p.q_max, p.w_min, p.w_max,
                                     self.rate, float(p.input_delay))  # fmt: skip
         self._take(look_back(self._past, self._step * self._h, self._x, self._constants))

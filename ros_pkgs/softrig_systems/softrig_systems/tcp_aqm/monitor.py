@@ -21,19 +21,18 @@ class AqmMetricsParams(Bottleneck, BlockParams):
     band: float = param(0.02, "settling band as a fraction of the set point", gt=0.0, lt=1.0)
 
 
-class AqmMetrics(Observer):
+class AqmMetrics(Observer[AqmMetricsParams]):
     """Mean squares J of queue, window, round trip and drop probability; peak, settling, deviation, utilisation.
 
     J_q = mean (q - q_d)^2 of the measured queue, J_w = mean (w - w0)^2, J_R = mean R^2, J_p = mean p^2, over all
     samples so far; the memory is that of the window.
     """
 
-    Params = AqmMetricsParams
     INPUTS = (STATE, TRUTH, COMMAND, REFERENCE)
 
     def start(self) -> None:
         """Nothing seen."""
-        p: AqmMetricsParams = self.p
+        p = self.p
         self._aim(p.set_point)
         self._n = 0
         self._squares = [0.0, 0.0, 0.0, 0.0]

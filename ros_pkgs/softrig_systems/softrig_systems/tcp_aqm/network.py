@@ -8,6 +8,7 @@ from typing import Literal, NamedTuple, Self
 
 from pydantic import model_validator
 from softrig_core import BlockParams, Level, Plant, Port, param
+from typing_extensions import TypeVar
 
 from .model import Bottleneck
 from .ports import COMMAND, STATE, TRUTH, events
@@ -55,7 +56,10 @@ class State(NamedTuple):
     served: float
 
 
-class Network(Plant):
+P = TypeVar("P", bound=NetworkParams, default=NetworkParams)
+
+
+class Network(Plant[P]):
     """A queue whose drop or mark probability is the command; what is behind it is the subclass's.
 
     The command is held for one period. Outside [0, 1] it is clipped; NaN holds the last one, and the third in a row
@@ -63,7 +67,6 @@ class Network(Plant):
     to their time.
     """
 
-    Params = NetworkParams
     OUTPUTS = (STATE, TRUTH)
 
     @classmethod
@@ -74,7 +77,7 @@ class Network(Plant):
 
     def start(self) -> None:
         """Begin with the given window and queue, which have been so for ever."""
-        p: NetworkParams = self.p
+        p = self.p
         self.flows, self.capacity, self.propagation, self.rate = p.N, p.C, p.tau_p, 0.0
         self._events: tuple[float, ...] | None = None
         self._step = 0
@@ -130,7 +133,7 @@ class Network(Plant):
         return p
 
     def _disturb(self) -> None:
-        p: NetworkParams = self.p
+        p = self.p
         if p.disturbance == "sensor_offset":
             self._offset = p.disturbance_value
         elif p.disturbance == "queue_jump":

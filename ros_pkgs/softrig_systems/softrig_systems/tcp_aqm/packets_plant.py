@@ -30,18 +30,16 @@ class TcpPacketsParams(NetworkParams):
         return self
 
 
-class TcpPackets(Network):
+class TcpPackets(Network[TcpPacketsParams]):
     """N sources in congestion avoidance on one FIFO queue; see `packets.run_until` for the rules.
 
     The measured window is the mean over the sources. Each starts at a random time in [0, tau_p]. The heap of events
     holds at most N w_max + q_max entries besides one start a flow and two more; its largest size is reported.
     """
 
-    Params = TcpPacketsParams
-
     def setup(self) -> None:
         """Make room for the past and for twice the flows, which events may start."""
-        p: TcpPacketsParams = self.p
+        p = self.p
         self._h, self._steps = p.period, 1
         self._history = History(p.period, p.history)
         self._room = int(p.q_max)
@@ -49,7 +47,7 @@ class TcpPackets(Network):
 
     def begin(self) -> None:
         """Draw propagation and starting times; let the first packets wait."""
-        p: TcpPacketsParams = self.p
+        p = self.p
         self._random = np.random.default_rng([p.seed, int(self.rng.integers(2**32))])
         most, room = self.most_flows, self._room
         self._nominal = 1.0 + p.spread * (2.0 * self._random.random(most) - 1.0)
@@ -70,7 +68,7 @@ class TcpPackets(Network):
 
     def move(self, steps: int, p: float) -> None:
         """Let the events of the period happen."""
-        c: TcpPacketsParams = self.p
+        c = self.p
         for step in range(self._step + 1, self._step + steps + 1):
             run_until(step * self._h, p, self.rate, self.capacity, self._room, c.w_min, c.w_max, not c.ecn,
                       self._random, self._sources, self._agenda, self._fifo, self._counts)  # fmt: skip
