@@ -1,10 +1,7 @@
 """Nodes of a rig that must mean the same."""
 
 import pytest
-from softrig_core.errors import ScenarioError
-from softrig_core.model.block import Block
-from softrig_core.model.params import BlockParams, param
-from softrig_core.rig.rig import Rig
+from softrig_core import Block, BlockParams, Rig, ScenarioError, param
 
 
 class MassParams(BlockParams):
