@@ -1,6 +1,8 @@
 """Regression on golden bags: re-run the rig, and feed each node the golden inputs in open loop."""
 
 import json
+import math
+import struct
 import subprocess
 from pathlib import Path
 
@@ -48,6 +50,24 @@ def test_another_build_agrees_within_what_the_bag_says_of_it(name):
         assert not golden.compare(shaken, elsewhere=False).equal  # and they are not wider than they need to be
 
 
+def test_the_same_versions_demand_the_same_bytes(tmp_path):
+    golden = create(tmp_path / "dc_motor_smc_b1", "dc_motor_smc_b1", 0.1)
+    golden.make()
+    golden = load(golden.folder)
+    one = golden.rerun()
+    topic = one.topics["motor/command"]
+    topic.data[5] = topic.data[5][:-8] + struct.pack(
+        "<d", math.nextafter(struct.unpack("<d", topic.data[5][-8:])[0], 9.0)
+    )
+    assert golden.how == "byte for byte"
+    assert not golden.compare(one).equal
+    assert golden.compare(one, elsewhere=True).equal  # within 1e-9
+    recipe = golden.recipe.model_copy(update={"made_with": golden.recipe.made_with | {"math": "0"}})
+    other = type(golden)(golden.folder, recipe, golden.rig)
+    assert other.compare(one).equal
+    assert other.how == f"within tolerances: math 0 there, {versions()['math']} here"
+
+
 def test_other_versions_take_the_tolerances_for_elsewhere():
     golden = load(BAGS / "induction_dtc_short")
     here = golden.recipe.model_copy(update={"made_with": versions()})  # whatever made the bag
@@ -57,6 +77,7 @@ def test_other_versions_take_the_tolerances_for_elsewhere():
     moved = golden.recipe.model_copy(update={"made_with": golden.recipe.made_with | {"numpy": "1.0"}})
     other = type(golden)(golden.folder, moved, golden.rig)
     assert not other.made_here
+    assert other.how == f"within tolerances: numpy 1.0 there, {versions()['numpy']} here"
     assert other.compare(golden.shaken(2.0)).equal
     python = golden.recipe.model_copy(update={"made_with": golden.recipe.made_with | {"python": "3.11.0"}})
     assert type(golden)(golden.folder, python, golden.rig).made_here
@@ -136,6 +157,7 @@ def test_one_per_cent_of_a_gain_fails_both_regressions(name, node, parameter):
 def test_making_one_anew_shows_the_difference_and_check_tells_it(tmp_path, capsys):
     create(tmp_path / "dc_motor_smc_b2", "dc_motor_smc_b2", 0.2, 0).make()
     assert main([], tmp_path, duration=None, seed=None, check=True) == 0
+    assert "kB, agrees byte for byte\n" in capsys.readouterr().out
     recipe = tmp_path / "dc_motor_smc_b2" / "golden.yaml"
     recipe.write_text(recipe.read_text().replace("scenario: dc_motor_smc_b2", "scenario: dc_motor_smc_b2_delta2"))
     assert main([], tmp_path, duration=None, seed=None, check=True) == 1

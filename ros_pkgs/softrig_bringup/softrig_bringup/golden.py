@@ -22,6 +22,8 @@ from softrig_core.rig.yaml_file import read_yaml
 
 from .run import versions
 
+DECIDE = ("machine", "math", "blas", "simd", "numpy", "scipy", "casadi", "pin")  # of the versions: the bits of a run
+
 
 class Allowed(BaseModel):
     """How far a number may be off: ``max(absolute, relative |golden|)``."""
@@ -41,12 +43,12 @@ class Recipe(BaseModel):
         Length of the golden run, s; usually shorter than the scenario's.
     seed : int
     default : Allowed
-        For every signal without a pattern of its own.
+        For every signal without a pattern of its own. Tolerances are for other versions than those that wrote the bag
+        (another C library, numpy, casadi, machine; never another Python); with the same ones bytes are compared.
     tolerances : dict of str to Allowed
         By pattern of the signal name (``motor/state/*``).
     elsewhere : dict of str to Allowed
-        As `tolerances`, for other versions than those that wrote the bag (another C library, numpy, casadi, machine;
-        never another Python): what a change of the last bits does to this rig, measured when the bag was made.
+        As `tolerances`: what a change of the last bits does to this rig, measured when the bag was made.
     why : str
         Why the tolerances are what they are.
     made_with : dict of str to str
@@ -114,16 +116,27 @@ class Golden:
                 if 10.0 * d > 1e-9}  # fmt: skip
 
     @property
+    def others(self) -> dict[str, tuple[str, str]]:
+        """What decides the bits and is not as it was when the bag was made: name to there and here."""
+        now, there = versions(), self.recipe.made_with
+        pairs = {name: (there.get(name, "unknown"), now.get(name, "unknown")) for name in DECIDE}
+        return {name: pair for name, pair in pairs.items() if pair[0] != pair[1]}
+
+    @property
     def made_here(self) -> bool:
-        """Whether the versions that decide the bits are those that wrote the bag; Python's own is not among them."""
-        now = versions()
-        there = self.recipe.made_with
-        return all(there.get(k) == now.get(k) for k in {*now, *there} - {"python", "softrig_core", "ros-jazzy-rclpy"})
+        """Whether all that decides the bits is as it was when the bag was made: then bytes are compared."""
+        return not self.others
+
+    @property
+    def how(self) -> str:
+        """How a new recording is compared, and why."""
+        differing = ", ".join(f"{name} {there} there, {here} here" for name, (there, here) in self.others.items())
+        return f"within tolerances: {differing}" if differing else "byte for byte"
 
     def compare(
         self, new: Recording, topics: Sequence[str] | None = None, *, elsewhere: bool | None = None
     ) -> Comparison:
-        """Compare a new recording with the golden one within the recipe's tolerances.
+        """Compare a new recording with the golden one: byte for byte, or elsewhere within the recipe's tolerances.
 
         Parameters
         ----------
@@ -132,11 +145,13 @@ class Golden:
         elsewhere : bool, optional
             Whether to allow what another build may change; found out when absent.
         """
-        wider = not self.made_here if elsewhere is None else elsewhere
-        allowed = (self.recipe.elsewhere if wider else {}) | self.recipe.tolerances
+        old, found = Signals(self.recording()), Signals(new)
+        if not (bool(self.others) if elsewhere is None else elsewhere):
+            return compare(old, found, bitwise=True, topics=topics)
+        allowed = self.recipe.elsewhere | self.recipe.tolerances
         limits = {name: Tolerance(a.absolute, a.relative) for name, a in allowed.items()}
         default = Tolerance(self.recipe.default.absolute, self.recipe.default.relative)
-        return compare(Signals(self.recording()), Signals(new), default=default, tolerances=limits, topics=topics)
+        return compare(old, found, default=default, tolerances=limits, topics=topics)
 
     def open_loop(self, node: str) -> Comparison:
         """Feed one node with the golden inputs and compare what it answers."""
@@ -242,13 +257,14 @@ def main(names: Sequence[str], folder: Path, *, duration: float | None, seed: in
     for name in chosen:
         there = (folder / name / "golden.yaml").is_file()
         golden = load(folder / name, **changes) if there or check else create(folder / name, name, **changes)
+        how = golden.how if golden.bag.exists() else ""
         try:
             result = golden.compare(golden.rerun()) if check else golden.make()
         except RunError as error:
             raise RunError(f"{name}: {error}") from error
         size = sum(f.stat().st_size for f in golden.bag.glob("*")) / 1e3
         print(f"{name}: {golden.recipe.duration:g} s, {size:.0f} kB, "
-              + ("new" if result is None else "agrees" if result.equal else "DIFFERS"))  # fmt: skip
+              + ("new" if result is None else f"{'agrees' if result.equal else 'DIFFERS'} {how}"))  # fmt: skip
         if result is not None and not result.equal:
             print(result)
             status = 1 if check else status

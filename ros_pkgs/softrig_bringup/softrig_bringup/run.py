@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from softrig_core import Block, Observer, Recording, Rig, Run, RunError, Scenario, Scene, figures_of, run_inprocess
+from softrig_core.bits import blas_core, math_digest, simd_level
 from softrig_core.model.params import declarations, flatten
 from softrig_core.model.port import CLOCK
 from softrig_core.rig.figures import Result
@@ -166,10 +167,15 @@ def _plant_ticks(run: Run) -> int:
 
 
 def versions() -> dict[str, str]:
-    """Give what a run depends on."""
+    """Give what a run depends on: versions, the C library's functions by their results, the kernels in use."""
     found = {"python": platform.python_version(), "machine": platform.machine()}
-    libc = " ".join(platform.libc_ver()).strip()
-    found |= {"libc": libc} if libc else {}
+    machine = {
+        "libc": " ".join(platform.libc_ver()).strip(),
+        "math": math_digest(),
+        "blas": blas_core(),
+        "simd": simd_level(),
+    }
+    found |= {name: value for name, value in machine.items() if value}
     for name in ("softrig_core", "numpy", "scipy", "casadi", "pin", "rosbags", "ros-jazzy-rclpy"):
         try:
             found[name] = importlib.metadata.version(name)

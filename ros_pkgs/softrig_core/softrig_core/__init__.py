@@ -9,6 +9,10 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING
 
+from .bits import pin
+
+pin()  # before numpy is loaded
+
 if TYPE_CHECKING:
     from .errors import RunError as RunError, ScenarioError as ScenarioError
     from .model.block import Block as Block, Level as Level, Observer as Observer, Plant as Plant, Values as Values

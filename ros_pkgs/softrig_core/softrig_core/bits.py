@@ -1,0 +1,124 @@
+"""What a machine decides about the last digits: numpy's and OpenBLAS's choice by CPU, the C library's functions.
+
+`pin` takes the choice away before numpy is loaded; the package's ``__init__`` calls it first. What decides the numbers
+of a run uses neither BLAS nor numpy's functions of arrays (doc/bits.md); checks and figures may.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable, Mapping, MutableMapping
+from functools import cache
+
+CORE, SIMD = "OPENBLAS_CORETYPE", "NPY_DISABLE_CPU_FEATURES"
+PINS = {CORE: "Haswell", SIMD: "X86_V4 AVX512_ICL AVX512_SPR"}
+ARGUMENTS = 1000  # of each function in the digest
+
+
+def cpu_has_avx512(cpuinfo: str = "/proc/cpuinfo") -> bool:
+    """Whether numpy and OpenBLAS would choose kernels here that a CPU without AVX-512 has not."""
+    try:
+        with open(cpuinfo) as file:
+            return "avx512f" in next((line for line in file if line.startswith("flags")), "").split()
+    except OSError:
+        return False
+
+
+def pin(environ: MutableMapping[str, str] = os.environ, *, wider: bool | None = None) -> None:
+    """Choose the kernels of AVX2 where the CPU has wider ones, for this process and those that it starts.
+
+    What is set already stays. Where numpy is loaded already and has chosen others, that is said once, as a warning.
+
+    Parameters
+    ----------
+    environ : mapping
+    wider : bool, optional
+        Whether the CPU has AVX-512; found out when absent.
+    """
+    if not (cpu_has_avx512() if wider is None else wider):
+        return
+    before = {name: environ.get(name) for name in PINS}
+    environ.setdefault(CORE, PINS[CORE])
+    if "NPY_ENABLE_CPU_FEATURES" not in environ:  # numpy takes one of the two
+        environ.setdefault(SIMD, PINS[SIMD])
+    if "numpy" in sys.modules and environ is os.environ and (late := too_late(before)):
+        import warnings
+
+        warnings.warn(late, RuntimeWarning, stacklevel=2)
+
+
+def too_late(before: Mapping[str, str | None]) -> str:
+    """Say what numpy, loaded before `pin`, has chosen otherwise; empty where it has not, or was told to."""
+    chosen = {
+        "OpenBLAS": blas_core() if before[CORE] is None else "",
+        "numpy": simd_level() if not before[SIMD] else "",
+    }
+    other = [f"{name} {what}" for name, what in chosen.items() if "SkylakeX" in what or "V4" in what]
+    if not other:
+        return ""
+    return (
+        f"numpy was loaded before softrig, with the kernels of this CPU ({', '.join(other)}): what plants and laws "
+        "compute is the same, last digits of figures and checks may not be; import softrig_core first, or set "
+        f"{CORE}={PINS[CORE]} and {SIMD}='{PINS[SIMD]}'"
+    )
+
+
+@cache
+def blas_core() -> str:
+    """Give the kernels that numpy's OpenBLAS has chosen (``Haswell``); empty where numpy has another BLAS."""
+    import ctypes
+
+    from numpy.linalg import _umath_linalg
+
+    library = ctypes.CDLL(_umath_linalg.__file__)  # its symbols and those of the BLAS that it is linked with
+    for prefix in ("scipy_openblas", "openblas"):
+        for suffix in ("64_", ""):
+            name = getattr(library, f"{prefix}_get_corename{suffix}", None)
+            if name is not None:
+                name.restype = ctypes.c_char_p
+                return str(name().decode())
+    return ""
+
+
+@cache
+def simd_level() -> str:
+    """Give what numpy's functions of arrays may use of the CPU beyond its baseline (``X86_V3``)."""
+    from importlib import import_module
+
+    core = import_module("numpy._core._multiarray_umath")
+    baseline, features = core.__cpu_baseline__, core.__cpu_features__
+    return " ".join([*baseline[-1:], *(name for name in core.__cpu_dispatch__ if features[name])])
+
+
+@cache
+def math_digest() -> str:
+    """Give a digest of the C library's functions: the bits of their results at `ARGUMENTS` arguments each.
+
+    The name of a library does not tell: Debian changed functions within glibc 2.36, and glibc chooses by CPU (FMA).
+    """
+    import hashlib
+    import math
+    import struct
+
+    intervals: dict[Callable[[float], float], tuple[float, float]] = {
+        math.sin: (-40.0, 40.0), math.cos: (-40.0, 40.0), math.tan: (-10.0, 10.0),
+        math.asin: (-1.0, 1.0), math.acos: (-1.0, 1.0), math.atan: (-10.0, 10.0),
+        math.sinh: (-5.0, 5.0), math.cosh: (-5.0, 5.0), math.tanh: (-3.0, 3.0),
+        math.asinh: (-9.0, 9.0), math.acosh: (1.0, 9.0), math.atanh: (-0.99, 0.99),
+        math.exp: (-30.0, 30.0), math.exp2: (-30.0, 30.0), math.expm1: (-2.0, 2.0),
+        math.log: (0.0, 3.0), math.log2: (0.0, 3.0), math.log10: (0.0, 3.0), math.log1p: (-0.9, 2.0),
+        math.cbrt: (0.0, 9.0), math.erf: (-3.0, 3.0), math.erfc: (-3.0, 3.0),
+    }  # fmt: skip
+    # spread over an interval by the golden ratio; multiplication and addition are alike everywhere
+    spread = [(k * 0.6180339887498949) % 1.0 for k in range(1, ARGUMENTS + 1)]
+    digest = hashlib.sha256()
+
+    def take(values: list[float]) -> None:
+        digest.update(struct.pack(f"<{len(values)}d", *values))
+
+    for function, (low, high) in intervals.items():
+        take([function(low + (high - low) * u) for u in spread])
+    for u, v in zip(spread, reversed(spread), strict=True):
+        take([math.pow(9.0 * u, 8.0 * v - 4.0), math.atan2(u - 0.5, v - 0.5), abs(complex(u, v))])
+    return digest.hexdigest()[:12]
