@@ -43,7 +43,7 @@ def ping_pong(kind: str, loops: int = LOOPS) -> dict[str, float]:
     """Measure the bare ping-pong between two processes: loops/s, p50 and p99 in us."""
     with free_domain() as domain, tempfile.TemporaryDirectory() as folder:
         variables = environment(domain, Path(folder))
-        command = [sys.executable, "-m", "bench.ping_pong", kind]
+        command = [sys.executable, "-P", "-m", "bench.ping_pong", kind]
         pong = subprocess.Popen([*command, "pong", str(loops)], env=variables)
         try:
             ping = subprocess.run([*command, "ping", str(loops)], env=variables, capture_output=True, text=True,

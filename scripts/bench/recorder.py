@@ -72,7 +72,7 @@ def _measure(channels: int, rates: Sequence[int], listen: Listener) -> Rate:
         listener, counts = listen(Path(folder), variables)
         try:
             publisher = subprocess.run(
-                [sys.executable, "-m", "bench.recorder", "publish", str(channels), *map(str, rates)],
+                [sys.executable, "-P", "-m", "bench.recorder", "publish", str(channels), *map(str, rates)],
                 env=variables, capture_output=True, text=True, check=True, timeout=120,
             )  # fmt: skip
             listener.send_signal(signal.SIGINT)
@@ -91,7 +91,7 @@ def _measure(channels: int, rates: Sequence[int], listen: Listener) -> Rate:
 
 
 def _bare(folder: Path, variables: dict[str, str]) -> tuple[subprocess.Popen[str], Callable[[str], Counter[int]]]:
-    command = [sys.executable, "-m", "bench.recorder", "listen"]
+    command = [sys.executable, "-P", "-m", "bench.recorder", "listen"]
     process = subprocess.Popen(command, env=variables, stdout=subprocess.PIPE, text=True)
     return process, lambda output: Counter({int(k): v for k, v in json.loads(output).items()})
 

@@ -7,13 +7,16 @@ import os
 import shlex
 import signal
 import subprocess
+import sys
 import threading
 import time
+from contextlib import suppress
+from pathlib import Path
 
 import numpy as np
 import pyarrow.parquet
 import pytest
-from conftest import PATIENCE
+from conftest import PATIENCE, until
 from softrig_bringup.cli import main
 from softrig_bringup.study.definition import list_studies, load_study, make_study
 from softrig_bringup.study.draw import cases, count, draw
@@ -201,6 +204,28 @@ def test_workers_do_not_matter_and_a_killed_one_costs_nothing(folder):
     thread.join(PATIENCE)
     assert killed
     assert [(r["number"], r["figures"]) for r in there] == [(r["number"], r["figures"]) for r in here]
+
+
+def session(pid):
+    """Processes of a session that live."""
+    found = []
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        with suppress(OSError):
+            state, _, _, number = stat.read_text().rpartition(")")[2].split()[:4]
+            found += [stat.parent.name] if int(number) == pid and state != "Z" else []
+    return found
+
+
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGTERM, 143), (signal.SIGHUP, 129), (signal.SIGKILL, -9)])
+def test_a_study_that_is_killed_leaves_no_process(folder, number, status):
+    command = [sys.executable, "-m", "softrig_bringup", "study", "lag", "--duration", "20", "--seeds", "1000",
+               "--workers", "2", "--out", "out"]  # fmt: skip
+    process = subprocess.Popen(command, start_new_session=True, stderr=subprocess.DEVNULL)
+    until(lambda: (folder / "out" / "rows.jsonl").exists() and (folder / "out" / "rows.jsonl").stat().st_size)
+    assert len(session(process.pid)) >= 3
+    process.send_signal(number)
+    assert process.wait(PATIENCE) == status
+    until(lambda: not session(process.pid))
 
 
 # over the runs ----------------------------------------------------------------------------------------------------

@@ -4,11 +4,13 @@ import itertools
 import math
 import operator
 import os
+import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
+from conftest import PATIENCE
 from hypothesis import given, settings, strategies as st
 from scipy import stats
 from scipy.optimize import differential_evolution, minimize_scalar
@@ -581,6 +583,26 @@ def test_sweep_keeps_the_order_on_any_number_of_workers():
 def test_sweep_hands_on_the_failure():
     with pytest.raises(ZeroDivisionError, match="case 3"):
         sweep(fail, [3], workers=1)
+
+
+TRAPS = ("queue", "pickle", "socket", "runpy", "struct", "random", "tempfile", "numpy", "softrig_core", "softrig_optim")
+
+
+@pytest.mark.parametrize("code", [
+    "import os; from softrig_optim.sweep import sweep; assert sweep(abs, [-1, -2], workers=2) == [1, 2]; "
+    "assert 'PYTHONSAFEPATH' not in os.environ",
+    "import faultrig; from softrig_core.model.worker import Worker; worker = Worker(faultrig.Planner.solve); "
+    "worker.submit((1, 0.0, 1.0, 0.0, '')); assert worker.wait(60.0) and worker.state == 'done', worker.error",
+])  # fmt: skip
+def test_nothing_is_imported_from_the_current_directory(code, tmp_path):
+    for name in TRAPS:
+        (tmp_path / f"{name}.py").write_text(f"open({str(tmp_path / 'sprung')!r}, 'a').write({name!r})\n")
+    script = tmp_path / "elsewhere" / "script.py"
+    script.parent.mkdir()
+    script.write_text(f"if __name__ == '__main__':\n    {code}\n")
+    done = subprocess.run([sys.executable, script], cwd=tmp_path, capture_output=True, text=True, timeout=PATIENCE)
+    assert done.returncode == 0, done.stderr
+    assert not (tmp_path / "sprung").exists()
 
 
 def test_sweep_names_the_missing_package(monkeypatch):

@@ -155,12 +155,17 @@ def _report(options: argparse.Namespace) -> int:
 
 
 def _results(options: argparse.Namespace) -> int:
+    from softrig_core.rig.stopping import stoppable
+
     from .results import main as results
 
-    return results(options.systems, options.out, options.workers, studies=options.studies)
+    with stoppable():
+        return results(options.systems, options.out, options.workers, studies=options.studies)
 
 
 def _study(options: argparse.Namespace) -> int:
+    from softrig_core.rig.stopping import stoppable
+
     from .study.definition import list_studies
     from .study.options import study_of
     from .study.page import main as study
@@ -170,7 +175,8 @@ def _study(options: argparse.Namespace) -> int:
         return 0
     chosen = study_of(options)
     out = options.out or Path("runs") / f"study_{chosen.name}"
-    return study(chosen, out, workers=options.workers, scheduler=options.scheduler)
+    with stoppable():
+        return study(chosen, out, workers=options.workers, scheduler=options.scheduler)
 
 
 def _golden(options: argparse.Namespace) -> int:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import signal
 import sys
+import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
@@ -86,7 +88,8 @@ def stream(
         for k, case in numbered:
             yield k, function(case)
     else:
-        yield from _on_cores(function, numbered, workers or cores())
+        with _own_imports():
+            yield from _on_cores(function, numbered, workers or cores())
 
 
 def cores() -> int:
@@ -122,12 +125,42 @@ def _on_cores(function: Callable[[C], R], cases: Iterator[tuple[int, C]], worker
                 open_.clear()
                 pool.shutdown(wait=False)
                 pool = _pool(workers)
+    except BaseException:
+        for process in list((pool._processes or {}).values()):  # nobody wants what they work on
+            process.kill()
+        raise
     finally:
         pool.shutdown(wait=False, cancel_futures=True)
 
 
 def _pool(workers: int) -> ProcessPoolExecutor:
-    return ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn"))
+    return ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), _end_with_parent)
+
+
+@contextmanager
+def _own_imports() -> Iterator[None]:
+    """Let no process that Python starts meanwhile import its own modules from the current directory."""
+    before = os.environ.get("PYTHONSAFEPATH")
+    os.environ["PYTHONSAFEPATH"] = "1"
+    try:
+        yield
+    finally:
+        os.environ.pop("PYTHONSAFEPATH")
+        if before is not None:
+            os.environ["PYTHONSAFEPATH"] = before
+
+
+def _end_with_parent() -> None:
+    """End this worker when its parent has gone, whatever killed it: nobody would ever give it another case."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's; it ends us
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+
+    def wait_for_its_end() -> None:
+        parent.join()
+        os._exit(1)
+
+    threading.Thread(target=wait_for_its_end, daemon=True).start()
 
 
 def _on_cluster(function: Callable[[C], R], cases: Iterator[tuple[int, C]], scheduler: str) -> Iterator[tuple[int, R]]:

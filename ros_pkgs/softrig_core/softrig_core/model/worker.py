@@ -87,7 +87,8 @@ class Worker:
         # one thread each: a BLAS that splits sums by the number of cores would change last bits
         for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
             variables.setdefault(name, "1")
-        command = [sys.executable, "-c", "from softrig_core.model.worker import main; main()"]
+        # -P: nothing is imported from the current directory, which is anybody's
+        command = [sys.executable, "-P", "-c", "from softrig_core.model.worker import main; main()"]
         process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=variables)
         self._process = process
         self._end = weakref.finalize(self, _kill, process)

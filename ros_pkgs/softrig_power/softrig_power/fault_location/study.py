@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import lru_cache
-from itertools import starmap
 from typing import Any, get_args
 
 import numpy as np
 from softrig_core.model.params import build
+from softrig_optim.sweep import stream
 
 from .cases import PUBLISHED, Case
 from .location import Algorithm, LocatorParams, locate
@@ -95,23 +95,16 @@ def run(jobs: Sequence[Job], processes: int | None = None, progress: Callable[[i
     progress : callable, optional
         Called with how many are done, of how many.
     """
-    rows: list[Row] = []
+    rows: dict[int, Row] = {}
+    for k, row in stream(_run_job, jobs, workers=processes):
+        rows[k] = row
+        if progress is not None:
+            progress(len(rows), len(jobs))
+    return [rows[k] for k in range(len(jobs))]
 
-    def collect(found: Iterable[Row]) -> None:
-        for row in found:
-            rows.append(row)
-            if progress is not None:
-                progress(len(rows), len(jobs))
 
-    if processes == 1:
-        collect(starmap(run_case, jobs))
-        return rows
-    from concurrent.futures import ProcessPoolExecutor
-    from multiprocessing import get_context
-
-    with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
-        collect(pool.map(run_case, *zip(*jobs, strict=True), chunksize=1))
-    return rows
+def _run_job(job: Job) -> Row:
+    return run_case(*job)
 
 
 def published_jobs(methods: Sequence[str] = METHODS, profile: str = "m20k", **locator: Any) -> list[Job]:
