@@ -214,11 +214,15 @@ def test_a_report_tells_runs_apart_and_says_what_it_leaves_out(folder):
     (folder / "empty").mkdir()
     assert main(["report", "1.2", "empty", "1.3", "--out", "all.html"]) == 0
     page = (folder / "all.html").read_text()
-    assert ">gain.k=1.2</a>" in page
-    assert ">gain.k=1.3</a>" in page
+    assert '<a href="#run-1">1.2</a>' in page
+    assert '<a href="#run-2">1.3</a>' in page
+    assert "lag, gain.k=1.3" in page
     assert "compared, not judged" in page
     assert "Left out, for want of a metrics.json: empty" in page
     assert main(["report", "empty"]) == 2
+    assert main(["report", "1.2", "--label", "soft", "--label", "hard", "--out", "one.html"]) == 2
+    assert main(["report", "1.2", "1.3", "--label", "soft", "--out", "all.html"]) == 0
+    assert '<a href="#run-1">soft</a>' in (folder / "all.html").read_text()
 
 
 def test_a_run_keeps_the_commit_and_the_lock_file(folder, monkeypatch):

@@ -1,8 +1,10 @@
 """What a control engineer looks for in the pages: marks of what is expected, block diagram, sources, several runs."""
 
 import base64
+import importlib
 import re
 import struct
+from pathlib import Path
 from xml.etree.ElementTree import tostring
 
 import bibtexparser
@@ -22,9 +24,12 @@ from softrig_bringup.plots.figures import places, plot_run
 from softrig_bringup.plots.marks import marks_of
 from softrig_bringup.plots.overlay import BAND, Overlay, band, draw_overlay
 from softrig_bringup.plots.style import ACCEPTED, PUBLISHED, axis_title, style
-from softrig_bringup.several import groups, labels
+from softrig_bringup.run_record import RunRecord
+from softrig_bringup.several import differences, differing, groups, names, side_by_side
 from softrig_bringup.wiring import Node, Wire, Wiring, columns, wiring_of
 from softrig_core import Rig, ScenarioError, list_scenarios, load_scenario, simulate
+from softrig_core.rig import code
+from softrig_core.rig.figures import Result
 from softrig_core.rig.scenario import PlotEntry
 
 X = "lag/state/x/position"
@@ -279,28 +284,75 @@ def test_scenarios_of_a_user_cite_from_their_own_folder(tmp_path, monkeypatch):
 # several runs -----------------------------------------------------------------------------------------------------
 
 
-class Numbers:
-    def __init__(self, **keys):
-        self.__dict__ |= {"scenario": "lag", "mode": "inprocess", "changed": (), "seed": 0} | keys
+def run_of(**keys):
+    about = {"scenario": "lag", "title": "Lag", "system": "lag", "source": "", "mode": "inprocess", "seed": 0,
+             "duration_s": 1.0, "ticks": 1, "wall_s": 0.1, "command": "", "metrics": (), "versions": {"machine": "x86"},
+             "code": {"my_laws": "aaa"}, "parameters": {"gain": {"k": 1.0}},
+             "wiring": {"nodes": {"gain": {"executable": "my_laws/gain", "period": 0.1}}}}  # fmt: skip
+    return RunRecord(**about | keys)
 
 
 @pytest.mark.parametrize(
-    ("runs", "names"),
+    ("folders", "labels", "given", "found"),
     [
-        ([{}], ["lag"]),
-        ([{}, {"changed": ("gain.k=2",)}], ["as it is", "gain.k=2"]),
-        ([{"seed": 1, "changed": ("seed 1",)}, {"seed": 2, "changed": ("seed 2",)}], ["lag, seed 1", "lag, seed 2"]),
-        ([{}, {"scenario": "lag_fast", "changed": ("gain.k=2",)}], ["lag", "lag_fast, gain.k=2"]),
-        ([{}, {"mode": "realtime"}], ["lag, inprocess", "lag, realtime"]),
+        (["runs/a", "runs/b"], ["", ""], [], ["a", "b"]),
+        (["x/run", "y/run"], ["", ""], [], ["x/run", "y/run"]),
+        (["a", "b"], ["my PI", ""], [], ["my PI", "b"]),
+        (["a", "b"], ["my PI", "my PI"], [], ["my PI (a)", "my PI (b)"]),
+        (["a", "b"], ["my PI", "other"], ["first"], ["first", "other"]),
+        (["a", "a"], ["", ""], [], ["a [1]", "a [2]"]),
     ],
 )
-def test_runs_are_told_apart_by_what_was_changed(runs, names):
-    assert labels([Numbers(**run) for run in runs]) == names
+def test_runs_are_named_by_folder_or_label(folders, labels, given, found):
+    runs = [(Path(f), run_of(label=text)) for f, text in zip(folders, labels, strict=True)]
+    assert names(runs, given) == found
 
 
-def test_draws_of_the_same_are_one_group():
-    runs = [Numbers(seed=s, changed=("gain.k=2", f"seed {s}")) for s in range(3)] + [Numbers()]
-    assert groups(runs) == ["gain.k=2"] * 3 + ["as it is"]
+@pytest.mark.parametrize(
+    ("changes", "banded"),
+    [
+        ([{"seed": 0}, {"seed": 1}, {"seed": 2}], True),
+        ([{"seed": 0}] * 3, False),  # nothing that differs may be taken for a draw
+        ([{"seed": s, "code": {"my_laws": f"{s}"}} for s in range(3)], False),
+        ([{"seed": s, "parameters": {"gain": {"k": s}}} for s in range(3)], False),
+        ([{"seed": s, "versions": {"machine": "arm" if s else "x86"}} for s in range(3)], False),
+        ([{"seed": 0}, {"seed": 1}, {"seed": 2, "error": "gone"}], False),
+        ([{"seed": 0}, {"seed": 1}, {"seed": 2, "stopped": "stopped by SIGINT"}], False),
+        ([{"seed": s, "duration_s": 1.0 + s} for s in range(3)], False),
+        ([{"seed": s, "code": {}} for s in range(3)], False),  # of before the code was noted
+        ([{"seed": s, "wiring": {"nodes": {"gain": {"executable": "a/b", "period": 1.0, "outside": True}}}}
+          for s in range(3)], False),
+    ],
+)  # fmt: skip
+def test_a_band_is_of_seeds_of_the_same_code_and_parameters_that_ended(changes, banded):
+    named = ["lag-seed_0", "lag-seed_1", "lag-seed_2", "other"]
+    runs = [run_of(**change) for change in changes] + [run_of(scenario="other")]
+    assert groups(runs, named) == (["lag"] * 3 + ["other"] if banded else named)
+
+
+def test_what_differs_between_runs_is_said():
+    runs = [run_of(), run_of(code={"my_laws": "bbb"}, parameters={"gain": {"k": 2.0}}, seed=7)]
+    assert differing(runs) == {"seed": ["0", "7"], "code of my_laws": ["aaa", "bbb"], "gain.k": ["1.0", "2.0"]}
+    text = "".join(t for element in differences(runs, ["a", "b"]) for t in element.itertext())
+    assert "code of my_lawsaaa in abbb in b" in text
+    (_, nothing) = differences([run_of(), run_of()], ["a", "b"])
+    assert "equal code" in nothing.text
+
+
+def test_code_is_told_apart_by_its_files_and_what_they_import(tmp_path, monkeypatch):
+    law = "import softrig_a_helper\nfrom softrig_core.model.block import Block\nclass Law(Block):\n    pass\n"
+    for name, text in (("softrig_a_law", law), ("softrig_a_helper", "K = 1\n")):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "__init__.py").write_text(text)
+    monkeypatch.syspath_prepend(tmp_path)
+    for function in ("_folder", "_package", "_is_own"):
+        monkeypatch.setattr(code, function, getattr(code, function).__wrapped__)  # as in a process of its own
+    law = importlib.import_module("softrig_a_law").Law
+    before = code.fingerprints([law])
+    assert list(before) == ["softrig_a_helper", "softrig_a_law", "softrig_core"]
+    (tmp_path / "softrig_a_helper" / "__init__.py").write_text("K = 2\n")
+    after = code.fingerprints([law])
+    assert {name for name in before if before[name] != after[name]} == {"softrig_a_helper"}
 
 
 def test_a_band_is_the_quantiles_of_its_draws():
@@ -312,12 +364,18 @@ def test_a_band_is_the_quantiles_of_its_draws():
     assert held[2][510:] == pytest.approx(2.0)
 
 
-def overlay(label, group, offset=0.0, end=1.0):
+def overlay(label, group, offset=0.0, end=1.0, window=None, peak=0.0):
     t = np.linspace(0.0, end, 101)
-    entry = PlotEntry(title="Position", signals={"x/position": "position", "r/position": "reference"})
+    entry = PlotEntry(title="Position", signals={"x/position": "position", "r/position": "reference"}, window=window)
     shown = {"x/position": Shown(unit="m", held=False, reference=False),
              "r/position": Shown(unit="m", held=True, reference=True)}  # fmt: skip
-    return Overlay(label, group, [entry], shown, {"x/position": (t, t + offset), "r/position": (t, 0.0 * t + 1.0)})
+    return Overlay(
+        label,
+        group,
+        [entry],
+        shown,
+        {"x/position": (t, t + offset + peak * (t > 0.9 * end)), "r/position": (t, 0.0 * t + 0.5)},
+    )
 
 
 def test_runs_overlay_with_bands_over_seeds(monkeypatch):
@@ -340,6 +398,41 @@ def test_runs_overlay_with_bands_over_seeds(monkeypatch):
 
 def test_signals_that_only_one_run_has_are_not_overlaid():
     assert list(draw_overlay([overlay("a", "a")])) == []
+    assert (
+        list(draw_overlay([overlay("a", "a", window=(0.5, 0.6)), overlay("b", "b", end=0.1, window=(0.5, 0.6))])) == []
+    )
+
+
+def test_a_windowed_picture_has_the_range_of_its_window(monkeypatch):
+    figures = []
+    monkeypatch.setattr("softrig_bringup.plots.overlay.fold_exponents", figures.append)
+    runs = [overlay(name, name, 0.01 * k, window=(0.4, 0.5), peak=50.0) for k, name in enumerate("ab")]
+    (_,) = draw_overlay(runs)
+    (ax,) = figures[0].axes
+    assert ax.get_xlim() == (0.4, 0.5)
+    low, high = ax.get_ylim()
+    assert 0.3 < low < 0.41
+    assert 0.5 < high < 0.6
+
+
+def test_runs_of_very_different_length_have_no_axis_in_common(tmp_path):
+    for name, seconds in (("a", "1"), ("b", "1"), ("c", "0.02"), ("d", "0.02"), ("e", "0.1")):
+        main(["run", "dc_motor_smc_c1", "--mode", "inprocess", "--duration", seconds, "--no-plots", "--label", name,
+              "--out", str(tmp_path / name)])  # fmt: skip
+    main(["report", *(str(tmp_path / n) for n in "abcde"), "--out", str(tmp_path / "all.html")])
+    page = (tmp_path / "all.html").read_text()
+    assert re.findall(r'alt="Armature voltage and current([^"]*)"', page) == [
+        ", runs of up to 1 s", ", runs of up to 0.02 s"]  # fmt: skip
+    assert "no other run of about their length has their plots: e" in page
+
+
+def test_many_figures_of_few_runs_stand_one_a_row():
+    metrics = [Result(name=f"f{k}", value=k, passed=True) for k in range(12)]
+    cells = {}
+    for count in (2, 9):
+        element = list(side_by_side([run_of(metrics=metrics)] * count, [f"run {k}" for k in range(count)]))[1:]
+        cells[count] = [len(t.find(".//thead/tr")) for t in element]
+    assert cells == {2: [3], 9: [9, 5]}
 
 
 def test_the_report_of_several_runs_overlays_their_bags(tmp_path):
@@ -352,7 +445,8 @@ def test_the_report_of_several_runs_overlays_their_bags(tmp_path):
     page = (tmp_path / "both.html").read_text()
     assert "dc_motor: signals" in page
     assert page.index("dc_motor: signals") < page.index('alt="Armature voltage and current"')
-    assert '<a href="#run-2">dc_motor_plant.R=0.6, duration 0.5</a>' in page
+    assert '<a href="#run-2">b</a>' in page
+    assert "<td>dc_motor_smc_c1, dc_motor_plant.R=0.6, duration 0.5</td>" in re.sub(" data-label=.*?>", ">", page)
     assert 'href="https://doi.org/10.18196/jrc.26140"' in page
     assert "differs" in page
     assert "✗" not in page  # changed runs are compared, not judged

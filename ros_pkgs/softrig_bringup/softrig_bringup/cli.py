@@ -76,6 +76,8 @@ def _parser() -> argparse.ArgumentParser:
     report = verb("report", _report, "one self-contained HTML page from one or more runs")
     report.add_argument("runs", nargs="+", type=Path, metavar="DIR")
     report.add_argument("--out", type=Path, default=Path("report.html"))
+    report.add_argument("--label", action="append", default=[], metavar="TEXT",
+                        help="name of a run, in their order (default: its own, or its folder)")  # fmt: skip
     results = verb("results", _results, "hold every claim of the papers against what is measured now")
     results.add_argument("systems", nargs="*", metavar="SYSTEM", help="default: all")
     results.add_argument("--out", type=Path, default=Path("runs/results"), metavar="DIR",
@@ -149,7 +151,7 @@ def _node(options: argparse.Namespace) -> int:
 def _report(options: argparse.Namespace) -> int:
     from .report import write_report
 
-    write_report(options.runs, options.out)
+    write_report(options.runs, options.out, options.label)
     print(f"wrote {options.out}")
     return 0
 

@@ -10,10 +10,10 @@ from softrig_core import ScenarioError
 from .html import e, write_page
 from .run_page import run_section
 from .run_record import read_run
-from .several import index, labels, overlaid, side_by_side
+from .several import differences, index, names, overlaid, side_by_side
 
 
-def write_report(directories: Sequence[Path], output: Path) -> None:
+def write_report(directories: Sequence[Path], output: Path, labels: Sequence[str] = ()) -> None:
     """Write one page about one or more runs.
 
     Parameters
@@ -23,11 +23,13 @@ def write_report(directories: Sequence[Path], output: Path) -> None:
         `softrig_bringup.plots.figures.plot_run`, as far as they are there.
     output : Path
         The HTML file; appears complete or not at all.
+    labels : sequence of str
+        What the runs are called, in their order; of those that it does not reach, their own label or folder.
 
     Raises
     ------
     ScenarioError
-        A directory is not that of a run.
+        A directory is not that of a run; more labels than runs.
     """
     runs, without = [], []
     for directory in directories:
@@ -40,18 +42,21 @@ def write_report(directories: Sequence[Path], output: Path) -> None:
         rest = "; of parts of a rig (--only) softrig bag repair makes one bag from their .shard files" if part else ""
         raise ScenarioError(f"{', '.join(without)}: no metrics.json there, expected directories of runs{rest}")
     records = [run for _, run in runs]
-    names = labels(records)
+    if len(labels) > len(runs):
+        raise ScenarioError(f"--label {labels[len(runs)]!r}: there are {len(labels)} labels for {len(runs)} runs")
+    named = names(runs, labels)
     if len(runs) == 1:
-        title = records[0].title
-        body = [run_section(*runs[0], names[0], "h1", "run-1")]
+        title = records[0].label or records[0].title
+        body = [run_section(*runs[0], title, "h1", "run-1")]
     else:
         title = f"{len(runs)} runs"
         body = [
-            e("header", e("h1", title), index(records, names)),
-            *side_by_side(records, names),
-            *overlaid(runs, names),
+            e("header", e("h1", title), index(records, named)),
+            *side_by_side(records, named),
+            *differences(records, named),
+            *overlaid(runs, named),
         ]
-        body += [run_section(*run, names[i], "h2", f"run-{i + 1}") for i, run in enumerate(runs)]
+        body += [run_section(*run, named[i], "h2", f"run-{i + 1}") for i, run in enumerate(runs)]
     if without:
         body.append(e("p", f"Left out, for want of a metrics.json: {', '.join(without)}", class_="note"))
     write_page(output, title, body)

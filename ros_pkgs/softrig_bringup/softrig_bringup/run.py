@@ -20,6 +20,7 @@ from softrig_core import Block, Observer, Recording, Rig, Run, RunError, Scenari
 from softrig_core.bits import blas_core, math_digest, simd_level
 from softrig_core.model.params import declarations, flatten
 from softrig_core.model.port import CLOCK
+from softrig_core.rig.code import fingerprints
 from softrig_core.rig.figures import Result
 from softrig_core.rig.stopping import signal_of, stoppable, unstopped
 
@@ -133,25 +134,29 @@ def gaps(rig: Rig, recording: Recording) -> str:
     return "; ".join(found)
 
 
-def summary(run: Run, figures: Sequence[Result], command: str) -> dict[str, Any]:
-    """Make the content of metrics.json."""
+def summary(run: Run, figures: Sequence[Result], command: str, label: str = "") -> dict[str, Any]:
+    """Make the content of metrics.json; `label` is what the run is to be called."""
     scenario = run.rig.scenario
+    own = [m for m in run.rig.members if not m.external]  # what is outside is not ours to tell
     return {
         "scenario": scenario.name,
         "title": scenario.title,
         "system": scenario.system,
         "source": scenario.source,
         "mode": run.mode,
+        "label": label,
         "seed": run.seed,
         "duration_s": scenario.duration,
+        "reached_s": run.reached_s,
         "ticks": max(0, len(run.recording.topics[CLOCK.topic].times) - 1) or _plant_ticks(run),
         "wall_s": round(run.wall_s, 3),
         "error": run.error,
         "stopped": run.stopped_at,
         "command": command,
         "versions": versions() | _checkout(),
-        "parameters": {m.name: flatten(m.params) for m in run.rig.members},
-        "units": {m.name: {d.name: d.unit for d in declarations(type(m.params)) if d.unit} for m in run.rig.members},
+        "code": fingerprints(m.block_class for m in own),
+        "parameters": {m.name: flatten(m.params) for m in own},
+        "units": {m.name: {d.name: d.unit for d in declarations(type(m.params)) if d.unit} for m in own},
         "metrics": [f.model_dump(by_alias=True) for f in figures],
         "claims": [f.model_dump() for f in run.claims],
         "nodes": run.status,

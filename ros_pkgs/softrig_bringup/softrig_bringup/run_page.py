@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import Element
@@ -19,7 +19,7 @@ from .run_record import RunRecord
 from .wording import accepted, difference, measured, number
 
 
-def run_section(directory: Path, run: RunRecord, label: str, heading: str, anchor: str) -> Element:
+def run_section(directory: Path, run: RunRecord, title: str, heading: str, anchor: str) -> Element:
     """Make the section about a run.
 
     Parameters
@@ -27,15 +27,16 @@ def run_section(directory: Path, run: RunRecord, label: str, heading: str, ancho
     directory : Path
         With its pictures.
     run : RunRecord
-    label : str
-        What tells it apart from other runs on the page.
+    title : str
     heading : {"h1", "h2"}
     anchor : str
     """
     below = f"h{int(heading[1]) + 1}"
+    about = [run.title] if title != run.title else []
+    what = ", ".join([run.scenario, *run.changed])
     broken = [e("p", f"The run broke: {run.error}", class_="broken")] if run.error else []
     parts = [
-        ("Published and measured", [_metrics(run)]),
+        ("Figures", [_metrics(run)]),
         ("Signals", list(_pictures(directory, run))),
         ("Block diagram", list(_rig(run))),
         ("Repeat this run", [e("pre", run.command)]),
@@ -46,9 +47,10 @@ def run_section(directory: Path, run: RunRecord, label: str, heading: str, ancho
     ]
     return e(
         "section",
-        e("header", e(heading, run.title), e("p", f"{run.system} · ", e("code", label), class_="what"),
+        e("header", e(heading, title), *(e("p", text, class_="what") for text in about),
+           e("p", f"{run.system} · ", e("code", what), class_="what"),
            e("p", run.source, class_="what"), _facts(run), *broken),
-        *(element for title, content in parts if content for element in (e(below, title), *content)),
+        *(element for name, content in parts if content for element in (e(below, name), *content)),
         id=anchor, class_="run",
     )  # fmt: skip
 
@@ -83,27 +85,29 @@ def verdict(run: RunRecord) -> Element:
 def _metrics(run: RunRecord) -> Element:
     if not run.metrics:
         return e("p", "No metrics." if run.error else "This scenario has no metrics.", class_="note")
-    header = ("Figure", "Published", "Measured", "Unit", "Against published", "Accepted", "In tolerance", "Result")
-    rows = [
-        (
-            m.name.replace("_", " "),
-            number(m.published),
-            measured(m),
-            pretty_unit(m.unit),
-            difference(m.value, m.published),
-            accepted(m) or NONE,
-            _gauge(m),
-            _result(m, run.compared),
-        )
-        for m in run.metrics
-    ]
-    note = "Published: the number of the source. Accepted: what this scenario asks of the run."
-    return e("div", table(header, rows, " nn nn "), e("p", note, class_="note"))
+    columns: dict[str, tuple[str, Callable[[Result], Element | str]]] = {
+        "Figure": ("", lambda m: m.name.replace("_", " ")),
+        "Published": ("n", lambda m: number(m.published)),
+        "Measured": ("n", measured),
+        "Unit": ("", lambda m: pretty_unit(m.unit)),
+        "Against published": ("n", lambda m: difference(m.value, m.published)),
+        "Accepted": ("n", lambda m: accepted(m) or NONE),
+        "In tolerance": ("", _gauge),
+        "Result": ("", lambda m: _result(m, run.compared)),
+    }
+    cells = {head: [cell(m) for m in run.metrics] for head, (_, cell) in columns.items()}
+    there = [head for head, column in cells.items() if any(c not in ("", NONE) for c in column)]
+    rows = list(zip(*(cells[head] for head in there), strict=True))
+    notes = {"Published": "Published: the number of the source.",
+             "Accepted": "Accepted: what this scenario asks of the run."}  # fmt: skip
+    note = " ".join(text for head, text in notes.items() if head in there)
+    found = table(there, rows, "".join(columns[head][0] or " " for head in there))
+    return e("div", found, *([e("p", note, class_="note")] if note else []))
 
 
-def _result(metric: Result, compared: bool) -> Element:
+def _result(metric: Result, compared: bool) -> Element | str:
     if not metric.judged:
-        return e("span", NONE)
+        return NONE
     if compared:
         said = e("span", "agrees" if metric.passed else "differs")
     else:

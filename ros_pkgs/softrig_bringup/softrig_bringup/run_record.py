@@ -26,8 +26,10 @@ class RunRecord(BaseModel):
     system: str
     source: str
     mode: str
+    label: str = ""
     seed: int
     duration_s: float
+    reached_s: float | None = None
     ticks: int
     wall_s: float
     error: str = ""
@@ -39,10 +41,16 @@ class RunRecord(BaseModel):
     parameters: dict[str, dict[str, Any]]
     units: dict[str, dict[str, str]] = {}
     versions: dict[str, str]
+    code: dict[str, str] = {}
     nodes: dict[str, dict[str, Any]] = {}
     citations: tuple[Citation, ...] = ()
     wiring: Wiring = Wiring()
     signals: dict[str, Shown] = {}
+
+    @property
+    def simulated_s(self) -> float:
+        """How far it came, s."""
+        return self.duration_s if self.reached_s is None else self.reached_s
 
     @property
     def compared(self) -> bool:

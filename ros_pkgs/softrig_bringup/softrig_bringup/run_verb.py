@@ -39,6 +39,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--out", type=Path, metavar="DIR", help="results go here (default runs/SCENARIO and what was changed)"
     )
+    parser.add_argument("--label", default="", metavar="TEXT", help="what reports call this run")
     parser.add_argument("--no-record", action="store_true", help="no bag")
     parser.add_argument("--format", choices=("svg", "pdf"), default="", help="pictures of this kind beside the PNG")
     parser.add_argument("--no-plots", action="store_true", help="only metrics.json and the bag")
@@ -89,7 +90,7 @@ def _run_reserved(options: argparse.Namespace) -> int:
     changed += [done.stopped_at] if done.stopped else []
     figures = [] if done.error else done.results
     command = shlex.join(["scripts/softrig", "run", *repeat(options)])
-    content = summary(done, figures, command) | {"changed": changed}
+    content = summary(done, figures, command, options.label) | {"changed": changed}
     save(done, content, folder, record=not options.no_record, plots=not options.no_plots, also=options.format)
     if done.error:
         say(f"the run broke: {done.error}")
@@ -125,8 +126,8 @@ def repeat(options: argparse.Namespace) -> list[str]:
         arguments += ["--set", text]
     for name in options.external:
         arguments += ["--external", name]
-    for name in ("duration", "seed", "domain", "out"):
-        if getattr(options, name) is not None:
+    for name in ("duration", "seed", "domain", "label", "out"):
+        if getattr(options, name) not in (None, ""):
             arguments += [f"--{name}", str(getattr(options, name))]
     return arguments
 

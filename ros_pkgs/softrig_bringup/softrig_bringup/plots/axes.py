@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import textwrap
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -171,7 +172,10 @@ def styles(curves: Sequence[Curve]) -> list[dict[str, Any]]:
     return [dark | {"linestyle": next(dashes)} if curve.reference else next(own) for curve in curves]
 
 
-def legend(ax: Axes, curves: Sequence[Curve], title: str, width: int, marks: Sequence[tuple[Artist, str]] = ()) -> None:
+def legend(
+    ax: Axes, curves: Sequence[Curve], title: str, width: int, marks: Sequence[tuple[Artist, str]] = (),
+    what: str = "signals",
+) -> None:  # fmt: skip
     """Put the legend above the axes, where it covers no data.
 
     Parameters
@@ -184,12 +188,14 @@ def legend(ax: Axes, curves: Sequence[Curve], title: str, width: int, marks: Seq
         Of the axes, in letters.
     marks : sequence of (Artist, str)
         From `draw_marks`.
+    what : str
+        What the curves are, where there are too many to be named.
     """
     if len(curves) > look.MANY:
-        text = f"{len(curves)} signals, dark to light from first to last"
+        text = f"{len(curves)} {what}, dark to light from first to last"
         ax.set_title(f"{title}: {text}" if title else text, loc="left", fontsize=9)
         return
-    names = [curve.label for curve in curves] + [name for _, name in marks]
+    names = [textwrap.fill(name, width) for name in (*(curve.label for curve in curves), *(n for _, n in marks))]
     longest = max(map(len, names)) + 6
     ax.legend(
         [*ax.lines[: len(curves)], *(artist for artist, _ in marks)],

@@ -100,6 +100,28 @@ def envelope(x: Array, y: Array, columns: int = _PIXELS) -> tuple[Array, Array]:
     return corners_x.ravel(), corners_y.ravel()
 
 
+def inside(curve: Curve, window: tuple[float, float] | None) -> Curve:
+    """Cut a curve over time to a window, to whose edges it is drawn: no value from outside of it.
+
+    Parameters
+    ----------
+    curve : Curve
+    window : (float, float), optional
+        First and last time, s; none leaves the curve as it is.
+    """
+    if window is None or not len(curve.x):
+        return curve
+    x, y = curve.x, curve.y
+    first, last = max(window[0], x[0]), min(window[1], x[-1])
+    if first > last:
+        return replace(curve, x=x[:0], y=y[:0])
+    chosen = (x > first) & (x < last)
+    edges = np.array([first, last])
+    held = y[np.searchsorted(x, edges, "right") - 1] if curve.held else np.interp(edges, x, y)
+    return replace(curve, x=np.concatenate([edges[:1], x[chosen], edges[1:]]),
+                   y=np.concatenate([held[:1], y[chosen], held[1:]]))  # fmt: skip
+
+
 class Source:
     """The curves of a run by signal name.
 
@@ -162,21 +184,14 @@ class Source:
             curve = self.difference(first, second, entry.signals[name])
         else:
             curve = self.curve(name, entry.signals[name])
-        inside = self._inside(entry, curve.x)
-        return replace(curve, unit=entry.unit or curve.unit, x=curve.x[inside], y=curve.y[inside])
+        return inside(replace(curve, unit=entry.unit or curve.unit), entry.window)
 
     def against(self, entry: PlotEntry, name: str) -> tuple[str, Curve]:
         """Give the signal of the x axis and the curve over it."""
         over = f"{self.topic(name)}/{entry.x}"
         x, y = self.curve(over), self.curve(name, entry.signals[name])
-        inside = self._inside(entry, y.x)
-        return over, replace(y, x=x.y[inside], y=y.y[inside], held=False)
-
-    @staticmethod
-    def _inside(entry: PlotEntry, t: Array) -> slice:
-        """The samples of the window, and one on either side so that lines reach its edges."""
-        first, last = entry.window or (-np.inf, np.inf)
-        return slice(max(0, int(np.searchsorted(t, first, "right")) - 1), int(np.searchsorted(t, last)) + 1)
+        x, y = inside(x, entry.window), inside(y, entry.window)
+        return over, replace(y, x=x.y, held=False)
 
 
 def _reference(port: Port, label: str) -> bool:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from softrig_core import Signals
@@ -13,7 +13,7 @@ from softrig_core.rig.scenario import PlotEntry
 
 from . import style as look
 from .axes import draw, fold_exponents, legend
-from .curves import Array, Curve, Shown
+from .curves import Array, Curve, Shown, inside
 from .figures import time_scale
 from .style import axis_title, quantity
 
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 
 BAND = (0.1, 0.9)  # quantiles between which a band lies
 LEAST = 3  # runs that a band needs; fewer are drawn one by one
-PICTURES = 6  # of one system
 _SAMPLES = 1000  # of a band
 
 
@@ -36,7 +35,7 @@ class Overlay:
     label : str
         What tells it apart.
     group : str
-        The same for runs that differ in their seed alone.
+        The same for runs that are draws of the same, else the label.
     plots : sequence of PlotEntry
     shown : mapping
         Of the signals of its plots.
@@ -50,7 +49,10 @@ class Overlay:
     signals: Signals
 
 
-def draw_overlay(runs: Sequence[Overlay]) -> Iterator[tuple[str, bytes]]:
+Drawn = Sequence[tuple[Overlay, Curve]]  # of one signal
+
+
+def draw_overlay(runs: Sequence[Overlay], note: str = "") -> Iterator[tuple[str, bytes]]:
     """Draw each plot over time that at least two runs share: title and PNG.
 
     Each signal has its own axes, each run or group of draws its own colour. A group of `LEAST` or more runs is its
@@ -59,43 +61,42 @@ def draw_overlay(runs: Sequence[Overlay]) -> Iterator[tuple[str, bytes]]:
     Parameters
     ----------
     runs : sequence of Overlay
+    note : str
+        Behind each title.
     """
     from matplotlib import rc_context
 
-    for number, (title, entry) in enumerate(_shared(runs).items()):
-        if number == PICTURES:
-            return
+    for entry in _shared(runs):
+        having = [run for run in runs if set(entry.signals) <= set(run.shown)]
+        curves = {n: [(run, c) for run in having if len((c := _curve(run, n, entry.window)).x)] for n in entry.signals}
+        if max(map(len, curves.values())) < 2:
+            continue
         with rc_context(look.style()):
-            figure = _figure(runs, entry)
-            figure.suptitle(title, x=0.008, ha="left", fontsize=12, fontweight="bold")
+            figure = _figure(having[0].shown, entry, curves)
+            figure.suptitle(entry.title + note, x=0.008, ha="left", fontsize=12, fontweight="bold")
             fold_exponents(figure)
             file = io.BytesIO()
             figure.savefig(file, format="png")
-        yield title, file.getvalue()
+        yield entry.title + note, file.getvalue()
 
 
-def _shared(runs: Sequence[Overlay]) -> dict[str, PlotEntry]:
-    """Give the plots over time that show the same signals in at least two runs, by title."""
-    found: dict[str, PlotEntry] = {}
+def _shared(runs: Sequence[Overlay]) -> list[PlotEntry]:
+    """Give the plots over time that show the same signals in at least two runs, each once."""
     every = [entry for run in runs for entry in run.plots if not entry.x and set(entry.signals) <= set(run.shown)]
+    same: dict[tuple[Any, ...], list[PlotEntry]] = {}
     for entry in every:
-        same = [e for e in every if e.signals.keys() == entry.signals.keys() and e.window == entry.window]
-        if len(same) > 1 and all(e.signals.keys() != entry.signals.keys() or e.window != entry.window
-                                 for e in found.values()):  # fmt: skip
-            found[entry.title] = entry
-    return found
+        same.setdefault((frozenset(entry.signals), entry.window), []).append(entry)
+    return [found[0] for found in same.values() if len(found) > 1]
 
 
-def _figure(runs: Sequence[Overlay], entry: PlotEntry) -> Figure:
+def _figure(about: Mapping[str, Shown], entry: PlotEntry, curves: Mapping[str, Drawn]) -> Figure:
     from matplotlib.figure import Figure as New
 
-    having = [run for run in runs if set(entry.signals) <= set(run.shown)]
-    about = having[0].shown
-    names = [n for n in entry.signals if not about[n].reference] or list(entry.signals)
-    references = [n for n in entry.signals if n not in names]
+    there = [n for n in entry.signals if curves[n]]
+    names = [n for n in there if not about[n].reference] or there
+    references = [n for n in there if n not in names]
     figure = New(figsize=(look.WIDTH, 1.3 + 2.3 * len(names)), dpi=look.DPI, layout="constrained")
     axes = figure.subplots(len(names), 1, sharex=True, squeeze=False)[:, 0]
-    curves = {n: [(run, c) for run in having if len((c := _curve(run, n)).x)] for n in entry.signals}
     scale, time = time_scale([[c for _, c in found] for found in curves.values()])
     said: list[str] = []
     for ax, name in zip(axes, names, strict=True):
@@ -103,7 +104,7 @@ def _figure(runs: Sequence[Overlay], entry: PlotEntry) -> Figure:
         lines = [r for n in same if (r := _common([c for _, c in curves[n]], entry.signals[n]))]
         drawn = _overlaid(ax, curves[name], lines, scale)
         if [c.label for c in drawn] != said:  # once, if it is the same below
-            legend(ax, drawn, "", 110)
+            legend(ax, drawn, "", 110, what="runs")
             said = [c.label for c in drawn]
         label = entry.signals[name] or name
         unit = about[name].unit
@@ -116,13 +117,13 @@ def _figure(runs: Sequence[Overlay], entry: PlotEntry) -> Figure:
     return figure
 
 
-def _curve(run: Overlay, name: str) -> Curve:
+def _curve(run: Overlay, name: str, window: tuple[float, float] | None) -> Curve:
     about = run.shown[name]
     try:
         t, y = run.signals[name]
     except KeyError:  # nothing was recorded of it
         t = y = np.array([])
-    return Curve(run.label, about.unit, t, y, about.held)
+    return inside(Curve(run.label, about.unit, t, y, about.held), window)
 
 
 def _common(curves: Sequence[Curve], label: str) -> Curve | None:
@@ -135,9 +136,7 @@ def _common(curves: Sequence[Curve], label: str) -> Curve | None:
     return Curve(label or "reference", longest.unit, longest.x, longest.y, longest.held, True)
 
 
-def _overlaid(
-    ax: Axes, found: Sequence[tuple[Overlay, Curve]], references: Sequence[Curve], scale: float
-) -> list[Curve]:
+def _overlaid(ax: Axes, found: Drawn, references: Sequence[Curve], scale: float) -> list[Curve]:
     """Draw runs one by one, and groups of draws as their median in a band; gives what was drawn, in order."""
     groups: dict[str, list[Curve]] = {}
     for run, curve in found:
@@ -151,13 +150,14 @@ def _overlaid(
         t, low, middle, high = band(mine)
         label = f"{group}: median of {len(mine)} seeds, {BAND[0]:.0%} to {BAND[1]:.0%}".replace("%", " %")
         bands[label] = t, low, high
-        curves.append(Curve(label, mine[0].unit, t, middle))
+        curves.append(Curve(label, mine[0].unit, t, middle, mine[0].held))
     curves += references
     draw(ax, curves, scale)
     for line, curve in zip(ax.lines, curves, strict=True):
         if curve.label in bands:
             t, low, high = bands[curve.label]
-            ax.fill_between(t * scale, low, high, color=line.get_color(), alpha=0.25, linewidth=0, zorder=1.7)
+            ax.fill_between(t * scale, low, high, step="post" if curve.held else None, color=line.get_color(),
+                            alpha=0.25, linewidth=0, zorder=1.7)  # fmt: skip
     return curves
 
 

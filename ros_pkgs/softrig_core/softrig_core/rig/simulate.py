@@ -10,6 +10,7 @@ from functools import cached_property
 from typing import Any
 
 from ..model.block import Block
+from ..model.timebase import SECOND
 from ..wire.recording import Recording
 from ..wire.signals import Signals
 from .figures import Result, evaluate, figures_of
@@ -60,8 +61,13 @@ class Run:
         """How far a run came that was stopped from outside, in words; empty when it was not."""
         if not self.stopped:
             return ""
+        return f"stopped by {signal.Signals(self.stopped).name} at t = {self.reached_s:.9g} s"
+
+    @property
+    def reached_s(self) -> float:
+        """How far it came: time of the newest message, s."""
         newest = max((t.times[-1] for t in self.recording.topics.values() if t.times), default=self.epoch)
-        return f"stopped by {signal.Signals(self.stopped).name} at t = {(newest - self.epoch) / 1e9:.9g} s"
+        return (newest - self.epoch) / SECOND
 
     @cached_property
     def signals(self) -> Signals:

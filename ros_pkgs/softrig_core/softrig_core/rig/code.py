@@ -1,0 +1,100 @@
+"""Which code a rig is made of: a fingerprint of each package, so that runs of different code are told apart."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.util
+import inspect
+import re
+import sys
+from collections.abc import Iterable
+from functools import cache
+from os.path import isfile
+from pathlib import Path
+
+from ..model.block import Block
+from ..model.resource import prefixes
+
+LETTERS = 12  # of a fingerprint
+_IMPORT = re.compile(r"^\s*(?:from|import)\s+([A-Za-z_]\w*)", re.MULTILINE)
+_BUILT = {"__pycache__", ".pyc", ".so", ".nbi", ".nbc"}  # made from the sources
+
+
+def fingerprints(classes: Iterable[type[Block]]) -> dict[str, str]:
+    """Give the fingerprint of each package whose code decides what some blocks do.
+
+    Parameters
+    ----------
+    classes : iterable of type
+        The block classes of a rig; their bases count, and what their packages import of others that colcon built.
+
+    Returns
+    -------
+    dict of str to str
+        By package, or by class where its module belongs to none, as in a notebook: the first `LETTERS` of a SHA-256
+        of its files.
+    """
+    found: dict[str, str] = {}
+    seen: set[str] = set()
+    todo = [__name__.partition(".")[0]]
+    for one in dict.fromkeys(base for cls in classes for base in cls.__mro__ if issubclass(base, Block)):
+        package = one.__module__.partition(".")[0]
+        if _folder(package) is not None:
+            todo.append(package)
+        else:
+            found[f"{one.__module__}.{one.__qualname__}"] = _source(one)
+    while todo:
+        package = todo.pop()
+        if package not in seen:
+            seen.add(package)
+            found[package], imported = _package(package)
+            todo += imported
+    return dict(sorted(found.items()))
+
+
+@cache
+def _folder(package: str) -> Path | None:
+    """Where the files of a package or module are; None for what was typed, not imported."""
+    if package == "__main__" or package in sys.stdlib_module_names:
+        return None
+    try:
+        spec = importlib.util.find_spec(package)
+    except (ImportError, ValueError):
+        return None
+    if spec is None:
+        return None
+    places = list(spec.submodule_search_locations or ())
+    return Path(places[0]) if places else Path(spec.origin) if spec.origin and isfile(spec.origin) else None
+
+
+@cache
+def _package(package: str) -> tuple[str, tuple[str, ...]]:
+    """Fingerprint of a package's files, and the packages of its kind that it imports."""
+    place = _folder(package)
+    assert place is not None
+    files = [f for f in sorted(place.rglob("*")) if f.is_file()] if place.is_dir() else [place]
+    digest, imported = hashlib.sha256(), set()
+    for file in files:
+        if _BUILT & {*file.parts, file.suffix}:
+            continue
+        content = file.read_bytes()
+        digest.update(f"{file.relative_to(place.parent)}\0{len(content)}\0".encode() + content)
+        if file.suffix == ".py":
+            imported |= set(_IMPORT.findall(content.decode(errors="replace")))
+    ours = sorted(name for name in imported - {package} if _is_own(name) and _folder(name) is not None)
+    return digest.hexdigest()[:LETTERS], tuple(ours)
+
+
+@cache
+def _is_own(package: str) -> bool:
+    """Whether a package is ours or was built by colcon: not a library, which its version tells."""
+    marks = (prefix / "share" / "colcon-core" / "packages" / package for prefix in prefixes())
+    return package.startswith("softrig_") or any(map(isfile, marks))
+
+
+def _source(one: type[Block]) -> str:
+    try:
+        text = inspect.getsource(one)
+    except (OSError, TypeError):  # typed at a prompt
+        return "unknown"
+    return hashlib.sha256(text.encode()).hexdigest()[:LETTERS]
