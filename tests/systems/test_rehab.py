@@ -11,18 +11,21 @@ import pytest
 import softrig_robots
 from conftest import in_process
 from scipy.integrate import solve_ivp
+from simulated import SimulatedRig, World
 from softrig_core import (
     Level,
     ParameterError,
     Rig,
     Sample,
+    ScenarioError,
     Signals,
     evaluate,
     list_scenarios,
     load_scenario,
     run_inprocess,
+    simulate,
 )
-from softrig_core.model.params import build
+from softrig_core.model.params import build, flatten
 from softrig_core.rig import metrics
 from softrig_robots.driven_robot import compile_robot
 from softrig_robots.dynamics import RobotDynamics
@@ -329,6 +332,74 @@ def test_gain_above_the_limit_warns_with_the_limit(values, limit):
     assert VoltageController().reports == {}
 
 
+# A parameter of the robot that changes, and whether above its limit the motion tells it too (else friction hides it).
+ROBOTS = {
+    "motors.inductance": (6e-3, True), "motors.resistance": (2.0, True), "motors.back_emf_constant": (0.2, True),
+    "motors.torque_constant": (8.0, True), "motors.inertia": (8e-4, True), "motors.damping": (1e-2, True),
+    "motors.gear": (1.0 / 12.0, False), "segments.mass": ([8.0, 8.0], False), "segments.length": ([0.7, 0.6], False),
+    "segments.center": ([0.6, 0.5], False), "segments.inertia": ([0.5, 0.4], True), "friction.viscous": (6.0, True),
+    "payload": (5.0, False), "drift.resistance": (-0.4, True), "drift.constants": (-0.3, True),
+    "torque_constant_side": ("joint", True), "lower": ([-3.0, -1.6], False), "upper": ([1.0, 0.5], False),
+}  # fmt: skip
+FREE_OF_THE_LIMIT = {  # how a run is computed, where it begins, what stops it; the other friction only damps
+    "period", "substeps", "v_max", "speed_limit", "friction.coulomb", "friction.static", "friction.stribeck_speed",
+    "friction.edge_speed", "position", "velocity", "disturbance.torque", "disturbance.begin", "disturbance.end",
+    "drift.duration", "rom_margin", "rom_speed", "startup", "start_outside", "force_limit",
+}  # fmt: skip
+
+
+def limit_in(rig):
+    law = next(m for m in rig.members if m.name == "voltage_controller")
+    p = law.params
+    return alpha_hat_limit(p.period, p.emvc.lam[0], p.loop_delay, p.use_applied, p.robot), law.block(0).reports
+
+
+def test_every_parameter_of_the_robot_is_held_against_the_stability_limit():
+    assert set(flatten(RehabPlant.Params())) == {*ROBOTS, *FREE_OF_THE_LIMIT}
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_stability_limit_is_of_the_robot_in_the_rig(name):
+    """Old: the published robot's, 5.11, whatever the plant was."""
+    change = {f"rehab_plant.{name}": ROBOTS[name][0]}
+    limit, _ = limit_in(Rig.from_scenario(load_scenario("rehab_impedance_b9", change)))
+    assert limit != pytest.approx(5.1073, abs=2e-4)
+    for share in (0.97, 1.03) if limit > 0.0 else (1.03,):
+        gain = {"voltage_controller.emvc.alpha_hat": share * (limit or 1e-2)}
+        _, said = limit_in(Rig.from_scenario(load_scenario("rehab_impedance_b9", change | gain)))
+        assert bool(said) == (share > 1.0)
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=[pytest.mark.long] * (n not in ("motors.resistance", "motors.inductance")))
+             for n in ROBOTS if n != "torque_constant_side"],
+)  # fmt: skip
+def test_robot_is_quiet_below_its_limit_and_oscillates_above(name):
+    value, told = ROBOTS[name]
+    change = {f"rehab_plant.{name}": value, "rehab_plant.rom_speed": 1000.0, "rehab_plant.start_outside": True,
+              "rehab_plant.drift.duration": 1.0}  # fmt: skip
+    limit, _ = limit_in(Rig.from_scenario(load_scenario("rehab_impedance_b9", change)))
+    for share, quiet in ((0.8, True), *((1.3, False),) * told):
+        gain = {"voltage_controller.emvc.alpha_hat": share * limit}
+        found = simulate("rehab_impedance_b9", overrides=change | gain, duration=6.0).figures
+        assert (found["total_variation_hip"] < 10.0) == quiet
+
+
+def test_stability_limit_of_another_robot_is_refused_by_name():
+    with pytest.raises(ScenarioError, match=r"must agree on rehab/motors\.resistance"):
+        Rig.from_scenario(load_scenario("rehab_impedance", {"voltage_controller.robot.motors.resistance": 3.0}))
+    Rig.from_scenario(load_scenario("rehab_impedance_r2", {"voltage_controller.robot.motors.resistance": 3.0}))
+
+
+def test_each_joint_has_the_limit_of_its_own_motor():
+    """A slow motor at the hip limits the hip alone."""
+    values = {"robot.motors.inductance": [6e-3, 2.5e-3]}
+    block = VoltageController(build(VoltageController.Params, values | {"emvc.alpha_hat": [1.9, 4.5]}))
+    assert block.reports == {}
+    block = VoltageController(build(VoltageController.Params, values | {"emvc.alpha_hat": [2.3, 4.5]}))
+    assert "stability hip" in block.reports
+
+
 def test_stretch_beats_the_default_gain():
     default, edge = (rms(run(n, 12.0)) for n in ("rehab_impedance_r7", "rehab_impedance_stretch"))
     np.testing.assert_allclose(np.degrees(default), (0.0040, 0.0025), atol=6e-5)
@@ -442,6 +513,77 @@ def test_lost_patient_freezes_the_reference_and_is_taken_up_again():
     _, again = impedance_run((12.0, 0.0, 0.0), 3, block, start=300)
     assert again[0][:2].tolist() == list(frozen[:2])
     assert abs(again[2][0] - frozen[0]) < 1e-4
+
+
+@pytest.mark.parametrize("answer", ["safe", "hold"])
+def test_reference_lost_in_real_time_brings_0_volt_or_stands_still(answer):
+    """At 7 s the hip moves at 6.4 degrees a second; the source ends there, all others go on."""
+    scenario = load_scenario("rehab_impedance", {"voltage_controller.reference_lost": answer})
+    world = World()
+    rig = Rig.from_scenario(scenario.changed(duration=9.0))
+    run = SimulatedRig(rig, world, "realtime", without=("prom_reference",))
+    source = Rig.from_scenario(scenario.changed(duration=7.0))
+    others = tuple(m.name for m in source.members if m.name != "prom_reference")
+    SimulatedRig(source, world, "realtime", without=others)
+    run.run()
+    signals = Signals(run.recording, run.epoch)
+    volts = signals["motor_command/hip/effort"].x
+    t, q = signals["joint_states/hip/position"]
+    speed = signals["joint_states/hip/velocity"].x
+    block = run.adapters["voltage_controller"].block
+    assert np.degrees(speed[6990]) > 6.0
+    assert volts[7019] > 0.5  # 20 periods of patience
+    if answer == "safe":
+        assert set(volts[7022:]) == {0.0}
+        assert block.reports["SAFE"][:2] == (Level.ERROR, "SAFE: no new reference for more than 20 periods: 0 V")
+    else:
+        wanted = PromReference().update(6_999_000_000)["reference"][0]
+        assert abs(q[-1] - wanted) < 1e-3
+        assert abs(speed[-1]) < 1e-3
+        assert "its position is held with speed zero" in block.reports["reference"][1]
+    assert t[-1] > 8.9
+    assert abs(q[-1] - q[7000]) < np.radians(4.0)  # 13 degrees further with its speed held
+
+
+def test_reference_lost_behind_an_impedance_law_stands_still():
+    block, _ = impedance_run((0.0, 0.0, 0.0), 200)
+    block.ages = {"reference": 21_000_000}.get
+    kept = [block.update(k, reference=(0.5, -0.5, 0.3, 0.3, 0.0, 0.0), patient_force=None,
+                         joint_states=(0.5, -0.5))["regenerated"] for k in range(200_000_000, 200_000_003)]  # fmt: skip
+    assert kept[0] == kept[2]
+    assert kept[0][2:] == (0.0,) * 4
+    assert block.reports["reference"][0] == Level.ERROR
+
+
+@pytest.mark.parametrize("block", [VoltageController(), Impedance()])
+def test_references_refused_for_good_bring_0_volt_or_stand_still(block):
+    """In lockstep a tick of which something was refused sees nothing else; the last answer is held for 20 of them."""
+    inputs = {"joint_states": (0.2, -0.5, 0.0, 0.0), "motor_states": (0.5, 0.2), "applied_voltage": (2.0, 1.0)}
+    if isinstance(block, Impedance):
+        inputs = {"joint_states": (0.2, -0.5), "patient_force": None}
+    reference = (0.21, -0.49, 0.1, 0.1, 0.0, 0.0)
+    said = dict(block.update(0, reference=reference, **inputs))
+    for _ in range(20):
+        assert block.refused(0) is None
+    after = block.refused(0)
+    if isinstance(block, Impedance):
+        assert after["regenerated"][2:] == (0.0,) * 4
+    else:
+        assert min(said["motor_command"]) > 0.0
+        assert after == said | {"motor_command": (0.0, 0.0)}
+        assert block.reports["SAFE"][0] == Level.ERROR
+        assert set(block.update(0, reference=reference, **inputs)["motor_command"]) != {0.0}
+        assert block.refused(0) is None
+
+
+@pytest.mark.parametrize("lost", ["joint_states", "motor_states"])
+def test_lost_states_bring_0_volt_whatever_the_reference(lost):
+    block = VoltageController(reference_lost="hold")
+    block.ages = {lost: 21_000_000}.get
+    found = block.update(0, joint_states=(0.2, -0.5, 0.0, 0.0), motor_states=(0.5, 0.2), applied_voltage=(2.0, 1.0),
+                         reference=(0.21, -0.49, 0.1, 0.1, 0.0, 0.0))  # fmt: skip
+    assert found["motor_command"] == (0.0, 0.0)
+    assert block.reports["SAFE"][1] == f"SAFE: no new {lost} for more than 20 periods: 0 V"
 
 
 def test_large_force_is_cut_down_with_a_warning():

@@ -75,14 +75,14 @@ def fill_parameters(value: Any, parameter: Callable[[str, str], Any]) -> Any:
 
 
 def pick(values: Mapping[str, Any], name: str) -> Any:
-    """Give a parameter by its dotted name, or one element of a list by its number: ``times.0``.
+    """Give a parameter by its dotted name, a group of them, or one element of a list by its number: ``times.0``.
 
     Parameters
     ----------
     values : mapping
         Parameters by dotted name.
     name : str
-        Which, ``times.0`` for the first element of the list ``times``.
+        Which, ``times.0`` for the first element of the list ``times``, ``motors`` for all ``motors.NAME`` by name.
 
     Raises
     ------
@@ -91,6 +91,9 @@ def pick(values: Mapping[str, Any], name: str) -> Any:
     """
     if name in values:
         return values[name]
+    group = {key.removeprefix(f"{name}."): value for key, value in values.items() if key.startswith(f"{name}.")}
+    if group:
+        return group
     head, _, last = name.rpartition(".")
     if head in values and last.isdigit() and int(last) < len(values[head]):
         return values[head][int(last)]

@@ -6,11 +6,24 @@ from collections.abc import Mapping
 from typing import Any, ClassVar, Literal, Protocol, Self
 
 from pydantic import model_validator
-from softrig_core import Block, BlockParams, Level, Port, command, executable, joint_state, param, reference, scalars
+from softrig_core import (
+    Block,
+    BlockParams,
+    Level,
+    Port,
+    command,
+    executable,
+    joint_state,
+    param,
+    reference,
+    scalars,
+    to_ns,
+)
 
 from .arsc import Arsc, ArscGains
 from .emvc import Emvc, EmvcGains
 from .model import JOINTS
+from .stability import LinearRobot, alpha_hat_limit, is_stable
 from .tsarc import Tsarc, TsarcGains
 
 Vector = tuple[float, ...]
@@ -46,6 +59,11 @@ class VoltageControllerParams(BlockParams):
     arsc: ArscGains = ArscGains()
     use_applied: bool = param(True, "emvc goes on from the voltage that the plant says it applied, not from its own")
     loop_delay: bool = param(False, "emvc: warn as if voltages take effect one period late")
+    robot: LinearRobot = LinearRobot()
+    stale_after: int = param(20, "periods without a new reference after which it counts as lost", ge=1, le=1000000)
+    reference_lost: Literal["safe", "hold"] = param(
+        "safe", "then: safe, 0 V on both motors, or hold the last position with speed zero"
+    )
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
@@ -64,6 +82,10 @@ class VoltageController(Block[VoltageControllerParams]):
     """Joint and motor states and a reference in, motor voltages out.
 
     Reads the topic ``reference``; remap it to ``regenerated`` behind an impedance law.
+
+    A reference older than `stale_after` periods is lost: 0 V (SAFE) or its last position with speed and acceleration
+    zero, as `reference_lost` says, until it comes again. Joint or motor states as old give 0 V. Messages that are
+    refused are answered by the last voltages, after as many ticks by 0 V: what is refused shows no position to hold.
     """
 
     p: VoltageControllerParams
@@ -84,49 +106,87 @@ class VoltageController(Block[VoltageControllerParams]):
                     {f"{name}_{joint}": unit for name, unit in units.items() for joint in JOINTS}),
         )  # fmt: skip
 
+    @classmethod
+    def agreed(cls, params: VoltageControllerParams) -> Mapping[str, Any]:
+        """The robot whose stability limit is told; the other laws have none."""
+        return params.robot.agreed() if params.law == "emvc" else {}
+
     def setup(self) -> None:
         """Make the laws."""
         self._laws = self.p.laws()
+        self._stale = self.p.stale_after * to_ns(self.p.period)
 
     def start(self) -> None:
         """Start every law anew, and warn of an expected-model law that cannot be stable."""
         for law in self._laws:
             law.start()
         self._sent: Vector = (0.0,) * len(JOINTS)
+        self._refusals = 0
+        self._said: Mapping[str, Vector] = {}
         if self.p.law == "emvc":
             self._check_stability()
 
     def _check_stability(self) -> None:
-        from .stability import alpha_hat_limit
-
         p = self.p
         late = "one period of delay" if p.loop_delay else "no delay"
-        for i, joint in enumerate(JOINTS):
-            gains = p.emvc.of_joint("emvc", i, len(JOINTS))
-            lam, alpha_hat = gains["lam"], gains["alpha_hat"]
-            limit = alpha_hat_limit(p.period, lam, p.loop_delay, p.use_applied)
+        gains = [p.emvc.of_joint("emvc", i, len(JOINTS)) for i in range(len(JOINTS))]
+        (a1, a2), (l1, l2) = ([g[k] for g in gains] for k in ("alpha_hat", "lam"))
+        if is_stable(p.period, (a1, a2), (l1, l2), p.loop_delay, p.use_applied, p.robot):
+            return
+        for joint, alpha_hat, lam in zip(JOINTS, (a1, a2), (l1, l2), strict=True):
+            limit = alpha_hat_limit(p.period, lam, p.loop_delay, p.use_applied, p.robot)
             if alpha_hat > limit:
                 text = (
                     f"alpha_hat = {alpha_hat:g} V s/rad of the {joint} is above the stability limit {limit:.3g} for "
                     f"T = {p.period:g} s, lambda = {lam:g} 1/s and {late}"
                 )
                 self.report(Level.WARN, f"stability {joint}", text)
+        if not self.reports:
+            self.report(Level.WARN, "stability", "alpha_hat and lambda of hip and knee together are unstable")
 
     def update(
         self, t: int, *, joint_states: Vector, motor_states: Vector, reference: Vector,
         applied_voltage: Vector | None = None,
     ) -> Mapping[str, Vector]:  # fmt: skip
         """Give the voltages."""
+        self._refusals = 0
         q1, q2, v1, v2 = joint_states
         r1, r2, rv1, rv2, ra1, ra2 = reference
+        lost = (self.age("reference") or 0) > self._stale
+        if lost and self.p.reference_lost == "hold":
+            self.report(Level.ERROR, "reference", f"{self._lost('reference')}: its position is held with speed zero")
+            rv1 = rv2 = ra1 = ra2 = 0.0
+            lost = False
+        blind = [n for n in ("joint_states", "motor_states") if (self.age(n) or 0) > self._stale]
+        if lost or blind:
+            self.report(Level.ERROR, "SAFE", f"SAFE: {self._lost(*blind or ['reference'])}: 0 V")
+            self._sent = (0.0,) * len(JOINTS)
+            return self._say(r1 - q1, r2 - q2)
         last = self._sent if applied_voltage is None else applied_voltage
         first, second = self._laws
-        self._sent = sent = (
+        self._sent = (
             first(q1, v1, motor_states[0], r1, rv1, ra1, last[0]),
             second(q2, v2, motor_states[1], r2, rv2, ra2, last[1]),
         )
-        state = (r1 - q1, r2 - q2, *[x for pair in zip(first.state, second.state, strict=True) for x in pair])
-        return {"motor_command": sent, "controller_state": state}
+        return self._say(r1 - q1, r2 - q2)
+
+    def refused(self, t: int) -> Mapping[str, Vector] | None:
+        """Give the last voltages, after `stale_after` ticks 0 V."""
+        self._refusals += 1
+        if self._refusals <= self.p.stale_after:
+            return None
+        self.report(Level.ERROR, "SAFE", f"SAFE: {self.p.stale_after} ticks of which something was refused: 0 V")
+        self._sent = (0.0,) * len(JOINTS)
+        return {**self._said, "motor_command": self._sent} if self._said else None
+
+    def _lost(self, *names: str) -> str:
+        return f"no new {' and '.join(names)} for more than {self.p.stale_after} periods"
+
+    def _say(self, *errors: float) -> Mapping[str, Vector]:
+        first, second = self._laws
+        remembered = [x for pair in zip(first.state, second.state, strict=True) for x in pair]
+        self._said = {"motor_command": self._sent, "controller_state": (*errors, *remembered)}
+        return self._said
 
 
 main = executable(VoltageController)

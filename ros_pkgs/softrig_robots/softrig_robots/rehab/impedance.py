@@ -42,7 +42,8 @@ class ImpedanceParams(BlockParams):
     stiffness: PerJoint = param((100.0,), "desired stiffness K_d", "N m/rad")
     length: tuple[float, float] = param((0.5, 0.45), "lengths l_i of thigh and shank", "m")
     force_limit: float = param(200.0, "a larger force at the foot is cut down to this", "N", gt=0.0)
-    stale_after: int = param(20, "periods without a new force after which the patient counts as lost", ge=1, le=1000000)
+    stale_after: int = param(20, "periods without a new force or reference after which it counts as lost", ge=1,
+                             le=1000000)  # fmt: skip
 
     @model_validator(mode="after")
     def _possible(self) -> Self:
@@ -57,9 +58,10 @@ class ImpedanceParams(BlockParams):
 class Impedance(Block[ImpedanceParams]):
     """Reference, force and joint states in, regenerated reference out; semi-implicit Euler.
 
-    Starts on the reference. When the force stops coming, the regenerated reference stays where it is, and goes on
-    from there when the force comes again. Stiffness and damping of both joints can be changed while it runs: the
-    regenerated reference and its rate go on without a jump.
+    Starts on the reference. When the force or the reference stops coming, or something of every tick is refused for as
+    long, the regenerated reference stays where it is with speed zero, and goes on from there when they come again.
+    Stiffness and damping of both joints can be changed while it runs: the regenerated reference and its rate go on
+    without a jump.
     """
 
     p: ImpedanceParams
@@ -85,6 +87,7 @@ class Impedance(Block[ImpedanceParams]):
         self._K = spread("stiffness", self.p.stiffness, n)
         self._q: list[float] = []
         self._v: list[float] = []
+        self._refusals = 0
 
     def _wanted(self, name: str, value: Vector | None, now: Vector) -> Vector:
         """Take a new value for both joints, unless there is none or it is negative."""
@@ -105,10 +108,13 @@ class Impedance(Block[ImpedanceParams]):
         self._B = self._wanted("damping", damping, self._B)
         if not self._q:
             self._q, self._v = list(reference[:n]), list(reference[n : 2 * n])
+        self._refusals = 0
         if patient_force is not None and t - patient_force.stamp > self._stale:
             self.report(Level.ERROR, "patient", "the patient's force has stopped coming: the reference stands still")
-            self._v = [0.0] * n
-            return {"regenerated": (*self._q, *(0.0,) * (2 * n))}
+            return self._stand()
+        if (self.age("reference") or 0) > self._stale:
+            self.report(Level.ERROR, "reference", "the reference has stopped coming: what is regenerated stands still")
+            return self._stand()
         fx, _, fz = clip_force(self, patient_force and patient_force.data, self.p.force_limit)
         x1, x2, z1, z2 = foot_jacobian(joint_states[0], joint_states[1], *self.p.length)
         torque = (x1 * fx + z1 * fz, x2 * fx + z2 * fz)  # J^T F_e
@@ -120,6 +126,19 @@ class Impedance(Block[ImpedanceParams]):
             self._v[i] += T * a[i]
             self._q[i] += T * self._v[i]
         return {"regenerated": (*q, *v, *a)}
+
+    def refused(self, t: int) -> Mapping[str, Vector] | None:
+        """Say the last again, after `stale_after` ticks stand still."""
+        self._refusals += 1
+        if not self._q or self._refusals <= self.p.stale_after:
+            return None
+        self.report(Level.ERROR, "refused", f"{self.p.stale_after} ticks of which something was refused: stands still")
+        return self._stand()
+
+    def _stand(self) -> Mapping[str, Vector]:
+        """Stay where it is."""
+        self._v = [0.0] * len(self._q)
+        return {"regenerated": (*self._q, *(0.0,) * (2 * len(self._q)))}
 
 
 main = executable(Impedance)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from math import radians
-from typing import Literal, Self
+from typing import Any, Literal, Self
 
 from pydantic import model_validator
 from softrig_core import Level, Params, command, executable, joint_state, param, to_ns, to_s, wrench
@@ -15,6 +15,7 @@ from .force import clip_force
 from .model import JOINTS, LOWER, UPPER, RehabMotors, Segments, rehab_urdf
 from .patient import FOOT, PATIENT_FORCE
 from .prom import PromReference
+from .stability import LinearRobot, RobotDrift
 
 START = tuple(q + radians(10.0) for q in PromReference().update(0)["reference"][:2])
 
@@ -113,6 +114,22 @@ class RehabPlant(DrivenRobot[RehabParams]):
         joint_state("motor_states", "motor_states", JOINTS, effort="A"),
         command("applied_voltage", "applied_voltage", JOINTS, "V"),
     )
+
+    @classmethod
+    def agreed(cls, params: RehabParams) -> Mapping[str, Any]:
+        """What the stability of a law depends on."""
+        p, drift = params, RobotDrift(resistance=params.drift.resistance, constants=params.drift.constants)
+        robot = LinearRobot(
+            segments=p.segments,
+            motors=p.motors,
+            viscous=p.friction.viscous,
+            payload=p.payload,
+            torque_constant_side=p.torque_constant_side,
+            lower=p.lower,
+            upper=p.upper,
+            drift=drift,
+        )
+        return robot.agreed()
 
     def joints(self) -> tuple[str, ...]:
         """Hip and knee."""
