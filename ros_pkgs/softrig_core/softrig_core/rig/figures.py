@@ -18,6 +18,7 @@ from .expectation import Expectation
 from .metrics import SignalMap
 from .references import fill_parameters, pick
 from .registry import Function, find
+from .requirements import judges
 from .units import compose, factor, powers
 
 if TYPE_CHECKING:
@@ -114,6 +115,8 @@ def figures_of(rig: Rig) -> list[Figure]:
         except ScenarioError as error:
             raise ScenarioError(f"{rig.scenario.name}: figure {name}: {error}") from None
         found.append(Figure(name, function, arguments, unit, scale))
+    named = {k: fill_parameters(v, parameter) if isinstance(v, str) else v for k, v in rig.scenario.shared.items()}
+    found += [Figure(name, judge, {}, judge.unit, 1.0) for name, judge in judges(rig, named, units).items()]
     return found
 
 
@@ -149,15 +152,17 @@ def evaluate(rig: Rig, signals: SignalMap) -> list[Result]:
     published = {c.figure or k: c.published for k, c in rig.scenario.claims.items() if c.published is not None}
     results = []
     for figure in figures_of(rig):
-        limits = rig.scenario.expect.get(figure.name)
+        required = figure.name in rig.scenario.requirements
+        limits = Expectation(at_least=0.0) if required else rig.scenario.expect.get(figure.name)
         about: dict[str, Any] = {"name": figure.name, "unit": figure.unit, "published": published.get(figure.name)}
         about |= (limits or Expectation()).model_dump()
         try:
             value = figure(signals)
-            error = "" if math.isfinite(value) else f"the result is {value}"
+            decided = f"{'holds' if value > 0 else 'violated'} by its conditions alone" if required else ""
+            error = "" if math.isfinite(value) else decided or f"the result is {value}"
         except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as broken:
             value, error = math.nan, str(broken) or type(broken).__name__
-        passed = limits is None or limits.holds(value)
+        passed = value >= 0.0 if required else limits is None or limits.holds(value)
         results.append(Result(value=None if error else value, number=value, passed=passed, error=error, **about))
     return results
 

@@ -11,6 +11,7 @@ from ..errors import ScenarioError
 from .claims import Claim
 from .expectation import Expected
 from .references import fill
+from .requirements import Required, check_lengths
 from .scenario_file import closest, list_scenarios, locate, merge, resolve
 
 __all__ = ["FigureEntry", "NodeEntry", "PlotEntry", "Scenario", "list_scenarios", "load_scenario", "merge"]
@@ -100,6 +101,8 @@ class Scenario(_Model):
         What figures are expected to be.
     claims : dict of str to Claim
         What the paper says of figures.
+    requirements : dict of str to Requirement
+        What must hold in a run, as formulas of temporal logic over shared names.
     containers : list of lists of str
         Nodes that share a process when the rig runs in containers; when empty, all do.
     shared : dict
@@ -122,6 +125,7 @@ class Scenario(_Model):
     figures: Annotated[dict[str, FigureEntry], BeforeValidator(_or_empty)] = {}
     expect: Annotated[dict[str, Expected], BeforeValidator(_or_empty)] = {}
     claims: Annotated[dict[str, Claim], BeforeValidator(_or_empty)] = {}
+    requirements: Annotated[dict[str, Required], BeforeValidator(_or_empty)] = {}
     plots: tuple[PlotEntry, ...] = ()
 
     @model_validator(mode="after")
@@ -140,6 +144,8 @@ class Scenario(_Model):
             for name in names:
                 if name not in self.figures:
                     raise ValueError(f"{kind}: no figure {name!r}; the figures are {', '.join(self.figures) or 'none'}")
+        if both := self.figures.keys() & self.requirements.keys():
+            raise ValueError(f"requirements: {min(both)} is the name of a figure, too")
         return self
 
     def changed(
@@ -192,7 +198,9 @@ def load_scenario(name: str, overrides: Mapping[str, Any] | None = None) -> Scen
         _override(raw, key, value)
     try:
         shared = raw.get("shared") or {}
-        return Scenario.model_validate({**fill(raw, shared if isinstance(shared, dict) else {}), "name": name})
+        scenario = Scenario.model_validate({**fill(raw, shared if isinstance(shared, dict) else {}), "name": name})
+        check_lengths(scenario.duration, scenario.shared, scenario.requirements)
+        return scenario
     except ValidationError as error:
         raise ScenarioError(f"{path.name}: {explain(error)}") from None
     except ScenarioError as error:

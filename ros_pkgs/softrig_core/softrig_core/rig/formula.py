@@ -1,0 +1,402 @@
+"""Formulas of signal temporal logic: read, checked against what a rig has, and measured on records by `sentil`.
+
+What is sentil's: the grammar, and the robustness of a formula on samples. What is ours: words for conditions (a bare
+name, ``rising(x)``, ``falling(x)``, ``changed(x)``), whole nanoseconds in place of seconds, units, how long a record
+must be, and where the margin is least.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import ScenarioError
+from ..model.timebase import SECOND
+from .scenario_file import closest
+from .units import powers, text
+
+Array = NDArray[np.float64]
+Tree = Any  # what sentil writes as JSON: {"Always": [{"lower", "upper"}, tree]}, {"Predicate": {"lhs", "op", "rhs"}}
+
+SURE = 1e300  # margin of a condition: it decides, but is no distance
+EDGES = {"rising": np.greater, "falling": np.less, "changed": np.not_equal}
+_WORDS = {"always", "eventually", "until", "since", "once", "historically", "next", "not", "and", "or", "implies"}
+_LETTERS = {"G", "F", "U", "R", "H", "O", "S", "X", "Y", "P"}  # what sentil may take for operators
+_CALLS = {"abs", "min", "max", "sqrt", "exp", "log", "ln", "sin", "cos", "tan", "floor", "ceil"}
+_TOKEN = re.compile(r"\s*([A-Za-z_]\w*|\d+\.?\d*(?:[eE][-+]?\d+)?|\.\d+(?:[eE][-+]?\d+)?|->|[<>=!]=|&&|\|\||\S)")
+_AFTER_CONDITION = {"->", "and", "or", "until", "since", "implies", ")", "&", "|", "&&", "||", ""}
+_FUTURE, _PAST = ("Always", "Eventually"), ("Historically", "Once")
+
+
+@dataclass(frozen=True)
+class Condition:
+    """A variable that is true or false: a signal above one half, or an edge of it."""
+
+    signal: str
+    edge: str = ""
+
+    @property
+    def variable(self) -> str:
+        """Its name in the formula that sentil sees."""
+        return f"_{self.edge or 'true'}__{self.signal}"
+
+
+def read(given: str, known: Mapping[str, float | None]) -> tuple[Tree, dict[str, Condition]]:
+    """Read a formula.
+
+    Parameters
+    ----------
+    given : str
+        Such as ``always (fault -> eventually[0, 0.05] abs(current) < 0.1)``, times in s.
+    known : mapping
+        What its names stand for: a number, or None for a signal.
+
+    Returns
+    -------
+    tree : plain data
+        With intervals in ns, numbers filled in.
+    conditions : dict
+        By variable.
+
+    Raises
+    ------
+    ScenarioError
+        It does not parse, or a name is unknown: with the nearest one.
+    """
+    import sentil
+
+    for name in sorted(_LETTERS & known.keys()):
+        raise ScenarioError(
+            f"formula {given!r}: {name} is the letter of an operator; give what it stands for a longer name"
+        )
+    written, conditions = _rewrite(given, known)
+    try:
+        tree = json.loads(sentil.Formula.parse(written).to_json())
+    except sentil.SentilError as error:
+        raise ScenarioError(f"formula {given!r}: {_reason(error, written)}") from None
+    if not any(kind in ("Always", "Eventually", "Until") for kind, _ in nodes(tree)):
+        raise ScenarioError(f"formula {given!r} speaks of t = 0 only: write 'always (...)', or 'eventually (...)'")
+    for kind, body in nodes(tree):
+        if kind in ("Probabilistic", "Next"):
+            raise ScenarioError(f"formula {given!r}: no {'probabilities' if kind != 'Next' else 'next'} here; "
+                                "say when by an interval, in s")  # fmt: skip
+        if kind == "Binary" and body[0] == "Pow" and _negated(body[1]):
+            raise ScenarioError(f"formula {given!r}: a minus before a power reads as (-x)^n; write 0 - (x^n), or x*x")
+    return _map(tree, lambda kind, body: _filled(kind, body, known)), conditions
+
+
+def _reason(error: Exception, written: str) -> str:
+    found = re.match(r"parse error at line 1, column (\d+): (.*)", str(error))
+    if not found:
+        return str(error)
+    at = int(found[1]) - 1
+    return f"{found[2]}, at {written[at : at + 12]!r}" if written[at:].strip() else found[2]
+
+
+def _negated(tree: Tree) -> bool:
+    return tree.get("Binary", [None])[0] == "Sub" and tree["Binary"][1] == {"Literal": 0.0}
+
+
+def _rewrite(given: str, known: Mapping[str, float | None]) -> tuple[str, dict[str, Condition]]:
+    """Put comparisons in the place of conditions, which sentil does not know."""
+    tokens = _TOKEN.findall(given)
+    conditions: dict[str, Condition] = {}
+    out: list[str] = []
+    calls: list[bool] = []  # whether each open bracket is that of a function
+    i = 0
+    while i < len(tokens):
+        token, following = tokens[i], tokens[i + 1] if i + 1 < len(tokens) else ""
+        if token == "(":
+            calls.append(bool(out) and out[-1] in _CALLS)
+        elif token == ")" and calls:
+            calls.pop()
+        if token in EDGES and following == "(":
+            if i + 3 >= len(tokens) or tokens[i + 3] != ")" or known.get(tokens[i + 2], 0.0) is not None:
+                raise ScenarioError(f"formula {given!r}: {token}(...) takes the name of a signal")
+            condition, i = Condition(tokens[i + 2], token), i + 3
+        elif _is_name(token) and known.get(token, 0.0) is None and _stands_alone(out, following, calls):
+            condition = Condition(token)
+        else:
+            if _is_name(token) and token not in known and not (token in _CALLS and following == "("):
+                names = [*known, *_WORDS, *EDGES, *_CALLS]
+                have = f"; its names are {', '.join(known)}" if known else "; there are no shared names"
+                raise ScenarioError(f"formula {given!r}: {token!r} is no name{closest(token, names)}{have}")
+            out.append(token)
+            i += 1
+            continue
+        conditions[condition.variable] = condition
+        out += ["(", condition.variable, ">", "0", ")"]
+        i += 1
+    return " ".join(out), conditions
+
+
+def _is_name(token: str) -> bool:
+    return token not in _WORDS and token != "inf" and bool(re.fullmatch(r"[A-Za-z_]\w*", token))
+
+
+def _stands_alone(before: list[str], following: str, calls: list[bool]) -> bool:
+    """Whether a name is a condition: nothing is done with it, and nothing is compared."""
+    last = before[-1] if before else ""
+    starts = last in ("", "(", "]", "->", "!", "&", "|", "&&", "||") or last in _WORDS
+    return starts and following in _AFTER_CONDITION and not (calls and calls[-1])
+
+
+def _filled(kind: str, body: Any, known: Mapping[str, float | None]) -> tuple[str, Any]:
+    if kind == "Variable" and known.get(body) is not None:
+        return "Literal", known[body]
+    if isinstance(body, list) and body and isinstance(body[0], dict) and "lower" in body[0]:
+        low, high = body[0]["lower"], body[0]["upper"]
+        limits = {"lower": _ns(low), "upper": None if high is None else _ns(high)}
+        return kind, [limits, *body[1:]]
+    return kind, body
+
+
+def _ns(seconds: float) -> float:
+    return float(round(seconds * SECOND))
+
+
+def nodes(tree: Tree) -> Iterator[tuple[str, Any]]:
+    """Give every operator, function, variable and number of a formula with what stands under it."""
+    if isinstance(tree, dict):
+        for kind, body in tree.items():
+            if kind[:1].isupper():
+                yield kind, body
+            yield from nodes(body)
+    elif isinstance(tree, list):
+        for part in tree:
+            yield from nodes(part)
+
+
+def _map(tree: Tree, change: Callable[[str, Any], tuple[str, Any]]) -> Tree:
+    """Copy a formula with every node changed, from the leaves up."""
+    if isinstance(tree, dict):
+        return dict(
+            change(k, _map(v, change)) if k[:1].isupper() else (k, _map(v, change)) for k, v in tree.items()
+        )  # fmt: skip
+    return [_map(part, change) for part in tree] if isinstance(tree, list) else tree
+
+
+def horizon(tree: Tree) -> float:
+    """How far into the future of an instant a formula looks, ns; operators without end look to the record's end."""
+    if isinstance(tree, list):
+        return max(map(horizon, tree), default=0.0)
+    if not isinstance(tree, dict):
+        return 0.0
+    deepest = 0.0
+    for kind, body in tree.items():
+        below = horizon(body)
+        if kind in (*_FUTURE, "Until"):
+            below += body[0]["lower"] if body[0]["upper"] is None else body[0]["upper"]
+        deepest = max(deepest, below)
+    return deepest
+
+
+def intervals(tree: Tree) -> Iterator[tuple[float, float | None]]:
+    """Give the interval of every temporal operator, ns."""
+    for _, body in nodes(tree):
+        if isinstance(body, list) and body and isinstance(body[0], dict) and "lower" in body[0]:
+            yield body[0]["lower"], body[0]["upper"]
+
+
+def variables(tree: Tree) -> list[str]:
+    """Names of the variables of a formula, each once."""
+    return list(dict.fromkeys(body for kind, body in nodes(tree) if kind == "Variable"))
+
+
+def margin_unit(tree: Tree, units: Mapping[str, str], scale: Mapping[str, float]) -> tuple[Tree, str]:
+    """Find the unit that a formula's margin has, and divide comparisons by their scale.
+
+    Parameters
+    ----------
+    tree : plain data
+    units : mapping
+        Unit of each variable that is no condition.
+    scale : mapping
+        By unit, what counts as one; empty: margins stay in their unit, which must then be one.
+
+    Raises
+    ------
+    ScenarioError
+        Sides of a comparison, or terms of a sum, of other units; comparisons of several units without a scale.
+    """
+    found: set[str] = set()
+
+    def scaled(kind: str, body: Any) -> tuple[str, Any]:
+        if kind != "Predicate":
+            return kind, body
+        names = variables(body)
+        if any(name not in units for name in names):
+            return kind, body  # a condition
+        unit = _same(_unit(body["lhs"], units), _unit(body["rhs"], units))
+        if unit is None:
+            return kind, body  # numbers only
+        if not scale:
+            found.add(unit)
+            return kind, body
+        if unit not in scale:
+            raise ScenarioError(f"scale: no number for {unit or 'pure numbers'!r}; it has {', '.join(scale)}")
+        found.add("")
+        share = {"Literal": scale[unit]}
+        return kind, body | {side: {"Binary": ["Div", body[side], share]} for side in ("lhs", "rhs")}
+
+    tree = _map(tree, scaled)
+    if len(found) > 1:
+        several = ", ".join(sorted(u or "1" for u in found))
+        raise ScenarioError(f"its comparisons are in {several}, so no margin can be told: say what counts as one in "
+                            "each, scale: {unit: number}")  # fmt: skip
+    return tree, found.pop() if found else ""
+
+
+def _unit(tree: Tree, units: Mapping[str, str]) -> str | None:
+    """Unit of an expression; None for a plain number, which takes any."""
+    kind, body = next(iter(tree.items()))
+    if kind == "Variable":
+        return text(powers(units[body]))
+    if kind == "Literal":
+        return None
+    if kind == "Call":
+        name, given = body[0], [_unit(part, units) for part in body[1]]
+        if name in ("abs", "floor", "ceil"):
+            return given[0]
+        if name in ("min", "max"):
+            return _same(*given)
+        if name == "sqrt" and given[0]:
+            raise ScenarioError("sqrt of something with a unit: compare squares instead")
+        return "" if given[0] is not None else None
+    name, left, right = body
+    a, b = _unit(left, units), _unit(right, units)
+    if name in ("Mul", "Div"):
+        if a is None and b is None:
+            return None
+        one, other = powers(a or ""), powers(b or "")
+        sign = 1 if name == "Mul" else -1
+        total = {u: one.get(u, 0) + sign * other.get(u, 0) for u in (*one, *other)}
+        return text({u: p for u, p in total.items() if p})
+    if name == "Pow":
+        n = right.get("Literal")
+        if a and (n is None or n != int(n)):
+            raise ScenarioError(f"a power of something in {a} takes a whole number")
+        return None if a is None else text({u: p * int(n or 0) for u, p in powers(a).items() if n})
+    return _same(a, b)
+
+
+def _same(a: str | None, b: str | None) -> str | None:
+    if a is None or b is None:
+        return b if a is None else a
+    if powers(a) != powers(b):
+        raise ScenarioError(f"{a or 'a pure number'!r} beside {b or 'a pure number'!r}")
+    return a
+
+
+@dataclass(frozen=True)
+class Margin:
+    """What a formula says of a record.
+
+    Parameters
+    ----------
+    value : float
+        Robustness: how far from violated; negative when violated; infinite when only conditions decide.
+    at : float
+        Instant, s, of the comparison that decides it.
+    violated : tuple of (float, float)
+        Where what must always hold does not, s; of a formula that is no ``always``, the deciding instant.
+    """
+
+    value: float
+    at: float
+    violated: tuple[tuple[float, float], ...]
+
+
+class Record:
+    """Samples of a run on one grid of times, as a formula needs them.
+
+    Parameters
+    ----------
+    times : array, shape (n,)
+        Whole ns, ascending, from 0.
+    variables : mapping of str to array, shape (n,)
+    """
+
+    def __init__(self, times: Array, variables: Mapping[str, Array]) -> None:
+        self.times = times
+        self._variables = dict(variables)
+
+    def margin(self, tree: Tree) -> Margin:
+        """Measure a formula at the first instant."""
+        tree = self._within(tree)
+        trace = self._trace()
+        value = self._signal(tree, trace)[0]
+        at = self.times[self._decides(tree, trace, 0)] / SECOND
+        violated = self._violated(tree, trace) if value < 0.0 else ()
+        size = float(value) if abs(value) < SURE / 2 else math.copysign(math.inf, value)
+        return Margin(size, float(at), violated or (((at, at),) if value < 0.0 else ()))
+
+    def _trace(self) -> Any:
+        import sentil
+
+        return sentil.Trace(self.times, self._variables)
+
+    def _within(self, tree: Tree) -> Tree:
+        """Operators without end go as far as what stands under them can be judged: to the end less its horizon."""
+
+        def change(kind: str, body: Any) -> tuple[str, Any]:
+            if kind not in _FUTURE or body[0]["upper"] is not None or not (reach := horizon(body[1])):
+                return kind, body
+            inside = f"_within__{reach:.0f}"
+            ends = self.times <= self.times[-1] - reach
+            self._variables[inside] = np.where(ends, SURE, -SURE)
+            there = {"Predicate": {"lhs": {"Variable": inside}, "op": "Greater", "rhs": {"Literal": 0.0}}}
+            return kind, [body[0], {"Implies" if kind == "Always" else "And": [there, body[1]]}]
+
+        return _map(tree, change)
+
+    def _signal(self, tree: Tree, trace: Any) -> Array:
+        import sentil
+
+        found: Array = sentil.Formula.from_json(json.dumps(tree)).robustness_signal(trace)
+        return found
+
+    def _decides(self, tree: Tree, trace: Any, k: int) -> int:
+        """Index of the instant whose comparison gives the margin of a formula at instant `k`."""
+        kind, body = next(iter(tree.items()))
+        if kind == "Predicate":
+            return k
+        if kind == "Not":
+            return self._decides(body[0] if isinstance(body, list) else body, trace, k)
+        if kind in ("And", "Or", "Implies"):
+            a, b = (self._signal(part, trace)[k] for part in body)
+            first = a <= b if kind == "And" else (a if kind == "Or" else -a) >= b
+            return self._decides(body[0] if first else body[1], trace, k)
+        if kind in (*_FUTURE, *_PAST):
+            low, high = body[0]["lower"], body[0]["upper"]
+            high = math.inf if high is None else high
+            now, times = self.times[k], self.times
+            first, last = (now + low, now + high) if kind in _FUTURE else (now - high, now - low)
+            inside = np.flatnonzero((times >= first) & (times <= last))
+            if not inside.size:
+                return k
+            values = self._signal(body[1], trace)[inside]
+            pick = values.argmin() if kind in ("Always", "Historically") else values.argmax()
+            return self._decides(body[1], trace, int(inside[pick]))
+        return k  # until, since: the instant they are asked at
+
+    def _violated(self, tree: Tree, trace: Any) -> tuple[tuple[float, float], ...]:
+        kind, body = next(iter(tree.items()))
+        if kind == "And":
+            return tuple(sorted(span for part in body for span in self._violated(part, trace)))
+        if kind != "Always":
+            return ()
+        low, high = body[0]["lower"], body[0]["upper"]
+        inside = (self.times >= low) & (self.times <= (math.inf if high is None else high))
+        bad = (self._signal(body[1], trace) < 0.0) & inside
+        edges = np.flatnonzero(np.diff(np.concatenate(([0], bad.astype(np.int8), [0]))))
+        return tuple(
+            (float(self.times[a] / SECOND), float(self.times[b - 1] / SECOND)) for a, b in edges.reshape(-1, 2)
+        )  # fmt: skip

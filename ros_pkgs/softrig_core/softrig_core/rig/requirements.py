@@ -1,0 +1,182 @@
+"""Requirements of a scenario: formulas of signal temporal logic over its shared names, measured like any figure.
+
+A requirement is a figure whose value is its margin (robustness) and whose expectation is: at least zero.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+
+from ..errors import ScenarioError
+from ..model.schedule import Schedule
+from ..model.timebase import SECOND
+from .formula import (
+    EDGES,
+    SURE,
+    Array,
+    Condition,
+    Margin,
+    Record,
+    Tree,
+    horizon,
+    intervals,
+    margin_unit,
+    read,
+    variables,
+)
+from .metrics import SignalMap
+
+if TYPE_CHECKING:
+    from .rig import Rig
+
+
+class Requirement(BaseModel):
+    """What must hold in a run.
+
+    Parameters
+    ----------
+    formula : str
+        Over the scenario's shared names, times in s: ``always[1.1, 3] abs(speed - set_point) <= 0.02 * set_point``.
+    where : str
+        Where the paper or sheet says so.
+    scale : dict of str to float
+        By unit, what counts as one: for formulas that compare several units. The margin is then a pure number.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    formula: str = Field(min_length=1, max_length=2000)
+    where: str = ""
+    scale: dict[str, Annotated[float, Field(gt=0.0)]] = {}
+
+
+Required = Annotated[
+    Requirement, BeforeValidator(lambda given: {"formula": given} if isinstance(given, str) else given)
+]
+
+
+@dataclass(frozen=True)
+class Judge:
+    """A requirement of a rig: its formula read, its names found, its margin's unit known.
+
+    Called with signals it gives the margin, as a figure function does.
+    """
+
+    tree: Tree
+    signals: Mapping[str, str]
+    conditions: Mapping[str, Condition]
+    unit: str
+    clock: Schedule
+    reads: tuple[str, ...] = ()
+
+    def __call__(self, signals: SignalMap) -> float:
+        """Measure the margin; a ValueError says why it cannot be judged."""
+        return self.margin(signals).value
+
+    def margin(self, signals: SignalMap) -> Margin:
+        """Measure the margin, and find where it is least and where the formula is violated.
+
+        Raises
+        ------
+        ValueError
+            Not judged: the record ends before the formula's last window, or a signal has no value from the start.
+        """
+        found = {name: signals[signal] for name, signal in self.signals.items()}
+        ends = [t[-1] for t, _ in found.values() if len(t)]
+        if not ends:
+            raise ValueError("not judged: nothing was recorded of its signals")
+        grid = _grid(self.clock, max(ends))
+        late = horizon(self.tree) - grid[-1]
+        if late > 0.0:
+            raise ValueError(f"not judged: the record ends at {grid[-1] / SECOND:.6g} s, "
+                             f"{late / SECOND:.6g} s before the requirement's last window")  # fmt: skip
+        return Record(grid, {n: self._variable(n, found, grid) for n in variables(self.tree)}).margin(self.tree)
+
+    def _variable(self, name: str, found: Mapping[str, tuple[Array, Array]], grid: Array) -> Array:
+        condition = self.conditions.get(name)
+        times, values = found[condition.signal if condition else name]
+        at = np.searchsorted(np.rint(times * SECOND), grid, side="right") - 1
+        if condition:
+            held = np.where(at < 0, 0.0, values[at]) if len(values) else np.zeros(len(grid))
+            true = EDGES[condition.edge](held, np.concatenate((held[:1], held[:-1]))) if condition.edge else held > 0.5
+            return np.where(true, SURE, -SURE)
+        if not len(values) or at[0] < 0:
+            raise ValueError(f"not judged: {self.signals[name]} has no value before "
+                             f"{times[0] if len(times) else math.inf:.6g} s")  # fmt: skip
+        return np.asarray(values[at], dtype=np.float64)
+
+
+def _grid(clock: Schedule, end: float) -> Array:
+    """Ticks of the clock up to the record's end, ns."""
+    last = clock.tick(clock.held(round(end * SECOND)))
+    return np.array([clock.time(k) for k in range(last + 1)], dtype=np.float64)
+
+
+def judges(rig: Rig, named: Mapping[str, Any], units: Mapping[str, str]) -> dict[str, Judge]:
+    """Read the requirements of a rig's scenario.
+
+    Parameters
+    ----------
+    rig : Rig
+    named : mapping
+        Shared values with the parameters of nodes filled in: numbers, or names of signals; others are left out.
+    units : mapping
+        Of each signal of the rig.
+
+    Raises
+    ------
+    ScenarioError
+        Names the requirement: a formula that does not parse, an unknown name, units that do not fit, an interval
+        without a tick in it.
+    """
+    numbers = {k: float(v) for k, v in named.items() if isinstance(v, int | float) and not isinstance(v, bool)}
+    signals = {k: v for k, v in named.items() if isinstance(v, str) and v in units}
+    known: dict[str, float | None] = {**numbers, **dict.fromkeys(signals)}
+    found = {}
+    for name, requirement in rig.scenario.requirements.items():
+        try:
+            found[name] = _judge(rig, requirement, known, signals, units)
+        except ScenarioError as error:
+            raise ScenarioError(f"{rig.scenario.name}: requirement {name}: {error}") from None
+    return found
+
+
+def _judge(
+    rig: Rig, requirement: Requirement, known: Mapping[str, float | None], signals: Mapping[str, str],
+    units: Mapping[str, str],
+) -> Judge:  # fmt: skip
+    tree, conditions = read(requirement.formula, known)
+    used = variables(tree)
+    period = rig.clock.params.period * SECOND
+    for low, high in intervals(tree):
+        if high is not None and math.floor(high / period + 1e-9) * period < low * (1.0 - 1e-12):
+            raise ScenarioError(f"no tick of {rig.clock.name} (each {period / SECOND:g} s) is within "
+                                f"[{low / SECOND:g}, {high / SECOND:g}] s")  # fmt: skip
+    compared = {name: units[signals[name]] for name in used if name not in conditions}
+    tree, unit = margin_unit(tree, compared, requirement.scale)
+    read_ = {n: signals[n] for n in {conditions[v].signal if v in conditions else v for v in used}}
+    return Judge(tree, read_, conditions, unit, rig.clock.schedule, tuple(read_.values()))
+
+
+def check_lengths(duration: float, shared: Mapping[str, Any], requirements: Mapping[str, Requirement]) -> None:
+    """Refuse requirements that no run of a scenario's length can be judged by.
+
+    Raises
+    ------
+    ScenarioError
+        Names the requirement, its last window and the duration.
+    """
+    for name, requirement in requirements.items():
+        try:
+            reach = horizon(read(requirement.formula, dict.fromkeys(shared))[0]) / SECOND
+        except ScenarioError as error:
+            raise ScenarioError(f"requirement {name}: {error}") from None
+        if reach > duration * (1.0 + 1e-12):
+            raise ScenarioError(f"requirement {name}: its last window ends {reach:g} s after the start, the run ends "
+                                f"after {duration:g} s")  # fmt: skip
