@@ -62,7 +62,7 @@ class FieldbusDelay(Block[FieldbusDelayParams]):
     def start(self) -> None:
         """Empty the line."""
         self._newest: int | None = None
-        self._line: list[tuple[int, int, tuple[float, ...]]] = []
+        self._line = Line()
         self._held: Sample | None = None
         if self._rounded:
             self.report(
@@ -86,13 +86,10 @@ class FieldbusDelay(Block[FieldbusDelayParams]):
         return None if self._held is None else self._deliver(t)
 
     def _deliver(self, t: int) -> Mapping[str, Sample | tuple[float, ...]]:
-        line, held = self._line, self._held
+        held = self._held
         assert held is not None
-        while line and line[0][0] <= t:
-            _, stamp, data = heapq.heappop(line)
-            if stamp >= held.stamp:
-                held = Sample(stamp, data)
-        self._held = held
+        if (arrived := self._line.arrived(t, held.stamp)) is not None:
+            self._held = held = arrived
         return {"arrived": held.data if self.p.restamp else held}
 
     def _send(self, t: int, sample: Sample) -> None:
@@ -107,7 +104,27 @@ class FieldbusDelay(Block[FieldbusDelayParams]):
             data = tuple(
                 math.floor(x / q + 0.5) * q if q else x for x, q in zip(data, self.p.quantum, strict=True)
             )  # fmt: skip
-        heapq.heappush(self._line, (t + periods * self._period, sample.stamp, data))
+        self._line.send(t + periods * self._period, Sample(sample.stamp, data))
+
+
+class Line:
+    """Messages under way, each with the time of its arrival; of those that are there the newest one counts."""
+
+    def __init__(self) -> None:
+        self._under_way: list[tuple[int, int, tuple[float, ...]]] = []
+
+    def send(self, due: int, sample: Sample) -> None:
+        """Put a message on the line that arrives at `due`, ns."""
+        heapq.heappush(self._under_way, (due, *sample))
+
+    def arrived(self, t: int, since: int) -> Sample | None:
+        """Take off what has arrived at `t`; give the newest if it is as new as `since`, ns. Older ones are dropped."""
+        found = None
+        while self._under_way and self._under_way[0][0] <= t:
+            _, stamp, data = heapq.heappop(self._under_way)
+            if stamp >= since:
+                found, since = Sample(stamp, data), stamp
+        return found
 
 
 def whole_periods(time: float, period: float) -> tuple[int, bool]:

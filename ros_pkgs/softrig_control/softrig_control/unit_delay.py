@@ -6,18 +6,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Literal, Self
 
 from pydantic import model_validator
-from softrig_core import (
-    BlockParams,
-    Plant,
-    Port,
-    executable,
-    joint_state,
-    param,
-    reference,
-    state_type,
-    vector3,
-    wrench,
-)
+from softrig_core import BlockParams, Plant, Port, executable, param, state_type
+from softrig_core.model.port import XYZ
 from softrig_core.wire import types
 
 MessageType = Literal[
@@ -36,6 +26,7 @@ class LinkParams(BlockParams):
     message: MessageType = param("sensor_msgs/msg/JointState", "type of the messages")
     channels: tuple[str, ...] = param(("axis",), "names in a JointState or JointTrajectory")
     fields: tuple[str, ...] = param(("position", "velocity"), "fields used of a JointState or JointTrajectory")
+    units: tuple[str, ...] = param((), "unit of each value, field after field; empty: pure numbers")
     frame_id: str = param("", "frame of the messages")
     initial: tuple[float, ...] = param((), "values given before the first arrival; empty: what the link says of itself")
 
@@ -47,6 +38,7 @@ class LinkParams(BlockParams):
         if not self.fields or not known.issuperset(self.fields):
             raise ValueError(f"fields {list(self.fields)}, expected some of {sorted(known)} for {self.message}")
         self.check_size("initial")
+        self.check_size("units")
         return self
 
     def check_size(self, name: str) -> None:
@@ -55,15 +47,13 @@ class LinkParams(BlockParams):
         if given and len(given) != size:
             raise ValueError(f"{name} has {len(given)} values, expected {size}")
 
-    def port(self, name: str, topic: str, delayed: bool = False) -> Port:
+    def port(self, name: str, topic: str, **options: bool) -> Port:
         """Give one end of the link."""
-        if self.message == types.VECTOR.name:
-            return vector3(name, topic, self.frame_id, "", delayed=delayed)
-        if self.message == types.WRENCH.name:
-            return wrench(name, topic, self.frame_id, delayed=delayed)
-        make = joint_state if self.message == types.JOINT_STATE.name else reference
-        units = dict.fromkeys(self.fields, "1")
-        return make(name, topic, self.channels, frame_id=self.frame_id, delayed=delayed, **units)
+        used = tuple(f for f in ("position", "velocity", "acceleration", "effort") if f in self.fields)
+        fields = {types.VECTOR.name: ("vector",), types.WRENCH.name: ("force", "torque")}.get(self.message, used)
+        names = self.channels if self.message in (types.JOINT_STATE.name, types.JOINT_TRAJECTORY.name) else XYZ
+        units = self.units or ("",) * (len(fields) * len(names))
+        return Port(name, topic, self.message, names, fields, units, self.frame_id, **options)
 
 
 class UnitDelay(Plant[LinkParams]):

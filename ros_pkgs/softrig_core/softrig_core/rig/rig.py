@@ -20,6 +20,7 @@ from ..wire.cdr import Pick
 from ..wire.codec import selection
 from ..wire.recording import Recording
 from .agreement import require_agreement
+from .faults import insert
 from .node_parameters import NodeParameters
 from .scenario import Scenario, explain
 from .scenario_file import closest
@@ -90,6 +91,8 @@ class Rig:
                 known[name] = load_block(entry.package, entry.executable)
         params = NodeParameters(scenario, known)
         members = [_member(scenario, name, known[name], params) for name in scenario.nodes]
+        if scenario.faults:
+            return cls.from_scenario(_with_faults(scenario, members), known)
         if scenario.clock is not None or not any(m.is_plant for m in members):
             members.append(_clock(scenario, members))
         plants = [m for m in members if m.is_plant]
@@ -267,6 +270,18 @@ def _member(scenario: Scenario, name: str, block: type[Block], parameters: NodeP
     outputs = tuple(p.renamed(entry.remap.get(p.topic, p.topic)) for p in outputs)
     return Member(name, entry.package, entry.executable, block, params, inputs, outputs, entry.external,
                   dict(entry.remap), {}, Schedule(params.period))  # fmt: skip
+
+
+def _with_faults(scenario: Scenario, members: list[Member]) -> Scenario:
+    """Give the scenario with its faults among its nodes."""
+    nodes = insert(
+        scenario.name, scenario.faults, {n: e.model_dump() for n, e in scenario.nodes.items()},
+        {m.name: (m.inputs, m.outputs) for m in members}, {m.name: m.params for m in members},
+    )  # fmt: skip
+    try:
+        return Scenario.model_validate({**dict(scenario), "nodes": nodes, "faults": {}})
+    except ValidationError as error:
+        raise ScenarioError(f"{scenario.name}: {explain(error)}") from None
 
 
 def _clock(scenario: Scenario, members: list[Member]) -> Member:

@@ -10,6 +10,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 from ..errors import ScenarioError
 from .claims import Claim
 from .expectation import Expected
+from .faults import WORDS, FaultEntry
 from .references import fill
 from .requirements import Required, check_lengths
 from .scenario_file import closest, list_scenarios, locate, merge, resolve
@@ -95,6 +96,8 @@ class Scenario(_Model):
         Where it comes from: paper, table, figure.
     cites : list of str
         Keys of entries in ``references.bib``, beside the scenario files.
+    faults : dict of str to FaultEntry
+        What goes wrong on links, by the name of the node that does it.
     figures : dict of str to FigureEntry
         What is measured, by name.
     expect : dict of str to Expectation
@@ -122,6 +125,7 @@ class Scenario(_Model):
     shared: Annotated[dict[str, Any], BeforeValidator(_or_empty)] = {}
     nodes: dict[NodeName, NodeEntry] = Field(min_length=1)
     containers: tuple[tuple[str, ...], ...] = ()
+    faults: Annotated[dict[NodeName, FaultEntry], BeforeValidator(_or_empty)] = {}
     figures: Annotated[dict[str, FigureEntry], BeforeValidator(_or_empty)] = {}
     expect: Annotated[dict[str, Expected], BeforeValidator(_or_empty)] = {}
     claims: Annotated[dict[str, Claim], BeforeValidator(_or_empty)] = {}
@@ -158,13 +162,12 @@ class Scenario(_Model):
         ScenarioError
             A bad value, or no such node.
         """
-        raw: dict[str, Any] = {"nodes": {n: e.model_dump() for n, e in self.nodes.items()}}
+        raw: dict[str, Any] = {k: {n: e.model_dump() for n, e in getattr(self, k).items()} for k in ("nodes", "faults")}
         for key, value in (overrides or {}).items():
             _override(raw, key, value)
         changes = {k: v for k, v in (("duration", duration), ("seed", seed)) if v is not None}
-        nodes = raw["nodes"] if overrides else self.nodes
         try:
-            return Scenario.model_validate({**dict(self), **changes, "nodes": nodes})
+            return Scenario.model_validate({**dict(self), **changes, **(raw if overrides else {})})
         except ValidationError as error:
             raise ScenarioError(f"{self.name}: {explain(error)}") from None
 
@@ -215,12 +218,16 @@ def _override(raw: dict[str, Any], key: str, value: Any) -> None:
     if not parameter and key in shared:
         raw["shared"] = shared | {key: value}
         return
+    faults = raw.get("faults") or {}
+    if parameter and node in faults:
+        raw["faults"] = merge(faults, {node: {WORDS.get(parameter, parameter): value}})
+        return
+    nodes_and_faults = (*nodes, *faults)
     if node not in nodes or not parameter:
         also = f", or a shared value ({', '.join(shared)})" if shared else ""
-        near = closest(node, nodes) if parameter else closest(key, shared)
-        raise ScenarioError(
-            f"override {key!r}{near}: expected node.parameter with node one of {', '.join(nodes)}{also}"
-        )
+        near = closest(node, nodes_and_faults) if parameter else closest(key, shared)
+        raise ScenarioError(f"override {key!r}{near}: expected node.parameter with node one of "
+                            f"{', '.join(nodes_and_faults)}{also}")  # fmt: skip
     raw["nodes"] = merge({**nodes, node: nodes[node] or {}}, {node: {"parameters": {parameter: value}}})
 
 

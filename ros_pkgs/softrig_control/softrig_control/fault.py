@@ -1,0 +1,218 @@
+"""A fault on a link between two nodes: what a sensor, a line or a network does to messages when it fails."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Literal, Self
+
+from pydantic import model_validator
+from softrig_core import Block, Port, Sample, button, executable, param, to_ns
+
+from .delay import Line, whole_periods
+from .unit_delay import LinkParams
+
+Kind = Literal["offset", "scale", "drift", "noise", "quantise", "saturate", "stuck", "spike", "delay", "loss", "repeat",
+               "silence"]  # fmt: skip
+NUMBERED = ("offset", "scale", "drift", "noise", "quantise", "saturate", "spike")  # kinds that need `value`
+
+
+class FaultParams(LinkParams):
+    """Which messages the link carries, what happens to them, to which of their values, and when."""
+
+    kind: Kind = param("offset", "what happens to the messages")
+    affects: tuple[str, ...] = param((), "channels or single values (``shaft/velocity``) concerned; empty: all")
+    value: tuple[float, ...] = param((1.0,), "offset; factor; drift a second; standard deviation of the noise; step; "
+                                     "upper limit; height of a spike: one number, or one for each value concerned")  # fmt: skip
+    lower: tuple[float, ...] = param((), "lower limit of `saturate`; empty: -value")
+    start: float = param(0.0, "time from which the fault is there", "s", ge=0.0)
+    stop: float = param(0.0, "time from which it is gone; 0: it stays", "s", ge=0.0)
+    every: float = param(0.0, "it comes and goes with this period; 0: it stays", "s", ge=0.0)
+    lasts: float = param(0.0, "how long it is there in each period", "s", ge=0.0)
+    probability: float = param(1.0, "of `spike`, `loss` and `repeat`, for each message", ge=0.0, le=1.0)
+    lost_in_burst: float = param(1.0, "probability that a message is lost in a burst (Gilbert-Elliott)", ge=0.0, le=1.0)
+    burst_begins: float = param(0.0, "probability that a burst of losses begins at a message; 0: none does", ge=0.0,
+                                le=1.0)  # fmt: skip
+    burst_ends: float = param(1.0, "probability that it ends at a message", gt=0.0, le=1.0)
+    delay: float = param(0.0, "of `delay`, rounded up to whole periods", "s", ge=0.0, le=1e4)
+    jitter: float = param(0.0, "largest additional delay; whole periods from 0 up to it are equally likely", "s", ge=0.0,
+                          le=1e4)  # fmt: skip
+    overtaking: bool = param(True, "whether a message may arrive before one sent earlier, which is then dropped")
+    active: bool = param(True, "whether it is switched on at first; the button `toggle` switches")
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        count = len(self.concerned())
+        for name, given in (("value", self.value), ("lower", self.lower)):
+            if len(given) not in ((1, count) if name == "value" else (0, 1, count)):
+                raise ValueError(f"{name} has {len(given)} numbers, expected one, or one for each of {count} values")
+        if self.kind in ("noise", "quantise") and min(self.value) < 0.0:
+            raise ValueError(f"value = {min(self.value):g}: expected at least 0 for {self.kind}")
+        if self.kind == "saturate":
+            for low, high in zip(*self.range(), strict=True):
+                if low > high:
+                    raise ValueError(f"lower = {low:g} is above value = {high:g}")
+        if 0.0 < self.stop <= self.start:
+            raise ValueError(f"stop = {self.stop:g} s is not after start = {self.start:g} s")
+        if self.every and not 0.0 < self.lasts < self.every:
+            raise ValueError(f"lasts = {self.lasts:g} s: expected more than 0 and less than every = {self.every:g} s")
+        if self.lasts and not self.every:
+            raise ValueError("lasts without every: say with start and stop when it is there")
+        return self
+
+    def concerned(self) -> tuple[int, ...]:
+        """Give the indices of the values that the fault changes.
+
+        Raises
+        ------
+        ValueError
+            A name that is no channel and no value of the message.
+        """
+        labels = self.port("link", self.topic_in).labels
+        found: list[int] = []
+        for name in self.affects or labels:
+            there = [i for i, label in enumerate(labels) if label == name or label.split("/")[0] == name]
+            if not there:
+                raise ValueError(f"affects {name!r}, but the link carries {', '.join(labels)}")
+            found += [i for i in there if i not in found]
+        return tuple(found)
+
+    def range(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Give lower and upper limit of each value that `saturate` concerns."""
+        high = self.value * len(self.concerned()) if len(self.value) == 1 else self.value
+        low = self.lower or tuple(-x for x in high)
+        return low * len(high) if len(low) == 1 else low, high
+
+
+class Fault(Block[FaultParams]):
+    """Hands messages on, changed while the fault is there, or says nothing where one is lost.
+
+    Its output is sporadic: who reads it keeps the value it has, and `Block.age` tells how old that is, at a message
+    that is lost, late or silenced. What it says carries the stamp of the tick at which it says it.
+
+    Notes
+    -----
+    `drift` grows from the moment the fault begins, ``stuck`` holds the value of that moment. The random numbers depend on
+    the rig's seed and the node's name; they are drawn for every message, so that neither `start` nor `toggle` shifts
+    them. A lost message is drawn independently, or in bursts after Gilbert and Elliott [1]_ where `burst_begins` > 0.
+
+    References
+    ----------
+    .. [1] E. O. Elliott, Estimates of error rates for codes on burst-noise channels, Bell System Technical Journal 42,
+       1963, pp. 1977-1997.
+    """
+
+    @classmethod
+    def ports(cls, params: FaultParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
+        """Give both ends of the link, of the same message type, and the switch."""
+        switch = button("toggle", f"{params.topic_out}/toggle", held=True)
+        return (params.port("sent", params.topic_in), switch), (
+            params.port("arrived", params.topic_out, sporadic=True),
+        )  # fmt: skip
+
+    def setup(self) -> None:
+        """Turn times into ns, find the values concerned."""
+        p = self.p
+        self._period = to_ns(p.period)
+        self._delay, self._jitter = (whole_periods(x, p.period)[0] for x in (p.delay, p.jitter))
+        self._window = to_ns(p.start), to_ns(p.stop) if p.stop else math.inf
+        self._cycle = to_ns(p.every), to_ns(p.lasts)
+        self._concerned = p.concerned()
+        self._values = p.value if len(p.value) > 1 else p.value * len(self._concerned)
+        self._limits = list(zip(*p.range(), strict=True)) if p.kind == "saturate" else []
+
+    def start(self) -> None:
+        """Switched as the parameters say, nothing under way."""
+        self._on = self.p.active
+        self._down = False
+        self._burst = False
+        self._began: tuple[int, tuple[float, ...]] | None = None  # when it came, and what was sent then
+        self._before: tuple[float, ...] | None = None
+        self._line = Line()
+        self._newest = -1
+        self._last_due = 0
+
+    def update(self, t: int, *, sent: tuple[float, ...], toggle: tuple[float] | None) -> Mapping[str, tuple[float, ...]]:
+        """Hand on what has come at this tick, as the fault leaves it."""
+        down = toggle is not None and toggle[0] > 0.5
+        if down and not self._down:
+            self._on = not self._on
+        self._down = down
+        fresh = self.age("sent") == 0
+        found = self._hand_on(t, sent) if fresh else None
+        if self.p.kind == "delay":
+            self._newest = self._newest if found is None else t
+            if (late := self._line.arrived(t, self._newest + 1)) is not None:
+                self._newest, found = late
+        return {} if found is None else {"arrived": found}
+
+    def _there(self, t: int, sent: tuple[float, ...]) -> bool:
+        """Whether the fault is there; notes when it came."""
+        first, last = self._window
+        every, lasts = self._cycle
+        there = self._on and first <= t < last and (not every or (t - first) % every < lasts)
+        if not there:
+            self._began = None
+        elif self._began is None:
+            self._began = t, sent
+        return there
+
+    def _hand_on(self, t: int, sent: tuple[float, ...]) -> tuple[float, ...] | None:
+        """What a message becomes; None when it is lost or late."""
+        draws = self._draws()
+        before, self._before = self._before, sent
+        if not self._there(t, sent):
+            return sent
+        kind, p = self.p.kind, self.p
+        if kind == "silence":
+            return None
+        if kind == "loss":
+            chance = p.probability if not p.burst_begins else p.lost_in_burst if self._burst else 0.0
+            return None if draws[0] < chance else sent
+        if kind == "repeat":
+            return before if before is not None and draws[0] < p.probability else sent
+        if kind == "delay":
+            due = t + (self._delay + int(draws[0] * (self._jitter + 1))) * self._period
+            due = due if p.overtaking else max(due, self._last_due)
+            self._last_due = due
+            self._line.send(due, Sample(t, sent))
+            return None
+        if kind == "spike" and draws[0] >= p.probability:
+            return sent
+        changed = list(sent)
+        for k, i in enumerate(self._concerned):
+            changed[i] = self._changed(k, sent[i], i, t, draws)
+        return tuple(changed)
+
+    def _draws(self) -> list[float]:
+        """Random numbers of a message; also moves the burst."""
+        p = self.p
+        if p.kind == "noise":
+            return list(self.rng.standard_normal(len(self._concerned)).tolist())
+        if p.kind not in ("loss", "repeat", "delay", "spike"):
+            return []
+        draw, turn = self.rng.random(2).tolist()
+        if p.kind == "loss" and p.burst_begins:
+            self._burst = turn >= p.burst_ends if self._burst else turn < p.burst_begins
+        return [draw]
+
+    def _changed(self, k: int, x: float, i: int, t: int, draws: list[float]) -> float:
+        kind, value = self.p.kind, self._values[k]
+        assert self._began is not None
+        if kind == "scale":
+            return x * value
+        if kind == "drift":
+            return x + value * ((t - self._began[0]) / 1e9)
+        if kind == "noise":
+            return x + value * draws[k]
+        if kind == "quantise":
+            return math.floor(x / value + 0.5) * value if value else x
+        if kind == "saturate":
+            low, high = self._limits[k]
+            return min(max(x, low), high)
+        if kind == "stuck":
+            return self._began[1][i]
+        return x + value  # offset, spike
+
+
+main = executable(Fault)
