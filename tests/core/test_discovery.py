@@ -36,6 +36,11 @@ KINDS = {name: make_scenario(nodes, 0.05) for name, (nodes, _) in PROCESS_RIGS.i
     "events between the ticks of who reads them": make_scenario({
         "plant": "plant", "burst": {"executable": "burst", "parameters": {"at": [0.01, 0.05, 0.13]}},
         "gain": slow(0.02, executable="burst_gain")}, 0.2),
+    "faults on links": make_scenario(BASIC, 0.2, faults={
+        "lost": {"link": "lag/command", "kind": "loss", "probability": 0.4},
+        "noise": {"link": "lag/state -> gain", "kind": "noise", "value": [0.1]},
+        "late": {"link": "lag/state -> gain", "kind": "delay", "delay": 0.02, "jitter": 0.03, "from": 0.05,
+                 "holds": True}}),  # for when gain is outside
     "solver": make_scenario(BASIC | {
         "planner": slow(0.05, executable="planner"),
         "gain": {"executable": "gain", "remap": {"lag/reference": "lag/inner_reference"}}}, 0.1),
@@ -107,7 +112,9 @@ def guests(kind, rng):
     """
     members = [m for m in rig_and_record(kind)[0].members if not m.block_class.ENDS and m.package == "faultrig"]
     members = [m for m in members if m.outputs and not any(p.sporadic for p in m.outputs)]
-    plants = [m.name for m in members if m.is_plant and m.links]
+    # nor is an outside node told of silence: a plant of theirs needs a command at each tick
+    paced = [m for m in members if any(not link.port.sporadic for link in m.links.values())]
+    plants = [m.name for m in paced if m.is_plant]
     others = [m.name for m in members if not m.is_plant]
     if plants and (rng.random() < 0.3 or not others):
         return (rng.choice(plants),)

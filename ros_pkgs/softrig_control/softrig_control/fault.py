@@ -38,6 +38,8 @@ class FaultParams(LinkParams):
     jitter: float = param(0.0, "largest additional delay; whole periods from 0 up to it are equally likely", "s", ge=0.0,
                           le=1e4)  # fmt: skip
     overtaking: bool = param(True, "whether a message may arrive before one sent earlier, which is then dropped")
+    holds: bool = param(False, "say the value held again in place of silence, for a reader that cannot be told of it; "
+                        "at first `initial`")  # fmt: skip
     active: bool = param(True, "whether it is switched on at first; the button `toggle` switches")
 
     @model_validator(mode="after")
@@ -88,7 +90,8 @@ class Fault(Block[FaultParams]):
     """Hands messages on, changed while the fault is there, or says nothing where one is lost.
 
     Its output is sporadic: who reads it keeps the value it has, and `Block.age` tells how old that is, at a message
-    that is lost, late or silenced. What it says carries the stamp of the tick at which it says it.
+    that is lost, late or silenced. What it says carries the stamp of the tick at which it says it. A reader that is
+    somebody else's node cannot be told of silence in lockstep: with `holds` it gets the last value again.
 
     Notes
     -----
@@ -107,7 +110,7 @@ class Fault(Block[FaultParams]):
         """Give both ends of the link, of the same message type, and the switch."""
         switch = button("toggle", f"{params.topic_out}/toggle", held=True)
         return (params.port("sent", params.topic_in), switch), (
-            params.port("arrived", params.topic_out, sporadic=True),
+            params.port("arrived", params.topic_out, sporadic=not params.holds),
         )  # fmt: skip
 
     def setup(self) -> None:
@@ -129,10 +132,13 @@ class Fault(Block[FaultParams]):
         self._began: tuple[int, tuple[float, ...]] | None = None  # when it came, and what was sent then
         self._before: tuple[float, ...] | None = None
         self._line = Line()
+        self._said = self.p.initial or (0.0,) * self.p.port("sent", self.p.topic_in).size
         self._newest = -1
         self._last_due = 0
 
-    def update(self, t: int, *, sent: tuple[float, ...], toggle: tuple[float] | None) -> Mapping[str, tuple[float, ...]]:
+    def update(
+        self, t: int, *, sent: tuple[float, ...], toggle: tuple[float] | None
+    ) -> Mapping[str, tuple[float, ...]]:
         """Hand on what has come at this tick, as the fault leaves it."""
         down = toggle is not None and toggle[0] > 0.5
         if down and not self._down:
@@ -144,7 +150,10 @@ class Fault(Block[FaultParams]):
             self._newest = self._newest if found is None else t
             if (late := self._line.arrived(t, self._newest + 1)) is not None:
                 self._newest, found = late
-        return {} if found is None else {"arrived": found}
+        if found is None:
+            return {"arrived": self._said} if self.p.holds else {}
+        self._said = found
+        return {"arrived": found}
 
     def _there(self, t: int, sent: tuple[float, ...]) -> bool:
         """Whether the fault is there; notes when it came."""

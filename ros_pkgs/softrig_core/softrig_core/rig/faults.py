@@ -98,7 +98,9 @@ def insert(
             "fields": list(port.fields), "units": list(port.units), "frame_id": port.frame_id,
             "period": params[sender].period,
         }  # fmt: skip
-        for key in sorted(about.keys() & fault.parameters.keys() - {"period"}):
+        if any(nodes[reader]["external"] for reader, _ in concerned):
+            about["holds"] = True  # an outside node is not told of silence, and would be waited for
+        for key in sorted(about.keys() & fault.parameters.keys() - {"period", "holds"}):
             raise ScenarioError(f"{at}: {key} is that of the link and not to be said")
         if port.delayed or port.dims or not port.stamped:
             what = "a delayed topic" if port.delayed else port.msgtype

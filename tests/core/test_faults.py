@@ -1,0 +1,217 @@
+"""Faults on links: what each does to messages, where a scenario puts them, and that no placement sees a difference."""
+
+import math
+
+import pytest
+from conftest import differences, in_process, make_scenario
+from hypothesis import given
+from hypothesis import strategies as st
+from softrig_control.fault import Fault
+from softrig_core import ParameterError, Rig, ScenarioError, simulate
+
+MS = 1_000_000
+BASIC = {"plant": "plant", "source": "source", "gain": "gain"}
+
+
+def through(values, seed=0, *, toggles=(), fresh=None, **params):
+    """What comes out of a fault at each tick of 10 ms for what goes in; None: silence."""
+    about = {"topic_in": "a", "topic_out": "b", "channels": ("x",), "fields": ("position",), "period": 0.01}
+    block = Fault(name="fault", **{**about, **params})
+    block.reset(seed)
+    now = [0]
+    last = [0]
+    block.ages = lambda name: now[0] - last[0]
+    out = []
+    for k, value in enumerate(values):
+        now[0] = k * 10 * MS
+        if fresh is None or fresh[k]:
+            last[0] = now[0]
+        sent = value if isinstance(value, tuple) else (float(value),)
+        found = block.update(now[0], sent=sent, toggle=(1.0,) if k in toggles else (0.0,)).get("arrived")
+        out.append(found if found is None or len(found) > 1 else found[0])
+    return out
+
+
+RAMP = [float(k) for k in range(10)]
+
+
+@pytest.mark.parametrize(
+    ("params", "expected"),
+    [
+        ({"kind": "offset", "value": (0.5,)}, [x + 0.5 for x in RAMP]),
+        ({"kind": "scale", "value": (-2.0,), "start": 0.03}, [*RAMP[:3], *(-2 * x for x in RAMP[3:])]),
+        ({"kind": "drift", "value": (100.0,), "start": 0.02, "stop": 0.05},
+         [0, 1, 2, 3 + 1.0, 4 + 2.0, 5, 6, 7, 8, 9]),
+        ({"kind": "quantise", "value": (4.0,)}, [0, 0, 4, 4, 4, 4, 8, 8, 8, 8]),
+        ({"kind": "saturate", "value": (6.0,), "lower": (2.0,)}, [2, 2, 2, 3, 4, 5, 6, 6, 6, 6]),
+        ({"kind": "stuck", "start": 0.04, "stop": 0.08}, [0, 1, 2, 3, 4, 4, 4, 4, 8, 9]),
+        ({"kind": "spike", "value": (9.0,), "every": 0.04, "lasts": 0.01}, [9, 1, 2, 3, 13, 5, 6, 7, 17, 9]),
+        ({"kind": "repeat", "start": 0.02}, [0, 1, 1, 2, 3, 4, 5, 6, 7, 8]),
+        ({"kind": "silence", "start": 0.03, "stop": 0.05}, [0, 1, 2, None, None, 5, 6, 7, 8, 9]),
+        ({"kind": "delay", "delay": 0.025}, [None, None, None, 0, 1, 2, 3, 4, 5, 6]),
+        ({"kind": "delay", "delay": 0.02, "start": 0.03, "stop": 0.06}, [0, 1, 2, None, None, 3, 6, 7, 8, 9]),
+        ({"kind": "loss", "probability": 1.0}, [None] * 10),
+        ({"kind": "loss", "burst_begins": 1.0, "burst_ends": 0.5, "lost_in_burst": 0.0}, RAMP),
+    ],
+)  # fmt: skip
+def test_each_kind_does_what_it_says(params, expected):
+    assert through(RAMP, **params) == expected
+
+
+def test_only_what_it_affects_is_changed():
+    two = {"channels": ("a", "b"), "fields": ("position", "velocity"), "kind": "offset"}
+    assert through([(1.0, 2.0, 3.0, 4.0)], affects=("b",), value=(10.0,), **two) == [(1.0, 12.0, 3.0, 14.0)]
+    assert through([(1.0, 2.0, 3.0, 4.0)], affects=("b/velocity", "a"), value=(1.0, 2.0, 3.0), **two) == [
+        (3.0, 2.0, 6.0, 5.0)
+    ]
+
+
+def test_the_switch_turns_it_off_and_on_at_a_press():
+    pressed = through([1.0] * 8, kind="offset", value=(1.0,), toggles=(2, 3, 6))
+    assert pressed == [2.0, 2.0, 1.0, 1.0, 1.0, 1.0, 2.0, 2.0]
+    assert through([1.0] * 4, kind="offset", active=False, toggles=(2,)) == [1.0, 1.0, 2.0, 2.0]
+
+
+def test_silence_before_it_stays_silence():
+    fresh = [True, False, True, False]
+    assert through([1.0] * 4, kind="offset", fresh=fresh) == [2.0, None, 2.0, None]
+    late = through([0.0, 0.0, 2.0, 2.0, 4.0, 4.0], kind="delay", delay=0.01, fresh=[True, False] * 3)
+    assert late == [None, 0.0, None, 2.0, None, 4.0]
+
+
+@given(st.integers(0, 2**31), st.integers(0, 4), st.integers(0, 5))
+def test_what_is_late_arrives_once_in_order_and_never_early(seed, delay, jitter):
+    for overtaking in (True, False):
+        out = through(range(60), seed, kind="delay", delay=delay / 100, jitter=jitter / 100, overtaking=overtaking)
+        came = [(k, x) for k, x in enumerate(out) if x is not None]
+        assert [x for _, x in came] == sorted({x for _, x in came})
+        assert all(delay <= k - x <= delay + jitter for k, x in came) or not overtaking
+        assert all(k - x >= delay for k, x in came)
+
+
+def test_noise_and_losses_have_the_statistics_they_name_and_repeat_by_seed():
+    n = 4000
+    noise = through([0.0] * n, 1, kind="noise", value=(0.3,))
+    assert noise == through([0.0] * n, 1, kind="noise", value=(0.3,))
+    assert noise != through([0.0] * n, 2, kind="noise", value=(0.3,))
+    assert math.sqrt(sum(x * x for x in noise) / n) == pytest.approx(0.3, rel=0.05)
+    lost = through([0.0] * n, kind="loss", probability=0.2).count(None)
+    assert lost / n == pytest.approx(0.2, abs=0.03)
+    bursts = through([0.0] * n, kind="loss", burst_begins=0.02, burst_ends=0.1)
+    share = bursts.count(None) / n  # a burst lasts 10 messages, one begins 50 after the last one ended
+    assert share == pytest.approx(0.02 / (0.02 + 0.1), abs=0.05)
+    begun = sum(a is not None and b is None for a, b in zip(bursts, bursts[1:], strict=False))
+    assert bursts.count(None) / begun == pytest.approx(10.0, rel=0.35)
+
+
+def test_when_it_comes_does_not_shift_its_random_numbers():
+    whole = through([0.0] * 20, kind="noise", value=(1.0,))
+    half = through([0.0] * 20, kind="noise", value=(1.0,), start=0.1)
+    assert half == [0.0] * 10 + whole[10:]
+
+
+@pytest.mark.parametrize(
+    ("params", "reason"),
+    [
+        ({"affects": ("y",)}, "affects 'y', but the link carries x/position"),
+        ({"value": (1.0, 2.0)}, "value has 2 numbers, expected one, or one for each of 1 values"),
+        ({"start": 1.0, "stop": 0.5}, "stop = 0.5 s is not after start = 1 s"),
+        ({"every": 1.0}, "lasts = 0 s: expected more than 0 and less than every"),
+        ({"lasts": 1.0}, "lasts without every"),
+        ({"kind": "noise", "value": (-1.0,)}, "expected at least 0 for noise"),
+        ({"kind": "saturate", "value": (1.0,), "lower": (2.0,)}, "lower = 2 is above value = 1"),
+        ({"kind": "nonsense"}, "kind"),
+        ({"probability": 1.5}, "probability"),
+    ],
+)
+def test_numbers_that_make_no_sense_are_refused(params, reason):
+    with pytest.raises(ParameterError, match=reason):
+        through([0.0], **params)
+
+
+def faulty(duration=0.3, nodes=BASIC, **faults):
+    return Rig.from_scenario(make_scenario(nodes, duration, faults=faults))
+
+
+def test_a_fault_is_put_before_all_readers_or_one_and_the_record_has_both_sides():
+    rig = faulty(bias={"link": "lag/state", "kind": "offset", "channels": ["x/position"], "value": [0.25], "from": 0.1})
+    run = simulate(rig)
+    t, x = run.signals["lag/state/x/position"]
+    _, seen = run.signals["lag/state/bias/x/position"]
+    assert rig.topics["lag/state/bias"].units == rig.topics["lag/state"].units
+    n = len(seen)
+    assert list(seen - x[:n]) == pytest.approx([0.25 if s >= 0.1 - 1e-9 else 0.0 for s in t[:n]])
+    _, r = run.signals["lag/reference/x/position"]
+    _, u = run.signals["lag/command/u/effort"]
+    assert list(u) == list(2.0 * (r - seen))  # the law answers what the faulty sensor says at the same tick
+    rig = faulty(nodes={**BASIC, "watcher": "watcher"}, bias={"link": "lag/state -> gain", "kind": "offset"})
+    readers = {m.name: m.links["state"].source.name for m in rig.members if "state" in m.links}
+    assert readers == {"gain": "bias", "watcher": "plant"}
+
+
+def test_several_faults_on_a_link_follow_each_other():
+    rig = faulty(a={"link": "lag/state -> gain", "kind": "offset", "value": [1.0]},
+                 b={"link": "lag/state -> gain", "kind": "scale", "value": [3.0]})  # fmt: skip
+    signals = simulate(rig).signals
+    x, last = signals["lag/state/x/position"].x, signals["lag/state/b/x/position"].x
+    assert list(last) == list(3.0 * (x[: len(last)] + 1.0))
+
+
+def test_a_lost_message_is_a_value_held_with_its_age():
+    rig = faulty(gone={"link": "lag/command", "kind": "silence", "from": 0.1})
+    run = simulate(rig)
+    t, u = run.signals["lag/command/u/effort"]
+    applied = run.signals["lag/applied/u/effort"].x
+    assert len(run.signals["lag/command/gone/u/effort"].t) == sum(t < 0.1 - 1e-9)
+    held = u[sum(t < 0.1 - 1e-9) - 1]
+    assert set(applied[12:]) == {held}
+
+
+def test_an_outside_reader_which_cannot_be_told_of_silence_gets_what_is_held():
+    held = through(RAMP, kind="silence", start=0.03, stop=0.05, holds=True, initial=(7.0,))
+    assert held == [0, 1, 2, 2, 2, 5, 6, 7, 8, 9]
+    assert through([1.0] * 3, kind="delay", delay=0.02, holds=True, initial=(7.0,)) == [7.0, 7.0, 1.0]
+    nodes = {**BASIC, "gain": {"executable": "gain", "external": True}}
+    rig = faulty(nodes=nodes, gone={"link": "lag/state", "kind": "silence"})
+    assert not next(m for m in rig.members if m.name == "gone").outputs[0].sporadic
+
+
+def test_with_faults_the_seed_alone_decides():
+    faults = {"noise": {"link": "lag/state -> gain", "kind": "noise", "value": [0.1]}}
+    one, same, other = (in_process(faulty(**faults), seed) for seed in (3, 3, 4))
+    assert differences(one, same) == []
+    assert differences(one, other) != []
+
+
+@pytest.mark.parametrize(
+    ("fault", "reason"),
+    [
+        ({"link": "lag/stat"}, r"nobody publishes 'lag/stat' \(did you mean 'lag/state'\?\)"),
+        ({"link": "lag/state -> source"}, "source does not read lag/state; gain does"),
+        ({"link": "lag/applied"}, "nobody does not read lag/applied"),
+        ({"link": "lag/state", "kind": "noise", "value": [1, 2, 3]}, "node it: .*value has 3 numbers"),
+        ({"link": "lag/state", "knd": "noise"}, "parameter knd is unknown .did you mean 'kind'"),
+        ({"link": "lag/state", "message": "x"}, "message is that of the link"),
+        ({"link": "lag state"}, "pattern"),
+    ],
+)
+def test_a_fault_that_cannot_be_is_refused_in_one_line(fault, reason):
+    with pytest.raises((ScenarioError, ValueError), match=reason):
+        faulty(it=fault)
+    with pytest.raises(ScenarioError, match="that is the name of a node"):
+        faulty(plant={"link": "lag/state"})
+
+
+def test_a_faults_numbers_are_set_like_any_parameter(tmp_path):
+    from softrig_core import load_scenario
+
+    file = tmp_path / "mine.yaml"
+    file.write_text("extends: dc_motor_smc_b2\ntitle: mine\nfaults:\n"
+                    "  noise: {link: motor/sensors, kind: noise, channels: [current_a], value: [0.2], from: 1}\n")  # fmt: skip
+    rig = Rig.from_scenario(load_scenario(str(file), {"noise.value": [0.5], "noise.from": 2.0}))
+    noise = next(m for m in rig.members if m.name == "noise")
+    assert (noise.params.value, noise.params.start) == ((0.5,), 2.0)
+    again = rig.changed(duration=0.5, overrides={"noise.value": [0.1]})
+    assert next(m for m in again.members if m.name == "noise").params.value == (0.1,)
+    with pytest.raises(ScenarioError, match="did you mean 'noise'"):
+        load_scenario(str(file), {"nose.value": [0.5]})
