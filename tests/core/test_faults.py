@@ -1,11 +1,11 @@
 """Faults on links: what each does to messages, where a scenario puts them, and that no placement sees a difference."""
 
 import math
+from itertools import pairwise
 
 import pytest
 from conftest import differences, in_process, make_scenario
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from softrig_control.fault import Fault
 from softrig_core import ParameterError, Rig, ScenarioError, simulate
 
@@ -100,7 +100,7 @@ def test_noise_and_losses_have_the_statistics_they_name_and_repeat_by_seed():
     bursts = through([0.0] * n, kind="loss", burst_begins=0.02, burst_ends=0.1)
     share = bursts.count(None) / n  # a burst lasts 10 messages, one begins 50 after the last one ended
     assert share == pytest.approx(0.02 / (0.02 + 0.1), abs=0.05)
-    begun = sum(a is not None and b is None for a, b in zip(bursts, bursts[1:], strict=False))
+    begun = sum(a is not None and b is None for a, b in pairwise(bursts))
     assert bursts.count(None) / begun == pytest.approx(10.0, rel=0.35)
 
 
@@ -206,8 +206,8 @@ def test_a_faults_numbers_are_set_like_any_parameter(tmp_path):
     from softrig_core import load_scenario
 
     file = tmp_path / "mine.yaml"
-    file.write_text("extends: dc_motor_smc_b2\ntitle: mine\nfaults:\n"
-                    "  noise: {link: motor/sensors, kind: noise, channels: [current_a], value: [0.2], from: 1}\n")  # fmt: skip
+    noise = "{link: motor/sensors, kind: noise, channels: [current_a], value: [0.2], from: 1}"
+    file.write_text(f"extends: dc_motor_smc_b2\ntitle: mine\nfaults: {{noise: {noise}}}\n")
     rig = Rig.from_scenario(load_scenario(str(file), {"noise.value": [0.5], "noise.from": 2.0}))
     noise = next(m for m in rig.members if m.name == "noise")
     assert (noise.params.value, noise.params.start) == ((0.5,), 2.0)

@@ -5,8 +5,7 @@ import math
 import numpy as np
 import pytest
 from conftest import make_scenario
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from softrig_core.errors import ScenarioError
 from softrig_core.model.timebase import SECOND
 from softrig_core.rig.figures import evaluate, figures_of
@@ -161,7 +160,7 @@ def test_units_of_both_sides_must_fit_and_several_need_a_scale():
     with pytest.raises(ScenarioError, match="requirement it: 'm' beside 'N'"):
         figures_of(wired("always state <= command"))
     both = "always (state <= 1 and command <= 20)"
-    with pytest.raises(ScenarioError, match="in N, m.*what counts as one"):
+    with pytest.raises(ScenarioError, match=r"in N, m.*what counts as one"):
         figures_of(wired(both))
     rig = wired(both, scale={"m": 0.5, "N": 100.0})
     run = simulate(rig)

@@ -23,7 +23,7 @@ class FaultParams(LinkParams):
     kind: Kind = param("offset", "what happens to the messages")
     affects: tuple[str, ...] = param((), "channels or single values (``shaft/velocity``) concerned; empty: all")
     value: tuple[float, ...] = param((1.0,), "offset; factor; drift a second; standard deviation of the noise; step; "
-                                     "upper limit; height of a spike: one number, or one for each value concerned")  # fmt: skip
+                                     "upper limit; height of a spike: one, or one for each concerned")  # fmt: skip
     lower: tuple[float, ...] = param((), "lower limit of `saturate`; empty: -value")
     start: float = param(0.0, "time from which the fault is there", "s", ge=0.0)
     stop: float = param(0.0, "time from which it is gone; 0: it stays", "s", ge=0.0)
@@ -35,8 +35,8 @@ class FaultParams(LinkParams):
                                 le=1.0)  # fmt: skip
     burst_ends: float = param(1.0, "probability that it ends at a message", gt=0.0, le=1.0)
     delay: float = param(0.0, "of `delay`, rounded up to whole periods", "s", ge=0.0, le=1e4)
-    jitter: float = param(0.0, "largest additional delay; whole periods from 0 up to it are equally likely", "s", ge=0.0,
-                          le=1e4)  # fmt: skip
+    jitter: float = param(0.0, "largest additional delay; whole periods from 0 up to it are equally likely", "s",
+                          ge=0.0, le=1e4)  # fmt: skip
     overtaking: bool = param(True, "whether a message may arrive before one sent earlier, which is then dropped")
     holds: bool = param(False, "say the value held again in place of silence, for a reader that cannot be told of it; "
                         "at first `initial`")  # fmt: skip
@@ -95,9 +95,10 @@ class Fault(Block[FaultParams]):
 
     Notes
     -----
-    `drift` grows from the moment the fault begins, ``stuck`` holds the value of that moment. The random numbers depend on
-    the rig's seed and the node's name; they are drawn for every message, so that neither `start` nor `toggle` shifts
-    them. A lost message is drawn independently, or in bursts after Gilbert and Elliott [1]_ where `burst_begins` > 0.
+    ``drift`` grows from the moment the fault begins, ``stuck`` holds the value of that moment. The random numbers
+    depend on the rig's seed and the node's name; they are drawn for every message, so that neither `start` nor
+    `toggle` shifts them. A lost message is drawn independently, or in bursts after Gilbert and Elliott [1]_ where
+    `burst_begins` > 0.
 
     References
     ----------

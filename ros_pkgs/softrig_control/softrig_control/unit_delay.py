@@ -47,7 +47,7 @@ class LinkParams(BlockParams):
         if given and len(given) != size:
             raise ValueError(f"{name} has {len(given)} values, expected {size}")
 
-    def port(self, name: str, topic: str, **options: bool) -> Port:
+    def port(self, name: str, topic: str, **options: Any) -> Port:
         """Give one end of the link."""
         used = tuple(f for f in ("position", "velocity", "acceleration", "effort") if f in self.fields)
         fields = {types.VECTOR.name: ("vector",), types.WRENCH.name: ("force", "torque")}.get(self.message, used)

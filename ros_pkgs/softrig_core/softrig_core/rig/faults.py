@@ -25,8 +25,8 @@ class FaultEntry(BaseModel):
     link : str
         The topic, for all its readers, or ``topic -> reader`` for one node.
     **parameters
-        Of the node `softrig_control` ``fault``: kind, value, ...; ``from``, ``to`` and ``channels`` are its `start`, `stop`
-        and `affects`.
+        Of the node `softrig_control` ``fault``: kind, value, ...; ``from``, ``to`` and ``channels`` are its `start`,
+        `stop` and `affects`.
     """
 
     model_config = ConfigDict(frozen=True, extra="allow")
@@ -89,8 +89,8 @@ def insert(
             raise ScenarioError(f"{at}: {reader or 'nobody'} does not read {topic}; {who} does")
         before = {readers[key] for key in concerned}
         if len(before) > 1:
-            raise ScenarioError(f"{at}: the readers of {topic} have other faults already ({', '.join(sorted(before))}); "
-                                "put the fault that all share first")  # fmt: skip
+            raise ScenarioError(f"{at}: the readers of {topic} have other faults already "
+                                f"({', '.join(sorted(before))}); put the fault that all share first")  # fmt: skip
         sender, port = sources[topic]
         begins, ends = before.pop(), f"{topic}/{name}"
         about = {
@@ -107,9 +107,9 @@ def insert(
             raise ScenarioError(f"{at}: {topic} is {what}, which faults do not carry")
         found[name] = {"package": PACKAGE, "executable": EXECUTABLE, "parameters": about | fault.parameters,
                        "remap": {}, "external": False}  # fmt: skip
-        for key in concerned:
-            readers[key] = ends
-            found[key[0]]["remap"] |= _remap(nodes[key[0]]["remap"], topic, ends)
+        for place in concerned:
+            readers[place] = ends
+            found[place[0]]["remap"] |= _remap(nodes[place[0]]["remap"], topic, ends)
     return found
 
 

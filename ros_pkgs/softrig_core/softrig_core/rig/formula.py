@@ -326,7 +326,7 @@ class Record:
 
     def __init__(self, times: Array, variables: Mapping[str, Array]) -> None:
         self.times = times
-        self._variables = dict(variables)
+        self._variables: dict[str, Any] = dict(variables)
 
     def margin(self, tree: Tree) -> Margin:
         """Measure a formula at the first instant."""
@@ -341,7 +341,7 @@ class Record:
     def _trace(self) -> Any:
         import sentil
 
-        return sentil.Trace(self.times, self._variables)
+        return sentil.Trace(self.times, dict(self._variables))
 
     def _within(self, tree: Tree) -> Tree:
         """Operators without end go as far as what stands under them can be judged: to the end less its horizon."""
@@ -383,7 +383,7 @@ class Record:
             if not inside.size:
                 return k
             values = self._signal(body[1], trace)[inside]
-            pick = values.argmin() if kind in ("Always", "Historically") else values.argmax()
+            pick = np.argmin(values) if kind in ("Always", "Historically") else np.argmax(values)
             return self._decides(body[1], trace, int(inside[pick]))
         return k  # until, since: the instant they are asked at
 
