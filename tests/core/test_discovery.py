@@ -110,7 +110,7 @@ def guests(kind, rng):
 
     Outside nodes that wait for each other are their owners' business, and nobody tells for them when they are silent.
     """
-    members = [m for m in rig_and_record(kind)[0].members if not m.block_class.ENDS and m.package == "faultrig"]
+    members = [m for m in rig_and_record(kind)[0].members if m.package == "faultrig"]
     members = [m for m in members if m.outputs and not any(p.sporadic for p in m.outputs)]
     # nor is an outside node told of silence: a plant of theirs needs a command at each tick
     paced = [m for m in members if any(not link.port.sporadic for link in m.links.values())]

@@ -35,12 +35,12 @@ RIGS = {
     "record": (BASIC | {"record": "record", "analyst": "analyst"}, 0.1, {}),
     "end": (
         {
-            **BASIC, "ender": "ender", "watcher": "watcher",
+            **BASIC, "watcher": "watcher",
             "record": {"executable": "record", "parameters": {"period": 0.03}},
             "second": {"executable": "plant", "parameters": {"period": 0.05},
                        "remap": {"lag/state": "second/state", "lag/applied": "second/applied"}},
         },
-        5.0,
+        0.2,
         {},
     ),
     "algebraic loop": ({"accumulator": "accumulator", "delay": DELAY}, 0.2, {}),
@@ -71,7 +71,7 @@ def test_open_loop_gives_what_in_process_gives(name):
     wired = rig(name)
     expected = in_process(wired)
     for member in wired.members:
-        answers = feed(wired, member, 0, expected)
+        answers = feed(member, 0, expected)
         assert all(answers.topics[t].data == expected.topics[t].data for t in answers.topics), member.name
 
 
@@ -94,19 +94,6 @@ def test_a_record_is_read_once_at_the_end():
     assert signals["lag/record/2"].x == [11.0]
 
 
-def test_a_block_ends_the_run_at_a_tick_at_which_all_who_have_a_last_word_are_due():
-    wired = rig("end")
-    recording = in_process(wired)
-    x = Signals(recording)["lag/state/x/position"].x
-    reached = int((x > 0.05).argmax())
-    end = reached + 3 - reached % 3  # the record is due every third tick
-    assert len(x) == end + 1 < wired.ticks
-    assert recording.topics["lag/record"].times == [end * 10_000_000]
-    assert recording.topics["second/state"].times[-1] <= end * 10_000_000
-    recording.topics["lag/state"].times.pop()
-    assert "lag/state" in gaps(wired, recording)
-
-
 def test_a_unit_delay_opens_an_algebraic_loop():
     y = Signals(in_process(rig("algebraic loop")))["loop/sum/y/position"].x
     assert list(y) == [2.0 + 2.0 * 0.5 ** (k + 1) if k else 3.0 for k in range(len(y))]
@@ -125,9 +112,7 @@ def test_a_rig_without_a_plant_has_a_clock():
         Rig.from_scenario(make_scenario({"source": "source"}, 0.2, clock="1/x"))
 
 
-def test_only_a_block_that_says_so_may_end_a_run_or_be_silent():
-    with pytest.raises(RuntimeError, match="does not say ENDS"):
-        Block().done()
+def test_only_a_port_that_says_so_may_be_silent():
     port = command("u", "u", ["a"], "N")
     with pytest.raises(RunError, match="gave no u"):
         check({}, port, "node", 0)

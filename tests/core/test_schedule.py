@@ -98,7 +98,7 @@ def test_ends_are_the_same_in_process_through_processes_and_open_loop(name, tmp_
     assert outcome.error == ""
     assert differences(expected, outcome.recording) == []
     for member in rig.members:
-        answers = feed(rig, member, 0, expected)
+        answers = feed(member, 0, expected)
         assert all(answers.topics[t].data == expected.topics[t].data for t in answers.topics)
 
 

@@ -156,7 +156,7 @@ class Golden:
     def open_loop(self, node: str) -> Comparison:
         """Feed one node with the golden inputs and compare what it answers."""
         member = next(m for m in self.rig.members if m.name == node)
-        answers = feed(self.rig, member, self.recipe.seed, self.recording())
+        answers = feed(member, self.recipe.seed, self.recording())
         return self.compare(answers, list(answers.topics))
 
     def make(self) -> Comparison | None:

@@ -262,29 +262,6 @@ class Weigh(Block):
         return {"command": (1.0 - 0.5 * matrix[1] - 0.1 * peaks[1],)}
 
 
-class EnderParams(BlockParams):
-    level: float = param(0.05, "level of the state at which the run ends", "m")
-
-
-class Ender(Observer[EnderParams]):
-    """Ends the run when the state has reached a level."""
-
-    ENDS = True
-    INPUTS = (STATE,)
-
-    def start(self) -> None:
-        self.seen = 0
-
-    def update(self, t, state):
-        self.seen += 1
-        if state[0] > self.p.level:
-            self.done()
-        return {}
-
-    def status(self):
-        return {"seen": (float(self.seen), "")}
-
-
 class Accumulator(Block):
     """y = 1 + 0.5 times its own output, which must come back late."""
 
@@ -364,5 +341,4 @@ analyst = executable(Analyst)
 spread = executable(Spread)
 peaks = executable(Peaks)
 weigh = executable(Weigh)
-ender = executable(Ender)
 accumulator = executable(Accumulator)

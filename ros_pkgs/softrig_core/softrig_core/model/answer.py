@@ -1,4 +1,4 @@
-"""What a block may send: the check of every runner before a value leaves it."""
+"""What a block may send: the check of every placement before a value leaves it."""
 
 from __future__ import annotations
 
@@ -9,9 +9,11 @@ from typing import Any
 from ..errors import RunError
 from .port import Port, Sample
 
+Row = tuple[float, ...] | Sample  # what an output says at a tick
 
-def check(found: Any, port: Port, node: str, t: int) -> tuple[float, ...] | Sample | None:
-    """Make sure that a block's answer may leave it: right length, all finite, plain floats.
+
+def check(found: Any, port: Port, node: str, t: int) -> Row | None:
+    """Make sure that a block's answer may leave it: right length, plain floats, all finite and within `Port.limits`.
 
     Parameters
     ----------
@@ -41,10 +43,10 @@ def check(found: Any, port: Port, node: str, t: int) -> tuple[float, ...] | Samp
         raise RunError(f"{node} gave no {port.name} at t = {t / 1e9:.9g} s") from None
     if type(given) is tuple and len(given) == port.size:  # what nearly every block gives, told in a fifth of the time
         try:
-            total = sum(given)
+            total = sum(map(abs, given))
         except (TypeError, OverflowError):  # told below
             total = None
-        if type(total) is float and total - total == 0.0:
+        if type(total) is float and total <= port.bound:
             return given
     if given is None and port.sporadic:
         return None
@@ -55,8 +57,14 @@ def check(found: Any, port: Port, node: str, t: int) -> tuple[float, ...] | Samp
         raise RunError(f"{node}: {port.name} is no row of numbers at t = {t / 1e9:.9g} s: {error}") from None
     if len(values) != port.size:
         raise RunError(f"{node}: {port.name} has {len(values)} values, expected {port.size}, at t = {t / 1e9:.9g} s")
-    if not math.isfinite(sum(values)):
-        for label, value in zip(port.labels, values, strict=True):
-            if not math.isfinite(value):
-                raise RunError(f"{node}: {port.name} {label} became {value} at t = {t / 1e9:.9g} s")
+    for label, value, limit, unit in zip(port.labels, values, port.limits, port.units, strict=True):
+        if not abs(value) <= limit:
+            where = f"{node}: {port.name} {label} became {value:g}"
+            most = f" {unit or '1'}, expected at most {limit:g} in magnitude" if math.isfinite(value) else ""
+            raise RunError(f"{where}{most} at t = {t / 1e9:.9g} s")
     return Sample(given.stamp, values) if isinstance(given, Sample) else values
+
+
+def flat(rows: Any) -> tuple[float, ...]:
+    """Put the numbers of several tuples into one."""
+    return rows[0] if len(rows) == 1 else sum(rows, ())

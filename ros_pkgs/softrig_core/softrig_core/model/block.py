@@ -57,7 +57,6 @@ class Block(Generic[P]):
     Params: ClassVar[type[BlockParams]] = BlockParams
     INPUTS: ClassVar[tuple[Port, ...]] = ()
     OUTPUTS: ClassVar[tuple[Port, ...]] = ()
-    ENDS: ClassVar[bool] = False  # whether it may end the run, with `done`
     realtime = False  # whether the wall clock drives it, as its runner says: nothing may then wait in `update`
     STALE_PERIODS: ClassVar[int] = 5  # realtime: age in its own periods at which a plant no longer trusts a command
 
@@ -71,7 +70,6 @@ class Block(Generic[P]):
     def __init__(self, params: P | None = None, name: str = "", **values: Any) -> None:
         self.p: P = build(self.Params, values) if params is None else params  # type: ignore[assignment]
         self.name = name
-        self.ended = False
         self.ages: Callable[[str], int | None] | None = None  # set by who runs the block
         self.reports: dict[str, tuple[Level, str, int]] = {}
         try:
@@ -106,7 +104,6 @@ class Block(Generic[P]):
         self._seed = seed
         self.__dict__.pop("rng", None)
         self.reports.clear()
-        self.ended = False
         self.start()
 
     def start(self) -> None:
@@ -130,12 +127,6 @@ class Block(Generic[P]):
         None when none has come yet. Outside of a run every input is new.
         """
         return 0 if self.ages is None else self.ages(name)
-
-    def done(self) -> None:
-        """End the run normally at the next tick of the clock; only for a block that says `ENDS`."""
-        if not self.ENDS:
-            raise RuntimeError(f"{type(self).__name__} does not say ENDS = True, so nobody listens for its end")
-        self.ended = True
 
     @classmethod
     def finishes(cls) -> bool:

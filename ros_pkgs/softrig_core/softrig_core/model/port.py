@@ -115,6 +115,11 @@ class Port:
         counts = {name: sizes[name] or len(self.channels) for name in self.fields}
         return self.type.labels(counts, self.channels if self.type.named else (), self.dims)
 
+    @cached_property
+    def bound(self) -> float:
+        """Values the sum of whose magnitudes is not above it are all within their limits."""
+        return min(self.limits, default=0.0)
+
     @property
     def type(self) -> MessageType:
         """What is known of its message type."""

@@ -126,16 +126,9 @@ class Schedule:
             ticks = math.floor((rational(duration) + Fraction(1, 2 * SECOND)) / self.clock)
             if ticks < 1:
                 raise ValueError(f"duration {duration:g} s is shorter than the period {float(self.clock):g} s")
-            self.stop(ticks)
-
-    def stop(self, ticks: int) -> None:
-        """Let the run end at a tick of the clock, if it does not end before."""
-        if self.ticks is not None and ticks >= self.ticks:
-            return
-        self.ticks = ticks
-        clock = self if self.every == 1 else Schedule(self.clock)
-        self.end = clock.time(ticks)
-        self.last = self.time((ticks if self.at_end else ticks - 1) // self.every)
+            self.ticks = ticks
+            self.end = (self if self.every == 1 else Schedule(self.clock)).time(ticks)
+            self.last = self.time((ticks if self.at_end else ticks - 1) // self.every)
 
     def tick(self, t: int) -> int:
         """Give the number of the tick to which a stamp (ns) is nearest."""

@@ -25,7 +25,7 @@ from .endpoint import Input, Output
 from .health import write_status
 from .middleware import Direct, Message, Middleware, Receive
 from .start import other_types
-from .tick import END, TICK, TickWriter
+from .tick import TICK, TickWriter
 
 LOOK_EVERY = 4  # watches between two looks at the types of topics on which nothing comes
 WATCH_PERIOD = SECOND // 4  # ns: progress check, status file, flush of the shard
@@ -212,7 +212,7 @@ class Adapter:
         else:
             self._send_row((stamp, rows))
         if self._publish_tick is not None:
-            self._publish_tick(self._tick_bytes(stamp, (END,) if self.block.ended else ()))
+            self._publish_tick(self._tick_bytes(stamp, ()))
         if self._add_row is not None:
             self._add_row(stamp, flat)
         elif self.sink is not None:
@@ -249,7 +249,7 @@ class Adapter:
             send(message)
         if self._publish_tick is not None:
             sent = [output.name for output, _ in burst if output.sporadic]
-            self._publish_tick(self._tick_bytes(stamp, [*sent, END] if self.block.ended else sent))
+            self._publish_tick(self._tick_bytes(stamp, sent))
         if self._add_row is not None:
             self._add_row(stamp, [x for _, (_, values) in burst for x in values])
         elif self.sink is not None:

@@ -142,5 +142,5 @@ class Answering(Hearing):
         self.ticks += 1
         if self.buttons.pressed:
             self.buttons.release()
-        if (self.schedule.end is not None and t >= self.schedule.end) or self.block.ended:
+        if self.schedule.end is not None and t >= self.schedule.end:
             self.finish()

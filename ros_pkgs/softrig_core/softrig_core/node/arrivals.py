@@ -145,17 +145,3 @@ class Arrivals:
         self.missing -= 1
         if not self.missing and self.node.ready:
             self.node.step()
-
-    def stop(self, ticks: int) -> None:
-        """The run ends at a tick of the clock: what senders would have said after it is not waited for."""
-        for schedule in {p.schedule for p in self.pairings}:
-            schedule.stop(ticks)
-        for pairing in self.pairings:
-            last = pairing.schedule.last
-            pairing.until = pairing.until if last is None else last
-            if pairing.earlier or last is None or pairing.want <= last:
-                continue
-            pairing.want = last  # we wait for what will never come: what its sender said last serves
-            if not pairing.have and pairing.complete():
-                self._use(pairing)
-                self.missing -= 1

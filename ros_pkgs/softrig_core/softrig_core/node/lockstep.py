@@ -12,7 +12,6 @@ from typing import Any
 from ..errors import RunError
 from ..model.block import Block
 from ..model.port import CLOCK
-from ..model.schedule import Schedule
 from ..model.solver import Solver
 from ..rig.options import RunOptions
 from ..wire.recording import Sink
@@ -35,7 +34,6 @@ class Lockstep(Adapter):
         self.arrivals = Arrivals(self)
         self._stalls = Stalls(self, middleware)
         self.ready = False
-        self.cut = False  # a block has ended the run before its duration
         self.over = False  # the last tick is answered
         self._tick = 0
         self._durations: deque[int] = deque(maxlen=100_000)
@@ -143,8 +141,6 @@ class Lockstep(Adapter):
     def _send(self, t: int) -> None:
         """Publish the plant's outputs at `t` and the clock."""
         self.publish(t, t, self.block.outputs(t))  # type: ignore[attr-defined]
-        if self.block.ended:
-            self.end_after(t)
         if self.links.owns_clock:
             self.clock_output.send((t, ()))
             if self.sink is not None and self._add_row is None:
@@ -159,8 +155,6 @@ class Lockstep(Adapter):
     def _update(self, t: int) -> None:
         """Answer one tick of a block that is not a plant."""
         self.publish(t, t, self.answer(t))
-        if self.block.ended:
-            self.end_after(t)
         self.ticks += 1
         self.t = self._next()
         self.buttons.release()
@@ -177,18 +171,6 @@ class Lockstep(Adapter):
     def _next(self) -> int:
         self._tick += 1
         return self.schedule.time(self._tick)
-
-    def end_after(self, stamp: int) -> None:
-        """A block has ended the run at `stamp`: everybody's last tick is the first after it at which all can end."""
-        self.cut = True
-        stride = self.links.stride
-        ticks = Schedule(self.schedule.clock).tick(stamp)
-        ticks += stride - ticks % stride
-        self.schedule.stop(ticks)
-        self.arrivals.stop(ticks)
-        last = self.schedule.last
-        if self.state == "running" and last is not None and (self.t >= last if self.is_plant else self.t > last):
-            self.leave()
 
     def answer(self, t: int) -> Any:
         """Give what a block that is not a plant sends; a solver has begun with this tick before."""

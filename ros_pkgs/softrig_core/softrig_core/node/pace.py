@@ -11,7 +11,7 @@ from ..wire.codec import Decoder
 from .endpoint import Input
 from .middleware import Direct, Message, Receive
 from .pairing import KEEP, Pairing
-from .tick import END, TICK, TickReader
+from .tick import TICK, TickReader
 
 if TYPE_CHECKING:
     from .arrivals import Arrivals
@@ -33,7 +33,7 @@ def follow_ticks(arrivals: Arrivals) -> None:
         if pairing.port:
             silent.setdefault(pairing.sender, []).append(pairing)
     schedules = {p.sender: p.schedule for group in silent.values() for p in group}
-    for peer in dict.fromkeys([*links.acks, *links.enders, *silent]):
+    for peer in dict.fromkeys([*links.acks, *silent]):
         if peer == node.middleware.name:
             continue
         topic = f"{node.namespace}/{peer}/tick"
@@ -42,9 +42,6 @@ def follow_ticks(arrivals: Arrivals) -> None:
         if peer in links.acks:
             link = InputLink(period=links.acks[peer], node=peer)
             paced.append(_pairing(arrivals, port, link, earlier=not links.owns_clock))
-        if peer in links.enders:
-            link = InputLink(period=links.enders[peer], node=peer)
-            paced.append(_pairing(arrivals, port, link, earlier=True))
         item = paced[0].item if paced else Input(port)
         for pairing in paced:
             pairing.item = item
@@ -69,8 +66,6 @@ def _tick_receiver(
             node.refuse(item, str(error))
             return
         arrivals.heard += 1
-        if END in sent:
-            node.end_after(stamp)
         for pairing in silent:
             if pairing.port not in sent:
                 if pairing.may_come(stamp):

@@ -98,8 +98,8 @@ def paired(arrivals: Arrivals, pairing: Pairing, item: Input) -> tuple[Receive, 
                 decode.kept = values
             arrivals.heard += 1
             arrivals.heard_at(pairing, position, (Sample(stamp, values) if delayed else values, data))
-        elif position == pairing.excused or (node.cut and position > (schedule.last or 0)):
-            return  # a better one is too late, and after the end its sender did not know of it yet
+        elif position == pairing.excused:
+            return  # a better one is too late
         elif position == 0 and node.links.guests:
             return  # said again for somebody else
         else:

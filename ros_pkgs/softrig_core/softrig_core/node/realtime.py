@@ -12,17 +12,14 @@ from typing import Any
 
 from ..errors import RunError
 from ..model.block import Block, Plant
-from ..model.port import Port, Refused
 from ..model.timebase import SECOND
 from ..rig.options import RunOptions
 from ..wire.recording import Sink
 from .answering import Answering
 from .departure import Departure
-from .endpoint import Input
 from .health import percentiles
 from .middleware import Middleware
 from .start import Handshake
-from .tick import END, TICK, TickReader
 
 CATCH_UP = SECOND  # a longer pause than this (a suspended host) is skipped, not simulated
 END_GRACE = SECOND  # a node that waits for a sender ends this much after the end of the run all the same
@@ -41,14 +38,10 @@ class Realtime(Answering):
         self.tick_number: int | None = None
         self.skipped = 0
         self._lateness: deque[int] = deque(maxlen=5_000)  # the newest
-        if not block.ENDS:
-            self._publish_tick = None  # nobody waits for ticks in real time, they only tell the end
+        self._publish_tick = None  # nobody waits for ticks in real time
         if not self._by_messages:
             self._timer = middleware.timer(SECOND // 1000, self._tick)
             self._timer.cancel()
-        for node in self.links.enders:
-            if node != middleware.name:
-                self._follow_end(node)
         self._departure = self._wait_for_others() if self.links.starter and not self.epoch else None
         if self._departure is None:
             self._begin_at(self.epoch)
@@ -58,8 +51,6 @@ class Realtime(Answering):
     def _wait_for_others(self) -> Departure:
         readers, inputs = self.links.readers, self.links.inputs
         wanted = [(o, list(readers.get(o.name, []))) for o in self.outputs]
-        if self.block.ENDS:
-            wanted.append((self.tick_output, self.links.tick_readers))
         handshake = Handshake(self, [(i, inputs[i.name].node) for i in self.inputs if i.name in inputs], wanted)
         return Departure(self, handshake, self._begin_at)
 
@@ -69,22 +60,6 @@ class Realtime(Answering):
         self.state = "running"
         if not self._by_messages:
             self._timer.again(SECOND // 1000)
-
-    def _follow_end(self, node: str) -> None:
-        topic = f"{self.namespace}/{node}/tick"
-        item, read = Input(Port("stamp", topic, TICK)), TickReader()
-        self.paces.append(item)
-
-        def receive(data: bytes) -> None:
-            try:
-                _, sent = read(data)
-            except Refused as error:
-                self.refuse(item, str(error))
-                return
-            if END in sent:
-                self.finish()
-
-        self.middleware.subscribe(topic, TICK, receive, lambda count: None)
 
     def progress(self) -> None:
         """A node whose senders have ended before it does not wait for them beyond the end of the run."""

@@ -8,7 +8,6 @@ from ..model.port import Refused
 from ..wire.cdr import CdrError, Layout, parse
 
 TICK = "std_msgs/msg/Header"
-END = "!"  # in place of a port's name: the block has ended the run
 
 
 class TickWriter:

@@ -87,13 +87,9 @@ class Links(BaseModel):
         Publishes /clock.
     acknowledges : bool
         Sends each tick's stamp on ``<node>/tick``, so that the plant never runs ahead of it, and with it which sporadic
-        ports have spoken and whether the block ends the run.
+        ports have spoken.
     tick_readers : list of str
         Nodes that read these acknowledgements.
-    enders : by node name
-        Nodes whose block may end the run, with their period in s.
-    stride : int
-        Clock ticks between those at which a block may end the run.
     acks : by node name
         Nodes whose ticks the owner of the clock waits for, with their period in s. With an external plant, which waits
         for nobody but who commands it, that node waits for their ticks before its own, and a source for its readers'.
@@ -122,8 +118,6 @@ class Links(BaseModel):
     owns_clock: bool = False
     acknowledges: bool = False
     tick_readers: list[str] = []
-    enders: dict[str, str] = {}
-    stride: int = 1
     acks: dict[str, str] = {}
     clock_readers: list[str] = []
     solvers: list[str] = []

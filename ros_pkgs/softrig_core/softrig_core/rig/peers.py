@@ -35,8 +35,6 @@ def links(rig: Rig, member: Member) -> Links:
         owns_clock=member is rig.clock,
         acknowledges=bool(tick_readers) or unheard,
         tick_readers=tick_readers,
-        enders={m.name: _seconds(m) for m in rig.enders if not m.external},
-        stride=rig.stride,
         acks={m.name: _seconds(m) for m in [*acknowledging, *pacers]},
         clock_readers=[m.name for m in _clocked(rig) if not m.external] if member is rig.clock else [],
         solvers=[m.name for m in rig.members if issubclass(m.block_class, Solver) and not m.external],
@@ -73,13 +71,10 @@ def _recorded_inputs(rig: Rig, member: Member) -> list[str]:
 
 def _tick_readers(rig: Rig, member: Member) -> list[str]:
     """Name the nodes that read what a member says of its ticks."""
-    if member in rig.enders:
-        found = [m for m in rig.members if m is not member]
-    else:
-        gatherer = _gatherer(rig)
-        found = [gatherer] if gatherer not in (None, member) and member in _acknowledging(rig) else []
-        found += [m for m in rig.members if member in _pacers(rig, m)]
-        found += [m for p in member.outputs if p.sporadic for m, _ in rig.readers(member, p)]
+    gatherer = _gatherer(rig)
+    found = [gatherer] if gatherer not in (None, member) and member in _acknowledging(rig) else []
+    found += [m for m in rig.members if member in _pacers(rig, m)]
+    found += [m for p in member.outputs if p.sporadic for m, _ in rig.readers(member, p)]
     return list(dict.fromkeys(m.name for m in found if not m.external))
 
 

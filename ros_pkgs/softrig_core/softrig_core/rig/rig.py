@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import importlib.metadata
-import math
 from collections.abc import Mapping
-from copy import copy
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,7 +16,6 @@ from ..model.port import CLOCK, Port, Refused
 from ..model.schedule import Schedule
 from ..wire.cdr import Pick
 from ..wire.codec import selection
-from ..wire.recording import Recording
 from .agreement import require_agreement
 from .faults import insert
 from .node_parameters import NodeParameters
@@ -164,31 +161,12 @@ class Rig:
         return Rig.from_scenario(scenario, {m.name: m.block_class for m in self.members})
 
     @property
-    def stride(self) -> int:
-        """Number of clock ticks between those at which a block may end the run: all that have a last word are due."""
-        return math.lcm(*(m.schedule.every for m in self.members if m.block_class.finishes()))
-
-    @property
     def topics(self) -> dict[str, Port]:
         """Every published topic in the order in which one tick's messages follow from each other."""
         found = {"/clock": CLOCK} | {port.topic: port for m in self.members for port in m.outputs}
         for m in self.members:
             found |= {p.topic: p for p in m.inputs if p.topic not in found}
         return found
-
-    @property
-    def enders(self) -> list[Member]:
-        """Members that may end the run."""
-        return [m for m in self.members if m.block_class.ENDS]
-
-    def schedule_of(self, member: Member, recording: Recording) -> Schedule:
-        """Give the schedule of a member in a recorded run, which a block may have ended before its duration."""
-        schedule = copy(member.schedule)
-        clock = recording.topics.get(CLOCK.topic)
-        ticks = len(clock.times) - 1 if clock is not None and self.enders else 0
-        if ticks > 0 and ticks % self.stride == 0:
-            schedule.stop(ticks)
-        return schedule
 
     def readers(self, member: Member, port: Port) -> list[tuple[Member, Port]]:
         """Give the members that read an output."""

@@ -5,8 +5,7 @@ from __future__ import annotations
 import heapq
 import json
 import struct
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -30,6 +29,15 @@ class Sink(Protocol):
 
     def add(self, topic: int, t: int, data: bytes) -> None:
         """Append one message of topic number `topic`, published at tick time `t` (ns)."""
+
+    def row(self, layouts: Mapping[int, Layout]) -> Callable[[int, Sequence[float]], object]:
+        """Give what appends one message of each of some topics, all of one time, by their numbers.
+
+        Parameters
+        ----------
+        layouts : mapping of int to Layout
+            By number of the topic; arrays are numbered in the order of the calls.
+        """
 
 
 class ShardWriter:
@@ -56,7 +64,7 @@ class ShardWriter:
         head = {"topics": list(topics), "row": [[number, layout.form] for number, layout in row.items()]}
         self._file = path.open("wb", buffering=0)
         self._buffer = bytearray(_MAGIC + json.dumps(head).encode() + b"\n")
-        self._pack_row = struct.Struct(f"{_ROW_HEAD.format}{sum(layout.size for layout in row.values())}d").pack
+        self._pack_row = _row_packer(row.values())
         self.flush()
         self._limit = 0
 
@@ -88,14 +96,29 @@ class ShardWriter:
         self._file.close()
 
 
-@dataclass
 class Topic:
     """All messages of one topic: tick times in ns and message bytes."""
 
-    name: str
-    msgtype: str
-    times: list[int] = field(default_factory=list)
-    data: list[bytes] = field(default_factory=list)
+    def __init__(self, name: str, msgtype: str) -> None:
+        self.name = name
+        self.msgtype = msgtype
+        self._times: list[int] = []
+        self._data: list[bytes] = []
+        self.settle: Callable[[], object] | None = None  # makes messages of the numbers that stand for them
+
+    @property
+    def times(self) -> list[int]:
+        """Tick time of each message, ns."""
+        if self.settle is not None:
+            self.settle()
+        return self._times
+
+    @property
+    def data(self) -> list[bytes]:
+        """The messages."""
+        if self.settle is not None:
+            self.settle()
+        return self._data
 
 
 class Recording:
@@ -104,13 +127,30 @@ class Recording:
     def __init__(self, topics: Iterable[tuple[str, str]]) -> None:
         self.topics = {name: Topic(name, msgtype) for name, msgtype in topics}
         self._order = list(self.topics.values())
-        self._append = [(t.times.append, t.data.append) for t in self._order]
 
     def add(self, topic: int, t: int, data: bytes) -> None:
         """Append one message."""
-        time, datum = self._append[topic]
-        time(t)
-        datum(data)
+        found = self._order[topic]
+        found.times.append(t)
+        found.data.append(data)
+
+    def row(self, layouts: Mapping[int, Layout]) -> Callable[[int, Sequence[float]], object]:
+        """Give what appends one message of each of some topics; their bytes are made when somebody asks for them."""
+        buffer, pack = bytearray(), _row_packer(layouts.values())
+        topics = [(self._order[number], layout) for number, layout in layouts.items()]
+
+        def add(t: int, values: Sequence[float]) -> None:
+            buffer.extend(pack(t, _ROW, *values))
+
+        def settle() -> None:
+            if buffer:
+                content = bytes(buffer)
+                buffer.clear()
+                _read_rows(memoryview(content), topics)
+
+        for topic, _ in topics:
+            topic.settle = settle
+        return add
 
     def messages(self) -> Iterator[tuple[int, Topic, bytes]]:
         """Give all messages by time; equal times in topic order."""
@@ -133,13 +173,12 @@ class Recording:
         head, start = _read_head(content)
         if head is None:
             return len(content)
-        numbers = {t.name: i for i, t in enumerate(self._order)}
-        index = [numbers[name] for name, _ in head["topics"]]
-        row = [(index[number], Layout(*form)) for number, form in head["row"]]
+        topics = [self.topics[name] for name, _ in head["topics"]]
+        row = [(topics[number], Layout(*form)) for number, form in head["row"]]
         at, size = start, _RECORD.size
         while at + _ROW_HEAD.size <= len(content):
             if _ROW_HEAD.unpack_from(content, at)[1] == _ROW:
-                taken = self._read_rows(content[at:], row)
+                taken = _read_rows(content[at:], row)
                 at += taken
                 if not taken:
                     break
@@ -149,29 +188,33 @@ class Recording:
             t, topic, length = _RECORD.unpack_from(content, at)
             if at + size + length > len(content):
                 break
-            time, datum = self._append[index[topic]]
-            time(t)
-            datum(bytes(content[at + size : at + size + length]))
+            topics[topic].times.append(t)
+            topics[topic].data.append(bytes(content[at + size : at + size + length]))
             at += size + length
         return len(content) - at
 
-    def _read_rows(self, content: memoryview, row: Sequence[tuple[int, Layout]]) -> int:
-        """Add the messages of the whole rows at the beginning of some bytes; gives how many bytes that are."""
-        length = _ROW_HEAD.size + 8 * sum(layout.size for _, layout in row)
-        block = np.frombuffer(content, dtype=np.uint8)[: len(content) // length * length].reshape(-1, length)
-        other = np.flatnonzero((block[:, 8:10] != 0xFF).any(axis=1))
-        block = block[: other[0]] if other.size else block
-        stamps = np.ascontiguousarray(block[:, :8]).view("<i8")[:, 0]
-        values = np.ascontiguousarray(block[:, _ROW_HEAD.size :]).view("<f8")
-        first = 0
-        for topic, layout in row:
-            said = len(self._order[topic].data)
-            marks = np.arange(said, said + len(stamps)) if layout.numbered else stamps
-            raw = layout.encode_block(marks, values[:, first : first + layout.size]).tobytes()
-            first += layout.size
-            self._order[topic].times += stamps.tolist()
-            self._order[topic].data += [raw[i : i + layout.length] for i in range(0, len(raw), layout.length)]
-        return int(block.size)
+
+def _row_packer(layouts: Iterable[Layout]) -> Callable[..., bytes]:
+    return struct.Struct(f"{_ROW_HEAD.format}{sum(layout.size for layout in layouts)}d").pack
+
+
+def _read_rows(content: memoryview, row: Sequence[tuple[Topic, Layout]]) -> int:
+    """Add the messages of the whole rows at the beginning of some bytes; gives how many bytes that are."""
+    length = _ROW_HEAD.size + 8 * sum(layout.size for _, layout in row)
+    block = np.frombuffer(content, dtype=np.uint8)[: len(content) // length * length].reshape(-1, length)
+    other = np.flatnonzero((block[:, 8:10] != 0xFF).any(axis=1))
+    block = block[: other[0]] if other.size else block
+    stamps = np.ascontiguousarray(block[:, :8]).view("<i8")[:, 0]
+    values = np.ascontiguousarray(block[:, _ROW_HEAD.size :]).view("<f8")
+    first = 0
+    for topic, layout in row:
+        said = len(topic.data)
+        marks = np.arange(said, said + len(stamps)) if layout.numbered else stamps
+        raw = layout.encode_block(marks, values[:, first : first + layout.size]).tobytes()
+        first += layout.size
+        topic.times.extend(stamps.tolist())
+        topic.data.extend(raw[i : i + layout.length] for i in range(0, len(raw), layout.length))
+    return int(block.size)
 
 
 def shard_topics(path: Path) -> dict[str, str]:

@@ -1,0 +1,181 @@
+"""A step: one member of a rig at its ticks, the same in every runner.
+
+It knows what the inputs of a tick are and how old, asks the block, and lets nothing out of it that may not leave.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from operator import itemgetter
+from typing import Any
+
+from ..errors import RunError, describe
+from .answer import Row, check, flat
+from .block import Block, Plant
+from .port import Port, Sample
+from .schedule import Schedule
+
+Rows = tuple["Row | None", ...]  # of each output: what is said; None for the silence of a sporadic one
+
+
+class Step:
+    """One member at its ticks.
+
+    Parameters
+    ----------
+    name : str
+        Node name, for errors.
+    block : Block
+    schedule : Schedule
+    inputs, outputs : sequence of Port
+
+    Attributes
+    ----------
+    values : dict of str to value
+        What each input holds: the keywords of the block's methods. Who brings a message writes it here.
+    stamps : dict of str to callable
+        By input: gives the stamp of the newest message, ns, None before the first; missing: nothing ever comes.
+    bad : bool
+        Whether something was refused that the next answer would have used.
+    t : int
+        The tick under way, or the newest that is over, ns.
+    plain : bool
+        Whether every output says something at each tick, at its stamp.
+    send : callable or None
+        Gets (t, rows) of each answer: what carries it out of this process, or records it.
+    lacks : callable or None
+        Gets t, the tick that is to be answered: whether something that it needs has not come; None: never.
+    """
+
+    send: Callable[[int, Rows], object] | None = None
+    lacks: Callable[[int], bool] | None = None
+
+    def __init__(
+        self, name: str, block: Block, schedule: Schedule, inputs: tuple[Port, ...], outputs: tuple[Port, ...]
+    ) -> None:
+        self.name, self.block, self.schedule = name, block, schedule
+        self.inputs, self.outputs = inputs, outputs
+        self.values: dict[str, Any] = {p.name: p.initial for p in inputs}
+        self.stamps: dict[str, Callable[[], int | None]] = {}
+        self.bad = False
+        self.t = 0
+        self.plain = not any(p.sporadic or p.delayed for p in outputs)
+        self.spoken: list[int | None] = [None] * len(outputs)  # of one that is not plain: when each output spoke last
+        self.said: Any = {}  # the newest answer: what is held when an input is refused
+        self._readers: list[tuple[int, dict[str, Any], str, Callable[[Any], Any] | None]] = []
+        self._sizes = tuple(p.size for p in outputs)
+        self._bound = min((p.bound for p in outputs), default=0.0)
+        self._pick = itemgetter(*[p.name for p in outputs]) if self.plain and len(outputs) > 1 else None
+        self._asked = {} if isinstance(block, Plant) else self.values
+        self.respond = block.outputs if isinstance(block, Plant) else block.update
+        if not isinstance(block, Plant) and block.finishes():
+            self.respond = self._finish_or_update
+        block.ages = self.age
+
+    # what a tick is -----------------------------------------------------------------------------------------------
+
+    def say(self, t: int) -> None:
+        """Answer tick `t`, hand the answer to the readers here, and send it.
+
+        Raises
+        ------
+        RunError
+            The block failed, or gave what may not leave it.
+        """
+        self.t = t
+        try:
+            found = self.refused(t) if self.bad else self.respond(t, **self._asked)
+        except RunError:
+            raise
+        except Exception as error:
+            raise self.failure(error) from error
+        self.said = found
+        rows = self.checked(found)
+        if not self.plain:
+            self.spoken = [s if row is None else t for s, row in zip(self.spoken, rows, strict=True)]
+        for k, values, name, take in self._readers:
+            row = rows[k]
+            if row is not None:
+                values[name] = row if take is None else take(row)
+        if self.send is not None:
+            self.send(t, rows)
+
+    def advance(self, t: int) -> None:
+        """Move a plant from `t` over one period; raises RunError when it fails."""
+        self.t = t
+        try:
+            self.block.advance(t, **self.values)  # type: ignore[attr-defined]
+        except RunError:
+            raise
+        except Exception as error:
+            raise self.failure(error) from error
+
+    def age(self, name: str) -> int | None:
+        """Answer `Block.age`: from the stamp of what an input holds to the tick under way, ns; None: nothing came."""
+        told = self.stamps.get(name)
+        stamp = None if told is None else told()
+        if stamp is None:
+            return None
+        value = self.values[name]
+        return max(0, self.t - (value.stamp if isinstance(value, Sample) else stamp))
+
+    def held(self) -> Mapping[str, Any]:
+        """Give what was said last, at first the safe values; silence on sporadic ports."""
+        return {
+            p.name: self.said.get(p.name) or (Sample(self.t, p.safe) if p.delayed else p.safe)
+            for p in self.outputs if not p.sporadic
+        }  # fmt: skip
+
+    def refused(self, t: int) -> Any:
+        """Answer a tick of which something was refused."""
+        self.bad = False
+        own = self.block.refused(t)
+        return self.held() if own is None else own
+
+    # its parts ----------------------------------------------------------------------------------------------------
+
+    def _finish_or_update(self, t: int, **inputs: Any) -> Any:
+        return (self.block.finish if t == self.schedule.last else self.block.update)(t, **inputs)
+
+    def checked(self, found: Any) -> Rows:
+        """Give what each output says, checked."""
+        if self._pick is not None:  # what nearly every block with several outputs gives, told all at once
+            try:
+                rows: Rows = self._pick(found)
+                total = sum(map(abs, flat(rows)))
+                if type(total) is float and total <= self._bound and tuple(map(len, rows)) == self._sizes:  # type: ignore[arg-type]
+                    return rows
+            except (KeyError, TypeError, OverflowError):  # told by `check`
+                pass
+        return tuple([check(found, port, self.name, self.t) for port in self.outputs])
+
+    def feeds(self, output: str, reader: Step, name: str, pick: Callable[[Any], Any] | None) -> None:
+        """Have an output fill an input of another step of this process.
+
+        Parameters
+        ----------
+        output : str
+        reader : Step
+        name : str
+            Of its input.
+        pick : callable or None
+            How the values of the one become those of the other.
+        """
+        k = next(i for i, p in enumerate(self.outputs) if p.name == output)
+        port = next(p for p in reader.inputs if p.name == name)
+        take = pick
+        if self.outputs[k].delayed and pick is not None:
+
+            def take(found: Sample) -> Sample:
+                return Sample(found.stamp, pick(found.data))
+        elif port.delayed and not self.outputs[k].delayed:
+
+            def take(found: Any) -> Sample:
+                return Sample(self.t, found if pick is None else pick(found))
+
+        self._readers.append((k, reader.values, name, take))
+        reader.stamps[name] = (lambda: self.t) if self.plain else (lambda: self.spoken[k])
+
+    def failure(self, error: Exception) -> RunError:
+        """Say that the block has failed, where, and why."""
+        return RunError(f"{self.name} failed at t = {self.t / 1e9:.9g} s: {describe(error)}")

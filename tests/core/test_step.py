@@ -1,0 +1,82 @@
+"""The step and the runner: what may leave a block, ages, ticks one by one; alike in every placement."""
+
+import pytest
+from conftest import make_scenario
+from faultrig import Gain, Lag, Source
+from simulated import SimulatedRig, World
+from softrig_core.errors import RunError
+from softrig_core.model.block import Block
+from softrig_core.model.runner import Runner
+from softrig_core.rig.inprocess import run_inprocess, wired
+from softrig_core.rig.rig import Rig
+from softrig_core.wire.recording import Recording
+
+
+def overdriven(values, period=0.01):
+    """A stable plant under a command; the unit of both is the volt, which no number beyond 1e7 can mean."""
+    nodes = {
+        "linear_plant": {"package": "softrig_control", "executable": "linear_plant", "parameters": {
+            "period": period, "num": [1.0], "den": [1.0, 1.0], "command": "command/u/effort"}},
+        "command_source": {"package": "softrig_control", "executable": "command_source", "parameters": {
+            "period": period, "channels": ["u"], "values": [values]}},
+    }  # fmt: skip
+    return Rig.from_scenario(make_scenario(nodes, 1.0))
+
+
+def test_what_is_beyond_its_range_ends_the_run_at_who_says_it_wherever_it_runs():
+    said = "command_source: command u/effort became 2e+07 V, expected at most 1e+07 in magnitude at t = 0 s"
+    with pytest.raises(RunError) as error:
+        run_inprocess(overdriven(2e7), 0)
+    assert str(error.value) == said
+    run = SimulatedRig(overdriven(2e7), World(), "lockstep")
+    assert run.run()["command_source"] == "failed"
+    assert str(run.adapters["command_source"].error) == said
+    assert set(SimulatedRig(overdriven(0.99e7), World(), "lockstep").run().values()) == {"done"}
+    run_inprocess(overdriven(0.99e7), 0)
+
+
+def test_in_real_time_a_law_beyond_its_range_gives_its_safe_value_and_says_so():
+    run = SimulatedRig(overdriven(2e7), World(), "realtime")
+    assert set(run.run().values()) == {"done"}
+    assert "became 2e+07 V" in run.adapters["command_source"].block.reports["failed"][1]
+    command = run.recording.topics["command"].data
+    layout = run.adapters["command_source"].outputs[0].layout
+    assert {layout.decode(data)[1] for data in command} == {(0.0,)}
+
+
+def test_a_rig_is_stepped_tick_by_tick_with_a_member_that_python_plays():
+    class Agent(Block):
+        """A law that is set from outside between two ticks."""
+
+        INPUTS, OUTPUTS = Gain.INPUTS, Gain.OUTPUTS
+        action = 0.0
+
+        def update(self, t, state, reference):
+            self.seen = state[0]
+            return {"command": (self.action,)}
+
+    rig = Rig.from_blocks({"plant": Lag(), "law": Agent(), "source": Source()}, 0.1)
+    blocks = {m.name: m.block(0) for m in rig.members}
+    ticks = Runner(list(wired(rig, blocks).values())).run()
+    x = 0.0
+    for k in range(11):
+        blocks["law"].action = float(k)
+        assert next(ticks) == 10_000_000 * k
+        if k < 10:  # a law that has no last word is not asked at the end
+            assert blocks["law"].seen == x
+            x += 0.01 * (k - x)
+    assert blocks["plant"].x == x
+    assert next(ticks, "over") == "over"
+
+
+def test_what_is_recorded_as_numbers_is_the_bytes_of_each_message():
+    rig = Rig.from_blocks({"plant": Lag(), "law": Gain(), "source": Source()}, 0.1)
+    recording = Recording((t, p.msgtype) for t, p in rig.topics.items())
+    halves = []
+    run_inprocess(rig, 0, recording, lambda t: halves.append(len(recording.topics["lag/state"].data)))
+    assert halves == list(range(1, 12))  # asked for in between
+    port = next(p for m in rig.members for p in m.outputs if p.topic == "lag/state")
+    topic = recording.topics["lag/state"]
+    found = [port.layout().decode(data) for data in topic.data]
+    assert [stamp for stamp, _ in found] == topic.times == [10_000_000 * k for k in range(11)]
+    assert [port.layout().encode(*message) for message in found] == topic.data
