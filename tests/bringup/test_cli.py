@@ -230,8 +230,8 @@ def test_a_run_keeps_the_commit_and_the_lock_file(folder, monkeypatch):
     _checkout.cache_clear()
     run("lag", "--mode", "inprocess", "--no-record", "--no-plots")
     versions = json.loads((folder / "runs" / "lag" / "metrics.json").read_text())["versions"]
-    lock = (SCRIPTS / "requirements.lock").read_bytes()
-    assert versions["requirements.lock"] == f"sha256:{hashlib.sha256(lock).hexdigest()}"
+    lock = (SCRIPTS / "locks" / "run.lock").read_bytes()
+    assert versions["run.lock"] == f"sha256:{hashlib.sha256(lock).hexdigest()}"
     if (SCRIPTS.parent / ".git").exists():
         assert re.fullmatch(r"[0-9a-f]{40}\+?", versions["commit"])
 
@@ -265,30 +265,38 @@ def test_a_node_explains_itself():
     assert "run.mode = 'realtime'" in done.stdout
 
 
-# Stands in for Python, colcon and what they make: a set-up in a second without a network.
+# Stands in for Python, uv and what they make: a set-up in a second without a network. Each leaves its arguments.
 STUB = """#!/bin/bash
+echo "$(basename "$0") $*" >>"$HOME/calls"
 case "$*" in
-*venv*/.venv) mkdir -p "${@: -1}/bin"; cp "$0" "${@: -1}/bin/python"; cp "$0" "${@: -1}/bin/colcon" ;;
-*build*) sleep 1; mkdir -p .ws/install/lib/softrig_bringup
+*-m" "venv*) mkdir -p "${@: -1}/bin"; cp "$0" "${@: -1}/bin/python" ;;
+*uv.lock) [ -n "$NO_UV" ] && exit 1; cp "$0" "$HOME/.venv/bin/uv" ;;
+*layout.py*) sleep 1; mkdir -p .ws/install/lib/softrig_bringup
     echo 'export PYTHONPATH=/built AMENT_PREFIX_PATH=/built' >.ws/install/setup.sh
     install -m 755 /dev/null .ws/install/lib/softrig_bringup/softrig ;;
 esac
 """
 
 
-def test_a_call_that_waited_for_the_set_up_of_another_runs_as_that_one(tmp_path):
+@pytest.fixture
+def bare(tmp_path):
+    """A checkout that has never been set up, on a machine with nothing but the stub; gives its environment."""
     for folder in ("scripts", "ros_pkgs/here", "config/scenarios", "bin"):
         (tmp_path / folder).mkdir(parents=True)
     for file in ("setup.py", "setup.cfg", "package.xml"):
         (tmp_path / "ros_pkgs" / "here" / file).touch()
-    (tmp_path / "scripts" / "requirements.lock").touch()
-    shutil.copy(SCRIPTS / "softrig", tmp_path / "scripts" / "softrig")
+    (tmp_path / "scripts" / "locks").mkdir()
+    for file in ("locks/run.lock", "locks/uv.lock", "softrig", "layout.py"):
+        shutil.copy(SCRIPTS / file, tmp_path / "scripts" / file)
     stub = tmp_path / "bin" / "python3.13"
     stub.write_text(STUB)
     stub.chmod(0o755)
-    clean = {"PATH": f"{tmp_path / 'bin'}:/usr/bin:/bin", "HOME": str(tmp_path)}
+    return {"PATH": f"{tmp_path / 'bin'}:/usr/bin:/bin", "HOME": str(tmp_path)}
+
+
+def test_a_call_that_waited_for_the_set_up_of_another_runs_as_that_one(bare, tmp_path):
     calls = [
-        subprocess.Popen([tmp_path / "scripts" / "softrig", "env"], env=clean, stdout=subprocess.PIPE,
+        subprocess.Popen([tmp_path / "scripts" / "softrig", "env"], env=bare, stdout=subprocess.PIPE,
                          stderr=subprocess.PIPE, text=True)
         for _ in range(2)
     ]  # fmt: skip
@@ -298,6 +306,28 @@ def test_a_call_that_waited_for_the_set_up_of_another_runs_as_that_one(tmp_path)
     assert first == second
     assert f"export SOFTRIG_SCENARIOS={tmp_path}/config/scenarios" in first
     assert "export AMENT_PREFIX_PATH=/built" in first
+    installs = [c for c in (tmp_path / "calls").read_text().splitlines() if " install " in c]
+    assert [c.split()[0] for c in installs] == ["python", "uv"]  # pip gets uv, uv the rest, once
+    assert all("--require-hashes" in c for c in installs)
+
+
+def test_pip_does_it_where_uv_cannot_be_had_and_a_shared_environment_is_not_installed_twice(bare, tmp_path):
+    def softrig(*arguments, **variables):
+        return subprocess.run([tmp_path / "scripts" / "softrig", *arguments], env=bare | variables, timeout=60,
+                              stdin=subprocess.DEVNULL, capture_output=True, text=True)  # fmt: skip
+
+    assert softrig("setup", NO_UV="1", SOFTRIG_WHEELS="bin").returncode == 0
+    installs = [c for c in (tmp_path / "calls").read_text().splitlines() if " install " in c]
+    assert len(installs) == 2
+    for call in installs:  # by pip, verified, and nothing from the network
+        assert call.startswith("python -m pip install ")
+        assert f" --require-hashes --no-index --find-links {tmp_path}/bin -r {tmp_path}" in call
+    shutil.rmtree(tmp_path / ".ws")  # as another checkout whose .venv is a link to this one
+    assert softrig("setup").returncode == 0
+    assert [c for c in (tmp_path / "calls").read_text().splitlines() if " install " in c] == installs
+    said = softrig("add", "tables")
+    assert said.returncode == 2
+    assert "add tables: no such set; there are run uv" in said.stderr
 
 
 KEYS = (
@@ -306,8 +336,8 @@ KEYS = (
     | {name: f"python3-{name}" for name in ("matplotlib", "numpy", "pyarrow", "pydantic", "rich", "scipy")}
 )
 FROM_PIP = {  # no rosdep key; the README says so
-    "backports", "bibtexparser", "clarabel", "compression", "comtrade", "control", "cvxpy", "daqp", "distributed",
-    "highspy", "llvmlite", "lz4", "mcap", "numba", "optuna", "osqp", "pyscipopt", "rosbags",
+    "backports", "bibtexparser", "clarabel", "compression", "comtrade", "control", "daqp", "distributed",
+    "highspy", "llvmlite", "lz4", "mcap", "numba", "optuna", "osqp", "rosbags",
 }  # fmt: skip
 OTHERS = {"motulator", "gym_electric_motor"}  # compared with where somebody has installed them
 

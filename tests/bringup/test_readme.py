@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from softrig_bringup.cli import _FOREIGN, _parser, main
+from softrig_bringup.cli import _FOREIGN, _SCRIPT, _parser, main
 from softrig_core import list_scenarios
 from softrig_core.rig.domain import free_domain
 from softrig_core.rig.executables import PROFILE, find_executable
@@ -42,7 +42,7 @@ def test_the_controller_of_the_readme_takes_the_place_of_ours(tmp_path, monkeypa
 
 
 def test_every_command_of_the_readme_exists():
-    verbs = set(_FOREIGN) | set(_parser()._subparsers._group_actions[0].choices) | {"python", "setup"}
+    verbs = set(_FOREIGN) | set(_parser()._subparsers._group_actions[0].choices) | set(_SCRIPT)
     scenarios = set(list_scenarios())
     for verb, rest in re.findall(r"scripts/softrig (\w+)([^#\n]*)", README):
         assert verb in verbs, verb

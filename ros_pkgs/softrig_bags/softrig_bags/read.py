@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from rosbags.typesys.store import Typestore
 from softrig_core import SECOND, Recording, Signals
+from softrig_core.extras import need
 from softrig_core.wire.recording import Topic, relative
 from softrig_core.wire.signals import Table
 from softrig_core.wire.types import TYPES
@@ -195,6 +196,7 @@ def export(path: Path | str, directory: Path | str, file_format: str) -> list[Pa
     BagError
         Bad bag or unknown format.
     """
+    need("pyarrow", "an export")
     import pyarrow  # half a second, only here
     import pyarrow.csv
     import pyarrow.parquet

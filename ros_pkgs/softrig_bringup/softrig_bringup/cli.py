@@ -46,7 +46,10 @@ _FOREIGN = {
 }
 # verbs of scripts/softrig itself, which never get here
 _SCRIPT = {
-    "setup": "only set up what is missing: .venv from the lock file, .ws by colcon",
+    "setup": "only set up what is missing: .venv from the lock files, .ws from ros_pkgs",
+    "add": "add sets of scripts/locks to .venv (tables, search, dask, osqp, colcon, test); most come on first use",
+    "fetch": "fetch DIR: download all packages; SOFTRIG_WHEELS=DIR then sets up without a network",
+    "colcon": "colcon of the set-up, for packages of your own: scripts/softrig colcon build",
     "env": 'print the environment, for a shell of your own: eval "$(scripts/softrig env)"',
     "python": "the Python of the set-up, with everything importable: scripts/softrig python my_script.py",
     "bench": "what the suite costs, as ratios to baselines of the same run; --help names its parts",

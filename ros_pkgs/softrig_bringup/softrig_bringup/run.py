@@ -193,10 +193,10 @@ def versions() -> dict[str, str]:
 def _checkout() -> dict[str, str]:
     """Give the commit of the checkout that runs, ``+`` behind it when files were changed, and its lock file's hash."""
     script = Path(os.environ.get("SOFTRIG_COMMAND", ""))
-    lock = script.parent / "requirements.lock"
+    lock = script.parent / "locks" / "run.lock"
     if not lock.is_file():
         return {}
-    found = {"requirements.lock": f"sha256:{hashlib.sha256(lock.read_bytes()).hexdigest()}"}
+    found = {"run.lock": f"sha256:{hashlib.sha256(lock.read_bytes()).hexdigest()}"}
     git = ["git", "-C", str(script.parent), "-c", "core.fsmonitor=", "--no-optional-locks"]
     try:
         said = [

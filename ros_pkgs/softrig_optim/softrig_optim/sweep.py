@@ -14,6 +14,8 @@ from contextlib import contextmanager
 from itertools import islice
 from typing import Any, TypeVar
 
+from softrig_core.extras import need
+
 C = TypeVar("C")
 R = TypeVar("R")
 
@@ -50,8 +52,8 @@ def sweep(
 
     Raises
     ------
-    ImportError
-        A scheduler is given, but `distributed` is not installed.
+    ScenarioError
+        A scheduler is given, but `distributed` is not installed and could not be added.
     """
     found: dict[int, R] = {}
     with progress(title, len(cases)) as advance:
@@ -164,10 +166,9 @@ def _end_with_parent() -> None:
 
 
 def _on_cluster(function: Callable[[C], R], cases: Iterator[tuple[int, C]], scheduler: str) -> Iterator[tuple[int, R]]:
-    try:
-        import distributed
-    except ImportError:
-        raise ImportError(f"scheduler {scheduler}: needs the package 'distributed' (pip install distributed)") from None
+    need("distributed", f"scheduler {scheduler}")
+    import distributed
+
     with distributed.Client(scheduler) as client:
         numbers: dict[Any, int] = {}
         size = max(1, sum(client.nthreads().values())) * AHEAD

@@ -10,6 +10,7 @@ from typing import Any, Literal
 
 import numpy as np
 from softrig_core import ScenarioError, figures_of, rig_of
+from softrig_core.extras import need
 from softrig_optim.sweep import progress, stream
 
 from .definition import Search, Study
@@ -115,6 +116,7 @@ def _suggest_middle(d: Any) -> Any:
 
 def _search(study: Study, search: Search, log: Log, workers: int | None, scheduler: str, advance: Any) -> None:
     """Ask and tell in batches; rows that are there already are told again in the same order."""
+    need("optuna", f"{study.name}: its search")
     import optuna
 
     optuna.logging.set_verbosity(optuna.logging.WARNING)

@@ -9,6 +9,7 @@ from typing import Any
 from xml.etree.ElementTree import Element
 
 from softrig_core import figures_of, load_scenario, rig_of
+from softrig_core.extras import need
 from softrig_core.model.params import declarations
 from softrig_core.rig.figures import Result, signal_units
 from softrig_core.rig.findings import Finding
@@ -28,6 +29,7 @@ LONGEST = 200  # rows on the page; the table files have them all
 
 def main(study: Study, out: Path, *, workers: int | None = None, scheduler: str = "") -> int:
     """Run a study and write its results; 1 when an expectation or a claim does not hold, 3 when a run broke."""
+    need("pyarrow", "the table of a study")  # before hours of runs, not after
     log = run_study(study, out, workers=workers, scheduler=scheduler)
     rows = without_signals(log.rows())
     write_table(rows, out, study.duration)

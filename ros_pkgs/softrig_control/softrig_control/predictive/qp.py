@@ -13,6 +13,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol
 
+from softrig_core.extras import need
+
 if TYPE_CHECKING:
     import numpy as np
 
@@ -102,6 +104,7 @@ class _Daqp(_Base):
 class _Osqp(_Base):
     def __init__(self, hessian: Sequence[Sequence[float]], most: float) -> None:
         super().__init__(hessian, most)
+        need("osqp", "solver osqp")
         import numpy as np
         import osqp
         from scipy import sparse

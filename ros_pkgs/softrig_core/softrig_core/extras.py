@@ -1,0 +1,49 @@
+"""Packages that few users need: a checkout adds one when it is first asked for, and says so in one line."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import subprocess
+
+from .errors import ScenarioError
+
+# the extra of pyproject.toml that brings a package
+EXTRAS = {"pyarrow": "tables", "optuna": "search", "distributed": "dask", "osqp": "osqp"}
+
+
+def need(package: str, what: str) -> None:
+    """See to it that a package can be imported.
+
+    Parameters
+    ----------
+    package : str
+        One of `EXTRAS`.
+    what : str
+        What needs it, as the error says it.
+
+    Raises
+    ------
+    ScenarioError
+        It is not there and could not be added; says how to get it.
+    """
+    extra = EXTRAS[package]
+    if _there(package):
+        return
+    if command := os.environ.get("SOFTRIG_COMMAND"):
+        subprocess.run([command, "add", extra], stdin=subprocess.DEVNULL, check=False)  # prints its own lines
+        importlib.invalidate_caches()
+        if _there(package):
+            return
+        raise ScenarioError(f"{what} needs the package {package!r}: {command} add {extra} (see above why it failed)")
+    raise ScenarioError(f"{what} needs the package {package!r}: pip install 'softrig[{extra}]', or {package} by itself")
+
+
+def _there(package: str) -> bool:
+    try:
+        importlib.import_module(package)
+    except ModuleNotFoundError as error:
+        if error.name != package:  # it is there, and broken
+            raise
+        return False
+    return True

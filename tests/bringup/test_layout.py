@@ -1,0 +1,114 @@
+"""The set-up: what it lays out is what colcon builds, what it installs is pinned and has its reasons."""
+
+import importlib.util
+import os
+import re
+import subprocess
+import sys
+import tomllib
+from importlib.metadata import distributions
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+LOCKS = {file.stem: file.read_text() for file in ROOT.glob("scripts/locks/*.lock")}
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
+spec = importlib.util.spec_from_file_location("layout", ROOT / "scripts" / "layout.py")
+layout = importlib.util.module_from_spec(spec)
+spec.loader.exec_module(layout)
+
+
+def visible(prefix):
+    """What ROS sees of a prefix: executables, data files and the ament index; what Python sees of the packages."""
+    files = {
+        str(path.relative_to(prefix)): path.resolve() if path.is_symlink() else None
+        for folder in ("lib", "share") for path in (prefix / folder).rglob("*")
+        if path.is_file() and not {"site-packages", "colcon-core", "hook"} & set(path.parts) and path.stem != "package"
+    }  # fmt: skip
+    executables = {name for name in files if name.startswith("lib/")}
+    assert all(os.access(prefix / name, os.X_OK) for name in executables)
+    return {k: v for k, v in files.items() if k not in executables}, executables
+
+
+def entry_points(*places):
+    found = distributions(path=[str(p) for p in places])
+    return {(d.name.replace("-", "_"), d.version, tuple(sorted(map(str, d.entry_points)))) for d in found}
+
+
+def test_the_layout_has_every_package_and_starts_its_nodes(tmp_path):
+    layout.lay_out(tmp_path / "my prefix")
+    files, executables = visible(tmp_path / "my prefix")
+    packages = {file.parent.name for file in ROOT.glob("ros_pkgs/*/package.xml")}
+    assert {f"share/ament_index/resource_index/packages/{name}" for name in packages} < set(files)
+    assert "share/softrig_bringup/scenarios/dc_motor_smc.yaml" in files
+    assert "lib/softrig_drives/dc_motor_plant" in executables
+    source = f". '{tmp_path}/my prefix/setup.sh'; echo $PYTHONPATH; echo $AMENT_PREFIX_PATH"
+    said = subprocess.run(["sh", "-c", source], env={"AMENT_PREFIX_PATH": "/under"}, capture_output=True, text=True)
+    library, index = said.stdout.splitlines()
+    assert index == f"{tmp_path}/my prefix:/under"
+    shown = subprocess.run([tmp_path / "my prefix/lib/softrig_drives/dc_motor_plant", "--help"], capture_output=True,
+                           text=True, env=os.environ | {"PYTHONPATH": library})  # fmt: skip
+    assert "publishes motor/state" in shown.stdout, shown.stderr
+
+
+@pytest.mark.long
+def test_the_layout_is_what_colcon_builds(tmp_path):
+    layout.lay_out(tmp_path / "ours")
+    ours = tmp_path / "ours" / layout.library()
+    theirs = tmp_path / "theirs"
+    command = ["colcon", "--log-base", tmp_path / "log", "build", "--base-paths", ROOT / "ros_pkgs", "--build-base",
+               tmp_path / "build", "--install-base", theirs, "--merge-install", "--symlink-install"]  # fmt: skip
+    subprocess.run(command, cwd=tmp_path, check=True, capture_output=True)
+    assert visible(tmp_path / "ours") == visible(theirs)
+    assert entry_points(ours) == entry_points(*tmp_path.glob("build/*"))
+
+
+def names(requirements):
+    return {re.match(r"[\w.-]+", r).group().replace("_", "-").replace(".", "-").lower() for r in requirements}
+
+
+def test_what_is_asked_for_is_pinned_with_its_hashes():
+    pinned = {set_: names(re.findall(r"^[^ \n]+==\S+", lock, re.M)) for set_, lock in LOCKS.items()}
+    extras = PROJECT["project"]["optional-dependencies"]
+    assert names(PROJECT["project"]["dependencies"]) <= pinned["run"]
+    assert set(LOCKS) == {"run", "uv", "test", *extras}
+    for extra, requirements in extras.items():
+        assert names(requirements) <= pinned[extra] | pinned["run"]
+        assert pinned[extra] <= pinned["test"]
+    assert names(PROJECT["dependency-groups"]["test"]) <= pinned["test"]
+    for lock in LOCKS.values():
+        entries = re.split(r"\n(?=\S)", lock.strip())
+        assert all(re.match(r"\S+==\S+.*( \\\n    --hash=sha256:[0-9a-f]{64})+$", entry) for entry in entries)
+
+
+def test_every_dependency_has_its_reason_beside_it():
+    text = (ROOT / "pyproject.toml").read_text().partition("dependencies = [")[2].partition("[tool.")[0]
+    block = False  # whose first line says it for all
+    for line in text.splitlines():
+        if line.strip().startswith('"') and not block:
+            assert " # " in line, line
+        elif "= [" in line:
+            block = "colcon = [" in line
+            assert " # " in line, line
+
+
+def test_what_a_run_imports_is_not_of_the_test_set():
+    """The run set is enough to import every module that ships."""
+    added = names(re.findall(r"^[^ \n]+==", LOCKS["test"], re.M))
+    loaded = subprocess.run([sys.executable, "-c", EVERY_MODULE], capture_output=True, text=True, check=True)
+    assert not added & set(loaded.stdout.split())
+
+
+EVERY_MODULE = """
+import importlib, pkgutil, sys
+from importlib.metadata import packages_distributions
+import softrig_core, softrig_control, softrig_optim, softrig_drives, softrig_power, softrig_robots, softrig_systems
+import softrig_bags, softrig_bringup
+for package in [m for n, m in list(sys.modules.items()) if n.startswith("softrig_") and "." not in n]:
+    for module in pkgutil.walk_packages(package.__path__, package.__name__ + "."):
+        if not module.name.endswith("__main__"):
+            importlib.import_module(module.name)
+owners = packages_distributions()
+print(*{d.replace("_", "-").lower() for name in list(sys.modules) for d in owners.get(name, ())})
+"""
