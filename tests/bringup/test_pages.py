@@ -3,11 +3,13 @@
 import re
 import shutil
 from functools import cache
+from importlib import import_module
 from pathlib import Path
 
 import pytest
+from pages import drawn, generated as pages, numbers
+from pages.drawn import rectifier_mpc
 from ruamel.yaml import YAML
-from softrig_bringup import numbers, pages
 from softrig_bringup.cli import _FOREIGN, _parser, main
 from softrig_bringup.study.definition import list_studies, make_study
 from softrig_core import Rig, ScenarioError, figures_of, list_scenarios, load_scenario, simulate
@@ -20,7 +22,7 @@ SYSTEMS = {
     "manipulator_adsmc", "optimal_control_mvim", "pv_mppt", "pwa_delay", "rectifier_mpc", "rehab_impedance", "tcp_aqm",
 }  # fmt: skip
 GENERATED = [p for p in PAGES if "<!-- end -->" in (ROOT / p).read_text()]
-WRITE = "run scripts/softrig python -m softrig_bringup.pages {}"
+WRITE = "run scripts/softrig pages {}"
 
 
 def test_every_system_has_its_page():
@@ -67,6 +69,23 @@ def test_pictures_are_plot_entries_drawn_from_a_run(tmp_path):
     assert (tmp_path / "dc_motor_smc_b2_2.png").read_bytes().startswith(b"\x89PNG")
     with pytest.raises(ScenarioError, match="picture 9 of dc_motor_smc_b2: expected a plot entry from 1 to 5"):
         pages.generate("<!-- picture: dc_motor_smc_b2 9 -->\n<!-- end -->")
+
+
+def test_pictures_without_a_plot_entry_are_drawn_beside_their_page(tmp_path, monkeypatch):
+    assert {*drawn.PAGES} < SYSTEMS
+    monkeypatch.setattr(rectifier_mpc, "PICTURES", {"current": lambda figure: figure.text(0.5, 0.5, "i")})
+    page = tmp_path / "rectifier_mpc.md"
+    page.write_text("# Rectifier")
+    assert pages.main(["--pictures", str(page)]) == 0
+    assert (tmp_path / "rectifier_mpc_current.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", drawn.PAGES)
+def test_the_pictures_of_a_page_are_those_that_its_module_draws(tmp_path, name):
+    import_module(f"pages.drawn.{name}").draw(tmp_path)
+    (page,) = (ROOT / p for p in PAGES if p.stem == name)
+    assert {p.name for p in tmp_path.iterdir()} <= set(re.findall(r"\((\w+\.png)\)", page.read_text()))
 
 
 def test_measured_figures_are_those_of_a_run(monkeypatch):

@@ -10,7 +10,6 @@ import pytest
 from softrig_bags.read import read_bag
 from softrig_bags.write import write_bag
 from softrig_bringup.cli import main
-from softrig_bringup.locate import read
 from softrig_core import Level, ParameterError, Recording, feed, run_processes, simulate
 from softrig_core.model.params import build
 from softrig_power.fault_location import pictures, study
@@ -18,6 +17,7 @@ from softrig_power.fault_location.cases import PUBLISHED, RESISTANCES, Case
 from softrig_power.fault_location.comtrade_file import ComtradeFileError, read_comtrade, write_comtrade
 from softrig_power.fault_location.confidence import ErrorBudget, confidence, shifted
 from softrig_power.fault_location.inception import inception, windowed
+from softrig_power.fault_location.locate_tool import read
 from softrig_power.fault_location.location import Locator, LocatorParams, locate
 from softrig_power.fault_location.locator import FaultLocator
 from softrig_power.fault_location.marker import LocationMarker
@@ -722,7 +722,7 @@ def test_command_line(record, tmp_path, capsys):
     assert capsys.readouterr().out.startswith("fault at 49.990 km from S (70.010 km from R)")
     assert main(["locate", *files, "--set", "algorithm=integer_grid", "line.r1=0.03"]) == 0
     capsys.readouterr()
-    assert main(["locate", *files, "--set", "line.l1=-1"]) == 2
+    assert main(["locate", *files, "--set", "line.l1=-1", "--set", "line.r1=0.03"]) == 2
     assert "line.l1" in capsys.readouterr().err
     assert main(["locate", str(tmp_path / "nothing.cfg")]) == 2
     assert "no such file" in capsys.readouterr().err

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from conftest import differences, in_process
-from softrig_bringup import pages
+from pages import generated as pages
 from softrig_core import (
     Level,
     ParameterError,

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from conftest import differences
 from hypothesis import given, strategies as st
+from pages.drawn import rectifier_mpc as pictures
 from scipy import linalg, signal
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
@@ -36,7 +37,6 @@ from softrig_core import (
 from softrig_core.rig.findings import findings, values
 from softrig_core.wire.cdr import Layout
 from softrig_core.wire.codec import Decoder
-from softrig_power.rectifier import pictures
 from softrig_power.rectifier.averaged import ode_abc
 from softrig_power.rectifier.circuit import INJECTION, SPWM, Circuit, Period, grid, phases
 from softrig_power.rectifier.controller import RectifierGpc
@@ -705,8 +705,9 @@ def test_a_late_command_is_held_with_a_warning():
     assert plant.STALE_PERIODS == 20
 
 
-def test_pictures_run(tmp_path):
-    assert pictures.main([str(tmp_path), "load_steps"]) == 0
+def test_pictures_run(tmp_path, monkeypatch):
+    monkeypatch.setattr(pictures, "PICTURES", {"load_steps": pictures.load_steps})
+    pictures.draw(tmp_path)
     assert (tmp_path / "rectifier_mpc_load_steps.png").read_bytes()[:4] == b"\x89PNG"
 
 

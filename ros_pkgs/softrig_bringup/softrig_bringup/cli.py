@@ -42,7 +42,11 @@ _FOREIGN = {
     "play": ("softrig_bags.cli", "main_play", "play a bag back"),
     "compare": ("softrig_bags.cli", "main_compare", "find the first difference between two bags"),
     "bag": ("softrig_bags.cli", "main_bag", "info, repair, export of a bag"),
-    "locate": ("softrig_bringup.locate", "main", "locate the fault in a COMTRADE record of a transmission line"),
+    "locate": (
+        "softrig_power.fault_location.locate_tool",
+        "main",
+        "locate the fault in a record of a transmission line",
+    ),
 }
 # verbs of scripts/softrig itself, which never get here
 _SCRIPT = {
@@ -52,6 +56,7 @@ _SCRIPT = {
     "colcon": "colcon of the set-up, for packages of your own: scripts/softrig colcon build",
     "env": 'print the environment, for a shell of your own: eval "$(scripts/softrig env)"',
     "python": "the Python of the set-up, with everything importable: scripts/softrig python my_script.py",
+    "pages": "make the generated parts, figures and pictures of the doc pages, or check them",
     "bench": "what the suite costs, as ratios to baselines of the same run; --help names its parts",
 }
 

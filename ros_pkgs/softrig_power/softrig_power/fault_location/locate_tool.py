@@ -6,22 +6,24 @@ import argparse
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-if TYPE_CHECKING:
-    from softrig_power.fault_location.location import LocatorParams
-    from softrig_power.fault_location.record import Record
+import numpy as np
+from softrig_bags.read import read_bag
+from softrig_bags.write import write_bag
+from softrig_core import ParameterError, Recording, RunError, ScenarioError, Signals, vector3
+from softrig_core.model.params import build
+from softrig_core.wire.cdr import parse
+
+from .comtrade_file import ComtradeFileError, read_comtrade
+from .confidence import ErrorBudget, confidence, describe
+from .inception import windowed
+from .location import LocatorParams, locate
+from .record import COLUMNS, GROUPS, TOPICS, Record, RecordError
 
 
 def main(arguments: Sequence[str]) -> int:
     """Read, locate, tell; 0 when the fault has a position, 1 when not, 2 for input that cannot be used."""
-    from softrig_core import ParameterError, RunError, ScenarioError
-    from softrig_power.fault_location.comtrade_file import ComtradeFileError
-    from softrig_power.fault_location.confidence import confidence, describe
-    from softrig_power.fault_location.inception import windowed
-    from softrig_power.fault_location.location import locate
-    from softrig_power.fault_location.record import RecordError
-
     options = _parser().parse_args(arguments)
     try:
         p = _params(options)
@@ -42,7 +44,7 @@ def main(arguments: Sequence[str]) -> int:
     trust = confidence(record, p, found, budget) if found.x_km is not None else None
     print(describe(found, trust, p.line.length))
     if options.pictures is not None:
-        from softrig_power.fault_location.pictures import objective, waveforms
+        from .pictures import objective, waveforms
 
         options.pictures.mkdir(parents=True, exist_ok=True)
         waveforms(record, p, options.pictures / "waveforms.png")
@@ -52,19 +54,10 @@ def main(arguments: Sequence[str]) -> int:
 
 def read(sources: Sequence[Path], channels: Sequence[str] = ()) -> Record:
     """Read a record from a bag (its record, else its four streams) or from one or two COMTRADE files."""
-    from softrig_power.fault_location.comtrade_file import read_comtrade
-    from softrig_power.fault_location.record import COLUMNS, Record
-
     if len(sources) == 1 and sources[0].is_dir():
-        from softrig_bags.read import read_bag
-        from softrig_core import Signals
-        from softrig_core.wire.cdr import parse
-
         recording = read_bag(sources[0])
         topic = recording.topics.get("line/record")
         if topic is not None and topic.data:
-            import numpy as np
-
             values = np.array(parse(topic.msgtype, topic.data[-1]).fields["data"], dtype=np.float64)
             return Record.from_table(values.reshape(-1, len(COLUMNS)))
         return Record.from_signals(Signals(recording))
@@ -73,10 +66,6 @@ def read(sources: Sequence[Path], channels: Sequence[str] = ()) -> Record:
 
 def to_bag(record: Record, path: Path) -> None:
     """Write a record as the bag that `line_plant` would have left: the four streams."""
-    from softrig_bags.write import write_bag
-    from softrig_core import Recording, vector3
-    from softrig_power.fault_location.record import GROUPS, TOPICS
-
     ports = [vector3(name, TOPICS[name], "abc", "V" if name[0] == "u" else "A") for name in GROUPS]
     recording = Recording((p.topic, p.msgtype) for p in ports)
     stamps = [round(t * 1e9) for t in record.t.tolist()]
@@ -94,8 +83,10 @@ def _parser() -> argparse.ArgumentParser:
     )  # fmt: skip
     parser.add_argument("source", nargs="+", type=Path, metavar="FILE",
                         help="a bag, a COMTRADE .cfg with both ends, or two: end S, end R")  # fmt: skip
-    parser.add_argument("--set", nargs="+", default=[], metavar="NAME=VALUE", help="parameters, see fault_locator")
-    parser.add_argument("--error", nargs="+", default=[], metavar="NAME=VALUE",
+    parser.add_argument(
+        "--set", nargs="+", action="extend", default=[], metavar="NAME=VALUE", help="parameters, see fault_locator"
+    )
+    parser.add_argument("--error", nargs="+", action="extend", default=[], metavar="NAME=VALUE",
                         help="uncertainties: sync_us, ratio, reactance, resistance")  # fmt: skip
     parser.add_argument("--window", nargs=2, type=float, metavar=("START", "END"),
                         help="s in the record; default: found from the fault's inception")  # fmt: skip
@@ -107,8 +98,6 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _assignments(texts: Sequence[str]) -> dict[str, Any]:
-    from softrig_core import ScenarioError
-
     found: dict[str, Any] = {}
     for text in texts:
         name, equals, value = text.partition("=")
@@ -119,9 +108,6 @@ def _assignments(texts: Sequence[str]) -> dict[str, Any]:
 
 
 def _params(options: argparse.Namespace) -> LocatorParams:
-    from softrig_core.model.params import build
-    from softrig_power.fault_location.location import LocatorParams
-
     given = _assignments(options.set)
     if options.window is not None:
         given |= {"window_start": options.window[0], "window_end": options.window[1]}
@@ -129,7 +115,4 @@ def _params(options: argparse.Namespace) -> LocatorParams:
 
 
 def _budget(options: argparse.Namespace) -> Any:
-    from softrig_core.model.params import build
-    from softrig_power.fault_location.confidence import ErrorBudget
-
     return build(ErrorBudget, _assignments(options.error))

@@ -6,6 +6,7 @@ import shutil
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from softrig_bringup.plots.figures import plot_name, plot_run
 from softrig_core import ScenarioError, load_scenario, simulate
 from softrig_core.rig.scenario import PlotEntry
 
@@ -29,8 +30,6 @@ def picture(scenario: str, number: int) -> str:
 
 def draw(scenario: str, number: int, directory: Path) -> None:
     """Run a scenario in process and draw one of its plot entries; parameters as for `picture`."""
-    from .plots.figures import plot_name, plot_run
-
     title = _entry(scenario, number).title
     run = simulate(scenario)
     with TemporaryDirectory() as drawn:

@@ -1,18 +1,17 @@
-"""Pictures of the experiments. A tool, not a node: ``softrig node softrig_power rectifier_pictures DIR``."""
+"""Load steps, limit cycles, horizons and models, phase currents and their spectrum."""
 
 from __future__ import annotations
 
-import argparse
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from softrig_core import simulate
-
-from .parameters import RectifierConstants
-from .ports import WAVEFORM_CHANNELS
+from softrig_power.rectifier.parameters import RectifierConstants
+from softrig_power.rectifier.ports import WAVEFORM_CHANNELS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -135,18 +134,9 @@ PICTURES = {"load_steps": load_steps, "limit_cycle": limit_cycle, "studies": stu
             "spectrum": harmonics}  # fmt: skip
 
 
-def main(args: Sequence[str] | None = None) -> int:
-    """Draw the pictures of the documentation into a folder."""
-    parser = argparse.ArgumentParser(prog="rectifier_pictures", description=main.__doc__)
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("names", nargs="*", choices=[[], *PICTURES], metavar="NAME", help=", ".join(PICTURES))
-    given = parser.parse_args(args)
-    from matplotlib.figure import Figure
-
-    given.folder.mkdir(parents=True, exist_ok=True)
-    for name in given.names or PICTURES:
+def draw(folder: Path) -> None:
+    """Draw all pictures into a folder."""
+    for name, picture in PICTURES.items():
         figure = Figure(figsize=(10, 6.5 if name in ("current", "spectrum") else 4.2), layout="constrained")
-        PICTURES[name](figure)
-        figure.savefig(given.folder / f"rectifier_mpc_{name}.png", dpi=90)
-        print(given.folder / f"rectifier_mpc_{name}.png")
-    return 0
+        picture(figure)
+        figure.savefig(folder / f"rectifier_mpc_{name}.png", dpi=90)

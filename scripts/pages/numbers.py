@@ -29,9 +29,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from softrig_bringup.study.definition import list_studies, load_study
 from softrig_core import list_scenarios, load_scenario
-
-from .study.definition import list_studies, load_study
 
 FORMS = "scenario.figure, test_file.py::test, scenario NAME, = ..., paper ..., bench ... or version ..."
 DIGITS = 3  # a number of fewer may stand without its source

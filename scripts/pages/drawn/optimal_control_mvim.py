@@ -1,30 +1,22 @@
-"""Pictures of the page: plans against the optimum, cost over order, end error over order and rate.
-
-``python -m softrig_systems.optimal_control.pictures FOLDER`` solves the problems and draws all of them.
-"""
+"""Plans against the optimum, cost over order, end error over order and rate."""
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-
-from .exact import least_cost, tpbvp
-from .mvim import Solution, solve
-from .plants import step_function
-from .problem import Problem, find
+from matplotlib.figure import Figure
+from softrig_systems.optimal_control.exact import least_cost, tpbvp
+from softrig_systems.optimal_control.mvim import Solution, solve
+from softrig_systems.optimal_control.plants import step_function
+from softrig_systems.optimal_control.problem import Problem, find
 
 EXAMPLES = {"scalar": (5, 12), "spacecraft": (4, 8), "two_state": (2, 10)}  # the paper's order and a good one
 
 
 def _figure(rows: int, columns: int, size: tuple[float, float]) -> tuple[Any, Any]:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     figure = Figure(figsize=size, layout="constrained")
-    FigureCanvasAgg(figure)
     return figure, figure.subplots(rows, columns, squeeze=False)
 
 
@@ -116,12 +108,8 @@ def errors(path: Path) -> None:
     figure.savefig(path, dpi=100)
 
 
-def main(folder: Path) -> None:
+def draw(folder: Path) -> None:
     """Draw all pictures into a folder."""
     plans(folder / "optimal_control_plans.png")
     costs(folder / "optimal_control_costs.png")
     errors(folder / "optimal_control_errors.png")
-
-
-if __name__ == "__main__":
-    main(Path(sys.argv[1]))

@@ -1,33 +1,25 @@
-"""Pictures of the page: trajectory and functional, margins on one axis, the tank's level against its bound.
-
-``python -m softrig_systems.pwa_delay.pictures FOLDER`` runs what they need and draws them.
-"""
+"""Trajectory and functional, margins on one axis, the tank's level against its bound."""
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from matplotlib.figure import Figure
 from softrig_core import SignalMap, simulate
-
-from .certify import Criterion, certified_margin
-from .controllers import TankController
-from .level import level_bound
-from .lmi import Array
-from .plants import TankPlant
-from .search import pwa_margin
-from .system import continuous_tank, pendulum, switched
+from softrig_systems.pwa_delay.certify import Criterion, certified_margin
+from softrig_systems.pwa_delay.controllers import TankController
+from softrig_systems.pwa_delay.level import level_bound
+from softrig_systems.pwa_delay.lmi import Array
+from softrig_systems.pwa_delay.plants import TankPlant
+from softrig_systems.pwa_delay.search import pwa_margin
+from softrig_systems.pwa_delay.system import continuous_tank, pendulum, switched
 
 
 def _figure(columns: int, height: float) -> tuple[Any, Any]:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     figure = Figure(figsize=(9.0, height), layout="constrained")
-    FigureCanvasAgg(figure)
     return figure, figure.subplots(1, columns, squeeze=False)[0]
 
 
@@ -109,7 +101,7 @@ def _lowest(h: float, profile: str, seed: int) -> float:
     return lowest
 
 
-def main(folder: Path) -> None:
+def draw(folder: Path) -> None:
     """Run what the pictures need and draw them into a folder."""
     trajectory(simulate("pwa_delay").signals, simulate("pwa_delay_beyond").signals, folder / "pwa_delay_trajectory.png")
     found = []
@@ -132,7 +124,3 @@ def main(folder: Path) -> None:
         for h in delays
     ]
     level(runs, folder / "pwa_delay_level.png")
-
-
-if __name__ == "__main__":
-    main(Path(sys.argv[1]))

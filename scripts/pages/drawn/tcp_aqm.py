@@ -1,15 +1,12 @@
-"""Pictures of the page: the laws with and without the delay of the loop, and the packet queue's histogram of each.
-
-``python -m softrig_systems.tcp_aqm.pictures FOLDER`` runs the scenarios and draws both.
-"""
+"""The laws with and without the delay of the loop, and the packet queue's histogram of each."""
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
+from matplotlib.figure import Figure
 from softrig_core import SignalMap, simulate
 from softrig_core.rig.metrics import Array
 
@@ -28,11 +25,7 @@ def laws(runs: Mapping[str, tuple[SignalMap, SignalMap]], path: Path) -> None:
     path : Path
         PNG to write.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     figure = Figure(figsize=(9.0, 3.4), layout="constrained")
-    FigureCanvasAgg(figure)
     axes = figure.subplots(1, 2, sharey=True)
     for k, (axis, title) in enumerate(zip(axes, ("as in the paper", "with the delay of a network"), strict=True)):
         for name, pair in runs.items():
@@ -58,11 +51,7 @@ def histogram(queues: Mapping[str, Sequence[Array]], path: Path, *, q_max: float
     q_max : float
         Room in the queue, packets.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     figure = Figure(figsize=(9.0, 3.0), layout="constrained")
-    FigureCanvasAgg(figure)
     axis = figure.subplots()
     for name, parts in queues.items():
         every = np.concatenate(parts)
@@ -75,7 +64,7 @@ def histogram(queues: Mapping[str, Sequence[Array]], path: Path, *, q_max: float
     figure.savefig(path, dpi=110)
 
 
-def main(folder: Path) -> None:
+def draw(folder: Path) -> None:
     """Run the scenarios and draw both pictures into a folder."""
     runs = {
         name: (simulate(f"tcp_aqm_smc{law}").signals, simulate(f"tcp_aqm_smc{law}_delay").signals)
@@ -87,7 +76,3 @@ def main(folder: Path) -> None:
         found = [simulate(f"tcp_aqm_smc_s4{law}", seed=seed).signals[QUEUE] for seed in range(1, 6)]
         queues[name] = [q[t >= 15.0] for t, q in found]
     histogram(queues, folder / "tcp_aqm_histogram.png")
-
-
-if __name__ == "__main__":
-    main(Path(sys.argv[1]))

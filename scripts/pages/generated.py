@@ -1,4 +1,4 @@
-"""The generated parts of the doc pages: ``python -m softrig_bringup.pages [--check] [--runs] PAGE...``.
+"""The generated parts of the doc pages: ``scripts/softrig pages [--check] [--runs] [--pictures] PAGE...``.
 
 A page holds pairs of markers; what stands between them is made from the code and the scenario files::
 
@@ -23,18 +23,19 @@ import re
 from collections import Counter
 from collections.abc import Callable, Sequence
 from functools import cache
+from importlib import import_module
 from pathlib import Path
 
+from softrig_bringup.citations import cited, listed
+from softrig_bringup.study.definition import list_studies, load_study
 from softrig_core import Port, list_scenarios, load_scenario, simulate
 from softrig_core.model.params import Declaration, declarations
 from softrig_core.rig.claims import VERDICTS
 from softrig_core.rig.figures import Result
 from softrig_core.rig.rig import load_block
 
-from . import numbers
-from .citations import cited, listed
-from .page_pictures import draw, picture
-from .study.definition import list_studies, load_study
+from . import drawn, numbers
+from .plots import draw, picture
 
 _KINDS = "nodes|claims|scenarios|sources|picture|measured"
 _PART = re.compile(rf"(<!-- ({_KINDS}): ([^>]*?) -->\n).*?(<!-- end -->)", re.DOTALL)
@@ -185,10 +186,11 @@ def untrue(page: str, path: Path, runs: bool = False) -> list[str]:
 
 def main(args: Sequence[str] | None = None) -> int:
     """Write the generated parts of pages, or check that they are as the code says, and the numbers of the rest."""
-    parser = argparse.ArgumentParser(prog="python -m softrig_bringup.pages", description=main.__doc__)
+    parser = argparse.ArgumentParser(prog="scripts/softrig pages", description=main.__doc__)
     parser.add_argument("pages", nargs="+", type=Path, metavar="PAGE")
     parser.add_argument("--check", action="store_true")
     parser.add_argument("--runs", action="store_true", help="also what is measured: takes as long as the runs")
+    parser.add_argument("--pictures", action="store_true", help="the pictures that a page has a module in drawn for")
     given = parser.parse_args(args)
     status = 0
     for path in given.pages:
@@ -196,6 +198,8 @@ def main(args: Sequence[str] | None = None) -> int:
         new = generate(old, given.runs)
         for name, number in re.findall(r"<!-- picture: (\S+) (\d+) -->", old) if given.runs and not given.check else ():
             draw(name, int(number), path.parent)
+        if given.pictures and path.stem in drawn.PAGES:
+            import_module(f"{drawn.__name__}.{path.stem}").draw(path.parent)
         if new != old:
             print(f"{path}: {'is not as the code says' if given.check else 'written'}")
             status = 1 if given.check else status
@@ -205,7 +209,3 @@ def main(args: Sequence[str] | None = None) -> int:
             print(f"{path}: {fault}")
             status = 1
     return status
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

@@ -1,25 +1,23 @@
-"""Pictures of the GUPFC. A tool, not a node: ``softrig node softrig_power gupfc_pictures DIR``."""
+"""The GUPFC's circuit with its operating point, its answers to steps, its waveforms."""
 
 from __future__ import annotations
 
-import argparse
 import cmath
 import math
-from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from matplotlib import rc_context
+from matplotlib.figure import Figure
 from softrig_core import Run, simulate
-
-from . import pulses
-from .figures import cycles
-from .network import NetworkParams
-from .power_flow import Diverged, PowerFlow, References, Solution
+from softrig_power.gupfc import pulses
+from softrig_power.gupfc.figures import cycles
+from softrig_power.gupfc.network import NetworkParams
+from softrig_power.gupfc.power_flow import Diverged, PowerFlow, References, Solution
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 BLUE, RED, GREEN, GREY = "#0072b2", "#d55e00", "#009e73", "#444444"
 SIGMA = math.radians(172.5)
@@ -155,26 +153,18 @@ def waveforms(figure: Figure, run: Run) -> None:
     axes[1, 1].legend(frameon=False)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Write the pictures into a folder."""
-    parser = argparse.ArgumentParser(prog="gupfc_pictures", description="Pictures of the GUPFC's experiments.")
-    parser.add_argument("folder", type=Path, help="where the PNG files go")
-    folder: Path = parser.parse_args(arguments).folder
-    folder.mkdir(parents=True, exist_ok=True)
-    import matplotlib
+STYLE: dict[Any, Any] = {"font.size": 9.0, "axes.spines.top": False, "axes.spines.right": False, "axes.xmargin": 0.0,
+         "axes.grid": True, "grid.color": "#dddddd", "axes.axisbelow": True}  # fmt: skip
 
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
 
-    pyplot.rcParams.update({"font.size": 9.0, "axes.spines.top": False, "axes.spines.right": False, "axes.xmargin": 0.0,
-                            "axes.grid": True, "grid.color": "#dddddd", "axes.axisbelow": True})  # fmt: skip
-    figure, axes = pyplot.subplots(figsize=(10.0, 4.3), layout="constrained")
-    one_line(axes, References())
-    figure.savefig(folder / "gupfc_one_line.png", dpi=100)
-    for name, draw, scenario in (("gupfc_response", response, "gupfc"), ("gupfc_faster", response, "gupfc_stretch"),
-                                 ("gupfc_waveforms", waveforms, "gupfc_s2")):  # fmt: skip
-        figure = pyplot.figure(figsize=(10.0, 6.5), layout="constrained")
-        draw(figure, simulate(scenario))
-        figure.savefig(folder / f"{name}.png", dpi=90)
-        pyplot.close(figure)
-    return 0
+def draw(folder: Path) -> None:
+    """Draw all pictures into a folder."""
+    with rc_context(STYLE):
+        figure = Figure(figsize=(10.0, 4.3), layout="constrained")
+        one_line(figure.subplots(), References())
+        figure.savefig(folder / "gupfc_one_line.png", dpi=100)
+        for name, picture, scenario in (("response", response, "gupfc"), ("faster", response, "gupfc_stretch"),
+                                        ("waveforms", waveforms, "gupfc_s2")):  # fmt: skip
+            figure = Figure(figsize=(10.0, 6.5), layout="constrained")
+            picture(figure, simulate(scenario))
+            figure.savefig(folder / f"gupfc_{name}.png", dpi=90)

@@ -1,0 +1,5 @@
+"""``python -m pages``."""
+
+from .generated import main
+
+raise SystemExit(main())
