@@ -2,6 +2,7 @@
 
 import json
 import math
+import resource
 import struct
 import subprocess
 from pathlib import Path
@@ -12,7 +13,7 @@ from softrig_bags.compare import compare
 from softrig_bags.read import read_bag
 from softrig_bringup.golden import create, load, main
 from softrig_bringup.run import versions
-from softrig_core import Rig, ScenarioError, Signals, load_scenario, run_processes
+from softrig_core import Rig, RunError, ScenarioError, Signals, load_scenario, run_processes
 from softrig_core.rig.domain import free_domain
 from softrig_core.rig.executables import environment, find_executable
 from softrig_core.rig.starting import node_parameters
@@ -197,6 +198,38 @@ def test_what_a_golden_run_cannot_be_is_refused_and_changes_nothing(tmp_path, th
     with pytest.raises(ScenarioError, match=message):
         main(["dc_motor_smc_b1"], tmp_path, **{"duration": None, "seed": None, "check": False, **keys})
     assert (file.read_text() if file.exists() else None) == before
+
+
+def test_the_old_bag_is_there_until_the_new_one_is_written(tmp_path):
+    golden = create(tmp_path / "dc_motor_smc_b1", "dc_motor_smc_b1", 0.1)
+    golden.make()
+    before = {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()}
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, hard))  # stands for a full disk
+    try:
+        with pytest.raises(RunError, match="not written"):
+            golden.make()
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()} == before
+
+
+def test_a_golden_bag_replaces_nothing_that_is_not_one(tmp_path):
+    golden = create(tmp_path / "dc_motor_smc_b1", "dc_motor_smc_b1", 0.1)
+    golden.make()
+    (golden.bag / "notes.txt").write_text("mine")
+    with pytest.raises(ScenarioError, match=r"bag/notes\.txt was not made by"):
+        golden.make()
+    assert (golden.bag / "notes.txt").read_text() == "mine"
+    (golden.folder / "golden.yaml").unlink()
+    with pytest.raises(ScenarioError, match=r"has a bag and no golden\.yaml"):
+        create(golden.folder, "dc_motor_smc_b1", 0.1)
+    (tmp_path / "precious").mkdir()
+    linked = create(tmp_path / "linked", "dc_motor_smc_b1", 0.1)
+    linked.bag.symlink_to(tmp_path / "precious")
+    with pytest.raises(ScenarioError, match="linked/bag was not made by"):
+        linked.make()
+    assert list((tmp_path / "precious").iterdir()) == []
 
 
 def test_bags_of_equal_runs_are_equal_bit_for_bit(tmp_path):

@@ -5,6 +5,7 @@ import json
 import math
 import os
 import shlex
+import shutil
 import signal
 import subprocess
 import sys
@@ -18,6 +19,7 @@ import pyarrow.parquet
 import pytest
 from conftest import PATIENCE, until
 from softrig_bringup.cli import main
+from softrig_bringup.folder import STUDY, ResultsFolder
 from softrig_bringup.study.definition import list_studies, load_study, make_study
 from softrig_bringup.study.draw import cases, count, draw
 from softrig_bringup.study.engine import _check, run_study
@@ -182,7 +184,7 @@ def test_an_interrupted_study_goes_on_where_it_was(folder):
 
 
 def test_a_log_without_rows_is_empty(folder):
-    assert list(Log(folder / "log").rows()) == []
+    assert list(Log(folder / "log", 1).rows()) == []
 
 
 def test_workers_do_not_matter_and_a_killed_one_costs_nothing(folder):
@@ -204,6 +206,77 @@ def test_workers_do_not_matter_and_a_killed_one_costs_nothing(folder):
     thread.join(PATIENCE)
     assert killed
     assert [(r["number"], r["figures"]) for r in there] == [(r["number"], r["figures"]) for r in here]
+
+
+def damaged(lines):
+    """Each way in which a file of rows may be wrong, with the numbers of the rows that are right."""
+    other = json.dumps(json.loads(lines[1]) | {"overrides": {"gain.k": 7.0}}).encode() + b"\n"
+    lacks = json.dumps({k: v for k, v in json.loads(lines[1]).items() if k != "figures"}).encode() + b"\n"
+    return {
+        "cut off": (lines[0] + lines[1][:30], 1),
+        "without its last newline": (lines[0] + lines[1][:-1], 2),
+        "damaged in the middle": (lines[0] + b'{"number": 1, "fig\xff\x00\n' + lines[2], 2),
+        "lacks a key": (lines[0] + lacks + lines[2], 2),
+        "of another run": (lines[0] + other + lines[2], 2),
+        "doubled": (lines[0] + lines[1] + lines[1] + lines[2], 3),
+        "of no run": (b"[]\n7\n" + lines[0].replace(b'"number":0', b'"number":99') + lines[0], 1),
+    }
+
+
+@pytest.mark.parametrize("kind", ["cut off", "without its last newline", "damaged in the middle", "lacks a key",
+                                  "of another run", "doubled", "of no run"])  # fmt: skip
+def test_rows_are_read_as_far_as_they_are_right_and_nothing_of_them_is_lost(kind, folder, capsys):
+    demo = study(grid={"gain.k": [1.0, 2.0, 3.0]})
+    whole = rows_of(demo, folder / "out")
+    file = folder / "out" / "rows.jsonl"
+    content, right = damaged(file.read_bytes().splitlines(keepends=True))[kind]
+    file.write_bytes(content)
+    capsys.readouterr()
+    found = rows_of(demo, folder / "out")
+    assert [(r["number"], r["overrides"], r["figures"]) for r in found] == [
+        (r["number"], r["overrides"], r["figures"]) for r in whole
+    ]
+    assert ("are no rows of this study" in capsys.readouterr().err) == (kind != "without its last newline")
+    assert file.read_bytes().startswith(content)
+    assert len(file.read_bytes()[len(content) :].splitlines()) >= 3 - right
+    assert rows_of(demo, folder / "out") == found  # nothing is left to run
+
+
+def test_two_studies_do_not_write_into_one_folder(folder):
+    demo, out = study(grid={"gain.k": [1.0, 2.0]}), folder / "out"
+    with ResultsFolder(out, STUDY).alone(), pytest.raises(ScenarioError, match="another call is at work there"):
+        run_study(demo, out, workers=1)
+    assert len(rows_of(demo, out)) == 2
+
+
+@pytest.mark.parametrize("name", ["rows.jsonl", "report.html", "table.csv", "study.json", "plot_01_figures_over_k.png"])
+def test_a_study_writes_over_nothing_that_is_not_its_own(name, folder, capsys):
+    command = ["study", "lag", "--grid", "gain.k=1,2", "--workers", "1", "--out", "out"]
+    (folder / "out").mkdir()
+    (folder / "out" / name).write_text("theirs")
+    if name.endswith(".png"):
+        name = "plot_01_figures_over_gain_k.png"
+        (folder / "out" / name).write_text("theirs")
+    assert main(command) == 2
+    said = capsys.readouterr().err
+    assert "not written by a run of softrig" in said or "holds another study" in said
+    assert (folder / "out" / name).read_text() == "theirs"
+
+
+def test_a_study_follows_no_link_that_was_put_into_its_folder(folder):
+    command = ["study", "lag", "--grid", "gain.k=1,2", "--workers", "1", "--out", "out"]
+    assert main(command) == 0
+    first = {p.name for p in (folder / "out").iterdir()}
+    for name in ("report.html", "table.parquet", "study.json", "softrig_files.json", "rows.jsonl"):
+        precious, place = folder / f"precious_{name}", folder / "out" / name
+        shutil.copy(place, precious)
+        content = precious.read_bytes()
+        place.unlink()
+        place.symlink_to(precious)
+        status = main(command)
+        assert (precious.read_bytes(), status) == (content, 0 if name != "rows.jsonl" else 2)
+        assert name == "rows.jsonl" or not place.is_symlink()
+    assert {p.name for p in (folder / "out").iterdir()} == first
 
 
 def session(pid):

@@ -1,29 +1,38 @@
-"""The folder of a run's results: what a former run of ours wrote there is replaced, nothing else is touched."""
+"""The folder of results: what a former run or study of ours wrote there is replaced, nothing else is touched."""
 
 from __future__ import annotations
 
+import fcntl
 import json
 import os
 import re
+import shutil
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from softrig_core import ScenarioError
 
 MANIFEST = "softrig_files.json"
 UNDER_WAY = "*"  # in place of a list: a run has begun here and not ended; all that a run may write is its own
-OURS = re.compile(
+NEW = ".new"  # where new files lie until all are written
+RUN = re.compile(
     r"bag|log|metrics\.json|report\.html|(overview|plot_\d\d_[a-z0-9_]*)\.(png|svg|pdf)|softrig_files\.json"
+)
+STUDY = re.compile(
+    r"study\.json|rows\.jsonl|table\.(parquet|csv)|summaries\.json|report\.html|softrig_files\.json|\.new"
 )
 
 
 class ResultsFolder:
-    """A folder that a run may write into.
+    """A folder that a run or a study may write into.
 
     Parameters
     ----------
     path : Path
         New, empty, or with the results of a former run; other files may lie beside those.
+    ours : pattern
+        Names at the top of the folder that this kind of run writes.
 
     Attributes
     ----------
@@ -36,35 +45,46 @@ class ResultsFolder:
         Something there stands in the way that no run of softrig has listed as its own.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, ours: re.Pattern[str] = RUN) -> None:
         self.path = path
         if path.exists() and not path.is_dir():
             raise ScenarioError(f"{path} is a file, expected a folder for the results")
         self._old = _listed(path)
         if UNDER_WAY in self._old:
-            self._old |= {f for f in _files(path) if OURS.fullmatch(Path(f).parts[0])}
+            self._old |= {f for f in _files(path) if ours.fullmatch(Path(f).parts[0])}
             self._old.discard(UNDER_WAY)
         self._foreign = {f for f in _files(path) if f not in self._old}
         for file in sorted(self._foreign):
-            if OURS.fullmatch(Path(file).parts[0]):
-                raise ScenarioError(f"{path / file} was not written by a run of softrig (or by one before 0.2); move "
-                                    "it away or choose another --out")  # fmt: skip
+            if ours.fullmatch(Path(file).parts[0]):
+                raise ScenarioError(_foreign(path / file))
         self.replaced = _what(path) if self._old & set(_files(path)) else ""
+
+    def begin(self) -> None:
+        """Make the folder, and write down that something is under way in it.
+
+        What is killed, or refused by one of its nodes, must not stop the next one.
+
+        Raises
+        ------
+        ScenarioError
+            Nothing can be written there.
+        """
+        try:
+            self.path.mkdir(parents=True, exist_ok=True)
+            self._list([MANIFEST, UNDER_WAY])
+        except OSError as error:
+            raise ScenarioError(f"{error.filename}: {error.strerror}; choose another --out") from None
 
     def clear(self) -> None:
         """Remove what the former run listed, and the folders that this leaves empty; never what a link points to."""
+        self.begin()
         try:
-            self.path.mkdir(parents=True, exist_ok=True)
-            for file in self._old:
+            for file in self._old - {MANIFEST}:
                 place = self.path / file
                 if _inside(self.path, place):
                     place.unlink(missing_ok=True)
-            # what a run leaves that is killed, or refused by one of its nodes, must not stop the next one
-            (self.path / MANIFEST).write_text(json.dumps([MANIFEST, UNDER_WAY]) + "\n")
         except OSError as error:
             raise ScenarioError(f"{error.filename}: {error.strerror}; choose another --out") from None
-        if not os.access(self.path, os.W_OK | os.X_OK):
-            raise ScenarioError(f"{self.path}: cannot be written into; choose another --out")
         for folder in sorted({p for f in self._old for p in Path(f).parents}, key=lambda p: -len(p.parts)):
             place = self.path / folder
             if folder.parts and place.is_dir() and not place.is_symlink() and not any(place.iterdir()):
@@ -72,8 +92,70 @@ class ResultsFolder:
 
     def close(self) -> None:
         """List everything that this run has written, so that a later one may replace it."""
-        files = sorted(f for f in _files(self.path) if f not in self._foreign)
-        (self.path / MANIFEST).write_text(json.dumps(sorted({*files, MANIFEST}), indent=1) + "\n")
+        self._list(sorted({MANIFEST, *(f for f in _files(self.path) if f not in self._foreign)}))
+
+    def _list(self, names: list[str]) -> None:
+        replace(self.path / MANIFEST, json.dumps(names, indent=1) + "\n")
+
+    @contextmanager
+    def anew(self) -> Iterator[Path]:
+        """Give a folder for new files; they take the places of the old ones when all are written, or none does.
+
+        Raises
+        ------
+        ScenarioError
+            One of them would replace a file of somebody else.
+        """
+        self.begin()
+        new = self.path / NEW
+        shutil.rmtree(new, ignore_errors=True)  # of a call that was killed
+        new.mkdir()
+        try:
+            yield new
+            files = sorted(_files(new))
+            for file in files:
+                if file in self._foreign:
+                    raise ScenarioError(_foreign(self.path / file))
+            for file in files:
+                (new / file).replace(self.path / file)
+        finally:
+            shutil.rmtree(new, ignore_errors=True)
+        self.close()
+
+    @contextmanager
+    def alone(self) -> Iterator[None]:
+        """Hold the folder against other calls at the same time.
+
+        Raises
+        ------
+        ScenarioError
+            Another call is at work there.
+        """
+        self.begin()
+        handle = os.open(self.path, os.O_RDONLY)  # the end of this process, whatever its kind, lets go
+        try:
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                raise ScenarioError(f"{self.path}: another call is at work there; choose another --out") from None
+            yield
+        finally:
+            os.close(handle)
+
+
+def replace(path: Path, text: str) -> None:
+    """Write a file that appears whole or not at all; a link in its place is replaced, not followed."""
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        temporary.write_text(text, encoding="utf-8")
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _foreign(path: Path) -> str:
+    return (f"{path} was not written by a run of softrig (or by one before 0.2); move it away or choose another "
+            "--out")  # fmt: skip
 
 
 def _files(path: Path) -> Iterator[str]:

@@ -5,10 +5,12 @@
 
 from __future__ import annotations
 
-import shutil
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from io import StringIO
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -20,6 +22,7 @@ from softrig_core import Recording, Rig, RunError, ScenarioError, Signals, feed,
 from softrig_core.model.params import flatten
 from softrig_core.rig.yaml_file import read_yaml
 
+from .folder import replace
 from .run import versions
 
 DECIDE = ("machine", "math", "blas", "simd", "numpy", "scipy", "casadi", "pin")  # of the versions: the bits of a run
@@ -160,14 +163,41 @@ class Golden:
         return self.compare(answers, list(answers.topics))
 
     def make(self) -> Comparison | None:
-        """Write the golden bag anew; gives the comparison of the new with the old, if there was one."""
+        """Write the golden bag anew; gives the comparison of the new with the old, if there was one.
+
+        The old one is there until the new one is written.
+
+        Raises
+        ------
+        ScenarioError
+            What is there was not made as a golden bag.
+        RunError
+            The new bag could not be written.
+        """
+        _ours(self.bag)
         new = self.rerun()
         difference = self.compare(new) if self.bag.exists() else None
         recipe = self.recipe.model_copy(update={"made_with": versions(), "elsewhere": self.sensitivity()})
-        shutil.rmtree(self.bag, ignore_errors=True)
-        write_bag(self.bag, new, compression="zstd")
+        with TemporaryDirectory(prefix=".new_", dir=self.folder) as aside:
+            write_bag(Path(aside) / self.bag.name, new, compression="zstd")
+            if self.bag.exists():
+                self.bag.replace(Path(aside) / "old")
+            (Path(aside) / self.bag.name).replace(self.bag)
         _write(self.folder / "golden.yaml", recipe)
         return difference
+
+
+def _ours(bag: Path) -> None:
+    """Make sure that a folder holds a bag and nothing else, if it is there.
+
+    Raises
+    ------
+    ScenarioError
+        Names what is not of a bag.
+    """
+    other = [p for p in bag.glob("*") if not re.fullmatch(r"metadata\.yaml|bag_\d+\.mcap", p.name) or p.is_symlink()]
+    if bag.is_symlink() or other or (bag.exists() and not bag.is_dir()):
+        raise ScenarioError(f"{other[0] if other else bag} was not made by `softrig golden`; move it away")
 
 
 def _allowed(rig: Rig, name: str, value: float) -> bool:
@@ -211,6 +241,8 @@ def create(folder: Path, scenario: str, duration: float | None = None, seed: int
     duration = load_scenario(scenario).duration if duration is None else duration
     recipe = _recipe(file, {"scenario": scenario, "duration": duration, "seed": seed})
     rig = _rig(recipe)
+    if (folder / "bag").exists():
+        raise ScenarioError(f"{folder} has a bag and no golden.yaml: it was not made by `softrig golden`; move it away")
     folder.mkdir(parents=True, exist_ok=True)
     _write(file, recipe)
     return Golden(folder, recipe, rig)
@@ -236,9 +268,10 @@ def _write(file: Path, recipe: Recipe) -> None:
     yaml = YAML()
     yaml.width = 110
     content: dict[str, Any] = recipe.model_dump()
-    with file.open("w") as stream:
-        stream.write(f"# Made by `scripts/softrig golden {file.parent.name}`; edit the tolerances by hand.\n")
-        yaml.dump(content, stream)
+    stream = StringIO()
+    stream.write(f"# Made by `scripts/softrig golden {file.parent.name}`; edit the tolerances by hand.\n")
+    yaml.dump(content, stream)
+    replace(file, stream.getvalue())
 
 
 def main(names: Sequence[str], folder: Path, *, duration: float | None, seed: int | None, check: bool) -> int:

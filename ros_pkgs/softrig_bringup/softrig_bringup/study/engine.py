@@ -11,8 +11,10 @@ from typing import Any, Literal
 import numpy as np
 from softrig_core import ScenarioError, figures_of, rig_of
 from softrig_core.extras import need
+from softrig_core.guard import say
 from softrig_optim.sweep import progress, stream
 
+from ..folder import STUDY, ResultsFolder, replace
 from .definition import Search, Study
 from .draw import Case, cases, count
 from .work import Log, Work, run
@@ -37,21 +39,33 @@ def run_study(study: Study, out: Path, *, workers: int | None = None, scheduler:
     Raises
     ------
     ScenarioError
-        Bad input, or the directory holds another study.
+        Bad input, or the directory holds another study, files of somebody else under our names, or another call is at
+        work there.
     """
-    out.mkdir(parents=True, exist_ok=True)
-    _same(study, out / "study.json")
+    folder = ResultsFolder(out, STUDY)
+    content = _same(study, out / "study.json")
     _check(study)
-    log = Log(out / "rows.jsonl")
-    total = count(study)
+    with folder.alone():
+        replace(out / "study.json", content)
+        try:
+            return _run(study, Log(out / "rows.jsonl", count(study), None if study.search else cases(study)), workers,
+                        scheduler)  # fmt: skip
+        finally:
+            folder.close()
+
+
+def _run(study: Study, log: Log, workers: int | None, scheduler: str) -> Log:
+    if log.passed_over:
+        say(f"{log.path}: {log.passed_over} of its lines are no rows of this study (cut off, damaged, doubled); they "
+            "are passed over, and what is missing is run")  # fmt: skip
     try:
-        with progress(study.name, total) as advance:
-            for _ in log.known:
+        with progress(study.name, count(study)) as advance:
+            for _ in range(len(log)):
                 advance()
             if study.search:
                 _search(study, study.search, log, workers, scheduler, advance)
             else:
-                todo = (_work(study, case) for case in cases(study) if case.number not in log.known)
+                todo = (_work(study, case) for case in cases(study) if not log.knows(case))
                 for _, row in stream(run, todo, workers=workers, scheduler=scheduler):
                     log.add(row)
                     advance()
@@ -64,8 +78,11 @@ def _work(study: Study, case: Case) -> Work:
     return Work(case, study.duration, tuple(study.figures), tuple(study.signals), study.samples)
 
 
-def _same(study: Study, file: Path) -> None:
-    """Make sure that a directory holds this study or none; what the rows do not depend on may differ."""
+def _same(study: Study, file: Path) -> str:
+    """Make sure that a directory holds this study or none; gives what tells it from others.
+
+    What the rows do not depend on may differ.
+    """
     free = ("title", "source", "summaries", "expect", "claims", "name")
     content = study.model_dump(mode="json", exclude=set(free))
     if file.exists():
@@ -75,7 +92,7 @@ def _same(study: Study, file: Path) -> None:
             there = None
         if there != content:
             raise ScenarioError(f"{file.parent} holds another study; choose another --out, or remove it")
-    file.write_text(json.dumps(content, indent=1) + "\n")
+    return json.dumps(content, indent=1) + "\n"
 
 
 def _check(study: Study) -> None:
@@ -136,7 +153,7 @@ def _search(study: Study, search: Search, log: Log, workers: int | None, schedul
             Case((start + i) * len(seeds) + k, study.scenario, "", dict(trial.params), seed)
             for i, trial in enumerate(trials) for k, seed in enumerate(seeds)
         ]  # fmt: skip
-        todo = [_work(study, case) for case in batch if case.number not in rows]
+        todo = [_work(study, case) for case in batch if not log.knows(case)]
         for _, row in stream(run, todo, workers=workers, scheduler=scheduler) if todo else ():
             log.add(row)
             rows[row["number"]] = row

@@ -15,6 +15,7 @@ from softrig_core.rig.figures import Result, signal_units
 from softrig_core.rig.findings import Finding
 
 from ..citations import cited, sources
+from ..folder import STUDY, ResultsFolder
 from ..html import e, mark, picture, table, write_page
 from ..plots.style import pretty_unit
 from ..wording import accepted
@@ -32,11 +33,9 @@ def main(study: Study, out: Path, *, workers: int | None = None, scheduler: str 
     need("pyarrow", "the table of a study")  # before hours of runs, not after
     log = run_study(study, out, workers=workers, scheduler=scheduler)
     rows = without_signals(log.rows())
-    write_table(rows, out, study.duration)
     found = results(study, rows)
     held = claims(study, found)
     units = _units(rows)
-    pictures = draw_study(study, rows, log.rows() if study.signals else (), out, units)
     content = {
         "study": study.name,
         "runs": len(rows),
@@ -44,8 +43,12 @@ def main(study: Study, out: Path, *, workers: int | None = None, scheduler: str 
         "summaries": [r.model_dump(by_alias=True) for r in found],
         "claims": [c.model_dump() for c in held],
     }
-    (out / "summaries.json").write_text(json.dumps(content, indent=1) + "\n")
-    write_page(out / "report.html", study.title, list(_page(study, rows, found, held, pictures, units)))
+    folder = ResultsFolder(out, STUDY)
+    with folder.alone(), folder.anew() as new:
+        write_table(rows, new, study.duration)
+        pictures = draw_study(study, rows, log.rows() if study.signals else (), new, units)
+        (new / "summaries.json").write_text(json.dumps(content, indent=1) + "\n")
+        write_page(new / "report.html", study.title, list(_page(study, rows, found, held, pictures, units)))
     _print(study, rows, found, held, out)
     if any(row["error"] for row in rows):
         return 3

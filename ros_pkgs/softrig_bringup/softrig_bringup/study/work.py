@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
-import os
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -72,39 +72,104 @@ def _sampled(signal: Any, samples: int) -> dict[str, Any]:
 class Log:
     """Rows as they come, a line each, in a file that survives an interruption.
 
+    What is in the file stays there: a line that was cut off or damaged, and one that tells of another run than the
+    study has under that number, is passed over, and its run is done again.
+
     Parameters
     ----------
     path : Path
-        Created when it is not there; a last line that was cut off is dropped.
+        Created when it is not there.
+    total : int
+        Runs of the study.
+    cases : iterable of Case
+        Those runs, where they are known before; a search asks `knows`.
+
+    Attributes
+    ----------
+    passed_over : int
+        Lines of the file that are no rows of this study, or repeat one.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, total: int, cases: Iterable[Case] | None = None) -> None:
         self.path = path
-        self.known: set[int] = set()
-        whole = 0
+        self._known: dict[int, bytes] = {}
+        self.passed_over = 0
+        if path.is_symlink():
+            raise ScenarioError(f"{path} is a link, expected a file of its own for the rows")
+        lines, whole = 0, True
         if path.exists():
             with path.open("rb") as file:
                 for line in file:
-                    try:
-                        self.known.add(int(json.loads(line)["number"]))
-                    except (ValueError, KeyError, TypeError):
-                        break
-                    whole += len(line)
-            os.truncate(path, whole)
+                    lines += 1
+                    whole = line.endswith(b"\n")
+                    if (row := _row(line)) is not None and 0 <= row["number"] < total:
+                        self._known.setdefault(row["number"], _content(row))
+            if cases is not None and self._known:
+                expected = {c.number: _content(c._asdict()) for c in cases if c.number in self._known}
+                self._known = {k: v for k, v in self._known.items() if expected.get(k) == v}
+            self.passed_over = lines - len(self._known)
         self._file = path.open("ab")
+        if not whole:
+            self._file.write(b"\n")  # the next row is a line of its own
+
+    def __len__(self) -> int:
+        return len(self._known)
+
+    def knows(self, case: Case) -> bool:
+        """Whether the row of a case is there.
+
+        Raises
+        ------
+        ScenarioError
+            The row of that number is of another run.
+        """
+        known = self._known.get(case.number)
+        if known is not None and known != _content(case._asdict()):
+            raise ScenarioError(f"{self.path}: run {case.number} has other parameters than this search asks for (is it "
+                                "by another version of optuna?); choose another --out, or remove it")  # fmt: skip
+        return known is not None
 
     def add(self, row: dict[str, Any]) -> None:
         """Write one row to the disk."""
         self._file.write(json.dumps(row, separators=(",", ":")).encode() + b"\n")
         self._file.flush()
-        self.known.add(row["number"])
+        self._known[row["number"]] = _content(row)
 
     def rows(self) -> Iterator[dict[str, Any]]:
         """Read all rows, one at a time, in the order in which they were written."""
+        told = set()
         with self.path.open("rb") as file:
             for line in file:
-                yield json.loads(line)
+                row = _row(line)
+                if row and row["number"] not in told and self._known.get(row["number"]) == _content(row):
+                    told.add(row["number"])
+                    yield row
 
     def close(self) -> None:
         """Close the file."""
         self._file.close()
+
+
+_KINDS: dict[str, type | tuple[type, ...]] = {
+    "number": int, "scenario": str, "case": str, "seed": int, "overrides": dict, "figures": dict, "passed": bool,
+    "error": str, "wall_s": (int, float), "signals": dict,
+}  # fmt: skip
+
+
+def _row(line: bytes) -> dict[str, Any] | None:
+    """Read a row; nothing when the line is none."""
+    try:
+        row = json.loads(line)
+    except ValueError:
+        return None
+    if not isinstance(row, dict) or not _KINDS.keys() - {"signals"} <= row.keys() <= _KINDS.keys():
+        return None
+    right = all(isinstance(v, _KINDS[k]) for k, v in row.items())
+    return row if right and all(v is None or isinstance(v, float | int) for v in row["figures"].values()) else None
+
+
+def _content(run: Mapping[str, Any]) -> bytes:
+    """Give a digest of what a run is; a case without a seed of its own has that of its scenario."""
+    seed = _seed(run["scenario"]) if run["seed"] is None else run["seed"]
+    what = json.dumps([run["scenario"], run["case"], seed, run["overrides"]])
+    return hashlib.blake2b(what.encode(), digest_size=16).digest()
