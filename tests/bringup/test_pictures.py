@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from softrig_bringup.citations import cited
 from softrig_bringup.cli import main
 from softrig_bringup.diagram import draw_diagram
-from softrig_bringup.folder import OURS
+from softrig_bringup.folder import RUN
 from softrig_bringup.plots import figures as plots
 from softrig_bringup.plots.axes import fold_exponents
 from softrig_bringup.plots.curves import Curve, Shown, check_plots
@@ -137,7 +137,7 @@ def test_a_vector_format_stands_beside_each_picture(drawn, tmp_path, kind, begin
     pictures = sorted(tmp_path.glob("*.png"))
     assert len(pictures) == 3
     assert all(p.with_suffix(f".{kind}").read_bytes().startswith(begin) for p in pictures)
-    assert all(OURS.fullmatch(p.with_suffix(f".{kind}").name) for p in pictures)
+    assert all(RUN.fullmatch(p.with_suffix(f".{kind}").name) for p in pictures)
 
 
 @pytest.mark.parametrize(
