@@ -76,7 +76,8 @@ def nodes(package: str, executables: Sequence[str]) -> str:
 
 def _topic(port: Port, direction: str) -> str:
     kind = port.msgtype.replace("/msg/", "/")
-    values = [f"{label} ({unit})" if unit else label for label, unit in zip(port.labels, port.units, strict=True)]
+    units = ("" if unit in ("", "1") else f" ({unit})" for unit in port.units)
+    values = [f"{label}{unit}" for label, unit in zip(port.labels, units, strict=True)]
     shown = ", ".join(values[:12]) + (f" and {len(values) - 12} more" if len(values) > 12 else "")
     marks = [word for word, given in (("held", port.held), ("delayed", port.delayed)) if given]
     return f"| `{port.topic}` | {', '.join([direction, *marks])} | {kind} | {shown} |"
@@ -86,7 +87,7 @@ def _parameter(d: Declaration) -> str:
     bounds = " to ".join(("" if x is None else f"{x:g}") for x in (d.lower, d.upper)).strip()
     bounds = {"to": ""}.get(bounds, bounds)
     default = str(list(d.default) if isinstance(d.default, tuple) else d.default)
-    return f"| `{d.name}` | {default or ' '} | {d.unit} | {bounds} | {d.doc} |".replace("|delta|", "\\|delta\\|")
+    return " | ".join(("| `" + d.name + "`", default or " ", d.unit, bounds, d.doc.replace("|", "\\|"))) + " |"
 
 
 def chosen(prefixes: Sequence[str]) -> list[str]:

@@ -45,6 +45,16 @@ def test_every_number_of_a_page_has_its_source_and_is_as_it_says(page):
     assert pages.untrue((ROOT / page).read_text(), ROOT / page) == []
 
 
+@pytest.mark.parametrize("page", [Path("README.md"), *PAGES], ids=str)
+def test_rows_of_tables_have_the_cells_of_their_head(page):
+    head, wrong = 0, []
+    for number, line in enumerate((ROOT / page).read_text().splitlines(), 1):
+        bars = len(re.findall(r"(?<!\\)\|", line)) if line.startswith("|") else 0
+        head = bars if bars and not head else head if bars else 0
+        wrong += [f"line {number}: {line}"] if bars != head else []
+    assert not wrong, wrong
+
+
 def test_the_counts_of_the_readme_are_as_the_scenarios_say():
     text = (ROOT / "README.md").read_text()
     assert pages.generate(text) == text, WRITE.format("README.md")

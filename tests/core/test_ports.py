@@ -121,8 +121,8 @@ def test_only_a_port_that_says_so_may_be_silent():
 
 def test_units_by_channel():
     port = command("u", "u", ["a", "b"], ["N", "1"])
-    assert port.units == ("N", "")
-    assert joint_state("x", "x", ["a", "b"], position=["rad", "m"], velocity="1").units == ("rad", "m", "", "")
+    assert port.units == ("N", "1")
+    assert joint_state("x", "x", ["a", "b"], position=["rad", "m"], velocity="1").units == ("rad", "m", "1", "1")
     with pytest.raises(ValueError, match="3 units for 2 values"):
         command("u", "u", ["a", "b"], ["N", "V", "A"])
 

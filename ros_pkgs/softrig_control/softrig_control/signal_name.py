@@ -35,7 +35,7 @@ def signal_port(name: str, signal: str, unit: str, *, also: Sequence[str] = (), 
     unit : str
         Empty for a pure number.
     also : sequence of str
-        Channels that are in the same message.
+        Channels that are in the same message, their units not known.
     """
     topic, channel, field = split(signal)
-    return joint_state(name, topic, (channel, *also), held=held, **{field: unit or "1"})
+    return joint_state(name, topic, (channel, *also), held=held, **{field: (unit or "1", *("" for _ in also))})

@@ -173,7 +173,7 @@ class BurstParams(BlockParams):
 class Burst(Block[BurstParams]):
     """Speaks at some ticks only, of one of two channels."""
 
-    OUTPUTS = (command("burst", "lag/burst", ["b"], "N", sporadic=True),)
+    OUTPUTS = (command("burst", "lag/burst", ["b"], "V", sporadic=True),)
 
     def update(self, t):
         k = [round(at * 1e9) for at in self.p.at]

@@ -50,7 +50,8 @@ class Port:
     fields : tuple of str
         Which number fields of the message are used.
     units : tuple of str
-        One unit a value.
+        One unit a value, held against that of the other end where a rig is wired: "1" is a pure number, an empty one is
+        not known and fits any (of a block that hands on whatever comes).
     frame_id : str
         header.frame_id; an input with a frame refuses any other.
     held : bool
@@ -326,7 +327,7 @@ def _named(msgtype: str, name: str, topic: str, channels: Sequence[str], units: 
            options: Mapping[str, object]) -> Port:  # fmt: skip
     fields = tuple(f for f, unit in units.items() if unit)
     each = {f: [unit] * len(channels) if isinstance(unit, str) else unit for f, unit in units.items()}
-    flat = tuple("" if unit == "1" else unit for f in fields for unit in each[f])
+    flat = tuple(unit for f in fields for unit in each[f])
     return Port(name, topic, msgtype, tuple(channels), fields, flat, **options)  # type: ignore[arg-type]
 
 

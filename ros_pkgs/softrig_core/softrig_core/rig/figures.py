@@ -8,7 +8,7 @@ import typing
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
 
@@ -19,10 +19,8 @@ from .metrics import SignalMap
 from .references import fill_parameters, pick
 from .registry import Function, find
 from .requirements import judges
+from .rig import Rig, unit_of
 from .units import compose, factor, powers
-
-if TYPE_CHECKING:
-    from .rig import Rig
 
 SIGNALS = ("signal", "reference")  # arguments that name a signal, if they are a word
 
@@ -78,12 +76,14 @@ class Figure:
 
 
 def signal_units(rig: Rig) -> dict[str, str]:
-    """Give the unit of every signal of a rig by its name ``topic/channel/field``."""
-    return {
+    """Give the unit of every signal of a rig by its name ``topic/channel/field``; of a pure number none."""
+    units = {
         f"{topic}/{label}": unit
         for topic, port in rig.topics.items()
         for label, unit in zip(port.labels, port.units, strict=True)
     }
+    handed = {f"{p.topic}/{label}": unit_of(m, p, label) for m in rig.members for p in m.outputs for label in p.labels}
+    return {name: "" if unit == "1" else unit for name, unit in (units | handed).items()}
 
 
 def figures_of(rig: Rig) -> list[Figure]:

@@ -21,6 +21,7 @@ from .faults import insert
 from .node_parameters import NodeParameters
 from .scenario import Scenario, explain
 from .scenario_file import closest
+from .units import misfit
 
 TICKS = 10**9  # of the clock in one run: more would take days
 
@@ -302,6 +303,30 @@ def _wire(scenario: Scenario, members: list[Member]) -> None:
                 raise ScenarioError(
                     f"{scenario.name}: {port.topic} from {source.name} does not fit {member.name}: {error}"
                 ) from None
+    _check_units(scenario, members)
+
+
+def unit_of(source: Member, port: Port, label: str, seen: tuple[str, ...] = ()) -> str:
+    """Give the unit of an output's value; of a link, which hands on what it does not know, that of its sender."""
+    unit = port.units[port.labels.index(label)]
+    for inward in source.inputs:
+        link = source.links.get(inward.name)
+        if not unit and link and inward.labels == port.labels and source.name not in seen:
+            unit = unit_of(link.source, link.port, label, (*seen, source.name))
+    return unit
+
+
+def _check_units(scenario: Scenario, members: list[Member]) -> None:
+    """Refuse links whose ends give one value different units."""
+    for member in members:
+        for port in member.inputs:
+            link = member.links.get(port.name)
+            for label, wanted in zip(port.labels, port.units, strict=True) if link else ():
+                assert link is not None
+                given = unit_of(link.source, link.port, label) if label in link.port.labels else ""
+                if wrong := misfit(given, wanted):
+                    raise ScenarioError(f"{scenario.name}: {port.topic} from {link.source.name} does not fit "
+                                        f"{member.name}: {label} {wrong}")  # fmt: skip
 
 
 def _sorted(members: list[Member]) -> list[Member]:

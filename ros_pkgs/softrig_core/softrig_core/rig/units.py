@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from functools import cache
 
 _TOKEN = re.compile(r"(\*|/)?\s*([^\s*/^]+)(?:\^(-?\d+))?")
 
@@ -50,10 +51,60 @@ def text(parts: dict[str, int]) -> str:
     return (above or "1") + below if below else above
 
 
+_SI = {"s": "s", "m": "m", "g": "kg", "A": "A", "K": "K", "rad": "rad", "Hz": "1/s", "N": "kg m/s^2", "Pa": "kg/m/s^2",
+       "J": "kg m^2/s^2", "W": "kg m^2/s^3", "VA": "kg m^2/s^3", "var": "kg m^2/s^3", "C": "A s", "V": "kg m^2/s^3/A",
+       "ohm": "kg m^2/s^3/A^2", "Ohm": "kg m^2/s^3/A^2", "F": "A^2 s^4/kg/m^2", "H": "kg m^2/s^2/A^2",
+       "Wb": "kg m^2/s^2/A", "T": "kg/s^2/A"}  # fmt: skip
+_PREFIXES = {"p": -12, "n": -9, "u": -6, "m": -3, "c": -2, "k": 3, "M": 6, "G": 9}
+_OTHERS = {"%": (0.01, ""), "percent": (0.01, ""), "deg": (math.pi / 180.0, "rad"), "rpm": (math.pi / 30.0, "rad/s"),
+           "rev": (2.0 * math.pi, "rad"), "min": (60.0, "s"), "h": (3600.0, "s")}  # fmt: skip
+
+
+@cache
+def base(unit: str) -> tuple[float, dict[str, int]]:
+    """Take a unit down to those of the SI: ``mV`` is 0.001 times ``kg m^2/s^3/A``; unknown ones stay as they are."""
+    factors, total = 1.0, dict[str, int]()
+    for name, power in powers(unit).items():
+        one, below = _base(name)
+        factors *= one**power
+        for part, p in powers(below).items():
+            total[part] = total.get(part, 0) + p * power
+    return factors, {name: power for name, power in total.items() if power}
+
+
+def _base(name: str) -> tuple[float, str]:
+    if name in _OTHERS:
+        return _OTHERS[name]
+    if name in _SI:
+        return 1e-3 if name == "g" else 1.0, _SI[name]
+    if name[:1] in _PREFIXES and name[1:] in _SI:
+        power = _PREFIXES[name[0]] - 3 * (name[1:] == "g")
+        return 10.0**power, _SI[name[1:]]
+    return 1.0, name
+
+
+def misfit(given: str, wanted: str) -> str:
+    """Say why values in one unit cannot be read as values in another; empty when they can.
+
+    Parameters
+    ----------
+    given, wanted : str
+        Units; one that is not stated (empty) fits any, ``1`` is a pure number.
+    """
+    if not given or not wanted or powers(given) == powers(wanted):
+        return ""
+    (a, own), (b, other) = base(given), base(wanted)
+    if own != other:
+        return f"is in {given!r}, expected {wanted!r}, which is another quantity"
+    if math.isclose(a, b, rel_tol=1e-12):
+        return ""
+    same = f"1 {given}".removesuffix(" 1") + f" = {a / b:.9g} {wanted}".removesuffix(" 1")
+    return (f"is in {given!r}, expected {wanted!r}: the same quantity, {same}; declare {given!r} at the reader and "
+            f"scale there, or {wanted!r} at the sender and scale there")  # fmt: skip
+
+
 def factor(given: str, wanted: str) -> float | None:
     """Number that turns values of one unit into another; None when they do not measure the same.
-
-    The suite is in SI; the one conversion is from rad to deg, in any power.
 
     Parameters
     ----------
@@ -64,4 +115,7 @@ def factor(given: str, wanted: str) -> float | None:
     if a == b:
         return 1.0
     turned = {"deg" if name == "rad" else name: power for name, power in a.items()}
-    return math.degrees(1.0) ** a["rad"] if "rad" in a and turned == b else None
+    if "rad" in a and turned == b:
+        return math.degrees(1.0) ** a["rad"]
+    (own, of), (other, wants) = base(given), base(wanted)
+    return own / other if of == wants else None

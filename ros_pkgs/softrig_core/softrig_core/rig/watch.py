@@ -100,7 +100,8 @@ class Seen(Mapping[str, Signal]):
         if topic is None:
             return ""
         port = self._ports[topic][0]
-        return port.units[port.labels.index(name[len(topic) + 1 :])]
+        unit = port.units[port.labels.index(name[len(topic) + 1 :])]
+        return "" if unit == "1" else unit
 
     def _topic(self, name: str) -> str | None:
         return max((t for t in self._ports if name.startswith(f"{t}/")), key=len, default=None)
