@@ -109,7 +109,7 @@ def test_processes_that_compile_at_the_same_time(folder):
 def test_numba_is_imported_at_the_first_call_only():
     code = """
         import sys
-        from softrig_core.model import history, ode
+        from softrig_core.model import dde, ode
         from softrig_core.model.jit import jit
 
         @jit

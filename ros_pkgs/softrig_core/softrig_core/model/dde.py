@@ -11,10 +11,9 @@ themselves), or take small steps.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from .history import Past, between, derivative
 from .jit import jit
 
 if TYPE_CHECKING:
@@ -22,6 +21,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     Array = NDArray[np.float64]
+
+
+Past = float | Sequence[float] | Callable[[float], float | Sequence[float]]
 
 
 class Trajectory(NamedTuple):
@@ -78,10 +80,50 @@ def trajectory(step: float, longest: float, past: Past, spare: int = 0) -> Traje
     x = np.array([value(t) for t in (*begin, 0.0)])
     dx = np.zeros_like(x)
     if callable(past):
-        dx[:] = [derivative(value, t, 1e-3 * step) for t in (*begin, 0.0)]
+        dx[:] = [_slope(value, t, 1e-3 * step) for t in (*begin, 0.0)]
     length = np.full(capacity, step)
     meta = np.array([capacity, 0])
     return Trajectory(begin, length, x[:-1].copy(), x[1:].copy(), dx[:-1].copy(), dx[1:].copy(), meta)
+
+
+def _slope(function: Callable[[float], Array], t: float, step: float) -> Array:
+    """Give the slope of a past at t from values at and before t (of order 4: the past may end at t).
+
+    Parameters
+    ----------
+    function : callable
+        Time (s) to values.
+    t, step : float
+        Where, and the distance of the values, s.
+
+    Returns
+    -------
+    ndarray
+        In 1/s.
+    """
+    f0, f1, f2, f3, f4 = (function(t - k * step) for k in range(5))
+    return (25.0 * f0 - 48.0 * f1 + 36.0 * f2 - 16.0 * f3 + 3.0 * f4) / (12.0 * step)
+
+
+@jit
+def between(s: float, step: float, x0: float, x1: float, dx0: float, dx1: float) -> float:
+    """Give the cubic Hermite polynomial between two samples.
+
+    Parameters
+    ----------
+    s : float
+        0 at the first, 1 at the second.
+    step : float
+        Time between them, s.
+    x0, x1, dx0, dx1 : float
+        Values and slopes (1/s) at both.
+
+    Returns
+    -------
+    float
+    """
+    r = 1.0 - s
+    return (1.0 + 2.0 * s) * r * r * x0 + s * r * r * step * dx0 + s * s * (3.0 - 2.0 * s) * x1 - s * s * r * step * dx1
 
 
 @jit
@@ -120,12 +162,6 @@ def delayed(past: Trajectory, t: float, channel: int) -> float:
         return past.x1[row, channel]
     return between(s, past.length[row], past.x0[row, channel], past.x1[row, channel], past.dx0[row, channel],
                    past.dx1[row, channel])  # fmt: skip
-
-
-@jit
-def reach(past: Trajectory) -> float:
-    """Give the earliest time (s) that the history still holds."""
-    return past.begin[past.meta[0] % past.begin.shape[0]]
 
 
 def integrator(rhs: Callable[..., None], limit: Callable[..., None] | None = None) -> Callable[..., None]:

@@ -3,21 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Literal, Self
+from typing import Literal, Self
 
 from pydantic import model_validator
-from softrig_core import Block, BlockParams, Level, executable, jit, param, to_ns
-from softrig_core.model.history import History, linear
+from softrig_core import Block, BlockParams, Level, executable, param, to_ns
+from softrig_core.model.history import History
 
 from .laws import LAWS, Gains, LawName, Measured
 from .model import Bottleneck, phi, psi
 from .ports import COMMAND, HEALTH, REFERENCE, STATE
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
-    Ring = NDArray[np.float64]
 
 STALE = 5  # periods beyond which a state is too old
 HOLD = 50  # ticks without a valid state after which nothing is dropped any more
@@ -44,14 +38,6 @@ class AqmControllerParams(Gains, Bottleneck, BlockParams):
             raise ValueError(f"history = {self.history:g} s is shorter than the longest delay q_max/C + tau_p = "
                              f"{longest:g} s")  # fmt: skip
         return self
-
-
-@jit
-def note(ring: Ring, count: int, w: float, R: float, age: float) -> tuple[float, float]:
-    """Put window and round trip time into their ring and give both `age` samples before."""
-    row = count % ring.shape[0]
-    ring[row, 0], ring[row, 1] = w, R
-    return linear(ring, count + 1, age, 0), linear(ring, count + 1, age, 1)
 
 
 class AqmController(Block[AqmControllerParams]):
@@ -146,7 +132,7 @@ class AqmController(Block[AqmControllerParams]):
             self._e += self._q_d - q_d  # no kick of the derivative
         self._q_d = q_d
 
-    def _look_back(self, w: float, R: float) -> tuple[float, float]:
+    def _look_back(self, w: float, R: float) -> tuple[float, ...]:
         """Note the state and give window and round trip time of one round trip ago."""
         line = self._history
         if not self._known:
@@ -156,8 +142,8 @@ class AqmController(Block[AqmControllerParams]):
         if back > self.p.history:
             self.report(Level.WARN, "deep", f"round trip {R:g} s is beyond the record of {self.p.history:g} s")
             back = self.p.history
-        line.count += 1
-        return note(line.ring, line.count - 1, w, R, back * self._rate)
+        line.put((w, R))
+        return line.aged(back * self._rate)
 
 
 main = executable(AqmController)
