@@ -16,7 +16,7 @@ from softrig_systems.optimal_control.mvim_planner import MvimPlanner
 from softrig_systems.optimal_control.planning import Request
 from softrig_systems.optimal_control.plants import OcpPlant, ScalarPlant, SpacecraftPlant, TwoStatePlant
 from softrig_systems.optimal_control.player import OcpPlayer
-from softrig_systems.optimal_control.problem import find
+from softrig_systems.optimal_control.problem import ProblemError, find
 
 S = 10**9
 W0 = (0.01, 0.005, 0.001)
@@ -210,16 +210,40 @@ SLED = Problem("sled", {"q": "m", "v": "m/s"}, {"u": "m/s^2"}, lambda x, u: [x[1
 """
 
 
+def register(folder, *points):
+    """Stand in for an installed package that has these entry points."""
+    (folder / "own-1.0.dist-info").mkdir()
+    (folder / "own-1.0.dist-info" / "METADATA").write_text("Name: own\nVersion: 1.0\n")
+    (folder / "own-1.0.dist-info" / "entry_points.txt").write_text("\n".join(["[softrig_problems]", *points]) + "\n")
+
+
+@pytest.mark.parametrize(("name", "why"), [
+    ("trap:SLED", "expected one of scalar, spacecraft, two_state, reactor, broken, number; a package registers"),
+    ("trap", "expected one of scalar"),
+    ("", "expected one of scalar"),
+    ("broken", r"\(nowhere:SLED\) cannot be loaded: No module named 'nowhere'"),
+    ("number", "math:pi is a float, expected a Problem"),
+])  # fmt: skip
+def test_only_problems_that_are_registered_are_imported(name, why, tmp_path, monkeypatch):
+    (tmp_path / "trap.py").write_text(f"open({str(tmp_path / 'sprung')!r}, 'w').close()\n{SLED}")
+    register(tmp_path, "broken = nowhere:SLED", "number = math:pi")
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(ProblemError, match=why):
+        find(name)
+    assert not (tmp_path / "sprung").exists()
+
+
 def test_a_problem_of_ones_own_gets_plant_planner_and_evaluator(tmp_path, monkeypatch):
     """The page's example; one power series does not reach its end and is not played, eight stages do."""
     (tmp_path / "sleds.py").write_text(SLED)
+    register(tmp_path, "sled = sleds:SLED")
     monkeypatch.syspath_prepend(tmp_path)
     scenario = load_scenario("optimal_control_mvim_reactor")
 
     def flown(stages):
         nodes = {
             name: entry.model_copy(
-                update={"parameters": entry.parameters | {"problem": "sleds:SLED"} | (
+                update={"parameters": entry.parameters | {"problem": "sled"} | (
                     {"order": 16, "stages": stages} if name != "plant" else {})}
             )
             for name, entry in scenario.nodes.items()

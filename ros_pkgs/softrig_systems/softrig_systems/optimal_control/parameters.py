@@ -15,7 +15,7 @@ class ProblemParams(BlockParams):
     """Statement of the problem; what is left out is the problem's own."""
 
     period: float = param(1.0, "sampling period", "s", gt=0.0, le=100.0)
-    problem: str = param("spacecraft", "scalar, spacecraft, two_state, reactor, or package.module:NAME of a Problem")
+    problem: str = param("spacecraft", "scalar, spacecraft, two_state, reactor, or one that a package has registered")
     x0: tuple[float, ...] = param((), "start of the plant; the problem's own when empty")
     x_end: tuple[float, ...] = param((), "end state; the problem's own, or a free end, when empty")
     horizon: float | None = param(None, "T; the problem's own when absent", "s", gt=0.0, le=1e6)

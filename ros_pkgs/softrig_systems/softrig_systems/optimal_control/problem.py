@@ -11,7 +11,7 @@ They are necessary. The paper calls them sufficient because J is convex; for non
 
 from __future__ import annotations
 
-import importlib
+import importlib.metadata
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
@@ -186,23 +186,31 @@ def _tape(name: str, inputs: list[ca.SX], outputs: list[ca.SX]) -> Tape:
     return Tape.of(ca.Function(name, [ca.vertcat(*inputs)], [ca.densify(ca.vertcat(*outputs))]))
 
 
+GROUP = "softrig_problems"  # of entry points
+
+
 def find(name: str) -> Problem:
-    """Find a problem by its name here, or a user's own by ``package.module:NAME``.
+    """Find a problem by its name: one of ours, or the entry point of an installed package in the group `GROUP`.
 
     Raises
     ------
     ProblemError
-        There is none; says which there are.
+        There is none; says which there are. Nothing that is not registered is imported: a scenario may be anybody's.
     """
     from .problems import PROBLEMS
 
     if name in PROBLEMS:
         return PROBLEMS[name]
-    module, _, attribute = name.partition(":")
+    points = importlib.metadata.entry_points(group=GROUP)
+    if name not in points.names:
+        known = ", ".join([*PROBLEMS, *sorted(points.names)])
+        raise ProblemError(
+            f"problem = {name!r}: expected one of {known}; a package registers its own in the group {GROUP}"
+        )
     try:
-        found = getattr(importlib.import_module(module), attribute) if attribute else None
-    except (ImportError, AttributeError, ValueError) as error:
-        raise ProblemError(f"problem = {name!r}: {error}") from None
+        found = points[name].load()
+    except (ImportError, AttributeError) as error:
+        raise ProblemError(f"problem = {name!r} ({points[name].value}) cannot be loaded: {error}") from None
     if not isinstance(found, Problem):
-        raise ProblemError(f"problem = {name!r}: expected {', '.join(PROBLEMS)} or package.module:NAME of a Problem")
+        raise ProblemError(f"problem = {name!r}: {points[name].value} is a {type(found).__name__}, expected a Problem")
     return found
