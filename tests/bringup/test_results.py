@@ -49,6 +49,12 @@ def test_pages_show_each_claim_with_its_measurement(folder):
     assert "scripts/softrig run lag --mode inprocess" in page
 
 
+def test_a_folder_that_takes_nothing_is_said_before_the_runs(folder, monkeypatch, capsys):
+    monkeypatch.setattr("softrig_bringup.results.gather", lambda *_: pytest.fail("runs before it looks at the folder"))
+    assert main(["results", "lag", "--out", "lag.yaml"]) == 2
+    assert "lag.yaml" in capsys.readouterr().err
+
+
 def test_a_false_verdict_fails_the_page_and_the_run(folder, capsys):
     assert main(["results", "lag", "--workers", "1"]) == 0
     assert (folder / "runs" / "results" / "results.html").is_file()

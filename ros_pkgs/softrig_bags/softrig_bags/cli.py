@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from softrig_core.command_line import Number, Parser
-from softrig_core.guard import guarded
+from softrig_core.guard import guarded, plain
 from softrig_core.model.params import Declaration
 from softrig_core.node.leave import leave
 from softrig_core.wire.recording import relative
@@ -216,7 +216,7 @@ def main_compare(argv: list[str]) -> int:
     else:
         result = compare(a, b, default=default, tolerances=tolerances, bitwise=options.bitwise, topics=topics,
                          ignore=options.ignore)  # fmt: skip
-    print(result.to_json() if options.json else result)
+    print(result.to_json() if options.json else plain(str(result)))
     return 0 if result.equal else 1
 
 
@@ -238,7 +238,7 @@ def main_bag(argv: list[str]) -> int:
     if options.verb == "info":
         from .info import describe
 
-        print(describe(options.bag))
+        print(plain(describe(options.bag)))
     elif options.verb == "repair":
         from .repair import repair
 

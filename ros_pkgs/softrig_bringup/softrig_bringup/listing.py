@@ -9,19 +9,29 @@ from pathlib import Path
 from typing import Any
 
 from rich.console import Console
-from rich.markup import escape
+from rich.text import Text
 from rich.tree import Tree
 from softrig_core import Scenario, list_scenarios, load_scenario
+from softrig_core.guard import plain
 
 
 def console(**options: Any) -> Console:
     """Make a console as wide as the terminal or as COLUMNS says; in a pipe, lines are as long as they are."""
     narrow = sys.stdout.isatty() or os.environ.get("COLUMNS", "").isdigit()
-    return _Console(**{"width": None if narrow else 1000, "highlight": False} | options)
+    return _Console(**{"width": None if narrow else 1000, "highlight": False, "markup": False} | options)
+
+
+def styled(*parts: str | tuple[str, str]) -> Text:
+    """Make a line of texts and of (text, style): no text has a style by itself, whoever wrote it."""
+    return Text.assemble(*(plain(p) if isinstance(p, str) else (plain(p[0]), p[1]) for p in parts))
 
 
 class _Console(Console):
-    """As rich has it, but a reader that has gone is told by its own exit status, not by 1."""
+    """As rich has it, but text is text, and a reader that has gone is told by its own exit status, not by 1."""
+
+    def render_str(self, text: str, **options: Any) -> Text:
+        """Show control characters instead of obeying them."""
+        return super().render_str(plain(text), **options)
 
     def on_broken_pipe(self) -> None:
         """Leave it to `guarded`; called while the error is handled."""
@@ -34,7 +44,7 @@ def main(part: str) -> int:
     chosen = [s for s in scenarios if part in s.name or part in s.system]
     if not sys.stdout.isatty() and "COLUMNS" not in os.environ:
         for s in chosen:
-            print(f"{s.name}\t{s.system}\t{s.duration:g} s\t{s.title}\t{s.source}")
+            print(plain(f"{s.name}\t{s.system}\t{s.duration:g} s\t{s.title}\t{s.source}"))
         return 0
     show = console()
     for system in sorted({s.system for s in chosen}):
@@ -43,16 +53,14 @@ def main(part: str) -> int:
 
 
 def _tree(system: str, scenarios: list[Scenario]) -> Tree:
-    tree = Tree(f"[bold]{escape(system)}[/]")
     sources = {s.source for s in scenarios}
-    if len(sources) == 1:
-        tree.label = f"[bold]{escape(system)}[/]  [dim]{escape(sources.pop())}[/]"
+    tree = Tree(styled((system, "bold"), *(("  ", (sources.pop(), "dim")) if len(sources) == 1 else ())))
     branches: list[tuple[str, Tree]] = []
     for s in scenarios:  # sorted, so that a variant comes after what it is a variant of
         while branches and not s.name.startswith(f"{branches[-1][0]}_"):
             branches.pop()
         facts = ", ".join([f"{s.duration:g} s", *_took(s.name)])
-        label = f"{s.name}  [dim]{facts}[/]  {escape(s.title)}"
+        label = styled(f"{s.name}  ", (facts, "dim"), f"  {s.title}")
         branches.append((s.name, (branches[-1][1] if branches else tree).add(label)))
     return tree
 

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-import sys
+import os
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 from softrig_core import RunError, Scenario, ScenarioError, list_scenarios, load_scenario, simulate
+from softrig_core.guard import say
 from softrig_core.rig.findings import Finding, findings, needed, values
 from softrig_optim.sweep import progress, stream
+
+from .folder import replace
 
 
 class Measured(NamedTuple):
@@ -117,22 +120,24 @@ def main(systems: Sequence[str], out: Path, workers: int | None = None, *, studi
     scenarios = claiming(systems)
     if not scenarios:
         raise ScenarioError("no scenario has claims")
+    out.mkdir(parents=True, exist_ok=True)
+    if not os.access(out, os.W_OK | os.X_OK):  # said before the runs, not after them
+        raise ScenarioError(f"{out}: cannot be written into; choose another --out")
     rows, measured = gather(scenarios, workers)
     if studies:
         more, held = study_findings(systems, out / "studies", workers)
         scenarios, rows = scenarios + more, rows + held
-    out.mkdir(parents=True, exist_ok=True)
-    (out / "results.html").write_text(html(scenarios, rows), encoding="utf-8")
-    (out / "results.md").write_text(markdown(scenarios, rows), encoding="utf-8")
+    replace(out / "results.html", html(scenarios, rows))
+    replace(out / "results.md", markdown(scenarios, rows))
     print(counts(rows))
     status = 0
     for found in measured.values():
         if found.error or found.missed:
-            print(f"softrig: {found.name}: {found.error or 'missed: ' + ', '.join(found.missed)}", file=sys.stderr)
+            say(f"{found.name}: {found.error or 'missed: ' + ', '.join(found.missed)}")
             status = 3 if found.error else max(status, 1)
     for row in rows:
         if not row.holds:
-            print(f"softrig: {row.scenario}: claim {row.key}: {row.false}", file=sys.stderr)
+            say(f"{row.scenario}: claim {row.key}: {row.false}")
             status = max(status, 1)
     print(f"wrote {out / 'results.html'} and {out / 'results.md'}")
     return status

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from softrig_core.command_line import Number
-from softrig_core.guard import say
+from softrig_core.guard import plain, say
 
 if TYPE_CHECKING:
     from softrig_core import Run, Scenario
@@ -169,17 +169,18 @@ def _progress(scenario: Scenario) -> Iterator[Callable[[int], None] | None]:
 
     from .listing import console
 
-    columns = (TextColumn(scenario.name), BarColumn(), TextColumn("{task.completed:.3g} of {task.total:.3g} s"),
-               TimeElapsedColumn(), TimeRemainingColumn())  # fmt: skip
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(),
+               TextColumn("{task.completed:.3g} of {task.total:.3g} s"), TimeElapsedColumn(),
+               TimeRemainingColumn())  # fmt: skip
     with Progress(*columns, console=console(stderr=True, width=None), transient=True) as bar:
-        task = bar.add_task("", total=scenario.duration)
+        task = bar.add_task(scenario.name, total=scenario.duration)
         yield lambda t: bar.update(task, completed=t / 1e9)
 
 
 def _announce(text: str) -> None:
     """Say what a run waits for, whole and with its lines: they are instructions."""
     with suppress(OSError):
-        print(f"softrig: {text}", file=sys.stderr, flush=True)
+        print(f"softrig: {plain(text)}", file=sys.stderr, flush=True)
 
 
 def _news(scenario: Scenario) -> Callable[[int], None]:
@@ -197,7 +198,7 @@ def _news(scenario: Scenario) -> Callable[[int], None]:
 def _print_figures(scenario: Scenario, run: Run, out: Path, changed: Sequence[str]) -> None:
     from rich.table import Table
 
-    from .listing import console as make_console
+    from .listing import console as make_console, styled
     from .wording import accepted
 
     console = make_console()
@@ -210,17 +211,17 @@ def _print_figures(scenario: Scenario, run: Run, out: Path, changed: Sequence[st
         table.add_column(name, justify="left" if name in ("unit", "") else "right", overflow="fold",
                          no_wrap=name in ("published", "measured"))  # fmt: skip
     for f in run.results:
-        missed = "[yellow]differs[/]" if changed else "[red]MISS[/]"
-        mark = ("[green]pass[/]" if f.judged else "") if f.passed else missed
-        row = [f.name, *([_number(f.published)] if published else []), _number(f.value), accepted(f), f.unit, mark]
-        table.add_row(*row)
+        missed = ("differs", "yellow") if changed else ("MISS", "red")
+        mark = styled(("pass" if f.judged else "", "green") if f.passed else missed)
+        row = [f.name, *([_number(f.published)] if published else []), _number(f.value), accepted(f), f.unit]
+        table.add_row(*row, mark)
     console.print(table)
     for f in run.results:
         if f.error:
-            console.print(f"{f.name}: {f.error}", markup=False)
+            console.print(f"{f.name}: {f.error}")
     for claim in run.claims:
         if claim.holds is False and not changed:
-            console.print(f"[red]claim {claim.key}[/]: {claim.false}")
+            console.print(styled((f"claim {claim.key}", "red"), f": {claim.false}"))
     ticks = run.rig.ticks
     speed = "" if run.epoch else f" ({scenario.duration / run.wall_s:.3g} x real time)"
     console.print(f"{run.mode}: {ticks} ticks, {scenario.duration:g} s simulated in {run.wall_s:.2f} s with start-up"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import io
 import os
+import re
 import shlex
 import signal
 import sys
@@ -14,6 +15,8 @@ from typing import Any
 
 from .errors import RunError, ScenarioError
 
+# of terminals, all but tab and new line, and those that turn the direction of writing
+_CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069]")
 LINE = 1000  # characters of a failure that are shown
 # the caller has named what cannot be read or written: bad input, nothing that broke
 _NAMED = (FileNotFoundError, PermissionError, IsADirectoryError, NotADirectoryError, FileExistsError)
@@ -71,9 +74,14 @@ def say(what: object) -> None:
 
 def tell(who: str, what: object) -> None:
     """Print one line in somebody's name; nobody may be there any more to read it."""
-    text = " ".join(str(what).split())
+    text = plain(" ".join(str(what).split()))
     with suppress(OSError, ValueError):
         print(f"{who}: {text if len(text) <= LINE else text[:LINE] + ' ...'}", file=sys.stderr, flush=True)
+
+
+def plain(text: str) -> str:
+    """Show the control characters of a text that somebody else wrote: a terminal would obey them."""
+    return _CONTROL.sub(lambda found: repr(found[0])[1:-1], text)
 
 
 def secure_streams() -> None:

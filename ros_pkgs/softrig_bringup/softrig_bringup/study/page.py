@@ -75,15 +75,16 @@ def best(study: Study, rows: Sequence[Row]) -> Row | None:
 
 
 def _print(study: Study, rows: Sequence[Row], found: Sequence[Result], held: Sequence[Finding], out: Path) -> None:
-    from rich.console import Console
     from rich.table import Table
 
-    console = Console(highlight=False)
+    from ..listing import console as make_console, styled
+
+    console = make_console()
     shown = Table(title=study.title, title_justify="left", box=None)
     for name in ("summary", "value", "expected", "published", "") if found else ():
         shown.add_column(name, overflow="fold")
     for r in found:
-        verdict = ("[green]pass[/]" if r.judged else "") if r.passed else f"[red]MISS[/] {r.error}"
+        verdict = styled(("pass" if r.judged else "", "green")) if r.passed else styled(("MISS", "red"), f" {r.error}")
         shown.add_row(r.name, _number(r.value), accepted(r), _number(r.published), verdict)
     if not found and len(rows) <= FEW:
         heads = list(dict.fromkeys(name for row in rows for part in ("overrides", "figures") for name in row[part]))
@@ -94,7 +95,7 @@ def _print(study: Study, rows: Sequence[Row], found: Sequence[Result], held: Seq
     console.print(shown)
     for claim in held:
         if claim.holds is False:
-            console.print(f"[red]claim {claim.key}[/]: {claim.false}")
+            console.print(styled((f"claim {claim.key}", "red"), f": {claim.false}"))
     winner = best(study, rows)
     if winner is not None and study.search is not None:
         console.print(f"best: {study.search.figure} {winner['figures'][study.search.figure]:.6g}")

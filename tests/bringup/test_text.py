@@ -1,0 +1,60 @@
+"""Text from files is text: no markup, no commands to a terminal, no end of a run."""
+
+import pytest
+from softrig_bringup.cli import main
+from softrig_core.guard import plain
+
+LAG = """
+title: TITLE
+system: TITLE
+source: TITLE
+duration: 0.1
+nodes:
+  plant: {package: faultrig, executable: plant}
+  source: {package: faultrig, executable: source}
+  gain: {package: faultrig, executable: gain}
+figures:
+  last: {function: final_value, arguments: {signal: lag/state/x/position}}
+claims:
+  last: {published: 7.0, tolerance: 1 %, where: TITLE, verdict: reproduced}
+"""
+STUDY = "{title: TITLE, scenario: lag, seeds: 2, summaries: {s: {figure: last}}, expect: {s: at least 100}}"
+TEXTS = {
+    '"Speed [rad/s]"': "Speed [rad/s]",
+    '"x [/b] y"': "x [/b] y",
+    '"[bold red]loud[/bold red]"': "[bold red]loud[/bold red]",
+    '"\\e[31mred\\e]0;title\\a \\x9b2J"': r"\x1b[31mred\x1b]0;title\x07 \x9b2J",
+    '"cost in $ and {braces} $x^$"': "cost in $ and {braces} $x^$",
+}
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    (tmp_path / "scenarios").mkdir()
+    (tmp_path / "studies").mkdir()
+    monkeypatch.setenv("SOFTRIG_SCENARIOS", str(tmp_path / "scenarios"))
+    monkeypatch.setenv("AMENT_PREFIX_PATH", "")
+    monkeypatch.setenv("COLUMNS", "300")  # as wide as a terminal would have to be
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.mark.parametrize("title", TEXTS)
+def test_a_title_is_shown_as_it_stands_whatever_it_holds(title, folder, capsys):
+    (folder / "scenarios" / "lag.yaml").write_text(LAG.replace("TITLE", title))
+    (folder / "studies" / "lags.yaml").write_text(STUDY.replace("TITLE", title))
+    calls = [
+        (["list"], 0), (["run", "lag", "--mode", "inprocess", "--no-record"], 1),
+        (["study", "lags", "--workers", "1"], 1), (["results", "--workers", "1"], 1), (["report", "runs/lag"], 0),
+    ]  # fmt: skip
+    for arguments, status in calls:
+        assert main(arguments) == status, capsys.readouterr().err
+        said = "".join(capsys.readouterr())
+        assert "\x1b" not in said
+        assert "\x9b" not in said
+        assert TEXTS[title] in said or arguments[0] in ("results", "report")
+
+
+def test_control_characters_are_shown_and_nothing_else_is_changed():
+    assert plain("a\x1b[0m\x00\x7f\u202e\r") == r"a\x1b[0m\x00\x7f\u202e\r"
+    assert plain("ü 中 \t\n é") == "ü 中 \t\n é"
