@@ -268,7 +268,8 @@ class LockstepPlayer:
 
     The tick of a message is its bag time if that is simulated time (bags of a run, `recorder` with
     ``--use-sim-time``: some message has its stamp as bag time), else its header stamp; a message without header belongs
-    to the tick before it. The ticks to be answered are those of the answers in the bag, or every tick if it has none.
+    to the tick before it. The ticks to be answered are those of the answers in the bag, or every tick if it has none. A
+    node that says its ticks on ``<node>/tick`` (one that may be silent on all topics) is waited for at each of them.
 
     Parameters
     ----------
@@ -295,6 +296,7 @@ class LockstepPlayer:
         self._pauser = Pauser(session, paused, self._step)
         self._answers: dict[str, Answers] = {}
         self._heard: list[Subscription] = []
+        self._paces: set[str] = set()
         self._groups = self._ticks()
         self._ready = self._finished = False
         self._tick = part.start
@@ -324,8 +326,9 @@ class LockstepPlayer:
         self._sender.finish()
         if not self._finished:
             raise RunError(f"stopped at t = {self._tick / SECOND:.9g} s")
-        found = Recording((relative(a.name), a.msgtype) for a in self._answers.values())
-        for i, answer in enumerate(self._answers.values()):
+        answers = [a for a in self._answers.values() if a.name not in self._paces]
+        found = Recording((relative(a.name), a.msgtype) for a in answers)
+        for i, answer in enumerate(answers):
             for tick, data in zip(answer.ticks, answer.data, strict=False):
                 found.add(i, tick, data)
         return found
@@ -344,13 +347,13 @@ class LockstepPlayer:
             self._heard.append(
                 self._session.node.create_subscription(_class(topic), live, self._receiver(answer), profile, raw=True)
             )
-        return len(self._answers) == len(self._names)
+        return all(name in self._answers for name in self._names)
 
     def _absent(self) -> list[str]:
         """Describe what is not matched yet: the answers' publishers, and the node's own subscriptions."""
         node, absent, wanted = self._session.node, [], set()
         played = set(self._sender.names.values())
-        for subscription in self._heard:
+        for subscription in list(self._heard):
             topic = subscription.topic_name
             publishers = node.get_publishers_info_by_topic(topic)
             if len(publishers) > 1:
@@ -365,9 +368,24 @@ class LockstepPlayer:
                 absent.append(f"the node behind {topic} is not known yet")
                 continue
             wanted |= played.intersection(name for name, _ in inputs)
+            absent += self._paced(f"{there.node_namespace.rstrip('/')}/{there.node_name}")
         if not absent and not wanted:
             absent.append(f"the node subscribes none of {', '.join(sorted(played))}")
         return absent + [f"{name} is not matched" for name in self._sender.unheard(sorted(wanted))]
+
+    def _paced(self, name: str) -> list[str]:
+        """Hear the ticks of a node that says them; describe what is not matched yet."""
+        tick = f"{name}/tick"
+        if tick in self._paces or tick in self._answers or not self._session.node.count_publishers(tick):
+            return []
+        self._paces.add(tick)
+        topic = BagTopic.known(tick, "std_msgs/msg/Header")
+        answer = self._answers[tick] = Answers(tick, topic.msgtype, False, True)
+        profile = QoSProfile(history=HistoryPolicy.KEEP_ALL)
+        self._heard.append(
+            self._session.node.create_subscription(_class(topic), tick, self._receiver(answer), profile, raw=True)
+        )
+        return [f"{tick} is not matched"]
 
     def _receiver(self, answer: Answers) -> Callable[[bytes], None]:
         def receive(data: bytes) -> None:

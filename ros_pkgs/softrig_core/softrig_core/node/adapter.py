@@ -37,6 +37,15 @@ def repeated(number: int, sender: str, expected: int) -> str:
     return f"number {number} from {sender}, expected {expected} (already there)"
 
 
+def _by_hand(block: Block, options: RunOptions) -> Links:
+    """Give the links of a node that no rig tells of its peers: in lockstep who may be silent says its ticks."""
+    if options.mode != "lockstep":
+        return Links()
+    plant = isinstance(block, Plant)
+    silent = all(p.sporadic for p in block.ports(block.p)[1])
+    return Links(owns_clock=plant, acknowledges=silent and not plant)
+
+
 class Adapter:
     """A block as a node.
 
@@ -56,8 +65,7 @@ class Adapter:
         self.middleware = middleware
         self.block = block
         self.options = options
-        by_hand = Links(owns_clock=isinstance(block, Plant) and options.mode == "lockstep")
-        self.links = Links.model_validate_json(options.links) if options.links else by_hand
+        self.links = Links.model_validate_json(options.links) if options.links else _by_hand(block, options)
         self.schedule = Schedule(
             block.p.period, self.links.base or None, options.duration, block.speaks_at_end()
         )  # fmt: skip

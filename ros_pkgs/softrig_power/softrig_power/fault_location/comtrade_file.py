@@ -16,7 +16,7 @@ from .record import Record, RecordError, Status
 Array = NDArray[np.float64]
 Format = Literal["ascii", "binary", "float32"]
 PHASES = {"A": 0, "B": 1, "C": 2, "L1": 0, "L2": 1, "L3": 2, "AN": 0, "BN": 1, "CN": 2}
-PREFIXES = {"": 1.0, "k": 1e3, "m": 1e-3, "M": 1e6}
+PREFIXES = {"": 1.0, "k": 1e3, "K": 1e3, "m": 1e-3, "M": 1e6}
 EPOCH = dt.datetime(2000, 1, 1)  # of written files: t = 0
 FULL_SCALE = {"ascii": 99998, "binary": 32767}  # the largest raw numbers; ASCII keeps 99999 for missing data
 
@@ -25,7 +25,9 @@ class ComtradeFileError(ValueError):
     """A file that cannot become a record; the text says what was expected."""
 
 
-def read_comtrade(paths: Sequence[Path | str], channels: Sequence[str] = ()) -> Record:
+def read_comtrade(
+    paths: Sequence[Path | str], channels: Sequence[str] = (), late: tuple[float, float] = (0.0, 0.0)
+) -> Record:
     """Read a record of both ends from one file with all channels or from two, end S first.
 
     Parameters
@@ -35,6 +37,8 @@ def read_comtrade(paths: Sequence[Path | str], channels: Sequence[str] = ()) -> 
     channels : sequence of str
         Names of the twelve analog channels u_S, i_S, u_R, i_R of the phases a, b, c (six of each of two files);
         when empty they are found by their units (V, A) and phases.
+    late : (float, float)
+        s by which what end S and end R tell is late, by a clock or an anti-alias filter; taken out.
 
     Returns
     -------
@@ -44,9 +48,9 @@ def read_comtrade(paths: Sequence[Path | str], channels: Sequence[str] = ()) -> 
     Raises
     ------
     ComtradeFileError
-        Unreadable, or the channels are not told apart; lists the channels of the file.
+        Unreadable, or the channels are not told apart (lists those of the file), or both files are the same record.
     RecordError
-        The ends have no common sample times, a gap, a missing value, a dead channel.
+        The ends have no time in common, a gap, a missing value, a dead channel.
     """
     if len(paths) not in (1, 2):
         raise ComtradeFileError(f"{len(paths)} files: expected one with both ends, or one of each end")
@@ -56,13 +60,15 @@ def read_comtrade(paths: Sequence[Path | str], channels: Sequence[str] = ()) -> 
     if len(files) == 1:
         columns = _pick(files[0], Path(paths[0]), channels, ends=2)
         t = np.asarray(files[0].time, dtype=np.float64)
-        return Record.from_ends(t, columns[:, :6], t, columns[:, 6:])
+        return Record.from_ends(t - late[0], columns[:, :6], t - late[1], columns[:, 6:])
     starts = [file.start_timestamp for file in files]
     zero = min(starts)
-    times = [(start - zero).total_seconds() + np.asarray(file.time, dtype=np.float64)
-             for start, file in zip(starts, files, strict=True)]  # fmt: skip
+    times = [(start - zero).total_seconds() - delay + np.asarray(file.time, dtype=np.float64)
+             for start, file, delay in zip(starts, files, late, strict=True)]  # fmt: skip
     ends = [_pick(file, Path(path), channels[6 * k : 6 * k + 6], ends=1)
             for k, (file, path) in enumerate(zip(files, paths, strict=True))]  # fmt: skip
+    if ends[0].shape == ends[1].shape and np.allclose(ends[0], ends[1], rtol=1e-6, atol=0.0):
+        raise ComtradeFileError(f"{paths[0]} and {paths[1]}: both are the same record, expected one of each end")
     return Record.from_ends(times[0], ends[0], times[1], ends[1])
 
 
@@ -73,12 +79,26 @@ def _load(path: Path) -> Any:
         raise ComtradeFileError(f"{path}: no such file")
     try:
         file = comtrade.Comtrade(ignore_warnings=True, use_numpy_arrays=True, use_double_precision=True)
-        file.load(str(path))
+        if path.suffix.lower() == ".cff":
+            file.load(str(path))
+        else:
+            settings = _text(path.read_bytes())
+            data = path.with_suffix(".DAT" if path.suffix.isupper() else ".dat").read_bytes()
+            ascii_data = any(line.strip().upper() == "ASCII" for line in settings.splitlines())
+            file.read(settings, _text(data) if ascii_data else data)
     except Exception as error:  # the reader raises whatever a broken line gives
         raise ComtradeFileError(f"{path}: not readable as COMTRADE: {type(error).__name__}: {error}") from error
     if file.total_samples < 2 or not len(file.time):
         raise RecordError(Status.TOO_SHORT, f"{path}: {file.total_samples} samples")
     return file
+
+
+def _text(data: bytes) -> str:
+    """Decode what recorders write: UTF-8, with a byte order mark or not, else the Western code page of Windows."""
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return data.decode("cp1252", errors="replace")
 
 
 def _pick(file: Any, path: Path, names: Sequence[str], ends: int) -> Array:
@@ -95,8 +115,9 @@ def _pick(file: Any, path: Path, names: Sequence[str], ends: int) -> Array:
         found: dict[tuple[str, int], list[int]] = {}
         for k, c in enumerate(known):
             phase = PHASES.get(c.ph.strip().upper())
-            if phase is not None and c.uu[-1:].upper() in ("V", "A"):
-                found.setdefault((c.uu[-1].upper(), phase), []).append(k)
+            unit = c.uu.strip()[-1:].upper()
+            if phase is not None and unit in ("V", "A"):
+                found.setdefault((unit, phase), []).append(k)
         wanted = [(unit, phase) for unit in "VA" for phase in range(3)]
         if any(len(found.get(key, ())) != ends for key in wanted):
             raise ComtradeFileError(
@@ -107,9 +128,10 @@ def _pick(file: Any, path: Path, names: Sequence[str], ends: int) -> Array:
     columns = []
     for k in order:
         c = known[k]
-        if c.uu[:-1] not in PREFIXES:
+        prefix = c.uu.strip()[:-1]
+        if prefix not in PREFIXES:
             raise ComtradeFileError(f"{path}: channel {c.name} has the unit {c.uu!r}, expected V, A, kV, kA")
-        scale = PREFIXES[c.uu[:-1]]
+        scale = PREFIXES[prefix]
         if c.pors.strip().upper() == "S":
             if c.secondary == 0.0:
                 raise ComtradeFileError(f"{path}: channel {c.name} is secondary with a ratio of {c.primary:g}:0")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -67,7 +68,8 @@ def confidence(record: Record, p: LocatorParams, found: Location, budget: ErrorB
         moved = locate(disturbed, settings)
         if moved.x_km is not None and base.x_km is not None:
             effects[name] = abs(moved.x_km - base.x_km)
-    return Confidence(_scatter(Locator(record, fixed), found), effects, found.f_max / found.f_min)
+    contrast = found.f_max / found.f_min if found.f_min else math.inf
+    return Confidence(_scatter(Locator(record, fixed), found), effects, contrast)
 
 
 def _scatter(work: Locator, found: Location, blocks: int = 8) -> float:
@@ -110,6 +112,17 @@ def shifted(record: Record, late: float) -> Array:
     n = len(record.samples)
     found: Array = np.sum([w[j] * r[5 - j : 5 - j + n] for j in range(6)], axis=0)
     return found
+
+
+def conditions(record: Record, p: LocatorParams, window: str) -> str:
+    """Tell in a few lines what a location rests on: the line, the record, the window and who said it."""
+    line, end = p.line, record.start + (len(record.samples) - 1) / record.rate
+    lines = [
+        f"  line {line.length:g} km, {line.r1:g} ohm/km, {line.l1:g} H/km, {line.c1:g} F/km",
+        f"  record {record.start:.6g} to {end:.6g} s, {len(record.samples)} samples at {record.rate:g} Hz",
+        f"  window {p.window_start:.6g} to {p.window_end:.6g} s, {window}",
+    ]
+    return "\n".join([*lines, f"  {record.note}"] if record.note else lines)
 
 
 def describe(found: Location, trust: Confidence | None, length: float) -> str:

@@ -16,8 +16,9 @@ from softrig_core.model.params import build
 from softrig_core.wire.cdr import parse
 
 from .comtrade_file import ComtradeFileError, read_comtrade
-from .confidence import ErrorBudget, confidence, describe
-from .inception import windowed
+from .confidence import ErrorBudget, conditions, confidence, describe
+from .inception import inception, windowed
+from .line_file import line_data
 from .location import LocatorParams, locate
 from .record import COLUMNS, GROUPS, TOPICS, Record, RecordError
 
@@ -28,11 +29,13 @@ def main(arguments: Sequence[str]) -> int:
     try:
         p = _params(options)
         budget = _budget(options)
-        record = read(options.source, [c for c in options.channels.split(",") if c])
+        late = (1e-6 * options.late[0], 1e-6 * options.late[1])
+        record = read(options.source, [c for c in options.channels.split(",") if c], late)
         if options.bag is not None:
             to_bag(record, options.bag)
+        window = "as told"
         if options.window is None:
-            p = windowed(record, p)
+            p, window = windowed(record, p), f"from the change at {inception(record, p.frequency):.6g} s"
     except (ParameterError, ComtradeFileError) as error:
         raise ScenarioError(str(error)) from None
     except RecordError as error:
@@ -43,6 +46,7 @@ def main(arguments: Sequence[str]) -> int:
     found = locate(record, p)
     trust = confidence(record, p, found, budget) if found.x_km is not None else None
     print(describe(found, trust, p.line.length))
+    print(conditions(record, p, window))
     if options.pictures is not None:
         from .pictures import objective, waveforms
 
@@ -52,16 +56,22 @@ def main(arguments: Sequence[str]) -> int:
     return 0 if found.x_km is not None else 1
 
 
-def read(sources: Sequence[Path], channels: Sequence[str] = ()) -> Record:
-    """Read a record from a bag (its record, else its four streams) or from one or two COMTRADE files."""
+def read(sources: Sequence[Path], channels: Sequence[str] = (), late: tuple[float, float] = (0.0, 0.0)) -> Record:
+    """Read a record from a bag (its record, else its four streams) or from one or two COMTRADE files.
+
+    What the ends tell is `late` (s) by their clocks or filters, which is taken out.
+    """
     if len(sources) == 1 and sources[0].is_dir():
         recording = read_bag(sources[0])
         topic = recording.topics.get("line/record")
         if topic is not None and topic.data:
             values = np.array(parse(topic.msgtype, topic.data[-1]).fields["data"], dtype=np.float64)
-            return Record.from_table(values.reshape(-1, len(COLUMNS)))
-        return Record.from_signals(Signals(recording))
-    return read_comtrade(sources, channels)
+            whole = Record.from_table(values.reshape(-1, len(COLUMNS)))
+            if late[0] == late[1]:
+                return whole
+            return Record.from_ends(whole.t - late[0], whole.samples[:, :6], whole.t - late[1], whole.samples[:, 6:])
+        return Record.from_signals(Signals(recording), late)
+    return read_comtrade(sources, channels, late)
 
 
 def to_bag(record: Record, path: Path) -> None:
@@ -79,17 +89,21 @@ def to_bag(record: Record, path: Path) -> None:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="softrig locate", description="Locate a line fault from records of both ends.",
-        epilog="Parameters of the line and the locator by their names, e.g. --set line.length=87.5 line.l1=0.00101",
+        epilog="The line's data must be told, by --line or all four by --set line.length=... line.r1=... line.l1=... "
+        "line.c1=...",
     )  # fmt: skip
     parser.add_argument("source", nargs="+", type=Path, metavar="FILE",
                         help="a bag, a COMTRADE .cfg with both ends, or two: end S, end R")  # fmt: skip
-    parser.add_argument(
-        "--set", nargs="+", action="extend", default=[], metavar="NAME=VALUE", help="parameters, see fault_locator"
-    )
+    parser.add_argument("--line", metavar="FILE",
+                        help="YAML: length (km), r1 (ohm/km), l1 (H/km), c1 (F/km); or paper: Table I")  # fmt: skip
+    parser.add_argument("--set", nargs="+", action="extend", default=[], metavar="NAME=VALUE",
+                        help="parameters, see fault_locator")  # fmt: skip
     parser.add_argument("--error", nargs="+", action="extend", default=[], metavar="NAME=VALUE",
                         help="uncertainties: sync_us, ratio, reactance, resistance")  # fmt: skip
     parser.add_argument("--window", nargs=2, type=float, metavar=("START", "END"),
                         help="s in the record; default: found from the fault's inception")  # fmt: skip
+    parser.add_argument("--late", nargs=2, type=float, default=[0.0, 0.0], metavar=("S", "R"),
+                        help="us by which what each end tells is late (filters, clocks); taken out")  # fmt: skip
     parser.add_argument("--channels", default="", metavar="A,B,...", help="the twelve COMTRADE channels, see the page")
     parser.add_argument("--bag", type=Path, metavar="DIR", help="also write the record as a bag")
     parser.add_argument("--pictures", type=Path, metavar="DIR", help="waveforms.png and objective.png go here")
@@ -103,12 +117,15 @@ def _assignments(texts: Sequence[str]) -> dict[str, Any]:
         name, equals, value = text.partition("=")
         if not equals:
             raise ScenarioError(f"{text!r}: expected NAME=VALUE")
+        if name in found:
+            raise ScenarioError(f"{text!r}: {name} is {found[name]} already")
         found[name] = value
     return found
 
 
 def _params(options: argparse.Namespace) -> LocatorParams:
     given = _assignments(options.set)
+    given |= line_data(options.line, given)
     if options.window is not None:
         given |= {"window_start": options.window[0], "window_end": options.window[1]}
     return build(LocatorParams, given)  # type: ignore[return-value]

@@ -13,14 +13,15 @@ from pydantic import model_validator
 from softrig_core import Params, param
 
 from ..lines.modal import AERIAL
+from .ends import contradiction
 from .equations import TAPS, Equations, Model, model, objectives
 from .parameters import LineParams
 from .record import Record, RecordError, Status
 
 Array = NDArray[np.float64]
 Algorithm = Literal["brent", "woa", "gwo", "integer_grid", "phasor", "travelling_wave"]
-LEAST_TRAVEL = 4.0  # samples of the whole line's travel time
-SLOW_RATE = 4000.0  # samples a second, at which a shorter travel time is only warned of
+USUAL_TRAVEL = 4.0  # samples of the whole line's travel time, fewer are warned of
+NOWHERE = 0.02  # of the voltage: ends that disagree by more and nowhere less are not those of a healthy line
 NEAR_END = 1e-3  # km, a minimum this near to an end of the line is one at the end
 
 
@@ -41,6 +42,8 @@ class LocatorParams(Params):
     frequency: float = param(50.0, "phasor: frequency", "Hz", gt=0.0, le=1000.0)
     f_threshold: float = param(2000.0, "least max F of a fault", "V", ge=0.0, le=1e9)
     f_ratio: float = param(5.0, "least max F / min F of a fault", ge=1.0, le=1e9)
+    least_travel: float = param(1.0, "least travel time of the whole line, in samples", ge=0.0, le=1e6)
+    disagreement: float = param(0.05, "largest disagreement of the ends at the fault, of their voltage", ge=0.0, le=1e9)
 
     @model_validator(mode="after")
     def _window(self) -> Self:
@@ -147,6 +150,10 @@ class Locator:
         excited = (highest >= p.f_threshold) & (highest >= p.f_ratio * lowest)
         mode = int(np.argmax(highest)) + 1 if p.mode == "auto" else int(p.mode)
         seen = Location(Status.OK, None, float(lowest[mode - 1]), float(highest[mode - 1]), mode, self.evaluations)
+        limit = p.disagreement if excited.any() else min(p.disagreement, NOWHERE)
+        against = contradiction(self, limit) if float(np.max(highest)) >= p.f_threshold else ""
+        if against:
+            return replace(seen, status=Status.CONTRADICTORY, text=against)
         if excited[mode - 1] and (p.mode == "auto" or highest[mode - 1] >= float(np.max(highest)) / p.f_ratio):
             return seen
         measured = f"max F = {seen.f_max:.4g} V, min F = {seen.f_min:.4g} V in mode {mode}"
@@ -184,13 +191,16 @@ class Locator:
 
 def check_travel(travel: float, rate: float, p: LocatorParams) -> str:
     """Refuse a line that is passed in too few samples; give a warning where that is the profile's nature."""
-    if travel >= LEAST_TRAVEL:
+    if travel >= USUAL_TRAVEL:
         return ""
-    text = (f"waves pass the line of {p.line.length:g} km in {travel:.3g} samples of {1e6 / rate:.4g} us, expected "
-            f"{LEAST_TRAVEL:g} or more")  # fmt: skip
-    if rate <= SLOW_RATE and travel >= 1.0:
-        return text
-    raise RecordError(Status.TOO_SHORT, text)
+    if travel < p.least_travel:
+        raise RecordError(Status.TOO_SHORT, f"{_passed(travel, rate, p)} {p.least_travel:g} or more (least_travel)")
+    return f"{_passed(travel, rate, p)} {USUAL_TRAVEL:g} or more: the errors of clocks and transformers weigh more"
+
+
+def _passed(travel: float, rate: float, p: LocatorParams) -> str:
+    return (f"waves pass the line of {p.line.length:g} km in {travel:.3g} samples of {1e6 / rate:.4g} us, "
+            "expected")  # fmt: skip
 
 
 def locate(record: Record, p: LocatorParams | None = None) -> Location:

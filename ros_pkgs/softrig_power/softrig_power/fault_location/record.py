@@ -9,12 +9,15 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
+from .resample import reach, resampled
+
 Array = NDArray[np.float64]
 GROUPS = ("u_s", "i_s", "u_r", "i_r")
 CHANNELS = tuple(f"{group}/{phase}" for group in GROUPS for phase in "abc")
 COLUMNS = ("t", *CHANNELS)
 TOPICS = {"u_s": "line/s/voltage", "i_s": "line/s/current", "u_r": "line/r/voltage", "i_r": "line/r/current"}
-SYNC = 0.1 + 1e-6  # samples, most that two ends may differ, or a sample from its place
+SYNC = 0.1 + 1e-6  # samples, most that a sample may be from its place
+EXACT = 1e-3  # samples: ends nearer to each other are one (7 m at 20 kHz)
 
 
 class Status(IntEnum):
@@ -29,6 +32,7 @@ class Status(IntEnum):
     NON_FINITE = 6
     DEAD_CHANNEL = 7
     TOO_SHORT = 8
+    CONTRADICTORY = 9
 
 
 class RecordError(ValueError):
@@ -51,11 +55,14 @@ class Record:
         Samples a second.
     samples : ndarray, shape (n, 12)
         Columns `CHANNELS`: u_S, i_S, u_R, i_R of the phases a, b, c in V and A, currents into the line.
+    note : str
+        What was done to bring the ends together, for a person.
     """
 
     start: float
     rate: float
     samples: Array
+    note: str = ""
 
     @property
     def t(self) -> Array:
@@ -96,63 +103,110 @@ class Record:
         s, r : ndarray, shape (n, 6)
             Voltages and currents of the three phases.
 
+        Returns
+        -------
+        Record
+            At the times of the slower end, of S where both are equally fast; the other end is resampled when it is not
+            there at these times already, which the note says.
+
         Raises
         ------
         RecordError
-            Also when the ends have no common sample times.
+            Also when the ends have no time in common.
         """
-        for t in (t_s, t_r):
-            _rate(t)
+        rate_s, rate_r = (_rate(t, f"end {name}: ") for name, t in (("S", t_s), ("R", t_r)))
         begin, end = max(t_s[0], t_r[0]), min(t_s[-1], t_r[-1])
-        room = SYNC * (t_s[1] - t_s[0])
+        room = SYNC / min(rate_s, rate_r)
         keep_s = (t_s >= begin - room) & (t_s <= end + room)
         keep_r = (t_r >= begin - room) & (t_r <= end + room)
-        t_s, s, t_r, r = t_s[keep_s], s[keep_s], t_r[keep_r], r[keep_r]
-        if len(t_s) < 2 or len(t_s) != len(t_r):
+        if min(np.count_nonzero(keep_s), np.count_nonzero(keep_r)) < 2:
             raise RecordError(
-                Status.UNSYNCHRONISED, f"unsynchronised: {len(t_s)} samples of S and {len(t_r)} of R at common times"
-            )
-        apart = np.abs(t_s - t_r)
-        if apart.max() > room:
-            offset = float(t_r[0] - t_s[0]) / float(t_s[1] - t_s[0])
-            raise RecordError(
-                Status.UNSYNCHRONISED, f"unsynchronised: R lies {offset - round(offset):+.3g} samples off S, "
-                f"near {t_s[int(np.argmax(apart > room))]:.9g} s"
+                Status.UNSYNCHRONISED, f"unsynchronised: S lasts from {t_s[0]:.9g} to {t_s[-1]:.9g} s and R from "
+                f"{t_r[0]:.9g} to {t_r[-1]:.9g} s"
             )  # fmt: skip
-        return _checked(t_s, np.hstack([s, r]))
+        if np.count_nonzero(keep_s) == np.count_nonzero(keep_r):
+            apart = (t_r[keep_r] - t_s[keep_s]) * rate_s
+            if abs(apart.mean()) <= EXACT and np.abs(apart).max() <= SYNC:
+                return _checked(t_s[keep_s], np.hstack([s[keep_s], r[keep_r]]))
+        if rate_s <= rate_r:
+            t, keep, moved = _beside("R", t_r, r, rate_r, t_s, rate_s)
+            return _checked(t, np.hstack([s[keep], moved]), _off("R", t_r, rate_r, t, rate_s))
+        t, keep, moved = _beside("S", t_s, s, rate_s, t_r, rate_r)
+        return _checked(t, np.hstack([moved, r[keep]]), _off("S", t_s, rate_s, t, rate_r))
 
     @classmethod
-    def from_signals(cls, signals: Mapping[str, tuple[Array, Array]]) -> Record:
-        """Read the four streams of a recording; `signals` gives (t, x) of ``line/s/voltage/x`` and so on."""
+    def from_signals(cls, signals: Mapping[str, tuple[Array, Array]], late: tuple[float, float] = (0.0, 0.0)) -> Record:
+        """Read the four streams of a recording.
+
+        Parameters
+        ----------
+        signals : mapping
+            Gives (t, x) of ``line/s/voltage/x`` and so on.
+        late : (float, float)
+            s by which what end S and end R tell is late; taken out.
+
+        Raises
+        ------
+        RecordError
+            Also when one topic of an end is short of a message, which it names.
+        """
         found = {group: [signals[f"{topic}/{axis}"] for axis in "xyz"] for group, topic in TOPICS.items()}
-        for a, b in (("u_s", "i_s"), ("u_r", "i_r")):
-            if len(found[a][0][0]) != len(found[b][0][0]) or np.any(found[a][0][0] != found[b][0][0]):
-                raise RecordError(
-                    Status.UNSYNCHRONISED, f"unsynchronised: {TOPICS[a]} and {TOPICS[b]} differ in stamps"
-                )
+        times = {group: axes[0][0] for group, axes in found.items()}
+        for u, i in (("u_s", "i_s"), ("u_r", "i_r")):
+            for there, short in ((u, i), (i, u)):
+                lost = np.setdiff1d(times[there], times[short])
+                if lost.size:
+                    raise RecordError(
+                        Status.GAP, f"gap: {TOPICS[short]} has no message at {lost[0]:.9g} s, {TOPICS[there]} has"
+                        + (f" ({lost.size} such times)" if lost.size > 1 else "")
+                    )  # fmt: skip
         ends = [np.column_stack([x for g in pair for _, x in found[g]]) for pair in (("u_s", "i_s"), ("u_r", "i_r"))]
-        return cls.from_ends(found["u_s"][0][0], ends[0], found["u_r"][0][0], ends[1])
+        return cls.from_ends(times["u_s"] - late[0], ends[0], times["u_r"] - late[1], ends[1])
 
 
-def _rate(t: Array) -> float:
+def _beside(
+    end: str, t_x: Array, x: Array, rate: float, t: Array, to_rate: float
+) -> tuple[Array, NDArray[np.bool_], Array]:
+    """Give one end at the times of the other, those times, and which they are."""
+    margin = reach(rate, to_rate)
+    keep = (t >= t_x[0] + margin) & (t <= t_x[-1] - margin)
+    if np.count_nonzero(keep) < 2:
+        raise RecordError(Status.TOO_SHORT, f"too short: {len(t_x)} samples of {end} cannot be resampled to "
+                          f"{to_rate:g} Hz, {margin:.3g} s are needed on both sides")  # fmt: skip
+    start = float(t_x.mean()) - 0.5 * (len(t_x) - 1) / rate
+    return t[keep], keep, resampled(x, start, rate, t[keep], to_rate)
+
+
+def _off(end: str, t_x: Array, rate: float, t: Array, to_rate: float) -> str:
+    if abs(rate - to_rate) * (t[-1] - t[0]) > EXACT:
+        return f"{end} resampled from {rate:g} to {to_rate:g} Hz"
+    offset = float(t_x[0] - t[0]) * rate
+    return f"{end} resampled, its samples lie {offset - round(offset):+.3g} of a sample off those of the other end"
+
+
+def _rate(t: Array, where: str = "") -> float:
     """Sampling rate of equidistant times, to 1 mHz, so that equal records give equal numbers however they came."""
     if len(t) < 2:
-        raise RecordError(Status.TOO_SHORT, f"a record of {len(t)} samples")
+        raise RecordError(Status.TOO_SHORT, f"{where}a record of {len(t)} samples")
     if not np.isfinite(t).all():
-        raise RecordError(Status.NON_FINITE, f"the time of sample {int(np.argmin(np.isfinite(t)))} is not finite")
+        raise RecordError(
+            Status.NON_FINITE, f"{where}the time of sample {int(np.argmin(np.isfinite(t)))} is not finite"
+        )
     steps = np.diff(t)
     usual = float(np.median(steps))
     if not usual > 0.0:
-        raise RecordError(Status.UNSYNCHRONISED, f"unsynchronised: the stamps do not rise, step {usual:g} s")
+        raise RecordError(Status.UNSYNCHRONISED, f"{where}unsynchronised: the stamps do not rise, step {usual:g} s")
     for k in np.flatnonzero(np.abs(steps - usual) > SYNC * usual)[:1].tolist():
         if steps[k] < usual:
-            raise RecordError(Status.UNSYNCHRONISED, f"unsynchronised: stamp {t[k + 1]:.9g} s follows {t[k]:.9g} s, "
-                              f"expected {usual:.6g} s between them")  # fmt: skip
-        raise RecordError(Status.GAP, f"gap at {t[k] + usual:.9g} s: the next sample is at {t[k + 1]:.9g} s")
+            raise RecordError(
+                Status.UNSYNCHRONISED, f"{where}unsynchronised: stamp {t[k + 1]:.9g} s follows {t[k]:.9g} s, "
+                f"expected {usual:.6g} s between them"
+            )  # fmt: skip
+        raise RecordError(Status.GAP, f"{where}gap at {t[k] + usual:.9g} s: the next sample is at {t[k + 1]:.9g} s")
     return round((len(t) - 1) / float(t[-1] - t[0]), 3)
 
 
-def _checked(t: Array, samples: Array) -> Record:
+def _checked(t: Array, samples: Array, note: str = "") -> Record:
     rate = _rate(t)
     bad = np.argwhere(~np.isfinite(samples))
     if bad.size:
@@ -160,4 +214,4 @@ def _checked(t: Array, samples: Array) -> Record:
         raise RecordError(Status.NON_FINITE, f"{CHANNELS[channel]} is {samples[k, channel]} at {t[k]:.9g} s")
     for channel in np.flatnonzero(~samples.any(axis=0)).tolist():
         raise RecordError(Status.DEAD_CHANNEL, f"dead channel: {CHANNELS[channel]} is zero in the whole record")
-    return Record(round(float(t[0]), 9), rate, np.ascontiguousarray(samples, dtype=np.float64))
+    return Record(round(float(t[0]), 9), rate, np.ascontiguousarray(samples, dtype=np.float64), note)

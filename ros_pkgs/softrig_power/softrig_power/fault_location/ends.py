@@ -1,0 +1,126 @@
+"""Whether the two ends tell of one line: reversed transformers, exchanged phases, line data of another line."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from itertools import product
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..lines.modal import AERIAL
+from .equations import model, objectives
+from .record import GROUPS, Record
+
+if TYPE_CHECKING:
+    from .location import Locator
+
+Array = NDArray[np.float64]
+WIRED = 1e-3  # of the voltage: ends that agree as well as this are not asked how they are wired
+SHARE = 4  # the wirings are first tried on one of so many parts of the window
+LIKELY = 3.0  # times as well the ends must agree in it
+BETTER = 10.0  # times as well must the ends agree under another wiring; at most 3 for right ones with usual errors
+FINE = 1e-2  # km
+EXCHANGES = {"b and c": (0, 2, 1), "a and b": (1, 0, 2), "a and c": (2, 1, 0), "a, b, c in a circle": (1, 2, 0),
+             "a, c, b in a circle": (2, 0, 1)}  # fmt: skip
+
+
+def contradiction(work: Locator, limit: float) -> str:
+    """Say how the ends contradict each other, by more than `limit` of their voltage; nothing when they do not.
+
+    At the place of a fault all three modes agree, not only the one that locates it: the measure is the least mean of
+    F over the modes. Records with a wiring fault at one end can have a sharp minimum in one mode, at a wrong place.
+    """
+    curve = work.curves.mean(axis=0)
+    if int(np.argmin(curve)) in (
+        0,
+        len(curve) - 1,
+    ):  # there one end alone tells the voltage, whatever the other's current
+        for name, other in _otherwise(work.record):
+            if np.max(_apart(work, other, (work.first, work.count))(work.grid)) < work.p.f_threshold:
+                return f"contradictory: with {name} the ends are those of a healthy line: wired so?"
+    voltage = max(float(np.sqrt(np.mean(work.record.group(name) ** 2))) for name in ("u_s", "u_r"))
+    apart = _least(work, _apart(work, work.record, (work.first, work.count)), curve)
+    if apart <= WIRED * voltage:
+        return ""
+    best, name = min(_likely(work), default=(apart, ""))
+    told = f"contradictory: the ends disagree by {apart:.4g} V or more wherever the fault may be"
+    if best * BETTER <= apart:
+        return f"{told}, by {best:.4g} V with {name}: wired so?"
+    if apart > limit * voltage:
+        return (
+            f"{told}, {100.0 * apart / voltage:.3g} % of their voltage (at most {100.0 * limit:g} % expected), and no "
+            "exchange of signs or phases explains it: the data of another line, clocks, ratios?"
+        )
+    return ""
+
+
+def _likely(work: Locator) -> Iterator[tuple[float, str]]:
+    """Give the wirings under which the ends agree better, tried on a part of the window first, and how well, V."""
+    part = (work.first, max(work.count // SHARE, 1))
+    known = _least(work, _apart(work, work.record, part))
+    for name, other in _otherwise(work.record):
+        if _least(work, _apart(work, other, part)) * LIKELY <= known:
+            yield _least(work, _apart(work, other, (work.first, work.count))), name
+
+
+def _apart(work: Locator, record: Record, stretch: tuple[int, int]) -> Callable[[Array], Array]:
+    """Mean of F over the three modes at points in km, V, over a stretch (first sample, number of samples)."""
+    line = model(work.section)
+    groups = [record.group(name) for name in GROUPS]
+    modes = [
+        np.array([row[0] * g[:, 0] + row[1] * g[:, 1] + row[2] * g[:, 2] for g in groups]) for row in AERIAL.tolist()
+    ]
+
+    def apart(x: Array) -> Array:
+        out = np.empty((len(modes), len(x)))
+        for f, ends in zip(out, modes, strict=True):
+            objectives(line, ends, record.rate, *stretch, x, f)
+        return np.asarray(out.mean(axis=0))
+
+    return apart
+
+
+def _least(work: Locator, apart: Callable[[Array], Array], curve: Array | None = None) -> float:
+    """Least value along the line: on the locator's grid, then between its points."""
+    from scipy.optimize import minimize_scalar
+
+    grid = work.grid
+    curve = apart(grid) if curve is None else curve
+    k = int(np.argmin(curve))
+    near = minimize_scalar(
+        lambda x: float(apart(np.array([x]))[0]), bounds=(grid[max(k - 1, 0)], grid[min(k + 1, len(grid) - 1)]),
+        method="bounded", options={"xatol": FINE},
+    )  # fmt: skip
+    return min(float(curve[k]), float(near.fun))
+
+
+def _otherwise(record: Record) -> Iterator[tuple[str, Record]]:
+    """Give the record as it would be had the ends been wired otherwise, with what is otherwise."""
+    for turned in (("i_s",), ("i_r",), ("i_s", "i_r"), ("u_s",), ("u_r",)):
+        yield f"{_named(turned)} reversed", _wired(record, dict.fromkeys(turned, (-1.0, (0, 1, 2))))
+    for group, phase in product(("i_s", "i_r"), range(3)):
+        again = _wired(record, {})
+        again.group(group)[:, phase] *= -1.0
+        yield f"phase {'abc'[phase]} of {group} reversed", again
+    for groups, (phases, order) in product((("u_r", "i_r"), ("i_s",), ("i_r",), ("u_s",), ("u_r",)), EXCHANGES.items()):
+        name = f"phases {phases} of {_named(groups)} exchanged"
+        yield name, _wired(record, dict.fromkeys(groups, (1.0, order)))
+        if groups[-1][0] == "i":
+            yield (
+                f"{name} and {groups[-1]} reversed",
+                _wired(record, {group: (-1.0 if group == groups[-1] else 1.0, order) for group in groups}),
+            )
+
+
+def _named(groups: tuple[str, ...]) -> str:
+    return " and ".join(groups)
+
+
+def _wired(record: Record, changes: dict[str, tuple[float, tuple[int, ...]]]) -> Record:
+    samples = record.samples.copy()
+    again = Record(record.start, record.rate, samples)
+    for group, (sign, order) in changes.items():
+        again.group(group)[:] = sign * record.group(group)[:, list(order)]
+    return again

@@ -1,0 +1,57 @@
+"""The data of a line for `softrig locate`: from a file, never by silence."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from softrig_core import ScenarioError
+from softrig_core.model.params import build
+from softrig_core.rig.yaml_file import read_yaml
+
+from .parameters import LineParams
+
+PAPER = "paper"
+
+
+def line_data(source: str | None, given: Mapping[str, Any]) -> dict[str, Any]:
+    """Give the line's data: of a file, those in `given` (``line.length`` and so on) before it.
+
+    Parameters
+    ----------
+    source : str, optional
+        A YAML file with length (km), r1 (ohm/km), l1 (H/km) and c1 (F/km), or ``paper`` for Table I.
+    given : mapping
+        Locator parameters by dotted name.
+
+    Returns
+    -------
+    dict
+        By dotted name.
+
+    Raises
+    ------
+    ScenarioError
+        Something is not told, the file cannot be read, or has other names.
+    """
+    names = list(LineParams.model_fields)
+    told: dict[str, Any] = {}
+    if source == PAPER:
+        told = LineParams().model_dump()
+    elif source is not None:
+        try:
+            told = read_yaml(Path(source).read_text(encoding="utf-8-sig"), source)
+        except (OSError, UnicodeDecodeError) as error:
+            raise ScenarioError(f"--line {source}: {error}") from None
+        if not isinstance(told, dict) or not set(told) <= set(names):
+            raise ScenarioError(f"--line {source}: expected {', '.join(names)}, got {told!r}")
+        build(LineParams, told)  # its errors name the file's own words
+    found = {f"line.{name}": value for name, value in told.items()}
+    found |= {name: value for name, value in given.items() if name.startswith("line.")}
+    missing = [name for name in names if f"line.{name}" not in found]
+    if missing:
+        raise ScenarioError(f"the line's {', '.join(missing)} are not told: expected --line FILE (YAML: length in km, "
+                            f"r1 in ohm/km, l1 in H/km, c1 in F/km), --line {PAPER} for that of the paper, or "
+                            f"--set {' '.join(f'line.{name}=...' for name in missing)}")  # fmt: skip
+    return found

@@ -1,0 +1,64 @@
+"""Samples at other times: what brings recorders of other rates, or that sample between each other, together."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+from softrig_core.model.jit import jit
+
+Array = NDArray[np.float64]
+HALF = 10.0  # periods of the slower rate, half the width of the kernel
+
+
+def reach(rate: float, to_rate: float) -> float:
+    """Give the time in s before the first and after the last sample in which there is nothing to tell."""
+    return HALF / min(rate, to_rate)
+
+
+def resampled(x: Array, start: float, rate: float, t: Array, to_rate: float) -> Array:
+    """Give a band-limited signal at other times.
+
+    A sinc in a Blackman window, as wide as `HALF` periods of the slower rate; no phase shift, and what the slower rate
+    cannot hold is left out.
+
+    Parameters
+    ----------
+    x : ndarray, shape (n, channels)
+    start, rate : float
+        Time of the first sample, s, and samples a second.
+    t : ndarray, shape (m,)
+        Wanted times, s, within the signal by `reach`.
+    to_rate : float
+        Their rate.
+
+    Returns
+    -------
+    ndarray, shape (m, channels)
+    """
+    out = np.empty((len(t), x.shape[1]))
+    _resample(x, (t - start) * rate, min(1.0, to_rate / rate), out)
+    return out
+
+
+@jit
+def _resample(x: Array, place: Array, cutoff: float, out: Array) -> None:
+    """Write x at places counted in its samples; `cutoff` as a share of its own half rate."""
+    half = HALF / cutoff
+    for n in range(place.shape[0]):
+        first = max(math.ceil(place[n] - half), 0)
+        last = min(math.floor(place[n] + half), x.shape[0] - 1)
+        out[n] = 0.0
+        total = 0.0
+        for k in range(first, last + 1):
+            u = place[n] - k
+            turn = math.pi * cutoff * u
+            w = 0.42 + 0.5 * math.cos(math.pi * u / half) + 0.08 * math.cos(2.0 * math.pi * u / half)
+            if abs(turn) > 1e-12:
+                w *= math.sin(turn) / turn
+            total += w
+            for c in range(x.shape[1]):
+                out[n, c] += w * x[k, c]
+        for c in range(x.shape[1]):
+            out[n, c] /= total
