@@ -2,14 +2,16 @@
 
 import cmath
 import math
+import random
 
 import numpy as np
 import pytest
-from scipy.optimize import minimize_scalar
+from scipy.optimize import minimize_scalar, root
 from softrig_power.gupfc import pulses
 from softrig_power.gupfc.injection import converter_power, series_power, shunt_reactive_power
 from softrig_power.gupfc.network import BUSES, Network, NetworkParams
-from softrig_power.gupfc.power_flow import Diverged, PowerFlow, References
+from softrig_power.gupfc.power_flow import Diverged, PowerFlow, References, Solution
+from softrig_power.gupfc.roots import operating_points
 
 NETWORK = NetworkParams()
 SIGMA = math.radians(172.5)
@@ -102,6 +104,102 @@ def test_published_reference_of_series_2_is_out_of_reach():
     found = PowerFlow(NETWORK).solve(references((1.0, 0.3, 1.0, 0.4)))
     assert (found.s_sh.real, found.s_sh.imag) == pytest.approx((-0.42, 0.38), abs=6e-3)
     assert abs(found.v34) == pytest.approx(0.303, abs=1e-3)
+
+
+def reachable(rng):
+    """Draw series voltages of at most 0.25 pu and V1; give the flows by Kirchhoff's laws, nothing of the power flow.
+
+    The shunt current brings V1 to its magnitude, at the two angles at which the powers of the three converters cancel.
+    """
+    network, z = Network(NETWORK), NETWORK.z_se
+    v12, v34 = (0.25 * math.sqrt(rng.random()) * cmath.exp(2j * math.pi * rng.random()) for _ in range(2))
+    size = rng.uniform(0.97, 1.03)
+    impedance = np.linalg.inv(network.admittance)
+    open_circuit = impedance @ (network.injection + np.array([0.0, -v12, v12, -v34, v34, 0.0]) / z)
+
+    def state(angle):
+        i_sh = (cmath.rect(size, angle) - open_circuit[1]) / impedance[1, 1]
+        u = open_circuit + impedance[:, 1] * i_sh
+        i12, i34 = (u[1] + v12 - u[2]) / z, (u[3] + v34 - u[4]) / z
+        power = (u[1] * np.conj(i_sh) + v12 * np.conj(i12) + v34 * np.conj(i34)).real
+        return power, u, u[2] * np.conj(i12), u[4] * np.conj(i34)
+
+    right, up, left = (state(angle)[0] for angle in (0.0, 0.5 * math.pi, math.pi))  # mean + a cos + b sin
+    mean, a = 0.5 * (right + left), 0.5 * (right - left)
+    b = up - mean
+    if abs(mean) > math.hypot(a, b):
+        return
+    for side in (1.0, -1.0):
+        power, u, s1, s2 = state(math.atan2(b, a) + side * math.acos(-mean / math.hypot(a, b)))
+        assert abs(power) < 1e-9
+        flows = (s1.real, s1.imag, s2.real, s2.imag)
+        if all(low <= x <= high for x, (low, high) in zip(flows, ((0.6, 1.8), (-0.5, 0.3)) * 2, strict=True)):
+            yield references(flows, v=size), u, max(abs(v12), abs(v34))
+
+
+@pytest.mark.parametrize(("draws", "seed"), [(200, 1), pytest.param(10_000, 2, marks=pytest.mark.long)])
+def test_no_reachable_point_is_missed(draws, seed):
+    """Newton from a flat start alone misses 8 of 100: it diverges, or ends elsewhere without a word."""
+    rng, solver, seen, flat = random.Random(seed), PowerFlow(NETWORK), 0, 0
+    while seen < draws:
+        for asked, u, size in reachable(rng):
+            seen += 1
+            found = solver.solve(asked)
+            assert isinstance(found, Solution)
+            assert found.mismatch <= 1e-10
+            taken = max(abs(found.v12), abs(found.v34))
+            assert taken == pytest.approx(found.sizes[0], abs=1e-8)
+            assert found.sizes == tuple(sorted(found.sizes))
+            assert taken <= size + 1e-8
+            if taken > size - 1e-8:
+                assert np.abs(np.array(list(found.bus.values())) - u).max() < 1e-7
+            flat += found.iterations > 4  # from the closed form it takes none or one
+    assert 0.8 * draws < flat < draws  # what the flat start finds is its own, to the last bit
+
+
+def test_points_that_a_flat_start_misses():
+    """One diverged; the other one ended where V3 is 0 and said that 1.01 pu was needed."""
+    found = PowerFlow(NETWORK).solve(References(p1=1.3, q1=0.15, p2=0.85, q2=-0.1, v=1.02))
+    assert (abs(found.v12), abs(found.v34)) == pytest.approx((0.1289, 0.2363), abs=1e-4)
+    found = PowerFlow(NETWORK).solve(References(p1=1.2692, q1=-0.1611, p2=0.8449, q2=-0.2579, v=0.9977))
+    assert max(abs(found.v12), abs(found.v34)) == pytest.approx(0.221, abs=1e-3)
+    assert abs(found.bus["3"]) == pytest.approx(1.02, abs=0.06)
+    assert len(found.sizes) == 8
+    assert found.sizes[1] == pytest.approx(0.947, abs=1e-3)
+
+
+@pytest.mark.parametrize("flows", [(1.3 + 0.15j, 0.85 - 0.1j), (0.6 - 0.5j, 1.8 + 0.3j), (-1.0 + 0.2j, 0.3 - 1.0j)])
+def test_operating_points_are_all_of_them(flows):
+    """A solver from random starts finds no other voltages beyond the device, with B eliminated from the admittances."""
+    network = Network(NETWORK)
+    whole = network.admittance[np.ix_((2, 4, 5), (2, 4, 5))] - np.diag([1.0, 1.0, 0.0]) / NETWORK.z_se
+    Y = whole[:2, :2] - np.outer(whole[:2, 2], whole[2, :2]) / whole[2, 2]
+    J = whole[:2, 2] * network.injection[5] / whole[2, 2]
+
+    def mismatch(x):
+        v = x[:2] + 1j * x[2:]
+        rest = v * np.conj(Y @ v + J) - flows
+        return [*rest.real, *rest.imag]
+
+    known = [np.array([p.bus[2], p.bus[4]]) for p in operating_points(NETWORK, *flows, 1.0)]
+    rng, met = np.random.default_rng(1), set()
+    for _ in range(150):
+        found = root(mismatch, rng.uniform(-1.5, 1.5, 4), tol=1e-12)
+        if found.success and np.abs(found.fun).max() < 1e-10:
+            v = found.x[:2] + 1j * found.x[2:]
+            assert min(np.abs(v - other).max() for other in known) < 1e-6
+            met.add(complex(np.round(v[0], 4)))
+    assert len(met) >= 3
+
+
+def test_references_without_a_point_are_told_whatever_they_are():
+    rng, solver = random.Random(4), PowerFlow(NETWORK, converter_loss=True)
+    for _ in range(20):
+        p1, q1, p2, q2 = (rng.choice((0.0, -10.0, 10.0, rng.uniform(-10.0, 10.0))) for _ in range(4))
+        found = solver.solve(References(p1=p1, q1=q1, p2=p2, q2=q2, v=rng.uniform(0.01, 2.0)))
+        assert math.isfinite(found.mismatch)
+        if isinstance(found, Solution):
+            assert (found.flows[0].real, found.flows[1].imag) == pytest.approx((p1, q2), abs=1e-8)
 
 
 def test_power_flow_without_a_solution():

@@ -338,7 +338,7 @@ ROBOTS = {
     "motors.torque_constant": (8.0, True), "motors.inertia": (8e-4, True), "motors.damping": (1e-2, True),
     "motors.gear": (1.0 / 12.0, False), "segments.mass": ([8.0, 8.0], False), "segments.length": ([0.7, 0.6], False),
     "segments.center": ([0.6, 0.5], False), "segments.inertia": ([0.5, 0.4], True), "friction.viscous": (6.0, True),
-    "payload": (5.0, False), "drift.resistance": (-0.4, True), "drift.constants": (-0.3, True),
+    "payload": (5.0, False), "drift.resistance": (-0.4, True), "drift.constants": (-0.3, False),
     "torque_constant_side": ("joint", True), "lower": ([-3.0, -1.6], False), "upper": ([1.0, 0.5], False),
 }  # fmt: skip
 FREE_OF_THE_LIMIT = {  # how a run is computed, where it begins, what stops it; the other friction only damps

@@ -1,9 +1,9 @@
-"""Power flow of the line with the GUPFC: Newton's method with the corrected power injections."""
+"""Power flow of the line with the GUPFC: Newton's method with the corrected power injections, from every root."""
 
 from __future__ import annotations
 
 import cmath
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,12 +12,14 @@ from softrig_core import Params, param
 
 from .injection import converter_power, series_power
 from .network import BUSES, Network, NetworkParams
+from .roots import Point, operating_points
 
 Array = NDArray[np.float64]
 
 UNKNOWNS = 18  # |V| of six buses, their angles, real and imaginary part of V12 and of V34, P_sh, Q_sh
 TOLERANCE = 1e-10  # pu
 ITERATIONS = 20
+SAME = 1e-4  # pu: bus voltages of one operating point
 
 
 class References(Params):
@@ -37,7 +39,7 @@ class Solution:
     Parameters
     ----------
     iterations : int
-        Newton steps taken.
+        Newton steps taken from the start that led to it.
     mismatch : float
         Largest residual, pu.
     bus : dict of str to complex
@@ -50,6 +52,9 @@ class Solution:
         Active power that the series converters deliver.
     s_sh : complex
         Power of the shunt converter into bus 1.
+    sizes : tuple of float
+        Larger series voltage of each operating point that these references have, smallest first: this one and those
+        that were not taken.
     """
 
     iterations: int
@@ -64,6 +69,7 @@ class Solution:
     p12: float
     p34: float
     s_sh: complex
+    sizes: tuple[float, ...] = ()
 
     @property
     def flows(self) -> tuple[complex, complex]:
@@ -95,6 +101,10 @@ class PowerFlow:
     injections are functions of the voltages in each step: taken as constants, a flat start leads to another root
     (V1 = 1.0199).
 
+    A flat start misses one reachable point in twelve: it diverges, or ends where V3 is 0 and the balance of that bus
+    says nothing, or at another root. So its answer counts only where it is the operating point with the smallest
+    series voltages; else Newton starts from that one, in the closed form of `roots`.
+
     Parameters
     ----------
     params : NetworkParams
@@ -112,7 +122,7 @@ class PowerFlow:
         self._source = network.injection
 
     def solve(self, references: References, tolerance: float = TOLERANCE, surplus: float = 0.0) -> Solution | Diverged:
-        """Find the operating point from a flat start.
+        """Find the operating point with the smallest series voltages.
 
         Parameters
         ----------
@@ -125,10 +135,30 @@ class PowerFlow:
         Returns
         -------
         Solution or Diverged
-            Diverged when 20 steps do not suffice or the matrix becomes singular.
+            Diverged when there is no operating point; its numbers are those of the flat start.
         """
-        x = np.zeros(UNKNOWNS)
-        x[:6] = 1.0
+        flat = np.zeros(UNKNOWNS)
+        flat[:6] = 1.0
+        first = self._newton(flat, references, tolerance, surplus)
+        r = references
+        points = operating_points(self.params, complex(r.p1, r.q1), complex(r.p2, r.q2), r.v, surplus, self._loss)
+        sizes = tuple(point.size for point in points)
+        for point in points:
+            if isinstance(first, Solution) and point.apart(tuple(first.bus.values())) < SAME:
+                return replace(first, sizes=sizes)
+            found = self._newton(self._start(point), references, tolerance, surplus)
+            if isinstance(found, Solution):
+                return replace(found, sizes=sizes)
+        return first if isinstance(first, Diverged) else Diverged(first.iterations, first.mismatch)
+
+    @staticmethod
+    def _start(point: Point) -> Array:
+        sizes, angles = zip(*(cmath.polar(u) for u in point.bus), strict=True)
+        device = point.v12.real, point.v12.imag, point.v34.real, point.v34.imag, point.s_sh.real, point.s_sh.imag
+        return np.array([*sizes, *angles, *device])
+
+    def _newton(self, x: Array, references: References, tolerance: float, surplus: float) -> Solution | Diverged:
+        """Go from a start; at most 20 steps."""
         target = [getattr(references, name) for name in ("p1", "q1", "p2", "q2", "v")] + [surplus]
         residual = self._residual(x, target)
         mismatch = float(np.abs(residual).max())

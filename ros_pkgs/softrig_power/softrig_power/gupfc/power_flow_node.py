@@ -30,7 +30,8 @@ class PowerFlowNode(Block[PowerFlowParams]):
 
     ``power_flow/bus``: a row a bus (A, 1, 2, 3, 4, B) with magnitude (pu), angle (rad) and the P and Q (pu) that the
     device injects there. ``power_flow/device``: one value each of `DEVICE`. ``power_flow/result``: converged (1 or 0),
-    iterations, largest mismatch (pu). All are silent between answers; without a solution only the result speaks: a
+    iterations, largest mismatch (pu). Of several operating points it is the one with the smallest series voltages;
+    /diagnostics tell how many there are. All are silent between answers; without a solution only the result speaks: a
     diverged iteration has no voltages.
     """
 
@@ -53,6 +54,7 @@ class PowerFlowNode(Block[PowerFlowParams]):
         """Nothing answered yet."""
         self._asked: References | None = None
         self._pressed = False
+        self._sizes: tuple[float, ...] = ()
 
     def update(
         self, t: int, request: tuple[float] | None, series_1: tuple[float, ...] | None,
@@ -67,11 +69,20 @@ class PowerFlowNode(Block[PowerFlowParams]):
             return {}
         self._asked = asked
         found = self._solver.solve(asked)
+        self._sizes = () if isinstance(found, Diverged) else found.sizes
         if isinstance(found, Diverged):
             text = f"diverged: mismatch {found.mismatch:.3g} pu after {found.iterations} iterations"
             self.report(Level.ERROR, "diverged", text)
             return {"result": (0.0, float(found.iterations), found.mismatch)}
         return {"result": (1.0, float(found.iterations), found.mismatch), **self._tables(found)}
+
+    def health(self) -> Mapping[str, str]:
+        """Tell how many operating points there are, and which one was taken."""
+        if not self._sizes:
+            return {}
+        taken, *others = self._sizes
+        text = f"{len(self._sizes)}; taken: the one with the smallest series voltage, {taken:.4g} pu"
+        return {"operating points": text + (f", the next needs {others[0]:.4g} pu" if others else "")}
 
     def _references(self, *given: tuple[float, ...] | None) -> References | None:
         """Newest references; None, and a report, when they cannot be meant."""
