@@ -50,6 +50,8 @@ RAMP = [float(k) for k in range(10)]
         ({"kind": "silence", "start": 0.03, "stop": 0.05}, [0, 1, 2, None, None, 5, 6, 7, 8, 9]),
         ({"kind": "delay", "delay": 0.025}, [None, None, None, 0, 1, 2, 3, 4, 5, 6]),
         ({"kind": "delay", "delay": 0.02, "start": 0.03, "stop": 0.06}, [0, 1, 2, None, None, 3, 6, 7, 8, 9]),
+        ({"kind": "replace", "points": (5.0, 7.0), "span": 0.06, "start": 0.02}, [0, 1, 5, 5, 5, 7, 7, 7, 7, 7]),
+        ({"kind": "add", "points": (0.0, 4.0), "span": 0.04, "linear": True}, [0, 2, 4, 6, 8, 9, 10, 11, 12, 13]),
         ({"kind": "loss", "probability": 1.0}, [None] * 10),
         ({"kind": "loss", "burst_begins": 1.0, "burst_ends": 0.5, "lost_in_burst": 0.0}, RAMP),
     ],
@@ -121,6 +123,8 @@ def test_when_it_comes_does_not_shift_its_random_numbers():
         ({"kind": "noise", "value": (-1.0,)}, "expected at least 0 for noise"),
         ({"kind": "saturate", "value": (1.0,), "lower": (2.0,)}, "lower = 2 is above value = 1"),
         ({"kind": "nonsense"}, "kind"),
+        ({"kind": "add"}, "points: needed for kind add"),
+        ({"kind": "offset", "points": (1.0,)}, "points: not used for kind offset"),
         ({"probability": 1.5}, "probability"),
     ],
 )

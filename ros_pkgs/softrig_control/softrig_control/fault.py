@@ -13,8 +13,7 @@ from .delay import Line, whole_periods
 from .unit_delay import LinkParams
 
 Kind = Literal["offset", "scale", "drift", "noise", "quantise", "saturate", "stuck", "spike", "delay", "loss", "repeat",
-               "silence"]  # fmt: skip
-NUMBERED = ("offset", "scale", "drift", "noise", "quantise", "saturate", "spike")  # kinds that need `value`
+               "silence", "add", "replace"]  # fmt: skip
 
 
 class FaultParams(LinkParams):
@@ -25,6 +24,11 @@ class FaultParams(LinkParams):
     value: tuple[float, ...] = param((1.0,), "offset; factor; drift a second; standard deviation of the noise; step; "
                                      "upper limit; height of a spike: one, or one for each concerned")  # fmt: skip
     lower: tuple[float, ...] = param((), "lower limit of `saturate`; empty: -value")
+    points: tuple[float, ...] = param((), "of `add` and `replace`: values of a profile over `span`, equally spaced")
+    span: float = param(1.0, "time that the points cover, from `start` on; the last one stays", "s", gt=0.0)
+    linear: bool = param(
+        False, "whether the points are joined by lines, the last one at the end of `span`, or are steps"
+    )
     start: float = param(0.0, "time from which the fault is there", "s", ge=0.0)
     stop: float = param(0.0, "time from which it is gone; 0: it stays", "s", ge=0.0)
     every: float = param(0.0, "it comes and goes with this period; 0: it stays", "s", ge=0.0)
@@ -54,6 +58,8 @@ class FaultParams(LinkParams):
             for low, high in zip(*self.range(), strict=True):
                 if low > high:
                     raise ValueError(f"lower = {low:g} is above value = {high:g}")
+        if (self.kind in ("add", "replace")) != bool(self.points):
+            raise ValueError(f"points: {'needed' if not self.points else 'not used'} for kind {self.kind}")
         if 0.0 < self.stop <= self.start:
             raise ValueError(f"stop = {self.stop:g} s is not after start = {self.start:g} s")
         if self.every and not 0.0 < self.lasts < self.every:
@@ -120,6 +126,7 @@ class Fault(Block[FaultParams]):
         self._period = to_ns(p.period)
         self._delay, self._jitter = (whole_periods(x, p.period)[0] for x in (p.delay, p.jitter))
         self._window = to_ns(p.start), to_ns(p.stop) if p.stop else math.inf
+        self._span = to_ns(p.span)
         self._cycle = to_ns(p.every), to_ns(p.lasts)
         self._concerned = p.concerned()
         self._values = p.value if len(p.value) > 1 else p.value * len(self._concerned)
@@ -190,9 +197,23 @@ class Fault(Block[FaultParams]):
         if kind == "spike" and draws[0] >= p.probability:
             return sent
         changed = list(sent)
+        if p.points:
+            profile = self._profile(t - self._window[0])
+            for i in self._concerned:
+                changed[i] = profile if kind == "replace" else sent[i] + profile
+            return tuple(changed)
         for k, i in enumerate(self._concerned):
             changed[i] = self._changed(k, sent[i], i, t, draws)
         return tuple(changed)
+
+    def _profile(self, since: int) -> float:
+        """Value of the profile at a time in ns after its start."""
+        points = self.p.points
+        at = since / self._span * (len(points) - self.p.linear)
+        k = int(at)
+        if k >= len(points) - 1:
+            return points[-1]
+        return points[k] + (at - k) * (points[k + 1] - points[k]) if self.p.linear else points[k]
 
     def _draws(self) -> list[float]:
         """Random numbers of a message; also moves the burst."""

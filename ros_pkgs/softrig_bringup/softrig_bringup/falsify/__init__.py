@@ -1,0 +1,1 @@
+"""The search for the run that violates a requirement."""

@@ -1,0 +1,208 @@
+"""Over what a search goes: parameters, numbers of faults, and profiles laid on signals, as one unit cube."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from softrig_core import Rig, Scenario, ScenarioError
+from softrig_core.model.params import flatten
+from softrig_core.rig.figures import signal_units
+from softrig_core.rig.references import pick
+from softrig_core.rig.scenario import explain
+from softrig_core.rig.scenario_file import closest
+
+_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+_RANGE = re.compile(rf"(log )?\s*({_NUMBER})\.\.({_NUMBER})(?:([*~])(\d+))?")
+FORMS = "expected a..b, 'log a..b', for lists and signals a..b*N (steps), for signals also a..b~N (lines)"
+MANY = 50  # numbers of one profile or list: a search over more finds nothing in its budget
+
+
+@dataclass(frozen=True)
+class Over:
+    """One thing that the search may change.
+
+    Parameters
+    ----------
+    key : str
+        ``node.parameter``, ``fault.parameter``, or the name of a signal.
+    low, high : float
+    log : bool
+        Whether its logarithm is searched.
+    count : int
+        Numbers of a list or profile; 0: a single number.
+    linear, adds : bool
+        Of a profile on a signal: joined by lines; added to what is sent instead of replacing it.
+    """
+
+    key: str
+    low: float
+    high: float
+    log: bool = False
+    count: int = 0
+    linear: bool = False
+    adds: bool = False
+
+    @property
+    def on_signal(self) -> bool:
+        """Whether it is a profile on a signal."""
+        return "/" in self.key
+
+    @property
+    def size(self) -> int:
+        """Number of coordinates."""
+        return max(1, self.count)
+
+    def value(self, u: float) -> float:
+        """Turn a number from 0 to 1 into one of the range; both ends are met exactly."""
+        if u <= 0.0 or u >= 1.0:
+            return self.low if u <= 0.0 else self.high
+        if self.log:
+            return self.low * (self.high / self.low) ** u
+        return self.low + (self.high - self.low) * u
+
+    def place(self, value: float) -> float:
+        """Give the number from 0 to 1 that a value of the range comes from."""
+        if self.low == self.high:
+            return 0.0
+        if self.log:
+            return math.log(value / self.low) / math.log(self.high / self.low)
+        return (value - self.low) / (self.high - self.low)
+
+
+def parse(key: str, given: str) -> Over:
+    """Read one range; a key that ends with ``+`` adds to its signal.
+
+    Raises
+    ------
+    ScenarioError
+        Another form, a range upside down, a logarithm of what is not above 0.
+    """
+    key = key.strip()
+    adds, key = key.endswith("+"), key.removesuffix("+").strip()
+    found = _RANGE.fullmatch(str(given).strip())
+    if not found:
+        raise ScenarioError(f"{key} = {given!r}: {FORMS}")
+    low, high = float(found[2]), float(found[3])
+    count = int(found[5] or 0)
+    if low > high:
+        raise ScenarioError(f"{key} = {given}: {low:g} is above {high:g}")
+    if found[1] and low <= 0.0:
+        raise ScenarioError(f"{key} = {given}: a logarithm needs a range above 0")
+    if found[4] and not 1 <= count <= MANY:
+        raise ScenarioError(f"{key} = {given}: expected 1 to {MANY} numbers, got {count}")
+    if "/" in key and not count:
+        raise ScenarioError(f"{key} = {given}: a signal takes a profile, such as {low:g}..{high:g}*6")
+    if adds and "/" not in key:
+        raise ScenarioError(f"{key}+ = {given}: only to signals can be added")
+    return Over(key, low, high, bool(found[1]), count, found[4] == "~", adds)
+
+
+@dataclass(frozen=True)
+class Space:
+    """A scenario and what may be changed in it.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        With a fault for each profile.
+    overs : tuple of Over
+    targets : tuple of str
+        Of each: the parameter that is set, ``node.parameter``.
+    nominal : tuple
+        Of each: its value in the scenario as it is; None for profiles.
+    whole : tuple of bool
+        Of each: whether it takes whole numbers only.
+    """
+
+    scenario: Scenario
+    overs: tuple[Over, ...]
+    targets: tuple[str, ...]
+    nominal: tuple[Any, ...]
+    whole: tuple[bool, ...]
+
+    @property
+    def size(self) -> int:
+        """Number of coordinates."""
+        return sum(over.size for over in self.overs)
+
+    def names(self) -> list[str]:
+        """Name of each coordinate."""
+        return [f"{o.key}.{i}" if o.count else o.key for o in self.overs for i in range(o.size)]
+
+    def overrides(self, point: Sequence[float]) -> dict[str, Any]:
+        """Give what a point of the unit cube changes."""
+        found: dict[str, Any] = {}
+        at = 0
+        for over, target, whole in zip(self.overs, self.targets, self.whole, strict=True):
+            values = [over.value(u) for u in point[at : at + over.size]]
+            values = [round(v) for v in values] if whole else values
+            at += over.size
+            found[target] = values if over.count else values[0]
+        return found
+
+
+def space_of(scenario: Scenario, overs: Sequence[Over]) -> Space:
+    """Hold ranges against a rig, and put a fault on each link whose signal gets a profile.
+
+    Raises
+    ------
+    ScenarioError
+        No such parameter or signal, with the nearest name; a parameter that is no number, or a list of another length.
+    """
+    rig = Rig.from_scenario(scenario)
+    params = {m.name: flatten(m.params) for m in rig.members}
+    faults = {n: e.model_dump() for n, e in scenario.faults.items()}
+    targets, nominal, whole = [], [], []
+    for k, over in enumerate(overs):
+        if any(over.key == other.key for other in overs[:k]):
+            raise ScenarioError(f"{over.key} is given twice")
+        if over.on_signal:
+            name = f"profile_{k}"
+            faults[name] = _profile(rig, over)
+            targets.append(f"{name}.points")
+            nominal.append(None)
+            whole.append(False)
+            continue
+        value = _parameter(params, over.key)
+        targets.append(over.key)
+        nominal.append(value)
+        first = value[0] if isinstance(value, list) and value else value
+        whole.append(isinstance(first, int) and not isinstance(first, bool))
+        if isinstance(value, list) != bool(over.count) or not (isinstance(first, int | float) or value == []):
+            kind = f"a list of {len(value)}" if isinstance(value, list) else f"{value!r}"
+            raise ScenarioError(f"{over.key} is {kind}: {'a number is searched' if not over.count else FORMS}")
+    try:
+        changed = Scenario.model_validate({**dict(scenario), "faults": faults})
+    except ValueError as error:
+        raise ScenarioError(explain(error)) from None  # type: ignore[arg-type]
+    space = Space(changed, tuple(overs), tuple(targets), tuple(nominal), tuple(whole))
+    for corner in (0.0, 0.5, 1.0):  # what a block refuses is said now, with the parameter's bounds
+        Rig.from_scenario(changed.changed(overrides=space.overrides([corner] * space.size)))
+    return space
+
+
+def _parameter(params: Mapping[str, Mapping[str, Any]], key: str) -> Any:
+    node, _, name = key.partition(".")
+    if node not in params or not name:
+        raise ScenarioError(f"{key!r}{closest(node, params)}: expected node.parameter, with node one of "
+                            f"{', '.join(params)}, or a signal topic/channel/field")  # fmt: skip
+    try:
+        return pick(params[node], name)
+    except KeyError:
+        raise ScenarioError(f"{key!r}: {node} has no parameter {name!r}{closest(name, params[node])}; it has "
+                            f"{', '.join(params[node])}") from None  # fmt: skip
+
+
+def _profile(rig: Rig, over: Over) -> dict[str, Any]:
+    """Make the fault that lays a profile on a signal."""
+    known = signal_units(rig)
+    if over.key not in known:
+        raise ScenarioError(f"no signal {over.key!r}{closest(over.key, known)}; the rig has {', '.join(known)}")
+    topic = max((t for t in rig.topics if over.key.startswith(f"{t}/")), key=len)
+    middle = (over.low + over.high) / 2.0
+    return {"link": topic, "kind": "add" if over.adds else "replace", "affects": [over.key[len(topic) + 1 :]],
+            "points": [middle] * over.count, "span": rig.scenario.duration, "linear": over.linear}  # fmt: skip
