@@ -107,6 +107,20 @@ def _parser() -> argparse.ArgumentParser:
     study.add_argument("--out", type=Path, metavar="DIR", help="results go here (default runs/study_NAME)")
     study.add_argument("--workers", type=Number(int, 1), metavar="N", help="processes (default: all cores)")
     study.add_argument("--scheduler", default="", metavar="ADDRESS", help="a Dask cluster instead (tcp://host:8786)")
+    falsify = verb("falsify", _falsify, "look for the run that violates a requirement, made small and kept")
+    falsify.add_argument("what", metavar="SCENARIO", help="or the name of a falsification in config/studies; `list`")
+    falsify.add_argument("--requirement", action="append", default=[], metavar="NAME", help="default: all")
+    falsify.add_argument("--over", action="append", default=[], metavar="KEY=A..B",
+                         help="NODE.PARAM=a..b, FAULT.PARAM=a..b, 'log a..b', a list or SIGNAL=a..b*6 (steps), "
+                              "SIGNAL=a..b~6 (lines), SIGNAL+=a..b*6 (added to it)")  # fmt: skip
+    falsify.add_argument("--budget", type=Number(int, 1), metavar="N", help="runs (200)")
+    falsify.add_argument("--seed", type=Number(int, 0), metavar="N", help="of the search (0)")
+    falsify.add_argument("--sampler", choices=("cmaes", "tpe", "random"), help="after random points (cmaes)")
+    falsify.add_argument("--duration", type=float, metavar="S", help="instead of the scenario's")
+    falsify.add_argument("--first", action="store_true", default=None, help="end at the first violation")
+    falsify.add_argument("--out", type=Path, metavar="DIR", help="results go here (default runs/falsify_NAME)")
+    falsify.add_argument("--workers", type=Number(int, 1), metavar="N", help="processes (default: all cores)")
+    falsify.add_argument("--scheduler", default="", metavar="ADDRESS", help="a Dask cluster instead (tcp://host:8786)")
     golden = verb("golden", _golden, "make golden bags anew and show the difference to the old, or check them")
     golden.add_argument("names", nargs="*", metavar="SCENARIO", help="default: all that are there")
     golden.add_argument("--check", action="store_true", help="only compare; exit status 1 when one differs")
@@ -187,6 +201,26 @@ def _study(options: argparse.Namespace) -> int:
     out = options.out or Path("runs") / f"study_{chosen.name}"
     with stoppable():
         return study(chosen, out, workers=options.workers, scheduler=options.scheduler)
+
+
+def _falsify(options: argparse.Namespace) -> int:
+    from softrig_core.rig.stopping import stoppable
+
+    from .falsify.definition import falsification_of, list_falsifications
+    from .falsify.outcome import main as falsify
+    from .study.options import pair
+
+    if options.what == "list":
+        print("\n".join(sorted(list_falsifications())))
+        return 0
+    keys = ("budget", "seed", "sampler", "duration", "first")
+    changes = {k: v for k in keys if (v := getattr(options, k)) is not None}
+    changes |= {"requirements": options.requirement} if options.requirement else {}
+    changes["over"] = dict(pair(text, "--over", "NODE.PARAM=a..b or SIGNAL=a..b*6") for text in options.over)
+    task = falsification_of(options.what, changes)
+    out = options.out or Path("runs") / f"falsify_{task.name}"
+    with stoppable():
+        return falsify(task, out, workers=options.workers, scheduler=options.scheduler)
 
 
 def _golden(options: argparse.Namespace) -> int:

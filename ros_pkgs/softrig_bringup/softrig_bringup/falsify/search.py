@@ -7,12 +7,15 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+import numpy as np
+
 Point = tuple[float, ...]
 Measure = Callable[[Sequence[Point]], list[float]]  # margins of a batch, NaN for what could not be measured
 Sampler = Literal["cmaes", "tpe", "random"]
 
 BATCH = 4  # points asked for at a time, whatever the number of cores: the result does not depend on it
 RANDOM, POLISH = 0.25, 0.25  # shares of the budget
+WORST = 1e300  # told of a point that could not be measured
 
 
 @dataclass
@@ -94,28 +97,47 @@ def _sample(
     sampler: Sampler, size: int, seed: int, tell: Callable[[Sequence[Point]], list[float]], over: Callable[[], bool],
     found: Found,
 ) -> None:  # fmt: skip
-    """Ask an optimiser for batches until it is over."""
-    if over():
-        return
+    """Ask for batches until it is over."""
+    if sampler == "random":
+        rng = np.random.default_rng(seed)
+        while not over():
+            tell([tuple(point) for point in rng.random((BATCH, size)).tolist()])
+    elif sampler == "cmaes" and size > 1:  # one coordinate has no covariance
+        _cmaes(size, seed, tell, over, found)
+    else:
+        _tpe(size, seed, tell, over)
+
+
+def _cmaes(
+    size: int, seed: int, tell: Callable[[Sequence[Point]], list[float]], over: Callable[[], bool], found: Found
+) -> None:
+    from cmaes import CMA
+
+    cube = np.array([[0.0, 1.0]] * size)
+    while not over():
+        mean = np.array(found.point) if found.point else np.full(size, 0.5)
+        asked = CMA(mean, sigma=0.3, bounds=cube, seed=seed)
+        while not over() and not asked.should_stop():
+            points = [asked.ask() for _ in range(asked.population_size)]
+            margins = tell([tuple(point.tolist()) for point in points])
+            if len(margins) < len(points):  # the budget is used up
+                return
+            asked.tell([(p, m if math.isfinite(m) else WORST) for p, m in zip(points, margins, strict=True)])
+        seed += 1  # it has converged: again from the best point, with other random numbers
+
+
+def _tpe(size: int, seed: int, tell: Callable[[Sequence[Point]], list[float]], over: Callable[[], bool]) -> None:
     import optuna
 
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     names = [f"u{i:03}" for i in range(size)]
-    start = dict(zip(names, found.point, strict=True)) if found.point else None
-    kinds: dict[str, Callable[[], Any]] = {
-        "random": lambda: optuna.samplers.RandomSampler(seed=seed),
-        "tpe": lambda: optuna.samplers.TPESampler(seed=seed, constant_liar=True, n_startup_trials=0),
-        # one coordinate has no covariance
-        "cmaes": lambda: optuna.samplers.CmaEsSampler(x0=start, sigma0=0.3, seed=seed, n_startup_trials=0)
-        if size > 1 else kinds["tpe"](),
-    }  # fmt: skip
-    study = optuna.create_study(sampler=kinds[sampler]())
+    study = optuna.create_study(sampler=optuna.samplers.TPESampler(seed=seed, constant_liar=True))
     space: dict[str, Any] = {name: optuna.distributions.FloatDistribution(0.0, 1.0) for name in names}
     while not over():
         trials = [study.ask(space) for _ in range(BATCH)]
         margins = tell([tuple(trial.params[n] for n in names) for trial in trials])
         for trial, margin in zip(trials, margins, strict=False):
-            study.tell(trial, margin if math.isfinite(margin) else 1e300)
+            study.tell(trial, margin if math.isfinite(margin) else WORST)
 
 
 def _bounds(size: int, found: Found) -> Iterator[list[Point]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -10,7 +11,7 @@ from softrig_core import Scenario
 from .space import Over, Space
 
 Case = tuple[Scenario, dict[str, Any]]  # a scenario and what is changed in it
-HALVINGS = 5  # of the way of a parameter back to its nominal value
+HALVINGS = 12  # of the way of a parameter back to its nominal value: it is found to 1/4096 of that
 
 
 def shrink(space: Space, overrides: dict[str, Any], violates: Callable[[Case], bool], budget: int) -> tuple[Case, int]:
@@ -32,20 +33,28 @@ def shrink(space: Space, overrides: dict[str, Any], violates: Callable[[Case], b
     runs : int
         How many were needed.
     """
-    case: Case = (space.scenario, dict(overrides))
     runs = 0
-    for candidates in (_without_faults, _nominal, _fewer_steps):
-        again = True
-        while again:
-            again = False
-            for candidate in candidates(space, case):
-                if runs >= budget:
-                    return case, runs
-                runs += 1
-                if violates(candidate):
-                    case, again = candidate, True
-                    break
-    return case, runs
+
+    def still(candidate: Case) -> bool:
+        nonlocal runs
+        if runs >= budget:
+            return False
+        runs += 1
+        return violates(candidate)
+
+    case: Case = (space.scenario, dict(overrides))
+    case = _greedily(_without_faults, space, case, still)
+    case = _nominal(space, case, still)
+    return _greedily(_fewer_steps, space, case, still), runs
+
+
+def _greedily(
+    candidates: Callable[[Space, Case], Iterator[Case]], space: Space, case: Case, still: Callable[[Case], bool]
+) -> Case:
+    """Take the first smaller case that violates, again and again."""
+    while (found := next((c for c in candidates(space, case) if still(c)), None)) is not None:
+        case = found
+    return case
 
 
 def _without_faults(space: Space, case: Case) -> Iterator[Case]:
@@ -57,22 +66,29 @@ def _without_faults(space: Space, case: Case) -> Iterator[Case]:
         yield scenario.model_copy(update={"faults": faults}), left
 
 
-def _nominal(space: Space, case: Case) -> Iterator[Case]:
-    """Each parameter at its nominal value, or most of the way back to it."""
-    scenario, overrides = case
+def _nominal(space: Space, case: Case, still: Callable[[Case], bool]) -> Case:
+    """Each parameter at its nominal value, or as near to it as the violation lasts, by halving."""
     for over, target, nominal, whole in zip(space.overs, space.targets, space.nominal, space.whole, strict=True):
+        scenario, overrides = case
         if target not in overrides or over.on_signal:
             continue
         left = {k: v for k, v in overrides.items() if k != target}
-        yield scenario, left
-        now = overrides[target]
-        if whole or over.count or not over.low <= nominal <= over.high:
-            continue
-        a, b = over.place(now), over.place(nominal)
-        for k in range(1, HALVINGS + 1):  # from the longest step back to the shortest
-            value = over.value(b + (a - b) * 0.5 ** (HALVINGS + 1 - k))
-            if abs(over.place(value) - b) < 0.9 * abs(a - b):
-                yield scenario, left | {target: value}
+        if still((scenario, left)):
+            case = scenario, left
+        elif not over.count:
+            bad, good = float(overrides[target]), float(nominal)
+            log = over.log and good > 0.0
+            for _ in range(HALVINGS):
+                middle = math.sqrt(bad * good) if log else (bad + good) / 2.0
+                value = round(middle) if whole else middle
+                if value in (bad, good):
+                    break
+                if still((scenario, left | {target: value})):
+                    bad = value
+                else:
+                    good = value
+            case = scenario, left | {target: round(bad) if whole else bad}
+    return case
 
 
 def _fewer_steps(space: Space, case: Case) -> Iterator[Case]:

@@ -156,7 +156,9 @@ def space_of(scenario: Scenario, overs: Sequence[Over]) -> Space:
     rig = Rig.from_scenario(scenario)
     params = {m.name: flatten(m.params) for m in rig.members}
     faults = {n: e.model_dump() for n, e in scenario.faults.items()}
-    targets, nominal, whole = [], [], []
+    targets: list[str] = []
+    nominal: list[Any] = []
+    whole: list[bool] = []
     for k, over in enumerate(overs):
         if any(over.key == other.key for other in overs[:k]):
             raise ScenarioError(f"{over.key} is given twice")
@@ -171,8 +173,9 @@ def space_of(scenario: Scenario, overs: Sequence[Over]) -> Space:
         targets.append(over.key)
         nominal.append(value)
         first = value[0] if isinstance(value, list) and value else value
-        whole.append(isinstance(first, int) and not isinstance(first, bool))
-        if isinstance(value, list) != bool(over.count) or not (isinstance(first, int | float) or value == []):
+        whole.append(isinstance(first, int))
+        number = isinstance(first, int | float) and not isinstance(first, bool)
+        if isinstance(value, list) != bool(over.count) or not (number or value == []):
             kind = f"a list of {len(value)}" if isinstance(value, list) else f"{value!r}"
             raise ScenarioError(f"{over.key} is {kind}: {'a number is searched' if not over.count else FORMS}")
     try:

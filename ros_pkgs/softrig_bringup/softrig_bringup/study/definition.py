@@ -172,7 +172,8 @@ def list_studies() -> dict[str, Path]:
     found: dict[str, Path] = {}
     for folder in study_folders():
         for path in sorted(folder.glob("*.yaml")):
-            found.setdefault(path.stem, path)
+            if "." not in path.stem:  # NAME.falsify.yaml is no study
+                found.setdefault(path.stem, path)
     return found
 
 

@@ -39,11 +39,11 @@ def study_of(options: Namespace) -> Study:
 def _changes(options: Namespace) -> dict[str, Any]:
     changes: dict[str, Any] = {k: getattr(options, k) for k in ("figures", "signals") if getattr(options, k)}
     changes |= {k: getattr(options, k) for k in ("duration", "seeds") if getattr(options, k) is not None}
-    grid = dict(_pair(text, "--grid", "NODE.PARAM=A,B,C") for text in options.grid)
+    grid = dict(pair(text, "--grid", "NODE.PARAM=A,B,C") for text in options.grid)
     if grid:
         changes["grid"] = {name: read_yaml(f"[{values}]", f"--grid {name}") for name, values in grid.items()}
     drawn = {}
-    for name, span in (_pair(text, "--draw", "NODE.PARAM=LOW..HIGH") for text in options.draw):
+    for name, span in (pair(text, "--draw", "NODE.PARAM=LOW..HIGH") for text in options.draw):
         low, dots, high = span.partition("..")
         try:
             drawn[name] = {"uniform": (float(low), float(high))}
@@ -59,7 +59,8 @@ def _changes(options: Namespace) -> dict[str, Any]:
     return changes
 
 
-def _pair(text: str, option: str, form: str) -> tuple[str, str]:
+def pair(text: str, option: str, form: str) -> tuple[str, str]:
+    """Split what an option gives into a name and a value; a ScenarioError says the form expected."""
     name, equals, value = text.partition("=")
     if not equals or not value:
         raise ScenarioError(f"{option} {text!r}: expected {form}")

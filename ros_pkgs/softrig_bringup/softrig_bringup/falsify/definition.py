@@ -1,0 +1,93 @@
+"""What a falsification is: validated data from ``config/studies/NAME.falsify.yaml`` or from the command line."""
+
+from __future__ import annotations
+
+from os.path import isfile
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from softrig_core import ScenarioError, list_scenarios
+from softrig_core.rig.expectation import Expected
+from softrig_core.rig.scenario import explain
+from softrig_core.rig.scenario_file import closest
+from softrig_core.rig.yaml_file import read_yaml
+
+from ..study.definition import study_folders
+
+SUFFIX = ".falsify.yaml"
+
+
+class Falsification(BaseModel):
+    """A search for the run that violates a requirement.
+
+    Parameters
+    ----------
+    scenario : str
+        Name or file.
+    requirements : tuple of str
+        Which; all of the scenario's when empty.
+    over : dict of str to str
+        Range by parameter or signal, see `softrig_bringup.falsify.space.parse`.
+    budget : int
+        Runs of the search.
+    first : bool
+        End at the first violation instead of looking for the worst.
+    expect : Expectation, optional
+        What the least margin is expected to be.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    name: str
+    title: str = ""
+    scenario: str
+    requirements: tuple[str, ...] = ()
+    over: dict[str, str] = Field(min_length=1)
+    duration: float | None = Field(None, gt=0.0)
+    budget: int = Field(200, ge=1, le=1_000_000)
+    seed: int = Field(0, ge=0, lt=2**31)
+    sampler: Literal["cmaes", "tpe", "random"] = "cmaes"
+    first: bool = False
+    expect: Expected | None = None
+
+
+def list_falsifications() -> dict[str, Path]:
+    """Give every falsification's name and file."""
+    found: dict[str, Path] = {}
+    for folder in study_folders():
+        for path in sorted(folder.glob(f"*{SUFFIX}")):
+            found.setdefault(path.name.removesuffix(SUFFIX), path)
+    return found
+
+
+def falsification_of(what: str, changes: dict[str, Any]) -> Falsification:
+    """Read a falsification by name or file, or make one of a scenario, with the command line's changes.
+
+    Raises
+    ------
+    ScenarioError
+        Neither, or bad data; names file and key.
+    """
+    known = list_falsifications()
+    path = known.get(what) or (Path(what) if what.endswith(SUFFIX) and isfile(what) else None)
+    if path is not None:
+        raw = read_yaml(path.read_text(encoding="utf-8"), path.name)
+        if not isinstance(raw, dict):
+            raise ScenarioError(f"{path.name}: expected a mapping of keys, got {type(raw).__name__}")
+        raw = {"title": path.name, **raw, "name": path.name.removesuffix(SUFFIX)}
+    elif what in list_scenarios() or isfile(what):
+        raw = {"name": Path(what).stem, "scenario": what}
+    else:
+        names = [*known, *list_scenarios()]
+        raise ScenarioError(f"{what!r} is neither a falsification nor a scenario{closest(what, names)}")
+    where = path.name if path else what
+    raw["over"] = {**raw.get("over", {}), **changes.pop("over", {})}
+    if not raw["over"]:
+        raise ScenarioError(
+            f"{where}: over what? --over NODE.PARAM=a..b, --over FAULT.PARAM=a..b or --over SIGNAL=a..b*6"
+        )
+    try:
+        return Falsification.model_validate(raw | changes)
+    except ValidationError as error:
+        raise ScenarioError(f"{where}: {explain(error)}") from None

@@ -1,0 +1,164 @@
+"""A falsification from its definition to its outcome: searched on all cores, resumed, made small."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from softrig_core import Scenario, ScenarioError, load_scenario
+from softrig_core.rig.scenario_file import closest
+from softrig_optim.sweep import progress, stream
+
+from ..study.work import Log
+from .definition import Falsification
+from .search import Found, Point, search
+from .shrink import Case, shrink
+from .space import Space, parse, space_of
+from .trial import LARGE, Trial, run
+
+SHRINKING = 100  # runs that a violation is made small with
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a falsification has found.
+
+    Parameters
+    ----------
+    space : Space
+    names : tuple of str
+        The requirements.
+    nominal, worst : dict of str to float or None
+        Margins without changes, and of the worst run.
+    found : Found
+        Of margins each divided by its size in the nominal run, where there are several.
+    case : Case, optional
+        The worst run; None when no run could be measured.
+    small : Case, optional
+        The violation made small; None when there is none.
+    small_margins : dict
+    shrinking : int
+        Runs that this took.
+    broken : list of (dict, str)
+        Changes and reason of the runs that broke.
+    """
+
+    space: Space
+    names: tuple[str, ...]
+    nominal: dict[str, float | None]
+    worst: dict[str, float | None]
+    found: Found
+    case: Case | None
+    small: Case | None
+    small_margins: dict[str, float | None]
+    shrinking: int
+    broken: list[tuple[dict[str, Any], str]]
+
+    @property
+    def violated(self) -> list[str]:
+        """Requirements that the worst run violates."""
+        return [name for name, margin in self.worst.items() if margin is not None and margin < 0.0]
+
+
+def falsify(
+    task: Falsification, out: Path, *, workers: int | None = None, scheduler: str = ""
+) -> Outcome:  # fmt: skip
+    """Search, and make what is found small.
+
+    Parameters
+    ----------
+    task : Falsification
+    out : Path
+        Gets ``falsification.json`` and ``rows.jsonl``; the runs that an earlier call left there are not run again.
+    workers, scheduler
+        See `softrig_optim.sweep.stream`.
+
+    Raises
+    ------
+    ScenarioError
+        Bad input, or the folder holds another falsification.
+    """
+    scenario = load_scenario(task.scenario).changed(duration=task.duration)
+    names = _requirements(scenario, task.requirements)
+    space = space_of(scenario, [parse(key, given) for key, given in task.over.items()])
+    out.mkdir(parents=True, exist_ok=True)
+    _same(task, scenario, out / "falsification.json")
+    nominal = run(Trial(-1, scenario, {}, names))
+    if nominal["error"]:
+        raise ScenarioError(f"{task.scenario}: the run without changes cannot be judged: {nominal['error']}")
+    sizes = _sizes(nominal["margins"])
+    log = Log(out / "rows.jsonl")
+    rows = {row["number"]: row for row in log.rows()}
+    try:
+        with progress(task.name, task.budget) as advance:
+
+            def measure(points: Sequence[Point]) -> list[float]:
+                first = len(asked)
+                asked.extend(points)
+                numbers = range(first, len(asked))
+                todo = [Trial(n, space.scenario, space.overrides(asked[n]), names) for n in numbers if n not in rows]
+                for _, row in stream(run, todo, workers=workers, scheduler=scheduler) if todo else ():
+                    log.add(row)
+                    rows[row["number"]] = row
+                for _ in numbers:
+                    advance()
+                return [margin(rows[n]["margins"], sizes) for n in numbers]
+
+            asked: list[Point] = []
+            enough = 0.0 if task.first else -math.inf
+            found = search(space.size, measure, task.budget, seed=task.seed, sampler=task.sampler, enough=enough)
+    finally:
+        log.close()
+    broken = [(rows[n]["overrides"], rows[n]["error"]) for n in range(found.runs) if rows[n]["error"]]
+    worst = next((r for n in range(found.runs) if (r := rows[n]) and asked[n] == found.point), None)
+    case = None if worst is None else (space.scenario, dict(worst["overrides"]))
+    small, small_margins, runs = None, {}, 0
+    if worst is not None and case is not None and found.least < 0.0:
+        violated = tuple(n for n, m in worst["margins"].items() if m is not None and m < 0.0)
+        small, runs = shrink(space, case[1], lambda c: _violates(c, violated), SHRINKING)
+        small_margins = run(Trial(-1, *small, names))["margins"]
+    margins = worst["margins"] if worst is not None else {}
+    return Outcome(space, names, nominal["margins"], margins, found, case, small, small_margins, runs, broken)
+
+
+def _requirements(scenario: Scenario, wanted: Sequence[str]) -> tuple[str, ...]:
+    known = scenario.requirements
+    if not known:
+        raise ScenarioError(f"{scenario.name} has no requirements; it needs an entry requirements: NAME: FORMULA")
+    for name in wanted:
+        if name not in known:
+            raise ScenarioError(f"{scenario.name} has no requirement {name!r}{closest(name, known)}; it has "
+                                f"{', '.join(known)}")  # fmt: skip
+    return tuple(wanted) or tuple(known)
+
+
+def _sizes(nominal: Mapping[str, float | None]) -> dict[str, float]:
+    """What a margin is divided by before it is compared with those of other requirements."""
+    if len(nominal) == 1:
+        return dict.fromkeys(nominal, 1.0)
+    return {n: abs(m) if m is not None and 0.0 < abs(m) < LARGE else 1.0 for n, m in nominal.items()}
+
+
+def margin(margins: Mapping[str, float | None], sizes: Mapping[str, float]) -> float:
+    """Give the least of several margins, each in its size; NaN where one could not be measured."""
+    found = [m / sizes[n] for n, m in margins.items() if m is not None]
+    return min(found) if len(found) == len(margins) else math.nan
+
+
+def _violates(case: Case, names: tuple[str, ...]) -> bool:
+    margins = run(Trial(-1, *case, names))["margins"]
+    return any(m is not None and m < 0.0 for m in margins.values())
+
+
+def _same(task: Falsification, scenario: Scenario, file: Path) -> None:
+    """Make sure that a folder holds this search or none: its runs are taken over by their number."""
+    free = {"name", "title", "expect", "budget", "first"}
+    content = task.model_dump(mode="json", exclude=free) | {"content": scenario.model_dump(mode="json")}
+    written = json.dumps(content, indent=1, sort_keys=True) + "\n"
+    if file.exists() and file.read_text() != written:
+        raise ScenarioError(f"{file.parent} holds another falsification; choose another --out, or remove it")
+    file.write_text(written)

@@ -1,0 +1,163 @@
+"""`softrig falsify`: the search, what it found in words, and its runs as scenario files that anybody reruns."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import yaml
+from softrig_core import Scenario, list_scenarios
+from softrig_core.extras import need
+from softrig_core.rig.figures import figures_of
+
+from ..folder import ResultsFolder
+from ..report import write_report
+from ..run import execute, save, summary
+from .definition import Falsification
+from .engine import Outcome, falsify
+from .shrink import Case
+from .space import Space
+from .trial import LARGE
+
+
+def main(task: Falsification, out: Path, *, workers: int | None = None, scheduler: str = "") -> int:
+    """Search and write the results; 1 when a requirement is violated, or an expected margin missed."""
+    need("cmaes", "falsify")
+    outcome = falsify(task, out, workers=workers, scheduler=scheduler)
+    files: dict[str, Path] = {}
+    for name, case in (("worst", outcome.case), ("small", outcome.small)):
+        if case is not None:
+            files[name] = out / f"{task.name}_{name}.yaml"
+            files[name].write_text(scenario_file(task, name, case, outcome))
+    runs = [
+        _record(
+            task, Scenario.model_validate(dict(outcome.space.scenario) | {"faults": _kept(outcome)}), out / "nominal"
+        )
+    ]
+    for name, case in (("worst", outcome.case), ("small", outcome.small)):
+        if case is not None:
+            runs.append(_record(task, case[0].changed(overrides=case[1]), out / name))
+    write_report(runs, out / "report.html", [r.name for r in runs])
+    (out / "outcome.json").write_text(json.dumps(content(task, outcome), indent=1) + "\n")
+    _print(task, outcome, out, files)
+    met = task.expect is None or task.expect.holds(outcome.found.least)
+    if task.expect is not None:
+        return 0 if met else 1
+    return 1 if outcome.violated else 0
+
+
+def _kept(outcome: Outcome) -> dict[str, Any]:
+    """Faults of the scenario as it is, without the profiles of the search."""
+    added = {
+        t.partition(".")[0] for t, o in zip(outcome.space.targets, outcome.space.overs, strict=True) if o.on_signal
+    }
+    return {n: f.model_dump() for n, f in outcome.space.scenario.faults.items() if n not in added}
+
+
+def _record(task: Falsification, scenario: Scenario, folder: Path) -> Path:
+    """Run a case once more and write its bag, figures, pictures and page."""
+    place = ResultsFolder(folder)
+    place.clear()
+    done = execute(scenario, "inprocess", folder / "log")
+    figures = [] if done.error else done.results
+    save(done, summary(done, figures, f"scripts/softrig falsify {task.name}"), place)
+    return folder
+
+
+def scenario_file(task: Falsification, kind: str, case: Case, outcome: Outcome) -> str:
+    """Write a case as a scenario file: what it changes in the scenario that it extends, or all of it.
+
+    Parameters
+    ----------
+    task : Falsification
+    kind : str
+        ``worst`` or ``small``.
+    case : Case
+    outcome : Outcome
+    """
+    scenario, overrides = case
+    changed = scenario.changed(overrides=overrides)
+    title = f"{changed.title}: {', '.join(outcome.violated) or 'least margin'}, {kind} case found"
+    if task.scenario in list_scenarios():
+        nodes: dict[str, Any] = {}
+        for target, value in overrides.items():
+            node, _, parameter = target.partition(".")
+            if node in changed.nodes:
+                nodes.setdefault(node, {"parameters": {}})["parameters"][parameter] = value
+        faults: dict[str, Any] = {n: f.model_dump() for n, f in changed.faults.items()}
+        before = outcome.space.scenario.faults
+        faults |= dict.fromkeys(n for n in before if n not in faults and n in _kept(outcome))
+        content: dict[str, Any] = {"extends": task.scenario, "title": title, "seed": changed.seed}
+        content |= {"duration": changed.duration} | ({"nodes": nodes} if nodes else {})
+        content |= {"faults": faults} if faults else {}
+    else:
+        content = changed.model_dump(mode="json", exclude_defaults=True, exclude={"name", "expect", "claims"})
+        content["title"] = title
+    head = f"# Found by: softrig falsify {task.name}; {len(outcome.found.trace)} runs, seed {task.seed}.\n"
+    return head + str(yaml.safe_dump(content, sort_keys=False, width=110))
+
+
+def content(task: Falsification, outcome: Outcome) -> dict[str, Any]:
+    """Give the outcome as data."""
+    return {
+        "falsification": task.name, "scenario": task.scenario, "seed": task.seed, "sampler": task.sampler,
+        "over": task.over, "requirements": list(outcome.names), "runs": outcome.found.runs,
+        "least": outcome.found.least, "least_at_random": outcome.found.random, "violated": outcome.violated,
+        "nominal": outcome.nominal, "worst": outcome.worst, "small": outcome.small_margins,
+        "changes": outcome.case[1] if outcome.case else {}, "small_changes": outcome.small[1] if outcome.small else {},
+        "broken": [{"changes": c, "error": e} for c, e in outcome.broken], "trace": outcome.found.trace,
+    }  # fmt: skip
+
+
+def _print(task: Falsification, outcome: Outcome, out: Path, files: dict[str, Path]) -> None:
+    from rich.table import Table
+
+    from ..listing import console as make_console
+
+    console = make_console()
+    rig_units = {f.name: f.unit for f in figures_of(_rig(outcome.space))}
+    table = Table(title=f"{task.name}: {outcome.found.runs} runs", title_justify="left", box=None, pad_edge=False)
+    for name in ("requirement", "nominal margin", "worst", "made small", "unit"):
+        table.add_column(name, justify="left" if name in ("requirement", "unit") else "right", overflow="fold")
+    for name in outcome.names:
+        small = number(outcome.small_margins.get(name)) if outcome.small else ""
+        table.add_row(name, number(outcome.nominal[name]), number(outcome.worst.get(name)), small, rig_units[name])
+    console.print(table)
+    say = [verdict(outcome)]
+    if outcome.case is not None:
+        say += [f"  {k} = {_shown(v)}" for k, v in (outcome.small or outcome.case)[1].items()]
+    if outcome.broken:
+        say.append(f"{len(outcome.broken)} runs broke, the first: {outcome.broken[0][1]}")
+    say += [f"{name} case: {path}" for name, path in files.items()] + [f"results in {out}"]
+    for line in say:
+        console.print(line, markup=False)
+
+
+def _rig(space: Space) -> Any:
+    from softrig_core import Rig
+
+    return Rig.from_scenario(space.scenario)
+
+
+def verdict(outcome: Outcome) -> str:
+    """Say in words what was found."""
+    runs, found = outcome.found.runs, outcome.found
+    if outcome.case is None:
+        return f"none of {runs} runs could be judged"
+    at_random = f"random points alone: {number(found.random)}"
+    if outcome.violated:
+        made = f"made small in {outcome.shrinking} more runs"
+        return f"violated: {', '.join(outcome.violated)}, least margin {number(found.least)} ({at_random}); {made}"
+    return f"no violation in {runs} runs; least margin {number(found.least)} ({at_random}), at"
+
+
+def number(value: float | None) -> str:
+    """Write a margin."""
+    if value is None:
+        return "not judged"
+    return ("holds" if value > 0.0 else "violated") if abs(value) >= LARGE else f"{value:.6g}"
+
+
+def _shown(value: Any) -> str:
+    return "[" + ", ".join(f"{x:.6g}" for x in value) + "]" if isinstance(value, list) else f"{value:.10g}"

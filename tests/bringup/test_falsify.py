@@ -1,0 +1,210 @@
+"""The search for a violation: right where the answer is known, repeatable, made small, honest without one."""
+
+import json
+
+import numpy as np
+import pytest
+from conftest import differences, in_process
+from softrig_bringup.cli import main
+from softrig_bringup.falsify.search import search
+from softrig_bringup.falsify.shrink import shrink
+from softrig_bringup.falsify.space import parse, space_of
+from softrig_bringup.falsify.trial import Trial, run
+from softrig_core import Rig, Scenario, ScenarioError, load_scenario, simulate
+
+PIECES, PERIOD, LOAD = 15, 0.01, 1e-3
+
+
+def loop(torques, times=None):
+    """The ideal motor under PID, linear, with a load torque in steps."""
+    times = times or [0.1 * k for k in range(len(torques))]
+    nodes = {
+        "plant": {"package": "softrig_drives", "executable": "dc_motor_plant",
+                  "parameters": {"period": PERIOD, "load_times": times, "load_torques": torques}},
+        "reference": {"package": "softrig_control", "executable": "reference_source",
+                      "parameters": {"period": 0.1, "velocities": [0.0]}, "remap": {"reference": "motor/reference"}},
+        "pid": {"package": "softrig_drives", "executable": "dc_motor_pid",
+                "parameters": {"period": PERIOD, "kp": 1.0, "ki": 10.0, "kd": 0.0}},
+    }  # fmt: skip
+    return Scenario.model_validate({
+        "name": "loop", "title": "loop", "system": "dc_motor", "source": "", "duration": 1.5, "nodes": nodes,
+        "shared": {"speed": "motor/state/shaft/velocity", "voltage": "motor/command/armature/effort"},
+        "requirements": {"deviation": "always abs(speed) <= 1"},
+    })  # fmt: skip
+
+
+def measure_of(space, name):
+    return lambda points: [
+        run(Trial(0, space.scenario, space.overrides(p), (name,)))["margins"][name] for p in points
+    ]  # fmt: skip
+
+
+def test_the_worst_deviation_of_a_linear_loop_is_the_l1_norm_of_its_impulse_response():
+    response = simulate(loop([LOAD, 0.0], [0.0, PERIOD])).signals["motor/state/shaft/velocity"].x
+    bound = np.abs(response).sum()  # of a load torque of LOAD at most, whatever its course
+    space = space_of(loop([0.0] * PIECES), [parse("plant.load_torques", f"{-LOAD}..{LOAD}*{PIECES}")])
+    found = search(space.size, measure_of(space, "deviation"), 300, seed=1)
+    assert 0.98 * bound < 1.0 - found.least < bound * (1.0 + 1e-9)
+    assert found.runs <= 300
+    assert (1.0 - found.random) < 0.8 * bound  # random search alone does not come near
+    assert found.trace == sorted(found.trace, reverse=True)
+
+
+def test_a_disturbance_laid_on_a_signal_is_a_fault_and_its_worst_course_is_found_too():
+    space = space_of(loop([0.0]), [parse("motor/command/armature/effort+", "-0.5..0.5*6")])
+    (target,) = space.targets
+    point = [0.0, 1.0, 0.25, 1.0, 0.5, 0.0]
+    assert space.overrides(point)[target] == [-0.5, 0.5, -0.25, 0.5, 0.0, -0.5]
+    rig = Rig.from_scenario(space.scenario.changed(overrides=space.overrides(point)))
+    signals = simulate(rig).signals
+    t, u = signals["motor/command/armature/effort"]
+    added = signals["motor/command/profile_0/armature/effort"].x - u
+    steps = np.minimum((t / 0.25 + 1e-9).astype(int), 5)
+    assert added == pytest.approx(np.array([-0.5, 0.5, -0.25, 0.5, 0.0, -0.5])[steps], abs=1e-12)
+
+
+def test_ranges_are_met_at_both_ends_and_in_between():
+    log = parse("a.b", "log 0.01..100")
+    assert [log.value(u) for u in (0.0, 0.5, 1.0)] == [0.01, pytest.approx(1.0), 100.0]
+    assert log.place(1.0) == pytest.approx(0.5)
+    line = parse("a.b", "-1..3")
+    assert [line.value(u) for u in (0.0, 0.25, 1.0)] == [-1.0, 0.0, 3.0]
+
+
+@pytest.mark.parametrize(
+    ("key", "given", "reason"),
+    [
+        ("plant.R", "3..1", "3 is above 1"),
+        ("plant.R", "log -1..1", "a logarithm needs a range above 0"),
+        ("plant.R", "1", r"expected a\.\.b"),
+        ("motor/state/shaft/velocity", "0..1", "a signal takes a profile, such as 0..1.6"),
+        ("plant.load_torques", "0..1*0", "expected 1 to 50 numbers, got 0"),
+        ("plant.R+", "0..1", "only to signals can be added"),
+        ("plnt.R", "0..1", "did you mean 'plant'"),
+        ("plant.Rr", "0..1", "plant has no parameter 'Rr' .did you mean 'R'"),
+        ("plant.load_torques", "0..1", "a list of 1: a number is searched"),
+        ("plant.R", "0..1*3", "plant.R is 0"),
+        ("plant.rig", "0..1", "plant.rig is False"),
+        ("plant.R", "-1..1", "parameter R"),
+        ("motor/stat/shaft/velocity", "0..1*3", "did you mean 'motor/state/shaft/velocity'"),
+    ],
+)
+def test_a_range_that_cannot_be_is_refused_before_the_first_run(key, given, reason):
+    with pytest.raises(ScenarioError, match=reason):
+        space_of(loop([0.0]), [parse(key, given)])
+
+
+def test_a_violation_is_made_small_parameter_by_parameter_fault_by_fault_step_by_step():
+    scenario = loop([0.0] * 4)
+    faults = {"noise": {"link": "motor/state -> pid", "kind": "noise", "value": [0.001]}}
+    scenario = Scenario.model_validate({**dict(scenario), "faults": faults})
+    overs = [parse("plant.load_torques", "-0.01..0.01*4"), parse("pid.kp", "0.5..2"), parse("noise.value", "0..0.01*1")]
+    space = space_of(scenario, overs)
+    worst = space.overrides([1.0, 0.0, 1.0, 1.0, 0.0, 1.0])
+    limit = 1.0 - run(Trial(0, space.scenario, worst, ("deviation",)))["margins"]["deviation"]
+
+    def violates(case):
+        return 1.0 - run(Trial(0, *case, ("deviation",)))["margins"]["deviation"] > 0.4 * limit
+
+    (small, changes), runs = shrink(space, worst, violates, 100)
+    assert violates((small, changes))
+    assert small.faults == {}  # the noise was not needed
+    assert "noise.value" not in changes
+    assert len(set(changes["plant.load_torques"])) < 3
+    assert runs <= 100
+
+
+def test_the_limit_that_one_parameter_crosses_is_found_by_halving():
+    scenario = loop([LOAD])
+    scenario = Scenario.model_validate({**dict(scenario), "requirements": {"deviation": "always abs(speed) <= 0.7"}})
+    space = space_of(scenario, [parse("plant.load_torques", f"{LOAD}..{LOAD}*1"), parse("pid.kp", "0.01..1")])
+    nominal = run(Trial(0, space.scenario, {}, ("deviation",)))["margins"]["deviation"]
+    worst = space.overrides([0.0, 0.0])
+    case, _ = shrink(space, worst, lambda c: run(Trial(0, *c, ("deviation",)))["margins"]["deviation"] < 0.0, 60)
+    assert nominal > 0.0
+    gain = case[1]["pid.kp"]
+    inside = run(Trial(0, space.scenario, case[1] | {"pid.kp": gain + 1e-3}, ("deviation",)))["margins"]["deviation"]
+    at = run(Trial(0, space.scenario, case[1], ("deviation",)))["margins"]["deviation"]
+    assert at < 0.0 < inside
+
+
+FILE = """
+extends: dc_motor_smc_b2
+title: Motor with a requirement
+duration: 2.0
+requirements:
+  tracking: always[1.6, 2] abs(speed - set_point) <= 0.05 * set_point
+"""
+
+
+@pytest.fixture
+def file(tmp_path):
+    path = tmp_path / "mine.yaml"
+    path.write_text(FILE)
+    return path
+
+
+def outcome(folder):
+    return json.loads((folder / "outcome.json").read_text())
+
+
+def test_what_it_finds_is_a_scenario_file_that_gives_the_same_bits_again(file, tmp_path, capsys):
+    given = ["falsify", str(file), "--over", "dc_motor_plant.R=0.5..2.5", "--budget", "12", "--workers", "1",
+             "--over", "dc_motor_smc.delta=log 0.5..20"]  # fmt: skip
+    assert main([*given, "--out", str(tmp_path / "a")]) == 1
+    said = " ".join(capsys.readouterr().out.split())
+    found = outcome(tmp_path / "a")
+    assert found["violated"] == ["tracking"]
+    assert f"violated: tracking, least margin {found['least']:.6g}" in said
+    worst = load_scenario(str(tmp_path / "a" / "mine_worst.yaml"))
+    again = simulate(worst)
+    assert again.figures["tracking"] == found["worst"]["tracking"] == found["least"]
+    assert load_scenario(str(tmp_path / "a" / "mine_small.yaml")).nodes
+    from softrig_bags.read import read_bag
+
+    assert differences(read_bag(tmp_path / "a" / "worst" / "bag"), in_process(Rig.from_scenario(worst))) == []
+    assert main([*given, "--out", str(tmp_path / "b")]) == 1
+    assert outcome(tmp_path / "b")["trace"] == found["trace"]
+    rows = (tmp_path / "b" / "rows.jsonl").read_text().splitlines(keepends=True)
+    (tmp_path / "b" / "rows.jsonl").write_text("".join(rows[:5]))  # killed after five runs
+    assert main([*given, "--out", str(tmp_path / "b")]) == 1
+    assert outcome(tmp_path / "b")["trace"] == found["trace"]
+    other = [*given, "--seed", "7", "--out", str(tmp_path / "b")]
+    assert main(other) == 2
+    assert "holds another falsification" in capsys.readouterr().err
+
+
+def test_where_nothing_violates_it_says_what_came_nearest(file, tmp_path, capsys):
+    assert main(["falsify", str(file), "--over", "dc_motor_plant.R=0.6..0.7", "--budget", "8", "--workers", "1",
+                 "--out", str(tmp_path / "a")]) == 0  # fmt: skip
+    found = outcome(tmp_path / "a")
+    assert found["violated"] == []
+    said = " ".join(capsys.readouterr().out.split())
+    assert f"no violation in {found['runs']} runs; least margin {found['least']:.6g}" in said
+    assert "dc_motor_plant.R = " in said
+
+
+@pytest.mark.parametrize(
+    ("arguments", "reason"),
+    [
+        ([], "over what?"),
+        (["--over", "dc_motor_plant.R=2..1"], "2 is above 1"),
+        (["--over", "dc_motor_plant.R=1..2", "--budget", "0"], "--budget"),
+        (["--over", "dc_motor_plant.R=1..2", "--requirement", "trackin"], "did you mean 'tracking'"),
+        (["--over", "nonsense"], "expected NODE.PARAM"),
+    ],
+)
+def test_bad_input_is_one_line_before_the_first_run(file, arguments, reason, tmp_path, capsys):
+    try:
+        status = main(["falsify", str(file), *arguments, "--out", str(tmp_path / "a")])
+    except SystemExit as end:
+        status = end.code
+    assert status == 2
+    error = capsys.readouterr().err
+    assert reason in error
+    assert not (tmp_path / "a" / "rows.jsonl").exists()
+
+
+def test_a_scenario_without_requirements_says_what_it_needs(tmp_path, capsys):
+    assert main(["falsify", "dc_motor_smc_b6", "--over", "dc_motor_plant.R=1..2", "--out", str(tmp_path)]) == 2
+    assert "has no requirements" in capsys.readouterr().err
