@@ -27,6 +27,7 @@ sys.path.insert(0, str(PACKAGE / "python"))
 from softrig_core import Recording, Rig, Scenario, Signals, run_inprocess  # noqa: E402
 from softrig_core.rig.domain import free_domain  # noqa: E402
 from softrig_core.rig.executables import environment, find_executable  # noqa: E402
+from softrig_core.rig.start_server import start_node  # noqa: E402
 from softrig_core.wire.recording import shard_topics  # noqa: E402
 
 
@@ -94,7 +95,7 @@ class Bench:
         command = [str(find_executable(package, executable)), "--ros-args", "-r", f"__node:={name}",
                    "-p", f"run.status:={self.directory / name}.status",
                    "-p", f"run.shard:={self.directory / name}.shard", *arguments]  # fmt: skip
-        self.nodes[name] = subprocess.Popen(command, env=self.environment)
+        self.nodes[name] = start_node(package, executable, command, self.environment, 2)
         return self.nodes[name]
 
     def python(self, name, code):
@@ -140,13 +141,20 @@ def bench(tmp_path):
                 bench.kill(name)
 
 
-def no_process_left(directory):
-    """Whether no process of the run is alive: their command lines name the run's parameter files."""
+def processes_of(directory):
+    """Command lines, by pid, of the processes of a run that are alive: they name the run's parameter files."""
+    found = {}
     for entry in Path("/proc").iterdir():
         if entry.name.isdigit():
             try:
-                if str(directory).encode() in (entry / "cmdline").read_bytes():
-                    return False
+                command = (entry / "cmdline").read_bytes()
             except OSError:
                 continue
-    return True
+            if str(directory).encode() in command:
+                found[int(entry.name)] = command
+    return found
+
+
+def no_process_left(directory):
+    """Whether no process of the run is alive."""
+    return not processes_of(directory)

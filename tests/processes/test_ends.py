@@ -10,8 +10,9 @@ import time
 from pathlib import Path
 
 import pytest
-from conftest import PATIENCE, make_scenario, no_process_left, until
+from conftest import PATIENCE, make_scenario, no_process_left, processes_of, until
 from softrig_core import Rig, run_inprocess, run_processes
+from softrig_core.rig import starting
 from softrig_core.rig.shared_memory import remove_leftovers
 from softrig_core.rig.stopping import Stopped, stoppable
 
@@ -123,9 +124,20 @@ def test_an_interrupted_run_gives_what_it_has(mode, tmp_path):
 
 
 @pytest.mark.processes
-def test_a_signal_during_the_fork_of_a_node_stops_the_run_without_a_trace(tmp_path):
+@pytest.mark.parametrize("forked", [True, False])
+def test_a_signal_during_the_fork_of_a_node_stops_the_run_without_a_trace(forked, monkeypatch, tmp_path):
     strikes = [signal.SIGINT]
-    os.register_at_fork(after_in_parent=lambda: strikes and os.kill(os.getpid(), strikes.pop()))  # a trace is an error
+
+    def strike(*_):
+        if strikes:
+            os.kill(os.getpid(), strikes.pop())
+
+    if forked:
+        open_ = os.pidfd_open
+        monkeypatch.setattr(os, "pidfd_open", lambda pid: strike() or open_(pid))
+    else:
+        monkeypatch.setattr(starting, "start_node", lambda *_: None)
+        os.register_at_fork(after_in_parent=strike)  # a trace is an error
     outcome = run_processes(Rig.from_scenario(make_scenario(BASIC, 1e4)), 0, tmp_path)
     assert (outcome.error, outcome.stopped) == ("", signal.SIGINT)
     assert no_process_left(tmp_path)
@@ -138,9 +150,9 @@ def test_nodes_whose_processes_are_held_end_the_run_by_name(containers, tmp_path
 
     def progress(t):
         if t > 100_000_000:
-            for pid in Path(f"/proc/self/task/{os.getpid()}/children").read_text().split():
-                if b"__node:=plant" in Path(f"/proc/{pid}/cmdline").read_bytes():
-                    os.kill(int(pid), signal.SIGSTOP)
+            for pid, command in processes_of(tmp_path).items():
+                if b"__node:=plant" in command:
+                    os.kill(pid, signal.SIGSTOP)
 
     outcome = run_processes(rig, 0, tmp_path, progress=progress, containers=containers)
     held = "plant, source, gain" if containers else "plant"

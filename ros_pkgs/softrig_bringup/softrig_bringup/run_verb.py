@@ -58,13 +58,17 @@ def run(options: argparse.Namespace) -> int:
 
 def _run_reserved(options: argparse.Namespace) -> int:
     from softrig_core import ScenarioError, load_scenario
+    from softrig_core.rig.executables import environment
     from softrig_core.rig.scenario import merge
+    from softrig_core.rig.start_server import prepare
 
     from .folder import ResultsFolder
     from .run import checked, execute, save, summary
 
     if options.realtime and options.mode == "inprocess":
         raise ScenarioError("--realtime: blocks in process know no wall clock; expected --mode processes or container")
+    if options.mode != "inprocess":
+        prepare(environment(0, Path()))  # on another core, while this one reads and checks the scenario
     scenario = load_scenario(options.scenario, dict(_assignment(text) for text in options.set))
     changes: dict[str, Any] = {}
     for key in ("duration", "seed"):

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from .rig import Member
+from .start_server import Forked
 
 STOP_STEPS = ((signal.SIGINT, 3.0), (signal.SIGTERM, 3.0), (signal.SIGKILL, 3.0))
 
@@ -21,7 +22,7 @@ class Child:
     """One node; those of a container share the process and the log."""
 
     member: Member
-    process: subprocess.Popen[bytes]
+    process: subprocess.Popen[bytes] | Forked
     end: int  # process file descriptor, readable when the process has ended
     log: Path
     status: Path

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 import json
 import os
 import signal
@@ -16,8 +15,8 @@ from .children import Child
 from .executables import find_executable
 from .peers import links
 from .rig import Member, Rig
+from .start_server import LIBC, PR_SET_PDEATHSIG, start_node
 
-LIBC = ctypes.CDLL(None)  # loaded here: between fork and exec another thread may hold the loader's lock
 FILES = ("status", "shard")  # that a node writes
 
 
@@ -68,10 +67,13 @@ def start(rig: Rig, group: list[Member], seed: int, directory: Path, options: di
         arguments = container_arguments(group, given, directory)
     # A process group of its own, so that Ctrl-C reaches the runner alone; not a session of its own, because Linux
     # schedules sessions against each other and a loop across them runs a fifth slower.
+    command = [str(executable), *arguments]
     with log.open("wb") as output:
-        process = subprocess.Popen(
-            [str(executable), *arguments], stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT,
-            env=variables, process_group=0, preexec_fn=_die_with_parent,
+        process = start_node(
+            executable.parent.name, executable.name, command, variables, output.fileno()
+        ) or subprocess.Popen(
+            command, stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT, env=variables,
+            process_group=0, preexec_fn=_die_with_parent,
         )  # fmt: skip
     return [
         Child(
@@ -117,5 +119,4 @@ def parameter_file(member: Member, parameters: Mapping[str, Any], directory: Pat
 
 def _die_with_parent() -> None:
     """Linux kills the node when the runner dies, whatever killed the runner."""
-    pr_set_pdeathsig = 1
-    LIBC.prctl(pr_set_pdeathsig, signal.SIGKILL)
+    LIBC.prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
