@@ -45,25 +45,30 @@ def place(a: Matrix, b: Sequence[float], c: Sequence[float], poles: Sequence[com
     70.8599...
     """
     import numpy as np
+    from softrig_core.model import dense
 
     n = len(b)
     if len(poles) != n + 1:
         raise ValueError(f"{len(poles)} poles, expected {n + 1} for {n} states and the integrator")
     require_stable(poles)
-    wanted = np.poly(np.asarray(poles, dtype=complex))
-    if np.abs(wanted.imag).max() > 1e-9 * np.abs(wanted).max():
+    wanted = [1.0 + 0.0j]  # coefficients of the product of all (s - pole)
+    for pole in poles:
+        wanted = [up - pole * down for up, down in zip([*wanted, 0.0j], [0.0j, *wanted], strict=True)]
+    if max(abs(w.imag) for w in wanted) > 1e-9 * max(map(abs, wanted)):
         raise ValueError(f"poles {_names(poles)}: complex ones must come in conjugate pairs")
     augmented = np.zeros((n + 1, n + 1))
     augmented[:n, :n] = a
     augmented[n, :n] = -np.asarray(c, dtype=float)
-    column = np.append(np.asarray(b, dtype=float), 0.0)
-    reach = np.column_stack([np.linalg.matrix_power(augmented, j) @ column for j in range(n + 1)])
+    columns = [np.append(np.asarray(b, dtype=float), 0.0)]
+    for _ in range(n):
+        columns.append(dense.product(augmented, columns[-1]))
+    reach = np.column_stack(columns)
     if np.linalg.matrix_rank(reach) <= n:
         raise ValueError("the plant with its integrator is not controllable from this input")
     character = np.zeros_like(augmented)
-    for coefficient in wanted.real:
-        character = character @ augmented + coefficient * np.eye(n + 1)
-    k = np.linalg.solve(reach, character)[-1]
+    for coefficient in wanted:
+        character = dense.product(character, augmented) + coefficient.real * np.eye(n + 1)
+    k = dense.solve(reach, character)[-1]
     return Gains(tuple(map(float, k[:n])), -float(k[n]))
 
 

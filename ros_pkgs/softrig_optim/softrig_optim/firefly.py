@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import Unpack
 
 import numpy as np
+from softrig_core.model import dense
 
 from .search import Moves, Options, Population, points
 
@@ -62,7 +63,7 @@ class Firefly(Population):
                     brighter = costs[j] < costs[i]
                     if brighter:
                         to = x[j] - x[i]
-                        beta = self.beta0 * math.exp(-self.gamma * float(to @ to))
+                        beta = self.beta0 * math.exp(-self.gamma * dense.product(to, to))
                         wander = self.alpha * (self.rng.random(to.size) - 0.5)
                         x[i] = self.clip(x[i] + beta * to + wander)
                     if brighter or self.all_pairs:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from .search import Moves, Population, points
@@ -35,7 +37,8 @@ class Whale(Population):
             A, C, l = 2.0 * a * r1 - a, 2.0 * r2, 2.0 * u - 1.0  # noqa: E741
             prey = np.where(np.abs(A) < 1.0, star, whale)
             encircle = prey - A * np.abs(C * prey - x)
-            spiral = np.abs(star - x) * np.exp(l) * np.cos(2.0 * np.pi * l) + star
+            grown = np.array([[math.exp(each)] for each in l[:, 0].tolist()])
+            spiral = np.abs(star - x) * grown * np.cos(2.0 * np.pi * l) + star
             x = self.clip(np.where(p < 0.5, encircle, spiral))
             costs = yield points(x)
             i = int(np.argmin(costs))

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import RunError
+from .dense import solve
 
 if TYPE_CHECKING:
     import control
@@ -182,7 +183,7 @@ def equilibrium(
             return at, inputs
         (A, B), _ = jacobian(at, inputs)
         try:
-            move = np.linalg.solve(np.hstack([A[np.ix_(rows, columns)], B[np.ix_(rows, list(free))]]), residual)
+            move = solve(np.hstack([A[np.ix_(rows, columns)], B[np.ix_(rows, list(free))]]), residual)
         except np.linalg.LinAlgError:
             break
         share = 1.0  # halved until the step is no step away

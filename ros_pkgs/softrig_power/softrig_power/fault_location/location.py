@@ -111,7 +111,9 @@ class Locator:
                 f"window from {p.window_start:g} to {p.window_end:g} s and {room / rate:.3g} s beyond it at both ends"
             )  # fmt: skip
         groups = [record.group(name) for name in ("u_s", "i_s", "u_r", "i_r")]
-        self._modal = [np.ascontiguousarray([g @ row for g in groups]) for row in AERIAL]
+        self._modal = [
+            np.array([g[:, 0] * a + g[:, 1] * b + g[:, 2] * c for g in groups]) for a, b, c in AERIAL.tolist()
+        ]
         self.evaluations = 0
 
     def ends(self, mode: int) -> Array:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import cmath
 import math
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from softrig_core import jit
+from softrig_core.model import dense
 
 from .parameters import RATES, RigParams
 
@@ -88,13 +90,13 @@ def steady_filter(sos: Array, phasors: Complex, omega: float, step: float) -> tu
     state : ndarray, shape (channels, sections, 2)
     filtered : ndarray, shape (channels,)
     """
-    back = np.exp(-1j * omega * step)
+    back = cmath.exp(-1j * omega * step)
     state = np.zeros((phasors.size, sos.shape[0], 2))
     v = phasors.astype(complex)
     for s, (b0, b1, b2, a1, a2) in enumerate(sos):
-        y = v * (b0 + b1 * back + b2 * back**2) / (1.0 + a1 * back + a2 * back**2)
+        y = dense.times(v, (b0 + b1 * back + b2 * back * back) / (1.0 + a1 * back + a2 * back * back))
         second = b2 * v - a2 * y  # after t = 0, used at the next step
-        state[:, s, 0] = (b1 * v - a1 * y + second * back).real
+        state[:, s, 0] = (b1 * v - a1 * y + dense.times(second, back)).real
         state[:, s, 1] = second.real
         v = y
     return state, v

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import cmath
 import math
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from softrig_core.model import dense
 
 from ..lines.bergeron import Lines, branch, branch_impedance, discrete_two_port, lines, steady_history
 from ..lines.modal import CLARKE
@@ -71,7 +73,7 @@ def network(p: RigParams) -> Network:
 def _fault_admittances(prepared: Lines, fault: FaultParams) -> Array:
     """Solve the fault branch behind the Thevenin resistance of the two line ends, for each set of closed phases."""
     open_circuit = 1.0 / (prepared.conductance[:3] + prepared.conductance[3:])
-    thevenin = CLARKE.T @ np.diag(open_circuit) @ CLARKE
+    thevenin = dense.product(CLARKE.T * open_circuit, CLARKE)
     resistance = max(fault.rf_ohm, LEAST_RESISTANCE)
     found = np.zeros((8, 3, 3))
     for bits in range(1, 8):
@@ -83,8 +85,7 @@ def _fault_admittances(prepared: Lines, fault: FaultParams) -> Array:
         z[:n, :n] = thevenin[np.ix_(closed, closed)] + resistance * np.eye(n)
         z[:n, n], z[n, :n] = 1.0, 1.0
         z[n, n] = -1.0 / LEAST_RESISTANCE if grounded(fault.type) else 0.0
-        inverse = np.linalg.inv(z)
-        found[bits][np.ix_(closed, closed)] = inverse[:n, :n]
+        found[bits][np.ix_(closed, closed)] = dense.solve(z, np.eye(n + 1, n))[:n]
     return found
 
 
@@ -100,10 +101,10 @@ def steady(p: RigParams) -> Steady:
     y[0, 0] += admittance
     y[2, 2] += admittance
     peak = src.voltage * math.sqrt(2.0 / 3.0)
-    emf = peak * np.exp(1j * np.array([src.angle_s, src.angle_r]))
-    u = np.linalg.solve(y, admittance * np.array([emf[S], 0.0, emf[R]]))
-    i = np.array([(ports[0] @ u[:2])[0], (ports[1] @ u[1:])[1]])
-    return Steady(u, i, admittance * (emf - u[[0, 2]]))
+    emf = [cmath.rect(peak, angle) for angle in (src.angle_s, src.angle_r)]
+    u = dense.solve(y, [admittance * emf[S], 0.0, admittance * emf[R]])
+    i = np.array([dense.product(ports[0], u[:2])[0], dense.product(ports[1], u[1:])[1]])
+    return Steady(u, i, np.array([admittance * (e - at) for e, at in zip(emf, u[[0, 2]].tolist(), strict=True)]))
 
 
 def to_modes(phasor: complex) -> Complex:
@@ -118,7 +119,7 @@ def line_history(p: RigParams, found: Steady, prepared: Lines) -> Array:
     two = [discrete_two_port(p.line.aerial.part(length), p.source.omega, p.step)
            for length in (p.fault.x_km, p.line.length - p.fault.x_km)]  # fmt: skip
     u = np.stack([to_modes(v) for v in found.u])  # (node, mode)
-    currents = [two[0] @ found.u[:2], two[1] @ found.u[1:]]
+    currents = [dense.product(two[0], found.u[:2]), dense.product(two[1], found.u[1:])]
     voltages = np.concatenate([u[:2].T, u[1:].T])  # (section and mode, end)
     flows = np.concatenate([np.stack([to_modes(c) for c in pair]).T for pair in currents])
     return np.ascontiguousarray(steady_history(prepared, voltages, flows, p.source.omega, p.step).real)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import cmath
 import math
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from softrig_core import jit
+from softrig_core.model import dense
 
 from ..lines.bergeron import histories, store
 from ..lines.modal import CLARKE
@@ -181,17 +183,17 @@ class FaultedLine:
         source_current = np.zeros((2, 3))
         turn = math.sqrt(1.5) * np.array([0.0, 1.0, -1j])
         for end in range(2):
-            modes = emf[end, 0] * np.exp(1j * emf[end, 1]) * np.array([0.0, 1.0, -1j])
-            source_voltage[end] = (modes - found.u[2 * end] * turn).real
-            source_current[end] = (found.source[end] * turn).real
-        a = np.exp(-2j * math.pi / 3.0 * np.arange(3))
-        phasors = np.concatenate([found.u[0] * a, found.i[0] * a, found.u[2] * a, found.i[1] * a])
+            modes = dense.times(cmath.rect(emf[end, 0], emf[end, 1]), [0.0, 1.0, -1j])
+            source_voltage[end] = (modes - dense.times(found.u[2 * end], turn)).real
+            source_current[end] = dense.times(found.source[end], turn).real
+        a = dense.turn(-2.0 * math.pi / 3.0 * np.arange(3))
+        phasors = np.concatenate([dense.times(x, a) for x in (found.u[0], found.i[0], found.u[2], found.i[1])])
         filters, filtered = steady_filter(self.chain.sos, phasors, omega, step)
         size = 1 << (int(np.max(self.chain.delay)) + 1).bit_length()
         ages = -np.arange(size) % size
-        late = (filtered[:, None] * np.exp(-1j * omega * step * ages)).real
-        measured = (filtered * np.exp(-1j * omega * step * np.repeat(self.chain.delay, 6))).real
-        self.prefault_rms = np.abs(filtered) / math.sqrt(2.0) * np.repeat(self.chain.ratio, 3)
+        late = dense.times(filtered[:, None], dense.turn(-omega * step * ages)).real
+        measured = dense.times(filtered, dense.turn(-omega * step * np.repeat(self.chain.delay, 6))).real
+        self.prefault_rms = np.hypot(filtered.real, filtered.imag) / math.sqrt(2.0) * np.repeat(self.chain.ratio, 3)
         self.state = State(
             line_history(p, found, self.net.lines), source_current, source_voltage, np.zeros(3),
             np.array([0 if ph in phases(p.fault.type) else 2 for ph in range(3)]), np.full(3, np.inf), np.zeros(3),

@@ -7,6 +7,7 @@ import math
 from typing import TYPE_CHECKING
 
 import numpy as np
+from softrig_core.model import dense
 
 from .record import RecordError, Status
 
@@ -34,8 +35,8 @@ def phasor(work: Locator, mode: int) -> float:
     if last + 1 < cycle:
         raise RecordError(Status.TOO_SHORT, f"too short: a cycle of {cycle} samples does not end at the window's end")
     stretch = np.arange(last + 1 - cycle, last + 1)
-    turn = np.exp(-1j * omega / rate * stretch) * 2.0 / cycle
-    u_s, i_s, u_r, i_r = (complex(v) for v in work.ends(mode)[:, stretch] @ turn)
+    turned = work.ends(mode)[:, stretch] * dense.turn(-omega / rate * stretch)
+    u_s, i_s, u_r, i_r = (2.0 / cycle * turned.sum(axis=1)).tolist()
     gamma, zc = work.section.propagation(omega), work.section.characteristic_impedance(omega)
     ch, sh = cmath.cosh(gamma * work.section.length), cmath.sinh(gamma * work.section.length)
     a = u_r * ch - zc * i_r * sh - u_s

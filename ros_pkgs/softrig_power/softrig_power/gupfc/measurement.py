@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from softrig_core.model import dense
 
 
 class Weights:
@@ -28,21 +29,25 @@ class Weights:
     def __init__(self, omega: float, step: float, steps: int) -> None:
         trapezoid = np.full(steps + 1, 1.0 / steps)
         trapezoid[[0, -1]] *= 0.5
-        nominal = np.exp(-1j * omega * step * np.arange(steps, -1, -1))
-        self._w = trapezoid / (trapezoid @ nominal)
+        nominal = dense.turn(-omega * step * np.arange(steps, -1, -1))
+        weights = trapezoid / dense.product(trapezoid, nominal)
+        self._w = np.array([weights.real, weights.imag])
         self._turn = omega * step * steps
         self._steps = steps
 
     def __call__(self, samples: NDArray[np.complex128]) -> Any:
         """Give what is measured at the last sample of a period; samples of shape (steps + 1, ...)."""
-        return self._w @ samples
+        real, imag = dense.product(self._w, samples.view(np.float64).reshape(len(samples), -1))
+        found = np.empty(samples.shape[1:], dtype=np.complex128)
+        found.real.flat, found.imag.flat = real[0::2] - imag[1::2], real[1::2] + imag[0::2]
+        return found
 
     def record(self, samples: NDArray[np.complex128]) -> NDArray[np.complex128]:
         """Give what is measured at the end of each of n periods, shape (n,); samples of shape (n steps + 1,)."""
         ends = range(self._steps, samples.size, self._steps)
-        return np.array([self._w @ samples[e - self._steps : e + 1] for e in ends])
+        return np.asarray(self(np.column_stack([samples[e - self._steps : e + 1] for e in ends])))
 
     def phasor(self, samples: NDArray[np.complex128]) -> complex:
         """Mean of `record`, each turned on to the last sample at nominal speed."""
         found = self.record(samples)
-        return complex(np.mean(found * np.exp(1j * self._turn * np.arange(found.size - 1, -1, -1))))
+        return complex(np.mean(dense.times(found, dense.turn(self._turn * np.arange(found.size - 1, -1, -1)))))

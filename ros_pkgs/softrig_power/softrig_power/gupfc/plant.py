@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 from softrig_core import Level, Plant, Port, array, executable, param, state_type
+from softrig_core.model import dense
 
 from .circuit import BUS1, BUS2, BUS4, I12, I34, I_SH, State, advance, circuit
 from .measurement import Weights
@@ -85,7 +86,7 @@ class GupfcPlant(Plant[GupfcPlantParams]):
             x[rows].copy() for x in (begin.bus, begin.current, begin.converter)
         )
         between = 0.5 * (self._current[1:] + self._current[:-1])[:, [I_SH, I12, I34]]
-        self._power = np.real(self._converter[1:] * between.conj()).mean(axis=0)
+        self._power = dense.times(self._converter[1:], between.conj()).real.mean(axis=0)
         self._sense()
 
     def _conduction(self, v: complex, v_dc: float) -> float:
@@ -128,7 +129,7 @@ class GupfcPlant(Plant[GupfcPlantParams]):
         nominal = p.network.omega
         highest = math.pi * (1.0 + 1e-12) if k == 0 else MAGNITUDE_LIMIT
         if (
-            0.0 <= amplitude <= highest
+            0.0 <= amplitude <= highest and math.isfinite(angle)
             and FREQUENCY_LIMIT[0] * nominal <= omega <= FREQUENCY_LIMIT[1] * nominal
         ):  # fmt: skip
             self._bad[k] = 0

@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from softrig_core import Params, param
+from softrig_core.model import dense
 
+from .dual import Dual
 from .injection import converter_power, series_power
 from .network import BUSES, Network, NetworkParams
 from .roots import Point, operating_points
@@ -160,61 +162,50 @@ class PowerFlow:
     def _newton(self, x: Array, references: References, tolerance: float, surplus: float) -> Solution | Diverged:
         """Go from a start; at most 20 steps."""
         target = [getattr(references, name) for name in ("p1", "q1", "p2", "q2", "v")] + [surplus]
-        residual = self._residual(x, target)
+        residual, jacobian = self._equations(x, target)
         mismatch = float(np.abs(residual).max())
         for iteration in range(ITERATIONS):
             if mismatch <= tolerance:
                 return self._solution(x, iteration, mismatch)
             try:
-                x = x - np.linalg.solve(self._jacobian(x, target), residual)
+                x = x - dense.solve(jacobian, residual)
             except np.linalg.LinAlgError:
                 return Diverged(iteration, mismatch)
-            residual = self._residual(x, target)
+            residual, jacobian = self._equations(x, target)
             found = float(np.abs(residual).max())
             if not np.isfinite(found):
                 return Diverged(iteration + 1, mismatch)
             mismatch = found
         return self._solution(x, ITERATIONS, mismatch) if mismatch <= tolerance else Diverged(ITERATIONS, mismatch)
 
-    def _residual(self, x: NDArray[Any], target: list[float]) -> NDArray[Any]:
-        """All 18 equations in real, analytic form; x and the result of shape (18,)."""
-        v, a = x[0:6], x[6:12]
-        (e12, f12, e34, f34), p_sh, q_sh = x[12:16], x[16], x[17]
+    def _equations(self, x: Array, target: list[float]) -> tuple[Array, Array]:
+        """All 18 residuals, shape (18,), and their derivatives, shape (18, 18)."""
+        u = Dual(x, np.eye(UNKNOWNS))
+        v, a = u[0:6], u[6:12]
+        e, f, p_sh, q_sh = u[[12, 14]], u[[13, 15]], u[16], u[17]
         z = self.params.z_se
         apart = a[:, None] - a[None, :]
         G, B = self._Y.real, self._Y.imag
-        cos, sin = np.cos(apart), np.sin(apart)
+        cos, sin = apart.cos(), apart.sin()
         # power into the network at each bus less what the sources and the device inject
-        p = v * ((G * cos + B * sin) @ v) - v * (self._source.real * np.cos(a) + self._source.imag * np.sin(a))
-        q = v * ((G * sin - B * cos) @ v) - v * (self._source.real * np.sin(a) - self._source.imag * np.cos(a))
-        device_p, device_q = np.zeros_like(p), np.zeros_like(q)
-        for bus, e, f, side in ((1, e12, f12, -1), (2, e12, f12, 1), (3, e34, f34, -1), (4, e34, f34, 1)):
-            device_p[bus], device_q[bus] = series_power(v[bus], a[bus], e, f, z, side)
-        device_p[1] += p_sh
-        device_q[1] += q_sh
-        p12 = converter_power(v[1], a[1], v[2], a[2], e12, f12, z)
-        p34 = converter_power(v[3], a[3], v[4], a[4], e34, f34, z)
-        flow1 = _flow(v[1], a[1], v[2], a[2], z)
-        flow2 = _flow(v[3], a[3], v[4], a[4], z)
+        p = v * ((cos * G + sin * B) * v[None, :]).sum(1) - v * (
+            a.cos() * self._source.real + a.sin() * self._source.imag
+        )
+        q = v * ((sin * G - cos * B) * v[None, :]).sum(1) - v * (
+            a.sin() * self._source.real - a.cos() * self._source.imag
+        )
+        v1, a1, v2, a2 = v[[1, 3]], a[[1, 3]], v[[2, 4]], a[[2, 4]]  # before and behind the two series converters
+        p1, q1 = series_power(v1, a1, e, f, z, -1)
+        p2, q2 = series_power(v2, a2, e, f, z, 1)
+        flow_p, flow_q = _flow(v1, a1, v2, a2, z)
+        flow_p, flow_q = flow_p + p2, flow_q + q2
         loss = self._loss * (p_sh * p_sh + q_sh * q_sh) / (v[1] * v[1])
-        device = [
-            flow1[0] + device_p[2],
-            flow1[1] + device_q[2],
-            flow2[0] + device_p[4],
-            flow2[1] + device_q[4],
-            v[1],
-            p_sh + loss + p12 + p34,
-        ]
-        return np.concatenate([p - device_p, q - device_q, np.array(device) - target])
-
-    def _jacobian(self, x: Array, target: list[float]) -> Array:
-        """Derivatives by complex steps, exact to the last digit; shape (18, 18)."""
-        columns = []
-        for k in range(UNKNOWNS):
-            moved = x.astype(complex)
-            moved[k] += 1e-30j
-            columns.append(self._residual(moved, target).imag / 1e-30)
-        return np.column_stack(columns)
+        surplus = p_sh + loss + converter_power(v1, a1, v2, a2, e, f, z).sum(0)
+        balance_p = [p[0], p[1] - p1[0] - p_sh, p[2] - p2[0], p[3] - p1[1], p[4] - p2[1], p[5]]
+        balance_q = [q[0], q[1] - q1[0] - q_sh, q[2] - q2[0], q[3] - q1[1], q[4] - q2[1], q[5]]
+        held = [flow_p[0], flow_q[0], flow_p[1], flow_q[1], v[1], surplus]
+        rows = [*balance_p, *balance_q, *(h - wanted for h, wanted in zip(held, target, strict=True))]
+        return np.array([row.value for row in rows]), np.array([row.slope for row in rows])
 
     def _solution(self, x: Array, iterations: int, mismatch: float) -> Solution:
         p = self.params

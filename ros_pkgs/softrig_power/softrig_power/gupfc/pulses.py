@@ -30,6 +30,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 from softrig_core import jit
+from softrig_core.model import dense
 
 Array = NDArray[np.float64]
 
@@ -82,7 +83,7 @@ def vector(theta: float, sigma: float) -> complex:
         Conduction angle, rad.
     """
     states = gates(theta, sigma).reshape(12, 4)
-    return complex(np.dot(states[:, 0] - states[:, 3], np.array(_REAL) + 1j * np.array(_IMAG)))
+    return complex(*dense.product([_REAL, _IMAG], states[:, 0] - states[:, 3]).tolist())
 
 
 def fundamental(sigma: float) -> float:

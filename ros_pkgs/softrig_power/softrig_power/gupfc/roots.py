@@ -24,6 +24,7 @@ from itertools import product
 from typing import NamedTuple
 
 import numpy as np
+from softrig_core.model import dense
 
 from .network import NetworkParams
 
@@ -148,7 +149,7 @@ def _newton(
             both, apart = straight[i][n] + turned[i][n], straight[i][n] - turned[i][n]
             matrix[2 * i : 2 * i + 2, 2 * n : 2 * n + 2] = [[both.real, -apart.imag], [both.imag, apart.real]]
         try:
-            d = np.linalg.solve(matrix, [f1.real, f1.imag, f2.real, f2.imag])
+            d = dense.solve(matrix, [f1.real, f1.imag, f2.real, f2.imag])
         except np.linalg.LinAlgError:
             break
         step = 1.0

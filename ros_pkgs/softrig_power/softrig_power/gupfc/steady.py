@@ -6,10 +6,12 @@ phasors, exact for the discrete network (interpolated delay, trapezoidal branche
 
 from __future__ import annotations
 
+import cmath
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from softrig_core.model import dense
 
 from ..lines.bergeron import Lines, delay_factor, history_length
 from .circuit import I12, I34, I_SH, PULSE, SOURCE_A, SOURCE_B, A, B, Circuit, State, mean_voltage
@@ -43,7 +45,7 @@ class Phasors:
     """
 
     def __init__(self, params: NetworkParams, step: float, omega: float) -> None:
-        z = np.exp(1j * omega * step)
+        z = cmath.exp(1j * omega * step)
         r, l = params.source_impedance  # noqa: E741
         # R-L branch with sampled voltages at its ends: I = y (U1 - U2); driven by the mean over the step: I = V/d
         branches = (r, l), (params.r_se, params.x_se / params.omega), (params.r_sh, params.x_sh / params.omega)
@@ -72,13 +74,13 @@ class Phasors:
         """
         j_sh, j12, j34 = v[0] / self._d_sh, v[1] / self._d_se, v[2] / self._d_se
         source = np.array([self._y_source * e_a, j_sh - j12, j12, -j34, j34, self._y_source * e_b])
-        u = np.linalg.solve(self._nodes, source)
+        u = dense.solve(self._nodes, source)
         i = np.empty(5, dtype=complex)
         i[SOURCE_A], i[SOURCE_B] = self._y_source * (e_a - u[A]), self._y_source * (e_b - u[B])
         i[I12], i[I34] = j12 + self._y_se * (u[1] - u[2]), j34 + self._y_se * (u[3] - u[4])
         i[I_SH] = j_sh - self._y_sh * u[1]
         at = {name: k for k, name in enumerate(BUSES)}
-        line = np.array([self._half @ u[[at[k], at[m]]] for k, m in HALVES])
+        line = dense.product(np.array([u[[at[k], at[m]]] for k, m in HALVES]), self._half.T)
         return u, i, line
 
 
@@ -121,30 +123,29 @@ def start(params: NetworkParams, circuit: Circuit, lines: Lines, flow: Solution,
             orders = [n for n in range(steps) if n == 1 or np.abs(spectrum[n]).max() > 1e-13]
         else:
             spectrum, orders = {1: scale * first * v_dc[0]}, [1]  # type: ignore[assignment]
-        bus, current, line = (np.zeros((past + 1, *s), dtype=complex) for s in ((6,), (5,), (4, 2)))
-        mean = np.zeros((past + 1, 3), dtype=complex)
-        mean_current = np.zeros((steps, 3), dtype=complex)
-        for n in orders:
-            signed = n if n <= steps // 2 else n - steps
+        signed = [n if n <= steps // 2 else n - steps for n in orders]
+        found = []  # of each order: buses, branches, lines, converters
+        for n, order in zip(orders, signed, strict=True):
             if n not in network:
-                network[n] = Phasors(params, h, signed * omega)
+                network[n] = Phasors(params, h, order * omega)
             e = (circuit.source_a, circuit.source_b) if n == 1 else (0j, 0j)
-            found = network[n](*e, spectrum[n])
-            turned = np.exp(1j * signed * turn * k)
-            for past_values, x in zip((bus, current, line, mean), (*found, spectrum[n]), strict=True):
-                past_values += turned.reshape(-1, *[1] * x.ndim) * x
-            i = found[1][[I_SH, I12, I34]]
-            between = 0.5 * (1.0 + np.exp(1j * signed * turn)) * i
-            mean_current += np.exp(1j * signed * turn * np.arange(steps))[:, None] * between
+            found.append(np.concatenate([np.ravel(x) for x in (*network[n](*e, spectrum[n]), spectrum[n])]))
+        speeds = turn * np.array(signed)
+        whole = dense.product(dense.turn(np.outer(k, speeds)), np.array(found))
+        bus, current, mean = whole[:, :6], whole[:, 6:11], whole[:, 19:]
+        line = whole[:, 11:19].reshape(-1, 4, 2)
         if pulse == PULSE:
-            power = np.real(scale * shape * v_dc[:, None] * mean_current.conj()).sum(axis=1)
+            i = np.array(found)[:, 6:11][:, [I_SH, I12, I34]]
+            between = dense.times(0.5 * (1.0 + dense.turn(speeds))[:, None], i)
+            mean_current = dense.product(dense.turn(np.outer(np.arange(steps), speeds)), between)
+            power = dense.times(scale * shape * v_dc[:, None], mean_current.conj()).real.sum(axis=1)
             fall = np.cumsum(power - power.mean()) * h / circuit.dc_time
             square = abs(flow.v_sh) ** 2 - np.concatenate([[0.0], fall[:-1]])
             v_dc = np.sqrt(square - square.mean() + abs(flow.v_sh) ** 2)
     rows = slice(past - samples, None)
     converter = mean[past - samples - 1 : -1]
     between = 0.5 * (current[rows][1:] + current[rows][:-1])[:, [I_SH, I12, I34]]
-    delivered = np.real(converter[1:] * between.conj()).mean(axis=0)
+    delivered = dense.times(converter[1:], between.conj()).real.mean(axis=0)
     return Start(_state(lines, bus, current, line, float(v_dc[0])), bus[rows], current[rows], converter, delivered)
 
 

@@ -21,6 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from softrig_core import jit
+from softrig_core.model import dense
 
 from .section import Complex, Section
 
@@ -134,9 +135,7 @@ def steady_history(
     leaving = voltages + prepared.z_minus[:, None] * currents
     arriving = prepared.far[:, None] * leaving[:, ::-1] + prepared.near[:, None] * leaving
     ages = -np.arange(size) % size  # slot k was written at step -age
-    turn = np.exp(-1j * omega * step * ages)
-    found: Complex = arriving[:, :, None] * turn
-    return found
+    return dense.times(arriving[:, :, None], dense.turn(-omega * step * ages))
 
 
 @jit

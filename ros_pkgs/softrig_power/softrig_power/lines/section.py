@@ -108,13 +108,14 @@ class Section:
         """
         angle = self.propagation(omega) * self.length
         scale = 1.0 / (self.characteristic_impedance(omega) * cmath.sinh(angle))
-        return scale * np.array([[cmath.cosh(angle), -1.0], [-1.0, cmath.cosh(angle)]])
+        return _symmetric(scale * cmath.cosh(angle), -scale)
 
     def bergeron_two_port(self, omega: float, delay: complex | None = None) -> Complex:
         """Nodal admittance of the lossy Bergeron section (R/4, R/2, R/4 lumped), shape (2, 2), S.
 
         With M = [[R/4, Z], [Z, R/4]]/Z'^2 and the delay factor D the equations of `bergeron.Lines` read
-        I = U/Z' - D M (U + Z'' I), so Y = (1 + D Z'' M)^-1 (1/Z' - D M).
+        I = U/Z' - D M (U + Z'' I), so Y = (1 + D Z'' M)^-1 (1/Z' - D M); for the sum and the difference of the two
+        ends M is the number (R/4 + Z)/Z'^2 and (R/4 - Z)/Z'^2.
 
         Parameters
         ----------
@@ -124,7 +125,12 @@ class Section:
             D; exp(-j omega tau) when absent, the factor of an interpolated history for the discrete network.
         """
         d = cmath.exp(-1j * omega * self.tau) if delay is None else delay
-        quarter, one = 0.25 * self.resistance, np.eye(2)
-        m = np.array([[quarter, self.z], [self.z, quarter]]) / self.z_plus**2
-        found: Complex = np.linalg.solve(one + d * self.z_minus * m, one / self.z_plus - d * m).astype(complex)
-        return found
+        both, apart = (
+            (1.0 / self.z_plus - d * m) / (1.0 + d * self.z_minus * m)
+            for m in ((0.25 * self.resistance + z) / self.z_plus**2 for z in (self.z, -self.z))
+        )
+        return _symmetric(0.5 * (both + apart), 0.5 * (both - apart))
+
+
+def _symmetric(own: complex, mutual: complex) -> Complex:
+    return np.array([[own, mutual], [mutual, own]])

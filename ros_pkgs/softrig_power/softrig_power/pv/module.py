@@ -7,9 +7,24 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from softrig_core import Params, param
+from softrig_core import Params, jit, param
 
 Array = NDArray[np.float64]
+
+
+@jit
+def _exp(x: Array, out: Array) -> Array:
+    for k in range(x.size):
+        out[k] = math.exp(x[k])
+    return out
+
+
+@jit
+def _log1p(x: Array, out: Array) -> Array:
+    for k in range(x.size):
+        out[k] = math.log1p(x[k])
+    return out
+
 
 BOLTZMANN = 1.380649e-23  # J/K
 CHARGE = 1.602176634e-19  # C
@@ -70,7 +85,7 @@ class Cell(NamedTuple):
     def start(self, I: Array) -> Array:  # noqa: E741
         """Give an upper bound of the junction voltage U, from which Newton's method converges monotonically."""
         c = self.I_ph - I
-        diode = self.aV_t * np.log1p(np.maximum(c, 0.0) / self.I_0)
+        diode = self.aV_t * _log1p(np.maximum(c, 0.0) / self.I_0, np.empty_like(I))
         return np.minimum(np.where(c > 0.0, diode, math.inf), (c + self.I_0) * self.R_p)
 
     def junction(self, I: Array, U: Array | None = None) -> tuple[Array, Array]:  # noqa: E741
@@ -91,7 +106,7 @@ class Cell(NamedTuple):
         top = self.start(I)
         U = top if U is None else np.minimum(U, top)
         for _ in range(100):
-            diode = self.I_0 * np.exp(U / self.aV_t)
+            diode = self.I_0 * _exp(U / self.aV_t, np.empty_like(I))
             slope = -diode / self.aV_t - 1.0 / self.R_p
             step = (I - (self.I_ph - diode + self.I_0 - U / self.R_p)) / slope
             U = np.minimum(U + step, top)

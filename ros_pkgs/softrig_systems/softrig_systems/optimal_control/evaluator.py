@@ -9,6 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 from softrig_core import Level, Observer, Port, executable, param, scalars, to_s
+from softrig_core.model import dense
 
 from .exact import least_cost
 from .mvim import polynomials
@@ -84,8 +85,8 @@ class OcpEvaluator(Observer[EvaluatorParams]):
         left = self._problem.horizon - (now - self._begin)
         if left > -1e-9 and self._problem.x_end is not None:
             missed = x - np.array(self._problem.x_end)
-            found["end_error"], found["end_error_max"] = float(np.linalg.norm(missed)), float(np.max(np.abs(missed)))
-        if left > 1e-9:
+            found["end_error"], found["end_error_max"] = dense.norm(missed), float(np.max(np.abs(missed)))
+        if left > 1e-9 and all(map(math.isfinite, command)):
             *_, paid = self._step((*x, *command, min(self.p.period, left)))
             found["J_plant"] += paid if math.isfinite(paid) else 0.0
         return {"evaluation": tuple(found[name] for name in FIGURES)}

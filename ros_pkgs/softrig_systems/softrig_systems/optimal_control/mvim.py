@@ -21,7 +21,9 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from softrig_core import jit
+from softrig_core.model import dense
 
+from .quadrature import gauss_legendre
 from .series import slope, value
 from .tape import evaluate, expand
 
@@ -40,7 +42,7 @@ HALVINGS = 12  # of a step that makes the end error larger
 SHARES = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)  # of the horizon
 AROUND = (-2.0, -1.0, 1.0, 2.0)  # where other roots are looked for, in sizes of alpha
 JUMP = 0.5  # change of alpha from one order to the next, of its size, that is taken for the same branch
-NODES, WEIGHTS = (0.5 * (v + shift) for v, shift in zip(np.polynomial.legendre.leggauss(64), (1.0, 0.0), strict=True))
+NODES, WEIGHTS = gauss_legendre(64)
 GRID = np.linspace(0.0, 1.0, 65)
 END = 1e-8  # end error allowed, of the size of the states
 
@@ -162,7 +164,7 @@ def newton(
         if not np.isfinite(size) or not np.all(np.isfinite(jacobian)) or least == 0.0 or idle > 1:
             break
         try:
-            step = np.linalg.solve(jacobian, -error)
+            step = dense.solve(jacobian, -error)
         except np.linalg.LinAlgError:
             break
         before = size
@@ -190,8 +192,8 @@ def costate(problem: Problem, alpha: Array, order: int, stages: int, accurate: f
     """
     T = problem.horizon
     found, error = newton(problem, alpha, order, stages, T, accurate)
-    size = float(np.linalg.norm(alpha))
-    if error <= accurate and (size == 0.0 or np.linalg.norm(found - alpha) <= JUMP * size):
+    size = dense.norm(alpha)
+    if error <= accurate and (size == 0.0 or dense.norm(found - alpha) <= JUMP * size):
         return found
     roots = [found] if error <= accurate else []
     for start in alpha + max(size, 1.0) * np.vstack([d for r in AROUND for d in (r * np.eye(alpha.size))]):
@@ -199,7 +201,7 @@ def costate(problem: Problem, alpha: Array, order: int, stages: int, accurate: f
         if missing <= accurate:
             roots.append(tried)
     if roots:
-        return min(roots, key=lambda root: float(np.linalg.norm(root - alpha)))
+        return min(roots, key=lambda root: dense.norm(root - alpha))
     grown = np.zeros_like(alpha)
     for share in SHARES:
         grown, missing = newton(problem, grown, order, stages, share * T, accurate, HALVINGS)
@@ -220,7 +222,7 @@ def _judge(problem: Problem, z: Array, u: Array) -> tuple[float, float, float]:
         sample(both[stage], NODES, at, rate)
         L = np.empty((NODES.size, 1))
         evaluate(extremal.cost, np.concatenate([at[:, :n], at[:, 2 * n :]], axis=1), L)
-        J += T * float(WEIGHTS @ L[:, 0])
+        J += T * float(dense.product(WEIGHTS, L[:, 0]))
         at, rate = np.empty((GRID.size, 2 * n)), np.empty((GRID.size, 2 * n))
         sample(z[stage], GRID, at, rate)
         F = np.empty((GRID.size, 2 * n))

@@ -42,6 +42,8 @@ class TankController(Block[TankControllerParams]):
     def update(self, t: int, *, level: tuple[float, ...]) -> Mapping[str, tuple[float, ...]]:
         """Give the inflow."""
         p, x = self.p, level[0]
+        if x - x != 0.0:
+            return self.refused(t)
         self._answer = {"inflow": (p.A * p.phi * x * (p.k_low if x < p.switch else -p.k_high),)}
         return self._answer
 
@@ -77,7 +79,10 @@ class PendulumController(Block[PendulumControllerParams]):
     def update(self, t: int, *, state: tuple[float, ...]) -> Mapping[str, tuple[float, ...]]:
         """Give the torque."""
         theta, omega = state
-        self._answer = {"torque": (-(self.p.k_positive if theta > 0.0 else self.p.k_negative) * (theta + omega),)}
+        total = theta + omega
+        if total - total != 0.0:
+            return self.refused(t)
+        self._answer = {"torque": (-(self.p.k_positive if theta > 0.0 else self.p.k_negative) * total,)}
         return self._answer
 
     def refused(self, t: int) -> Mapping[str, tuple[float, ...]]:

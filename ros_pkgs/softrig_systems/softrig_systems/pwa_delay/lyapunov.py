@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from softrig_core import Block, BlockParams, Level, Port, executable, param, scalars
+from softrig_core.model.dense import product
 
 from .certificate import VERDICT, CriterionParams
 from .lmi import Array
@@ -40,20 +41,25 @@ def functional(system: PwaSystem, matrices: Mapping[str, Array], x: Array, slope
     k = m - round(share * m)  # sample of t - d
     now, delayed = x[-1], x[k]
     F = system.F[system.cell(now, delayed)]
-    z = F @ np.concatenate([now, delayed])
+    z = product(F, np.concatenate([now, delayed]))
     late, early = slice(k, m + 1), slice(0, k + 1)
     z2 = np.concatenate([x[0], _integral(x[late], m), _integral(x[early], m)])
     z3 = np.hstack([x[late], slopes[late], now - x[late]])
     z4 = np.hstack([x[early], slopes[early], delayed - x[early]])
     weight = np.arange(m + 1) / m
-    energy = weight * np.einsum("ti,ij,tj->t", slopes, matrices["R"], slopes)
+    energy = weight * _forms(slopes, matrices["R"])
     return float(
-        z @ matrices["L1"] @ z
-        + z2 @ matrices["S"] @ z2
-        + _integral(np.einsum("ti,ij,tj->t", z3, matrices["Q"], z3), m)
-        + _integral(np.einsum("ti,ij,tj->t", z4, matrices["Z"], z4), m)
+        _forms(z, matrices["L1"])
+        + _forms(z2, matrices["S"])
+        + _integral(_forms(z3, matrices["Q"]), m)
+        + _integral(_forms(z4, matrices["Z"]), m)
         + _integral(energy, m)
     )
+
+
+def _forms(z: Array, matrix: Array) -> Any:
+    """Give z' M z of a vector, or of each row."""
+    return (product(z, matrix) * z).sum(axis=-1)
 
 
 def _integral(values: Array, m: int) -> Any:
@@ -123,7 +129,7 @@ class LyapunovMonitor(Block[LyapunovMonitorParams]):
         back = round(mode[1] / self.p.period)
         x_d = self._x[-1 - back] if len(self._x) > back else self._x[0]
         cell = self._system.cell(x, x_d)
-        self._slopes.append(h * (self._system.A[cell] @ x + self._system.Ad[cell] @ x_d))
+        self._slopes.append(h * (product(self._system.A[cell], x) + product(self._system.Ad[cell], x_d)))
         if len(self._slopes) <= self._m + min(back, 3 * self._m):
             return {}
         m = self._m

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from softrig_core.model import dense
 
 Array = NDArray[np.float64]
 
@@ -75,7 +76,7 @@ class PwaSystem:
         """Give the first cell that holds (x, x_d)."""
         z = np.concatenate([x, x_d])
         for i in range(self.cells):
-            if np.all(self.E[i] @ z + self.e[i] >= 0.0):
+            if np.all(dense.product(self.E[i], z) + self.e[i] >= 0.0):
                 return i
         raise BadSystem(f"no cell holds x = {x}, x_d = {x_d}")
 

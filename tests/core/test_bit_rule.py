@@ -1,0 +1,117 @@
+"""What decides a number uses no BLAS, no LAPACK, no transcendental function of numpy: their bits depend on the CPU.
+
+`jit` refuses them in what it compiles; here they are refused in plants, laws and solvers. Not seen by this rule:
+products of complex arrays, which numpy fuses on some CPUs (`softrig_core.model.dense.times`); the golden rigs under
+other kernels see them.
+"""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+PACKAGES = Path(__file__).parents[2] / "ros_pkgs"
+DECIDING = ("core", "control", "optim", "drives", "power", "robots", "systems")
+# numpy.sin and numpy.cos are the C library's at every level (test_bits.py), as are hypot, sqrt and arithmetic
+_REFUSED = """linalg dot vdot inner matmul tensordot einsum convolve correlate polyfit polyval roots poly polynomial cov
+corrcoef exp expm1 exp2 log log1p log2 log10 tan arcsin arccos arctan arctan2 sinh cosh tanh arcsinh arccosh arctanh
+cbrt power float_power angle logspace geomspace"""
+REFUSED = frozenset(_REFUSED.split())
+WHOLE = ("figures", "pictures", "study", "study_tool", "cases")  # modules that judge or show what was recorded
+CASADI = "casadi's own products, unrolled into scalar operations"
+CHECK = "a check or a certificate: its verdict is compared with a margin, no number of a run comes from it"
+SOLVER = "a solver of others (IPOPT, OSQP, SCS, SuperLU), which brings its own algebra: pinned kernels are all there is"
+SCALAR = "scipy's scalar search or quadrature, or a tridiagonal solve: no kernels chosen by CPU"
+EXEMPT = {
+    "softrig_core.bits.blas_core": "asks which BLAS is loaded",
+    "softrig_control.predictive.certificate": CHECK,
+    "softrig_control.predictive.certificate_node": CHECK,
+    "softrig_control.predictive.gpc.Gpc.poles": CHECK,
+    "softrig_control.predictive.qp._Osqp.__init__": SOLVER,
+    "softrig_control.state_feedback.closed_loop_poles": CHECK,
+    "softrig_control.state_feedback.place": "the rank, a check; gains come from `dense`",
+    "softrig_drives.lsrm.profile.Quintic.speed_range": CHECK,
+    "softrig_power.dispatch.baselines": SCALAR,
+    "softrig_power.fault_location.confidence": CHECK,
+    "softrig_power.fault_location.ends._least": SCALAR,
+    "softrig_power.fault_location.locator.FaultLocator.setup": SCALAR,
+    "softrig_power.fault_location.search.brent": SCALAR,
+    "softrig_robots.driven_robot._equations": CASADI,
+    "softrig_robots.rehab.stability": CHECK,
+    "softrig_robots.rigid_body": CASADI + "; moments of inertia are checked",
+    "softrig_systems.optimal_control.collocation": SOLVER,
+    "softrig_systems.optimal_control.evaluator.OcpEvaluator._take": SCALAR,
+    "softrig_systems.optimal_control.exact": CHECK,
+    "softrig_systems.optimal_control.player.OcpPlayer._take": SCALAR,
+    "softrig_systems.optimal_control.problem": CASADI + "; weights are checked",
+    "softrig_systems.pwa_delay.applicability": CHECK,
+    "softrig_systems.pwa_delay.bessel": SOLVER,
+    "softrig_systems.pwa_delay.certify": CHECK,
+    "softrig_systems.pwa_delay.lmi": SOLVER,
+    "softrig_systems.pwa_delay.search": CHECK,
+    "softrig_systems.pwa_delay.system.PwaSystem._check_cover": CHECK,
+    "softrig_systems.pwa_delay.system.PwaSystem._check_features": CHECK,
+    "softrig_systems.pwa_delay.system.PwaSystem.faces": CHECK,
+    "softrig_systems.pwa_delay.system.PwaSystem.on_face": CHECK,
+    "softrig_systems.pwa_delay.system.from_lines": CHECK,
+    "softrig_systems.pwa_delay.theorem1": SOLVER,
+}
+
+
+def uses(module: str, tree: ast.AST) -> set[str]:
+    """Where a module uses what is refused: qualified names of the functions or classes."""
+    found: set[str] = set()
+
+    def walk(node: ast.AST, where: str) -> None:
+        if isinstance(node, (ast.FunctionDef, ast.ClassDef)):
+            where = f"{where}.{node.name}"
+        if isinstance(node, (ast.BinOp, ast.AugAssign)) and isinstance(node.op, ast.MatMult):
+            found.add(where)
+        if isinstance(node, ast.Attribute):
+            numpy = isinstance(node.value, ast.Name) and node.value.id in ("np", "numpy")
+            if (numpy and node.attr in REFUSED) or (node.attr == "dot" and not isinstance(node.value, ast.Name)):
+                found.add(where)
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith(("scipy", "numpy.linalg")):
+            found.add(where)
+        if isinstance(node, ast.Import) and any(a.name.startswith(("scipy", "numpy.")) for a in node.names):
+            found.add(where)
+        # `except np.linalg.LinAlgError` and raising it compute nothing
+        if not (isinstance(node, ast.Attribute) and node.attr == "LinAlgError"):
+            for child in ast.iter_child_nodes(node):
+                walk(child, where)
+
+    walk(tree, module)
+    return found
+
+
+def found() -> dict[str, str]:
+    """Each use to what exempts it, empty where nothing does."""
+    names: dict[str, str] = {}
+    for short in DECIDING:
+        root = PACKAGES / f"softrig_{short}"
+        for file in sorted((root / root.name).rglob("*.py")):
+            if file.stem not in WHOLE:
+                module = ".".join(file.relative_to(root).with_suffix("").parts)
+                for name in uses(module, ast.parse(file.read_text())):
+                    names[name] = next((e for e in EXEMPT if name == e or name.startswith(f"{e}.")), "")
+    return names
+
+
+def test_what_decides_the_bits_uses_nothing_that_depends_on_the_cpu():
+    assert sorted(name for name, exempt in found().items() if not exempt) == []
+
+
+def test_no_exemption_outlives_its_reason():
+    assert sorted(set(EXEMPT) - set(found().values())) == []
+
+
+@pytest.mark.parametrize(
+    ("code", "refused"),
+    [("def law(x):\n    return K @ x", True), ("y = np.linalg.norm(x)", True), ("y = x.T.dot(y)", True),
+     ("def f(x):\n    return np.exp(x)", True), ("from scipy.linalg import solve", True), ("a @= b", True),
+     ("import numpy.linalg", True), ("y = np.sin(x) + np.sqrt(x) * np.hypot(x, x)", False), ("y = math.exp(x)", False),
+     ("try:\n    f()\nexcept np.linalg.LinAlgError:\n    pass", False), ("y = ca.dot(x, x)", False),
+     ("y = dense.product(K, x)", False)],
+)  # fmt: skip
+def test_the_rule_sees_what_it_should(code, refused):
+    assert bool(uses("module", ast.parse(code))) == refused
