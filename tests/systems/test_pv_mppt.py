@@ -607,6 +607,81 @@ def test_darkness_and_light_again():
     assert plant.x.v * plant.source.current(plant.x.v) > 115.9
 
 
+def in_changing_light(light, duration, *, seed=0, **values):
+    """Run tracker and string with light(s) on the modules; give the power at the end and the states."""
+    plant, tracker, states = PvPlant(), MpptOptimizer(**values), []
+    tracker.reset(seed)
+    for tick in range(round(duration * 1000)):
+        t = tick * 1_000_000
+        answer = tracker.update(t, plant.outputs(t)["port"], None, None, None)
+        states.append(answer["state"])
+        plant.advance(t, answer["command"], light(t / 1e9) + ROOM)
+    return plant.x.v * plant.source.current(plant.x.v), states, tracker
+
+
+SHIPPED = next(m.params for m in Rig.from_scenario(load_scenario("pv_mppt")).members if m.name == "mppt_optimizer")
+
+
+@pytest.mark.parametrize("dark", [(0.0, 0.5), (0.3, 0.9), (1.7, 1.9), (0.5, 1.6)])
+@pytest.mark.parametrize("algorithm", ["issa", "certified", "ramp"])
+def test_a_search_that_meets_darkness_begins_anew_in_the_light(algorithm, dark):
+    """With the settings of the shipped scenario; before, what the dark had told stayed: 18 to 90 % of the power."""
+    values = SHIPPED.model_dump() | {"algorithm": algorithm}
+    assert values["restart_threshold"] == 0.0
+    begin, end = dark
+    power, states, _ = in_changing_light(lambda s: (0.0,) * 4 if begin <= s < end else PATTERN1, end + 2.2, **values)
+    found = np.array(states)
+    assert found[-1][0] == 2.0
+    assert found[-1][3] == 1.0
+    assert power > 0.98 * 116.46
+    if algorithm == "issa":
+        assert found[-1][2] == 44.0  # all of them in the light
+
+
+def test_a_search_in_the_dark_stands_still_at_open_circuit():
+    power, states, tracker = in_changing_light(lambda s: (0.0,) * 4 if s >= 0.3 else PATTERN1, 1.5, algorithm="issa")
+    dark = np.array(states)[500:]
+    assert power < 1e-3
+    assert set(dark[:, 0]) == {1.0}
+    assert len(set(dark[:, 2])) == 1
+    assert set(tracker.update(1_500_000_000, (0.0, 0.0, 25.0), None, None, None)["command"]) == {0.1}
+
+
+def test_a_short_gap_has_the_candidate_measured_again():
+    whole, states, _ = in_changing_light(lambda s: PATTERN1, 3.0, algorithm="issa", restart_threshold=0.0)
+    gap, others, _ = in_changing_light(
+        lambda s: (0.0,) * 4 if 0.3 <= s < 0.32 else PATTERN1, 3.0, algorithm="issa", restart_threshold=0.0
+    )
+    assert (others[-1][2], others[-1][3]) == (44.0, 0.0)
+    assert gap == pytest.approx(whole, rel=2e-3)
+    assert others[-1][4] == pytest.approx(states[-1][4], rel=2e-3)
+
+
+def test_dim_light_is_not_darkness():
+    """At a duty of 0.9 it brings milliwatts, but current; no search is given up."""
+    _, states, tracker = in_changing_light(lambda s: (20.0, 15.0, 10.0, 5.0), 2.5, algorithm="certified",
+                                           initial=0.5)  # fmt: skip
+    assert states[-1][0] == 2.0
+    assert states[-1][3] == 0.0
+    assert "no signal" not in tracker.reports
+
+
+@pytest.mark.parametrize("algorithm", ["certified", "certified_transients"])
+def test_the_proven_bound_goes_when_the_light_changes(algorithm):
+    """While a search runs its samples contradict each other; after it, the power held is not what was found."""
+    values = {"algorithm": algorithm, "restart_threshold": 0.0, "rescan_period": 0.0}
+    true = string(PATTERN1).gmpp.p
+    for change in (0.25, 1.6):
+        _, states, _ = in_changing_light(lambda s, change=change: PATTERN2 if s >= change else PATTERN1, 2.4, **values)
+        bounds = np.array(states)[:, 5]
+        assert bounds[-1] == 0.0 or bounds[-1] >= string(PATTERN2).gmpp.p
+    assert bounds[1500] >= true
+    assert bounds[-1] == 0.0
+    # more light: the true maximum is above the bound that was proven
+    _, states, _ = in_changing_light(lambda s: (1000.0,) * 4 if s >= 1.6 else PATTERN1, 2.4, **values)
+    assert (states[1500][5] >= true, states[-1][5]) == (True, 0.0)
+
+
 @pytest.mark.parametrize("algorithm", ["certified", "ramp"])
 def test_refused_measurements_leave_a_gap_and_no_trace(algorithm):
     """The node refuses NaN: the tracker stays with its duty, measures it again, and finds what it finds without."""

@@ -142,10 +142,27 @@ class CertifiedSearch(LoadLineSearch):
 
     @property
     def bound(self) -> float | None:
-        """Power in W that no voltage between the outermost samples can exceed."""
-        if len(self._points) < 3:
+        """Power in W that no voltage between the outermost samples can exceed.
+
+        None too where the samples are not of one characteristic: a current that rises with the voltage by more than the
+        gap, seen as power, proves that the source changed, and with it every bound.
+        """
+        if len(self._points) < 3 or self._contradicted():
             return None
         return max(self.expected, *self._bounds())
+
+    @property
+    def gap(self) -> float:
+        """As asked for."""
+        return self.eps
+
+    def _contradicted(self) -> bool:
+        lowest = math.inf
+        for v, i in self._points:
+            if v > 0.0 and (i - lowest) * v > self.eps * self.expected:
+                return True
+            lowest = min(lowest, i)
+        return False
 
     def watch(self, sample: Sequence[float]) -> None:
         """Take a point of the characteristic passed on the way."""

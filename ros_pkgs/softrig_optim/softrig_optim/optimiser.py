@@ -79,15 +79,21 @@ class CommandSearch(Block[P], ABC):
     - when two samples in a row, `hold_time` apart, differ so much from the value at the end of `settle_time`;
     - `rescan_period` after the start of the last search: what changes elsewhere does not show in the value held.
 
+    A search that meets no signal (`no_signal`) for `hold_time` stops, goes to the lower bounds, and starts anew when
+    the signal is back; a shorter gap has the candidate measured again. That needs no `restart_threshold`.
+
     Until the first start without `autostart` the command is the lower bounds. A candidate with a bad measurement
     among its samples is measured again.
 
     The state output has the phase (0 stopped, 1 search, 2 hold), the iteration and evaluations of the newest search,
-    the number of new searches after the first, the best value and command so far, and the proven bound (0: none).
+    the number of new searches after the first, the best value and command so far, and the proven bound (0: none; also
+    once the value held differs from what was found by more than the gap that was proven: the plant is another one).
     """
 
     _since: int | None  # when the command arrived at the target
     _reference: float | None  # value held that changes are measured against
+    _dark: int | None  # since when candidates end without a signal
+    _streak: int  # samples in a row without one
 
     @abstractmethod
     def new_search(self, rng: np.random.Generator) -> Search:
@@ -100,6 +106,10 @@ class CommandSearch(Block[P], ABC):
     @abstractmethod
     def slew(self) -> float:
         """Give the most change of a command in a second; 0: no limit."""
+
+    def no_signal(self, sample: Point, value: float) -> bool:
+        """Tell whether a measurement during a search shows that there is nothing to search on: not above `floor`."""
+        return self.p.floor is not None and value <= self.p.floor
 
     def contradiction(self, samples: Sequence[Point]) -> float:
         """Give the relative change of the objective that the measurements of a search prove.
@@ -130,6 +140,7 @@ class CommandSearch(Block[P], ABC):
         self._command: Point | None = None
         self._restarts = -1
         self._rechecked = False
+        self._void = False
         self._begin(0)
         if not self.p.autostart:  # the search begun only answers for the state; the first start makes another
             self._phase = Phase.STOPPED
@@ -149,7 +160,10 @@ class CommandSearch(Block[P], ABC):
         else:
             self._window.append(value)
             if self._phase is Phase.SEARCH:
-                self._search_tick(t, measurement)
+                if self._waiting:
+                    self._wait_tick(t)
+                else:
+                    self._search_tick(t, measurement, self.no_signal(measurement, value))
             elif self._phase is Phase.HOLD:
                 self._hold_tick(t)
         return {"command": self._move(t), "state": self._state}
@@ -194,15 +208,45 @@ class CommandSearch(Block[P], ABC):
         self._began = t
         self._restarts += 1
         self._search = self.new_search(self.rng)
+        self._dark = None
+        self._streak = 0
+        self._waiting = self._void = False
         self._samples.clear()
         self._aim(self._search.ask())
 
-    def _search_tick(self, t: int, sample: Point) -> None:
+    def _gone(self, t: int) -> None:
+        """Measure the candidate again; after a while give up the search."""
+        self._discard(t)
+        self._dark = t if self._dark is None else self._dark
+        if t - self._dark >= self._hold:
+            self.report(Level.WARN, "no signal", "the signal is gone: the search stops; another one when it is back")
+            self._waiting = True
+            self._aim(tuple(self._search.lower.tolist()))
+
+    def _wait_tick(self, t: int) -> None:
+        if self._since is not None and t - self._since >= self._hold:
+            if self.p.floor is None or self._mean() > self.p.floor:
+                self._begin(t)
+                self._note()
+            else:
+                self._since = t
+
+    def _search_tick(self, t: int, sample: Point, dark: bool) -> None:
         search = self._search
         wait = self._hold if search.settle else self._period
+        self._streak = self._streak + 1 if dark else self._streak
+        if not dark:
+            if 2 * self._streak * self._period >= self._hold:  # not one of a transient: the candidate has not settled
+                self._discard(t)
+            self._streak = 0
         if self._since is None or t - self._since < wait:
-            search.watch(sample)
+            if not dark:
+                search.watch(sample)
             return
+        if dark and self.no_signal(sample, self._mean()):
+            self._gone(t)
+            return
+        self._dark = None
         search.tell(self._mean(), sample)
         self._samples.append(sample)
         if not search.done:
@@ -232,6 +276,10 @@ class CommandSearch(Block[P], ABC):
             return
         held, value = t - self._since, self._mean()
         self._next_sample = held + self._hold  # also after bad samples a whole hold_time apart
+        expected = self._search.expected
+        if not self._void and held >= self._settle and abs(value - expected) > self._search.gap * abs(expected):
+            self._void = True
+            self._note()
         if self._changed(value, held) or (self._rescan and t - self._began >= self._rescan and not self._lost):
             self._begin(t)
             self._note()
@@ -283,7 +331,7 @@ class CommandSearch(Block[P], ABC):
         best, x = (0.0, self._target) if search.best is None else (search.expected, search.result)
         self._state = (
             float(self._phase), float(search.iteration), float(search.evaluations), float(max(self._restarts, 0)), best,
-            search.bound or 0.0, *x,
+            (not self._void and search.bound) or 0.0, *x,
         )  # fmt: skip
 
 

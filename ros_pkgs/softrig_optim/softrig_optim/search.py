@@ -148,6 +148,11 @@ class Search(ABC):
         """Value that the objective cannot pass anywhere in the box; None where nothing is proven."""
         return None
 
+    @property
+    def gap(self) -> float:
+        """Share of the value by which a proven bound may exceed it; infinite where nothing is proven."""
+        return math.inf
+
     def watch(self, sample: Sequence[float]) -> None:  # noqa: B027
         """See a measurement on the way to the pending candidate; only searches that can use a transient do."""
 

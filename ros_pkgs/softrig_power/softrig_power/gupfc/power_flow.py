@@ -141,7 +141,8 @@ class PowerFlow:
         """
         flat = np.zeros(UNKNOWNS)
         flat[:6] = 1.0
-        first = self._newton(flat, references, tolerance, surplus)
+        with np.errstate(over="ignore", invalid="ignore"):  # where it diverges
+            first = self._newton(flat, references, tolerance, surplus)
         r = references
         points = operating_points(self.params, complex(r.p1, r.q1), complex(r.p2, r.q2), r.v, surplus, self._loss)
         sizes = tuple(point.size for point in points)

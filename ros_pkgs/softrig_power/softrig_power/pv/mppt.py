@@ -29,7 +29,8 @@ class MpptParams(SearchParams):
     duty_slew: float = param(0.0, "most change of the duty in a second; 0: no limit", "1/s", ge=0.0)
     eps: float = param(0.01, "certified: relative gap to prove", gt=0.0)
     ramp_time: float = param(0.12, "ramp: duration of the sweep", "s", gt=0.0)
-    floor: float | None = param(0.1, "power not above this is darkness: wait for light instead of searching", "W")
+    floor: float | None = param(0.1, "power not above this, at a current not above a tenth of it in A, is darkness: no "
+                                "search, another one in the light", "W")  # fmt: skip
 
     @model_validator(mode="after")
     def _tracker(self) -> Self:
@@ -73,6 +74,10 @@ class MpptOptimizer(CommandSearch[MpptParams]):
     def objective(self, sample: Point) -> float:
         """The power in W."""
         return sample[0] * sample[1]
+
+    def no_signal(self, sample: Point, value: float) -> bool:
+        """No power and no current either: a large duty brings little power in dim light, but all of the current."""
+        return super().no_signal(sample, value) and sample[1] <= 0.1 * (self.p.floor or 0.0)
 
     def contradiction(self, samples: Sequence[Point]) -> float:
         """Share of the power by which two measurements differ that are not of one characteristic.
