@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
-from softrig_systems.optimal_control import collocation, exact, series
+from softrig_systems.optimal_control import collocation, exact, mvim, series
 from softrig_systems.optimal_control.mvim import solve
 from softrig_systems.optimal_control.problem import Problem, ProblemError, find
 from softrig_systems.optimal_control.problems import INERTIA, spacecraft
@@ -193,6 +193,41 @@ def test_example_3_tables_are_of_a_frozen_alpha():
     found = solve(TWO_STATE, 4, alpha_mode="frozen", frozen_order=2)
     assert found.J[:3] == pytest.approx([0.417241, 0.410274, 0.427145], abs=1e-6)
     assert found.J[3] == pytest.approx(0.4346129, abs=1e-6)  # printed 0.431156
+
+
+@pytest.mark.parametrize(("x0", "T", "J", "roots"), [
+    ((-0.5, 0.2), 1.0, 0.240822, 3), ((-0.509, 0.537), 0.712, 0.46404, 3),
+    ((-0.158, 0.33), 0.956, 0.17986, 3), ((-0.988, -0.475), 0.921, 0.47667, 2),
+    ((-0.8, 0.0), 1.0, 0.41027, 3),
+])  # fmt: skip
+def test_of_several_roots_the_one_that_the_plant_pays_least_for(x0, T, J, roots):
+    """The nearest root gave 1.172, 1.41, 0.61 and 0.59 in the first four, up to 90 times as much in the plant."""
+    problem = TWO_STATE.changed(x0=x0, horizon=T)
+    found = mvim.solve(problem, 2)
+    assert found.J[-1] == pytest.approx(J, rel=1e-3)
+    assert len(found.roots[2]) == roots
+    assert found.roots[2][0].paid == min(r.paid for r in found.roots[2])
+    best = exact.tpbvp(problem).cost
+    assert best <= found.roots[2][0].paid < 1.4 * best
+    assert all(r.paid > 1.2 * found.roots[2][0].paid for r in found.roots[2][1:])
+    for root in found.roots[2]:
+        assert np.abs(mvim._ends(problem, root.alpha, 2, 1, T)[0]).max() < 1e-8
+    assert f"{roots} roots at order 2, under which the plant pays {found.roots[2][0].paid:.5g}" in mvim.several(found)
+
+
+def test_the_plant_of_a_root_pays_what_the_evaluators_pays():
+    """Sheet: order 2 of example 3 costs 0.44495 in the plant."""
+    assert mvim.solve(TWO_STATE, 2).roots[2][0].paid == pytest.approx(0.4449505, abs=1e-6)
+
+
+def test_stages_that_reach_where_one_series_does_not():
+    far = find("reactor")
+    assert not mvim.solve(far, 12).converged
+    stages = mvim.enough_stages(far, 12, 1e-4)
+    assert stages in (2, 4, 8, 16)
+    assert mvim.solve(far, 12, stages=stages).converged
+    assert not mvim.solve(far, 12, stages=stages // 2).converged
+    assert mvim.enough_stages(far, 2, 1e-4, most=4) == 0
 
 
 def test_exact_answers():

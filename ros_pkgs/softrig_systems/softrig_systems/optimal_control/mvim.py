@@ -24,6 +24,7 @@ from softrig_core import jit
 from softrig_core.model import dense
 
 from .quadrature import gauss_legendre
+from .roots import Root, best, distinct
 from .series import slope, value
 from .tape import evaluate, expand
 
@@ -41,6 +42,8 @@ NEWTON = 40  # steps at most
 HALVINGS = 12  # of a step that makes the end error larger
 SHARES = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)  # of the horizon
 AROUND = (-2.0, -1.0, 1.0, 2.0)  # where other roots are looked for, in sizes of alpha
+LOW = 3  # orders up to which all roots are looked for, ...
+NEAR = 0.1  # ... when alpha changes by more than this from one to the next, of its size
 JUMP = 0.5  # change of alpha from one order to the next, of its size, that is taken for the same branch
 NODES, WEIGHTS = gauss_legendre(64)
 GRID = np.linspace(0.0, 1.0, 65)
@@ -77,6 +80,8 @@ class Solution:
         Sound rule: two ratios in a row below eps, and the residual below eps_res.
     seed_order : int
         Order at which the paper's rule (one ratio below eps) would have stopped; 0: at none so far.
+    roots : dict of int to list of Root
+        For the low orders at which several alphas meet the end conditions: all, the one that is taken first.
     reason : str
     """
 
@@ -93,6 +98,7 @@ class Solution:
     accurate: bool = False
     converged: bool = False
     seed_order: int = 0
+    roots: dict[int, list[Root]] = field(default_factory=dict)
     reason: str = ""
 
     def __call__(self, t: float) -> Array:
@@ -140,8 +146,9 @@ def _ends(problem: Problem, alpha: Array, order: int, stages: int, T: float) -> 
 
 
 def newton(
-    problem: Problem, alpha: Array, order: int, stages: int, T: float, accurate: float, halvings: int = 0
-) -> tuple[Array, float]:
+    problem: Problem, alpha: Array, order: int, stages: int, T: float, accurate: float, halvings: int = 0,
+    steps: int = NEWTON,
+) -> tuple[Array, float]:  # fmt: skip
     """Solve the end conditions for alpha by Newton's method.
 
     Parameters
@@ -150,6 +157,8 @@ def newton(
         Error from which on steps that no longer halve it are counted, to stop where only rounding changes.
     halvings : int
         A step that makes the error larger is halved so often at most; 0: full steps, come what may.
+    steps : int
+        At most.
 
     Returns
     -------
@@ -160,7 +169,7 @@ def newton(
     error, jacobian = _ends(problem, alpha, order, stages, T)
     size = float(np.max(np.abs(error)))
     best, least, idle = alpha, size, 0
-    for _ in range(NEWTON):
+    for _ in range(steps):
         if not np.isfinite(size) or not np.all(np.isfinite(jacobian)) or least == 0.0 or idle > 1:
             break
         try:
@@ -183,31 +192,61 @@ def newton(
     return best, least
 
 
-def costate(problem: Problem, alpha: Array, order: int, stages: int, accurate: float) -> Array:
+def costate(problem: Problem, alpha: Array, order: int, stages: int, accurate: float) -> tuple[Array, list[Root]]:
     """Solve the end conditions of an order from the alpha of the order before.
 
-    Polynomials of high order have several roots. One that is further off than half of alpha may be of another branch:
-    Newton's method is then begun all around alpha, too, and the nearest root taken. Where there is none, horizons that
-    grow to T, from alpha = 0 on.
+    Where alpha changes by more than a tenth at a low order, all real roots that Newton's method reaches from all around
+    are looked for and the best is taken, see `roots`; from there on the branch is followed. A root that is further off
+    than half of alpha may be of another one: Newton's method is then begun all around alpha, too, and the nearest root
+    taken. Where there is none, horizons that grow to T, from alpha = 0 on.
+
+    Returns
+    -------
+    alpha : ndarray
+    several : list of Root
+        All roots, the best first, at a low order.
     """
     T = problem.horizon
     found, error = newton(problem, alpha, order, stages, T, accurate)
+    if 1 < order <= LOW and not (error <= accurate and _moved(found, alpha) <= NEAR):
+        roots = distinct(alpha, found, error, accurate,
+                         lambda start: newton(problem, start, order, stages, T, accurate, 4, 16))  # fmt: skip
+        if roots:
+            several = best(
+                problem, roots, lambda root: _series(problem, root, order, stages),
+                lambda z, u: _judge(problem, z, u)[0],
+            ) if roots[1:] else []  # fmt: skip
+            return (several[0].alpha if several else roots[0]), several
+    if error <= accurate and _moved(found, alpha) <= JUMP:
+        return found, []
     size = dense.norm(alpha)
-    if error <= accurate and (size == 0.0 or dense.norm(found - alpha) <= JUMP * size):
-        return found
     roots = [found] if error <= accurate else []
     for start in alpha + max(size, 1.0) * np.vstack([d for r in AROUND for d in (r * np.eye(alpha.size))]):
         tried, missing = newton(problem, start, order, stages, T, accurate, HALVINGS)
         if missing <= accurate:
             roots.append(tried)
     if roots:
-        return min(roots, key=lambda root: dense.norm(root - alpha))
+        return min(roots, key=lambda root: dense.norm(root - alpha)), []
     grown = np.zeros_like(alpha)
     for share in SHARES:
         grown, missing = newton(problem, grown, order, stages, share * T, accurate, HALVINGS)
         if not missing <= accurate:
-            return found
-    return grown
+            return found, []
+    return grown, []
+
+
+def _moved(found: Array, alpha: Array) -> float:
+    """Change of alpha from one order to the next, of its size; 0 where that is 0."""
+    size = dense.norm(alpha)
+    return dense.norm(found - alpha) / size if size else 0.0
+
+
+def _series(problem: Problem, alpha: Array, order: int, stages: int) -> tuple[Array, Array]:
+    """Polynomials of states and costates, (stages, 2 n, order + 1), and of the controls."""
+    z = np.zeros((stages, 2 * alpha.size, order + 1))
+    u = np.zeros((stages, len(problem.controls), order + 1))
+    chain(problem.extremal.tape, np.concatenate([problem.x0, alpha]), problem.horizon, stages, z, u)
+    return z, u
 
 
 def _judge(problem: Problem, z: Array, u: Array) -> tuple[float, float, float]:
@@ -265,7 +304,7 @@ def solve(
     Solution
     """
     n, m = len(problem.states), len(problem.controls)
-    extremal, last = problem.extremal, order if order_max is None else order_max
+    last = order if order_max is None else order_max
     scale = max(map(abs, (*problem.x0, *(problem.x_end or ())))) or 1.0
     alpha = np.zeros(n)
     if alpha_mode == "frozen":
@@ -273,13 +312,14 @@ def solve(
             alpha = np.array(frozen_alpha, dtype=float)
         else:
             for k in range(1, (frozen_order or order) + 1):
-                alpha = costate(problem, alpha, k, stages, END * scale)
+                alpha, _ = costate(problem, alpha, k, stages, END * scale)
     found = Solution(np.zeros((stages, 2 * n + m, 1)), problem.horizon, 0, alpha)
     for k in range(1, last + 1):
         if alpha_mode == "own":
-            alpha = costate(problem, alpha, k, stages, END * scale)
-        z, u = np.zeros((stages, 2 * n, k + 1)), np.zeros((stages, m, k + 1))
-        chain(extremal.tape, np.concatenate([problem.x0, alpha]), problem.horizon, stages, z, u)
+            alpha, several = costate(problem, alpha, k, stages, END * scale)
+            if len(several) > 1:
+                found.roots[k] = several
+        z, u = _series(problem, alpha, k, stages)
         J, residual, state_residual = _judge(problem, z, u)
         found.ratio.append(abs(J - found.J[-1]) / max(abs(J), np.finfo(float).tiny) if found.J else np.inf)
         found.J.append(J)
@@ -306,3 +346,23 @@ def _reason(found: Solution, eps: float, eps_res: float) -> str:
     if not found.converged:
         return f"cost has not settled: ratios {', '.join(f'{r:.3g}' for r in found.ratio[-2:])} against {eps:g}"
     return f"converged at order {found.order}"
+
+
+def several(found: Solution) -> str:
+    """Say at which orders there were several roots, and what the plant pays under each, that of the one taken first."""
+    said = []
+    for order, roots in found.roots.items():
+        paid = ", ".join(f"{r.paid:.5g}" if np.isfinite(r.paid) else "without end" for r in roots)
+        said.append(f"{len(roots)} roots at order {order}, under which the plant pays {paid}: the first is taken")
+    return "; ".join(said)
+
+
+def enough_stages(problem: Problem, order: int, eps_res: float, most: int = 16) -> int:
+    """Give the least power of two of stages, up to `most`, with which the order reaches; 0 when none does."""
+    stages = 2
+    while stages <= most:
+        found = solve(problem, order, eps_res=eps_res, stages=stages)
+        if found.accurate and found.residual[-1] < eps_res:
+            return stages
+        stages *= 2
+    return 0

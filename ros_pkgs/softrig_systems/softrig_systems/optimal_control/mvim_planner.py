@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import model_validator
 from softrig_core import Work, executable, param
 
-from .mvim import Solution, solve
+from .mvim import Solution, enough_stages, several, solve
 from .planning import Planned, Planner, PlannerParams, Request
 
 
@@ -62,18 +62,25 @@ class MvimPlanner(Planner[MvimParams]):
         values[:, :, : found.order + 1] = found.coefficients
         # a frozen alpha is what somebody claims: its plan is given out to be judged
         accurate = found.accurate or p.alpha_mode == "frozen"
+        reason = found.reason
+        missed = not found.accurate or found.residual[-1] >= p.eps_res
+        if missed and p.alpha_mode == "own" and request.horizon == p.statement().horizon:
+            stages = enough_stages(problem, p.last, p.eps_res)
+            reason += f"; stages: {stages} do" if stages else "; nor do 16 stages"
+        if found.roots:
+            reason += f"; {several(found)}"
         return Planned(tuple(values.ravel().tolist()), found.order, found.J[-1], found.residual[-1], found.end_error,
-                       accurate, found.converged, found.reason, _details(found))  # fmt: skip
+                       accurate, found.converged, reason, _details(found, reason))  # fmt: skip
 
 
-def _details(found: Solution) -> dict[str, str]:
+def _details(found: Solution, reason: str) -> dict[str, str]:
     def row(values: Any) -> str:
         return " ".join(f"{v:.10g}" for v in values)
 
     return {"order": str(found.order), "alpha": row(found.alpha), "J per order": row(found.J),
             "ratio per order": row(found.ratio), "residual": f"{found.residual[-1]:.3g}",
             "end error": f"{found.end_error:.3g}", "converged": str(found.converged),
-            "order of the paper's rule": str(found.seed_order), "reason": found.reason}  # fmt: skip
+            "order of the paper's rule": str(found.seed_order), "reason": reason}  # fmt: skip
 
 
 main = executable(MvimPlanner)

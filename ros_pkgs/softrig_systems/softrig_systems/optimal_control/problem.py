@@ -153,6 +153,8 @@ class Extremal:
         (z, S) to their derivatives, where S = dz/d(lambda(0)), column after column.
     cost : Tape
         (x, u) to L.
+    plant : Tape
+        (x, u) to dx/dt, then L.
     """
 
     def __init__(self, problem: Problem) -> None:
@@ -178,6 +180,7 @@ class Extremal:
         self.tape = _tape("tape", [z], [F, u_star])
         self.variational = _tape("variational", [z, ca.vec(S)], [F, ca.vec(dS)])
         self.cost = _tape("cost", [x, u], [L])
+        self.plant = _tape("plant", [x, u], [dx, L])
 
 
 def _tape(name: str, inputs: list[ca.SX], outputs: list[ca.SX]) -> Tape:

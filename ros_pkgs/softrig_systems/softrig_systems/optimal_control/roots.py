@@ -1,0 +1,129 @@
+r"""Which of several roots: polynomials of low order have more than one alpha that meets the end conditions.
+
+All of them are extremals of the truncated series, and neither the nearest one nor the one of the least series cost need
+be of the problem: the series of a low order says little about what happens. What happens is told by the plant: each
+root's control is played to the true equations, and the root taken that costs least there, where a missed end costs what
+its costate says, :math:`|\lambda(T)|^T |x(T) - x_T|`.
+"""
+
+from __future__ import annotations
+
+from itertools import product
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from softrig_core import jit
+
+from .series import value
+from .tape import Tape, play
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from .problem import Problem
+
+    Array = NDArray[np.float64]
+
+SIZES = (0.5, 1.5, 5.0)  # of the starts, in sizes of alpha
+SAME = 1e-6  # relative distance of roots that are one
+ESCAPED = 1e12  # cost of a plant that escapes
+STEPS = 64  # Runge-Kutta steps a stage of the plant
+
+
+class Root(NamedTuple):
+    """One alpha that meets the end conditions."""
+
+    alpha: Array
+    paid: float
+    """Cost in the plant, with what the missed end costs."""
+
+    series: float
+    """Cost along the polynomials."""
+
+
+def starts(alpha: Array) -> list[Array]:
+    """Where Newton's method begins: at 0 and in all directions of 0, +, - in each costate, at several distances."""
+    size = max(float(np.sqrt(np.sum(alpha * alpha))), 1e-3)
+    scale = np.maximum(np.abs(alpha), 0.1 * size)
+    around = [np.array(d) * scale for d in product((0.0, 1.0, -1.0), repeat=alpha.size) if any(d)]
+    return [np.zeros_like(alpha), *(radius * d for radius in SIZES for d in around)]
+
+
+def distinct(
+    alpha: Array, found: Array, error: float, accurate: float, newton: Callable[[Array], tuple[Array, float]]
+) -> list[Array]:
+    """Give all real roots that are found, `found` first if it is one.
+
+    Parameters
+    ----------
+    alpha : ndarray
+        Root of the order before, which says how large costates are.
+    found, error : ndarray, float
+        What Newton's method made of it.
+    accurate : float
+        Largest error of a root.
+    newton : callable
+        A start to (alpha, error).
+    """
+    roots = [found] if error <= accurate else []
+    for start in starts(found if roots else alpha):
+        root, missing = newton(start)
+        size = float(np.sqrt(np.sum(root * root)))
+        if missing <= accurate and all(np.max(np.abs(root - other)) > SAME * (size + accurate) for other in roots):
+            roots.append(root)
+    return roots
+
+
+def best(
+    problem: Problem, roots: list[Array], z_of: Callable[[Array], tuple[Array, Array]],
+    cost: Callable[[Array, Array], float],
+) -> list[Root]:  # fmt: skip
+    """Order roots by what the plant pays, the best first.
+
+    Parameters
+    ----------
+    problem : Problem
+    roots : list of ndarray
+    z_of : callable
+        An alpha to the series of states and costates, and of the controls.
+    cost : callable
+        Both to the cost along them; tells between those under which the plant escapes.
+    """
+    judged = []
+    for alpha in roots:
+        z, u = z_of(alpha)
+        n = len(problem.states)
+        x = np.zeros(n + 1)
+        x[:n] = problem.x0
+        pay(problem.extremal.plant, u, problem.horizon, STEPS, x)
+        paid = float(x[n])
+        if problem.x_end is not None:
+            costate = np.abs(z[-1].sum(axis=1)[n:])
+            paid += float(np.sum(costate * np.abs(x[:n] - np.array(problem.x_end))))
+        judged.append(Root(alpha, paid if paid < ESCAPED else np.inf, cost(z, u)))
+    return sorted(judged, key=lambda root: (root.paid, root.series))
+
+
+@jit
+def pay(plant: Tape, u: Array, T: float, steps: int, x: Array) -> None:
+    """Play controls (stages, m, powers) to a plant, its states and then the cost in x, changed in place."""
+    n, m = x.shape[0] - 1, u.shape[1]
+    work = np.zeros((plant.code.shape[0], 1))
+    at = np.zeros((n + m, 1))
+    k = np.zeros((4, n + 1))
+    h = T / (u.shape[0] * steps)
+    for stage in range(u.shape[0]):
+        for step in range(steps):
+            for part in range(4):
+                share = 0.0 if part == 0 else (1.0 if part == 3 else 0.5)
+                for i in range(n):
+                    at[i, 0] = x[i] + (h * share * k[part - 1, i] if part else 0.0)
+                for i in range(m):
+                    at[n + i, 0] = value(u[stage, i], (step + share) / steps)
+                play(plant, at, work, 0)
+                for i in range(n + 1):
+                    k[part, i] = work[plant.out[i], 0]
+            for i in range(n + 1):
+                x[i] += h / 6.0 * (k[0, i] + 2.0 * k[1, i] + 2.0 * k[2, i] + k[3, i])
