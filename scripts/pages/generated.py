@@ -32,6 +32,7 @@ from softrig_core import Port, list_scenarios, load_scenario, simulate
 from softrig_core.model.params import Declaration, declarations
 from softrig_core.rig.claims import VERDICTS
 from softrig_core.rig.figures import Result
+from softrig_core.rig.findings import hold
 from softrig_core.rig.rig import load_block
 
 from . import drawn, numbers
@@ -149,15 +150,13 @@ def verdicts(system: str) -> str:
 
 @cache
 def _verdict_counts() -> dict[str, Counter[str]]:
-    """Count the verdicts of all scenarios and studies, by system; read once."""
-    counts: dict[str, Counter[str]] = {}
-    for name in list_scenarios():
-        scenario = load_scenario(name)
-        counts.setdefault(scenario.system, Counter()).update(c.verdict for c in scenario.claims.values())
-    for name in list_studies():
-        study = load_study(name)
-        counts[load_scenario(study.scenario).system].update(c.verdict for c in study.claims.values())
-    return counts
+    """Count the verdicts of all scenarios and studies, by system, each statement once; read once."""
+    said: dict[str, dict[tuple[str, ...], str]] = {}
+    claims = [(s.system, s.name, s.claims) for s in map(load_scenario, list_scenarios())]
+    claims += [(load_scenario(s.scenario).system, s.name, s.claims) for s in map(load_study, list_studies())]
+    for system, name, own in claims:
+        said.setdefault(system, {}).update((f.statement, f.verdict) for f in hold(name, own, lambda _: None, {}))
+    return {system: Counter(found.values()) for system, found in said.items()}
 
 
 @cache

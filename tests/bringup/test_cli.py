@@ -42,6 +42,9 @@ plots:
 variants:
   misses:
     expect: {last: 9.0}
+  shares:
+    shared: {k: 2.0}
+    nodes: {gain: {parameters: {k: $k}}}
   watched:
     nodes: {watcher: {package: faultrig, executable: watcher}}
   typo:
@@ -81,6 +84,15 @@ def test_a_run_leaves_bag_metrics_plots_and_report(folder, capsys):
     printed = capsys.readouterr().out
     assert "last" in printed
     assert "pass" in printed
+
+
+def test_a_shared_value_is_set_by_its_name_and_the_rig_is_built_once(folder, monkeypatch):
+    built = []
+    from_scenario = Rig.from_scenario
+    monkeypatch.setattr(Rig, "from_scenario", lambda scenario: built.append(scenario.name) or from_scenario(scenario))
+    assert run("lag_shares", "--mode", "inprocess", "--set", "k=1.5", "--no-plots", "--no-record", "--out", "own") == 0
+    assert json.loads((folder / "own" / "metrics.json").read_text())["parameters"]["gain"]["k"] == 1.5
+    assert built == ["lag_shares"]
 
 
 def test_the_last_figures_of_an_observer_stand_in_metrics_and_bag(folder):

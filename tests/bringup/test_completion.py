@@ -29,6 +29,7 @@ def test_each_place_of_a_command_is_completed():
     assert "motor_reference" in offered("run", "dc_motor_smc_b2", "--external", "")
     assert "softrig_drives" in offered("node", "soft")
     assert offered("node", "softrig_drives", "dc_motor_smc_") == ["dc_motor_smc_kalman"]
+    assert offered("run", "lsrm_fuzzy", "--set", "v_") == ["v_d="]
     assert offered("run", "no_such", "--set", "") == []
     assert offered("nonsense", "") == []
 

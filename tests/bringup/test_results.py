@@ -1,6 +1,7 @@
 """`softrig results`: claims held against runs, and the pages about it."""
 
 import json
+import re
 
 import pytest
 from softrig_bringup.cli import main
@@ -53,6 +54,56 @@ def test_a_folder_that_takes_nothing_is_said_before_the_runs(folder, monkeypatch
     monkeypatch.setattr("softrig_bringup.results.gather", lambda *_: pytest.fail("runs before it looks at the folder"))
     assert main(["results", "lag", "--out", "lag.yaml"]) == 2
     assert "lag.yaml" in capsys.readouterr().err
+
+
+def test_pages_say_what_agrees_and_published_is_the_papers_number_alone(folder):
+    rows, _ = gather(claiming(), workers=1)
+    last, order, _ = rows
+    assert last.asked == "0.4551 ± 0.00455 (1 %)"
+    assert re.fullmatch(r"above lag_slow.last = 0\.3\d+ here", order.asked)
+    cells = [[c.strip() for c in line.split("|")] for line in markdown(claiming(), rows).splitlines()]
+    assert next(c for c in cells if c[1:2] == [order.text])[3:5] == ["", order.asked]
+    assert next(c for c in cells if c[1:2] == ["last"])[3:5] == ["0.4551 m", last.asked]
+
+
+def test_what_is_said_once_counts_once(folder):
+    again = "  again: {text: slower with less gain, figure: last, above: 0.1, where: Figure 2, verdict: reproduced}\n"
+    (folder / "lag.yaml").write_text(LAG.replace("VERDICT", "reproduced").replace("  other:", f"{again}  other:"))
+    rows, _ = gather(claiming(), workers=1)
+    assert counts(rows) == "3 claims in 4 rows: 2 reproduced, 1 not checkable; every verdict holds"
+    assert "| lag | 2 |  |  |  | 1 |" in markdown(claiming(), rows)
+
+
+def test_runs_are_kept_until_their_code_or_scenario_changes(folder, capsys, monkeypatch):
+    assert main(["results", "--workers", "1"]) == 0
+    page = (folder / "runs" / "results" / "results.html").read_text()
+    for link in re.findall(r'href="(runs/[^"]*)"', page):
+        assert (folder / "runs" / "results" / link).is_file()
+    assert 'href="runs/lag/report.html"' in page
+    assert 'href="runs/lag/overview.png"' in page
+    assert "are kept" not in capsys.readouterr().out
+    assert main(["results", "--workers", "1"]) == 0
+    assert "2 of 2 runs are kept" in capsys.readouterr().out
+    (folder / "lag.yaml").write_text(LAG.replace("VERDICT", "reproduced").replace("{gain: 0.5}", "{gain: 0.6}"))
+    assert main(["results", "--workers", "1"]) == 0
+    assert "1 of 2 runs are kept" in capsys.readouterr().out
+    monkeypatch.setattr("softrig_bringup.results.fingerprints", lambda *_: {"faultrig": "changed"})
+    assert main(["results", "--workers", "1"]) == 0
+    assert "are kept" not in capsys.readouterr().out
+
+
+def test_claims_of_studies_are_named_where_they_are_not_held(folder, capsys, monkeypatch):
+    study = ("title: Many\nscenario: lag\nseeds: 1\nsummaries: {mean: {figure: last}}\n"
+             "claims: {mean: {published: 0.4551, where: Table II, verdict: reproduced}}\n")  # fmt: skip
+    (folder / "many").mkdir()
+    (folder / "many" / "some.yaml").write_text(study)
+    monkeypatch.setenv("SOFTRIG_STUDIES", str(folder / "many"))
+    assert main(["results", "--workers", "1"]) == 0
+    text = "1 more claims are of studies (some): hundreds of runs, with --studies"
+    assert text in capsys.readouterr().out
+    assert text in (folder / "runs" / "results" / "results.html").read_text()
+    assert main(["results", "--workers", "1", "--studies"]) == 0
+    assert "4 claims: 3 reproduced" in capsys.readouterr().out
 
 
 def test_a_false_verdict_fails_the_page_and_the_run(folder, capsys):

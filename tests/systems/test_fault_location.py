@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import subprocess
+import tracemalloc
 from dataclasses import replace
 from pathlib import Path
 
@@ -858,6 +859,31 @@ def test_comtrade_that_cannot_be_used(record, tmp_path):
     write_comtrade(tmp_path / "r", record, "r")
     with pytest.raises(RecordError, match=r"gap at 0\.035 s"):
         read_comtrade([tmp_path / "s.cfg", tmp_path / "r.cfg"])
+
+
+@pytest.mark.parametrize(("line", "old", "new", "why"), [
+    (-7, ",1200", ",4000000", "tells of 4000000 samples, but its data are"),
+    (1, "12,12A,0D", "4000012,12A,4000000D", "tells of 4000012 channels in"),
+])  # fmt: skip
+@pytest.mark.parametrize("single", [False, True])
+def test_comtrade_that_tells_of_more_than_it_has_is_refused_before_there_is_room_for_it(
+    record, tmp_path, line, old, new, why, single
+):
+    cfg, data = write_comtrade(tmp_path / "both", record)
+    lines = cfg.read_text().splitlines()
+    assert old in lines[line]
+    lines[line] = lines[line].replace(old, new)
+    cfg.write_text("\n".join(lines) + "\n")
+    if single:
+        head = f"--- file type: CFG ---\n{cfg.read_text()}--- file type: DAT FLOAT32: {data.stat().st_size} ---\n"
+        cfg = tmp_path / "both.cff"
+        cfg.write_bytes(head.encode() + data.read_bytes())
+    tracemalloc.start()
+    with pytest.raises(ComtradeFileError, match=why):
+        read_comtrade([cfg])
+    largest = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert largest < 10e6
 
 
 def test_command_line(record, tmp_path, capsys):

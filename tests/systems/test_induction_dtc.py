@@ -10,7 +10,7 @@ from hypothesis import given, strategies as st
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 from softrig_bringup.plots import figures as plots
-from softrig_bringup.run import execute
+from softrig_bringup.run import checked, execute
 from softrig_core import (
     Level,
     ParameterError,
@@ -528,7 +528,7 @@ def test_lost_flux_warns():
 @pytest.mark.processes
 def test_the_same_bits_over_topics(tmp_path):
     scenario = load_scenario("induction_dtc_short")
-    run = execute(scenario, "processes", tmp_path)
+    run = execute(checked(scenario), "processes", tmp_path)
     assert run.error == ""
     assert differences(in_process(Rig.from_scenario(scenario), scenario.seed), run.recording) == []
 

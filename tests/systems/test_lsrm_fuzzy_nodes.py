@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from conftest import differences, in_process
-from softrig_bringup.run import execute
+from softrig_bringup.run import checked, execute
 from softrig_core import Rig, load_scenario
 
 pytestmark = pytest.mark.processes
@@ -17,14 +17,14 @@ CURRENT_A = "phase_currents/a/position"
 )
 def test_the_same_bits_over_topics(name, tmp_path):
     scenario = load_scenario(name)
-    run = execute(scenario, "processes", tmp_path)
+    run = execute(checked(scenario), "processes", tmp_path)
     assert run.error == ""
     assert differences(in_process(Rig.from_scenario(scenario), scenario.seed), run.recording) == []
 
 
 def test_overcurrent_trips_in_a_process(tmp_path):
     scenario = load_scenario("lsrm_fuzzy_b5_trip")
-    run = execute(scenario, "processes", tmp_path)
+    run = execute(checked(scenario), "processes", tmp_path)
     assert run.error == ""
     currents = np.array([run.signals[f"phase_currents/{k}/position"].x for k in "ab"])
     tripped = int(np.argmax(currents.max(axis=0) > 12.0))

@@ -4,6 +4,11 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from softrig_core import Scenario
 
 # The words so far go to `softrig completion --words`, which prints what the last one may become.
 SCRIPT = """_softrig() {
@@ -45,7 +50,9 @@ def _all(parser: argparse.ArgumentParser, before: Sequence[str], current: str) -
     if option is not None and option.choices:
         return map(str, option.choices)
     if previous in ("--set", "--grid", "--draw"):
-        return [f"{node}.{p}=" for node, names in _parameters(before).items() for p in names]
+        return [f"{name}=" for name in _shared(before)] + [
+            f"{node}.{p}=" for node, names in _parameters(before).items() for p in names
+        ]
     if previous == "--external":
         return _parameters(before)
     if verb in ("run", "golden", "study") and (option is None or option.nargs == 0):
@@ -70,17 +77,30 @@ def _executables(given: Sequence[str]) -> Iterable[str]:
     return packages.get(given[0], ()) if len(given) == 1 else ()
 
 
+def _scenario(before: Sequence[str]) -> Scenario | None:
+    """Give the first scenario that is named."""
+    from softrig_core import ScenarioError, load_scenario
+
+    for word in before[1:]:
+        with suppress(ScenarioError):
+            return load_scenario(word)
+    return None
+
+
+def _shared(before: Sequence[str]) -> Iterable[str]:
+    """Shared values of the scenario that is named."""
+    scenario = _scenario(before)
+    return scenario.shared if scenario else ()
+
+
 def _parameters(before: Sequence[str]) -> dict[str, list[str]]:
     """Nodes of the scenario that is named, with the names of their parameters."""
-    from softrig_core import ScenarioError, load_scenario
+    from softrig_core import ScenarioError
     from softrig_core.model.params import declarations
     from softrig_core.rig.rig import load_block
 
-    for word in before[1:]:
-        try:
-            nodes = load_scenario(word).nodes
-            return {name: [d.name for d in declarations(load_block(n.package, n.executable).Params)]
-                    for name, n in nodes.items()}  # fmt: skip
-        except ScenarioError:
-            continue
+    scenario = _scenario(before)
+    with suppress(ScenarioError):
+        return {name: [d.name for d in declarations(load_block(n.package, n.executable).Params)]
+                for name, n in (scenario.nodes if scenario else {}).items()}  # fmt: skip
     return {}

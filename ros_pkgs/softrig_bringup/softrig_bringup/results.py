@@ -2,17 +2,32 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import os
+import shlex
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from softrig_core import RunError, Scenario, ScenarioError, list_scenarios, load_scenario, simulate
+from softrig_core import (
+    Rig,
+    RunError,
+    Scenario,
+    ScenarioError,
+    figures_of,
+    list_scenarios,
+    load_scenario,
+    rig_of,
+    simulate,
+)
 from softrig_core.guard import say
+from softrig_core.rig.code import fingerprints
 from softrig_core.rig.findings import Finding, findings, needed, values
 from softrig_optim.sweep import progress, stream
 
-from .folder import replace
+from .folder import ResultsFolder, replace
+from .run import save, summary, versions
 
 
 class Measured(NamedTuple):
@@ -23,17 +38,61 @@ class Measured(NamedTuple):
     units: dict[str, str]
     missed: list[str]
     error: str
+    kept: bool = False  # from an earlier call, of the same code and scenario
 
 
-def measure(name: str) -> Measured:
-    """Run a scenario in this process and measure its figures."""
+def measure(work: tuple[str, Path | None]) -> Measured:
+    """Run a scenario in this process and measure its figures, or give what was kept of such a run.
+
+    Parameters
+    ----------
+    work : (str, Path or None)
+        Its name, and the folder in which runs are kept by name: the run with pictures and report, and its figures.
+    """
+    name, folder = work
     try:
-        run = simulate(name)
+        rig = rig_of(name)
+        place, key = (None, "") if folder is None else (folder / name, _key(rig))
+        if place and (kept := _kept(place, key)):
+            return kept
+        run = simulate(rig)
     except (RunError, ScenarioError) as error:
         return Measured(name, {}, {}, [], str(error))
     results = run.results
-    units = {r.name: r.unit for r in results}
-    return Measured(name, values(results), units, [r.name for r in results if not r.passed], "")
+    found = Measured(name, values(results), {r.name: r.unit for r in results}, [r.name for r in run.missed], "")
+    if place:
+        save(run, summary(run, results, shlex.join(["scripts/softrig", "run", name, "--mode", "inprocess"])),
+             _cleared(place), record=False)  # fmt: skip
+        replace(_figures(place), json.dumps({"key": key, "measured": found._asdict()}) + "\n")
+    return found
+
+
+def _cleared(place: Path) -> ResultsFolder:
+    folder = ResultsFolder(place)
+    folder.clear()
+    return folder
+
+
+def _figures(place: Path) -> Path:
+    return place.with_name(f"{place.name}.json")  # beside the run, which lists all that is in its folder
+
+
+def _key(rig: Rig) -> str:
+    """What a run is made of: scenario, code of blocks and figures, libraries, machine."""
+    code = fingerprints((m.block_class for m in rig.members), (f.function.__module__ for f in figures_of(rig)))
+    libraries = {k: v for k, v in versions().items() if k != "commit"}
+    whole = json.dumps([rig.scenario.model_dump(mode="json"), code, libraries], sort_keys=True, default=str)
+    return hashlib.sha256(whole.encode()).hexdigest()
+
+
+def _kept(place: Path, key: str) -> Measured | None:
+    try:
+        content = json.loads(_figures(place).read_text())
+        if content["key"] != key or not (place / "report.html").is_file():
+            return None
+        return Measured(**content["measured"])._replace(kept=True)
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
 
 
 def claiming(systems: Sequence[str] = ()) -> list[Scenario]:
@@ -61,8 +120,18 @@ def _belongs(scenario: Scenario, system: str) -> bool:
     return scenario.system == system or scenario.name == system or scenario.name.startswith(f"{system}_")
 
 
-def gather(scenarios: Iterable[Scenario], workers: int | None = None) -> tuple[list[Finding], dict[str, Measured]]:
+def gather(
+    scenarios: Iterable[Scenario], workers: int | None = None, keep: Path | None = None
+) -> tuple[list[Finding], dict[str, Measured]]:
     """Run what the claims of some scenarios need, on all cores, and hold each claim against it.
+
+    Parameters
+    ----------
+    scenarios : iterable of Scenario
+    workers : int, optional
+        All cores when absent.
+    keep : Path, optional
+        See `measure`.
 
     Returns
     -------
@@ -75,7 +144,7 @@ def gather(scenarios: Iterable[Scenario], workers: int | None = None) -> tuple[l
     names = sorted(set().union(*(needed(s) for s in scenarios)))
     measured: dict[str, Measured] = {}
     with progress("scenarios", len(names)) as advance:
-        for _, found in stream(measure, names, workers=workers):
+        for _, found in stream(measure, [(name, keep) for name in names], workers=workers):
             measured[found.name] = found
             advance()
 
@@ -113,6 +182,17 @@ def study_findings(
     return scenarios, rows
 
 
+def left_out(systems: Sequence[str]) -> str:
+    """Say which claims are held by `--studies` alone; empty for none."""
+    from .study.definition import list_studies, load_study
+
+    found = [s for s in map(load_study, list_studies()) if s.claims]
+    found = [s for s in found if not systems or any(_belongs(load_scenario(s.scenario), name) for name in systems)]
+    more = sum(len(s.claims) for s in found)
+    names = ", ".join(s.name for s in found)
+    return f"{more} more claims are of studies ({names}): hundreds of runs, with --studies" if more else ""
+
+
 def main(systems: Sequence[str], out: Path, workers: int | None = None, *, studies: bool = False) -> int:
     """Write results.html and results.md into a directory; 1 when a verdict is false or cannot be checked."""
     from .results_page import counts, html, markdown
@@ -120,16 +200,20 @@ def main(systems: Sequence[str], out: Path, workers: int | None = None, *, studi
     scenarios = claiming(systems)
     if not scenarios:
         raise ScenarioError("no scenario has claims")
-    out.mkdir(parents=True, exist_ok=True)
+    (out / "runs").mkdir(parents=True, exist_ok=True)
     if not os.access(out, os.W_OK | os.X_OK):  # said before the runs, not after them
         raise ScenarioError(f"{out}: cannot be written into; choose another --out")
-    rows, measured = gather(scenarios, workers)
+    rows, measured = gather(scenarios, workers, out / "runs")
+    without = "" if studies else left_out(systems)
     if studies:
         more, held = study_findings(systems, out / "studies", workers)
         scenarios, rows = scenarios + more, rows + held
-    replace(out / "results.html", html(scenarios, rows))
-    replace(out / "results.md", markdown(scenarios, rows))
-    print(counts(rows))
+    replace(out / "results.html", html(scenarios, rows, without, out))
+    replace(out / "results.md", markdown(scenarios, rows, without))
+    kept = sum(m.kept for m in measured.values())
+    if kept:
+        print(f"{kept} of {len(measured)} runs are kept: neither code nor scenario has changed")
+    print(counts(rows) + (f"; {without}" if without else ""))
     status = 0
     for found in measured.values():
         if found.error or found.missed:

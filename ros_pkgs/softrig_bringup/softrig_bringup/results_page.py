@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from itertools import groupby
+from pathlib import Path
 from xml.etree.ElementTree import Element
 
 from softrig_core import Scenario
@@ -13,18 +14,27 @@ from softrig_core.rig.findings import Finding
 
 from .citations import Citation, cited, listed, sources
 from .html import e, mark, page, table
+from .plots.figures import OVERVIEW
 from .plots.style import pretty_unit
 from .study.definition import list_studies
 
-HEADER = ("Claim", "Where", "Published", "Measured", "Unit", "Verdict", "")
+HEADER = ("Claim", "Where", "Published", "Agrees when", "Measured", "Verdict", "Run")
+AGREES = ("Agrees when: the published number with its tolerance (5 % where a claim states none), or the bound or the "
+          "figure of ours that the claim compares with. One statement that is held against several figures or "
+          "scenarios counts once.")  # fmt: skip
 
 
 def counts(rows: Sequence[Finding]) -> str:
-    """Say how many claims have which verdict, and how many verdicts are false."""
-    found = Counter(row.verdict for row in rows)
+    """Say how many claims have which verdict, and how many verdicts are false; what is said twice counts once."""
+    found = Counter(verdict for verdict in _said(rows).values())
     text = ", ".join(f"{found[v]} {v.replace('_', ' ')}" for v in VERDICTS if found[v])
     false = sum(not row.holds for row in rows)
-    return f"{len(rows)} claims: {text}; " + (f"{false} verdicts are not borne out" if false else "every verdict holds")
+    total = f"{found.total()} claims" + (f" in {len(rows)} rows" if len(rows) > found.total() else "")
+    return f"{total}: {text}; " + (f"{false} verdicts are not borne out" if false else "every verdict holds")
+
+
+def _said(rows: Sequence[Finding]) -> dict[tuple[str, ...], str]:
+    return {row.statement: row.verdict for row in rows}
 
 
 def by_system(
@@ -36,8 +46,18 @@ def by_system(
         yield name, [s for s in scenarios if s.system == name], list(group)
 
 
-def html(scenarios: Sequence[Scenario], rows: Sequence[Finding]) -> str:
-    """Make the HTML page."""
+def html(scenarios: Sequence[Scenario], rows: Sequence[Finding], without: str = "", out: Path | None = None) -> str:
+    """Make the HTML page.
+
+    Parameters
+    ----------
+    scenarios : sequence of Scenario
+    rows : sequence of Finding
+    without : str
+        What is not on it.
+    out : Path, optional
+        Where it will stand, with the runs that it links.
+    """
     groups = list(by_system(scenarios, rows))
     totals: list[tuple[Element | str, ...]] = [
         (e("a", system, href=f"#{system}"), *(_count(group, v) for v in VERDICTS), _borne_out(group))
@@ -45,41 +65,44 @@ def html(scenarios: Sequence[Scenario], rows: Sequence[Finding]) -> str:
     ]
     header = ("System", *(v.replace("_", " ").capitalize() for v in VERDICTS), "")
     body = [
-        e("header", e("h1", "What the papers say, and what holds"), e("p", counts(rows), class_="what")),
+        e("header", e("h1", "What the papers say, and what holds"), e("p", counts(rows), class_="what"),
+          *([e("p", without, class_="what")] if without else [])),
         table(header, totals, " nnnnn "),
         e("p", *(part for v, text in VERDICTS.items() for part in (e("b", v.replace("_", " ")), f": {text}. ")),
           class_="note"),
+        e("p", AGREES, class_="note"),
     ]  # fmt: skip
     for system, mine, group in groups:
         cells: list[tuple[Element | str, ...]] = [
-            (_claim(r), r.where, _number(r.published) or r.compared_text, r.measured_text, pretty_unit(r.unit),
-             _verdict(r), e("code", r.scenario))
+            (_claim(r), r.where, _number(r.published), r.asked, f"{r.measured_text} {pretty_unit(r.unit)}".strip(),
+             _verdict(r), _run(r, out))
             for r in group
         ]  # fmt: skip
         names = list(dict.fromkeys(r.scenario for r in group))
         papers = list(sources(_cited(mine))) or [e("p", text, class_="what") for text in _stated(mine)]
         body.append(
             e("section", e("h2", system), *papers,
-              table((*HEADER[:-1], "Scenario"), cells, "  nn   "),
+              table(HEADER, cells, "  n n  "),
               e("details", e("summary", "Repeat"), e("pre", "\n".join(map(command, names)))), id=system)
         )  # fmt: skip
     return page("Results", body)
 
 
-def markdown(scenarios: Sequence[Scenario], rows: Sequence[Finding]) -> str:
-    """Make the Markdown page."""
+def markdown(scenarios: Sequence[Scenario], rows: Sequence[Finding], without: str = "") -> str:
+    """Make the Markdown page; see `html`."""
     lines = ["# What the papers say, and what holds", "", f"{counts(rows)}. Made by `scripts/softrig results`.", ""]
+    lines += [f"{without}.", ""] if without else []
     lines += ["| system | " + " | ".join(v.replace("_", " ") for v in VERDICTS) + " |", "|---" * 6 + "|"]
     groups = list(by_system(scenarios, rows))
     lines += [f"| {s} | " + " | ".join(_count(group, v) for v in VERDICTS) + " |" for s, _, group in groups]
-    lines += ["", *(f"- **{v.replace('_', ' ')}**: {text}" for v, text in VERDICTS.items())]
+    lines += ["", *(f"- **{v.replace('_', ' ')}**: {text}" for v, text in VERDICTS.items()), "", AGREES]
     for system, mine, group in groups:
         lines += ["", f"## {system}", "", *(listed(_cited(mine)) or _stated(mine)), ""]
-        lines += ["| claim | where | published | measured | verdict | scenario |", "|---" * 6 + "|"]
+        lines += ["| claim | where | published | agrees when | measured | verdict | scenario |", "|---" * 7 + "|"]
         for r in group:
             verdict = r.verdict.replace("_", " ") + ("" if r.holds else " (NOT BORNE OUT)")
             reason = f": {r.reason}" if r.reason else ""
-            numbers = [_with_unit(_number(r.published) or r.compared_text, r), _with_unit(r.measured_text, r)]
+            numbers = [_with_unit(_number(r.published), r), r.asked, _with_unit(r.measured_text, r)]
             cells = [r.text, r.where, *numbers, f"**{verdict}**{reason}", f"`{r.scenario}`"]
             lines.append("| " + " | ".join(c.replace("|", "\\|") for c in cells) + " |")
     lines += [
@@ -106,6 +129,17 @@ def command(scenario: str) -> str:
     return f"scripts/softrig run {scenario} --mode inprocess"
 
 
+def _run(row: Finding, out: Path | None) -> Element:
+    """The scenario, and the run's report and first picture, as far as they are there."""
+    name = row.figure.rpartition(".")[0] or row.scenario
+    place = Path("runs", name)
+    if out is None or not (out / place / "report.html").is_file():
+        return e("code", name)
+    first = next(iter(sorted((out / place).glob("plot_01_*.png"))), out / place / OVERVIEW)
+    return e("div", e("a", e("code", name), href=f"{place}/report.html"), " ",
+             e("a", "picture", href=f"{place}/{first.name}"))  # fmt: skip
+
+
 def _claim(row: Finding) -> Element:
     figure = row.figure.replace("_", " ")
     return e("div", row.text, *([e("div", figure, class_="note")] if figure and figure != row.text else []))
@@ -123,7 +157,7 @@ def _borne_out(group: Sequence[Finding]) -> Element:
 
 
 def _count(group: Sequence[Finding], verdict: str) -> str:
-    return str(sum(r.verdict == verdict for r in group) or "")
+    return str(sum(v == verdict for v in _said(group).values()) or "")
 
 
 def _number(value: float | None) -> str:

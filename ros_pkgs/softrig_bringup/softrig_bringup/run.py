@@ -34,7 +34,7 @@ Mode = Literal["processes", "container", "inprocess", "realtime"]
 
 
 def execute(
-    scenario: Scenario,
+    rig: Rig,
     mode: Mode,
     directory: Path,
     *,
@@ -44,11 +44,12 @@ def execute(
     announce: Callable[[str], object] | None = None,
     wait: float | None = None,
 ) -> Run:
-    """Run a scenario; one that broke or was stopped says so in `error` or `stopped` and has what was recorded.
+    """Run a rig; one that broke or was stopped says so in `error` or `stopped` and has what was recorded.
 
     Parameters
     ----------
-    scenario : Scenario
+    rig : Rig
+        As `checked` gives it.
     mode : {"processes", "container", "inprocess", "realtime"}
         Where the nodes live; "realtime" is short for processes against the wall clock.
     directory : Path
@@ -61,32 +62,29 @@ def execute(
     wait : float, optional
         See `softrig_core.rig.processes.run_processes`.
     """
-    rig = checked(scenario)
     started = time.perf_counter()
+    seed = rig.scenario.seed
     if mode == "inprocess":
-        recording = Recording((t, p.msgtype) for t, p in rig.topics.items())
-        error, stopped = "", 0
-        status: dict[str, dict[str, Any]] = {}
+        run = Run(rig, seed, Recording((t, p.msgtype) for t, p in rig.topics.items()))
         try:
             with stoppable():
-                blocks = run_inprocess(rig, scenario.seed, recording, progress)
-            status = {name: _status(block) for name, block in blocks.items()}
+                run.blocks = run_inprocess(rig, seed, run.recording, progress)
+            run.status = {name: _status(block) for name, block in run.blocks.items()}
         except RunError as broken:
-            error = str(broken)
+            run.error = str(broken)
         except KeyboardInterrupt as interrupt:
-            stopped = signal_of(interrupt)
-        wall_s = time.perf_counter() - started
-        run = Run(rig, scenario.seed, recording, wall_s, status=status, error=error, stopped=stopped)
+            run.stopped = signal_of(interrupt)
+        run.wall_s = time.perf_counter() - started
     else:
         from softrig_core import run_processes
         from softrig_core.rig.starting import placed
 
         realtime = realtime or mode == "realtime"
-        outcome = run_processes(rig, scenario.seed, directory, mode="realtime" if realtime else "lockstep",
+        outcome = run_processes(rig, seed, directory, mode="realtime" if realtime else "lockstep",
                                 domain=domain, progress=progress, announce=announce, wait=wait,
                                 containers=placed(rig, mode))  # fmt: skip
         name = "realtime" if realtime and mode != "container" else f"{mode}, realtime" if realtime else mode
-        run = Run(rig, scenario.seed, outcome.recording, time.perf_counter() - started, name, outcome.epoch,
+        run = Run(rig, seed, outcome.recording, time.perf_counter() - started, name, outcome.epoch,
                   outcome.status, outcome.error, outcome.stopped)  # fmt: skip
     if not run.error and not run.stopped and not realtime:
         run.error = gaps(rig, run.recording)

@@ -28,7 +28,8 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--mode", choices=("processes", "container", "inprocess", "realtime"), default="processes",
                      help="where the nodes live; realtime: processes --realtime")  # fmt: skip
     parser.add_argument("--realtime", action="store_true", help="against the wall clock, not in lockstep")
-    parser.add_argument("--set", action="append", default=[], metavar="NODE.PARAM=VALUE", help="change a parameter")
+    parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE",
+                        help="change a parameter (node.parameter) or a shared value")  # fmt: skip
     parser.add_argument("--duration", type=float, metavar="S", help="instead of the scenario's")
     parser.add_argument("--seed", type=int, metavar="N", help="instead of the scenario's")
     parser.add_argument("--external", action="append", default=[], metavar="NODE", help="somebody else starts this one")
@@ -89,7 +90,7 @@ def _run_reserved(options: argparse.Namespace) -> int:
         say(f"replacing {folder.replaced} in {_shown(out)}")
     folder.clear()
     with _progress(scenario) as progress:
-        done = execute(scenario, options.mode, out / "log", realtime=options.realtime, domain=options.domain,
+        done = execute(rig, options.mode, out / "log", realtime=options.realtime, domain=options.domain,
                        progress=progress, wait=options.wait, announce=_announce)  # fmt: skip
     changed += [done.stopped_at] if done.stopped else []
     figures = [] if done.error else done.results
@@ -141,8 +142,8 @@ def _assignment(text: str) -> tuple[str, Any]:
     from softrig_core.rig.yaml_file import read_yaml
 
     key, separator, value = text.partition("=")
-    if not separator or "." not in key:
-        raise ScenarioError(f"--set {text!r}: expected node.parameter=value")
+    if not separator:
+        raise ScenarioError(f"--set {text!r}: expected node.parameter=value, or shared_value=value")
     return key, read_yaml(value, f"--set {text!r}")
 
 

@@ -16,6 +16,8 @@ from softrig_core.rig.scenario import explain
 from softrig_core.rig.scenario_file import closest
 from softrig_core.rig.yaml_file import read_yaml
 
+MOST = 1_000_000  # seeds, points, candidates: room is made for all of them at once
+
 
 class _Model(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
@@ -55,7 +57,7 @@ def _flat(values: Any) -> list[float]:
 class Draws(_Model):
     """Random parameters: `count` points by a generator of its own seed."""
 
-    count: int = Field(ge=1)
+    count: int = Field(ge=1, le=MOST)
     seed: int = Field(0, ge=0)
     method: Literal["random", "latin_hypercube"] = "latin_hypercube"
     parameters: dict[str, Distribution] = Field(min_length=1)
@@ -69,8 +71,8 @@ class Search(_Model):
 
     figure: str
     aim: Literal["minimise", "maximise"] = "minimise"
-    count: int = Field(ge=1)
-    batch: int = Field(4, ge=1)
+    count: int = Field(ge=1, le=MOST)
+    batch: int = Field(4, ge=1, le=10_000)
     seed: int = Field(0, ge=0)
     sampler: Literal["tpe", "random"] = "tpe"
     parameters: dict[str, Distribution] = Field(min_length=1)
@@ -106,7 +108,11 @@ class Summary(_Model):
 
 
 def _seeds(given: Any) -> Any:
-    return list(range(given)) if isinstance(given, int) and not isinstance(given, bool) else given
+    if not isinstance(given, int) or isinstance(given, bool):
+        return given
+    if not 1 <= given <= MOST:
+        raise ValueError(f"expected 1 to {MOST} seeds, or a list of them")
+    return list(range(given))
 
 
 class Study(_Model):

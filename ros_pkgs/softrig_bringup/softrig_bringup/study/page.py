@@ -129,11 +129,14 @@ def _page(
         body += [e("h2", "Over all runs"), table(("Summary", "Published", "Value", "Accepted", ""), lines, " nnn ")]
     if held:
         lines = [
-            (c.text, c.where, _number(c.published) or c.compared_text, c.measured_text,
+            (c.text, c.where, _number(c.published), c.asked, c.measured_text,
              e("div", e("b", c.verdict.replace("_", " ")) if c.holds else mark(False, f"{c.verdict}: not borne out"),
                e("div", c.reason, class_="note"))) for c in held
         ]  # fmt: skip
-        body += [e("h2", "Claims"), table(("Claim", "Where", "Published", "Measured", "Verdict"), lines, "  nn ")]
+        body += [
+            e("h2", "Claims"),
+            table(("Claim", "Where", "Published", "Agrees when", "Measured", "Verdict"), lines, "  n n "),
+        ]
     winner = best(study, rows)
     if winner is not None:
         body += [e("h2", "Best run"), e("pre", command(winner, study.duration))]
@@ -143,12 +146,12 @@ def _page(
     papers = cited(load_scenario(study.scenario).cites)
     names = chosen(study, rows)
     broken = ["Broke"] if any(row["error"] for row in rows) else []
-    header = ("Run", "Changed", "Seed", *(_heading(n, units.get(n, "")) for n in names), *broken)
+    heads = ("Run", "Changed", "Seed", *(_heading(n, units.get(n, "")) for n in names), *broken)
     lines = [
         (str(row["number"]), _changes(study, row), str(row["seed"]), *(_number(row["figures"].get(n)) for n in names),
          *([row["error"]] if broken else [])) for row in rows[:LONGEST]
     ]  # fmt: skip
-    body += [e("h2", "Runs"), table(header, lines, "  n" + "n" * len(names))]
+    body += [e("h2", "Runs"), table(heads, lines, "  n" + "n" * len(names))]
     note = "table.parquet and table.csv have every run with the command that repeats it."
     if len(rows) > LONGEST:
         note = f"The first {LONGEST} of {len(rows)} runs. {note}"

@@ -21,6 +21,11 @@ TOLERANCE = 0.05  # share of the published value, when a claim states none
 _PERCENT = re.compile(r"\s*([-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*%\s*")
 
 
+def spoken(value: float) -> str:
+    """Write a measured number for people: infinity is what never happens."""
+    return "never" if value == math.inf else f"{value:.6g}"
+
+
 class Claim(BaseModel):
     """One statement of a paper about a figure.
 
@@ -108,12 +113,34 @@ class Claim(BaseModel):
         )
 
     def _near(self, value: float, wanted: float) -> bool:
+        return value == wanted or abs(value - wanted) <= self.width(wanted) * (1.0 + 1e-9)
+
+    def width(self, wanted: float) -> float:
+        """How far from a number agrees."""
         if isinstance(self.tolerance, int | float):
-            width = float(self.tolerance)
-        else:
-            found = _PERCENT.fullmatch(self.tolerance) if self.tolerance else None
-            width = (float(found[1]) / 100.0 if found else TOLERANCE) * abs(wanted)
-        return value == wanted or abs(value - wanted) <= width * (1.0 + 1e-9)
+            return float(self.tolerance)
+        found = _PERCENT.fullmatch(self.tolerance) if self.tolerance else None
+        return (float(found[1]) / 100.0 if found else TOLERANCE) * abs(wanted)
+
+    def asks(self, others: Mapping[str, float | None]) -> str:
+        """Write what agrees with it: ``0.607 ± 0.03 (5 %)``, ``below 0.02``, ``above a.rise_time = 0.69 here``.
+
+        Parameters
+        ----------
+        others : mapping
+            The values behind `compared`; None for one that is not known.
+        """
+
+        def near(wanted: float) -> str:
+            share = "" if isinstance(self.tolerance, int | float) else f" ({self.tolerance or f'{TOLERANCE:.0%}'})"
+            return f"{wanted:.6g} ± {self.width(wanted):.3g}{share.replace('%', ' %').replace('  ', ' ')}"
+
+        parts = [near(self.published)] if self.published is not None else []
+        for kind, reference in self.compared().items():
+            value = others.get(kind)
+            text = "?" if value is None else spoken(value) if kind != "equals" else near(value)
+            parts.append(f"{kind} {reference} = {text} here" if isinstance(reference, str) else f"{kind} {text}")
+        return ", ".join(parts)
 
     def holds(self, agrees: bool) -> bool:
         """Whether the verdict fits: all but refuted need agreement; not_checkable says nothing."""

@@ -20,13 +20,15 @@ _IMPORT = re.compile(r"^\s*(?:from|import)\s+([A-Za-z_]\w*)", re.MULTILINE)
 _BUILT = {"__pycache__", ".pyc", ".so", ".nbi", ".nbc"}  # made from the sources
 
 
-def fingerprints(classes: Iterable[type[Block]]) -> dict[str, str]:
+def fingerprints(classes: Iterable[type[Block]], modules: Iterable[str] = ()) -> dict[str, str]:
     """Give the fingerprint of each package whose code decides what some blocks do.
 
     Parameters
     ----------
     classes : iterable of type
         The block classes of a rig; their bases count, and what their packages import of others that colcon built.
+    modules : iterable of str
+        Further modules, such as those of figure functions.
 
     Returns
     -------
@@ -36,7 +38,7 @@ def fingerprints(classes: Iterable[type[Block]]) -> dict[str, str]:
     """
     found: dict[str, str] = {}
     seen: set[str] = set()
-    todo = [__name__.partition(".")[0]]
+    todo = [name for m in (__name__, *modules) if _folder(name := m.partition(".")[0]) is not None]
     for one in dict.fromkeys(base for cls in classes for base in cls.__mro__ if issubclass(base, Block)):
         package = one.__module__.partition(".")[0]
         if _folder(package) is not None:

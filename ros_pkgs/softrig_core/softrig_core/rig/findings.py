@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Mapping
 from pydantic import BaseModel, ConfigDict
 
 from ..errors import ScenarioError
-from .claims import Claim, Verdict
+from .claims import Claim, Verdict, spoken
 from .figures import Result
 from .scenario import Scenario
 from .scenario_file import list_scenarios
@@ -26,6 +26,8 @@ class Finding(BaseModel):
     text, where, reason : str
         What the paper says, where, and why the verdict is what it is.
     figure, unit : str
+    asked : str
+        What agrees with it: the number with its tolerance, or what it is compared with.
     published : float, optional
     measured : float, optional
         None when the claim cannot be checked or the figure is not finite; `measured_text` is for people.
@@ -45,7 +47,7 @@ class Finding(BaseModel):
     published: float | None = None
     measured: float | None = None
     measured_text: str = ""
-    compared_text: str = ""
+    asked: str = ""
     verdict: Verdict
     reason: str = ""
     holds: bool | None = None
@@ -54,8 +56,14 @@ class Finding(BaseModel):
     def false(self) -> str:
         """Say why its verdict is not borne out."""
         why = "cannot be checked" if self.holds is None else "does not hold"
-        against = self.compared_text or f"published {self.published:.6g}"
-        return f"the verdict {self.verdict} {why}: measured {self.measured_text}, {against} {self.unit}".rstrip()
+        return f"the verdict {self.verdict} {why}: measured {self.measured_text}, {self.asked} {self.unit}".rstrip()
+
+    @property
+    def statement(self) -> tuple[str, ...]:
+        """What the paper says and how it fared, which may be held against several scenarios, figures and bounds."""
+        if self.text == _words(self.key):
+            return self.scenario, self.key
+        return self.text, self.where, str(self.published), self.verdict
 
 
 def values(results: Iterable[Result]) -> dict[str, float]:
@@ -109,11 +117,10 @@ def _finding(
         holds = claim.holds(claim.agrees(value, sure)) if known and value is not None else None
     speaks = claim.verdict != "not_checkable" or bool(claim.figure)
     return Finding(
-        scenario=name, key=key, text=claim.text or key.replace("_", " "), where=claim.where,
+        scenario=name, key=key, text=claim.text or _words(key), where=claim.where,
         figure=figure if speaks else "", unit=units.get(figure, ""), published=claim.published,
         measured=value if value is not None and math.isfinite(value) else None,
-        measured_text=_text(value) if speaks else "",
-        compared_text=", ".join(f"{kind} {_text(x)}" for kind, x in others.items()),
+        measured_text=("?" if value is None else spoken(value)) if speaks else "", asked=claim.asks(others),
         verdict=claim.verdict, reason=claim.reason, holds=holds,
     )  # fmt: skip
 
@@ -126,10 +133,8 @@ def _value(reference: float | str, own: str, figures: Callable[[str], Figures | 
     return None if found is None else found.get(figure)
 
 
-def _text(value: float | None) -> str:
-    if value is None:
-        return "?"
-    return "never" if value == math.inf else f"{value:.6g}"
+def _words(key: str) -> str:
+    return key.replace("_", " ")
 
 
 def needed(scenario: Scenario) -> set[str]:

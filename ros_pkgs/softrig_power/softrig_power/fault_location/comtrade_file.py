@@ -78,6 +78,7 @@ def _load(path: Path) -> Any:
     if not isfile(path):
         raise ComtradeFileError(f"{path}: no such file")
     try:
+        _bounded(path)
         file = comtrade.Comtrade(ignore_warnings=True, use_numpy_arrays=True, use_double_precision=True)
         if path.suffix.lower() == ".cff":
             file.load(str(path))
@@ -86,6 +87,8 @@ def _load(path: Path) -> Any:
             data = path.with_suffix(".DAT" if path.suffix.isupper() else ".dat").read_bytes()
             ascii_data = any(line.strip().upper() == "ASCII" for line in settings.splitlines())
             file.read(settings, _text(data) if ascii_data else data)
+    except ComtradeFileError:
+        raise
     except Exception as error:  # the reader raises whatever a broken line gives
         raise ComtradeFileError(f"{path}: not readable as COMTRADE: {type(error).__name__}: {error}") from error
     if file.total_samples < 2 or not len(file.time):
@@ -99,6 +102,37 @@ def _text(data: bytes) -> str:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError:
         return data.decode("cp1252", errors="replace")
+
+
+def _bounded(path: Path) -> None:
+    """Refuse a file that tells of far more than it has: the reader makes room for all of it before it looks.
+
+    Raises
+    ------
+    ComtradeFileError
+        More channels than lines, or more than twice the samples that its data have bytes for.
+    """
+    import comtrade
+
+    single = path.suffix.lower() == ".cff"
+    text = _text(path.read_bytes())
+    if single:
+        text = text.partition("--- file type: CFG ---")[2].partition("--- file type:")[0]
+    lines = text.strip().splitlines()
+    counts = [int(field.strip(" AD\t")) for field in lines[1].upper().split(",")]
+    if sum(counts) > 2 * len(lines):
+        raise ComtradeFileError(f"{path}: tells of {max(counts)} channels in {len(lines)} lines")
+    cfg = comtrade.Cfg(ignore_warnings=True)
+    cfg.read("\n".join(lines))
+    width = {"BINARY": 2, "BINARY32": 4, "FLOAT32": 4}.get(cfg.ft.upper())
+    least = cfg.analog_count + cfg.status_count + 2  # ASCII: each field has a separator
+    if width is not None:
+        least = 8 + width * cfg.analog_count + 2 * -(-cfg.status_count // 16)
+    own = [path] if single else [p for p in path.parent.iterdir() if p.stem == path.stem and p.suffix.lower() == ".dat"]
+    size = max((p.stat().st_size for p in own), default=0)
+    if cfg.sample_rates[-1][1] > 2 * (size // least + 1):
+        raise ComtradeFileError(f"{path}: tells of {cfg.sample_rates[-1][1]} samples, but its data are {size} bytes, "
+                                f"room for {size // least} at most")  # fmt: skip
 
 
 def _pick(file: Any, path: Path, names: Sequence[str], ends: int) -> Array:

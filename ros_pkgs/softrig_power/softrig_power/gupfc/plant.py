@@ -129,7 +129,7 @@ class GupfcPlant(Plant[GupfcPlantParams]):
         nominal = p.network.omega
         highest = math.pi * (1.0 + 1e-12) if k == 0 else MAGNITUDE_LIMIT
         if (
-            0.0 <= amplitude <= highest and math.isfinite(angle)
+            0.0 <= amplitude <= highest
             and FREQUENCY_LIMIT[0] * nominal <= omega <= FREQUENCY_LIMIT[1] * nominal
         ):  # fmt: skip
             self._bad[k] = 0

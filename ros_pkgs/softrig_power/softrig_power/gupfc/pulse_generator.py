@@ -56,7 +56,7 @@ class PulseGenerator(Block[PulseGeneratorParams]):
     def update(self, t: int, command: tuple[float, ...] | None) -> Mapping[str, tuple[float, ...]]:
         """Answer one tick."""
         if command is not None and command != self._command:
-            if 0.0 < command[0] <= math.pi * (1.0 + 1e-12) and all(map(math.isfinite, command)):
+            if 0.0 < command[0] <= math.pi * (1.0 + 1e-12):
                 judged = command[0] == self._command[0]
                 self._command = command
                 if not judged:

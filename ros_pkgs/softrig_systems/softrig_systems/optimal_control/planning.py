@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
@@ -62,7 +61,7 @@ class Planner(Solver[P]):
     """Plans from the first measured state to the end of the horizon, and again from later ones on what is left of it.
 
     A press on `replan`, or each `k_replan` periods, asks for a new plan, unless less than two periods are left. A state
-    that is refused or not finite asks for nothing: the last plan stays. A plan that misses the end conditions by more
+    that is refused asks for nothing: the last plan stays. A plan that misses the end conditions by more
     than 1e-8 of the state is not published (ERROR); one with too large a residual is, as not converged (WARN).
     """
 
@@ -94,9 +93,6 @@ class Planner(Solver[P]):
         """Ask at the first state, at a press, and each `k_replan` periods."""
         pressed, self._pressed = replan == (1.0,) and not self._pressed, replan == (1.0,)
         x = state[: self._n]
-        if not all(map(math.isfinite, x)):
-            self.report(Level.ERROR, "state", "state is not finite: the last plan stays")
-            return None
         first = self._begin is None
         if first:
             self._begin = t

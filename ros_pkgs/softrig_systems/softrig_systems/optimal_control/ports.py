@@ -6,6 +6,7 @@ from softrig_core import Port, array, command, joint_state, scalars
 
 from .problem import Problem
 
+ESCAPED = 1e3  # size of a state with which no loop comes back
 SUMMARY = {
     "start": "s",
     "horizon": "s",
@@ -22,10 +23,12 @@ SUMMARY = {
 def state(problem: Problem) -> Port:
     """Give the port of the measured state; with velocities comes the effort that was applied before."""
     units = [unit or "1" for unit in problem.states.values()]
+    limits = [ESCAPED] * len(units)
     if problem.carrier == "velocity":
         efforts = [unit or "1" for unit in problem.controls.values()]
-        return joint_state("state", "ocp/state", tuple(problem.states), velocity=units, effort=efforts)
-    return joint_state("state", "ocp/state", tuple(problem.states), position=units)
+        limits += command("command", "", tuple(problem.controls), efforts).limits
+        return joint_state("state", "ocp/state", tuple(problem.states), velocity=units, effort=efforts, limits=limits)
+    return joint_state("state", "ocp/state", tuple(problem.states), position=units, limits=limits)
 
 
 def control(problem: Problem) -> Port:

@@ -42,8 +42,6 @@ class TankController(Block[TankControllerParams]):
     def update(self, t: int, *, level: tuple[float, ...]) -> Mapping[str, tuple[float, ...]]:
         """Give the inflow."""
         p, x = self.p, level[0]
-        if x - x != 0.0:
-            return self.refused(t)
         self._answer = {"inflow": (p.A * p.phi * x * (p.k_low if x < p.switch else -p.k_high),)}
         return self._answer
 
@@ -79,10 +77,7 @@ class PendulumController(Block[PendulumControllerParams]):
     def update(self, t: int, *, state: tuple[float, ...]) -> Mapping[str, tuple[float, ...]]:
         """Give the torque."""
         theta, omega = state
-        total = theta + omega
-        if total - total != 0.0:
-            return self.refused(t)
-        self._answer = {"torque": (-(self.p.k_positive if theta > 0.0 else self.p.k_negative) * total,)}
+        self._answer = {"torque": (-(self.p.k_positive if theta > 0.0 else self.p.k_negative) * (theta + omega),)}
         return self._answer
 
     def refused(self, t: int) -> Mapping[str, tuple[float, ...]]:

@@ -46,7 +46,7 @@ class AqmController(Block[AqmControllerParams]):
     Window and round trip of one round trip ago come from the controller's own record of the state, interpolated
     linearly; before there is one, from the oldest value. The integral takes e in after the law has used it.
 
-    A state that is refused, not finite, negative or older than 5 periods is answered by the last command; after 50
+    A state that is refused, negative or older than 5 periods is answered by the last command; after 50
     ticks without a valid one by 0, for then only a full queue may drop.
     """
 
@@ -83,8 +83,7 @@ class AqmController(Block[AqmControllerParams]):
             self._silent = max(self._silent, age // self._period - 1)
             return self._hold()
         w, q, R = state
-        total = w + q + R
-        if total - total != 0.0 or w <= 0.0 or q < 0.0 or R <= 0.0:
+        if w <= 0.0 or q < 0.0 or R <= 0.0:
             self.report(Level.ERROR, "bad_state", f"state window {w:g}, queue {q:g}, rtt {R:g}: impossible, the last "
                         "command is held")  # fmt: skip
             return self._hold()

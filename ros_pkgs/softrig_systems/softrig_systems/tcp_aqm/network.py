@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import Literal, NamedTuple, Self
 
@@ -12,8 +11,6 @@ from typing_extensions import TypeVar
 
 from .model import Bottleneck
 from .ports import COMMAND, STATE, TRUTH, events
-
-BAD_IN_A_ROW = 3
 
 
 class NetworkParams(Bottleneck, BlockParams):
@@ -62,9 +59,8 @@ P = TypeVar("P", bound=NetworkParams, default=NetworkParams)
 class Network(Plant[P]):
     """A queue whose drop or mark probability is the command; what is behind it is the subclass's.
 
-    The command is held for one period. Outside [0, 1] it is clipped; NaN holds the last one, and the third in a row
-    makes it 0 (the queue then only drops what finds no room). Disturbances and events act at the internal step nearest
-    to their time.
+    The command is held for one period; outside [0, 1] it is clipped. Disturbances and events act at the internal step
+    nearest to their time.
     """
 
     OUTPUTS = (STATE, TRUTH)
@@ -82,7 +78,6 @@ class Network(Plant[P]):
         self._events: tuple[float, ...] | None = None
         self._step = 0
         self._p = p.p0
-        self._bad = 0
         self._offset = 0.0
         self._change = -1 if p.disturbance == "none" else round(p.disturbance_time / self._h)
         self.begin()
@@ -116,20 +111,9 @@ class Network(Plant[P]):
         self._sense()
 
     def _accept(self, p: float) -> float:
-        if p - p != 0.0:
-            self._bad += 1
-            if self._bad < BAD_IN_A_ROW:
-                self.report(Level.WARN, "not_finite", f"drop probability {p}: the last one, {self._p:g}, is held")
-                return self._p
-            self.report(Level.ERROR, "no_command", f"drop probability {p}, {BAD_IN_A_ROW} in a row: 0, only a full "
-                        "queue drops")  # fmt: skip
-            self._p = 0.0
-            return 0.0
-        self._bad = 0
         if not 0.0 <= p <= 1.0:
             self.report(Level.WARN, "clipped", f"drop probability {p:g} clipped to [0, 1]")
-            p = 0.0 if p < 0.0 else 1.0
-        self._p = p
+            return 0.0 if p < 0.0 else 1.0
         return p
 
     def _disturb(self) -> None:
@@ -145,9 +129,7 @@ class Network(Plant[P]):
     def _happen(self, flows: float, capacity: float, propagation: float, rate: float) -> None:
         """Take new constants of the network, unless they are impossible."""
         count = round(flows)
-        possible = 1 <= count <= self.most_flows and capacity > 0.0 and propagation > 0.0 and math.isfinite(
-            flows + capacity + propagation + rate
-        )  # fmt: skip
+        possible = 1 <= count <= self.most_flows and capacity > 0.0 and propagation > 0.0
         if not possible or self.p.q_max / capacity + propagation > self.p.history or 4.0 * self._h > propagation:
             self.report(Level.ERROR, "impossible_event", f"event flows {flows:g}, capacity {capacity:g}, propagation "
                         f"{propagation:g}: impossible, or its delay is beyond the history; ignored")  # fmt: skip
