@@ -16,9 +16,11 @@ import pytest
 from conftest import PATIENCE
 from softrig_bags.reader import BagReader
 from softrig_bringup.cli import _parser, main
-from softrig_bringup.run import _checkout, gaps
+from softrig_bringup.plots.figures import plot_run
+from softrig_bringup.run import checkout, gaps, summary
 from softrig_bringup.run_verb import _announce, _folder_name, repeat
-from softrig_core import Recording, Rig, figure, load_scenario
+from softrig_core import Recording, Rig, Run, figure, load_scenario, run_inprocess, simulate
+from softrig_core.rig.scenario import PlotEntry
 from softrig_core.wire import signals
 
 SCRIPTS = Path(__file__).parents[2] / "scripts"
@@ -77,7 +79,8 @@ def test_a_run_leaves_bag_metrics_plots_and_report(folder, capsys):
     (metric,) = content["metrics"]
     assert metric["pass"] is True
     assert metric["published"] == 0.3
-    assert content["command"] == "scripts/softrig run lag --mode inprocess --set gain.k=1.5 --seed 4"
+    command = f"run {folder / 'lag.yaml'} --mode inprocess --set gain.k=1.5 --seed 4"
+    assert content["command"].partition(" ")[2] == command  # also from another folder
     assert (out / "bag" / "metadata.yaml").is_file()
     assert list(out.glob("plot_*.png"))
     assert "<html" in (out / "report.html").read_text()
@@ -167,10 +170,12 @@ def test_metrics_and_pictures_share_the_decoded_signals(monkeypatch):
     assert "lag/state" in decoded
 
 
-def test_the_command_of_a_run_repeats_it():
+def test_the_command_of_a_run_repeats_it_from_any_folder(folder):
     arguments = ["lag", "--mode", "realtime", "--set", "gain.k=2", "--external", "gain", "--duration", "0.5",
                  "--seed", "3", "--domain", "42"]  # fmt: skip
-    assert repeat(_parser().parse_args(["run", *arguments, "--out", "x"])) == [*arguments, "--out", "x"]
+    found = repeat(_parser().parse_args(["run", *arguments, "--out", "x"]))
+    assert found == [str(folder / "lag.yaml"), *arguments[1:], "--out", str(folder / "x")]
+    assert repeat(_parser().parse_args(["run", "dc_motor_smc_b2"]))[0] == "dc_motor_smc_b2"  # every folder knows it
 
 
 def test_a_domain_that_is_none_or_taken_is_one_line(capsys):
@@ -237,15 +242,72 @@ def test_a_report_tells_runs_apart_and_says_what_it_leaves_out(folder):
     assert '<a href="#run-1">soft</a>' in (folder / "all.html").read_text()
 
 
+def test_the_version_is_said(capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(["--version"])
+    assert ended.value.code == 0
+    assert re.match(r"softrig \d+\.\d+", capsys.readouterr().out)
+
+
 def test_a_run_keeps_the_commit_and_the_lock_file(folder, monkeypatch):
     monkeypatch.setenv("SOFTRIG_COMMAND", str(SCRIPTS / "softrig"))
-    _checkout.cache_clear()
+    checkout.cache_clear()
     run("lag", "--mode", "inprocess", "--no-record", "--no-plots")
     versions = json.loads((folder / "runs" / "lag" / "metrics.json").read_text())["versions"]
     lock = (SCRIPTS / "locks" / "run.lock").read_bytes()
     assert versions["run.lock"] == f"sha256:{hashlib.sha256(lock).hexdigest()}"
     if (SCRIPTS.parent / ".git").exists():
         assert re.fullmatch(r"[0-9a-f]{40}\+?", versions["commit"])
+
+
+def test_a_run_that_is_stopped_says_what_it_did_and_judges_nothing(folder, monkeypatch, capsys):
+    def stopping(rig, seed, recording, progress):
+        run_inprocess(rig, seed, recording, lambda t: os.kill(os.getpid(), signal.SIGTERM) if t >= 5e8 else None)
+
+    monkeypatch.setattr("softrig_bringup.run.run_inprocess", stopping)
+    assert run("lag", "--mode", "inprocess", "--no-record") == 143
+    out = " ".join(capsys.readouterr().out.split())
+    content = json.loads((folder / "runs" / "lag" / "metrics.json").read_text())
+    assert 0.5 <= content["reached_s"] < 0.6
+    assert f"inprocess: {content['ticks']} ticks, {content['reached_s']:.6g} of 1 s simulated" in out
+    assert content["ticks"] == round(content["reached_s"] * 100)
+    assert not {"pass", "differs", "MISS"} & set(out.split())
+    page = (folder / "runs" / "lag" / "report.html").read_text()
+    assert f"{content['reached_s']:.6g} of 1 s" in page
+    assert "differs" not in page
+
+
+def test_what_was_not_simulated_is_not_measured_and_what_never_happens_is_never(folder, capsys):
+    x = {"signal": "lag/state/x/position"}
+    settings = {"late": {"function": "final_value", "arguments": {**x, "start": 0.9}},
+                "rise": {"function": "reach_time", "arguments": {**x, "level": 9.0}}}  # fmt: skip
+    (folder / "short.yaml").write_text(json.dumps({"title": "Short", "extends": "lag", "figures": settings,
+                                                   "expect": {"late": 0.4, "rise": 0.1}}))  # fmt: skip
+    assert run("short", "--mode", "inprocess", "--duration", "0.5", "--no-record") == 0
+    rows = {line.split()[0]: line.split() for line in capsys.readouterr().out.splitlines() if line.split()}
+    assert rows["late"][1:3] == ["not", "measured"]
+    assert "differs" not in rows["late"]
+    assert (rows["rise"][1], rows["rise"][-1]) == ("never", "differs")
+    page = (folder / "runs" / "short-duration_0.5" / "report.html").read_text()
+    assert "never" in page
+    assert "the result is inf" not in page
+    assert page.count("differs") == 1
+
+
+def test_an_outside_law_leaves_no_parameters_title_or_pictures_of_ours(folder):
+    outside = load_scenario("lag", {}).model_copy(
+        update={"plots": (PlotEntry(title="Law", signals={"lag/command/u/effort": "u"}),)}
+    )
+    nodes = dict(outside.nodes)
+    nodes["gain"] = nodes["gain"].model_copy(update={"external": True})
+    rig = Rig.from_scenario(outside.model_copy(update={"nodes": nodes}))
+    content = summary(Run(rig, 0, Recording((t, p.msgtype) for t, p in rig.topics.items())), [], "", "my PI")
+    assert sorted(content["parameters"]) == ["plant", "source"] == sorted(content["units"])
+    assert content["label"] == "my PI"
+    source = simulate(Rig.from_scenario(outside)).recording
+    source.topics["lag/command"].times.clear()
+    source.topics["lag/command"].data.clear()
+    assert [p.name for p in plot_run(signals.Signals(source), rig, folder)] == ["overview.png"]
 
 
 def test_a_gap_is_found(folder):

@@ -153,7 +153,11 @@ def test_the_package_runs_at_once_in_both_lockstep_modes(user, package):
     figures = []
     for mode in ("inprocess", "processes"):
         user(f"{command} {mode} --out {mode}")
-        figures.append(json.loads((package / mode / "metrics.json").read_text())["metrics"])
+        content = json.loads((package / mode / "metrics.json").read_text())
+        figures.append(content["metrics"])
+        if mode == "inprocess":  # from any folder
+            out, _ = user(f"cd / && {content['command']} --no-plots")
+            assert f"results in {package / mode}" in " ".join(out.split())
     assert figures[0] == figures[1]
     assert all(f["pass"] for f in figures[0])
 
@@ -161,7 +165,7 @@ def test_the_package_runs_at_once_in_both_lockstep_modes(user, package):
 @pytest.mark.processes
 def test_an_overlay_sourced_before_is_honoured(user, package):
     out, _ = user(f"""cd heater && eval "$('{SOFTRIG}' env)" && . install/local_setup.sh && cd .. &&
-        '{SOFTRIG}' list heater && '{SOFTRIG}' run heater --mode inprocess --no-plots""")
+        softrig list heater && '{SOFTRIG}' run heater --mode inprocess --no-plots""")
     assert "A heated body under PI control" in " ".join(out.split())
 
 

@@ -47,7 +47,7 @@ def test_pages_show_each_claim_with_its_measurement(folder):
         assert part in text
         assert part.removesuffix(" m") in page
     assert "because \\| so" in text
-    assert "scripts/softrig run lag --mode inprocess" in page
+    assert f"softrig run {folder / 'lag.yaml'} --mode inprocess" in page
 
 
 def test_a_folder_that_takes_nothing_is_said_before_the_runs(folder, monkeypatch, capsys):

@@ -10,6 +10,7 @@ import os
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 from softrig_core.command_line import Number, Parser
 from softrig_core.guard import guarded
@@ -66,6 +67,7 @@ def _parser() -> argparse.ArgumentParser:
         prog="softrig", description="Closed loops over ROS 2 topics that come out the same every time.",
         epilog="Before the verb: --workspace DIR, also the packages that colcon has built in DIR.",
     )  # fmt: skip
+    parser.add_argument("--version", action=_Version, nargs=0, help="print version and commit")
     verbs = parser.add_subparsers(required=True, metavar="VERB")
 
     def verb(name: str, function: Callable[[argparse.Namespace], int], text: str) -> argparse.ArgumentParser:
@@ -137,6 +139,15 @@ def _parser() -> argparse.ArgumentParser:
     for name, text in _SCRIPT.items():
         verb(name, _script, text)
     return parser
+
+
+class _Version(argparse.Action):
+    def __call__(self, parser: argparse.ArgumentParser, *_: Any, **__: Any) -> None:
+        from .run import checkout, versions
+
+        commit = checkout().get("commit", "")
+        print(f"softrig {versions()['softrig_core']}" + (f", commit {commit}" if commit else ""))
+        parser.exit()
 
 
 def _script(options: argparse.Namespace) -> int:

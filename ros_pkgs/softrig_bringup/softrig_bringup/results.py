@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import shlex
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -49,6 +48,8 @@ def measure(work: tuple[str, Path | None]) -> Measured:
     work : (str, Path or None)
         Its name, and the folder in which runs are kept by name: the run with pictures and report, and its figures.
     """
+    from .results_page import command
+
     name, folder = work
     try:
         rig = rig_of(name)
@@ -61,8 +62,7 @@ def measure(work: tuple[str, Path | None]) -> Measured:
     results = run.results
     found = Measured(name, values(results), {r.name: r.unit for r in results}, [r.name for r in run.missed], "")
     if place:
-        save(run, summary(run, results, shlex.join(["scripts/softrig", "run", name, "--mode", "inprocess"])),
-             _cleared(place), record=False)  # fmt: skip
+        save(run, summary(run, results, command(name)), _cleared(place), record=False)
         replace(_figures(place), json.dumps({"key": key, "measured": found._asdict()}) + "\n")
     return found
 

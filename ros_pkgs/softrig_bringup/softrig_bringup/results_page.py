@@ -8,7 +8,7 @@ from itertools import groupby
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
-from softrig_core import Scenario
+from softrig_core import Scenario, load_scenario
 from softrig_core.rig.claims import VERDICTS
 from softrig_core.rig.findings import Finding
 
@@ -16,6 +16,7 @@ from .citations import Citation, cited, listed, sources
 from .html import e, mark, page, table
 from .plots.figures import OVERVIEW
 from .plots.style import pretty_unit
+from .repeat import joined, scenario_word, words
 from .study.definition import list_studies
 
 HEADER = ("Claim", "Where", "Published", "Agrees when", "Measured", "Verdict", "Run")
@@ -125,8 +126,9 @@ def _cited(scenarios: Sequence[Scenario]) -> tuple[Citation, ...]:
 def command(scenario: str) -> str:
     """Give the command that repeats the measurement of a scenario or study."""
     if scenario in list_studies():
-        return f"scripts/softrig study {scenario}"
-    return f"scripts/softrig run {scenario} --mode inprocess"
+        return joined(words((), "study", scenario))
+    nodes = load_scenario(scenario).nodes.values()
+    return joined([*words((n.package for n in nodes), "run"), scenario_word(scenario), "--mode", "inprocess"])
 
 
 def _run(row: Finding, out: Path | None) -> Element:

@@ -151,7 +151,7 @@ def summary(run: Run, figures: Sequence[Result], command: str, label: str = "") 
         "error": run.error,
         "stopped": run.stopped_at,
         "command": command,
-        "versions": versions() | _checkout(),
+        "versions": versions() | checkout(),
         "code": fingerprints(m.block_class for m in own),
         "parameters": {m.name: flatten(m.params) for m in own},
         "units": {m.name: {d.name: d.unit for d in declarations(type(m.params)) if d.unit} for m in own},
@@ -188,7 +188,7 @@ def versions() -> dict[str, str]:
 
 
 @cache
-def _checkout() -> dict[str, str]:
+def checkout() -> dict[str, str]:
     """Give the commit of the checkout that runs, ``+`` behind it when files were changed, and its lock file's hash."""
     script = Path(os.environ.get("SOFTRIG_COMMAND", ""))
     lock = script.parent / "locks" / "run.lock"

@@ -16,7 +16,7 @@ from .html import NONE, e, mark, picture, table
 from .plots.figures import OVERVIEW, plot_name
 from .plots.style import pretty_unit
 from .run_record import RunRecord
-from .wording import accepted, difference, measured, number
+from .wording import NEVER, accepted, difference, measured, measured_here, number
 
 
 def run_section(directory: Path, run: RunRecord, title: str, heading: str, anchor: str) -> Element:
@@ -61,12 +61,13 @@ def _facts(run: RunRecord) -> Element:
         ("metrics", verdict(run)),
         ("mode", run.mode),
         ("seed", str(run.seed)),
-        ("duration", f"{run.duration_s:g} s"),
+        ("duration", f"{run.simulated_s:.6g} of {run.duration_s:g} s" if run.stopped or run.error
+         else f"{run.duration_s:g} s"),
         ("ticks", f"{run.ticks:_}".replace("_", "\u202f")),
         ("wall time", f"{run.wall_s:.3g} s"),
-    ]
-    if run.wall_s > 0.0 and not run.error:
-        facts.append(("speed", f"{run.duration_s / run.wall_s:.3g} × real time"))
+    ]  # fmt: skip
+    if run.wall_s > 0.0 and run.simulated_s > 0.0 and not run.error:
+        facts.append(("speed", f"{run.simulated_s / run.wall_s:.3g} × real time"))
     return e("dl", *(e("div", e("dt", name), e("dd", value)) for name, value in facts), class_="facts")
 
 
@@ -93,7 +94,7 @@ def _metrics(run: RunRecord) -> Element:
         "Against published": ("n", lambda m: difference(m.value, m.published)),
         "Accepted": ("n", lambda m: accepted(m) or NONE),
         "In tolerance": ("", _gauge),
-        "Result": ("", lambda m: _result(m, run.compared)),
+        "Result": ("", lambda m: "" if run.stopped else _result(m, run.compared)),
     }
     cells = {head: [cell(m) for m in run.metrics] for head, (_, cell) in columns.items()}
     there = [head for head, column in cells.items() if any(c not in ("", NONE) for c in column)]
@@ -108,11 +109,13 @@ def _metrics(run: RunRecord) -> Element:
 def _result(metric: Result, compared: bool) -> Element | str:
     if not metric.judged:
         return NONE
-    if compared:
+    if compared and not measured_here(metric):
+        said = e("span", "not measured")
+    elif compared:
         said = e("span", "agrees" if metric.passed else "differs")
     else:
         said = mark(metric.passed, "pass" if metric.passed else "miss")
-    return e("div", said, e("div", metric.error, class_="note")) if metric.error else said
+    return e("div", said, e("div", metric.error, class_="note")) if metric.error not in ("", NEVER) else said
 
 
 def _gauge(metric: Result) -> Element | str:

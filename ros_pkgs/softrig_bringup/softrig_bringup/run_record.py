@@ -14,6 +14,7 @@ from softrig_core.rig.scenario import PlotEntry
 from .citations import Citation
 from .plots.curves import Shown
 from .wiring import Wiring
+from .wording import measured_here
 
 
 class RunRecord(BaseModel):
@@ -64,8 +65,10 @@ class RunRecord(BaseModel):
 
     @property
     def missed(self) -> list[Result]:
-        """The metrics that missed."""
-        return [m for m in self.metrics if not m.passed]
+        """The metrics that missed; of a run that is only compared, those that differ."""
+        if self.stopped:
+            return []
+        return [m for m in self.metrics if not m.passed and (not self.compared or measured_here(m))]
 
 
 def read_run(directory: Path) -> RunRecord:

@@ -8,7 +8,7 @@ import re
 import shlex
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -63,6 +63,7 @@ def _run_reserved(options: argparse.Namespace) -> int:
     from softrig_core.rig.start_server import prepare
 
     from .folder import ResultsFolder
+    from .repeat import words
     from .run import checked, execute, save, summary
 
     if options.realtime and options.mode == "inprocess":
@@ -94,14 +95,16 @@ def _run_reserved(options: argparse.Namespace) -> int:
                        progress=progress, wait=options.wait, announce=_announce)  # fmt: skip
     changed += [done.stopped_at] if done.stopped else []
     figures = [] if done.error else done.results
-    command = shlex.join(["scripts/softrig", "run", *repeat(options)])
+    command = shlex.join([*words((m.package for m in rig.members), "run"), *repeat(options)])
     content = summary(done, figures, command, options.label) | {"changed": changed}
+    if options.external:  # the title of the scenario is about what did not run
+        content["title"] = f"{scenario.name} with {', '.join(options.external)} from outside"
     save(done, content, folder, record=not options.no_record, plots=not options.no_plots, also=options.format)
     if done.error:
         say(f"the run broke: {done.error}")
         say(f"what was recorded up to there is in {_shown(out)}, what the nodes said in its log/")
         return 3
-    _print_figures(scenario, done, out, changed)
+    _print_figures(content, done, out)
     if done.stopped:
         say(done.stopped_at)
         return 128 + done.stopped
@@ -126,15 +129,17 @@ def _folder_name(scenario: str, options: argparse.Namespace) -> str:
 
 def repeat(options: argparse.Namespace) -> list[str]:
     """Command-line arguments that repeat a run."""
-    arguments = [options.scenario, "--mode", options.mode, *(["--realtime"] if options.realtime else [])]
+    from .repeat import scenario_word
+
+    arguments = [scenario_word(options.scenario), "--mode", options.mode, *(["--realtime"] if options.realtime else [])]
     for text in options.set:
         arguments += ["--set", text]
     for name in options.external:
         arguments += ["--external", name]
-    for name in ("duration", "seed", "domain", "label", "out"):
+    for name in ("duration", "seed", "domain", "label"):
         if getattr(options, name) not in (None, ""):
             arguments += [f"--{name}", str(getattr(options, name))]
-    return arguments
+    return arguments + (["--out", str(options.out.absolute())] if options.out else [])
 
 
 def _assignment(text: str) -> tuple[str, Any]:
@@ -200,14 +205,16 @@ def _news(scenario: Scenario) -> Callable[[int], None]:
     return tell
 
 
-def _print_figures(scenario: Scenario, run: Run, out: Path, changed: Sequence[str]) -> None:
+def _print_figures(content: Mapping[str, Any], run: Run, out: Path) -> None:
     from rich.table import Table
 
     from .listing import console as make_console, styled
-    from .wording import accepted
+    from .wording import NEVER, accepted, in_words, measured_here
 
     console = make_console()
-    title = f"{scenario.name}: {scenario.title}" + (f", changed: {', '.join(changed)}" if changed else "")
+    changed: Sequence[str] = content["changed"]
+    title = f"{content['scenario']}: {content['label'] or content['title']}"
+    title += f", changed: {', '.join(changed)}" if changed else ""
     # on a narrow terminal names are folded and tolerances go on a line of their own; numbers stay whole
     table = Table(title=title, title_justify="left", box=None, pad_edge=False)
     table.add_column("figure", overflow="fold", min_width=10)
@@ -216,21 +223,22 @@ def _print_figures(scenario: Scenario, run: Run, out: Path, changed: Sequence[st
         table.add_column(name, justify="left" if name in ("unit", "") else "right", overflow="fold",
                          no_wrap=name in ("published", "measured"))  # fmt: skip
     for f in run.results:
-        missed = ("differs", "yellow") if changed else ("MISS", "red")
+        missed = ("MISS", "red") if not changed else ("differs" if measured_here(f) else "", "yellow")
         mark = styled(("pass" if f.judged else "", "green") if f.passed else missed)
-        row = [f.name, *([_number(f.published)] if published else []), _number(f.value), accepted(f), f.unit]
-        table.add_row(*row, mark)
+        row = [f.name, *([_number(f.published)] if published else []), in_words(f) or _number(f.value), accepted(f)]
+        table.add_row(*row, f.unit, "" if run.stopped else mark)
     console.print(table)
     for f in run.results:
-        if f.error:
+        if f.error and f.error != NEVER:
             console.print(f"{f.name}: {f.error}")
     for claim in run.claims:
         if claim.holds is False and not changed:
             console.print(styled((f"claim {claim.key}", "red"), f": {claim.false}"))
-    ticks = run.rig.ticks
-    speed = "" if run.epoch else f" ({scenario.duration / run.wall_s:.3g} x real time)"
-    console.print(f"{run.mode}: {ticks} ticks, {scenario.duration:g} s simulated in {run.wall_s:.2f} s with start-up"
-                  f"{speed}")  # fmt: skip
+    reached, whole = content["reached_s"], content["duration_s"]
+    speed = "" if run.epoch or not reached else f" ({reached / run.wall_s:.3g} x real time)"
+    of = f" of {whole:g}" if run.stopped else ""
+    console.print(f"{run.mode}: {content['ticks']} ticks, {reached:.6g}{of} s simulated in {run.wall_s:.2f} s with "
+                  f"start-up{speed}")  # fmt: skip
     for name, status in run.status.items():
         for _, text, count in status.get("reports", {}).values():
             console.print(f"{name}: {text} ({count} x)")

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import math
 
-from softrig_core.rig.figures import Result
+from softrig_core.rig.claims import NEVER
+from softrig_core.rig.figures import DECIDED, Result
 
 from .html import NONE
+
+__all__ = ["NEVER", "accepted", "difference", "in_words", "measured", "measured_here", "number"]
 
 
 def number(value: float | None) -> str:
@@ -14,10 +17,23 @@ def number(value: float | None) -> str:
     return NONE if value is None else f"{value:.10g}".replace("-", "−")
 
 
+def in_words(metric: Result) -> str:
+    """What stands in place of a value that is none: it never happens, or was not measured; empty for a value."""
+    if metric.value is not None:
+        return ""
+    word, *rest = metric.error.split(" ")
+    return word if word == NEVER or " ".join(rest) == DECIDED else "not measured"
+
+
+def measured_here(metric: Result) -> bool:
+    """Whether the run says anything of it: a value, that it never happens, that a requirement holds."""
+    return in_words(metric) != "not measured"
+
+
 def measured(metric: Result) -> str:
     """The measured value, to a hundredth of its tolerance."""
     if metric.value is None:
-        return NONE
+        return in_words(metric)
     if not metric.tolerance:
         return f"{metric.value:.6g}".replace("-", "−")
     decimals = max(0, 2 - math.floor(math.log10(metric.tolerance)))

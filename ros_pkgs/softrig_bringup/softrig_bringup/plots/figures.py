@@ -48,7 +48,8 @@ def plot_run(signals: Signals, rig: Rig, directory: Path, also: str = "") -> lis
     Returns
     -------
     list of Path
-        `plot_name` of each entry in its order, then ``overview.png``.
+        `plot_name` of each entry in its order, then ``overview.png``. An entry about nothing but what an outside node
+        would publish, and did not, has no picture.
 
     Raises
     ------
@@ -62,7 +63,11 @@ def plot_run(signals: Signals, rig: Rig, directory: Path, also: str = "") -> lis
     marks = marks_of(rig, signals)
     paths = []
     with rc_context(look.style()):
+        outside = {p.topic for m in rig.members if m.external for p in m.outputs} & set(source.silent)
         for number, entry in enumerate(rig.scenario.plots, 1):
+            parts = [part for name in entry.signals for part in name.split(" - ", 1)]
+            if outside and all(source.topic(part) in outside for part in parts):
+                continue
             figure = _xy_figure(source, entry) if entry.x else _time_figure(source, entry, marks)
             paths.append(directory / plot_name(number, entry.title))
             save_figure(figure, paths[-1], entry.title, rig.scenario.name, also)

@@ -140,6 +140,7 @@ def _step(figure: Figure, mark: Mark, signals: SignalMap) -> Iterator[Mark]:
         if not reached.size:
             return
         began = t[reached[0]]
+        mark = replace(mark, name=f"{mark.name}, from {began:.3g} s")
     yield mark.at(lambda v: float(began) + v, "time")
 
 

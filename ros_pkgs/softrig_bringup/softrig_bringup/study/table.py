@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import json
 import math
-import shlex
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from softrig_core import load_scenario
 from softrig_core.rig.expectation import Expectation
 from softrig_core.rig.figures import Result
 from softrig_core.rig.findings import Finding, hold
 
+from ..repeat import joined, scenario_word, words
 from .definition import Study, Summary
 
 Row = Mapping[str, Any]
@@ -52,11 +54,17 @@ def _column(values: list[Any]) -> list[Any]:
 
 def command(row: Row, duration: float | None = None) -> str:
     """Give the command that repeats a run."""
-    words = ["scripts/softrig", "run", row["scenario"], "--mode", "inprocess", "--seed", str(row["seed"])]
-    words += ["--duration", repr(duration)] if duration is not None else []
+    found = [*_begin(row["scenario"]), "--mode", "inprocess", "--seed", str(row["seed"])]
+    found += ["--duration", repr(duration)] if duration is not None else []
     for name, value in row["overrides"].items():
-        words += ["--set", f"{name}={value if isinstance(value, str) else json.dumps(value)}"]
-    return shlex.join(words)
+        found += ["--set", f"{name}={value if isinstance(value, str) else json.dumps(value)}"]
+    return joined(found)
+
+
+@cache
+def _begin(scenario: str) -> list[str]:
+    nodes = load_scenario(scenario).nodes.values()
+    return [*words((node.package for node in nodes), "run"), scenario_word(scenario)]
 
 
 def summarise(rows: Sequence[Row], summary: Summary) -> float:

@@ -17,13 +17,14 @@ VERDICTS: dict[Verdict, str] = {
     "refuted": "what was measured disagrees",
     "not_checkable": "cannot be decided, for the reason given",
 }
+NEVER = "never"  # in place of the number of what does not happen
 TOLERANCE = 0.05  # share of the published value, when a claim states none
 _PERCENT = re.compile(r"\s*([-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*%\s*")
 
 
 def spoken(value: float) -> str:
     """Write a measured number for people: infinity is what never happens."""
-    return "never" if value == math.inf else f"{value:.6g}"
+    return NEVER if value == math.inf else f"{value:.6g}"
 
 
 class Claim(BaseModel):

@@ -14,6 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
 
 from ..errors import ScenarioError
 from ..model.params import flatten
+from .claims import NEVER
 from .expectation import Expectation
 from .metrics import SignalMap
 from .references import fill_parameters, pick
@@ -22,6 +23,7 @@ from .requirements import judges
 from .rig import Rig, unit_of
 from .units import compose, factor, powers
 
+DECIDED = "by its conditions alone"  # of a requirement without a distance
 SIGNALS = ("signal", "reference")  # arguments that name a signal, if they are a word
 
 
@@ -31,7 +33,7 @@ class Result(BaseModel):
     Parameters
     ----------
     value : float, optional
-        None when it could not be computed or is not finite; `error` then says why.
+        None when it could not be computed or is not finite; `error` then says why: ``never`` for what does not happen.
     published : float, optional
         What the paper says, from the claim about this figure.
     expected, tolerance, at_most, at_least : float, optional
@@ -158,8 +160,10 @@ def evaluate(rig: Rig, signals: SignalMap) -> list[Result]:
         about |= (limits or Expectation()).model_dump()
         try:
             value = figure(signals)
-            decided = f"{'holds' if value > 0 else 'violated'} by its conditions alone" if required else ""
-            error = "" if math.isfinite(value) else decided or f"the result is {value}"
+            decided = f"{'holds' if value > 0 else 'violated'} {DECIDED}" if required else ""
+            error = (
+                "" if math.isfinite(value) else decided or (NEVER if value == math.inf else f"the result is {value}")
+            )
         except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as broken:
             value, error = math.nan, str(broken) or type(broken).__name__
         passed = value >= 0.0 if required else limits is None or limits.holds(value)

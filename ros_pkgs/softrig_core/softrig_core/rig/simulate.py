@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import signal
 import time
 from collections.abc import Callable, Mapping
@@ -13,6 +14,7 @@ from ..model.block import Block
 from ..model.timebase import SECOND
 from ..wire.recording import Recording
 from ..wire.signals import Signals
+from .claims import NEVER
 from .figures import Result, evaluate, figures_of
 from .findings import Finding, findings, values
 from .inprocess import run_inprocess
@@ -76,8 +78,12 @@ class Run:
 
     @cached_property
     def results(self) -> list[Result]:
-        """The figures of the scenario, measured and judged."""
-        return evaluate(self.rig, self.signals)
+        """The figures of the scenario, measured and judged; a run that was stopped cannot say "never"."""
+        found = evaluate(self.rig, self.signals)
+        if not self.stopped:
+            return found
+        late = f"not until {self.reached_s:.9g} s, when the run was stopped"
+        return [r.model_copy(update={"error": late, "number": math.nan}) if r.error == NEVER else r for r in found]
 
     @property
     def figures(self) -> dict[str, float | None]:
