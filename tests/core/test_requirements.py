@@ -196,7 +196,7 @@ def test_what_the_record_cannot_tell_is_not_judged_and_does_not_pass():
     rig = wired("always[0, 2] state <= 100", duration=1.0)
     result = figure_of(rig, simulate(rig).signals)
     assert (result.value, result.passed) == (None, False)
-    assert result.error == "not judged: the record ends at 1 s, 1 s before the requirement's last window"
+    assert result.error == "not judged: the record ends at 1 s, the requirement's last window at 2 s"
 
 
 def test_a_file_whose_requirement_looks_beyond_its_end_is_refused(tmp_path):

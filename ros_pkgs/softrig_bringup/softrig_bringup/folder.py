@@ -22,6 +22,10 @@ RUN = re.compile(
 STUDY = re.compile(
     r"study\.json|rows\.jsonl|table\.(parquet|csv)|summaries\.json|report\.html|softrig_files\.json|\.new"
 )
+FALSIFICATION = re.compile(
+    r"falsification\.json|outcome\.json|rows\.jsonl|report\.html|nominal|worst|small|\w+_(worst|small)\.yaml"
+    r"|softrig_files\.json|\.new"
+)
 
 
 class ResultsFolder:

@@ -13,6 +13,7 @@ from softrig_core import Scenario, ScenarioError, load_scenario
 from softrig_core.rig.scenario_file import closest
 from softrig_optim.sweep import progress, stream
 
+from ..folder import replace
 from ..study.work import Log
 from .definition import Falsification
 from .search import Found, Point, search
@@ -85,13 +86,12 @@ def falsify(
     scenario = load_scenario(task.scenario).changed(duration=task.duration)
     names = _requirements(scenario, task.requirements)
     space = space_of(scenario, [parse(key, given) for key, given in task.over.items()])
-    out.mkdir(parents=True, exist_ok=True)
     _same(task, scenario, out / "falsification.json")
     nominal = run(Trial(-1, scenario, {}, names))
     if nominal["error"]:
         raise ScenarioError(f"{task.scenario}: the run without changes cannot be judged: {nominal['error']}")
-    sizes = _sizes(nominal["margins"])
-    log = Log(out / "rows.jsonl")
+    sizes = _sizes(nominal["figures"])
+    log = Log(out / "rows.jsonl", task.budget)
     rows = {row["number"]: row for row in log.rows()}
     try:
         with progress(task.name, task.budget) as advance:
@@ -100,13 +100,14 @@ def falsify(
                 first = len(asked)
                 asked.extend(points)
                 numbers = range(first, len(asked))
-                todo = [Trial(n, space.scenario, space.overrides(asked[n]), names) for n in numbers if n not in rows]
+                trials = [Trial(n, space.scenario, space.overrides(asked[n]), names) for n in numbers]
+                todo = [trial for trial in trials if not log.knows(trial.case)]
                 for _, row in stream(run, todo, workers=workers, scheduler=scheduler) if todo else ():
                     log.add(row)
                     rows[row["number"]] = row
                 for _ in numbers:
                     advance()
-                return [margin(rows[n]["margins"], sizes) for n in numbers]
+                return [margin(rows[n]["figures"], sizes) for n in numbers]
 
             asked: list[Point] = []
             enough = 0.0 if task.first else -math.inf
@@ -118,11 +119,11 @@ def falsify(
     case = None if worst is None else (space.scenario, dict(worst["overrides"]))
     small, small_margins, runs = None, {}, 0
     if worst is not None and case is not None and found.least < 0.0:
-        violated = tuple(n for n, m in worst["margins"].items() if m is not None and m < 0.0)
+        violated = tuple(n for n, m in worst["figures"].items() if m is not None and m < 0.0)
         small, runs = shrink(space, case[1], lambda c: _violates(c, violated), SHRINKING)
-        small_margins = run(Trial(-1, *small, names))["margins"]
-    margins = worst["margins"] if worst is not None else {}
-    return Outcome(space, names, nominal["margins"], margins, found, case, small, small_margins, runs, broken)
+        small_margins = run(Trial(-1, *small, names))["figures"]
+    margins = worst["figures"] if worst is not None else {}
+    return Outcome(space, names, nominal["figures"], margins, found, case, small, small_margins, runs, broken)
 
 
 def _requirements(scenario: Scenario, wanted: Sequence[str]) -> tuple[str, ...]:
@@ -150,7 +151,7 @@ def margin(margins: Mapping[str, float | None], sizes: Mapping[str, float]) -> f
 
 
 def _violates(case: Case, names: tuple[str, ...]) -> bool:
-    margins = run(Trial(-1, *case, names))["margins"]
+    margins = run(Trial(-1, *case, names))["figures"]
     return any(m is not None and m < 0.0 for m in margins.values())
 
 
@@ -161,4 +162,4 @@ def _same(task: Falsification, scenario: Scenario, file: Path) -> None:
     written = json.dumps(content, indent=1, sort_keys=True) + "\n"
     if file.exists() and file.read_text() != written:
         raise ScenarioError(f"{file.parent} holds another falsification; choose another --out, or remove it")
-    file.write_text(written)
+    replace(file, written)

@@ -11,9 +11,9 @@ from softrig_core import Scenario, list_scenarios
 from softrig_core.extras import need
 from softrig_core.rig.figures import figures_of
 
-from ..folder import ResultsFolder
+from ..folder import FALSIFICATION, ResultsFolder, replace
 from ..report import write_report
-from ..run import execute, save, summary
+from ..run import checked, execute, save, summary
 from .definition import Falsification
 from .engine import Outcome, falsify
 from .shrink import Case
@@ -24,27 +24,32 @@ from .trial import LARGE
 def main(task: Falsification, out: Path, *, workers: int | None = None, scheduler: str = "") -> int:
     """Search and write the results; 1 when a requirement is violated, or an expected margin missed."""
     need("cmaes", "falsify")
-    outcome = falsify(task, out, workers=workers, scheduler=scheduler)
+    folder = ResultsFolder(out, FALSIFICATION)
+    with folder.alone():
+        try:
+            outcome = falsify(task, out, workers=workers, scheduler=scheduler)
+            files = _write(task, outcome, out)
+        finally:
+            folder.close()
+    _print(task, outcome, out, files)
+    if task.expect is not None:
+        return 0 if task.expect.holds(outcome.found.least) else 1
+    return 1 if outcome.violated else 0
+
+
+def _write(task: Falsification, outcome: Outcome, out: Path) -> dict[str, Path]:
+    """Write the runs that matter, their scenario files and the page; give the files."""
     files: dict[str, Path] = {}
+    nominal = Scenario.model_validate(dict(outcome.space.scenario) | {"faults": _kept(outcome)})
+    runs = [_record(task, nominal, out / "nominal")]
     for name, case in (("worst", outcome.case), ("small", outcome.small)):
         if case is not None:
             files[name] = out / f"{task.name}_{name}.yaml"
-            files[name].write_text(scenario_file(task, name, case, outcome))
-    runs = [
-        _record(
-            task, Scenario.model_validate(dict(outcome.space.scenario) | {"faults": _kept(outcome)}), out / "nominal"
-        )
-    ]
-    for name, case in (("worst", outcome.case), ("small", outcome.small)):
-        if case is not None:
+            replace(files[name], scenario_file(task, name, case, outcome))
             runs.append(_record(task, case[0].changed(overrides=case[1]), out / name))
     write_report(runs, out / "report.html", [r.name for r in runs])
-    (out / "outcome.json").write_text(json.dumps(content(task, outcome), indent=1) + "\n")
-    _print(task, outcome, out, files)
-    met = task.expect is None or task.expect.holds(outcome.found.least)
-    if task.expect is not None:
-        return 0 if met else 1
-    return 1 if outcome.violated else 0
+    replace(out / "outcome.json", json.dumps(content(task, outcome), indent=1) + "\n")
+    return files
 
 
 def _kept(outcome: Outcome) -> dict[str, Any]:
@@ -59,7 +64,7 @@ def _record(task: Falsification, scenario: Scenario, folder: Path) -> Path:
     """Run a case once more and write its bag, figures, pictures and page."""
     place = ResultsFolder(folder)
     place.clear()
-    done = execute(scenario, "inprocess", folder / "log")
+    done = execute(checked(scenario), "inprocess", folder / "log")
     figures = [] if done.error else done.results
     save(done, summary(done, figures, f"scripts/softrig falsify {task.name}"), place)
     return folder
@@ -91,6 +96,7 @@ def scenario_file(task: Falsification, kind: str, case: Case, outcome: Outcome) 
         content: dict[str, Any] = {"extends": task.scenario, "title": title, "seed": changed.seed}
         content |= {"duration": changed.duration} | ({"nodes": nodes} if nodes else {})
         content |= {"faults": faults} if faults else {}
+        content["requirements"] = {n: changed.requirements[n].model_dump(exclude_defaults=True) for n in outcome.names}
     else:
         content = changed.model_dump(mode="json", exclude_defaults=True, exclude={"name", "expect", "claims"})
         content["title"] = title

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import math
+import time
 from typing import Any, NamedTuple
 
 from softrig_core import RunError, Scenario, ScenarioError, simulate
+
+from ..study.draw import Case
 
 LARGE = 1e300  # stands for infinity in rows of JSON
 
@@ -27,21 +30,28 @@ class Trial(NamedTuple):
     overrides: dict[str, Any]
     requirements: tuple[str, ...]
 
+    @property
+    def case(self) -> Case:
+        """What it is to a log of runs."""
+        return Case(self.number, self.scenario.name, "", self.overrides, self.scenario.seed)
+
 
 def run(trial: Trial) -> dict[str, Any]:
-    """Run a trial in this process and give its row: the margin of each requirement, or why there is none.
+    """Run a trial in this process and give its row, that of a study whose figures are the requirements' margins.
 
     A run that breaks has margins of None and its error; one whose parameters do not fit each other as well.
     """
-    row: dict[str, Any] = {"number": trial.number, "overrides": trial.overrides, "margins": {}, "error": ""}
+    started = time.perf_counter()
+    row = trial.case._asdict() | {"figures": dict.fromkeys(trial.requirements), "passed": False, "error": ""}
     try:
         done = simulate(trial.scenario, overrides=trial.overrides)
     except (RunError, ScenarioError) as error:
-        return row | {"margins": dict.fromkeys(trial.requirements), "error": str(error)}
+        return row | {"error": str(error), "wall_s": time.perf_counter() - started}
     found = {r.name: r for r in done.results}
     for name in trial.requirements:
         result = found[name]
-        row["margins"][name] = None if math.isnan(result.number) else max(-LARGE, min(LARGE, result.number))
+        row["figures"][name] = None if math.isnan(result.number) else max(-LARGE, min(LARGE, result.number))
         if math.isnan(result.number):
             row["error"] = f"{name}: {result.error}"
-    return row
+    row["passed"] = all(m is not None and m >= 0.0 for m in row["figures"].values())
+    return row | {"wall_s": time.perf_counter() - started}

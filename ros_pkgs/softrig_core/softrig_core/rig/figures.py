@@ -16,6 +16,7 @@ from ..errors import ScenarioError
 from ..model.params import flatten
 from .claims import NEVER
 from .expectation import Expectation
+from .formula import SURE
 from .metrics import SignalMap
 from .references import fill_parameters, pick
 from .registry import Function, find
@@ -155,7 +156,7 @@ def evaluate(rig: Rig, signals: SignalMap) -> list[Result]:
     results = []
     for figure in figures_of(rig):
         required = figure.name in rig.scenario.requirements
-        limits = Expectation(at_least=0.0) if required else rig.scenario.expect.get(figure.name)
+        limits = rig.scenario.expect.get(figure.name, Expectation(at_least=0.0) if required else None)
         about: dict[str, Any] = {"name": figure.name, "unit": figure.unit, "published": published.get(figure.name)}
         about |= (limits or Expectation()).model_dump()
         try:
@@ -166,7 +167,8 @@ def evaluate(rig: Rig, signals: SignalMap) -> list[Result]:
             )
         except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as broken:
             value, error = math.nan, str(broken) or type(broken).__name__
-        passed = value >= 0.0 if required else limits is None or limits.holds(value)
+        endless = required and math.isinf(value)
+        passed = limits is None or limits.holds(math.copysign(SURE, value) if endless else value)
         results.append(Result(value=None if error else value, number=value, passed=passed, error=error, **about))
     return results
 

@@ -210,6 +210,17 @@ def variables(tree: Tree) -> list[str]:
     return list(dict.fromkeys(body for kind, body in nodes(tree) if kind == "Variable"))
 
 
+def once_there(tree: Tree, name: str) -> Tree:
+    """Make every comparison with a variable false until its first value has come, told by ``_there__NAME``."""
+    there = {"Predicate": {"lhs": {"Variable": f"_there__{name}"}, "op": "Greater", "rhs": {"Literal": 0.0}}}
+
+    def change(kind: str, body: Any) -> tuple[str, Any]:
+        concerned = kind == "Predicate" and name in variables(body)
+        return ("And", [there, {kind: body}]) if concerned else (kind, body)
+
+    return _map(tree, change)
+
+
 def margin_unit(tree: Tree, units: Mapping[str, str], scale: Mapping[str, float]) -> tuple[Tree, str]:
     """Find the unit that a formula's margin has, and divide comparisons by their scale.
 

@@ -27,6 +27,7 @@ from .formula import (
     horizon,
     intervals,
     margin_unit,
+    once_there,
     read,
     variables,
 )
@@ -65,7 +66,7 @@ Required = Annotated[
 class Judge:
     """A requirement of a rig: its formula read, its names found, its margin's unit known.
 
-    Called with signals it gives the margin, as a figure function does.
+    Called with signals it gives the margin, as a figure function does; `ticker` is a signal that goes to a run's end.
     """
 
     tree: Tree
@@ -73,6 +74,7 @@ class Judge:
     conditions: Mapping[str, Condition]
     unit: str
     clock: Schedule
+    ticker: str
     reads: tuple[str, ...] = ()
 
     def __call__(self, signals: SignalMap) -> float:
@@ -85,18 +87,24 @@ class Judge:
         Raises
         ------
         ValueError
-            Not judged: the record ends before the formula's last window, or a signal has no value from the start.
+            Not judged: the record ends before the formula's last window.
         """
         found = {name: signals[signal] for name, signal in self.signals.items()}
-        ends = [t[-1] for t, _ in found.values() if len(t)]
-        if not ends:
-            raise ValueError("not judged: nothing was recorded of its signals")
-        grid = _grid(self.clock, max(ends))
-        late = horizon(self.tree) - grid[-1]
-        if late > 0.0:
-            raise ValueError(f"not judged: the record ends at {grid[-1] / SECOND:.6g} s, "
-                             f"{late / SECOND:.6g} s before the requirement's last window")  # fmt: skip
-        return Record(grid, {n: self._variable(n, found, grid) for n in variables(self.tree)}).margin(self.tree)
+        ticks, _ = signals[self.ticker]
+        if not len(ticks):
+            raise ValueError(f"not judged: nothing was recorded of {self.ticker}")
+        grid = _grid(self.clock, ticks[-1])
+        reach = horizon(self.tree)
+        if self.clock.next(int(grid[-1])) <= reach:  # there would have been a tick within the last window
+            raise ValueError(f"not judged: the record ends at {grid[-1] / SECOND:.6g} s, the requirement's last window "
+                             f"at {reach / SECOND:.6g} s")  # fmt: skip
+        tree, values = self.tree, {n: self._variable(n, found, grid) for n in variables(self.tree)}
+        for name, there in [(n, v) for n, v in values.items() if np.isnan(v[0])]:
+            late = np.isnan(there)
+            values[name] = np.where(late, 0.0, there)
+            values[f"_there__{name}"] = np.where(late, -SURE, SURE)
+            tree = once_there(tree, name)
+        return Record(grid, values).margin(tree)
 
     def _variable(self, name: str, found: Mapping[str, tuple[Array, Array]], grid: Array) -> Array:
         condition = self.conditions.get(name)
@@ -106,10 +114,9 @@ class Judge:
             held = np.where(at < 0, 0.0, values[at]) if len(values) else np.zeros(len(grid))
             true = EDGES[condition.edge](held, np.concatenate((held[:1], held[:-1]))) if condition.edge else held > 0.5
             return np.where(true, SURE, -SURE)
-        if not len(values) or at[0] < 0:
-            raise ValueError(f"not judged: {self.signals[name]} has no value before "
-                             f"{times[0] if len(times) else math.inf:.6g} s")  # fmt: skip
-        return np.asarray(values[at], dtype=np.float64)
+        if not len(values):
+            return np.full(len(grid), math.nan)
+        return np.where(at < 0, math.nan, values[at])
 
 
 def _grid(clock: Schedule, end: float) -> Array:
@@ -161,7 +168,15 @@ def _judge(
     compared = {name: units[signals[name]] for name in used if name not in conditions}
     tree, unit = margin_unit(tree, compared, requirement.scale)
     read_ = {n: signals[n] for n in {conditions[v].signal if v in conditions else v for v in used}}
-    return Judge(tree, read_, conditions, unit, rig.clock.schedule, tuple(read_.values()))
+    ticker = _ticker(rig)
+    return Judge(tree, read_, conditions, unit, rig.clock.schedule, ticker, (*read_.values(), ticker))
+
+
+def _ticker(rig: Rig) -> str:
+    """Give a signal that is sent at each tick of its node, to the end of the run."""
+    ports = [(m, p) for m in rig.members for p in m.outputs if p.labels and not p.sporadic]
+    _, port = max(ports, key=lambda each: (each[0].schedule.last or 0, -each[0].schedule.every))
+    return f"{port.topic}/{port.labels[0]}"
 
 
 def check_lengths(duration: float, shared: Mapping[str, Any], requirements: Mapping[str, Requirement]) -> None:

@@ -146,8 +146,9 @@ class Scenario(_Model):
     def _figures_are_there(self) -> Scenario:
         for kind, names in (("expect", self.expect), ("claims", self.claimed())):
             for name in names:
-                if name not in self.figures:
-                    raise ValueError(f"{kind}: no figure {name!r}; the figures are {', '.join(self.figures) or 'none'}")
+                if name not in self.figures and name not in self.requirements:
+                    known = ", ".join([*self.figures, *self.requirements]) or "none"
+                    raise ValueError(f"{kind}: no figure {name!r}; the figures are {known}")
         if both := self.figures.keys() & self.requirements.keys():
             raise ValueError(f"requirements: {min(both)} is the name of a figure, too")
         return self

@@ -16,7 +16,7 @@ from ..model.resource import prefixes
 from .yaml_file import SIZE, read_yaml
 
 SHARED = re.compile(r"\$([A-Za-z_]\w*)")  # a reference to a shared value
-OWN = ("expect", "claims")  # what a scenario is judged by stands in its own entry: never inherited
+OWN = ("expect", "requirements", "claims")  # what a scenario is judged by stands in its own entry: never inherited
 
 
 def scenario_folders() -> list[Path]:
