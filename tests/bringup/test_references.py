@@ -1,7 +1,7 @@
 """Reference and command sources."""
 
 import pytest
-from softrig_control.command_source import CommandSource
+from softrig_control.constant_source import CommandSource, ScalarSource
 from softrig_control.profile import NEVER, StepProfile
 from softrig_control.reference_source import ReferenceSource
 from softrig_core import ParameterError
@@ -37,10 +37,12 @@ def test_only_the_fields_given_are_sent():
 
 
 def test_command_source():
-    source = CommandSource(channels=("a", "b"), unit="N m", times=(0.0, 1.0), values=(1.0, 2.0, 3.0, 4.0))
+    source = CommandSource(channels=("a", "b"), units=("N m",), times=(0.0, 1.0), values=(1.0, 2.0, 3.0, 4.0))
     (_, (port,)) = source.ports(source.p)
     assert (port.labels, port.units) == (("a/effort", "b/effort"), ("N m", "N m"))
     assert [source.update(t)["command"] for t in (0, 10**9)] == [(1.0, 2.0), (3.0, 4.0)]
+    (_, (port,)) = ScalarSource.ports(ScalarSource.Params(channels=("v", "i"), units=("V", "A"), values=(1.0, 2.0)))
+    assert (port.name, port.labels, port.units) == ("values", ("v/position", "i/position"), ("V", "A"))
 
 
 @pytest.mark.parametrize(
@@ -53,6 +55,11 @@ def test_command_source():
         (ReferenceSource, {"channels": ()}, "channels"),
         (CommandSource, {"values": (1.0, 2.0)}, "values has 2 values, expected 1"),
         (CommandSource, {"times": ()}, "times"),
+        (
+            ScalarSource,
+            {"channels": ("a", "b", "c"), "units": ("V", "A"), "values": (1.0, 2.0, 3.0)},
+            "2 units for 3 channels",
+        ),
     ],
 )
 def test_bad_profiles(block, values, message):

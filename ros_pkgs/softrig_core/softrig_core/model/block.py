@@ -99,6 +99,9 @@ class Block(Generic[P]):
     def setup(self) -> None:
         """Compute what depends on the parameters only; called once. Import heavy libraries here."""
 
+    def warm_up(self) -> None:
+        """Call native code that a tick on first values does not reach; asked before a node begins, of a spare block."""
+
     def reset(self, seed: int) -> None:
         """Go back to the initial state; override `start` for the block's own state."""
         self._seed = seed

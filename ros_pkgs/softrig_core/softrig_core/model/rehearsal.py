@@ -40,6 +40,7 @@ def rehearse(block_class: type[Block], params: Any, name: str) -> bool:
             block.advance(0, **values)
         else:
             block.update(0, **values)
+        block.warm_up()
     return True
 
 

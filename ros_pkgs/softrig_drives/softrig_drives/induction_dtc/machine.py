@@ -44,11 +44,17 @@ def numbers(m: MachineConstants, h: float) -> tuple[float, ...]:
     return (m.R_s, m.R_R, 1.0 / m.L_sigma, m.R_R / m.L_M, float(m.pole_pairs), 1.0 / m.J, m.B, h)
 
 
-def currents_and_torque(m: MachineConstants, x: State) -> tuple[float, float, float, float]:
+def electric(x: Sequence[Any], inv_L_sigma: Any, p: Any) -> tuple[Any, Any, Any]:
+    """Give i_alpha, i_beta (A) and T_e (N m) of a state, of numbers or casadi expressions."""
+    s_alpha, s_beta, r_alpha, r_beta = x[:4]
+    i_alpha, i_beta = (s_alpha - r_alpha) * inv_L_sigma, (s_beta - r_beta) * inv_L_sigma
+    return i_alpha, i_beta, 1.5 * p * (s_alpha * i_beta - s_beta * i_alpha)
+
+
+def measured(x: Sequence[Any], inv_L_sigma: Any, p: Any) -> tuple[Any, Any, Any, Any]:
     """Give i_a, i_b, i_c (A) and T_e (N m) of a state."""
-    i_alpha, i_beta = (x.psi_s_alpha - x.psi_R_alpha) / m.L_sigma, (x.psi_s_beta - x.psi_R_beta) / m.L_sigma
+    i_alpha, i_beta, T_e = electric(x, inv_L_sigma, p)
     i_b = -0.5 * i_alpha + 0.75**0.5 * i_beta
-    T_e = 1.5 * m.pole_pairs * (x.psi_s_alpha * i_beta - x.psi_s_beta * i_alpha)
     return i_alpha, i_b, -i_alpha - i_b, T_e
 
 
@@ -81,14 +87,9 @@ def step_function(substeps: int = 1) -> ca.Function:
     u_alpha, u_beta, T_L = ca.vertsplit(u)
     R_s, R_R, inv_L_sigma, R_R_by_L_M, p, inv_J, B, h = ca.vertsplit(c)
 
-    def electric(x: Sequence[Any]) -> tuple[Any, Any, Any]:
-        s_alpha, s_beta, r_alpha, r_beta = x[:4]
-        i_alpha, i_beta = (s_alpha - r_alpha) * inv_L_sigma, (s_beta - r_beta) * inv_L_sigma
-        return i_alpha, i_beta, 1.5 * p * (s_alpha * i_beta - s_beta * i_alpha)
-
     def derivative(x: ca.SX) -> ca.SX:
         _, _, r_alpha, r_beta, omega, _ = parts = ca.vertsplit(x)
-        i_alpha, i_beta, T_e = electric(parts)
+        i_alpha, i_beta, T_e = electric(parts, inv_L_sigma, p)
         return ca.vertcat(
             u_alpha - R_s * i_alpha,
             u_beta - R_s * i_beta,
@@ -99,7 +100,5 @@ def step_function(substeps: int = 1) -> ca.Function:
         )
 
     after = rk4(derivative, x, h, substeps)
-    i_alpha, i_beta, T_e = electric(ca.vertsplit(after))
-    i_b = -0.5 * i_alpha + 0.75**0.5 * i_beta
-    y = ca.vertcat(i_alpha, i_b, -i_alpha - i_b, T_e)
+    y = ca.vertcat(*measured(ca.vertsplit(after), inv_L_sigma, p))
     return ca.Function("induction_machine", [x, u, c], [after, y])

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from softrig_core import BlockParams, Compiled, Level, Plant, executable, param
 
 from .adc import AdcParams, Converter
-from .machine import STATES, MachineConstants, State, currents_and_torque, numbers, step_function
+from .machine import STATES, MachineConstants, State, measured, numbers, step_function
 from .ports import CURRENTS_MEAS, CURRENTS_TRUE, DC_LINK, FLUX_TRUE, JOINT_STATES, LOAD_TORQUE, SWITCHES
 from .switching import VECTORS, voltage
 
@@ -66,7 +66,7 @@ class ImPlant(Plant[ImPlantParams]):
     def put(self, state: Sequence[float]) -> None:
         """Go on from another state."""
         x = State(*state)
-        self._sense(x, *currents_and_torque(self.p, x))
+        self._sense(x, *measured(x, 1.0 / self.p.L_sigma, self.p.pole_pairs))
 
     def outputs(self, t: int) -> Mapping[str, tuple[float, ...]]:
         """Give speed, currents and fluxes at t."""

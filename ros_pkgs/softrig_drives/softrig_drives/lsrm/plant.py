@@ -63,7 +63,7 @@ class LsrmPlant(Plant[LsrmPlantParams]):
         self._u = np.zeros(N_PHASES)
         self._load = (0.0, 0.0)
         self.fault = False
-        self._move(0.0, 0.0, 0.0, 0.0, steps=0)  # compiled now: the wall clock leaves no time at the first tick
+        self._move(0.0, 0.0, 0.0, 0.0, steps=0)
 
     @property
     def state(self) -> State:

@@ -104,9 +104,6 @@ class RectifierPlant(Plant[RectifierPlantParams]):
         self._forward = 1.0 if p.feedforward == "instantaneous" else 0.0
         self._window = CYCLES / p.f
         self._late = self.LATE_PERIODS * to_ns(p.period)
-        self.start()
-        self.outputs(0)  # native code is loaded or compiled before the first tick, not in it
-        self._move(0.0, 0.0)
 
     def start(self) -> None:
         """Begin at the given voltage and current, on the nominal grid and load."""

@@ -50,12 +50,15 @@ class OcpEvaluator(Observer[EvaluatorParams]):
         return inputs, (scalars("evaluation", "ocp/evaluation", dict.fromkeys(FIGURES, "")),)
 
     def setup(self) -> None:
-        """Work out the least cost; native code is loaded here, no tick shall wait for it."""
-        polynomials(np.zeros((1, 1, 1)), 0.0)
+        """Work out the least cost."""
         self._problem = self.p.statement()
         self._n = len(self._problem.states)
         self._step = step_function("ocp_cost", self._problem, self.p.substeps)
         self._exact = least_cost(self._problem)
+
+    def warm_up(self) -> None:
+        """A plan comes later."""
+        polynomials(np.zeros((1, 1, 1)), 0.0)
 
     def start(self) -> None:
         """Nothing seen."""

@@ -50,10 +50,13 @@ class OcpPlayer(Block[PlayerParams]):
         return (state(problem), given, summary()), (control(problem), progress)
 
     def setup(self) -> None:
-        """Sizes; native code is loaded here, no tick shall wait for it."""
-        polynomials(np.zeros((1, 1, 1)), 0.0)
+        """Sizes."""
         problem = self.p.statement()
         self._n, self._m = len(problem.states), len(problem.controls)
+
+    def warm_up(self) -> None:
+        """A plan comes later."""
+        polynomials(np.zeros((1, 1, 1)), 0.0)
 
     def start(self) -> None:
         """No plan."""
