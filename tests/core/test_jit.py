@@ -254,6 +254,16 @@ class _Native(Block):
         return {"y": (_twice(x[0]),)}
 
 
+@jit
+def _later(x):
+    return 3.0 * x
+
+
+class _Later(_Native):
+    def warm_up(self):
+        _later(1.0)
+
+
 class _Broken(_Native):
     def update(self, t, x):
         raise ArithmeticError("only in the run")
@@ -266,3 +276,5 @@ def test_a_rehearsal_leaves_native_code_ready_and_nothing_else():
     assert _Native.ticks == [0]
     assert rehearse(_Broken, BlockParams(), "a")  # says so in the run
     assert not rehearse(Gain, Gain.Params(), "a")
+    assert rehearse(_Later, BlockParams(), "a")  # what no first tick reaches
+    assert _later._run != _later._first
