@@ -1,6 +1,5 @@
 """The command line as a user calls it: exit status, files, one line for every mistake."""
 
-import ast
 import hashlib
 import json
 import os
@@ -402,34 +401,6 @@ def test_pip_does_it_where_uv_cannot_be_had_and_a_shared_environment_is_not_inst
     said = softrig("add", "tables")
     assert said.returncode == 2
     assert "add tables: no such set; there are run uv" in said.stderr
-
-
-KEYS = (
-    {"casadi": "python3-casadi-pip", "ruamel": "python3-ruamel.yaml", "yaml": "python3-yaml"}
-    | {"typing_extensions": "python3-typing-extensions"}
-    | {name: f"python3-{name}" for name in ("matplotlib", "numpy", "pyarrow", "pydantic", "rich", "scipy")}
-)
-FROM_PIP = {  # no rosdep key; the README says so
-    "backports", "bibtexparser", "clarabel", "compression", "comtrade", "control", "daqp", "distributed",
-    "highspy", "llvmlite", "lz4", "mcap", "numba", "optuna", "osqp", "rosbags",
-}  # fmt: skip
-OTHERS = {"motulator", "gym_electric_motor"}  # compared with where somebody has installed them
-
-
-@pytest.mark.parametrize("package", sorted(p.parent.name for p in SCRIPTS.parent.glob("ros_pkgs/*/package.xml")))
-def test_every_import_is_declared(package):
-    folder = SCRIPTS.parent / "ros_pkgs" / package
-    used = set()
-    for file in (*folder.glob(f"{package}/**/*.py"), *folder.glob("launch/*.py")):
-        for node in ast.walk(ast.parse(file.read_text())):
-            if isinstance(node, ast.Import):
-                used |= {alias.name.partition(".")[0] for alias in node.names}
-            elif isinstance(node, ast.ImportFrom) and not node.level:
-                used.add(node.module.partition(".")[0])
-    used -= set(sys.stdlib_module_names) | FROM_PIP | OTHERS | {package}
-    manifest = (folder / "package.xml").read_text()
-    missing = {KEYS.get(name, name) for name in used if f"<exec_depend>{KEYS.get(name, name)}</" not in manifest}
-    assert not missing, f"{package}/package.xml does not declare {', '.join(sorted(missing))}"
 
 
 def test_an_error_of_our_own_is_one_line_and_a_log(monkeypatch, tmp_path, capsys):

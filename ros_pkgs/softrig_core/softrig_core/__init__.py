@@ -10,8 +10,10 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 from .bits import pin
+from .needs import check
 
 pin()  # before numpy is loaded
+check()
 
 if TYPE_CHECKING:
     from .errors import RunError as RunError, ScenarioError as ScenarioError

@@ -233,7 +233,7 @@ class _Edited:
                     self._seen[file] = 0
 
 
-def serve(link: socket.socket) -> Callable[[], object]:
+def serve(link: socket.socket) -> Callable[[], Any]:
     """Answer requests until nobody can ask any more; returns only in a process that it has forked, with its work."""
     with contextlib.suppress(Exception):  # the node says itself what is wrong with it
         load_main("softrig_core", "container")  # which imports all that nodes have in common
@@ -283,7 +283,7 @@ def _fork(request: Mapping[str, Any], asleep: set[str]) -> int:
     return pid
 
 
-def _become(link: socket.socket, request: Mapping[str, Any], output: int) -> object:
+def _become(link: socket.socket, request: Mapping[str, Any], output: int) -> Any:
     """Be the node that was asked for."""
     link.close()
     os.dup2(output, 1)
