@@ -14,9 +14,9 @@ from functools import partial
 from itertools import count
 
 from softrig_core import Recording, Solver, Work
-from softrig_core.node.lockstep import Lockstep
+from softrig_core.node.adapter import Adapter
+from softrig_core.node.group import Group
 from softrig_core.node.middleware import Middleware, Peer
-from softrig_core.node.realtime import Realtime
 from softrig_core.rig.options import RunOptions
 from softrig_core.rig.starting import node_parameters
 
@@ -31,11 +31,15 @@ class Endpoint:
     born: int
     peers: int = 0  # that are matched, as this end sees it
     known: dict = field(default_factory=dict)  # of a writer: reader -> time from which that accepts what is sent
-    direct: Callable | None = None  # of a reader: its way to take numbers, if it has one
 
     @property
     def peer(self):
         return Peer(self.node.name, "/", self.msgtype)
+
+    def meets(self, other):
+        """Whether the middleware brings two ends together; not those of a process of several nodes."""
+        apart = self.node.process is None or self.node.process is not other.node.process
+        return apart and self.topic == other.topic and self.msgtype == other.msgtype
 
 
 @dataclass
@@ -50,34 +54,27 @@ class World:
     readers: list = field(default_factory=list)
     last: dict = field(default_factory=dict)
     discovery: "Discovery | None" = None
-    direct: bool = False  # whether messages are handed over as numbers where the reader can take them so
 
     def at(self, t, call, node=None):
         heapq.heappush(self.events, (t, next(self.order), call, node))
 
-    def send(self, writer, data, *form):
-        """Send bytes, or numbers of a layout with a bound."""
+    def send(self, writer, data):
         if self.discovery is None:
-            readers = [(r, 0) for r in self.readers if r.topic == writer.topic and r.msgtype == writer.msgtype]
+            readers = [(r, 0) for r in self.readers if writer.meets(r)]
         else:
             readers = writer.known.items()
         for reader, accepts in readers:
             key = (writer, reader)  # one writer's messages never overtake each other
             when = max(self.now + self.latency(writer.topic, writer.node.name, reader.node.name), accepts)
             self.last[key] = when = max(when, self.last.get(key, 0))
-            take, given = reader.receive, data
-            if form:
-                take = reader.direct and reader.direct(*form)
-                if take is None:
-                    take, given = reader.receive, form[0].encode(*data)
-            self.at(when, partial(take, given), reader.node)
+            self.at(when, partial(reader.receive, data), reader.node)
 
     def add(self, end):
         ends, others = (self.readers, self.writers) if end.receive else (self.writers, self.readers)
         ends.append(end)
         if self.discovery is not None:
             for other in others:
-                if other.topic == end.topic and other.msgtype == end.msgtype and not other.node.dead:
+                if other.meets(end) and not other.node.dead:
                     self.discovery.meet(*((other, end) if end.receive else (end, other)))
 
     def match(self):
@@ -85,7 +82,7 @@ class World:
             return
         for here, there in ((self.writers, self.readers), (self.readers, self.writers)):
             for end in here:
-                end.matched(sum(o.topic == end.topic and o.msgtype == end.msgtype for o in there))
+                end.matched(sum(o.meets(end) for o in there))
 
     def run(self, until, stop=lambda: False):
         while self.events and self.events[0][0] <= until and not stop():
@@ -189,8 +186,9 @@ class SimulatedTimer:
 class SimulatedNode(Middleware):
     """One node's `Middleware`."""
 
-    def __init__(self, world, name, remap):
+    def __init__(self, world, name, remap, process=None):
         self.world, self.name, self.full_name, self.remap = world, name, f"/{name}", remap
+        self.process = process
         self.logs = []
         self.dead, self.stalled, self.born = 0, 0, world.now
 
@@ -204,20 +202,11 @@ class SimulatedNode(Middleware):
         self.world.add(end)
         return lambda data: self.world.send(end, data)
 
-    def sender(self, topic, layout, bound, matched):
-        if not self.world.direct:
-            return super().sender(topic, layout, bound, matched)
-        end = Endpoint(self, self.resolve(topic), layout.msgtype, None, matched, self.world.now)
-        self.world.add(end)
-        return (lambda message: self.world.send(end, message, layout, bound),
-                lambda message: self.world.send(end, layout.encode(*message)))  # fmt: skip
-
     def subscribe(self, topic, msgtype, receive, matched):
-        self.listen(topic, msgtype, receive, None, matched)
+        self.world.add(Endpoint(self, self.resolve(topic), msgtype, receive, matched, self.world.now))
 
-    def listen(self, topic, msgtype, receive, direct, matched):
-        end = Endpoint(self, self.resolve(topic), msgtype, receive, matched, self.world.now, direct=direct)
-        self.world.add(end)
+    def post(self, call):
+        self.world.at(self.world.now, call)  # of the process, which outlives the node
 
     def timer(self, ns, callback):
         return SimulatedTimer(self.world, ns, callback, self)
@@ -303,48 +292,66 @@ class SimulatedRig:
         In real time: t = 0 is when all are up, as in a run, instead of a second after the start.
     after : callable, optional
         Node name to ns after which it is started.
+    groups : sequence of sequences of str
+        Nodes that share a process; any other has one of its own.
     **options
         ``run.*`` parameters of all nodes.
     """
 
-    def __init__(self, rig, world, mode, seed=0, without=(), departs=False, after=None, **options):
+    def __init__(self, rig, world, mode, seed=0, without=(), departs=False, after=None, groups=(),
+                 **options):  # fmt: skip
         self.rig, self.world = rig, world
         self.recording = Recording((t, p.msgtype) for t, p in rig.topics.items())
         slowest = max((m.schedule for m in rig.members), key=lambda s: s.period)
         self.epoch = slowest.held(world.now + 1_000_000_000) if mode == "realtime" and not departs else 0
         self.expected = sum(m.name not in without and not m.external for m in rig.members)
         self.adapters, self.nodes = {}, {}
-        for member in rig.members:
-            if member.name in without or member.external:
-                continue
+        left = {m.name: m for m in rig.members if m.name not in without and not m.external}
+        shared = [[left.pop(name) for name in names if name in left] for names in groups]
+        for members in [*filter(None, shared), *([m] for m in left.values())]:
             if after is None:
-                self._start(member, mode, seed, options)
+                self._start(members, mode, seed, options)
             else:
-                world.at(world.now + after(member.name), partial(self._start, member, mode, seed, options))
+                world.at(world.now + after(members[0].name), partial(self._start, members, mode, seed, options))
 
-    def _start(self, member, mode, seed, options):
+    def _start(self, members, mode, seed, options):
+        process = object() if len(members) > 1 else None
+        Group([self._adapter(member, mode, seed, options, process) for member in members])
+
+    def _adapter(self, member, mode, seed, options, process):
         rig, world = self.rig, self.world
         given = {k.removeprefix("run."): v for k, v in node_parameters(rig, member, seed, mode).items()
                  if k.startswith("run.")}  # fmt: skip
         given |= {"epoch": self.epoch, **options}
-        node = SimulatedNode(world, member.name, member.remap)
-        kind = Lockstep if mode == "lockstep" else Realtime
+        node = SimulatedNode(world, member.name, member.remap, process)
         sink = _Sink.__new__(_Sink)
-        adapter = kind(node, member.block(seed), RunOptions(**given), sink)
+        adapter = Adapter(node, member.block(seed), RunOptions(**given), sink)
         sink.__init__(self.recording, adapter.recorded)
         if world.discovery is not None:
             adapter.on_finished = partial(world.discovery.leave, node)
         if isinstance(adapter.block, Solver):
             adapter.block._worker = SimulatedWorker(world, type(adapter.block).solve)
         self.nodes[member.name], self.adapters[member.name] = node, adapter
+        return adapter
 
     def _ended(self):
         over = [self.nodes[name].dead or a.state in ("done", "failed") for name, a in self.adapters.items()]
         return len(over) == self.expected and all(over)
 
     def run(self, seconds=None):
-        seconds = self.rig.end / 1e9 + 20.0 if seconds is None else seconds
+        patience = 2.0 * self.rig.scenario.timeout + 20.0
+        seconds = self.rig.end / 1e9 + patience if seconds is None else seconds
         self.world.match()
         until = self.world.now + round(seconds * 1e9)
         self.world.run(until, self._ended)
         return {name: a.state for name, a in self.adapters.items()}
+
+
+def some(rig, rng):
+    """Draw nodes of a rig that share processes: mostly none, else two groups of any size."""
+    names = [m.name for m in rig.members if not m.external]
+    if rng.random() < 0.5:
+        return ()
+    rng.shuffle(names)
+    cut = rng.randint(1, len(names))
+    return names[:cut], names[cut:]

@@ -205,7 +205,7 @@ def test_a_slow_block_is_due_on_its_own_ticks_only():
 
 def test_a_block_that_fails_is_named_with_the_time():
     for how, text in [("nan", "gain: command u/effort became nan at t = 0.2 s"),
-                      ("raise", "gain failed at t = 0.2 s: ArithmeticError: deliberate")]:  # fmt: skip
+                      ("raise", "gain: failed at t = 0.2 s: ArithmeticError: deliberate")]:  # fmt: skip
         rig = Rig.from_scenario(make_scenario(BASIC | {"gain": node("killed", how=how, at=0.2)}))
         with pytest.raises(RunError) as error:
             run_inprocess(rig, 0)

@@ -7,7 +7,7 @@ from functools import cache, partial
 
 import pytest
 from conftest import differences, in_process, make_scenario
-from simulated import Discovery, SimulatedRig, World
+from simulated import Discovery, SimulatedRig, World, some
 from simulated_outside import SimulatedOutside
 from softrig_core import Rig
 from softrig_core.node.endpoint import Output
@@ -70,9 +70,10 @@ def start(kind, seed, outside=(), stalls=0):
     ours, expected = rig_and_record(kind)
     rig = with_guests(kind, outside)
     longest = rng.choice((1, 5, 20)) * MS
-    world = World(lambda *_: rng.randrange(1_000, longest), direct=seed % 2 == 1)  # in memory every other time
+    world = World(lambda *_: rng.randrange(1_000, longest))
     Discovery(world, rng)
-    run = SimulatedRig(rig, world, "lockstep", after=lambda name: rng.randrange(300 * MS), start_timeout=0.0)
+    run = SimulatedRig(rig, world, "lockstep", after=lambda name: rng.randrange(300 * MS), start_timeout=0.0,
+                       groups=some(rig, rng))  # fmt: skip
     for member in (m for m in ours.members if m.name in outside):
         reads = [p for p in member.inputs if p.name in member.links and member.links[p.name].source.name not in outside]
         calls = [p for p in reads if not member.links[p.name].port.sporadic]
@@ -181,7 +182,7 @@ def departure(kind, seed):
     epochs = {a.epoch for a in run.adapters.values()}
     if len(epochs) != 1 or not max(n.born for n in run.nodes.values()) <= min(epochs) < began + 5_000 * MS:
         wrong.append(f"t = 0 at {[e - began for e in epochs]}")
-    return wrong + [f"{n} has missed ticks" for n, a in run.adapters.items() if a.missed + a.incomplete]
+    return wrong + [f"{n} has missed ticks" for n, a in run.adapters.items() if a.drive.missed + a.drive.incomplete]
 
 
 def called(kind, rng):
@@ -202,10 +203,10 @@ def real_time(kind, seed, outside=(), stalls=0):
     ours, expected = rig_and_record(kind)
     rig = with_guests(kind, outside)
     longest = rng.choice((1, 5, 20)) * MS
-    world = World(lambda *_: rng.randrange(1_000, longest), direct=seed % 2 == 1)
+    world = World(lambda *_: rng.randrange(1_000, longest))
     Discovery(world, rng)
     run = SimulatedRig(rig, world, "realtime", departs=True, after=lambda name: rng.randrange(300 * MS),
-                       start_timeout=0.0)  # fmt: skip
+                       start_timeout=0.0, groups=some(rig, rng))  # fmt: skip
     for member in (m for m in ours.members if m.name in outside):
         links = {p: member.links[p.name] for p in member.inputs if p.name in member.links}
         reads = [p for p, k in links.items() if k.source.name not in outside and k.port.stamped
@@ -233,7 +234,7 @@ def real_time(kind, seed, outside=(), stalls=0):
         return [*wrong, f"t = 0 at {epochs}"]
     (epoch,) = epochs
     for member in (m for m in rig.members if not m.external):
-        missed = run.adapters[member.name].missed if member.name in run.adapters else 0
+        missed = run.adapters[member.name].drive.missed if member.name in run.adapters else 0
         for port in (p for p in member.outputs if not p.sporadic and p.stamped and not p.delayed):
             ticks = [member.schedule.tick(t - epoch) for t in run.recording.topics[port.topic].times]
             due = ticks[-1] - ticks[0] + 1 if ticks else 0

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from conftest import differences, in_process, make_scenario
 from faultrig import COMMAND, STATE, Lag
-from simulated import SimulatedNode, SimulatedRig, World
+from simulated import SimulatedNode, SimulatedRig, World, some
 from softrig_core import Block, Rig, Signals, array, load_scenario
 from test_ports import RIGS
 
@@ -29,19 +29,20 @@ def jitter(seed, low, high):
     return lambda topic, writer, reader: rng.randrange(low, high)
 
 
-@pytest.mark.parametrize(("seed", "direct"), [(0, False), (1, False), (2, True), (3, True)])
+@pytest.mark.parametrize(("seed", "shared"), [(0, False), (1, False), (2, True), (3, True)])
 @pytest.mark.parametrize("name", ["dc_motor_smc_b2", "rehab_impedance"])
-def test_a_law_uses_the_inputs_of_its_tick(name, seed, direct):
+def test_a_law_uses_the_inputs_of_its_tick(name, seed, shared):
     """Messages of one tick come in any order: real time gives the numbers of lockstep, bit for bit."""
     rig = shortened(name, 0.3)
     expected = Signals(in_process(rig))
     fastest = rig.clock.schedule.time(1)
-    run = SimulatedRig(rig, World(jitter(seed, 1_000, fastest // 8), direct=direct), "realtime")
+    groups = [[m.name for m in rig.members]] if shared else ()
+    run = SimulatedRig(rig, World(jitter(seed, 1_000, fastest // 8)), "realtime", groups=groups)
     assert set(run.run().values()) == {"done"}
     found = Signals(run.recording, run.epoch)
     for member in rig.members:
         adapter = run.adapters[member.name]
-        assert adapter.missed == adapter.incomplete == 0, member.name
+        assert adapter.drive.missed == adapter.drive.incomplete == 0, member.name
         for port in member.outputs:
             if port.held:
                 continue
@@ -60,9 +61,9 @@ def test_a_tick_without_all_its_inputs_is_answered_after_a_part_of_the_period_an
     run = SimulatedRig(rig, World(late), "realtime", patience=0.5)
     run.run()
     gain = run.adapters["gain"]
-    assert gain.incomplete >= 48
+    assert gain.drive.incomplete >= 48
     assert gain.block.reports["incomplete"][1] == "answered without what was due on lag/reference"
-    assert gain.statistics()["incomplete_ticks"] == gain.incomplete
+    assert gain.drive.statistics()["incomplete_ticks"] == gain.drive.incomplete
     found = Signals(run.recording, run.epoch)
     x, r, u = (
         dict(zip((found[f"lag/{s}"].t * 100).round(), found[f"lag/{s}"].x, strict=True))
@@ -79,7 +80,7 @@ def test_with_patience_for_it_the_late_reference_is_waited_for():
     rig = basic()
     run = SimulatedRig(rig, World(lambda topic, *_: late.get(topic, MS // 10)), "realtime", patience=0.8)
     run.run()
-    assert run.adapters["gain"].incomplete == 0
+    assert run.adapters["gain"].drive.incomplete == 0
     found = Signals(run.recording, run.epoch)
     assert np.array_equal(found["lag/state/x/position"].x, Signals(in_process(rig))["lag/state/x/position"].x)
 
@@ -202,7 +203,8 @@ def test_the_ports_of_the_rigs_work_in_lockstep_whatever_the_order_of_delivery(n
     rig = Rig.from_scenario(make_scenario(nodes, duration, **options))
     expected = in_process(rig)
     for seed in range(20):
-        run = SimulatedRig(rig, World(jitter(seed, 1_000, 5 * MS), direct=seed % 2 == 1), "lockstep")
+        run = SimulatedRig(rig, World(jitter(seed, 1_000, 5 * MS)), "lockstep",
+                           groups=some(rig, random.Random(seed)))  # fmt: skip
         assert set(run.run(1000.0).values()) == {"done"}, (seed, {n: str(a.error) for n, a in run.adapters.items()})
         assert differences(expected, run.recording) == [], seed
 

@@ -63,7 +63,7 @@ def in_real_time(rig, member=None, port=None):
         reader = next(r for r in world.readers if r.node.name == member.name and r.topic == f"/{link.port.topic}")
         reader.receive(link.port.layout().encode(world.now + 3600 * SECOND, link.port.safe))
     states = run.run()
-    return {n: (states[n], a.ticks, a.missed, a.incomplete) for n, a in run.adapters.items()}, {
+    return {n: (states[n], a.ticks, a.drive.missed, a.drive.incomplete) for n, a in run.adapters.items()}, {
         (n, i.name): i.refused for n, a in run.adapters.items() for i in a.inputs if i.refused
     }
 

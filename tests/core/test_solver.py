@@ -224,7 +224,7 @@ def test_realtime_node_answers_every_tick_while_a_plan_is_made():
         assert until < run.epoch + 60_000_000_000
     ticks = (until - run.epoch) // 10_000_000
     assert planner.ticks == ticks + 1
-    assert planner.missed == planner.incomplete == 0
+    assert planner.drive.missed == planner.drive.incomplete == 0
     signal = Signals(run.recording, run.epoch)["lag/plan/asked_at/position"]
     first, second, *_ = [a for a, _ in itertools.groupby(signal.x) if a >= 0.0]
     # the second request is the newest at the tick at which the first plan took effect

@@ -30,7 +30,7 @@ def test_what_is_beyond_its_range_ends_the_run_at_who_says_it_wherever_it_runs()
     assert str(error.value) == said
     run = SimulatedRig(overdriven(2e7), World(), "lockstep")
     assert run.run()["command_source"] == "failed"
-    assert str(run.adapters["command_source"].error) == said
+    assert f"command_source: {run.adapters['command_source'].error}" == said
     assert set(SimulatedRig(overdriven(0.99e7), World(), "lockstep").run().values()) == {"done"}
     run_inprocess(overdriven(0.99e7), 0)
 

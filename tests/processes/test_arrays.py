@@ -197,9 +197,9 @@ def numbers(recording, topic):
     return [parse(MULTI, data).number for data in recording.topics[topic].data]
 
 
-@pytest.mark.parametrize("direct", [False, True])
-def test_arrays_are_numbered_in_the_order_of_their_topic(loop, direct):
-    run = SimulatedRig(loop, World(direct=direct), "lockstep")
+@pytest.mark.parametrize("groups", [(), [["plant", "weigh"]]])
+def test_arrays_are_numbered_in_the_order_of_their_topic(loop, groups):
+    run = SimulatedRig(loop, World(), "lockstep", groups=groups)
     assert set(run.run().values()) == {"done"}
     assert differences(in_process(loop), run.recording) == []
     assert numbers(run.recording, "lag/matrix") == list(range(30))
@@ -215,7 +215,7 @@ def test_arrays_have_the_same_numbers_in_real_time(loop):
         found = numbers(run.recording, topic)
         assert found == list(range(len(found)))
         assert len(found) >= len(expected.topics[topic].data) - 1
-    assert "lost_arrays" not in run.adapters["weigh"].statistics()
+    assert "lost_arrays" not in run.adapters["weigh"].drive.statistics()
 
 
 @pytest.mark.parametrize("topic", ["lag/matrix", "lag/peaks"])
@@ -315,7 +315,7 @@ def test_in_real_time_a_repeated_array_is_refused_and_a_lost_one_counted(loop):
     assert [i.refused for i in weigh.inputs] == [1, 0]
     assert weigh.inputs[0].last_refusal == "number 5 from spread, expected 6 (already there)"
     assert [i.lost for i in weigh.inputs] == [2, 0]
-    assert weigh.statistics()["lost_arrays"] == 2
+    assert weigh.drive.statistics()["lost_arrays"] == 2
     assert weigh.block.reports["lost lag/matrix"][:2] == (Level.WARN, "2 messages of spread are lost")
 
 

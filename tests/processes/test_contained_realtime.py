@@ -11,11 +11,12 @@ from faultrig import COMMAND, STATE, Lag
 from simulated import _Sink
 from softrig_core import Block, Recording, Rig, Signals, command, load_scenario
 from softrig_core.node import exchange as exchange_module, ros
+from softrig_core.node.adapter import Adapter
 from softrig_core.node.contained import ContainedMiddleware
 from softrig_core.node.exchange import Exchange
 from softrig_core.node.garbage import CLEAN, UNCLEAN, YOUNG, Garbage
-from softrig_core.node.health import write_status
-from softrig_core.node.realtime import Realtime
+from softrig_core.node.group import Group
+from softrig_core.node.health import StatusFile
 from softrig_core.rig.options import RunOptions
 from softrig_core.rig.starting import node_parameters
 
@@ -55,9 +56,20 @@ class Contained:
         self.carried, self.logs = {}, []
         monkeypatch.setattr(exchange_module, "time", self.clock)
         monkeypatch.setattr(ros, "time", self.clock)
-        monkeypatch.setattr(ros.RosMiddleware, "publisher", lambda m, topic, *_: self.carried.setdefault(
-            m.resolve(topic), []).append)  # fmt: skip
-        monkeypatch.setattr(ros.RosMiddleware, "subscribe", lambda *_: None)
+        self.readers, self.writers = {}, {}  # what tells how many are matched in other processes, by topic
+        self.receivers = {}
+
+        def publisher(middleware, topic, msgtype, matched):
+            name = middleware.resolve(topic)
+            self.readers[name] = matched
+            return self.carried.setdefault(name, []).append
+
+        def subscribe(middleware, topic, msgtype, receive, matched):
+            self.writers[middleware.name, middleware.resolve(topic)] = matched
+            self.receivers[middleware.name, middleware.resolve(topic)] = receive
+
+        monkeypatch.setattr(ros.RosMiddleware, "publisher", publisher)
+        monkeypatch.setattr(ros.RosMiddleware, "subscribe", subscribe)
         monkeypatch.setattr(ros.RosMiddleware, "log", lambda m, level, text: self.logs.append(text))
         monkeypatch.setattr(ros.RosMiddleware, "types", lambda m, topic: [])
         monkeypatch.setattr(ros.RosMiddleware, "publishers", lambda m, topic: [])
@@ -65,6 +77,7 @@ class Contained:
         slowest = max((m.schedule for m in rig.members), key=lambda s: s.period)
         self.epoch = slowest.held(self.clock.t + SECOND)
         self.adapters = {m.name: self._adapter(rig, m, seed) for m in rig.members}
+        Group(list(self.adapters.values()))
 
     def _adapter(self, rig, member, seed):
         def resolve(topic):
@@ -76,7 +89,7 @@ class Contained:
         given = {k.removeprefix("run."): v for k, v in node_parameters(rig, member, seed, "realtime").items()
                  if k.startswith("run.")} | {"epoch": self.epoch}  # fmt: skip
         sink = _Sink.__new__(_Sink)
-        adapter = Realtime(ContainedMiddleware(node, self.exchange), member.block(seed), RunOptions(**given), sink)
+        adapter = Adapter(ContainedMiddleware(node, self.exchange), member.block(seed), RunOptions(**given), sink)
         sink.__init__(self.recording, adapter.recorded)
         return adapter
 
@@ -105,8 +118,8 @@ def test_what_a_node_says_together_gives_the_numbers_of_lockstep(name, duration,
     found = run.numbers()
     for member in rig.members:
         adapter = run.adapters[member.name]
-        assert adapter.missed == adapter.incomplete == 0, member.name
-        assert not adapter.stale, member.name
+        assert adapter.drive.missed == adapter.drive.incomplete == 0, member.name
+        assert not adapter.drive.hearing.stale, member.name
         for port in member.outputs:
             for label in port.labels if not port.held else ():
                 a, b = expected[f"{port.topic}/{label}"], found[f"{port.topic}/{label}"]
@@ -140,8 +153,7 @@ def test_a_held_input_said_together_with_an_awaited_one_is_of_the_same_tick(monk
 
 def test_what_somebody_outside_reads_is_carried_beside(monkeypatch):
     run = Contained(shortened("induction_dtc", 0.02), monkeypatch)
-    channel = run.exchange._channels["/currents_meas", "geometry_msgs/msg/Vector3Stamped"]
-    run.exchange.outside(channel.writers[0], 1)
+    run.readers["/currents_meas"](1)
     run.run()
     recorded = run.recording.topics["currents_meas"].data
     assert len(recorded) > 390
@@ -155,14 +167,14 @@ def test_of_two_writers_none_is_believed_until_one_has_gone(monkeypatch):
     item = next(i for i in controller.inputs if i.name == "currents_meas")
     run.run(run.epoch + SECOND // 100)
     assert controller.ticks > 190
-    reader = run.exchange._channels["/currents_meas", "geometry_msgs/msg/Vector3Stamped"].readers[0]
-    run.exchange.outside(reader, 1)
+    tell = run.writers["dtc_controller", "/currents_meas"]
+    tell(1)
     before = run.adapters["im_plant"].ticks
     run.run(run.epoch + SECOND // 50)
     during = run.adapters["im_plant"].ticks - before
     assert item.refused == during + 1  # the change itself counts, too
     assert "2 publishers at once" in item.last_refusal
-    run.exchange.outside(reader, 0)
+    tell(0)
     refused, ticks = item.refused, controller.ticks
     run.run(run.epoch + 3 * SECOND // 100)
     assert item.refused <= refused + 1
@@ -177,13 +189,12 @@ def test_a_message_that_fails_is_answered_by_what_was_said_and_its_neighbours_ar
     ticks = gain.ticks
     stamp = run.epoch + SECOND // 10
     port = next(p for p in rig.clock.outputs if p.name == "state")
-    receive = run.exchange._channels["/lag/state", port.msgtype].readers[0].receive
-    run.exchange.post((receive,), port.layout().encode(stamp + 3600 * SECOND, (7.0, 7.0)))
+    run.receivers["gain", "/lag/state"](port.layout().encode(stamp + 3600 * SECOND, (7.0, 7.0)))
     run.run(run.epoch + 2 * SECOND // 10)
     assert gain.inputs[0].refused == 1
     assert "from now" in gain.inputs[0].last_refusal
     assert gain.ticks == ticks + 10
-    assert gain.missed == gain.incomplete == 0
+    assert gain.drive.missed == gain.drive.incomplete == 0
 
 
 # what keeps a loop from its ticks ----------------------------------------------------------------------------------
@@ -229,16 +240,17 @@ def test_a_status_is_whole_while_it_is_changed_in_its_place(tmp_path, monkeypatc
     plant = run.adapters["im_plant"]
     path = tmp_path / "im_plant.status"
     object.__setattr__(plant.options, "status", str(path))
-    write_status(plant)
+    plant._status = StatusFile(str(path))
+    plant.write_status()
     number, before = path.stat().st_ino, json.loads(path.read_text())
-    plant.error, plant.t = RuntimeError("x" * 3000), 7
-    write_status(plant)  # longer
+    plant.error, plant.step.t = RuntimeError("x" * 3000), 7
+    plant.write_status()  # longer
     assert json.loads(path.read_text())["error"] == "x" * 3000
     plant.error = None
-    write_status(plant)  # shorter
+    plant.write_status()  # shorter
     assert json.loads(path.read_text()) == before | {"t": 7, "cpu_s": json.loads(path.read_text())["cpu_s"]}
     assert path.stat().st_ino == number
     plant.state = "done"
-    write_status(plant)
+    plant.write_status()
     assert path.stat().st_ino != number
     assert json.loads(path.read_text())["missed_deadlines"] == 0

@@ -8,6 +8,7 @@ import sys
 import time
 from collections import deque
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -17,7 +18,6 @@ from softrig_core.node.exchange import BURST, Exchange
 from softrig_core.node.profile import PROPERTY, VARIABLE, exclusive, with_property
 from softrig_core.rig.domain import free_domain
 from softrig_core.rig.executables import environment, find_executable
-from softrig_core.wire.cdr import Layout
 from test_processes import BASIC, OUTSIDE, RIGS, params, rig
 
 pytestmark = pytest.mark.processes
@@ -293,39 +293,12 @@ def test_messages_follow_each_other_and_none_is_handed_over_inside_another():
         assert depth[0] == 1
         order.append(number)
         if number < limit:
-            exchange.post((receive,), number + 1)
+            exchange.post(partial(receive, number + 1))
         depth[0] -= 1
 
-    exchange.post((receive,), 0)
+    exchange.post(partial(receive, 0))
     exchange.serve(1 << 62)
     assert list(order) == [limit - 3, limit - 2, limit - 1, limit]
-
-
-def test_ends_are_told_of_both_sides():
-    exchange, told = Exchange(), []
-    writer = exchange.writer("/a", "t", lambda n: told.append(("writer", n)))
-    exchange.reader("/a", "t", print, None, lambda n: told.append(("reader", n)), "me")
-    exchange.reader("/a", "other", print, None, lambda n: told.append(("stranger", n)), "me")
-    assert told == []  # nobody is called back before the queue is served
-    exchange.outside(writer, 2)
-    exchange.serve(1 << 62)
-    assert writer.byte_calls == [print]
-    assert [t for t in told if t[0] == "writer"][-1] == ("writer", 3)
-    assert [t for t in told if t[0] == "reader"][-1] == ("reader", 1)
-    assert ("stranger", 0) in told
-    assert ("stranger", 1) not in told
-
-
-def test_a_reader_gets_numbers_where_it_can_and_the_same_bytes_where_not():
-    exchange, layout, got = Exchange(), Layout("std_msgs/msg/Header", "abc"), []
-    for direct in (None, lambda *found: None, lambda *found: got.append if found == (layout, 2.0) else None):
-        exchange.reader("/a", "t", lambda data: got.append(data), direct, lambda n: None, "me")
-    writer = exchange.writer("/a", "t", lambda n: None, layout, 2.0)
-    exchange.reader("/a", "t", got.append, None, lambda n: None, "me")  # comes late
-    exchange.serve(1 << 62)
-    exchange.post(writer.calls, (7, ()))
-    exchange.serve(1 << 62)
-    assert got == [layout.encode(7, ())] * 2 + [(7, ()), layout.encode(7, ())]
 
 
 def test_what_is_for_others_goes_out_in_bursts_and_when_there_is_time():
@@ -338,10 +311,10 @@ def test_what_is_for_others_goes_out_in_bursts_and_when_there_is_time():
 
     def again(left):
         if left:
-            exchange.post((again,), left - 1)
+            exchange.post(partial(again, left - 1))
 
     exchange.carry(sent.append, "late")
-    exchange.post((again,), 1000)
+    exchange.post(partial(again, 1000))
     exchange.serve(0)  # no time at all
     assert sent[-1] == "late"
 
@@ -349,19 +322,19 @@ def test_what_is_for_others_goes_out_in_bursts_and_when_there_is_time():
 def test_a_full_queue_gives_way_in_time_and_an_error_has_an_owner():
     exchange = Exchange()
 
-    def again(data):
-        exchange.post((again,), data)
+    def again():
+        exchange.post(again)
 
     def broken(data):
         raise ArithmeticError("deliberate")
 
-    reader = exchange.reader("/a", "t", broken, None, lambda n: None, "culprit")
-    exchange.post((again,), b"")
+    exchange.owners[broken] = "culprit"
+    exchange.post(again)
     start = time.monotonic()
     assert exchange.serve(time.monotonic_ns() + 20_000_000) == 0
     assert time.monotonic() - start >= 0.02
     assert exchange.culprit() == ""
-    exchange.post((print, reader.receive), "")
+    exchange.hand(broken, b"")
     with pytest.raises(ArithmeticError):
         exchange.serve(1 << 62)
     assert exchange.culprit() == "culprit"

@@ -12,7 +12,8 @@ from rclpy._rclpy_pybind11 import RCLError
 from simulated import Discovery, SimulatedNode, SimulatedRig, World
 from simulated_outside import SimulatedOutside
 from softrig_core import Rig, load_scenario
-from softrig_core.node.realtime import Realtime
+from softrig_core.node.adapter import Adapter
+from softrig_core.node.group import Group
 from softrig_core.node.ros import RosMiddleware, quiet_after_shutdown
 from softrig_core.rig.options import RunOptions
 from test_discovery import rig_and_record, with_guests
@@ -76,7 +77,8 @@ def test_a_topic_of_an_outside_node_is_not_remapped_by_who_looks_for_it():
 def test_a_node_by_hand_does_not_take_a_stamp_from_the_future_for_the_beginning():
     world = World()
     node = SimulatedNode(world, "gain", {})
-    gain, sent = Realtime(node, Gain(), RunOptions(mode="realtime")), []
+    gain, sent = Adapter(node, Gain(), RunOptions(mode="realtime")), []
+    Group([gain])
     SimulatedNode(world, "plant", {}).subscribe(COMMAND.topic, COMMAND.msgtype, sent.append, lambda count: None)
     world.match()
 

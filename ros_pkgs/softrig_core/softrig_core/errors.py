@@ -14,6 +14,8 @@ class ScenarioError(ValueError):
 class RunError(RuntimeError):
     """A run broke: the text names the node and topic (exit status 3)."""
 
+    node = ""  # whose block it was, if it was one
+
 
 _LIBRARIES = tuple({sysconfig.get_path(name) for name in ("stdlib", "platstdlib", "purelib", "platlib")})
 _OURS = str(Path(__file__).parent)

@@ -49,11 +49,20 @@ class Runner:
             for plant, every in self._plants:
                 if k % every == 0:
                     plant.say(t)
-            for step, every in self._others:
-                if k % every == 0 and (ticks is None or k < ticks or t == step.schedule.last):
-                    while step.lacks is not None and step.lacks(t):
-                        yield None
-                    step.say(t)
+            waiting = [
+                step for step, every in self._others
+                if k % every == 0 and (ticks is None or k < ticks or t == step.schedule.last)
+            ]  # fmt: skip
+            while waiting:
+                lacking: list[Step] = []
+                for step in waiting:
+                    if step.lacks is not None and (any(s in lacking for s in step.sources) or step.lacks(t)):
+                        lacking.append(step)
+                    else:
+                        step.say(t)
+                if lacking:  # what it waits for may need what another one here has to say
+                    yield None
+                waiting = lacking
             for plant, every in self._plants:
                 if k % every == 0 and (ticks is None or k + every <= ticks):
                     while plant.lacks is not None and plant.lacks(t):

@@ -10,7 +10,7 @@ from operator import itemgetter
 from typing import Any
 
 from ..errors import RunError, describe
-from .answer import Row, check, flat
+from .answer import Row, check, flat, usual
 from .block import Block, Plant
 from .port import Port, Sample
 from .schedule import Schedule
@@ -39,16 +39,21 @@ class Step:
         Whether something was refused that the next answer would have used.
     t : int
         The tick under way, or the newest that is over, ns.
+    sources : list of Step
+        Those of this process that it reads.
     plain : bool
         Whether every output says something at each tick, at its stamp.
     send : callable or None
         Gets (t, rows) of each answer: what carries it out of this process, or records it.
     lacks : callable or None
         Gets t, the tick that is to be answered: whether something that it needs has not come; None: never.
+    moved : callable or None
+        Called when a plant has moved on.
     """
 
     send: Callable[[int, Rows], object] | None = None
     lacks: Callable[[int], bool] | None = None
+    moved: Callable[[], object] | None = None
 
     def __init__(
         self, name: str, block: Block, schedule: Schedule, inputs: tuple[Port, ...], outputs: tuple[Port, ...]
@@ -57,6 +62,7 @@ class Step:
         self.inputs, self.outputs = inputs, outputs
         self.values: dict[str, Any] = {p.name: p.initial for p in inputs}
         self.stamps: dict[str, Callable[[], int | None]] = {}
+        self.sources: list[Step] = []
         self.bad = False
         self.t = 0
         self.plain = not any(p.sporadic or p.delayed for p in outputs)
@@ -80,17 +86,21 @@ class Step:
         Raises
         ------
         RunError
-            The block failed, or gave what may not leave it.
+            The block failed, or gave what may not leave it; its `node` is the name of this step.
         """
         self.t = t
         try:
-            found = self.refused(t) if self.bad else self.respond(t, **self._asked)
-        except RunError:
+            self.said = found = self.refused(t) if self.bad else self.respond(t, **self._asked)
+            rows = self.checked(found)
+        except RunError as error:
+            error.node = self.name
             raise
         except Exception as error:
             raise self.failure(error) from error
-        self.said = found
-        rows = self.checked(found)
+        self.hand_on(t, rows)
+
+    def hand_on(self, t: int, rows: Rows) -> None:
+        """Let the readers here and those elsewhere have an answer."""
         if not self.plain:
             self.spoken = [s if row is None else t for s, row in zip(self.spoken, rows, strict=True)]
         for k, values, name, take in self._readers:
@@ -100,15 +110,18 @@ class Step:
         if self.send is not None:
             self.send(t, rows)
 
-    def advance(self, t: int) -> None:
-        """Move a plant from `t` over one period; raises RunError when it fails."""
+    def advance(self, t: int, values: Mapping[str, Any] | None = None) -> None:
+        """Move a plant from `t` over one period, with its inputs as they are or `values`; RunError when it fails."""
         self.t = t
         try:
-            self.block.advance(t, **self.values)  # type: ignore[attr-defined]
-        except RunError:
+            self.block.advance(t, **(self.values if values is None else values))  # type: ignore[attr-defined]
+        except RunError as error:
+            error.node = self.name
             raise
         except Exception as error:
             raise self.failure(error) from error
+        if self.moved is not None:
+            self.moved()
 
     def age(self, name: str) -> int | None:
         """Answer `Block.age`: from the stamp of what an input holds to the tick under way, ns; None: nothing came."""
@@ -142,10 +155,9 @@ class Step:
         if self._pick is not None:  # what nearly every block with several outputs gives, told all at once
             try:
                 rows: Rows = self._pick(found)
-                total = sum(map(abs, flat(rows)))
-                if type(total) is float and total <= self._bound and tuple(map(len, rows)) == self._sizes:  # type: ignore[arg-type]
+                if tuple(map(len, rows)) == self._sizes and usual(flat(rows), self._bound):  # type: ignore[arg-type]
                     return rows
-            except (KeyError, TypeError, OverflowError):  # told by `check`
+            except (KeyError, TypeError):  # told by `check`
                 pass
         return tuple([check(found, port, self.name, self.t) for port in self.outputs])
 
@@ -174,8 +186,11 @@ class Step:
                 return Sample(self.t, found if pick is None else pick(found))
 
         self._readers.append((k, reader.values, name, take))
+        reader.sources.append(self)
         reader.stamps[name] = (lambda: self.t) if self.plain else (lambda: self.spoken[k])
 
     def failure(self, error: Exception) -> RunError:
         """Say that the block has failed, where, and why."""
-        return RunError(f"{self.name} failed at t = {self.t / 1e9:.9g} s: {describe(error)}")
+        found = RunError(f"{self.name}: failed at t = {self.t / 1e9:.9g} s: {describe(error)}")
+        found.node = self.name
+        return found

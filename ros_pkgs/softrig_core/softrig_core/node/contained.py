@@ -1,14 +1,14 @@
-"""The middleware of a node in a container: its neighbours in memory, everybody else by DDS."""
+"""The middleware of a node in a container: its neighbours are told by its `Group`, everybody else by DDS."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 from rclpy.node import Node
 
 from ..wire.cdr import Layout
-from .exchange import Exchange, ExchangeTimer, Writer
-from .middleware import Direct, Join, Matched, Message, Receive, Row, Send, SendRow
+from .exchange import Exchange, ExchangeTimer
+from .middleware import Matched, Receive, Send
 from .ros import RosMiddleware
 
 
@@ -26,80 +26,54 @@ class ContainedMiddleware(RosMiddleware):
     def __init__(self, node: Node, exchange: Exchange) -> None:
         super().__init__(node)
         self._exchange = exchange
-        self._writers: dict[Send, Writer] = {}
 
-    def publisher(self, topic: str, msgtype: str, matched: Matched) -> Callable[[bytes], None]:
+    def publisher(self, topic: str, msgtype: str, matched: Matched) -> Receive:
         """Offer a topic; DDS carries it while somebody in another process reads it."""
-        exchange = self._exchange
-        writer = exchange.writer(self.resolve(topic), msgtype, matched)
-        to_others = super().publisher(topic, msgtype, lambda number: exchange.outside(writer, number))
-        post, calls, carry = exchange.poster(), writer.byte_calls, exchange.carry
+        carry, readers, note = self._exchange.carry, [0], _noting(matched)
+        to_others = super().publisher(topic, msgtype, lambda count: note(readers, count))
 
         def publish(data: bytes) -> None:
-            if calls:
-                post((calls, data))
-            if writer.outside:
+            if readers[0]:
                 carry(to_others, data)
 
         return publish
 
-    def sender(self, topic: str, layout: Layout, bound: float, matched: Matched) -> tuple[Send, Send]:
-        """Offer a topic; its messages become bytes only for who is outside, and for a closer look."""
-        exchange = self._exchange
-        writer = exchange.writer(self.resolve(topic), layout.msgtype, matched, layout, bound)
-        writer.to_others = to_others = super().publisher(
-            topic, layout.msgtype, lambda number: exchange.outside(writer, number)
-        )
-        post, calls, byte_calls, encode = exchange.poster(), writer.calls, writer.byte_calls, layout.encode
-        carry = exchange.carry
+    def sender(self, topic: str, layout: Layout, matched: Matched) -> Send:
+        """Offer a topic; its messages become bytes only while somebody in another process reads it."""
+        carry, encode, readers, note = self._exchange.carry, layout.encode, [0], _noting(matched)
+        to_others = super().publisher(topic, layout.msgtype, lambda count: note(readers, count))
 
-        def send(message: Message) -> None:
-            if calls:
-                post((calls, message))
-            if writer.outside:
-                carry(to_others, encode(*message))
+        def send(mark: int, values: tuple[float, ...]) -> None:
+            if readers[0]:
+                carry(to_others, encode(mark, values))
 
-        def send_any(message: Message) -> None:
-            data = encode(*message)
-            post((byte_calls, data))
-            if writer.outside:
-                carry(to_others, data)
-
-        self._writers[send] = writer
-        return send, send_any
-
-    def together(self, sends: Sequence[Send]) -> SendRow:
-        """Publish several messages at once: each node here that reads some of them is called once."""
-        bundle = self._exchange.bundle([self._writers[send] for send in sends])
-        post, calls, abroad, carry = self._exchange.poster(), bundle.calls, bundle.abroad, self._exchange.carry
-
-        def send_row(row: Row) -> None:
-            if calls:
-                post((calls, row))
-            for k, to_others, encode in abroad:
-                carry(to_others, encode(row[0], row[1][k]))
-
-        return send_row
-
-    def join(self, join: Join) -> None:
-        """Take what a node here says together by one call."""
-        self._exchange.join(self.name, join)
+        return send
 
     def subscribe(self, topic: str, msgtype: str, receive: Receive, matched: Matched) -> None:
-        """Read a topic from both sides, as bytes."""
-        self._read(topic, msgtype, receive, None, matched)
+        """Read a topic of other processes."""
+        exchange, end = self._exchange, object()
+        exchange.owners[receive] = self.name
 
-    def listen(self, topic: str, msgtype: str, receive: Receive, direct: Direct | None, matched: Matched) -> None:
-        """Read a topic from both sides, from this process without bytes where that can be."""
-        self._read(topic, msgtype, receive, direct, matched)
+        def count(number: int) -> None:
+            exchange.writers[end] = number
+            matched(number)
 
-    def _read(self, topic: str, msgtype: str, receive: Receive, direct: Direct | None, matched: Matched) -> None:
-        exchange, calls = self._exchange, (receive,)
-        end = exchange.reader(self.resolve(topic), msgtype, receive, direct, matched, self.name)
-        super().subscribe(
-            topic, msgtype, lambda data: exchange.post(calls, data), lambda number: exchange.outside(end, number)
-        )
+        super().subscribe(topic, msgtype, lambda data: exchange.hand(receive, data), count)
+
+    def post(self, call: Callable[[], object]) -> None:
+        """Call a function when whatever is under way has returned."""
+        self._exchange.post(call)
 
     def timer(self, ns: int, callback: Callable[[], None]) -> ExchangeTimer:  # type: ignore[override]
         """Call back every `ns`."""
         return self._exchange.timer(ns, callback, self.name)
+
+
+def _noting(matched: Matched) -> Callable[[list[int], int], None]:
+    """Give what keeps a number of readers and tells it."""
+
+    def note(readers: list[int], count: int) -> None:
+        readers[0] = count
+        matched(count)
+
+    return note

@@ -25,6 +25,7 @@ from .adapter import Adapter
 from .contained import ContainedMiddleware
 from .exchange import Exchange
 from .garbage import Garbage
+from .group import Group
 from .leave import leave
 from .profile import exclusive
 from .ros import ServingNode
@@ -51,6 +52,12 @@ class Container:
         self.nodes.append(node)
         middleware = ContainedMiddleware(node, self.exchange)
         self.adapters.append(make_adapter(node, load_block(package, executable), middleware))
+
+    def connect(self) -> None:
+        """Have the nodes know each other and begin; a RunError says what does not fit."""
+        for mode in ("lockstep", "realtime"):
+            if alike := [a for a in self.adapters if a.options.mode == mode]:
+                Group(alike)
 
     def run(self) -> int:
         """Run until all nodes have finished, one has failed, or the process is stopped; gives the exit status."""
@@ -134,6 +141,8 @@ def main(args: Sequence[str] | None = None) -> NoReturn:
                 if len(group) < 2:
                     raise RunError("expected PACKAGE EXECUTABLE [--ros-args ...]")
                 container.add(group)
+            where = "container"
+            container.connect()
     except KeyboardInterrupt:
         leave(container.nodes, 0)
     except Exception as error:  # every start-up error ends in one line: what was wrong and where

@@ -8,7 +8,7 @@ hear it, as the starter's writer sees them, for a run may be over before somebod
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Set
 
 from ..model.port import Port, Refused
 from ..model.schedule import Schedule
@@ -30,18 +30,23 @@ class Departure:
     ----------
     node : Adapter
     handshake : Handshake
+    local : set of str
+        Other nodes of this process.
     begin : callable
         Called once with the wall-clock time of t = 0, ns.
     """
 
-    def __init__(self, node: Adapter, handshake: Handshake, begin: Callable[[int], object]) -> None:
+    def __init__(self, node: Adapter, handshake: Handshake, local: Set[str],
+                 begin: Callable[[int], object]) -> None:  # fmt: skip
         self._node = node
         self._begin = begin
         self.handshake = handshake
         self.absent: list[str] = []  # who is not there yet
+        self.neighbours: list[Departure] = []  # those of the other nodes of this process
         self._is_starter = node.links.starter == node.middleware.name
         self._silent = set(node.links.starts) - {node.middleware.name}
-        self._unheard = len(self._silent)  # nodes that do not hear the starter yet
+        self._others = len(self._silent - local)  # nodes of other processes
+        self._unheard = self._others  # those that do not hear the starter yet
         self._epoch = 0
         self._checks = 0
         self._header, self._read = TickWriter(), TickReader()
@@ -50,14 +55,19 @@ class Departure:
         heard = START if not self._is_starter else READY
         self._input = Input(Port("stamp", heard, TICK))
         node.paces.append(self._input)
-        self._publish = middleware.publisher(READY if not self._is_starter else START, TICK, self._matched)
-        middleware.subscribe(
-            heard, TICK, self._hear_ready if self._is_starter else self._hear_start, lambda count: None
-        )
+        self._send = middleware.publisher(READY if not self._is_starter else START, TICK, self._matched)
+        self._hear = self._hear_ready if self._is_starter else self._hear_start
+        middleware.subscribe(heard, TICK, self._hear, lambda count: None)
         self._timer = middleware.timer(CHECK, self._look)
 
     def _matched(self, count: int) -> None:
-        self._unheard = len(self._node.links.starts) - 1 - count
+        self._unheard = self._others - count
+
+    def _publish(self, data: bytes) -> None:
+        self._send(data)
+        for other in self.neighbours:
+            if other._is_starter is not self._is_starter:
+                self._node.middleware.post(lambda other=other: other._hear(data))  # type: ignore[misc]
 
     def _hear_ready(self, data: bytes) -> None:
         try:

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from ..model.port import Port
 from ..wire.codec import Decoder
-from .middleware import Message, Send
+from .middleware import Send
 
 
 class Input:
@@ -14,12 +14,16 @@ class Input:
 
     Attributes
     ----------
-    publishers : int
-        Writers that are matched.
+    outside : int
+        Writers in other processes that are matched.
+    local : bool
+        Whether a node of this process writes it.
     following : int or None
         Of arrays: the number after that of the newest one; None when any may come, as from a new writer.
     lost : int
         Arrays that were sent, as the numbers of others say, and did not come.
+    late : int
+        Messages that came after a newer one, or twice, and were left out.
     heard : bool
         Whether a message has come.
     refused : int
@@ -31,18 +35,25 @@ class Input:
         self.port = port
         self.name = port.name
         self.decode = Decoder(port)
-        self.publishers = 0
+        self.outside = 0
+        self.local = False
         self.following: int | None = None
         self.lost = 0
+        self.late = 0
         self.heard = False
         self.refused = 0
         self.last_refusal = ""
 
+    @property
+    def publishers(self) -> int:
+        """Number of writers."""
+        return self.outside + self.local
+
     def matched(self, count: int) -> None:
-        """Note how many writers there are."""
-        if count != self.publishers:
+        """Note how many writers there are in other processes."""
+        if count != self.outside:
             self.following = None
-        self.publishers = count
+        self.outside = count
 
 
 class Output:
@@ -51,7 +62,7 @@ class Output:
     Attributes
     ----------
     readers : int
-        Readers that are matched, as the writer sees them.
+        Readers in other processes that are matched, as the writer sees them.
     numbered : bool
         Whether its messages have no stamp but a number.
     said : int
@@ -61,21 +72,17 @@ class Output:
     def __init__(self, port: Port, topic: str, number: int) -> None:
         self.port = port
         self.name = port.name
-        self.delayed = port.delayed
-        self.sporadic = port.sporadic
         self.topic = topic
         self.number = number
         self.layout = port.layout()
         self.numbered = self.layout.numbered
         self.said = 0
-        self.bound = min(port.limits, default=0.0)
-        self.send: Send = _unbound  # of messages whose magnitudes add up to the bound at most
-        self.send_any: Send = _unbound
+        self.send: Send = _unbound
         self.readers = 0
         self.joined: Callable[[], object] = _nobody  # called when a reader has come
 
     def matched(self, count: int) -> None:
-        """Note how many readers there are."""
+        """Note how many readers there are in other processes."""
         more = count > self.readers
         self.readers = count
         if more:
@@ -86,5 +93,5 @@ def _nobody() -> None:
     pass
 
 
-def _unbound(message: Message) -> None:
+def _unbound(mark: int, values: tuple[float, ...]) -> None:
     raise RuntimeError("output is not advertised yet")

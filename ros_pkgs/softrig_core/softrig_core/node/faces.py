@@ -51,7 +51,7 @@ class Faces:
     def _look(self) -> None:
         adapter = self._adapter
         if self._markers is not None and _read(self._markers) and adapter.state == "running":
-            self._markers.publish(marker_array(adapter.now(), adapter.block.markers()))
+            self._markers.publish(marker_array(adapter.drive.now(), adapter.block.markers()))
         self._looks += 1
         if self._looks % 4 == 0:
             self._publish_diagnostics()
@@ -72,7 +72,7 @@ class Faces:
         values = {"ticks": str(adapter.ticks), **{f"refused {i.port.topic}": str(i.refused) for i in adapter.inputs}}
         values |= {f"refused {i.port.topic}": str(i.refused) for i in adapter.paces if i.refused}
         values |= {key: f"{count} x {text}" for key, (_, text, count) in reports.items()}
-        values |= {key: str(value) for key, value in adapter.statistics().items()} | dict(adapter.block.health())
+        values |= {key: str(value) for key, value in adapter.drive.statistics().items()} | dict(adapter.block.health())
         self._diagnostics.publish(diagnostic_array(time.time_ns(), self._name, level, text, values))
 
 

@@ -50,8 +50,8 @@ class Feed:
         self.recent: deque[tuple[int, Any]] = deque(maxlen=KEPT)
         self.holds = 0
 
-    def put(self, stamp: int, value: Any, now: int) -> None:
-        """Take a good message."""
+    def put(self, stamp: int, value: Any, now: int, stamped: bool = True) -> bool:
+        """Take a good message; not one that comes after a newer one, or twice: the newest stamp counts."""
         newest = self.stamp
         if newest is None:
             self.stamp = stamp
@@ -59,9 +59,13 @@ class Feed:
             if self.schedule is None:
                 self.interval = stamp - newest
             self.stamp = stamp
+        elif stamped and not self.by_arrival and stamp != self.bad:
+            self.item.late += 1
+            return False
         self.arrived = now
         self.fresh = True
         self.recent.append((stamp, value))
+        return True
 
     def refuse(self, stamp: int, now: int) -> None:
         """Note a refused message: its tick need not wait for another."""

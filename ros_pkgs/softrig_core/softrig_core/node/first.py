@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 
 from .endpoint import Output
-from .middleware import Message, Send
 
 
 def repeat_first(outputs: Iterable[Output], may_repeat: Callable[[], bool]) -> None:
@@ -27,20 +26,16 @@ def repeat_first(outputs: Iterable[Output], may_repeat: Callable[[], bool]) -> N
 
 
 def _keep(output: Output, may_repeat: Callable[[], bool]) -> None:
-    send, send_any = output.send, output.send_any
-    kept: list[tuple[Send, Message]] = []
+    send = output.send
+    kept: list[tuple[int, tuple[float, ...]]] = []
 
-    def first(say: Send) -> Send:
-        def keep(message: Message) -> None:
-            output.send, output.send_any = send, send_any
-            kept.append((say, message))
-            say(message)
-
-        return keep
+    def first(mark: int, values: tuple[float, ...]) -> None:
+        output.send = send
+        kept.append((mark, values))
+        send(mark, values)
 
     def again() -> None:
         if kept and may_repeat():
-            say, message = kept[0]
-            say(message)
+            send(*kept[0])
 
-    output.send, output.send_any, output.joined = first(send), first(send_any), again
+    output.send, output.joined = first, again

@@ -5,42 +5,41 @@ from __future__ import annotations
 import json
 import math
 import os
-import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from ..model.block import Observer
-
-if TYPE_CHECKING:
-    from .adapter import Adapter
+from ..model.block import Block, Observer
 
 
-def write_status(adapter: Adapter) -> None:
-    """Write the status file of a node, if one is wanted."""
-    if not adapter.options.status:
-        return
-    block = adapter.block
-    status: dict[str, Any] = {
-        "state": adapter.state, "t": adapter.t, "ticks": adapter.ticks,
-        "error": str(adapter.error) if adapter.error else "", "waits_for": adapter.waits_for,
-        "lacking": adapter.lacking, "epoch": adapter.epoch,
-        "refused": {i.port.topic: [i.refused, i.last_refusal] for i in adapter.inputs + adapter.paces if i.refused},
-        "reports": {key: [int(level), text, n] for key, (level, text, n) in block.reports.items()},
-        "busy": adapter.busy(),
-        "cpu_s": round(time.process_time(), 3),
-    }  # fmt: skip
-    if adapter.state != "running":  # what takes longer than a tick
-        status |= {"peak_memory_mb": _peak_memory()} | adapter.statistics()
-    if isinstance(block, Observer) and adapter.state == "done":
-        status["figures"] = {k: v for k, v in block.status().items() if math.isfinite(v[0])}
-    path = Path(adapter.options.status)
-    if adapter.open_ended and adapter.state == "running" and path.exists():
-        _overwrite(path, json.dumps(status).encode())
-        return
-    new = path.with_suffix(".new")
-    new.write_text(json.dumps(status))
-    new.replace(path)
+class StatusFile:
+    """The file in which a node says how it is, as JSON.
+
+    Parameters
+    ----------
+    path : str
+        Empty: none is wanted.
+    """
+
+    def __init__(self, path: str) -> None:
+        self._path = Path(path)
+
+    def write(self, status: Mapping[str, Any], in_place: bool) -> None:
+        """Replace what it says; `in_place` when that must not take longer than a tick."""
+        content = json.dumps(status).encode()
+        if in_place and self._path.exists():
+            _overwrite(self._path, content)
+            return
+        new = self._path.with_suffix(".new")
+        new.write_bytes(content)
+        new.replace(self._path)
+
+
+def figures(block: Block) -> dict[str, Any]:
+    """Give what an observer has measured, as far as it is a number."""
+    if not isinstance(block, Observer):
+        return {}
+    return {"figures": {k: v for k, v in block.status().items() if math.isfinite(v[0])}}
 
 
 def _overwrite(path: Path, content: bytes) -> None:
@@ -73,7 +72,7 @@ def percentiles(name: str, samples: Iterable[int]) -> dict[str, float]:
     return {f"{name}_{key}_ms": value / 1e6 for key, value in picked.items()}
 
 
-def _peak_memory() -> float | None:
+def peak_memory() -> float | None:
     """Largest resident size in MB; getrusage would count that of the parent before exec too."""
     try:
         status = Path("/proc/self/status").read_text()

@@ -1,40 +1,21 @@
 """The seam between a node's logic and what carries its messages.
 
-`Lockstep` and `Realtime` know nothing but this: bytes out, bytes in, who is matched, timers and two clocks. ROS stands
+Nodes know nothing but this: bytes out, bytes in, who is matched, timers and two clocks. ROS stands
 behind it in `ros.RosMiddleware`; a test, a simulation or a container hands over its own.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import NamedTuple, Protocol
 
 from ..model.block import Level
+from ..model.port import Port
 from ..wire.cdr import Layout
 
 Receive = Callable[[bytes], None]
 Matched = Callable[[int], None]
-Message = tuple[int, tuple[float, ...]]  # stamp in ns and all numbers in wire order
-Send = Callable[[Message], None]
-# A reader's way to take messages of a layout without bytes, if it has one; the second is what the magnitudes of all
-# values of such a message add up to at most.
-Direct = Callable[[Layout, float], "Send | None"]
-Row = tuple[int, tuple[tuple[float, ...], ...]]  # what a node says at a tick: stamp in ns, numbers of each message
-SendRow = Callable[[Row], None]
-# A node's way to take by one call what another one of its process says at a tick: given are the places in the row that
-# it reads and its functions for each of them.
-Join = Callable[[Sequence[tuple[int, Send]]], SendRow]
-
-
-def one_by_one(parts: Sequence[tuple[int, Send]]) -> SendRow:
-    """Hand on what a node says together message by message; `parts` as for `Join`."""
-
-    def send_row(row: Row) -> None:
-        stamp, messages = row
-        for k, call in parts:
-            call((stamp, messages[k]))
-
-    return send_row
+Send = Callable[[int, tuple[float, ...]], None]  # gets the stamp in ns, or the number of an array, and all numbers
 
 
 class Peer(NamedTuple):
@@ -79,47 +60,13 @@ class Middleware(Protocol):
     def subscribe(self, topic: str, msgtype: str, receive: Receive, matched: Matched) -> None:
         """Read a topic; `matched` gets the number of writers at each change."""
 
-    def sender(self, topic: str, layout: Layout, bound: float, matched: Matched) -> tuple[Send, Send]:
-        """Offer a topic all of whose messages have one layout.
-
-        Parameters
-        ----------
-        topic : str
-        layout : Layout
-        bound : float
-            Of the first function.
-        matched : callable
-            As for `publisher`.
-
-        Returns
-        -------
-        two callables
-            Both publish a message: the first one whose magnitudes add up to `bound` at most, the second any other.
-        """
+    def sender(self, topic: str, layout: Layout, matched: Matched) -> Send:
+        """Offer a topic all of whose messages have one layout."""
         publish, encode = self.publisher(topic, layout.msgtype, matched), layout.encode
+        return lambda mark, values: publish(encode(mark, values))
 
-        def send(message: Message) -> None:
-            publish(encode(*message))
-
-        return send, send
-
-    def together(self, sends: Sequence[Send]) -> SendRow:
-        """Give what publishes one message by each of some functions that `sender` has given, all at one stamp."""
-
-        def send_row(row: Row) -> None:
-            stamp, messages = row
-            for send, values in zip(sends, messages, strict=True):
-                send((stamp, values))
-
-        return send_row
-
-    def join(self, join: Join) -> None:
-        """Let this node take by one call what a node of the same process says `together`, where that can be."""
-        return
-
-    def listen(self, topic: str, msgtype: str, receive: Receive, direct: Direct | None, matched: Matched) -> None:
-        """Read a topic; a message from the same process may come by `direct` instead of as bytes."""
-        self.subscribe(topic, msgtype, receive, matched)
+    def post(self, call: Callable[[], object]) -> None:
+        """Call a function when whatever is under way has returned: how nodes of one process follow each other."""
 
     def timer(self, ns: int, callback: Callable[[], None]) -> Timer:
         """Call back every `ns`."""
@@ -147,3 +94,14 @@ class Middleware(Protocol):
 
     def drain(self) -> None:
         """Wait, in bounded time, until every reader has what was sent."""
+
+
+def other_types(middleware: Middleware, port: Port) -> str:
+    """Name the types other than a port's own under which its topic exists: such endpoints never match.
+
+    Parameters
+    ----------
+    middleware : Middleware
+    port : Port
+    """
+    return ", ".join(t for t in middleware.types(middleware.resolve(port.topic)) if t != port.msgtype)

@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Set
 
 from ..model.port import CLOCK, Port, Refused
 from ..rig.options import InputLink
 from ..wire.codec import Decoder
+from .arrivals import Arrivals
 from .endpoint import Input
-from .middleware import Direct, Message, Receive
+from .middleware import Receive
 from .pairing import KEEP, Pairing
 from .tick import TICK, TickReader
-
-if TYPE_CHECKING:
-    from .arrivals import Arrivals
-    from .lockstep import Lockstep
 
 
 def _pairing(arrivals: Arrivals, port: Port, link: InputLink, earlier: bool = False) -> Pairing:
@@ -24,37 +20,43 @@ def _pairing(arrivals: Arrivals, port: Port, link: InputLink, earlier: bool = Fa
     return pairing
 
 
-def follow_ticks(arrivals: Arrivals) -> None:
-    """Read the acknowledgements of nodes that we wait for, that may be silent, or that may end the run."""
+def follow_ticks(arrivals: Arrivals, local: Set[str], heard: Callable[[], object]) -> None:
+    """Read the acknowledgements of nodes of other processes that we wait for or that may be silent.
+
+    Parameters
+    ----------
+    arrivals : Arrivals
+    local : set of str
+        Nodes of this process.
+    heard : callable
+        Called after each.
+    """
     node = arrivals.node
     links = node.links
     silent: dict[str, list[Pairing]] = {}
     for pairing in arrivals.pairings:
         if pairing.port:
             silent.setdefault(pairing.sender, []).append(pairing)
-    schedules = {p.sender: p.schedule for group in silent.values() for p in group}
     for peer in dict.fromkeys([*links.acks, *silent]):
-        if peer == node.middleware.name:
+        if peer in local:
             continue
         topic = f"{node.namespace}/{peer}/tick"
         port = Port("stamp", topic, TICK)
-        paced = []
         if peer in links.acks:
             link = InputLink(period=links.acks[peer], node=peer)
-            paced.append(_pairing(arrivals, port, link, earlier=not links.owns_clock))
-        item = paced[0].item if paced else Input(port)
-        for pairing in paced:
-            pairing.item = item
-        if not paced:  # only to be matched before the start
-            watched = Pairing(topic, schedules[peer], peer, item, carries=False)
+            paced = _pairing(arrivals, port, link, earlier=not links.owns_clock)
+            item = paced.item
+        else:  # only to be matched before the start
+            paced, item = None, Input(port)
+            watched = Pairing(topic, silent[peer][0].schedule, peer, item, carries=False)
             watched.want, watched.have = -1, True
             arrivals.unpaced.append(watched)
-        _listen(node, item, _tick_receiver(arrivals, item, paced, silent.get(peer, [])))
+        _listen(arrivals, item, _tick_receiver(arrivals, item, paced, silent.get(peer, []), heard))
 
 
 def _tick_receiver(
-    arrivals: Arrivals, item: Input, paced: list[Pairing], silent: list[Pairing]
-) -> Callable[[bytes], None]:
+    arrivals: Arrivals, item: Input, paced: Pairing | None, silent: list[Pairing], heard: Callable[[], object]
+) -> Receive:
     node = arrivals.node
     read = TickReader()
 
@@ -73,17 +75,15 @@ def _tick_receiver(
             elif pairing.item.port.delayed or not pairing.item.port.stamped:
                 pairing.announced.append(stamp)
                 pairing.serve()
-        for pairing in paced:
-            _reached(arrivals, pairing, stamp)
-        if node.over and node.state == "running":
-            node.leave()
+        if paced is not None:
+            arrivals.reached(paced, stamp)
+        heard()
 
     return receive
 
 
 def follow_clock(arrivals: Arrivals, link: InputLink) -> None:
     """Follow /clock."""
-    node = arrivals.node
     pairing = _pairing(arrivals, CLOCK, link)
     item, decode = pairing.item, Decoder(CLOCK)
 
@@ -92,28 +92,14 @@ def follow_clock(arrivals: Arrivals, link: InputLink) -> None:
         try:
             stamp, _ = decode(data)
         except Refused as error:
-            node.refuse(item, str(error))
+            arrivals.node.refuse(item, str(error))
             return
         arrivals.heard += 1
-        _reached(arrivals, pairing, stamp)
+        arrivals.reached(pairing, stamp)
 
-    def receive_numbers(message: Message) -> None:
-        item.heard = True
-        arrivals.heard += 1
-        _reached(arrivals, pairing, message[0])
-
-    _listen(node, item, receive, lambda layout, greatest: receive_numbers)
+    _listen(arrivals, item, receive)
 
 
-def _listen(node: Lockstep, item: Input, receive: Receive, direct: Direct | None = None) -> None:
-    node.paces.append(item)
-    node.middleware.listen(item.port.topic, item.port.msgtype, receive, direct, item.matched)
-
-
-def _reached(arrivals: Arrivals, pairing: Pairing, stamp: int) -> None:
-    """A clock or an acknowledgement: its sender has come to a tick of its own."""
-    if stamp == pairing.want and not pairing.have:
-        pairing.used = pairing.reached = stamp
-        arrivals.arrived(pairing)
-    elif stamp == pairing.schedule.next(pairing.reached):
-        pairing.reached = stamp
+def _listen(arrivals: Arrivals, item: Input, receive: Receive) -> None:
+    arrivals.node.paces.append(item)
+    arrivals.node.middleware.subscribe(item.port.topic, item.port.msgtype, receive, item.matched)

@@ -2,24 +2,18 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from ..model.port import Refused, Sample
 from ..model.timebase import SECOND
-from ..wire.cdr import Layout
 from ..wire.codec import readable_stamp
-from .adapter import repeated
+from .adapter import Adapter
+from .arrivals import Arrivals
 from .endpoint import Input
-from .middleware import Direct, Message, Receive, Send
+from .middleware import Receive
 from .pairing import BAD, Pairing
 
-if TYPE_CHECKING:
-    from .arrivals import Arrivals
-    from .lockstep import Lockstep
 
-
-def paired(arrivals: Arrivals, pairing: Pairing, item: Input) -> tuple[Receive, Direct | None]:
-    """Give what takes the messages of an input, as bytes and if it can as numbers.
+def paired(arrivals: Arrivals, pairing: Pairing, item: Input) -> Receive:
+    """Give what takes the messages of an input.
 
     Parameters
     ----------
@@ -28,7 +22,7 @@ def paired(arrivals: Arrivals, pairing: Pairing, item: Input) -> tuple[Receive, 
         What the input's sender has said; gets its `serve`.
     item : Input
     """
-    node = arrivals.node
+    node, step = arrivals.node, arrivals.step
     name, decode, delayed = item.name, item.decode, item.port.delayed
     # stamps that are acquisition times, and messages without one, are paired by counting
     by_order = delayed or not item.port.stamped
@@ -84,13 +78,13 @@ def paired(arrivals: Arrivals, pairing: Pairing, item: Input) -> tuple[Receive, 
             pairing.excused = position
             arrivals.heard_at(pairing, position, BAD)
 
-    def accept(stamp: int, values: tuple[float, ...], position: int, data: bytes = b"") -> None:
+    def accept(stamp: int, values: tuple[float, ...], position: int, data: bytes) -> None:
         if position == pairing.want and not pairing.have and not pairing.said and not pairing.port:
             if record is not None and node.sink is not None:
                 node.sink.add(record, node.t, data)
             if item.port.partial:
                 decode.kept = values
-            node.values[name] = Sample(stamp, values) if delayed else values
+            step.values[name] = Sample(stamp, values) if delayed else values
             pairing.stamp = pairing.used = position
             arrivals.arrived(pairing)
         elif pairing.may_come(position):
@@ -107,40 +101,11 @@ def paired(arrivals: Arrivals, pairing: Pairing, item: Input) -> tuple[Receive, 
             twice = " (already there)" if pairing.have else ""
             node.refuse(item, f"stamp {got:.9g} s from {pairing.sender}, expected {want:.9g} s{twice}")
 
-    def direct(layout: Layout, greatest: float) -> Send | None:
-        if greatest > decode.bound or by_order or pairing.port or item.port.partial or record is not None:
-            return None
-        try:
-            pick = decode.pick(layout)
-        except Refused:  # each message will be, with its reason
-            return None
-        due, inputs = schedule.due, node.values
-
-        def receive_numbers(message: Message) -> None:
-            stamp, values = message
-            if pick is not None:
-                values = pick(values)
-            item.heard = True
-            if stamp == pairing.want and not pairing.have and not pairing.said:
-                inputs[name] = values
-                pairing.stamp = pairing.used = stamp
-                pairing.have = True
-                arrivals.missing -= 1
-                if not arrivals.missing and node.ready:
-                    node.step()
-            elif pairing.used < stamp < pairing.want and stamp not in pairing.said and due(stamp):
-                arrivals.heard += 1  # of a faster sender only the newest may serve, when the run ends before its time
-                pairing.said = {stamp: (values, b"")}
-            elif node.state not in ("done", "failed"):
-                accept(stamp, values, stamp)
-
-        return receive_numbers
-
     pairing.serve = serve
-    return (receive_by_order if by_order else receive), direct
+    return receive_by_order if by_order else receive
 
 
-def _in_turn(node: Lockstep, pairing: Pairing, number: int) -> bool:
+def _in_turn(node: Adapter, pairing: Pairing, number: int) -> bool:
     """Whether an array is the next one; one that is repeated is refused, one that is missing ends the run."""
     expected = pairing.received
     if number in (-1, expected):
@@ -149,5 +114,5 @@ def _in_turn(node: Lockstep, pairing: Pairing, number: int) -> bool:
         lost = f"{number - expected} lost"
         node.fail(f"{pairing.topic}: number {number} from {pairing.sender}, expected {expected} ({lost})")
     elif number or not node.links.guests:  # else it is said again for somebody else
-        node.refuse(pairing.item, repeated(number, pairing.sender, expected))
+        node.repeated(pairing.item, number, expected)
     return False

@@ -8,137 +8,256 @@ all of them that are due at its stamp are there, or, a stated part of its period
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable, Set
 from typing import Any
 
 from ..errors import RunError
-from ..model.block import Block, Plant
+from ..model.answer import Row
+from ..model.block import Level
+from ..model.step import Rows
 from ..model.timebase import SECOND
-from ..rig.options import RunOptions
-from ..wire.recording import Sink
+from ..wire.cdr import Pick
+from .adapter import Adapter
 from .answering import Answering
 from .departure import Departure
+from .endpoint import Input, Output
+from .feed import Feed
 from .health import percentiles
-from .middleware import Middleware
+from .hearing import Hearing
+from .middleware import Receive
 from .start import Handshake
 
 CATCH_UP = SECOND  # a longer pause than this (a suspended host) is skipped, not simulated
 END_GRACE = SECOND  # a node that waits for a sender ends this much after the end of the run all the same
 
 
-class Realtime(Answering):
-    """A block driven by the wall clock; see `Adapter` for the parameters."""
+class Realtime:
+    """What makes the ticks of a node ready: the wall clock, and for a law the messages that are due.
+
+    Parameters
+    ----------
+    node : Adapter
+    """
 
     open_ended = True
     status_every = 4  # a file takes longer than a tick
 
-    def __init__(self, middleware: Middleware, block: Block, options: RunOptions, sink: Sink | None = None) -> None:
-        self._started = middleware.now()
-        block.realtime = True
-        super().__init__(middleware, block, options, sink)
+    def __init__(self, node: Adapter) -> None:
+        self.node = node
+        self._started = node.middleware.now()
+        node.block.realtime = True
+        self.clock = node.middleware.now
+        self.hearing = Hearing(node, self.now, self._take, self._refused)
+        self._sent_at: dict[int, int] = {}
+        # the newest: they are sorted for each status file, between two ticks
+        self._round_trip: deque[int] = deque(maxlen=5_000)
+        self._lateness: deque[int] = deque(maxlen=5_000)
         self.tick_number: int | None = None
         self.skipped = 0
-        self._lateness: deque[int] = deque(maxlen=5_000)  # the newest
-        self._publish_tick = None  # nobody waits for ticks in real time
-        if not self._by_messages:
-            self._timer = middleware.timer(SECOND // 1000, self._tick)
+        self._missed = 0
+        self._told: dict[Realtime, list[tuple[int, Callable[[int, Row], None]]]] = {}
+        node.epoch = node.options.epoch
+        node.step.send = self._send
+        node.begin(self)
+        awaited = [f for f in self.hearing.feeds.values() if f.awaited]
+        self._commands = awaited if node.is_plant else []
+        self._answering = (
+            Answering(node, self.hearing, self.now, self._answer) if awaited and not node.is_plant else None
+        )
+        if self._answering is None:
+            self._timer = node.middleware.timer(SECOND // 1000, self._tick)
             self._timer.cancel()
-        self._departure = self._wait_for_others() if self.links.starter and not self.epoch else None
-        if self._departure is None:
-            self._begin_at(self.epoch)
+        self.departure: Departure | None = None
+
+    def tell(self, output: Output, reader: Realtime, item: Input, pick: Pick | None) -> None:
+        """Hand what an output says to a node of this process, too."""
+        parts = self._told.setdefault(reader, [])
+        part = output.number, reader.hearing.teller(item, pick)
+        if reader.hearing.feeds[item.name].awaited:  # may make it answer: after what it does not wait for
+            parts.append(part)
+        else:
+            parts.insert(0, part)
+
+    def join(self, local: Set[str]) -> None:
+        """Begin, or wait for the others if t = 0 is to be said; `local` are the other nodes of this process."""
+        node = self.node
+        if node.links.starter and not node.epoch:
+            readers, inputs = node.links.readers, node.links.inputs
+            wanted = [(o, list(readers.get(o.name, []))) for o in node.outputs]
+            awaited = [(i, inputs[i.name].node) for i in node.inputs if i.name in inputs]
+            self.departure = Departure(node, Handshake(node, awaited, wanted, local), local, self._begin_at)
+        else:
+            self._begin_at(node.epoch)
 
     # start and end ---------------------------------------------------------------------------------------------
 
-    def _wait_for_others(self) -> Departure:
-        readers, inputs = self.links.readers, self.links.inputs
-        wanted = [(o, list(readers.get(o.name, []))) for o in self.outputs]
-        handshake = Handshake(self, [(i, inputs[i.name].node) for i in self.inputs if i.name in inputs], wanted)
-        return Departure(self, handshake, self._begin_at)
-
     def _begin_at(self, epoch: int) -> None:
         """Run from now on; t = 0 is at `epoch`, or with the first tick when that is 0."""
-        self.epoch = epoch
-        self.state = "running"
-        if not self._by_messages:
+        self.node.epoch = epoch
+        self.node.state = "running"
+        if self._answering is None:
             self._timer.again(SECOND // 1000)
 
     def progress(self) -> None:
         """A node whose senders have ended before it does not wait for them beyond the end of the run."""
-        if self._departure is not None:
-            self.lacking = self._departure.handshake.lacking
-        end = self.schedule.end
-        if end is None or self.state != "running":
-            return
-        if self.middleware.now() > (self.epoch or self._started) + end + END_GRACE:
-            self.finish()
+        node = self.node
+        if self.departure is not None:
+            node.lacking = self.departure.handshake.lacking
+        end = node.schedule.end
+        if end is not None and node.state == "running" and self.now() > (node.epoch or self._started) + end + END_GRACE:
+            node.finish()
 
-    # plants and sources ----------------------------------------------------------------------------------------
+    def now(self) -> int:
+        """Wall-clock time."""
+        return self.clock()
+
+    @property
+    def t(self) -> int:
+        """Time of the newest tick."""
+        return self.node.step.t
+
+    @property
+    def missed(self) -> int:
+        """Ticks that were not answered at their time."""
+        return self._missed if self._answering is None else self._answering.missed
+
+    @property
+    def incomplete(self) -> int:
+        """Ticks that were answered without all that was due."""
+        return 0 if self._answering is None else self._answering.incomplete
+
+    def busy(self) -> bool:
+        """Nobody waits for anybody."""
+        return False
+
+    # messages --------------------------------------------------------------------------------------------------
+
+    def receiver(self, item: Input) -> Receive:
+        """Keep the good values by stamp; what is due makes a block answer."""
+        return self.hearing.receiver(item)
+
+    def on_matched(self, item: Input) -> None:
+        """Two publishers on one input: neither is believed until one of them has gone."""
+        self.hearing.on_matched(item)
+
+    def _take(self, feed: Feed, stamp: int, due: int, value: Any, now: int) -> None:
+        if self._answering is not None:
+            self._answering.take(feed, due, value)
+            return
+        self.node.values[feed.item.name] = value
+        sent = self._sent_at.get(stamp)
+        if sent is not None:
+            self._round_trip.append(now - sent)
+
+    def _refused(self, feed: Feed, due: int, now: int) -> None:
+        if self._answering is not None:
+            self._answering.refuse(feed, due, now)
+        else:
+            self.node.step.bad = True
+
+    def _send(self, t: int, rows: Rows) -> None:
+        """Publish, and have the readers of this process hear it when what is under way has returned."""
+        node = self.node
+        node.publish(t, rows)
+        stamp = node.epoch + t
+        for parts in self._told.values():
+            node.middleware.post(lambda parts=parts: _hand_over(parts, stamp, rows))  # type: ignore[misc]
+
+    # ticks -----------------------------------------------------------------------------------------------------
 
     def _tick(self) -> None:
-        if self.state != "running":
+        """Move a plant, or let a source speak."""
+        node, schedule = self.node, self.node.schedule
+        if node.state != "running":
             self._timer.cancel()
             return
-        now = self.middleware.now()
+        now = self.now()
         if self.tick_number is None:
             # The first tick is the next point of the grid, or the common start that the runner gave.
-            self.epoch = self.epoch or self.schedule.next(now)
+            node.epoch = node.epoch or schedule.next(now)
             self.tick_number = -1
-        due = self.schedule.held(now - self.epoch)
-        number = self.schedule.tick(due)
+        due = schedule.held(now - node.epoch)
+        number = schedule.tick(due)
         # Aimed at the next point of the wall clock's grid each time, so that no error adds up.
-        self._timer.again(self.epoch + self.schedule.next(due) - now)
+        self._timer.again(node.epoch + schedule.next(due) - now)
         if number <= self.tick_number:
             return
-        self._lateness.append(now - self.epoch - due)
+        self._lateness.append(now - node.epoch - due)
         behind = number - self.tick_number
         if self.tick_number >= 0 and behind > 1:
-            self.missed += behind - 1
-        if self.schedule.time(behind) > CATCH_UP:
+            self._missed += behind - 1
+        if schedule.time(behind) > CATCH_UP:
             self.skipped += behind - 1
             behind = 1
         first = number - behind if self.tick_number >= 0 else number
         self.tick_number = number
-        if isinstance(self.block, Plant):
-            try:
-                self._move(self.block, first, number, self._fresh_inputs(now))
-            except (ArithmeticError, RunError) as error:
-                self.broke(error)
-                return
-        else:
-            self.t = due
-            self._say(due)
-        self._advance_to(due)
-
-    def _move(self, plant: Plant, first: int, number: int, inputs: dict[str, Any]) -> None:
-        """Move a plant from tick `first` to tick `number` and publish where it is."""
-        for k in range(first, number):
-            self.t = self.schedule.time(k)
-            plant.advance(self.t, **inputs)
-        self.t = t = self.schedule.time(number)
-        stamp = self.epoch + t
-        self.publish(t, stamp, plant.outputs(t))
-        self._sent_at[stamp] = self.middleware.now()
-        if len(self._sent_at) > 2 * self.block.STALE_PERIODS:
+        if not node.is_plant:
+            self._answer(due)
+            return
+        try:
+            inputs = self._fresh_inputs(now)
+            for k in range(first, number):
+                node.step.advance(schedule.time(k), inputs)
+            node.step.say(due)
+        except RunError as error:
+            node.broke(error)
+            return
+        self._sent_at[node.epoch + due] = self.now()
+        if len(self._sent_at) > 2 * node.block.STALE_PERIODS:
             del self._sent_at[next(iter(self._sent_at))]
+        self._ticked(due)
 
     def _fresh_inputs(self, now: int) -> dict[str, Any]:
         """Newest commands; the safe value in place of a stale one."""
-        inputs = self.values
-        stale = now - self._stale_after
-        for feed in self._awaited:
-            if feed.arrived is not None and feed.arrived < stale and self._notice_silence(feed, now):
+        inputs = self.node.values
+        for feed in self._commands:
+            if self.hearing.silent(feed, now):
                 inputs = inputs | {feed.item.name: feed.item.port.safe}
         return inputs
+
+    def _answer(self, t: int) -> None:
+        """Publish the answer of tick `t`; the safe values when the law overflows or gives what nobody may send."""
+        node, step = self.node, self.node.step
+        try:
+            step.say(t)
+        except RunError as error:
+            if not isinstance(error.__cause__, ArithmeticError | ValueError | None):
+                node.broke(error)  # a mistake in its code
+                return
+            text = str(error).removeprefix(f"{step.name}: ")
+            node.block.report(Level.ERROR, "failed", f"{text}; safe output")
+            step.said = {}
+            step.hand_on(t, step.checked(step.held()))
+        self._ticked(t)
+
+    def _ticked(self, t: int) -> None:
+        node = self.node
+        node.ticks += 1
+        if node.buttons.pressed:
+            node.buttons.release()
+        if node.schedule.end is not None and t >= node.schedule.end:
+            node.finish()
 
     def statistics(self) -> dict[str, Any]:
         """Missed deadlines, incomplete ticks, lateness of the timer and round trip from output to command, in ms."""
         figures: dict[str, Any] = {"missed_deadlines": self.missed}
-        if self._by_messages:
-            figures["incomplete_ticks"] = self.incomplete
+        if self._answering is not None:
+            figures["incomplete_ticks"] = self._answering.incomplete
+            if self._answering.dropped:
+                figures["dropped_ticks"] = self._answering.dropped
         if self.skipped:
             figures["skipped_periods"] = self.skipped
-        if lost := sum(feed.item.lost for feed in self.feeds.values()):
-            figures["lost_arrays"] = lost
+        for key, count in (("lost_arrays", "lost"), ("late_messages", "late")):
+            if number := sum(getattr(item, count) for item in self.node.inputs):
+                figures[key] = number
         figures |= percentiles("lateness", self._lateness) | percentiles("round_trip", self._round_trip)
         if self._lateness:
             figures["jitter_ms"] = figures["lateness_p99_ms"] - figures["lateness_p50_ms"]
         return figures
+
+
+def _hand_over(parts: list[tuple[int, Callable[[int, Row], None]]], stamp: int, rows: Rows) -> None:
+    for k, tell in parts:
+        row = rows[k]
+        if row is not None:
+            tell(stamp, row)

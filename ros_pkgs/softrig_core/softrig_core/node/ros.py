@@ -114,6 +114,10 @@ class RosMiddleware(Middleware):
         take = quiet_after_shutdown(receive)
         self.node.create_subscription(message_class(msgtype), topic, take, QOS, raw=True, event_callbacks=events)
 
+    def post(self, call: Callable[[], object]) -> None:
+        """Nobody else is in this process."""
+        raise RuntimeError("a node by itself has no neighbours")
+
     def timer(self, ns: int, callback: Callable[[], None]) -> _RosTimer:
         """Call back every `ns`."""
         fire = quiet_after_shutdown(callback)

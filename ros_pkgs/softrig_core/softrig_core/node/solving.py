@@ -91,7 +91,7 @@ def hear_busy(middleware: Middleware, solvers: int, heard: Callable[[], None]) -
     item = Input(Port("busy", BUSY, TICK))
 
     def matched(count: int) -> None:
-        item.publishers = count // solvers
+        item.outside = count // solvers
 
     middleware.subscribe(BUSY, TICK, lambda data: heard(), matched)
     return item

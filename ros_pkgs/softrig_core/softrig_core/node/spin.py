@@ -13,7 +13,6 @@ from ..errors import RunError, describe
 from ..guard import tell
 from ..model.timebase import SECOND
 from .adapter import Adapter
-from .health import write_status
 
 
 def spin(node: Node, adapter: Adapter) -> int:
@@ -59,10 +58,10 @@ def conclude(adapter: Adapter, stopped: bool) -> int:
         except OSError as error:
             adapter.error, adapter.state = error, "failed"
     if stopped and adapter.state != "failed":
-        adapter.state = "done" if adapter.schedule.end is None or adapter.open_ended else "failed"
+        adapter.state = "done" if adapter.schedule.end is None or adapter.drive.open_ended else "failed"
         adapter.error = None if adapter.state == "done" else RunError("stopped before the end of the run")
     try:
-        write_status(adapter)
+        adapter.write_status()
     except OSError as error:
         adapter.error, adapter.state = adapter.error or error, "failed"
     if adapter.error is not None:

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from ..model.timebase import SECOND
+from .adapter import Adapter
+from .arrivals import Arrivals
 from .endpoint import Input
-from .middleware import Middleware
-
-if TYPE_CHECKING:
-    from .lockstep import Lockstep
+from .start import Handshake
 
 GONE_AFTER = 0.5  # s without the awaited message after its only sender has vanished
 
@@ -19,18 +16,23 @@ class Stalls:
 
     Parameters
     ----------
-    node : Lockstep
-    middleware : Middleware
+    node : Adapter
+    arrivals : Arrivals
 
     Attributes
     ----------
+    handshake : Handshake
+        Of the start.
     rivals : Input or None
         An input with more than one publisher.
     """
 
-    def __init__(self, node: Lockstep, middleware: Middleware) -> None:
+    handshake: Handshake
+
+    def __init__(self, node: Adapter, arrivals: Arrivals) -> None:
         self._node = node
-        self._middleware = middleware
+        self._arrivals = arrivals
+        self._middleware = node.middleware
         self._progress = (-1, 0)
         self.rivals: Input | None = None
         self.restart()
@@ -41,7 +43,7 @@ class Stalls:
 
     def look(self) -> None:
         """End the run when a peer is gone, stalls or never came."""
-        node, arrivals = self._node, self._node.arrivals
+        node, arrivals = self._node, self._arrivals
         waited = self._middleware.steady() - self._since
         if self.rivals is not None:
             self._name(self.rivals, waited)
@@ -49,7 +51,7 @@ class Stalls:
             limit = node.options.start_timeout
             if limit and waited > limit:
                 silent = [f"nothing on {p.topic} yet" for p in arrivals.pairings if not p.have]
-                node.fail(f"not all peers after {limit:g} s: {'; '.join(node.handshake.absent() or silent)}")
+                node.fail(f"not all peers after {limit:g} s: {'; '.join(self.handshake.absent() or silent)}")
         elif node.state == "running":
             if self._progress != (node.t, arrivals.heard):
                 self._progress = (node.t, arrivals.heard)
@@ -60,10 +62,10 @@ class Stalls:
     def _begun(self) -> bool:
         """Whether the rig has sent anything: before that, somebody still waits for an outside node."""
         node = self._node
-        if node.links.owns_clock or node.arrivals.heard:
+        if node.links.owns_clock or self._arrivals.heard:
             return True
         # a source of an outside plant says t = 0 unasked
-        others = [p for p in node.arrivals.pairings if not p.earlier]
+        others = [p for p in self._arrivals.pairings if not p.earlier]
         return any(p.have for p in others) or (node.ticks > 0 and bool(others))
 
     def _name(self, item: Input, waited: float) -> None:
@@ -76,7 +78,7 @@ class Stalls:
 
     def _judge(self, waited: float) -> None:
         node = self._node
-        lacking = [p for p in node.arrivals.pairings if not p.have]
+        lacking = [p for p in self._arrivals.pairings if not p.have]
         gone = [p for p in lacking if not p.item.publishers]
         if lacking and (waited > node.options.timeout or (gone and waited > GONE_AFTER)):
             lacking = gone or lacking

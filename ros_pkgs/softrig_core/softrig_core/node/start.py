@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Sequence, Set
 
-from ..model.port import Port
+from .adapter import Adapter
 from .endpoint import Input, Output
-from .middleware import Middleware, Peer
-
-if TYPE_CHECKING:
-    from .adapter import Adapter
+from .middleware import Peer, other_types
 
 CHECK = 1_000_000_000 // 50  # ns between two checks
 SETTLED = 25  # checks in a row in which what the graph says has not changed
@@ -26,6 +22,8 @@ class Handshake:
         What must have a writer, and whose.
     wanted : sequence of (Output, list of str)
         What must be matched with its readers, and the readers that the rig names.
+    local : set of str
+        Nodes of the same process, which are there.
 
     Attributes
     ----------
@@ -34,11 +32,13 @@ class Handshake:
     """
 
     def __init__(
-        self, node: Adapter, awaited: Sequence[tuple[Input, str]], wanted: Sequence[tuple[Output, list[str]]]
-    ) -> None:
+        self, node: Adapter, awaited: Sequence[tuple[Input, str]], wanted: Sequence[tuple[Output, list[str]]],
+        local: Set[str],
+    ) -> None:  # fmt: skip
         self._node = node
         self._awaited = awaited
-        self._wanted = wanted
+        self._wanted = [(output, [name for name in names if name not in local]) for output, names in wanted]
+        self._local = local
         self._settled = 0
         self._seen: list[tuple[str, str]] = []
         self.lacking: list[str] = []
@@ -57,11 +57,12 @@ class Handshake:
         for output, known in self._wanted:
             names = known + [name for topic, name in found if topic == output.topic and name not in known]
             there = [i.name for i in node.middleware.subscribers(output.topic) if i.msgtype == output.port.msgtype]
+            there = [name for name in there if name not in self._local]
             absent += [f"{name} does not subscribe {output.topic}" for name in names if name not in there]
             # The graph knows a reader before the writer is matched with it; only what the writer says counts.
             if names and output.readers < len(there):
                 absent.append(f"{output.topic} has {output.readers} readers of {len(there)}")
-        unread = [] if node.options.links else [o.topic for o in node.outputs if not o.readers]
+        unread = [] if node.options.links or self._local else [o.topic for o in node.outputs if not o.readers]
         seen = [*found, *((topic, "") for topic in unread)]
         # A node announces its endpoints one by one, and by hand nobody says who reads what: what is seen counts when
         # all senders have come and it has not changed for a while.
@@ -93,14 +94,3 @@ class Handshake:
     def _other_type(self, item: Input) -> str:
         other = other_types(self._node.middleware, item.port)
         return f"; the topic exists with type {other}" if other else ""
-
-
-def other_types(middleware: Middleware, port: Port) -> str:
-    """Name the types other than a port's own under which its topic exists: such endpoints never match.
-
-    Parameters
-    ----------
-    middleware : Middleware
-    port : Port
-    """
-    return ", ".join(t for t in middleware.types(middleware.resolve(port.topic)) if t != port.msgtype)

@@ -19,12 +19,11 @@ from ..model.rehearsal import rehearse
 from ..rig.options import RunOptions
 from .adapter import Adapter
 from .faces import Faces
+from .group import Group
 from .interrupt import interrupt
 from .leave import leave
-from .lockstep import Lockstep
 from .messages import range_descriptor
 from .middleware import Middleware
-from .realtime import Realtime
 from .ros import RosMiddleware, ServingNode
 from .spin import spin
 
@@ -46,6 +45,7 @@ def run_node(block_class: type[Block], argv: Sequence[str]) -> NoReturn:
         interrupt.early = False
         node = ServingNode(name)
         adapter = make_adapter(node, block_class, RosMiddleware(node))
+        Group([adapter])
         if not adapter.options.links:
             node.get_logger().info(introduction(adapter.block, adapter.options))
     except KeyboardInterrupt:
@@ -64,7 +64,7 @@ def run_node(block_class: type[Block], argv: Sequence[str]) -> NoReturn:
 
 
 def make_adapter(node: Node, block_class: type[Block], middleware: Middleware) -> Adapter:
-    """Declare and validate a node's parameters, make its block and what drives it.
+    """Declare and validate a node's parameters, make its block and its adapter; a `Group` drives it.
 
     Raises
     ------
@@ -75,7 +75,7 @@ def make_adapter(node: Node, block_class: type[Block], middleware: Middleware) -
     rehearse(block_class, params, node.get_name())
     block = block_class(params, node.get_name())
     block.reset(options.seed)
-    adapter = (Lockstep if options.mode == "lockstep" else Realtime)(middleware, block, options)
+    adapter = Adapter(middleware, block, options)
     Faces(node, adapter)
     return adapter
 

@@ -1,0 +1,129 @@
+"""The nodes of one process: they tell each other numbers, and in lockstep one runner takes their ticks."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from ..errors import RunError
+from ..model.port import Refused
+from ..model.runner import Runner
+from ..wire.cdr import Pick
+from ..wire.codec import selection
+from .adapter import Adapter
+from .endpoint import Input, Output
+from .lockstep import Lockstep
+from .realtime import Realtime
+
+SLICE = 5_000_000  # ns: how long ticks may keep a timer waiting
+
+
+class Group:
+    """Nodes of one process, driven together.
+
+    Parameters
+    ----------
+    nodes : sequence of Adapter
+        All in lockstep, or all in real time.
+    """
+
+    def __init__(self, nodes: Sequence[Adapter]) -> None:
+        self.nodes = nodes
+        names = {n.middleware.name for n in nodes}
+        links = list(_links(nodes))
+        for link in links:
+            link.item.local = True
+        if {n.options.mode for n in nodes} == {"realtime"}:
+            drives = {n: Realtime(n) for n in nodes}
+            for writer, output, reader, item, pick in links:
+                drives[writer].tell(output, drives[reader], item, pick)
+            for node, drive in drives.items():
+                drive.join(names - {node.middleware.name})
+            waiting = [d.departure for d in drives.values() if d.departure is not None]
+            for departure in waiting:
+                departure.neighbours = [d for d in waiting if d is not departure]
+            return
+        steps = [Lockstep(n, self.turn) for n in nodes]
+        for writer, output, reader, item, pick in links:
+            writer.step.feeds(output.name, reader.step, item.name, pick)
+        self._steps = steps
+        self._ticks = Runner([n.step for n in _in_order(nodes, links)]).run()
+        for step in steps:
+            step.join(names - {step.node.middleware.name}, self._begin)
+
+    def _begin(self) -> None:
+        """Run when the peers of all nodes are there."""
+        if all(step.ready for step in self._steps):
+            for node in self.nodes:
+                node.state = "running"
+            self.turn()
+
+    def turn(self) -> None:
+        """Take ticks as long as nothing is missing."""
+        for node in self.nodes:
+            if node.state in ("starting", "failed"):
+                return
+        alone = len(self.nodes) == 1
+        until = 0 if alone else time.monotonic_ns() + SLICE
+        try:
+            for t in self._ticks:
+                if t is None:
+                    return
+                if not alone and time.monotonic_ns() > until:
+                    self.nodes[0].middleware.post(self.turn)
+                    return
+        except RunError as error:
+            next(n for n in self.nodes if n.step.name == error.node).broke(error)
+
+
+class _Link(NamedTuple):
+    """An input that is written by a node of the same process."""
+
+    writer: Adapter
+    output: Output
+    reader: Adapter
+    item: Input
+    pick: Pick | None
+
+
+def _links(nodes: Sequence[Adapter]) -> list[_Link]:
+    """Find who reads whom.
+
+    Raises
+    ------
+    RunError
+        Two ports of a topic do not fit, or two nodes publish it.
+    """
+    written: dict[tuple[str, str], tuple[Adapter, Output]] = {}
+    for node in nodes:
+        for output in node.outputs:
+            key = output.topic, output.port.msgtype
+            if key in written:
+                names = f"{written[key][0].middleware.full_name}, {node.middleware.full_name}"
+                raise RunError(f"2 publishers on {output.topic} ({names}), expected exactly one")
+            written[key] = node, output
+    found = []
+    for node in nodes:
+        for item in node.inputs:
+            source = written.get((node.middleware.resolve(item.port.topic), item.port.msgtype))
+            if source is None:
+                continue
+            try:
+                found.append(_Link(*source, node, item, selection(source[1].port, item.port)))
+            except Refused as error:
+                raise RunError(f"{source[1].topic} does not fit {node.middleware.name}: {error}") from None
+    return found
+
+
+def _in_order(nodes: Sequence[Adapter], links: Sequence[_Link]) -> list[Adapter]:
+    """Put plants first, then each node after those that it reads."""
+    done = [n for n in nodes if n.is_plant]
+    left = [n for n in nodes if not n.is_plant]
+    while left:
+        free = [n for n in left if not any(k.reader is n and k.writer in left for k in links)]
+        if not free:
+            raise RunError(f"cycle without a plant in it: {', '.join(n.middleware.name for n in left)}")
+        done += free
+        left = [n for n in left if n not in free]
+    return done
