@@ -2,9 +2,11 @@
 
 import json
 import math
+import os
 import resource
 import struct
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -13,7 +15,7 @@ from softrig_bags.compare import compare
 from softrig_bags.read import read_bag
 from softrig_bringup.golden import create, load, main
 from softrig_bringup.run import versions
-from softrig_core import Rig, RunError, ScenarioError, Signals, load_scenario, run_processes
+from softrig_core import Rig, RunError, ScenarioError, Signals, bits, load_scenario, run_processes
 from softrig_core.rig.domain import free_domain
 from softrig_core.rig.executables import environment, find_executable
 from softrig_core.rig.starting import node_parameters
@@ -82,6 +84,52 @@ def test_other_versions_take_the_tolerances_for_elsewhere():
     assert other.compare(golden.shaken(2.0)).equal
     python = golden.recipe.model_copy(update={"made_with": golden.recipe.made_with | {"python": "3.11.0"}})
     assert type(golden)(golden.folder, python, golden.rig).made_here
+
+
+DIGESTS = """
+import hashlib, json, sys
+from pathlib import Path
+from softrig_bringup.golden import load
+found = {}
+for name in sys.argv[2:]:
+    digest = hashlib.sha256()
+    for t, topic, data in load(Path(sys.argv[1]) / name).rerun().messages():
+        digest.update(b"%d %b " % (t, topic.name.encode()) + data)
+    found[name] = digest.hexdigest()
+print(json.dumps(found))
+"""
+KERNELS = {  # OpenBLAS's and numpy's choice on other CPUs; the pins leave what is set
+    "prescott": {bits.CORE: "Prescott", bits.SIMD: bits.PINS[bits.SIMD]},
+    "v2": {"NPY_ENABLE_CPU_FEATURES": "X86_V2"},
+    "prescott and v2": {bits.CORE: "Prescott", "NPY_ENABLE_CPU_FEATURES": "X86_V2"},
+    "unpinned": {bits.CORE: "SkylakeX", bits.SIMD: "AVX512_SPR"},  # with AVX-512, as a script that imports numpy first
+}
+
+
+def digests(names, kernels):
+    """What the rigs record under other kernels, as one digest each."""
+    pins = {*bits.PINS, "NPY_ENABLE_CPU_FEATURES"}
+    variables = {key: value for key, value in os.environ.items() if key not in pins} | kernels
+    done = subprocess.run(
+        [sys.executable, "-c", DIGESTS, str(BAGS), *names], env=variables, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
+    return json.loads(done.stdout)
+
+
+def test_no_kernel_of_openblas_or_numpy_decides_a_bit():
+    """Rigs that differed when BLAS, LAPACK and numpy's functions of arrays had a say in them."""
+    names = ["fault_location_m4k", "gupfc_s2_short", "optimal_control_mvim", "pv_mppt_certified_transients",
+             "pwa_delay_p3", "dc_motor_fsfb_s7"]  # fmt: skip
+    assert digests(names, KERNELS["prescott and v2"]) == digests(names, {})
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("kernels", KERNELS)
+def test_no_kernel_decides_a_bit_of_any_golden_rig(kernels):
+    if kernels == "unpinned" and not bits.cpu_has_avx512():
+        pytest.skip("the checks of a rig may call BLAS, whose kernels for AVX-512 this CPU cannot run")
+    assert digests(GOLDEN, KERNELS[kernels]) == digests(GOLDEN, {})
 
 
 def test_the_bags_stay_small():

@@ -90,6 +90,21 @@ def test_what_was_chosen_before_is_compared(monkeypatch, core, level, given, sai
     assert all(part in text for part in said)
 
 
+SINES = """
+import math, numpy as np
+x = np.random.default_rng(2).normal(size=3000) * 50.0
+for function, exact in ((np.sin, math.sin), (np.cos, math.cos)):
+    assert function(x).tolist() == [exact(v) for v in x.tolist()]
+assert np.hypot(x, x[::-1]).tolist() == [abs(complex(a, b)) for a, b in zip(x.tolist(), x[::-1].tolist())]
+"""
+
+
+@pytest.mark.parametrize("features", [{"NPY_ENABLE_CPU_FEATURES": "X86_V2"}, {}, {bits.SIMD: ""}],
+                         ids=["baseline", "usual", "all"])  # fmt: skip
+def test_sines_and_hypot_of_arrays_are_the_c_librarys_at_every_level(features):
+    python(SINES, **features)  # the rule of test_bit_rule.py lets plants and laws use them
+
+
 def test_the_digest_tells_another_math_library(monkeypatch):
     found = bits.math_digest.__wrapped__
     assert found() == found() == bits.math_digest()

@@ -25,7 +25,7 @@ from softrig_core.rig.yaml_file import read_yaml
 from .folder import replace
 from .run import versions
 
-DECIDE = ("machine", "math", "blas", "simd", "numpy", "scipy", "casadi", "pin")  # of the versions: the bits of a run
+DECIDE = ("machine", "math", "numpy", "scipy", "casadi", "pin")  # of the versions: the bits of a run
 
 
 class Allowed(BaseModel):
