@@ -4,6 +4,7 @@ import csv
 import json
 import math
 import os
+import re
 import shlex
 import shutil
 import signal
@@ -20,11 +21,14 @@ import pytest
 from conftest import PATIENCE, until
 from softrig_bringup.cli import main
 from softrig_bringup.folder import STUDY, ResultsFolder
+from softrig_bringup.study import pictures
 from softrig_bringup.study.definition import list_studies, load_study, make_study
 from softrig_bringup.study.draw import cases, count, draw
 from softrig_bringup.study.engine import _check, run_study
+from softrig_bringup.study.options import _values
+from softrig_bringup.study.page import best
 from softrig_bringup.study.table import summarise, without_signals
-from softrig_bringup.study.work import Log
+from softrig_bringup.study.work import Log, absent
 from softrig_core import ScenarioError
 
 LAG = """
@@ -346,6 +350,70 @@ claims: {largest: {published: 0.1, where: Table I, verdict: refuted, reason: lar
     assert "the verdict refuted does not hold" in capsys.readouterr().out
     content = json.loads((folder / "runs" / "study_gains" / "summaries.json").read_text())
     assert (content["runs"], content["claims"][0]["holds"]) == (2, False)
+
+
+def a_row(number, k, value, seed=0, never=()):
+    return {"number": number, "scenario": "lag", "case": "", "seed": seed, "overrides": {"gain.k": k}, "error": "",
+            "figures": {"settling": value}, "never": list(never)}  # fmt: skip
+
+
+def test_runs_without_a_value_are_marked_counted_and_make_the_median_no_better():
+    rows = [a_row(0, 1.0, 0.5), a_row(1, 1.0, 0.6), a_row(2, 1.0, 0.7)]
+    rows += [a_row(3, 2.0, 0.4), a_row(4, 2.0, None, never=["settling"]), a_row(5, 2.0, None, never=["settling"])]
+    figure = pictures._over(rows, "gain.k", ["settling"], {}, banded=True)
+    (ax,) = figure.axes
+    assert list(ax.lines[0].get_ydata()) == pytest.approx([0.6, math.nan], nan_ok=True)  # 2 of 3 never get there
+    assert [t.get_text() for t in ax.texts] == ["2 of 3 never"]
+    assert ax.get_title(loc="right") == "2 of 6 never"
+    assert list(ax.get_xticks()) == [1.0, 2.0]
+    assert "band: least to greatest of up to 3 runs" in figure._supxlabel.get_text()
+    assert absent([1.0, math.inf, math.nan]) == "1 of 3 never, 1 of 3 not measured"
+
+
+def test_a_study_says_never_where_a_figure_never_comes(folder, capsys):
+    assert main(["study", "lag", "--grid", "gain.k=1:3", "plant.gain=1,2", "--out", "out", "--workers", "1"]) == 0
+    out = capsys.readouterr().out
+    assert out.count("never") == 1 + 6  # the head, and a row a run
+    assert "None" not in out
+    page = (folder / "out" / "report.html").read_text()
+    assert page.count(">never</td>") == 6
+    table = pyarrow.parquet.read_table(folder / "out" / "table.parquet").to_pylist()
+    assert [(r["gain.k"], r["plant.gain"]) for r in table] == [(k, g) for k in (1, 2, 3) for g in (1, 2)]
+    assert {r["never"] for r in table} == {"never"}  # the figure of that name
+
+
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [("1:5:1", [1, 2, 3, 4, 5]), ("0:0.3:0.1", [0.0, 0.1, 0.2, 0.3]), ("0.5,1:2", [0.5, 1, 2]), ("3:1:-1", [3, 2, 1]),
+     ("a,b", ["a", "b"]), ("[1, 2],[3, 4]", [[1, 2], [3, 4]])],
+)  # fmt: skip
+def test_ranges_have_both_ends(text, found):
+    assert _values("gain.k", text) == found
+
+
+@pytest.mark.parametrize("text", ["1:5:0", "1:0:1", "0:1:1e-9"])
+def test_ranges_of_nothing_or_without_end_are_refused(text):
+    with pytest.raises(ScenarioError, match="at least one and at most"):
+        _values("gain.k", text)
+
+
+def test_a_search_keeps_to_its_limits_and_its_best_is_no_lucky_seed(folder, capsys):
+    options = ["study", "lag", "--search", "last", "--draws", "8", "--maximise", "--draw", "gain.k=0.5..5", "--workers",
+               "1"]  # fmt: skip
+    assert main([*options, "--subject-to", "last <= 0.2", "--out", "some"]) == 0
+    best_of = float(re.search(r"best: last ([\d.]+)", capsys.readouterr().out)[1])
+    rows = [json.loads(line) for line in (folder / "some" / "rows.jsonl").read_text().splitlines()]
+    assert best_of == pytest.approx(max(v for r in rows if (v := r["figures"]["last"]) <= 0.2), rel=1e-5)
+    assert max(r["figures"]["last"] for r in rows) > 0.2
+    page = (folder / "some" / "report.html").read_text()
+    assert "<td>last</td>" in re.sub(' data-label="[^"]*"', "", page)
+    assert main([*options, "--subject-to", "last >= 99", "--out", "none"]) == 0
+    assert "best: none of 8 runs has a last within the limits" in capsys.readouterr().out
+    assert main([*options, "--subject-to", "last < 0.4", "--out", "x"]) == 2
+    assert main([*options, "--subject-to", "lost <= 0.4", "--out", "x"]) == 2
+    demo = study(seeds=2, search={"figure": "settling", "count": 2, "parameters": {"gain.k": {"uniform": [1, 2]}}})
+    pairs = [a_row(0, 1.0, 0.1), a_row(1, 1.0, 9.0, 1), a_row(2, 2.0, 1.0), a_row(3, 2.0, 1.0, 1)]
+    assert [r["number"] for r in best(demo, pairs)] == [2, 3]
 
 
 def test_a_search_finds_the_best_gain_whatever_the_workers_and_goes_on(folder):

@@ -96,11 +96,16 @@ def _parser() -> argparse.ArgumentParser:
     results.add_argument("--workers", type=Number(int, 1), metavar="N", help="processes (default: all cores)")
     study = verb("study", _study, "a scenario over grids, draws, seeds or a search; interrupted, the next call goes on")
     study.add_argument("study", help="name or file of a study, or a scenario; `study list` shows the studies")
-    study.add_argument("--grid", action="append", default=[], metavar="NODE.PARAM=A,B,C", help="every combination")
-    study.add_argument("--draw", action="append", default=[], metavar="NODE.PARAM=LOW..HIGH", help="drawn uniformly")
+    study.add_argument("--grid", action="extend", nargs="+", default=[], metavar="NODE.PARAM=A,B,C",
+                       help="every combination; also LOW:HIGH:STEP with both ends")  # fmt: skip
+    study.add_argument(
+        "--draw", action="extend", nargs="+", default=[], metavar="NODE.PARAM=LOW..HIGH", help="drawn uniformly"
+    )
     study.add_argument("--draws", type=Number(int, 1), default=100, metavar="N", help="how many points are drawn (100)")
     study.add_argument("--method", choices=("random", "latin_hypercube"), default="latin_hypercube")
     study.add_argument("--search", metavar="FIGURE", help="minimise this figure over what --draw names")
+    study.add_argument("--subject-to", action="append", default=[], metavar="'FIGURE <= X'",
+                       help="with --search: only runs that keep to it; also >=")  # fmt: skip
     study.add_argument("--maximise", action="store_true", help="with --search: maximise instead")
     study.add_argument("--seeds", type=Number(int, 1), metavar="N", help="rig seeds 0 to N - 1 of each point")
     study.add_argument("--duration", type=float, metavar="S", help="instead of the scenario's")

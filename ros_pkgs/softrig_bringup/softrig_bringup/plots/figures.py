@@ -122,7 +122,7 @@ def _time_figure(source: Source, entry: PlotEntry, marks: Mapping[str, Sequence[
         axes[0].set_axis_off()
     missing = [c.label for c in curves if not len(c.x)]
     if missing:
-        _note(figure, f"nothing published: {', '.join(missing)}")
+        note(figure, f"nothing published: {', '.join(missing)}")
     figure.align_ylabels()
     axes[-1].set_xlabel(axis_title("Time", time))
     return figure
@@ -139,7 +139,7 @@ def _value_title(row: Sequence[Curve], unit: str, given: str = "") -> str:
     return axis_title(name, unit)
 
 
-def _note(figure: Figure, text: str) -> None:
+def note(figure: Figure, text: str) -> None:
     """Say below a picture what is not in it."""
     figure.supxlabel(text, fontsize=9, color=look.SOFT, x=0.008, ha="left")
 
@@ -195,7 +195,7 @@ def _overview(source: Source) -> Figure:
             legend(ax, *_without_field(row, topic), 55)
     figure.align_ylabels()
     if source.silent:
-        _note(figure, f"nothing published on {', '.join(source.silent)}")
+        note(figure, f"nothing published on {', '.join(source.silent)}")
     return figure
 
 

@@ -66,10 +66,12 @@ class Draws(_Model):
 class Search(_Model):
     """A search for parameters that minimise (or maximise) a figure; a figure that cannot be measured is the worst.
 
-    Candidates come in batches, told in order: the result does not depend on the number of workers.
+    Candidates come in batches, told in order: the result does not depend on the number of workers. Those that do not
+    keep to `subject_to` (figure to what is expected of it, in each run) are never the best.
     """
 
     figure: str
+    subject_to: dict[str, Expected] = {}
     aim: Literal["minimise", "maximise"] = "minimise"
     count: int = Field(ge=1, le=MOST)
     batch: int = Field(4, ge=1, le=10_000)

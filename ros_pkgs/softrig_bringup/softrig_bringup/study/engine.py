@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Literal
 
@@ -12,12 +12,13 @@ import numpy as np
 from softrig_core import ScenarioError, figures_of, rig_of
 from softrig_core.extras import need
 from softrig_core.guard import say
+from softrig_core.rig.expectation import Expectation
 from softrig_optim.sweep import progress, stream
 
 from ..folder import STUDY, ResultsFolder, replace
 from .definition import Search, Study
 from .draw import Case, cases, count
-from .work import Log, Work, run
+from .work import Log, Work, run, value_of
 
 
 def run_study(study: Study, out: Path, *, workers: int | None = None, scheduler: str = "") -> Log:
@@ -75,7 +76,10 @@ def _run(study: Study, log: Log, workers: int | None, scheduler: str) -> Log:
 
 
 def _work(study: Study, case: Case) -> Work:
-    return Work(case, study.duration, tuple(study.figures), tuple(study.signals), study.samples)
+    sought = (study.search.figure, *study.search.subject_to) if study.search and study.figures else ()
+    return Work(
+        case, study.duration, tuple(dict.fromkeys((*study.figures, *sought))), tuple(study.signals), study.samples
+    )
 
 
 def _same(study: Study, file: Path) -> str:
@@ -106,7 +110,7 @@ def _check(study: Study) -> None:
         rig = rig_of(case.scenario, duration=study.duration, overrides=case.overrides)
         known = [f.name for f in figures_of(rig)]
         wanted = {*study.figures, *(s.figure for s in study.summaries.values())}
-        wanted |= {study.search.figure} if study.search else set()
+        wanted |= {study.search.figure, *study.search.subject_to} if study.search else set()
         unknown = sorted(wanted - set(known))
         if unknown:
             raise ScenarioError(
@@ -159,9 +163,22 @@ def _search(study: Study, search: Search, log: Log, workers: int | None, schedul
             rows[row["number"]] = row
             advance()
         for i, trial in enumerate(trials):
-            mine = [rows[(start + i) * len(seeds) + k]["figures"].get(search.figure) for k in range(len(seeds))]
+            own = [rows[(start + i) * len(seeds) + k] for k in range(len(seeds))]
+            mine = [row["figures"].get(search.figure) for row in own]
             value = worst if None in mine else float(np.mean(mine))
+            for name, limits in search.subject_to.items():
+                trial.set_constraint(name, max(beyond(row, name, limits) for row in own))
             asked.tell(trial, value if math.isfinite(value) else math.copysign(1e300, value))
+
+
+def beyond(row: Mapping[str, Any], figure: str, limits: Expectation) -> float:
+    """How far a figure of a run is beyond what is expected of it; at most 0 when it is not."""
+    value = value_of(row, figure)
+    if limits.holds(value):
+        return 0.0
+    ends = (limits.at_most, limits.at_least, limits.expected)
+    by = max((abs(value - end) for end in ends if end is not None), default=math.inf)
+    return min(by, 1e300) if by == by else 1e300
 
 
 def _optuna(name: str, d: Any) -> Any:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -16,13 +17,14 @@ from softrig_core.rig.findings import Finding
 
 from ..citations import cited, sources
 from ..folder import STUDY, ResultsFolder
-from ..html import e, mark, picture, table, write_page
+from ..html import NONE, e, mark, picture, table, write_page
 from ..plots.style import pretty_unit
-from ..wording import accepted
+from ..wording import NEVER, accepted
 from .definition import Study
-from .engine import run_study
+from .engine import beyond, run_study
 from .pictures import chosen, draw_study, label
 from .table import Row, claims, command, results, without_signals, write_table
+from .work import absent, value_of
 
 FEW = 20  # runs whose figures are printed where a study has no summaries
 LONGEST = 200  # rows on the page; the table files have them all
@@ -65,13 +67,37 @@ def _units(rows: Sequence[Row]) -> dict[str, str]:
     return units
 
 
-def best(study: Study, rows: Sequence[Row]) -> Row | None:
-    """Give the best run of a search."""
-    if study.search is None:
-        return None
-    name, sign = study.search.figure, 1.0 if study.search.aim == "minimise" else -1.0
-    sure = [row for row in rows if row["figures"].get(name) is not None]
-    return min(sure, key=lambda r: sign * r["figures"][name], default=None)
+def best(study: Study, rows: Sequence[Row]) -> list[Row]:
+    """Give the runs of the best candidate of a search, one a seed: of least (or greatest) mean, within its limits."""
+    search = study.search
+    if search is None:
+        return []
+    sign = 1.0 if search.aim == "minimise" else -1.0
+    each = len(study.seeds or [0])
+    found: dict[int, list[Row]] = {}
+    for row in rows:
+        found.setdefault(row["number"] // each, []).append(row)
+
+    def kept(row: Row) -> bool:
+        within = all(beyond(row, name, limits) <= 0.0 for name, limits in search.subject_to.items())
+        return within and row["figures"].get(search.figure) is not None
+
+    sure = [own for own in found.values() if len(own) == each and all(map(kept, own))]
+    return min(sure, key=lambda own: sign * sum(row["figures"][search.figure] for row in own), default=[])
+
+
+def _figures_of(rows: Sequence[Row], name: str) -> str:
+    """A figure of some runs: its mean, and how many have none."""
+    values = [value_of(row, name) for row in rows]
+    there = [v for v in values if math.isfinite(v)]
+    if len(rows) == 1:
+        return _figure(rows[0], name)
+    return ", ".join(filter(None, (f"mean {sum(there) / len(there):.6g}" if there else "", absent(values))))
+
+
+def _figure(row: Row, name: str) -> str:
+    value = value_of(row, name)
+    return f"{value:.6g}" if math.isfinite(value) else NEVER if value == math.inf else "" if row["error"] else NONE
 
 
 def _print(study: Study, rows: Sequence[Row], found: Sequence[Result], held: Sequence[Finding], out: Path) -> None:
@@ -91,15 +117,18 @@ def _print(study: Study, rows: Sequence[Row], found: Sequence[Result], held: Seq
         for name in heads:
             shown.add_column(name, overflow="fold")
         for row in rows:
-            shown.add_row(*(_cell((row["overrides"] | row["figures"]).get(name)) for name in heads))
+            shown.add_row(*(_figure(row, n) if n in row["figures"] else _cell(row["overrides"].get(n)) for n in heads))
     console.print(shown)
     for claim in held:
         if claim.holds is False:
             console.print(styled((f"claim {claim.key}", "red"), f": {claim.false}"))
-    winner = best(study, rows)
-    if winner is not None and study.search is not None:
-        console.print(f"best: {study.search.figure} {winner['figures'][study.search.figure]:.6g}")
-        console.print(command(winner, study.duration), soft_wrap=True)
+    winners = best(study, rows)
+    if winners:
+        console.print("best: " + ", ".join(f"{name} {_figures_of(winners, name)}" for name in winners[0]["figures"]))
+        console.print(command(winners[0], study.duration), soft_wrap=True)
+    elif study.search:
+        console.print(f"best: none of {len(rows)} runs has a {study.search.figure}"
+                      + (" within the limits" if study.search.subject_to else ""))  # fmt: skip
     broken = [row for row in rows if row["error"]]
     for row in broken[:3]:
         console.print(f"run {row['number']} broke: {row['error']}; {command(row, study.duration)}", soft_wrap=True)
@@ -137,9 +166,13 @@ def _page(
             e("h2", "Claims"),
             table(("Claim", "Where", "Published", "Agrees when", "Measured", "Verdict"), lines, "  n n "),
         ]
-    winner = best(study, rows)
-    if winner is not None:
-        body += [e("h2", "Best run"), e("pre", command(winner, study.duration))]
+    winners = best(study, rows)
+    if winners:
+        about = [(name.replace("_", " "), _figures_of(winners, name), pretty_unit(units.get(name, "")))
+                 for name in winners[0]["figures"]]  # fmt: skip
+        body += [e("h2", "Best run" if len(winners) == 1 else f"Best parameters, {len(winners)} seeds"),
+                 table(("Figure", "Measured", "Unit"), about, " n "),
+                 e("pre", command(winners[0], study.duration))]  # fmt: skip
     body.append(e("h2", "Pictures"))
     for path in pictures:
         body.append(e("figure", picture(path.read_bytes(), path.stem.replace("_", " "))))
@@ -148,7 +181,7 @@ def _page(
     broken = ["Broke"] if any(row["error"] for row in rows) else []
     heads = ("Run", "Changed", "Seed", *(_heading(n, units.get(n, "")) for n in names), *broken)
     lines = [
-        (str(row["number"]), _changes(study, row), str(row["seed"]), *(_number(row["figures"].get(n)) for n in names),
+        (str(row["number"]), _changes(study, row), str(row["seed"]), *(_figure(row, n) for n in names),
          *([row["error"]] if broken else [])) for row in rows[:LONGEST]
     ]  # fmt: skip
     body += [e("h2", "Runs"), table(heads, lines, "  n" + "n" * len(names))]

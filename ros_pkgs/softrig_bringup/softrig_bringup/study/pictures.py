@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..plots.figures import places, plot_name, save_figure
+from ..plots.figures import note, places, plot_name, save_figure
 from ..plots.overlay import BAND
 from ..plots.style import COLOURS, DPI, WIDTH, axis_title, quantity, style
 from .definition import Search, Study
+from .work import absent, value_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -20,6 +21,8 @@ if TYPE_CHECKING:
 
 Row = Mapping[str, Any]
 Array = NDArray[np.float64]
+TICKS = 12  # values of a parameter that get a tick each
+LOST = "#b3261e"  # of what has no value
 MOST = 6  # figures, and groups of curves, that a picture can hold
 
 
@@ -76,7 +79,8 @@ def _figures(
 
 def chosen(study: Study, rows: Sequence[Row]) -> list[str]:
     """Figures that are drawn: those that the study names, or the first that were measured."""
-    measured = list(dict.fromkeys(k for row in rows for k, v in row["figures"].items() if v is not None))
+    measured = list(dict.fromkeys(k for row in rows for k, v in row["figures"].items()
+                                  if v is not None or k in row.get("never", ())))  # fmt: skip
     named = [*study.figures, *(s.figure for s in study.summaries.values())]
     return [n for n in dict.fromkeys(named or measured) if n in measured][:MOST]
 
@@ -116,36 +120,71 @@ def _name(figure: str, units: Mapping[str, str]) -> str:
 
 
 def _columns(rows: Iterable[Row], parameter: str, figure: str) -> tuple[Array, Array]:
-    pairs = [(row["overrides"][parameter], row["figures"].get(figure)) for row in rows if parameter in row["overrides"]]
-    found = [(x, y) for x, y in pairs if y is not None]
-    return np.array([x for x, _ in found], float), np.array([y for _, y in found], float)
+    """Values of a parameter and of a figure: infinity for never, NaN for not measured."""
+    pairs = [(row["overrides"][parameter], value_of(row, figure)) for row in rows if parameter in row["overrides"]]
+    return np.array([x for x, _ in pairs], float), np.array([y for _, y in pairs], float)
 
 
 def _over(
     rows: Sequence[Row], parameter: str, names: Sequence[str], units: Mapping[str, str], *, banded: bool
 ) -> Figure:
+    """Figures over a parameter; what has no value in a run stands at the top, counted, and takes part in the median."""
     figure, axes = _axes(len(names))
     groups: dict[str, list[Row]] = {}
     for row in rows:
         groups.setdefault(row["case"], []).append(row)
+    most = 1
     for ax, name in zip(axes, names, strict=True):
         for case, mine in list(groups.items())[:MOST]:
             x, y = _columns(mine, parameter, name)
-            if not x.size:
-                continue
-            if not banded:
-                ax.plot(x, y, ".", markersize=3, alpha=0.6, label=case or None)
-                continue
             at = np.unique(x)
-            low, middle, high = (np.array([f(y[x == v]) for v in at]) for f in (np.min, np.median, np.max))
-            (line,) = ax.plot(at, middle, "o-", markersize=3, label=case or None)
-            ax.fill_between(at, low, high, color=line.get_color(), alpha=0.2, linewidth=0)
+            sure = np.isfinite(y)
+            if banded:
+                most = max(most, *(int((x == v).sum()) for v in at))
+                middle = np.array([_median(y[x == v]) for v in at])
+                (line,) = ax.plot(at, middle, "o-", markersize=3, label=case or None)
+                ends = [(v, y[(x == v) & sure]) for v in at if ((x == v) & sure).any()]
+                ax.fill_between([v for v, _ in ends], [w.min() for _, w in ends], [w.max() for _, w in ends],
+                                color=line.get_color(), alpha=0.2, linewidth=0)  # fmt: skip
+                for v in at:
+                    if lost := absent(y[x == v]):
+                        _lost(ax, [v], f"{case}: {lost}" if case else lost)
+                if len(at) <= TICKS:
+                    ax.set_xticks(at)
+                    ax.minorticks_off()
+            else:
+                ax.plot(x[sure], y[sure], ".", markersize=3, alpha=0.6, label=case or None)
+                _lost(ax, x[~sure], "")
+        every = [value_of(row, name) for row in rows]
+        if lost := absent(every):
+            ax.set_title(lost, loc="right", fontsize=9, color=LOST)
         ax.set_xlabel(axis_title(parameter, units.get(parameter, "")))
         ax.set_ylabel(_name(name, units))
-        ax.margins(x=0.03)
+        ax.margins(x=0.05)
+    if banded and most > 1:
+        note(figure, f"line: median of the runs at a value, those that never get there counted as the largest; band: "
+                     f"least to greatest of up to {most} runs")  # fmt: skip
     if len(groups) > 1:
         axes[0].legend(fontsize=9, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3)
     return figure
+
+
+def _median(values: Array) -> float:
+    """Median with what never happens as infinity; NaN, which is not drawn, when that is the median."""
+    known = values[~np.isnan(values)]
+    middle = float(np.median(known)) if known.size else np.nan
+    return middle if np.isfinite(middle) else np.nan
+
+
+def _lost(ax: Axes, x: Sequence[float] | Array, text: str) -> None:
+    """Mark runs without a value at the top of the axes."""
+    for at in x:
+        ax.plot(
+            [at], [0.96], "x", color=LOST, markersize=6, transform=ax.get_xaxis_transform(), clip_on=False, zorder=4
+        )
+        if text:
+            ax.annotate(text, (at, 0.96), (0, -6), xycoords=ax.get_xaxis_transform(), textcoords="offset points",
+                        ha="center", va="top", fontsize=8, color=LOST)  # fmt: skip
 
 
 def _map(rows: Sequence[Row], varied: Sequence[str], name: str, units: Mapping[str, str]) -> Figure:
@@ -161,8 +200,15 @@ def _map(rows: Sequence[Row], varied: Sequence[str], name: str, units: Mapping[s
                 here = z[(x == u) & (y == v)]
                 mean[i, j] = here.mean() if here.size else np.nan
         drawn: Any = ax.pcolormesh(at_x, at_y, mean, shading="nearest", cmap="viridis")
+        for axis, at in ((ax.xaxis, at_x), (ax.yaxis, at_y)):
+            if len(at) <= TICKS:
+                axis.set_ticks(at)
     else:
         drawn = ax.scatter(x, y, c=z, s=8, cmap="viridis")
+    lost = [row for row in rows if row not in sure and all(p in row["overrides"] for p in varied)]
+    if lost:
+        ax.plot(*([row["overrides"][p] for row in lost] for p in varied), "x", color=LOST, markersize=7, clip_on=False)
+        note(figure, f"×: {absent(value_of(row, name) for row in rows)}")
     ax.grid(False)
     ax.set_xlabel(axis_title(varied[0], units.get(varied[0], "")))
     ax.set_ylabel(axis_title(varied[1], units.get(varied[1], "")))
@@ -177,12 +223,20 @@ def _distribution(study: Study, rows: Sequence[Row], names: Sequence[str], units
         groups.setdefault(label(study, row), []).append(row)
     for ax, name in zip(axes, names, strict=True):
         values = [[v for r in mine if (v := r["figures"].get(name)) is not None] for mine in groups.values()]
+        lost = {group: absent(value_of(row, name) for row in mine) for group, mine in groups.items()}
+        if said := absent(value_of(row, name) for row in rows):
+            ax.set_title(said, loc="right", fontsize=9, color=LOST)
         if len(groups) == 1:
             ax.hist(values[0], bins=min(40, max(8, len(values[0]) // 10)), color=COLOURS[0])
             ax.set_xlabel(_name(name, units))
             ax.set_ylabel("Runs")
         else:
-            ax.boxplot(values, orientation="horizontal", tick_labels=list(groups), flierprops={"markersize": 3})
+            ax.boxplot(
+                values,
+                orientation="horizontal",
+                tick_labels=[f"{g} ({t})" if t else g for g, t in lost.items()],
+                flierprops={"markersize": 3},
+            )
             ax.set_xlabel(_name(name, units))
             ax.tick_params(axis="y", labelsize=7)
         ax.margins(x=0.03)
@@ -191,11 +245,17 @@ def _distribution(study: Study, rows: Sequence[Row], names: Sequence[str], units
 
 def _history(search: Search, rows: Sequence[Row], units: Mapping[str, str]) -> Figure:
     figure, (ax,) = _axes(1, 3.5)
-    pairs = [(row["number"], row["figures"].get(search.figure)) for row in rows]
-    n, y = (np.array(c, float) for c in zip(*[(n, y) for n, y in pairs if y is not None], strict=True))
-    ax.plot(n, y, ".", markersize=4, alpha=0.5, label="run")
-    best = np.minimum.accumulate(y) if search.aim == "minimise" else np.maximum.accumulate(y)
-    ax.step(n, best, where="post", label="best so far")
+    n, y = (np.array([f(row) for row in rows], float)
+            for f in (lambda r: r["number"], lambda r: value_of(r, search.figure)))  # fmt: skip
+    sure = np.isfinite(y)
+    kept = sure & [all(limits.holds(value_of(row, f)) for f, limits in search.subject_to.items()) for row in rows]
+    ax.plot(n[kept], y[kept], ".", markersize=4, alpha=0.5, label="run")
+    if not kept.all():
+        ax.plot(n[sure & ~kept], y[sure & ~kept], "x", markersize=4, alpha=0.5, color=LOST, label="beyond the limits")
+    better = np.minimum if search.aim == "minimise" else np.maximum
+    ax.step(n[kept], better.accumulate(y[kept]), where="post", label="best so far")
+    if said := absent(value_of(row, search.figure) for row in rows):
+        ax.set_title(said, loc="right", fontsize=9, color=LOST)
     ax.set_xlabel("Run")
     ax.set_ylabel(_name(search.figure, units))
     ax.margins(x=0.03)

@@ -27,7 +27,7 @@ def without_signals(rows: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def write_table(rows: Sequence[Row], folder: Path, duration: float | None = None) -> None:
-    """Write ``table.parquet`` and ``table.csv``: number, scenario, case, seed, parameters, figures, command."""
+    """Write ``table.parquet`` and ``table.csv``: number, scenario, parameters, figures, which never happen."""
     import pyarrow
     import pyarrow.csv
     import pyarrow.parquet
@@ -37,6 +37,7 @@ def write_table(rows: Sequence[Row], folder: Path, duration: float | None = None
     columns: dict[str, list[Any]] = {k: [row[k] for row in rows] for k in ("number", "scenario", "case", "seed")}
     columns |= {name: _column([row["overrides"].get(name) for row in rows]) for name in parameters}
     columns |= {f"figure.{name}": [row["figures"].get(name) for row in rows] for name in figures}
+    columns["never"] = [" ".join(row.get("never", ())) for row in rows]
     columns |= {k: [row[k] for row in rows] for k in ("passed", "error", "wall_s")}
     columns["command"] = [command(row, duration) for row in rows]
     table = pyarrow.table(columns)

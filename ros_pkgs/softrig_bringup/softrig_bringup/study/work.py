@@ -53,10 +53,25 @@ def run(work: Work) -> dict[str, Any]:
     if missing:
         raise ScenarioError(f"{case.scenario} has no figure {min(missing)!r}")
     row["figures"] = {r.name: r.number if np.isfinite(r.number) else None for r in wanted}
+    row["never"] = [r.name for r in wanted if r.number == np.inf]
     row["passed"] = not done.missed
     if work.signals:
         row["signals"] = {name: _sampled(done.signals[name], work.samples) for name in work.signals}
     return row | {"wall_s": time.perf_counter() - started}
+
+
+def value_of(row: Mapping[str, Any], figure: str) -> float:
+    """Give a figure of a row: infinity for what never happens, NaN for what was not measured."""
+    value = row["figures"].get(figure)
+    return float(value) if value is not None else np.inf if figure in row.get("never", ()) else np.nan
+
+
+def absent(values: Iterable[float]) -> str:
+    """Say of how many runs there is no value: ``1 of 3 never``; empty when all have one."""
+    found = np.array(list(values), float)
+    never, lost = int(np.isposinf(found).sum()), int(np.isnan(found).sum())
+    parts = [f"{never} of {found.size} never"] if never else []
+    return ", ".join(parts + ([f"{lost} of {found.size} not measured"] if lost else []))
 
 
 def _sampled(signal: Any, samples: int) -> dict[str, Any]:
@@ -151,8 +166,8 @@ class Log:
 
 
 _KINDS: dict[str, type | tuple[type, ...]] = {
-    "number": int, "scenario": str, "case": str, "seed": int, "overrides": dict, "figures": dict, "passed": bool,
-    "error": str, "wall_s": (int, float), "signals": dict,
+    "number": int, "scenario": str, "case": str, "seed": int, "overrides": dict, "figures": dict, "never": list,
+    "passed": bool, "error": str, "wall_s": (int, float), "signals": dict,
 }  # fmt: skip
 
 
@@ -162,7 +177,7 @@ def _row(line: bytes) -> dict[str, Any] | None:
         row = json.loads(line)
     except ValueError:
         return None
-    if not isinstance(row, dict) or not _KINDS.keys() - {"signals"} <= row.keys() <= _KINDS.keys():
+    if not isinstance(row, dict) or not _KINDS.keys() - {"signals", "never"} <= row.keys() <= _KINDS.keys():
         return None
     right = all(isinstance(v, _KINDS[k]) for k, v in row.items())
     return row if right and all(v is None or isinstance(v, float | int) for v in row["figures"].values()) else None
