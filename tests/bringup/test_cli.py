@@ -517,14 +517,37 @@ def test_a_current_directory_that_has_been_removed_is_named(tmp_path):
     assert found.stderr == "softrig: the current directory has been removed; change to one that exists\n"
 
 
-def test_a_full_disk_names_the_folder(folder):
-    def limit():
-        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-        resource.setrlimit(resource.RLIMIT_FSIZE, (500, 500))
+def on_a_full_disk(limit, *arguments):
+    """Run a command that can write no file beyond a size."""
 
-    found = command("run", "lag", "--mode", "inprocess", "--out", "a", preexec_fn=limit, capture_output=True, text=True)
+    def full():
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
+
+    # Python itself would leave a cut .pyc, which nobody can import any more
+    environment = os.environ | {"PYTHONDONTWRITEBYTECODE": "1", "ROS_DOMAIN_ID": "230"}
+    return command(*arguments, preexec_fn=full, capture_output=True, text=True, env=environment)
+
+
+def test_a_full_disk_names_the_folder(folder):
+    found = on_a_full_disk(500, "run", "lag", "--mode", "inprocess", "--out", "a")
     assert found.returncode == 3
     assert found.stderr == f"softrig: {folder}/a: File too large\n"
+
+
+@pytest.mark.parametrize(("limit", "words", "path"), [
+    (100, ["study", "lag", "--seeds", "3", "--workers", "1", "--out", "a"], "a/study.json"),
+    (1000, ["study", "lag", "--seeds", "30", "--workers", "1", "--out", "a"], "a/rows.jsonl"),
+    (5000, ["study", "lag", "--seeds", "3", "--workers", "1", "--out", "a"], "a/.new/report.html"),
+    (2000, ["results", "--workers", "1", "--out", "a"], "a/results.html"),
+    (100_000, ["record", "--output", "a", "/x"], "a"),
+])  # fmt: skip
+def test_a_full_disk_names_the_file_and_nothing_half_stays(limit, words, path, folder):
+    done = on_a_full_disk(limit, *words)
+    assert done.returncode == 3, done.stderr
+    assert re.search(rf"softrig: (/.*/)?{re.escape(path)}: File too large$", done.stderr, re.MULTILINE), done.stderr
+    left = {p.name for p in (folder / "a").rglob("*")} if (folder / "a").exists() else set()
+    assert left <= {"study.json", "rows.jsonl", "softrig_files.json"}
 
 
 def test_what_a_run_waits_for_is_told_whole_and_in_lines(capsys):

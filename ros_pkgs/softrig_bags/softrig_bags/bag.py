@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Protocol
+
+from softrig_core.guard import naming
 
 from .errors import BagError
 from .mcap_file import McapFile
@@ -73,7 +76,7 @@ class BagWriter:
     BagError
         Unknown storage or compression, or the directory exists.
     OSError
-        The disk is full or broken; `salvage` closes the bag without what did not fit.
+        The disk is full or broken, and nothing is left there; later, `salvage` closes the bag without what did not fit.
     """
 
     def __init__(
@@ -107,9 +110,14 @@ class BagWriter:
         self._files: list[StorageFile] = []
         self._unwritten = 0
         self._reserve = directory / ".reserve"
-        if reserve:
-            self._reserve.write_bytes(bytes(reserve))
-        self._open_file()
+        try:
+            with naming(directory):
+                if reserve:
+                    self._reserve.write_bytes(bytes(reserve))
+                self._open_file()
+        except OSError:
+            shutil.rmtree(directory, ignore_errors=True)  # it holds nothing
+            raise
 
     def _open_file(self) -> None:
         kind = STORAGES[self._storage_id]

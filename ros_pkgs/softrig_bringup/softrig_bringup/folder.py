@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from softrig_core import ScenarioError
+from softrig_core.guard import naming
 
 MANIFEST = "softrig_files.json"
 UNDER_WAY = "*"  # in place of a list: a run has begun here and not ended; all that a run may write is its own
@@ -115,7 +116,8 @@ class ResultsFolder:
         shutil.rmtree(new, ignore_errors=True)  # of a call that was killed
         new.mkdir()
         try:
-            yield new
+            with naming(self.path):
+                yield new
             files = sorted(_files(new))
             for file in files:
                 if file in self._foreign:
@@ -151,8 +153,9 @@ def replace(path: Path, text: str) -> None:
     """Write a file that appears whole or not at all; a link in its place is replaced, not followed."""
     temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
-        temporary.write_text(text, encoding="utf-8")
-        temporary.replace(path)
+        with naming(path):
+            temporary.write_text(text, encoding="utf-8")
+            temporary.replace(path)
     finally:
         temporary.unlink(missing_ok=True)
 

@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 import base64
-import os
 import struct
 from collections.abc import Sequence
 from pathlib import Path
 from xml.etree.ElementTree import Element, tostring
+
+from .folder import replace
 
 NONE = "–"  # in a cell that has nothing to say
 
 
 def write_page(output: Path, title: str, body: Sequence[Element]) -> None:
     """Write a page; the file appears complete or not at all."""
-    temporary = output.with_name(output.name + ".part")
-    temporary.write_text(page(title, body), encoding="utf-8")
-    os.replace(temporary, output)
+    replace(output, page(title, body))
 
 
 def page(title: str, body: Sequence[Element]) -> str:

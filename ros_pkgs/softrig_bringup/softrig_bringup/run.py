@@ -18,6 +18,7 @@ from typing import Any, Literal
 
 from softrig_core import Block, Observer, Recording, Rig, Run, RunError, Scenario, Scene, figures_of, run_inprocess
 from softrig_core.bits import blas_core, math_digest, simd_level
+from softrig_core.guard import naming
 from softrig_core.model.params import declarations, flatten
 from softrig_core.model.port import CLOCK
 from softrig_core.rig.code import fingerprints
@@ -226,11 +227,8 @@ def save(
     directory = folder.path
     directory.mkdir(parents=True, exist_ok=True)
     try:
-        _write(run, content, directory, record=record, plots=plots, also=also)
-    except OSError as error:
-        if error.filename is None:  # of a write that failed; of an open, Python says it
-            error.filename = str(directory)
-        raise
+        with naming(directory):
+            _write(run, content, directory, record=record, plots=plots, also=also)
     finally:
         folder.close()
 

@@ -9,8 +9,9 @@ import re
 import shlex
 import signal
 import sys
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
 from typing import Any
 
 from .errors import RunError, ScenarioError
@@ -77,6 +78,17 @@ def tell(who: str, what: object) -> None:
     text = plain(" ".join(str(what).split()))
     with suppress(OSError, ValueError):
         print(f"{who}: {text if len(text) <= LINE else text[:LINE] + ' ...'}", file=sys.stderr, flush=True)
+
+
+@contextmanager
+def naming(path: Path) -> Iterator[None]:
+    """Name the file or folder that an OSError is about where Python does not: of an open it does, of a write not."""
+    try:
+        yield
+    except OSError as error:
+        if error.filename is None:
+            error.filename = str(path)
+        raise
 
 
 def plain(text: str) -> str:

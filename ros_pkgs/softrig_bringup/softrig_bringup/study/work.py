@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from softrig_core import RunError, ScenarioError, load_scenario, simulate
+from softrig_core.guard import naming
 
 from .draw import Case
 
@@ -146,8 +147,9 @@ class Log:
 
     def add(self, row: dict[str, Any]) -> None:
         """Write one row to the disk."""
-        self._file.write(json.dumps(row, separators=(",", ":")).encode() + b"\n")
-        self._file.flush()
+        with naming(self.path):
+            self._file.write(json.dumps(row, separators=(",", ":")).encode() + b"\n")
+            self._file.flush()
         self._known[row["number"]] = _content(row)
 
     def rows(self) -> Iterator[dict[str, Any]]:
@@ -162,7 +164,8 @@ class Log:
 
     def close(self) -> None:
         """Close the file."""
-        self._file.close()
+        with naming(self.path):
+            self._file.close()
 
 
 _KINDS: dict[str, type | tuple[type, ...]] = {
