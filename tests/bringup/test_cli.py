@@ -539,7 +539,6 @@ def test_a_full_disk_names_the_folder(folder):
     (100, ["study", "lag", "--seeds", "3", "--workers", "1", "--out", "a"], "a/study.json"),
     (1000, ["study", "lag", "--seeds", "30", "--workers", "1", "--out", "a"], "a/rows.jsonl"),
     (5000, ["study", "lag", "--seeds", "3", "--workers", "1", "--out", "a"], "a/.new/report.html"),
-    (2000, ["results", "--workers", "1", "--out", "a"], "a/results.html"),
     (100_000, ["record", "--output", "a", "/x"], "a"),
 ])  # fmt: skip
 def test_a_full_disk_names_the_file_and_nothing_half_stays(limit, words, path, folder):
