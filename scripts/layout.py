@@ -1,21 +1,23 @@
 """Where the files of the packages in ros_pkgs go below an install prefix.
 
 `colcon build --symlink-install` needs 10 s for nine packages of pure Python; this, from the same setup.cfg files, a
-tenth of a second (a test holds one against the other). `python layout.py PREFIX` makes links; the wheel is made of the
-same lists.
+tenth of a second (a test holds one against the other). `python layout.py PREFIX` makes links, `python layout.py PREFIX
+DIR` those of the packages in DIR; the wheel is made of the same lists.
 """
 
 import os
 import shlex
 import shutil
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from configparser import ConfigParser
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 Tree = dict[str, Path | str]  # by place below the prefix: the file to link or copy, or what it says
 
+OURS = ("ros_pkgs/*/setup.cfg",)
+WORKSPACE = ("setup.cfg", "*/setup.cfg", "src/*/setup.cfg")  # where a workspace may have packages
 SHELL = """# Source me from any POSIX shell. Made by scripts/layout.py.
 export AMENT_PREFIX_PATH={prefix}"${{AMENT_PREFIX_PATH:+:$AMENT_PREFIX_PATH}}"
 export PYTHONPATH={library}"${{PYTHONPATH:+:$PYTHONPATH}}"
@@ -28,9 +30,10 @@ sys.exit({function}())
 """
 
 
-def packages(root: Path = ROOT) -> Iterator[tuple[str, Path, ConfigParser]]:
+def packages(root: Path = ROOT, places: Sequence[str] = OURS) -> Iterator[tuple[str, Path, ConfigParser]]:
     """Give each package's name, folder and setup.cfg."""
-    for file in sorted(root.glob("ros_pkgs/*/setup.cfg")):
+    files = (file for place in places for file in root.glob(place))
+    for file in sorted(file for file in files if file.with_name("package.xml").is_file()):
         config = ConfigParser(delimiters=("=",))
         config.optionxform = str  # type: ignore[assignment,method-assign] # names keep their case
         config.read_string(file.read_text(encoding="utf-8"))
@@ -40,7 +43,7 @@ def packages(root: Path = ROOT) -> Iterator[tuple[str, Path, ConfigParser]]:
 def share(folder: Path, config: ConfigParser) -> Tree:
     """Give the data files of a package: its marker in the ament index, package.xml, launch files and the like."""
     found: Tree = {}
-    for place, patterns in config["options.data_files"].items():
+    for place, patterns in config.items("options.data_files") if config.has_section("options.data_files") else ():
         for pattern in patterns.replace("\n", ",").split(","):
             for file in sorted((folder / os.path.dirname(pattern.strip())).glob(os.path.basename(pattern.strip()))):
                 found[f"{place}/{file.name}"] = file.resolve()
@@ -58,9 +61,9 @@ def executables(name: str, config: ConfigParser) -> Iterator[tuple[str, str]]:
 
 def metadata(name: str, config: ConfigParser) -> Tree:
     """Give what importlib.metadata reads of a package."""
-    version = config["metadata"]["version"]
+    version = config["metadata"].get("version", "0")
     groups = config["options.entry_points"].items() if config.has_section("options.entry_points") else ()
-    said = f"Metadata-Version: 2.1\nName: {name}\nVersion: {version}\nSummary: {config['metadata']['description']}\n"
+    said = f"Metadata-Version: 2.1\nName: {name}\nVersion: {version}\nSummary: {config['metadata'].get('description', name)}\n"
     points = "\n".join(f"[{group}]\n{lines.strip()}\n" for group, lines in groups)
     return {f"{name}-{version}.egg-info/{file}": text for file, text in
             (("PKG-INFO", said), ("entry_points.txt", points))}  # fmt: skip
@@ -71,7 +74,7 @@ def library() -> str:
     return f"lib/python{sys.version_info[0]}.{sys.version_info[1]}/site-packages"
 
 
-def lay_out(prefix: Path, root: Path = ROOT) -> None:
+def lay_out(prefix: Path, root: Path = ROOT, places: Sequence[str] = OURS) -> None:
     """Make a prefix whose files are links to those of the checkout, so that editing a Python file needs no new one.
 
     Parameters
@@ -79,11 +82,13 @@ def lay_out(prefix: Path, root: Path = ROOT) -> None:
     prefix : Path
         What is there goes: a package that is gone leaves no trace.
     root : Path, optional
+    places : sequence of str
+        Patterns of the setup.cfg files below `root`.
     """
     tree: Tree = {
         "setup.sh": SHELL.format(prefix=shlex.quote(str(prefix)), library=shlex.quote(str(prefix / library())))
     }
-    for name, folder, config in packages(root):
+    for name, folder, config in packages(root, places):
         tree |= share(folder, config) | {f"{library()}/{k}": v for k, v in metadata(name, config).items()}
         tree |= {f"{library()}/{name}": folder / name}
         tree |= {place: f"#!{sys.executable}\n{text}" for place, text in executables(name, config)}
@@ -102,4 +107,5 @@ def lay_out(prefix: Path, root: Path = ROOT) -> None:
 
 
 if __name__ == "__main__":
-    lay_out(Path(sys.argv[1]).absolute())
+    below = (Path(sys.argv[2]).absolute(), WORKSPACE) if len(sys.argv) > 2 else (ROOT, OURS)
+    lay_out(Path(sys.argv[1]).absolute(), *below)

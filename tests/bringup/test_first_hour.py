@@ -98,21 +98,16 @@ def user():
 
 @pytest.fixture(scope="module")
 def package(user):
-    """The package that `softrig new` writes, with a law of the user's own added, built by colcon."""
+    """The package that `softrig new` writes, with a law of the user's own added, and built by nobody."""
     out, _ = user(f"'{SOFTRIG}' new heater")
-    assert "softrig colcon build" in out
+    assert "--workspace heater run heater" in out
     folder = user.folder / "heater"
     (folder / "heater" / "motor_law.py").write_text(LAW)
     setup = folder / "setup.cfg"
     setup.write_text(
         setup.read_text().replace("    heater_plant =", "    motor_law = heater.motor_law:main\n    heater_plant =")
     )
-    build(user)
     return folder
-
-
-def build(user):
-    return user(f"""cd heater && '{SOFTRIG}' colcon build --symlink-install""")
 
 
 def test_somebody_changes_a_gain(user):
@@ -162,11 +157,29 @@ def test_the_package_runs_at_once_in_both_lockstep_modes(user, package):
     assert all(f["pass"] for f in figures[0])
 
 
+def test_a_workspace_is_remembered_follows_what_comes_and_is_forgotten(user, package):
+    user(f"'{SOFTRIG}' --workspace heater list heater")
+    assert "linear-quadratic" in user(f"'{SOFTRIG}' list heater")[0]
+    (package / "scenarios" / "heater_more.yaml").write_text("extends: heater\nduration: 1.0\n")
+    setup, old = package / "setup.cfg", (package / "setup.cfg").read_text()
+    setup.write_text(old.replace("scenarios/heater.yaml", "scenarios/*.yaml"))
+    assert "heater_more" in user(f"'{SOFTRIG}' list heater")[0]
+    (package / "scenarios" / "heater_more.yaml").unlink()
+    assert "heater_more" not in user(f"'{SOFTRIG}' list heater")[0]
+    setup.write_text(old)
+    assert not user(f"SOFTRIG_WORKSPACE=none '{SOFTRIG}' list heater")[0]
+    assert not user(f"'{SOFTRIG}' --workspace none list heater")[0]
+    assert not user(f"'{SOFTRIG}' list heater")[0]
+    _, error = user(f"'{SOFTRIG}' --workspace nowhere list", status=2)
+    assert "--workspace 'nowhere': no ROS package there" in error
+
+
 @pytest.mark.processes
 def test_an_overlay_sourced_before_is_honoured(user, package):
+    user(f"cd heater && '{SOFTRIG}' colcon build --symlink-install")
     out, _ = user(f"""cd heater && eval "$('{SOFTRIG}' env)" && . install/local_setup.sh && cd .. &&
         softrig list heater && '{SOFTRIG}' run heater --mode inprocess --no-plots""")
-    assert "A heated body under PI control" in " ".join(out.split())
+    assert "An inverted pendulum under linear-quadratic control" in " ".join(out.split())
 
 
 @pytest.mark.processes

@@ -82,5 +82,5 @@ def main(name: str, parent: Path) -> int:
     folder = new_package(name, parent)
     shown = shlex.quote(os.path.relpath(folder))
     print(f"wrote {shown}: a plant, a law, their scenario, tests, README.md; now:")
-    print(f"  cd {shown}\n  {command()} colcon build\n  {command()} --workspace . run {name}")
+    print(f"  {command()} --workspace {shown} run {name}")
     return 0

@@ -10,14 +10,9 @@ from .discretise import Matrix, matmul
 def steady_kalman_gain(
     a: Sequence[Sequence[float]], c: Sequence[Sequence[float]], q: Sequence[float], r: Sequence[float]
 ) -> Matrix:
-    r"""Gain K of the measurement update x = x- + K (y - C x-) once the covariance no longer changes.
+    """Gain K of the measurement update x = x- + K (y - C x-) once the covariance no longer changes.
 
-    The covariance H before a measurement by doubling: each step makes as many of the filter's as all before it.
-
-    .. math::
-        A \leftarrow A W A, \quad G \leftarrow G + A W G A^T, \quad H \leftarrow H + A^T H W A, \quad W = (1 + G H)^{-1}
-
-    from :math:`A^T, C^T R^{-1} C, Q` (E. K.-W. Chu et al., Int. J. Systems Science 35, 2004).
+    The covariance before a measurement solves `riccati` with the transposed of A, C^T R^-1 C and Q.
 
     Parameters
     ----------
@@ -38,16 +33,11 @@ def steady_kalman_gain(
     import numpy as np
     from softrig_core.model.dense import product, solve
 
+    from .riccati import riccati
+
     C = np.array(c, dtype=float)
-    A, G, H = np.array(a, dtype=float).T, product(C.T / np.array(r, dtype=float), C), np.diag(np.array(q, dtype=float))
-    for _ in range(60):
-        W = solve(np.eye(len(A)) + product(G, H), np.eye(len(A)))
-        AW, more = product(A, W), product(product(A.T, H), product(W, A))
-        G = G + product(product(AW, G), A.T)
-        A, H = product(AW, A), H + more
-        if np.max(np.abs(A)) < 1e-20:  # what is left of the start
-            break
-    else:
+    H = riccati(np.transpose(a), product(C.T / np.array(r, dtype=float), C), np.diag(np.array(q, dtype=float)))
+    if H is None:
         raise np.linalg.LinAlgError("no steady filter: a state is neither measured nor stable")
     CH = product(C, H)
     K = solve(product(CH, C.T) + np.diag(r), CH).T

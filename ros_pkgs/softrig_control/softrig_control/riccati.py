@@ -1,0 +1,87 @@
+"""The algebraic Riccati equation of sampled systems, and the feedback that minimises a quadratic cost."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from softrig_core.model.dense import product, solve
+
+from .discretise import Matrix
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+    Array = NDArray[np.float64]
+
+
+def riccati(a: ArrayLike, g: ArrayLike, h: ArrayLike) -> Array | None:
+    r"""Solution of the discrete Riccati equation :math:`X = A^T X (1 + G X)^{-1} A + H`, None when there is none.
+
+    By doubling: each step makes as many of the recursion's as all before it, with the same bits on every CPU.
+
+    .. math::
+        A \leftarrow A W A, \quad G \leftarrow G + A W G A^T, \quad H \leftarrow H + A^T H W A, \quad W = (1 + G H)^{-1}
+
+    Parameters
+    ----------
+    a, g, h : (n, n) array_like
+        G and H symmetric, not negative.
+
+    References
+    ----------
+    E. K.-W. Chu et al., Int. J. Systems Science 35, 2004.
+    """
+    A, G, H = (np.array(x, dtype=float) for x in (a, g, h))
+    for _ in range(60):
+        W = solve(np.eye(len(A)) + product(G, H), np.eye(len(A)))
+        AW, more = product(A, W), product(product(A.T, H), product(W, A))
+        G = G + product(product(AW, G), A.T)
+        A, H = product(AW, A), H + more
+        if np.max(np.abs(A)) < 1e-20:  # what is left of the start
+            return H
+    return None
+
+
+def lqr(a: ArrayLike, b: ArrayLike, q: ArrayLike, r: ArrayLike) -> Matrix:
+    r"""Gain K of the law :math:`u = -K x` that minimises :math:`\sum x^T Q x + u^T R u` on :math:`x_{k+1} = A x_k + B u_k`.
+
+    The sampled model of a plant around a point is ``Sampled(plant).linearise(x, u)``, with its A and B.
+
+    Parameters
+    ----------
+    a : (n, n) array_like
+    b : (n, m) array_like
+    q : (n,) or (n, n) array_like
+        Weights of the states, or their matrix.
+    r : (m,) or (m, m) array_like
+        Weights of the inputs, all positive, or their matrix.
+
+    Returns
+    -------
+    tuple of m tuples of n float
+
+    Raises
+    ------
+    ValueError
+        Sizes that do not fit, or no such law: a state that grows and is not reached or not weighed.
+    """
+    A, B = np.array(a, dtype=float), np.array(b, dtype=float)
+    Q, R = (np.diag(x) if x.ndim == 1 else x for x in (np.array(q, dtype=float), np.array(r, dtype=float)))
+    n, m = B.shape if B.ndim == 2 else (0, 0)
+    if A.shape != (n, n) or Q.shape != (n, n) or R.shape != (m, m):
+        raise ValueError(
+            f"A is {A.shape}, B {B.shape}, Q {Q.shape}, R {R.shape}: expected (n, n), (n, m), (n, n), (m, m)"
+        )
+    try:
+        with np.errstate(over="ignore", invalid="ignore"):  # what has no solution grows beyond all numbers
+            X = riccati(A, product(B, solve(R, B.T)), Q)
+    except np.linalg.LinAlgError:
+        X = None
+    if X is None or not np.isfinite(X).all():
+        raise ValueError(
+            "no such law: R is singular, or a state that grows is not reached by the inputs or not weighed"
+        )
+    XB = product(X, B)
+    K = solve(R + product(B.T, XB), product(XB.T, A))
+    return tuple(tuple(map(float, row)) for row in K)

@@ -1,0 +1,41 @@
+"""Linear-quadratic laws against python-control, and by what they mean."""
+
+import control
+import numpy as np
+import pytest
+from softrig_control.riccati import lqr
+from softrig_core import Sampled
+from softrig_drives.dc_motor.plant import DcMotorPlant
+
+
+@pytest.mark.parametrize("inputs", [1, 2])
+def test_lqr_is_that_of_the_control_library(inputs):
+    rng = np.random.default_rng(3)
+    for n in (1, 2, 4):
+        a, b = 1.2 * rng.normal(size=(n, n)), rng.normal(size=(n, inputs))
+        half = rng.normal(size=(n, n))
+        q, r = half @ half.T + np.eye(n), np.diag(rng.uniform(0.5, 2.0, inputs))
+        assert np.array(lqr(a, b, q, r)) == pytest.approx(control.dlqr(a, b, q, r)[0], rel=1e-8, abs=1e-10)
+        diagonal = control.dlqr(a, b, np.eye(n), np.diag([2.0] * inputs))[0]
+        assert np.array(lqr(a, b, [1.0] * n, [2.0] * inputs)) == pytest.approx(diagonal, rel=1e-8, abs=1e-10)
+
+
+def test_the_law_of_a_plant_makes_its_loop_stable():
+    model = Sampled(DcMotorPlant()).linearise((0.0, 0.0, 0.0), (0.0,))
+    assert max(abs(np.linalg.eigvals(model.A))) == pytest.approx(1.0)  # the angle
+    loop = model.A - model.B @ np.array(lqr(model.A, model.B, (100.0, 1.0, 0.0), (0.1,)))
+    assert max(abs(np.linalg.eigvals(loop))) < 0.999
+
+
+@pytest.mark.parametrize(
+    ("a", "b", "q", "r", "said"),
+    [
+        ([[2.0]], [[0.0]], [1.0], [1.0], "no such law"),  # grows, not reached
+        ([[1.5]], [[1.0]], [1.0], [0.0], "no such law"),
+        ([[1.0]], [1.0], [1.0], [1.0], r"B \(1,\)"),
+        ([[1.0]], [[1.0]], [1.0, 2.0], [1.0], r"Q \(2, 2\)"),
+    ],
+)
+def test_what_has_no_law_is_told(a, b, q, r, said):
+    with pytest.raises(ValueError, match=said):
+        lqr(a, b, q, r)
