@@ -65,7 +65,7 @@ _SCRIPT = {
 def _parser() -> argparse.ArgumentParser:
     parser = Parser(
         prog="softrig", description="Closed loops over ROS 2 topics that come out the same every time.",
-        epilog="Before the verb: --workspace DIR, also the packages that colcon has built in DIR.",
+        epilog="Before the verb: --workspace DIR, also the packages in DIR; remembered, until --workspace none.",
     )  # fmt: skip
     parser.add_argument("--version", action=_Version, nargs=0, help="print version and commit")
     verbs = parser.add_subparsers(required=True, metavar="VERB")

@@ -44,9 +44,9 @@ def riccati(a: ArrayLike, g: ArrayLike, h: ArrayLike) -> Array | None:
 
 
 def lqr(a: ArrayLike, b: ArrayLike, q: ArrayLike, r: ArrayLike) -> Matrix:
-    r"""Gain K of the law :math:`u = -K x` that minimises :math:`\sum x^T Q x + u^T R u` on :math:`x_{k+1} = A x_k + B u_k`.
+    r"""Gain K of the law :math:`u = -K x` that minimises :math:`\sum x^T Q x + u^T R u`.
 
-    The sampled model of a plant around a point is ``Sampled(plant).linearise(x, u)``, with its A and B.
+    Of :math:`x_{k+1} = A x_k + B u_k`; a plant around a point has A and B in ``Sampled(plant).linearise(x, u)``.
 
     Parameters
     ----------
