@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -75,20 +74,36 @@ def _nominal(space: Space, case: Case, still: Callable[[Case], bool]) -> Case:
         left = {k: v for k, v in overrides.items() if k != target}
         if still((scenario, left)):
             case = scenario, left
-        elif not over.count:
-            bad, good = float(overrides[target]), float(nominal)
-            log = over.log and good > 0.0
-            for _ in range(HALVINGS):
-                middle = math.sqrt(bad * good) if log else (bad + good) / 2.0
-                value = round(middle) if whole else middle
-                if value in (bad, good):
-                    break
-                if still((scenario, left | {target: value})):
-                    bad = value
-                else:
-                    good = value
-            case = scenario, left | {target: round(bad) if whole else bad}
+        else:
+            case = _nearer(over, target, nominal, whole, case, still)
     return case
+
+
+def _nearer(
+    over: Over, target: str, nominal: Any, whole: bool, case: Case, still: Callable[[Case], bool]
+) -> Case:  # fmt: skip
+    """A parameter between its nominal value and its own, as near to the former as the violation lasts; lists as a whole."""
+    scenario, overrides = case
+    worst, good = (x if isinstance(x, list) else [x] for x in (overrides[target], nominal))
+    if len(worst) != len(good):
+        return case
+    log = over.log and min(good) > 0.0
+
+    def between(share: float) -> Any:
+        values = [a * (b / a) ** share if log else a + (b - a) * share for a, b in zip(good, worst, strict=True)]
+        values = [round(v) for v in values] if whole else values
+        return values if over.count else values[0]
+
+    low, high = 0.0, 1.0
+    for _ in range(HALVINGS):
+        middle = (low + high) / 2.0
+        if between(middle) in (between(low), between(high)):
+            break
+        if still((scenario, overrides | {target: between(middle)})):
+            high = middle
+        else:
+            low = middle
+    return scenario, overrides | {target: between(high)}
 
 
 def _fewer_steps(space: Space, case: Case) -> Iterator[Case]:
