@@ -455,3 +455,19 @@ def test_the_report_of_several_runs_overlays_their_bags(tmp_path):
     for png in re.findall(r'src="data:image/png;base64,([^"]*)"', page):
         width, height = struct.unpack(">II", base64.b64decode(png)[16:24])
         assert f'width="{width}" height="{height}"' in page
+
+
+def test_intervals_in_which_a_requirement_does_not_hold_are_shaded():
+    rig = Rig.from_scenario(
+        make_scenario(
+            {"plant": "plant", "source": "source", "gain": "gain"},
+            1.0,
+            shared={"state": "lag/state/x/position"},
+            requirements={"low": "always[0.2, 0.8] state <= 0.3"},
+        )
+    )
+    run = simulate(rig)
+    (mark,) = marks_of(rig, run.signals)["lag/state/x/position"]
+    (low,) = [r for r in run.results if r.name == "low"]
+    assert (mark.axis, mark.start, mark.end) == ("violated", *low.violated_s[0])
+    assert low.violated_s[0][0] <= low.at_s <= low.violated_s[0][1]

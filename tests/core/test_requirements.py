@@ -8,6 +8,7 @@ from conftest import make_scenario
 from hypothesis import given, settings, strategies as st
 from softrig_core.errors import ScenarioError
 from softrig_core.model.timebase import SECOND
+from softrig_core.rig.expectation import Expectation
 from softrig_core.rig.figures import evaluate, figures_of
 from softrig_core.rig.formula import Record, horizon, margin_unit, read, variables
 from softrig_core.rig.rig import Rig
@@ -240,3 +241,26 @@ def test_the_unit_of_a_margin():
     for wrong in ("always v + i > 0", "always min(v, w) > 0", "always w^2 > w", "always sqrt(v) > 1"):
         with pytest.raises(ScenarioError):
             unit(wrong)
+
+
+def test_what_has_not_come_yet_compares_as_false(tmp_path):
+    nodes = {"plant": "plant", "burst": {"executable": "burst", "parameters": {"at": [0.05]}}, "gain": "burst_gain"}
+    rig = Rig.from_scenario(make_scenario(nodes, 0.2))
+    topic = next(p.topic for m in rig.members for p in m.outputs if p.sporadic)
+    label = rig.topics[topic].labels[0]
+    formulas = {"comes": "eventually burst > -1e9", "from_the_start": "always burst > -1e9"}
+    scenario = make_scenario(nodes, 0.2, shared={"burst": f"{topic}/{label}"}, requirements=formulas)
+    run = simulate(Rig.from_scenario(scenario))
+    margins = {r.name: r.number for r in run.results}
+    assert margins["comes"] > 0.0
+    assert margins["from_the_start"] == -math.inf
+    spans = next(r.violated_s for r in run.results if r.name == "from_the_start")
+    assert spans[0][0] == 0.0
+    assert spans[-1][1] < 0.05
+
+
+def test_a_scenario_may_expect_that_a_requirement_is_violated():
+    rig = wired("always[0.2, 0.8] state <= 0.3")
+    scenario = rig.scenario.model_copy(update={"expect": {"it": Expectation(at_most=0.0)}})
+    run = simulate(Rig.from_scenario(scenario))
+    assert [r.passed for r in run.results] == [True]

@@ -209,7 +209,7 @@ def _print_figures(content: Mapping[str, Any], run: Run, out: Path) -> None:
     from rich.table import Table
 
     from .listing import console as make_console, styled
-    from .wording import NEVER, accepted, in_words, measured_here
+    from .wording import NEVER, accepted, in_words, measured_here, spans
 
     console = make_console()
     changed: Sequence[str] = content["changed"]
@@ -231,6 +231,8 @@ def _print_figures(content: Mapping[str, Any], run: Run, out: Path) -> None:
     for f in run.results:
         if f.error and f.error != NEVER:
             console.print(f"{f.name}: {f.error}")
+        if f.violated_s:
+            console.print(f"{f.name}: violated {spans(f.violated_s)}; its margin is least at {f.at_s:.6g} s")
     for claim in run.claims:
         if claim.holds is False and not changed:
             console.print(styled((f"claim {claim.key}", "red"), f": {claim.false}"))

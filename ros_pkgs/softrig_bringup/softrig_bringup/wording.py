@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 from softrig_core.rig.claims import NEVER
 from softrig_core.rig.figures import DECIDED, Result
 
 from .html import NONE
 
-__all__ = ["NEVER", "accepted", "difference", "in_words", "measured", "measured_here", "number"]
+__all__ = ["NEVER", "accepted", "difference", "in_words", "measured", "measured_here", "number", "spans"]
 
 
 def number(value: float | None) -> str:
@@ -38,6 +39,13 @@ def measured(metric: Result) -> str:
         return f"{metric.value:.6g}".replace("-", "−")
     decimals = max(0, 2 - math.floor(math.log10(metric.tolerance)))
     return f"{metric.value:.{decimals}f}".replace("-", "−")
+
+
+def spans(intervals: Sequence[tuple[float, float]], most: int = 3) -> str:
+    """Write intervals of time: ``from 1.4 to 2.1 s, at 3 s``; of many the first ones and how many more."""
+    words = [f"at {a:.6g} s" if a == b else f"from {a:.6g} to {b:.6g} s" for a, b in intervals[:most]]
+    more = f" and {len(intervals) - most} times more, to {intervals[-1][1]:.6g} s" if len(intervals) > most else ""
+    return ", ".join(words) + more
 
 
 def difference(value: float | None, published: float | None) -> str:

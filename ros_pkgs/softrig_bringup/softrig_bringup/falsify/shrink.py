@@ -82,7 +82,7 @@ def _nominal(space: Space, case: Case, still: Callable[[Case], bool]) -> Case:
 def _nearer(
     over: Over, target: str, nominal: Any, whole: bool, case: Case, still: Callable[[Case], bool]
 ) -> Case:  # fmt: skip
-    """A parameter between its nominal value and its own, as near to the former as the violation lasts; lists as a whole."""
+    """A parameter between its nominal value and its own, as near as the violation lasts; lists as a whole."""
     scenario, overrides = case
     worst, good = (x if isinstance(x, list) else [x] for x in (overrides[target], nominal))
     if len(worst) != len(good):

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 UNIT = "unit"  # id of an axis title that is a unit alone
 _BAND: dict[str, Any] = {"color": look.ACCEPTED, "alpha": 0.3, "linewidth": 1.0, "zorder": 1.5}
+_VIOLATED: dict[str, Any] = {"color": look.VIOLATED, "alpha": 0.18, "linewidth": 0.0, "zorder": 1.4}
 _LIMIT: dict[str, Any] = {"color": look.ACCEPTED, "linestyle": "-.", "linewidth": 1.3, "zorder": 1.6}
 _PUBLISHED: dict[str, Any] = {"color": look.PUBLISHED, "linestyle": ":", "linewidth": 1.6, "zorder": 2.95}
 
@@ -86,6 +87,10 @@ def draw_marks(ax: Axes, marks: Sequence[Mark], scale: float) -> list[tuple[Arti
     drawn: dict[str, Artist] = {}
     wanted: list[float] = []
     for mark in marks:
+        if mark.axis == "violated":
+            thin = 0.001 * (x1 - x0)  # an instant is seen, too
+            drawn["violated"] = ax.axvspan(mark.start * scale - thin, mark.end * scale + thin, **_VIOLATED)
+            continue
         if mark.axis == "time":
             _instant(ax, mark, scale, (x0, x1), drawn)
             continue
@@ -107,7 +112,7 @@ def draw_marks(ax: Axes, marks: Sequence[Mark], scale: float) -> list[tuple[Arti
         pad = 0.04 * (y1 - y0)
         ax.set_ylim(min(y0, min(wanted) - pad), max(y1, max(wanted) + pad))
     _names(ax, [m for m in marks if m.axis == "time"], scale)
-    return [(drawn[name], name) for name in ("accepted", "limit", "published") if name in drawn]
+    return [(drawn[name], name) for name in ("accepted", "limit", "published", "violated") if name in drawn]
 
 
 def _near(value: float, low: float, high: float) -> bool:

@@ -13,8 +13,10 @@ from softrig_core import Rig, SignalMap, figures_of
 from softrig_core.rig import metrics
 from softrig_core.rig.expectation import Expectation
 from softrig_core.rig.figures import Figure
+from softrig_core.rig.requirements import Judge
 
 BESIDE = 0.06  # of the window: how far the mark of an extreme reaches to either side
+TOGETHER = 0.01  # of all that is violated: intervals as near as this are drawn as one
 NAMED = 4  # more instants than this in one picture would cover it with their names
 
 
@@ -24,8 +26,8 @@ class Mark:
 
     Parameters
     ----------
-    axis : {"value", "time"}
-        A level of the signal, or an instant.
+    axis : {"value", "time", "violated"}
+        A level of the signal, an instant, or an interval in which a requirement on the signal does not hold.
     name : str
         Of the figure.
     low, high : float
@@ -36,7 +38,7 @@ class Mark:
         Where a level counts, s.
     """
 
-    axis: Literal["value", "time"]
+    axis: Literal["value", "time", "violated"]
     name: str
     low: float = math.nan
     high: float = math.nan
@@ -71,6 +73,11 @@ def marks_of(rig: Rig, signals: SignalMap) -> dict[str, list[Mark]]:
     published = {c.figure or k: c.published for k, c in scenario.claims.items() if c.published is not None}
     found: dict[str, list[Mark]] = {}
     for figure in figures_of(rig):
+        if isinstance(figure.function, Judge):
+            for mark in _violated(figure.name, figure.function, signals):
+                for name in figure.function.signals.values():
+                    found.setdefault(name, []).append(mark)
+            continue
         limits = scenario.expect.get(figure.name)
         if limits is None and figure.name not in published:
             continue
@@ -82,6 +89,23 @@ def marks_of(rig: Rig, signals: SignalMap) -> dict[str, list[Mark]]:
             with suppress(KeyError, ValueError):  # the run ended before its window
                 found.setdefault(signal, []).extend(_placed(figure, about, signals))
     return found
+
+
+def _violated(name: str, judge: Judge, signals: SignalMap) -> Iterator[Mark]:
+    """Give the intervals in which a requirement does not hold, those next to each other as one."""
+    try:
+        spans = judge.margin(signals).violated
+    except (KeyError, ValueError):  # not judged: its line in the table says so
+        return
+    near = TOGETHER * (spans[-1][1] - spans[0][0]) if spans else 0.0
+    merged: list[tuple[float, float]] = []
+    for start, end in spans:
+        if merged and start - merged[-1][1] <= near:
+            merged[-1] = merged[-1][0], end
+        else:
+            merged.append((start, end))
+    for start, end in merged:
+        yield Mark("violated", name, start=start, end=end)
 
 
 def _bounds(limits: Expectation | None) -> tuple[float, float]:

@@ -8,6 +8,7 @@ from typing import Any
 # Okabe and Ito's colours, which stay apart for every kind of colour vision; yellow is left out (too pale on white).
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7f5539")
 REFERENCE = "#222222"
+VIOLATED = "#cc3311"  # where a requirement does not hold
 ACCEPTED = "#44aa99"  # the band that passes
 PUBLISHED = "#882255"  # what the paper prints
 SOFT = "#777777"

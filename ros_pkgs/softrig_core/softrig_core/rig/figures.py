@@ -20,7 +20,7 @@ from .formula import SURE
 from .metrics import SignalMap
 from .references import fill_parameters, pick
 from .registry import Function, find
-from .requirements import judges
+from .requirements import Judge, judges
 from .rig import Rig, unit_of
 from .units import compose, factor, powers
 
@@ -39,6 +39,10 @@ class Result(BaseModel):
         What the paper says, from the claim about this figure.
     expected, tolerance, at_most, at_least : float, optional
         The expectation; none of them: for information.
+    at_s : float, optional
+        Of a requirement: the instant that decides its margin, s.
+    violated_s : tuple of (float, float)
+        Of a requirement: intervals in which it does not hold, s.
     passed : bool
         Written as ``pass``. A figure for information passes, whatever it is.
     """
@@ -55,6 +59,8 @@ class Result(BaseModel):
     at_least: float | None = None
     passed: bool = Field(alias="pass")
     error: str = ""
+    at_s: float | None = None
+    violated_s: tuple[tuple[float, float], ...] = ()
     number: float = Field(math.nan, exclude=True)  # as measured: infinity too, which JSON cannot hold
 
     @property
@@ -160,11 +166,15 @@ def evaluate(rig: Rig, signals: SignalMap) -> list[Result]:
         about: dict[str, Any] = {"name": figure.name, "unit": figure.unit, "published": published.get(figure.name)}
         about |= (limits or Expectation()).model_dump()
         try:
-            value = figure(signals)
-            decided = f"{'holds' if value > 0 else 'violated'} {DECIDED}" if required else ""
-            error = (
-                "" if math.isfinite(value) else decided or (NEVER if value == math.inf else f"the result is {value}")
-            )
+            if isinstance(figure.function, Judge):
+                value, at, violated = figure.function.margin(signals)
+                about |= {"at_s": at, "violated_s": violated}
+            else:
+                value = figure(signals)
+            error = ""
+            if not math.isfinite(value):
+                decided = f"{'holds' if value > 0 else 'violated'} {DECIDED}"
+                error = decided if required else NEVER if value == math.inf else f"the result is {value}"
         except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as broken:
             value, error = math.nan, str(broken) or type(broken).__name__
         endless = required and math.isinf(value)

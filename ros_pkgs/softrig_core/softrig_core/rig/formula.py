@@ -12,7 +12,7 @@ import math
 import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -306,8 +306,7 @@ def _same(a: str | None, b: str | None) -> str | None:
     return a
 
 
-@dataclass(frozen=True)
-class Margin:
+class Margin(NamedTuple):
     """What a formula says of a record.
 
     Parameters
