@@ -9,7 +9,19 @@ from collections.abc import Callable, Sequence
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # before numpy, as the command line does
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from . import fault_location, gupfc, induction, loop, optimal_control, realtime, recorder, rectifier, rigs, systems
+from . import (
+    falsify,
+    fault_location,
+    gupfc,
+    induction,
+    loop,
+    optimal_control,
+    realtime,
+    recorder,
+    rectifier,
+    rigs,
+    systems,
+)
 from .console import console
 
 PARTS: dict[str, Callable[[], None]] = {
@@ -18,6 +30,7 @@ PARTS: dict[str, Callable[[], None]] = {
     "realtime": realtime.realtime,
     "systems": systems.print_table, "induction": induction.print_table, "fault_location": fault_location.print_table,
     "gupfc": gupfc.print_table, "rectifier": rectifier.print_table, "optimal_control": optimal_control.print_table,
+    "falsify": falsify.print_table,
 }  # fmt: skip
 
 
