@@ -10,10 +10,11 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 from .bits import pin
-from .needs import check
+from .needs import check, join_prefix
 
 pin()  # before numpy is loaded
 check()
+join_prefix()
 
 if TYPE_CHECKING:
     from .errors import RunError as RunError, ScenarioError as ScenarioError

@@ -1,8 +1,10 @@
-"""What a system's own packages may have too old: asked for in words before anything fails on it."""
+"""What has to be there before anything else: a pydantic that is new enough, the prefix of a wheel."""
 
 from __future__ import annotations
 
 import importlib.util
+import os
+import sys
 from pathlib import Path
 
 
@@ -22,3 +24,12 @@ def check() -> None:
             f"softrig needs pydantic 2 and {found}: pip install 'pydantic>=2' in a virtual environment "
             "(softrig_bringup/doc/set_up.md)"
         )
+
+
+def join_prefix() -> None:
+    """Put the prefix of a wheel behind `AMENT_PREFIX_PATH`, where a workspace would have been sourced."""
+    there = os.environ.get("AMENT_PREFIX_PATH", "")
+    if sys.prefix not in there.split(os.pathsep) and os.path.isfile(
+        f"{sys.prefix}/share/ament_index/resource_index/packages/softrig_core"
+    ):
+        os.environ["AMENT_PREFIX_PATH"] = os.pathsep.join(p for p in (there, sys.prefix) if p)

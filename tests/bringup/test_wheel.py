@@ -1,0 +1,102 @@
+"""The wheel: everything is in it, and it works in an environment that knows nothing of the checkout."""
+
+import importlib.metadata
+import json
+import os
+import re
+import subprocess
+import sys
+import tomllib
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+DEPENDENCIES = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["dependencies"]
+PACKAGES = sorted(p.parent.name for p in ROOT.glob("ros_pkgs/*/package.xml"))
+OURS = ("AMENT_", "PYTHON", "VIRTUAL_ENV", "COLCON_", "SOFTRIG_", "ROS_", "PYTEST_")
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("wheel")
+    command = [sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "--no-build-isolation", "-w", folder, ROOT]
+    subprocess.run(command, check=True)
+    (file,) = folder.glob("softrig-*-py3-none-any.whl")
+    return file
+
+
+def environment(folder, **more):
+    """What a user has who has heard of nothing."""
+    kept = {k: v for k, v in os.environ.items() if not k.startswith(OURS)}
+    return kept | {"HOME": str(folder), "PYTHONNOUSERSITE": "1"} | more
+
+
+def test_everything_is_in_it_and_nothing_of_this_machine(wheel):
+    with zipfile.ZipFile(wheel) as archive:
+        files = {name: archive.read(name) for name in archive.namelist()}
+    data = {name.partition(".data/data/")[2] for name in files}
+    for package in PACKAGES:
+        assert f"share/ament_index/resource_index/packages/{package}" in data
+        assert f"share/{package}/package.xml" in data
+        points = importlib.metadata.distribution(package).entry_points.select(group="console_scripts")
+        executables = {f"lib/{package}/{point.name}" for point in points}
+        assert executables == {name for name in data if name.startswith(f"lib/{package}/")}
+        folder = ROOT / "ros_pkgs" / package
+        assert {str(file.relative_to(folder)) for file in folder.glob(f"{package}/**/*.py")} <= set(files)
+    assert {f"share/softrig_bringup/scenarios/{f.name}" for f in ROOT.glob("config/scenarios/*.yaml")} <= data
+    assert {f"share/softrig_robots/urdf/{f.name}" for f in ROOT.glob("ros_pkgs/softrig_robots/**/*.urdf")} <= data
+    assert "softrig_core/fastdds_profile.xml" in files
+    assert not [name for name in files if name.endswith(".pyc")]
+    assert not [name for name, content in files.items() if os.fsencode(ROOT) in content]
+    (metadata,) = (files[name].decode() for name in files if name.endswith(".dist-info/METADATA"))
+    lines = [line.partition(": ")[2] for line in metadata.splitlines() if line.startswith("Requires-Dist:")]
+    assert names(DEPENDENCIES) == names(line for line in lines if "extra ==" not in line)
+
+
+def names(requirements):
+    return {re.sub(r"[._]", "-", re.split(r"[ ;<>=]", line)[0]).lower() for line in requirements}
+
+
+def use(prefix, folder, variables):
+    """Use what is installed in a prefix: the command, a run through processes, a node by itself."""
+
+    def call(*command, timeout=240):
+        done = subprocess.run([prefix / command[0], *command[1:]], cwd=folder, env=variables, capture_output=True,
+                              text=True, timeout=timeout, stdin=subprocess.DEVNULL)  # fmt: skip
+        assert done.returncode == 0, done.stdout + done.stderr
+        return done.stdout
+
+    assert "dc_motor_smc_b2" in call("bin/softrig", "list")
+    call("bin/softrig", "run", "dc_motor_smc_b2", "--no-plots", "--out", "out")
+    metrics = json.loads((folder / "out" / "metrics.json").read_text())
+    assert metrics["mode"] == "processes"
+    assert all(m["pass"] for m in metrics["metrics"])
+    assert "publishes motor/state" in call("lib/softrig_drives/dc_motor_plant", "--help")
+    assert "publishes motor/state" in call("bin/softrig", "node", "softrig_drives", "dc_motor_plant", "--help")
+    loaded = call("bin/python", "-c", "import softrig_drives, softrig_core; print(softrig_drives.__path__[0])")
+    assert loaded.startswith(str(prefix))
+
+
+def test_it_works_beside_the_packages_that_are_here(wheel, tmp_path):
+    prefix = tmp_path / "venv"
+    subprocess.run([sys.executable, "-m", "venv", "--without-pip", prefix], check=True)
+    subprocess.run([sys.executable, "-m", "pip", "--python", prefix / "bin" / "python", "install", "-q", "--no-deps",
+                    "--no-index", wheel], check=True, env=environment(tmp_path))  # fmt: skip
+    (library,) = prefix.glob("lib/python3*/site-packages")
+    shared = Path(importlib.metadata.distribution("numpy").locate_file(""))
+    (library / "shared.pth").write_text(f"import site; site.addsitedir({str(shared)!r})\n")
+    use(prefix, tmp_path, environment(tmp_path, AMENT_PREFIX_PATH=sys.prefix))
+
+
+@pytest.mark.long
+def test_pip_brings_all_that_it_needs(wheel, tmp_path):
+    """From the registry, or from the wheels in SOFTRIG_WHEELS."""
+    wheels = os.environ.get("SOFTRIG_WHEELS")
+    prefix = tmp_path / "venv"
+    subprocess.run([sys.executable, "-m", "venv", prefix], check=True)
+    subprocess.run([prefix / "bin" / "python", "-m", "pip", "install", "-q", wheel,
+                    *(("--no-index", "--find-links", wheels) if wheels else ())],
+                   check=True, env=environment(tmp_path))  # fmt: skip
+    use(prefix, tmp_path, environment(tmp_path))
