@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-import scipy.signal
 from hypothesis import given, settings, strategies as st
 from softrig_control.discretise import zero_order_hold
 from softrig_control.predictor import CommandReplay
@@ -31,9 +30,11 @@ def test_the_loop_has_the_wanted_poles(plant, poles):
 
 
 def test_the_gains_are_those_of_scipy():
+    from scipy.signal import place_poles  # a second to import, in each worker
+
     a, b, c = MOTOR
     augmented = np.block([[np.array(a), np.zeros((2, 1))], [-np.array([c]), np.zeros((1, 1))]])
-    peer = scipy.signal.place_poles(augmented, np.append(b, 0.0)[:, None], [-3, -6, -9]).gain_matrix[0]
+    peer = place_poles(augmented, np.append(b, 0.0)[:, None], [-3, -6, -9]).gain_matrix[0]
     gains = place(*MOTOR, [-3, -6, -9])
     assert (*gains.k, -gains.ki) == pytest.approx(tuple(peer), rel=1e-9)
 

@@ -1,6 +1,7 @@
 """Who may import whom; every import counts, those inside functions too."""
 
 import ast
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -40,7 +41,10 @@ def imports(package):
     return found
 
 
-ALL = {package.name: imports(package.name) for package in sorted(PACKAGES.glob("softrig_*"))}
+@cache
+def everything():
+    """By package; not at once, which would take a second of each worker's time."""
+    return {package.name: imports(package.name) for package in sorted(PACKAGES.glob("softrig_*"))}
 
 
 def within(module, *prefixes):
@@ -54,9 +58,9 @@ def layer(module):
 
 
 def test_the_walls_see_imports():
-    assert any(within(t, "rclpy") for t in ALL["softrig_core"]["softrig_core.node.ros"])
-    assert "softrig_core.wire.types.TYPES" in ALL["softrig_core"]["softrig_core.model.port"]
-    assert "casadi" in ALL["softrig_core"]["softrig_core.model.compiled"]  # within a function
+    assert any(within(t, "rclpy") for t in everything()["softrig_core"]["softrig_core.node.ros"])
+    assert "softrig_core.wire.types.TYPES" in everything()["softrig_core"]["softrig_core.model.port"]
+    assert "casadi" in everything()["softrig_core"]["softrig_core.model.compiled"]  # within a function
     assert layer("softrig_core.wire.types.TYPES") == 1
     assert layer("softrig_core.wire.signals") == 3
 
@@ -66,7 +70,7 @@ def test_only_the_nodes_know_the_middleware():
     may = ("softrig_core.node", *bags)
     breaches = [
         f"{module} imports {target}"
-        for modules in ALL.values() for module, targets in modules.items() for target in sorted(targets)
+        for modules in everything().values() for module, targets in modules.items() for target in sorted(targets)
         if within(target, *MIDDLEWARE) and not within(module, *may)
     ]  # fmt: skip
     assert breaches == []
@@ -75,7 +79,7 @@ def test_only_the_nodes_know_the_middleware():
 def test_the_core_is_built_in_layers():
     breaches = [
         f"{module} imports {target}"
-        for module, targets in ALL["softrig_core"].items() for target in sorted(targets)
+        for module, targets in everything()["softrig_core"].items() for target in sorted(targets)
         if layer(module) is not None and layer(target) is not None and layer(target) > layer(module)
     ]  # fmt: skip
     assert breaches == []
@@ -86,7 +90,7 @@ def test_domains_and_their_systems_stand_alone(package):
     systems = {f"{package}.{p.parent.name}" for p in (PACKAGES / package / package).glob("*/__init__.py")}
     assert systems
     breaches = []
-    for module, targets in ALL[package].items():
+    for module, targets in everything()[package].items():
         others = [d for d in DOMAINS if d != package]
         own = next((s for s in systems if within(module, s)), None)
         for target in sorted(targets):
@@ -110,7 +114,8 @@ def test_packages_depend_one_way():
     below["softrig_bags"] = ("softrig_core",)
     breaches = [
         f"{module} imports {target}"
-        for package, allowed in below.items() for module, targets in ALL[package].items() for target in sorted(targets)
+        for package, allowed in below.items() for module, targets in everything()[package].items()
+        for target in sorted(targets)
         if target.startswith("softrig_") and not within(target, package, *allowed)
     ]  # fmt: skip
     assert breaches == []

@@ -107,11 +107,12 @@ class PwaSystem:
         for z in rng.normal(size=(600, 2 * self.n)):
             inside = [i for i in range(self.cells) if np.all(self.E[i] @ z + self.e[i] > 1e-12)]
             near = [i for i in range(self.cells) if np.all(self.E[i] @ z + self.e[i] >= -1e-12)]
+            if near and len(inside) <= 1:
+                continue
             where = f"x = {np.round(z[: self.n], 3)}, x_d = {np.round(z[self.n :], 3)}"
-            if len(inside) > 1:
-                raise BadSystem(f"cells {inside[0]} and {inside[1]} overlap at {where}")
             if not near:
                 raise BadSystem(f"no cell holds {where}: the cells leave a gap")
+            raise BadSystem(f"cells {inside[0]} and {inside[1]} overlap at {where}")
 
     def faces(self) -> list[tuple[int, int, int]]:
         """Give the common faces as (cell, row, other cell): the row of E that is an equality there."""
