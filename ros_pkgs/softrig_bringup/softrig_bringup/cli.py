@@ -114,6 +114,11 @@ def _parser() -> argparse.ArgumentParser:
     study.add_argument("--out", type=Path, metavar="DIR", help="results go here (default runs/study_NAME)")
     study.add_argument("--workers", type=Number(int, 1), metavar="N", help="processes (default: all cores)")
     study.add_argument("--scheduler", default="", metavar="ADDRESS", help="a Dask cluster instead (tcp://host:8786)")
+    check = verb("check", _check, "figures, requirements and claims of many scenarios, for continuous integration")
+    check.add_argument("scenarios", nargs="+", metavar="SCENARIO", help="names or files")
+    check.add_argument("--junit", type=Path, metavar="FILE", help="report as JUnit XML")
+    check.add_argument("--json", type=Path, metavar="FILE", help="report as JSON")
+    check.add_argument("--workers", type=Number(int, 1), metavar="N", help="processes (default: all cores)")
     falsify = verb("falsify", _falsify, "look for the run that violates a requirement, made small and kept")
     falsify.add_argument("what", metavar="SCENARIO", help="or the name of a falsification in config/studies; `list`")
     falsify.add_argument("--requirement", action="append", default=[], metavar="NAME", help="default: all")
@@ -217,6 +222,15 @@ def _study(options: argparse.Namespace) -> int:
     out = options.out or Path("runs") / f"study_{chosen.name}"
     with stoppable():
         return study(chosen, out, workers=options.workers, scheduler=options.scheduler)
+
+
+def _check(options: argparse.Namespace) -> int:
+    from softrig_core.rig.stopping import stoppable
+
+    from .check import main as check
+
+    with stoppable():
+        return check(options.scenarios, junit=options.junit, as_json=options.json, workers=options.workers)
 
 
 def _falsify(options: argparse.Namespace) -> int:

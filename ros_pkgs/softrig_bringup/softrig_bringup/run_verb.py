@@ -43,6 +43,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--label", default="", metavar="TEXT", help="what reports call this run")
     parser.add_argument("--no-record", action="store_true", help="no bag")
     parser.add_argument("--format", choices=("svg", "pdf"), default="", help="pictures of this kind beside the PNG")
+    parser.add_argument("--junit", type=Path, metavar="FILE", help="what was judged, as JUnit XML")
     parser.add_argument("--no-plots", action="store_true", help="only metrics.json and the bag")
 
 
@@ -99,6 +100,11 @@ def _run_reserved(options: argparse.Namespace) -> int:
     content = summary(done, figures, command, options.label) | {"changed": changed}
     if options.external:  # the title of the scenario is about what did not run
         content["title"] = f"{scenario.name} with {', '.join(options.external)} from outside"
+    if options.junit is not None:
+        from .check import outcome_of, suite_of
+        from .junit import write_junit
+
+        write_junit(options.junit, [suite_of(outcome_of(done, done.wall_s))])
     save(done, content, folder, record=not options.no_record, plots=not options.no_plots, also=options.format)
     if done.error:
         say(f"the run broke: {done.error}")
