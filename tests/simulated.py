@@ -191,6 +191,7 @@ class SimulatedNode(Middleware):
         self.process = process
         self.logs = []
         self.dead, self.stalled, self.born = 0, 0, world.now
+        self.ahead = 0  # ns by which its clock differs
 
     def resolve(self, topic):
         topic = self.remap.get(topic, topic)
@@ -212,7 +213,7 @@ class SimulatedNode(Middleware):
         return SimulatedTimer(self.world, ns, callback, self)
 
     def now(self):
-        return self.world.now
+        return self.world.now + self.ahead
 
     def steady(self):
         return self.world.now / 1e9

@@ -12,7 +12,7 @@ from softrig_core import Block, Rig, Signals, array, load_scenario
 from test_ports import RIGS
 
 BASIC = {"plant": "plant", "source": "source", "gain": "gain"}
-MS = 1_000_000
+MS, SECOND = 1_000_000, 1_000_000_000
 
 
 def basic(duration=0.5, **changes):
@@ -248,3 +248,78 @@ def test_malformed_clocks_and_ticks_are_counted_and_do_no_harm():
     assert differences(in_process(rig), run.recording) == []
     refused = [i.refused for name in ("source", "plant") for i in run.adapters[name].paces]
     assert refused == [1, 1]
+
+
+@pytest.mark.parametrize("step", [-3600, 0, 2, 3600])
+def test_a_node_that_is_started_anew_rejoins_also_after_the_clock_was_set(step):
+    rig = basic(4.0)
+    world = World()
+    run = SimulatedRig(rig, world, "realtime", departs=True)
+    world.match()
+    world.run(world.now + 2000 * MS)
+    first = run.adapters["gain"]
+    assert first.ticks > 100
+    run.nodes["gain"].dead = world.now
+    for ends in (world.writers, world.readers):
+        ends[:] = [end for end in ends if end.node is not run.nodes["gain"]]
+    member = next(m for m in rig.members if m.name == "gain")
+    run._start([member], "realtime", 0, {"epoch": 0})
+    run.nodes["gain"].ahead = step * SECOND
+    world.match()
+    assert set(run.run().values()) == {"done"}
+    again = run.adapters["gain"]
+    assert again is not first
+    assert again.ticks > 150
+    assert not any(i.refused for a in run.adapters.values() for i in a.inputs)
+    assert ("clock" in again.block.reports) == (step != 0)
+    assert not any("stale" in key for key in run.adapters["source"].block.reports)
+
+
+def test_of_commands_that_come_in_another_order_the_newest_stamp_counts_and_the_others_are_counted():
+    """Three commands at a time, by a law with stamps of its own, in reverse; and each one twice."""
+    rig = basic(1.0)
+    world = World()
+    run = SimulatedRig(rig, world, "realtime", without=("gain",))
+    world.match()
+    plant, layout = run.adapters["plant"], COMMAND.layout()
+    for k in range(1, 40):
+        world.run(run.epoch + k * 20 * MS)
+        for j in (2, 2, 1, 0):
+            send(
+                run,
+                "/lag/command",
+                COMMAND.msgtype,
+                layout.encode(world.now - (2 - j) * MS, (float(10 * k + j) / 100,)),
+            )
+        assert plant.values["command"] == (float(10 * k + 2) / 100,)
+    assert plant.inputs[0].late == 3 * 39
+    assert plant.drive.statistics()["late_messages"] == 3 * 39
+
+
+def test_a_law_far_behind_drops_what_is_older_than_the_window_and_says_so():
+    rig = basic(10.0)
+    world = World()
+    run = SimulatedRig(rig, world, "realtime")
+    world.match()
+    world.run(run.epoch + 500 * MS)
+    gain = run.adapters["gain"]
+    for reader in [r for r in world.readers if r.node.name == "gain" and r.topic == "/lag/reference"]:
+        take = reader.receive
+        reader.receive = lambda data: None  # ticks begin, and wait
+    gain.drive._answering._patience = 3600 * SECOND
+    world.run(world.now + 30 * MS)
+    gain.drive._answering._deadline.cancel()
+    world.run(world.now + 3000 * MS)
+    before = gain.ticks
+    gain.drive._answering._patience = 8 * MS
+    for reader in [r for r in world.readers if r.node.name == "gain" and r.topic == "/lag/reference"]:
+        reader.receive = take
+    gain.drive._answering._deadline.again(8 * MS)
+    world.run(world.now + 1000 * MS)
+    stamps = [t - run.epoch for t in run.recording.topics["lag/command"].times][before:]
+    assert stamps[0] >= world.now - run.epoch - 2000 * MS
+    assert stamps[-1] > world.now - run.epoch - 30 * MS
+    dropped = gain.drive.statistics()["dropped_ticks"]
+    assert dropped > 190
+    assert gain.block.reports["dropped"][1] == f"{dropped} ticks dropped: the law is too slow, or was held"
+    assert gain.drive.missed >= dropped

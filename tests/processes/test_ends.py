@@ -13,7 +13,11 @@ import pytest
 from conftest import PATIENCE, make_scenario, no_process_left, processes_of, until
 from softrig_core import Rig, run_inprocess, run_processes
 from softrig_core.rig import starting
+from softrig_core.rig.children import read_status
+from softrig_core.rig.domain import free_domain
+from softrig_core.rig.executables import environment, find_executable
 from softrig_core.rig.shared_memory import remove_leftovers
+from softrig_core.rig.starting import node_parameters, parameter_file
 from softrig_core.rig.stopping import Stopped, stoppable
 
 BASIC = {"plant": "plant", "source": "source", "gain": "gain"}
@@ -184,3 +188,28 @@ def test_a_stopped_run_has_bag_and_metrics_and_its_status(number, status, tmp_pa
     assert content["stopped"] in said
     assert content["metrics"]
     assert list((out / "bag").glob("*.mcap"))
+
+
+@pytest.mark.processes
+@pytest.mark.parametrize("mode", ["lockstep", "realtime"])
+def test_ctrl_c_once_or_twice_is_a_clean_end_of_every_node(mode, tmp_path):
+    """As a launch sends it, and `timeout -s INT`, which sends it to the group as well."""
+    rig = Rig.from_scenario(make_scenario(BASIC, 1e4))
+    with free_domain() as domain:
+        running = []
+        for member in rig.members:
+            file = parameter_file(member, node_parameters(rig, member, 0, mode) | {
+                "run.status": str(tmp_path / f"{member.name}.status")}, tmp_path)  # fmt: skip
+            command = [str(find_executable(member.package, member.executable)), "--ros-args", "-r",
+                       f"__node:={member.name}", "--params-file", str(file)]  # fmt: skip
+            log = (tmp_path / f"{member.name}.log").open("wb")
+            running.append(subprocess.Popen(command, env=environment(domain, tmp_path), stdout=log, stderr=log))
+        until(lambda: read_status(tmp_path / "plant.status").get("t", 0) > 10**8)
+        for process in running:
+            process.send_signal(signal.SIGINT)
+        if mode == "realtime":
+            for process in running:
+                process.send_signal(signal.SIGINT)
+        assert [process.wait(PATIENCE) for process in running] == [0, 0, 0]
+    said = "".join((tmp_path / f"{member.name}.log").read_text() for member in rig.members)
+    assert not any(word in said for word in ("Traceback", "FATAL", "terminate called"))

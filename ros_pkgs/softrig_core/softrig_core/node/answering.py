@@ -8,7 +8,7 @@ from collections.abc import Callable
 from ..model.block import Level
 from ..model.timebase import to_ns
 from .adapter import Adapter
-from .feed import Feed
+from .feed import KEPT, Feed
 from .hearing import Hearing
 
 
@@ -80,6 +80,8 @@ class Answering:
     def _answer_complete(self) -> None:
         """Answer pending ticks, oldest first, as long as all that is due has come."""
         node, awaited, pending = self._node, self.awaited, self._pending
+        if len(pending) > 1:
+            self._drop()
         while pending and node.state == "running":
             stamp = pending[0]
             for k in range(self._complete, len(awaited)):
@@ -98,6 +100,18 @@ class Answering:
             self._unarmed = False
         else:
             self._deadline.cancel()
+
+    def _drop(self) -> None:
+        """Forget ticks that are older than the window, or than what is kept: the law is far behind."""
+        kept = [f.recent[0][0] for f in self.awaited if len(f.recent) == KEPT and not f.by_arrival]
+        oldest, before = max([self._clock() - self._window, *kept]), self.dropped
+        while len(self._pending) > 1 and self._pending[0] < oldest:
+            self._pending.popleft()
+            self._complete = 0
+            self.dropped += 1
+        if self.dropped > before:
+            text = f"{self.dropped} ticks dropped: the law is too slow, or was held"
+            self._node.block.report(Level.ERROR, "dropped", text)
 
     def _give_up(self) -> None:
         """The oldest tick has waited long enough: answer with what is there."""
@@ -122,13 +136,8 @@ class Answering:
             self._deadline.again(self._patience)
 
     def _say(self, stamp: int) -> None:
-        """Answer the tick of a stamp with the newest values up to it; one that is older than the window is dropped."""
+        """Answer the tick of a stamp with the newest values up to it."""
         node, now = self._node, self._clock()
-        if now - stamp > self._window:
-            self.dropped += 1
-            text = f"{self.dropped} ticks dropped: their inputs were older than {self._window / 1e9:g} s"
-            node.block.report(Level.ERROR, "dropped", text)
-            return
         last, self._last_stamp = self._last_stamp, stamp
         if last is not None and stamp - last > self._period + 1:
             self.missed += node.schedule.tick(stamp - node.epoch) - node.schedule.tick(last - node.epoch) - 1

@@ -26,6 +26,7 @@ from .contained import ContainedMiddleware
 from .exchange import Exchange
 from .garbage import Garbage
 from .group import Group
+from .interrupt import interrupt
 from .leave import leave
 from .profile import exclusive
 from .ros import ServingNode
@@ -123,6 +124,7 @@ class Container:
 
 def main(args: Sequence[str] | None = None) -> NoReturn:
     """Start the nodes that the command line names; bad parameters give one line and exit status 2."""
+    interrupt.install()
     secure_streams()
     arguments = list(sys.argv[1:] if args is None else args)
     groups = split(arguments)
@@ -134,6 +136,7 @@ def main(args: Sequence[str] | None = None) -> NoReturn:
     try:
         with exclusive():
             rclpy.init(args=[])
+            interrupt.early = False
             if "fastrtps" not in (rmw := rclpy.get_rmw_implementation_identifier()):
                 raise RunError(f"needs Fast DDS (RMW_IMPLEMENTATION=rmw_fastrtps_cpp), got {rmw}")
             for group in groups:

@@ -1,9 +1,11 @@
 """The common start of a rig in real time: t = 0 is set when all its nodes are up and matched, outside ones included.
 
 Each node says again and again that it is ready (`READY`, a Header with its name). One of them, the starter, has heard
-all of them and is ready itself: it sets the time of t = 0 and says it (`START`, a Header with that time), again for
-each node that still says that it is ready. Readiness need not arrive at the first try; the start is said when all nodes
-hear it, as the starter's writer sees them, for a run may be over before somebody asks again.
+all of them and is ready itself: it sets the time of t = 0 and says it (`START`, a Header with that time and that of
+its own clock), again for
+each node that still says that it is ready, or that has been started anew; whose clock differs by more than `CLOCKS`,
+since the host's was set in between, say, goes by the starter's. Readiness need not arrive at the first try; the start
+is said when all nodes hear it, as the starter's writer sees them, for a run may be over before somebody asks again.
 """
 
 from __future__ import annotations
@@ -20,6 +22,7 @@ from .tick import TICK, TickReader, TickWriter
 
 READY, START = "softrig/ready", "softrig/start"
 LEAD = SECOND // 2  # from saying when to t = 0
+CLOCKS = SECOND // 2  # from which on two clocks are taken for different
 REPEAT = 5  # checks between two times that a node says it is ready
 
 
@@ -33,11 +36,11 @@ class Departure:
     local : set of str
         Other nodes of this process.
     begin : callable
-        Called once with the wall-clock time of t = 0, ns.
+        Called once with the wall-clock time of t = 0 and by how much the clock of the rig is ahead of ours, ns.
     """
 
     def __init__(self, node: Adapter, handshake: Handshake, local: Set[str],
-                 begin: Callable[[int], object]) -> None:  # fmt: skip
+                 begin: Callable[[int, int], object]) -> None:  # fmt: skip
         self._node = node
         self._begin = begin
         self.handshake = handshake
@@ -81,7 +84,7 @@ class Departure:
 
     def _hear_start(self, data: bytes) -> None:
         try:
-            epoch, _ = self._read(data)
+            epoch, said = self._read(data)
         except Refused as error:
             self._node.refuse(self._input, str(error))
             return
@@ -89,10 +92,12 @@ class Departure:
             return
         self._timer.cancel()
         self._epoch = epoch
-        self._begin(epoch)
+        clock = next((int(word) for word in said if word.isdigit()), 0)
+        ahead = clock - self._node.middleware.now() if clock else 0
+        self._begin(epoch, ahead if abs(ahead) > CLOCKS else 0)
 
     def _say_start(self) -> None:
-        self._publish(self._header(self._epoch, ()))
+        self._publish(TickWriter()(self._epoch, [str(self._node.middleware.now())]))
 
     def _deaf(self) -> str:
         """Name who does not read when the run starts, as far as the graph shows it."""
@@ -112,7 +117,7 @@ class Departure:
                 grid = Schedule(self._node.links.grid)
                 self._epoch = grid.held(self._node.middleware.now() + LEAD + grid.time(1))
                 self._say_start()
-                self._begin(self._epoch)
+                self._begin(self._epoch, 0)
         elif not self.absent and self._checks % REPEAT == 0:
             self._publish(self._header(0, [self._node.middleware.name]))
         limit = self._node.options.start_timeout

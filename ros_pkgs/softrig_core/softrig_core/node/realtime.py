@@ -91,8 +91,16 @@ class Realtime:
 
     # start and end ---------------------------------------------------------------------------------------------
 
-    def _begin_at(self, epoch: int) -> None:
-        """Run from now on; t = 0 is at `epoch`, or with the first tick when that is 0."""
+    def _begin_at(self, epoch: int, ahead: int = 0) -> None:
+        """Run from now on; t = 0 is at `epoch`, or with the first tick when that is 0.
+
+        The clock of the rig is `ahead` of ours, ns.
+        """
+        if ahead:
+            own = self.clock
+            self.clock = lambda: own() + ahead
+            text = f"the clock of the rig is {ahead / SECOND:+.3f} s from this one: followed"
+            self.node.block.report(Level.WARN, "clock", text)
         self.node.epoch = epoch
         self.node.state = "running"
         if self._answering is None:
