@@ -503,6 +503,18 @@ def test_a_terminal_that_goes_while_a_table_is_printed(folder):
     assert (found.returncode, found.stderr) == (141, "")
 
 
+def test_a_file_that_is_no_scenario_hides_no_other(folder, capsys):
+    (folder / "broken.yaml").write_text("a: [\n")
+    (folder / "typo.yaml").write_text("{title: t, system: s, source: s, duration: -1, nodes: {}}\n")
+    assert main(["list"]) == 2
+    said = capsys.readouterr()
+    assert "lag\t" in said.out
+    assert "lag_misses\t" in said.out
+    assert "broken.yaml: not valid YAML" in said.err
+    assert "typo" in said.err
+    assert run("lag", "--mode", "inprocess", "--no-plots", "--no-record") == 0
+
+
 def test_a_variant_may_be_named_by_a_number(folder, capsys):
     (folder / "lag.yaml").write_text(SCENARIO + "  40: {title: Forty}\n")
     assert main(["list", "lag_40"]) == 0

@@ -1,6 +1,7 @@
 """Reserving a DDS domain."""
 
 import os
+import socket
 import subprocess
 import sys
 
@@ -73,4 +74,31 @@ def test_without_a_home_the_locks_are_in_a_folder_of_the_user_alone(tmp_path, mo
         assert (own / f"domains/{number}.lock").is_file()
     own.chmod(0o777)
     with pytest.raises(RunError, match=f"{own}: expected a folder that only this user may write into"), free_domain():
+        pass
+
+
+def test_a_domain_with_a_ros_session_is_not_chosen(monkeypatch):
+    """A participant that somebody else has started, here stood for by the port that it would hold."""
+    with free_domain() as number:
+        pass
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as participant:
+        participant.bind(("127.0.0.1", 7400 + 250 * number + 10))
+        assert number in domain.inhabited()
+        monkeypatch.setattr(domain, "DOMAINS", range(number, number + 1))
+        with pytest.raises(RunError, match="in use"), free_domain():
+            pass
+        with free_domain(number) as wanted:  # who asks for it by its number means that session
+            assert wanted == number
+    assert number not in domain.inhabited()
+
+
+def test_launches_share_a_domain_and_no_run_chooses_it():
+    with free_domain() as number, pytest.raises(RunError, match="is in use by a run"):
+        domain.join_domain(number)
+    first, second = domain.join_domain(number), domain.join_domain(number)
+    with pytest.raises(RunError, match="in use"), free_domain(number):
+        pass
+    os.close(first)
+    os.close(second)
+    with free_domain(number):
         pass

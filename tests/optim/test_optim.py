@@ -614,6 +614,17 @@ def test_sweep_names_the_missing_package(monkeypatch):
         sweep(double, [1], scheduler="tcp://nowhere:1")
 
 
+@pytest.mark.parametrize("address", ["nonsense", "tcp://127.0.0.1:1", "what://is", ":"])
+def test_an_address_without_a_scheduler_is_named(address):
+    import dask
+    import distributed  # first: it sets its defaults
+
+    assert distributed
+    soon = dask.config.set({"distributed.comm.timeouts.connect": "100ms"})
+    with soon, pytest.raises(ScenarioError, match=rf"--scheduler {address}: no Dask scheduler there"):
+        sweep(abs, [1], scheduler=address)
+
+
 def test_sweep_on_a_local_cluster():
     import distributed
 

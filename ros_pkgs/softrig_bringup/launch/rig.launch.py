@@ -4,7 +4,10 @@ The same scenario files as `softrig run`; here the nodes run for themselves, wit
 t = 0 and one end; a node that fails ends the launch, with status 1.
 """
 
+import atexit
+import os
 from pathlib import Path
+from shutil import rmtree
 from tempfile import mkdtemp
 
 from launch import LaunchDescription
@@ -41,6 +44,7 @@ def _ended(event, context):
 
 def _nodes(context):
     from softrig_core import Rig, load_scenario
+    from softrig_core.rig.domain import join_domain
     from softrig_core.rig.starting import container_arguments, groups, node_parameters, parameter_file, placed
 
     def value(name):
@@ -49,7 +53,9 @@ def _nodes(context):
     scenario = load_scenario(value("scenario"))
     rig = Rig.from_scenario(scenario)
     seed = int(value("seed") or scenario.seed)
+    join_domain(int(os.environ.get("ROS_DOMAIN_ID") or 0))  # so that no run chooses it
     folder = Path(mkdtemp(prefix="softrig-launch-"))  # launch_ros itself has no empty lists
+    atexit.register(rmtree, folder, ignore_errors=True)
     found = []
     for group in groups(rig, placed(rig, value("place"))):
         given = {m.name: node_parameters(rig, m, seed, value("mode")) for m in group}

@@ -11,8 +11,8 @@ from typing import Any
 from rich.console import Console
 from rich.text import Text
 from rich.tree import Tree
-from softrig_core import Scenario, list_scenarios, load_scenario
-from softrig_core.guard import plain
+from softrig_core import Scenario, ScenarioError, list_scenarios, load_scenario
+from softrig_core.guard import plain, say
 
 
 def console(**options: Any) -> Console:
@@ -39,17 +39,25 @@ class _Console(Console):
 
 
 def main(part: str) -> int:
-    """Print the scenarios with `part` in their name or system."""
-    scenarios = [load_scenario(name) for name in sorted(list_scenarios())]
+    """Print the scenarios with `part` in their name or system; 2 when there are files that are none."""
+    broken: list[ScenarioError] = []
+    scenarios = []
+    for name in sorted(list_scenarios(broken)):
+        try:
+            scenarios.append(load_scenario(name))
+        except ScenarioError as error:
+            broken.append(error)
+    for what in broken:
+        say(what)
     chosen = [s for s in scenarios if part in s.name or part in s.system]
     if not sys.stdout.isatty() and "COLUMNS" not in os.environ:
         for s in chosen:
             print(plain(f"{s.name}\t{s.system}\t{s.duration:g} s\t{s.title}\t{s.source}"))
-        return 0
+        return 2 if broken else 0
     show = console()
     for system in sorted({s.system for s in chosen}):
         show.print(_tree(system, [s for s in chosen if s.system == system]))
-    return 0
+    return 2 if broken else 0
 
 
 def _tree(system: str, scenarios: list[Scenario]) -> Tree:

@@ -14,6 +14,7 @@ from contextlib import contextmanager
 from itertools import islice
 from typing import Any, TypeVar
 
+from softrig_core import ScenarioError
 from softrig_core.extras import need
 
 C = TypeVar("C")
@@ -169,7 +170,12 @@ def _on_cluster(function: Callable[[C], R], cases: Iterator[tuple[int, C]], sche
     need("distributed", f"scheduler {scheduler}")
     import distributed
 
-    with distributed.Client(scheduler) as client:
+    try:
+        client = distributed.Client(scheduler)
+    except (OSError, ValueError, TypeError) as error:  # TypeError: its own, of an address that is a word
+        raise ScenarioError(f"--scheduler {scheduler}: no Dask scheduler there, expected an address as "
+                            f"tcp://127.0.0.1:8786: {error}") from None  # fmt: skip
+    with client:
         numbers: dict[Any, int] = {}
         size = max(1, sum(client.nthreads().values())) * AHEAD
         done = distributed.as_completed()

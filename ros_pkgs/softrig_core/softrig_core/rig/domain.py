@@ -6,13 +6,15 @@ import fcntl
 import os
 import stat
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from pathlib import Path
 
 from ..errors import RunError, ScenarioError
 from ..model.compiled import cache_folder
 
 DOMAINS = range(1, 101)  # 0 is everybody's default; above 101 the ports of Linux' ephemeral range begin
 HIGHEST = 232  # what DDS can number
+PORT_BASE, PORT_GAIN = 7400, 250  # of its UDP ports: the DDSI-RTPS specification, section 9.6.1
 
 
 @contextmanager
@@ -20,7 +22,8 @@ def free_domain(wanted: int | None = None) -> Iterator[int]:
     """Reserve a ROS_DOMAIN_ID for the length of a ``with`` block, across all processes of this user.
 
     A domain is taken while some process holds the lock on its file in the user's cache folder; the operating
-    system drops the lock of a dead process. The search starts at the process number, so that two runs in a row
+    system drops the lock of a dead process. One that a ROS session of this host works in, whoever started it, is not
+    chosen either: it holds ports of that domain. The search starts at the process number, so that two runs in a row
     seldom share a domain and see each other's ghosts.
 
     Parameters
@@ -50,7 +53,10 @@ def free_domain(wanted: int | None = None) -> Iterator[int]:
         raise ScenarioError(f"domain {wanted}: expected 0 to {HIGHEST}")
     start = os.getpid()
     choice = [DOMAINS[(start + i) % len(DOMAINS)] for i in range(len(DOMAINS))] if wanted is None else [wanted]
+    busy = set() if wanted is not None else inhabited()
     for number in choice:
+        if number in busy:
+            continue
         file = _open(number)
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -64,6 +70,39 @@ def free_domain(wanted: int | None = None) -> Iterator[int]:
         return
     names = f"domain {wanted} is" if wanted is not None else f"all DDS domains {DOMAINS[0]} to {DOMAINS[-1]} are"
     raise RunError(f"{names} in use by other runs on this host")
+
+
+def join_domain(number: int) -> int:
+    """Hold a domain beside others who join it, against runs that want one for themselves, until this process ends.
+
+    Returns
+    -------
+    int
+        A file number; to close it lets go.
+
+    Raises
+    ------
+    RunError
+        A run has reserved it.
+    """
+    file = _open(number)
+    try:
+        fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        os.close(file)
+        raise RunError(f"domain {number} is in use by a run on this host; set ROS_DOMAIN_ID to another") from None
+    return file
+
+
+def inhabited() -> set[int]:
+    """Give the domains in which a participant of DDS lives on this host: each holds UDP ports of its domain."""
+    found = set()
+    for table in (Path("/proc/net/udp"), Path("/proc/net/udp6")):
+        with suppress(OSError):  # not Linux, or no IPv6
+            for line in table.read_text().splitlines()[1:]:
+                port = int(line.split()[1].rpartition(":")[2], 16)
+                found.add((port - PORT_BASE) // PORT_GAIN)
+    return found
 
 
 def _open(number: int) -> int:

@@ -27,13 +27,29 @@ def scenario_folders() -> list[Path]:
     return [f for f in folders if f.is_dir()]
 
 
-def list_scenarios() -> dict[str, Path]:
-    """Give every scenario name, variants included, and the file it is in."""
+def list_scenarios(broken: list[ScenarioError] | None = None) -> dict[str, Path]:
+    """Give every scenario name, variants included, and the file it is in.
+
+    Parameters
+    ----------
+    broken : list, optional
+        Gets what is wrong with files that cannot be read, which are then left out.
+
+    Raises
+    ------
+    ScenarioError
+        A file cannot be read, and `broken` is not given.
+    """
     found: dict[str, Path] = {}
     for folder in scenario_folders():
         for path in sorted(folder.glob("*.yaml")):
-            for name in names(path):
-                found.setdefault(name, path)
+            try:
+                for name in list(names(path)):
+                    found.setdefault(name, path)
+            except ScenarioError as error:
+                if broken is None:
+                    raise
+                broken.append(error)
     return found
 
 
