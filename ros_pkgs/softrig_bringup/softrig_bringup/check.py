@@ -66,7 +66,7 @@ def judge(name: str) -> dict[str, Any]:
         return outcome_of(simulate(name), time.perf_counter() - started)
     except RunError as error:
         return {
-            "scenario": name,
+            "scenario": load_scenario(name).name,
             "wall_s": time.perf_counter() - started,
             "metrics": [],
             "claims": [],
