@@ -16,6 +16,7 @@ from scipy import linalg, signal
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 from scipy.special import jv
+from softrig_control.limit_cycle import LimitCycle
 from softrig_control.linear_plant import LinearPlant
 from softrig_control.predictive.carima import Carima, diophantine, multiply, predict
 from softrig_control.predictive.certificate import certify, check
@@ -577,6 +578,98 @@ def test_impossible_events_are_refused_and_the_last_good_ones_hold():
     assert plant.state == reference.state
     assert plant.reports["bad_event"][0] == Level.ERROR
     assert plant.reports["bad_event"][2] == 2
+
+
+def off(plant, ticks):
+    """Voltages of a link whose switches are off from the start."""
+    found = []
+    for k in range(ticks):
+        plant.advance(k * NS, command=(0.0,), events=None)
+        outputs = plant.outputs((k + 1) * NS)
+        assert all(math.isfinite(x) for port in outputs.values() for x in port)
+        assert sum(outputs["grid_current"]) == pytest.approx(0.0, abs=1e-9)
+        found.append(outputs["dc_link"][0])
+    return np.array(found)
+
+
+@pytest.mark.parametrize("model", ["averaged_dq", "averaged_abc", "switched"])
+@pytest.mark.parametrize(("load", "within"), [(160.0, 0.007), (16.0, 0.01)])
+def test_with_the_switches_off_the_diodes_hold_the_link(model, load, within):
+    """Six-pulse bridge: 3 sqrt(3)/pi V_g less commutation and resistance, 3 omega L/pi and 2 R of the mean current."""
+    v = off(RectifierPlant(model=model, R_L=load, i_start=0.0), 400)[-145:].mean()
+    fall = 3.0 * CONSTANTS.omega * CONSTANTS.L / math.pi + 2.0 * CONSTANTS.R
+    assert v == pytest.approx(3.0 * math.sqrt(3.0) / math.pi * 180.0 / (1.0 + fall / load), rel=within)
+    if load == 16.0:
+        assert v == pytest.approx(281.0, abs=0.5)
+
+
+def test_without_load_the_link_stays_at_the_peak_between_two_phases():
+    v = off(RectifierPlant(R_L=1e6, v_start=311.0, i_start=0.0), 200)
+    assert v[-1] == pytest.approx(math.sqrt(3.0) * 180.0, abs=0.5)  # without diodes it fell to 189.6 V
+    high = off(RectifierPlant(R_L=1e6, v_start=400.0, i_start=0.0), 20)
+    assert high[-1] == pytest.approx(400.0 * math.exp(-20 * T / (1e6 * CONSTANTS.C)), rel=1e-9)
+
+
+def test_half_the_step_of_the_diodes_changes_nothing(monkeypatch):
+    from softrig_power.rectifier import diodes
+
+    x = [np.array([0.0, 0.0, 0.0, 290.0]) for _ in range(2)]
+    both = (Circuit(CONSTANTS.omega, CONSTANTS.L, CONSTANTS.R, CONSTANTS.C, CONSTANTS.phi),
+            Period(0.0, 0.02, 180.0, 0.0, 16.0, 1.0, 0.0, False, 0.0, 0.0))  # fmt: skip
+    for state, steps in zip(x, (20_000, 40_000), strict=True):
+        for k in range(steps):
+            diodes.conduct((k + 0.5) * 0.02 / steps, 0.02 / steps, state, both)
+    assert x[1][3] == pytest.approx(x[0][3], rel=1e-4)
+    assert x[1][:3] == pytest.approx(x[0][:3], abs=0.02)
+
+
+def test_a_trip_in_the_rig_leaves_the_link_to_the_diodes():
+    run = simulate("rectifier_mpc", duration=0.45, overrides={"gpc_controller.trip_high": 400.3})
+    assert run.blocks["gpc_controller"].tripped
+    v = run.signals["dc_link/voltage/position"]
+    assert v.x[v.t > 0.4].mean() == pytest.approx(267.2, abs=1.0)  # at 8 ohm
+    assert "off" in run.blocks["rectifier_plant"].reports
+
+
+def test_own_constants_begin_at_their_own_operating_point():
+    plant = RectifierPlant(R_L=32.0, V_g=200.0)
+    assert plant.state.i_d == plant.p.current == pytest.approx(16.808, abs=0.001)
+    assert RectifierPlant().state.i_d == 37.83218957482916
+    v = [plant.outputs(0)["dc_link"][0]]
+    for k in range(20):
+        plant.advance(k * NS, command=(plant.p.drop,), events=None)
+        v.append(plant.outputs((k + 1) * NS)["dc_link"][0])
+    assert v == pytest.approx([400.0] * len(v), abs=1e-6)
+
+
+def test_a_limit_cycle_is_told():
+    """Too light a weight lets the loop collapse into a cycle at 250 V; those that settle are not accused."""
+    law = simulate("rectifier_mpc", overrides={"gpc_controller.lam": 5.0}).blocks["gpc_controller"]
+    assert law.reports["limit_cycle"][0] == Level.WARN
+    assert "the loop does not settle: voltage swings by 16.2 V about 400 V" in law.reports["limit_cycle"][1]
+    for name in (
+        "rectifier_mpc",
+        "rectifier_mpc_n1",
+        "rectifier_mpc_n2",
+        "rectifier_mpc_n5",
+        "rectifier_mpc_decoupled",
+    ):
+        assert "limit_cycle" not in run_of(name).blocks["gpc_controller"].reports
+
+
+def test_what_counts_as_a_limit_cycle():
+    def swing(signal):
+        watch = LimitCycle()
+        return [watch.sample(float(y), 1.0) for y in signal]
+
+    t = np.arange(2000) * 1e-2
+    assert swing(1.0 + 0.1 * np.sin(t * 6.0))[-1] == pytest.approx(0.2, rel=0.01)
+    assert swing(0.6 + 0.1 * np.sin(t * 6.0))[-1] == pytest.approx(0.2, rel=0.01)  # far from the reference as well
+    assert max(swing(1.0 + 0.009 * np.sin(t * 6.0))) == 0.0
+    assert max(swing(1.0 + np.exp(-0.2 * t) * np.sin(t * 6.0))) == 0.0
+    stopped = swing(np.where(t < 10.0, 1.0 + 0.1 * np.sin(t * 6.0), 1.0))
+    assert max(stopped) > 0.0
+    assert stopped[-1] == 0.0
 
 
 @pytest.mark.parametrize("command", [1e6, -1e6])

@@ -10,6 +10,7 @@ from pydantic import model_validator
 from softrig_core import Block, BlockParams, Level, Port, executable, param, scalars
 from typing_extensions import TypeVar
 
+from ..limit_cycle import LimitCycle
 from ..signal_name import signal_port, split
 from .carima import Carima
 from .gpc import Gpc, Tuning
@@ -104,7 +105,8 @@ class GpcController(Block[P]):
     all moves, and how often the solver has failed.
 
     A programme without a solution holds the last command. Bad input, too; the third bad sample in a row, or a measured
-    value outside `trip_low`, `trip_high`, trips: `u_safe` from then on, for good.
+    value outside `trip_low`, `trip_high`, trips: `u_safe` from then on, for good. A loop that swings without end, as
+    under gains of another plant, is told as a warning.
     """
 
     @classmethod
@@ -134,6 +136,7 @@ class GpcController(Block[P]):
         self._bad = 0
         self._failures = 0
         self.tripped = False
+        self._cycle = LimitCycle()
         self.law.start(0.0, self.p.u_first)
 
     def update(
@@ -151,6 +154,11 @@ class GpcController(Block[P]):
         if self._y is None:
             self.law.start(y, p.u_first)
         self._y = y
+        swing = self._cycle.sample(y, self._w)
+        if swing:
+            name = split(p.measured)[1]
+            self.report(Level.WARN, "limit_cycle", f"the loop does not settle: {name} swings by {swing:.3g} "
+                        f"{p.measured_unit} about {self._w:g} {p.measured_unit}")  # fmt: skip
         self.law.measure(y)
         if self._solver is not None:
             return self._constrained(self._solver)

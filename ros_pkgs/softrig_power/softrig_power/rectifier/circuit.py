@@ -103,6 +103,15 @@ def phases(d: float, q: float, angle: float) -> tuple[float, float, float]:
 
 
 @jit
+def turned(a: float, b: float, c: float, angle: float) -> tuple[float, float]:
+    """Give the dq vector of three phases, the other way round than `phases`."""
+    s, k = math.sin(angle), math.cos(angle)
+    beta = (b - c) / math.sqrt(3.0)
+    alpha = (2.0 * a - b - c) / 3.0
+    return alpha * s - beta * k, alpha * k + beta * s
+
+
+@jit
 def grid(t: float, circuit: Circuit, period: Period) -> tuple[float, float, float]:
     """Give the grid voltages of the three phases at t: V_g sin(x) + a5 sin(5 x), x = omega t - k 2 pi/3."""
     angle = circuit.omega * t

@@ -10,7 +10,6 @@ from softrig_core import executable, param
 
 from .models import d2, n3, seed19
 from .parameters import RectifierConstants
-from .plant import NOMINAL_CURRENT
 
 
 class RectifierGpcParams(RectifierConstants, GpcLawParams):
@@ -24,8 +23,8 @@ class RectifierGpcParams(RectifierConstants, GpcLawParams):
     u_min: float = param(-40.0, "smallest command", ge=-1e12, le=1e12)
     u_max: float = param(90.0, "largest command", ge=-1e12, le=1e12)
     set_point: float = param(400.0, "reference until one arrives", "V", ge=0.0, le=1e4)
-    i_start: float = param(NOMINAL_CURRENT, "phase current (peak) at the start: the first command carries it on", "A",
-                           ge=-1e4, le=1e4)  # fmt: skip
+    i_start: float | None = param(None, "phase current (peak) at the start, which the first command carries on; that "
+                                  "of the operating point when absent", "A", ge=-1e4, le=1e4)  # fmt: skip
     trip_low: float = param(50.0, "DC voltage at or below which the law trips", "V", ge=-1e12, le=1e12)
     trip_high: float = param(600.0, "DC voltage above which the law trips", "V", ge=-1e12, le=1e12)
     measured: str = param("dc_link/voltage/position", "signal under control, topic/channel/field")
@@ -43,13 +42,14 @@ class RectifierGpcParams(RectifierConstants, GpcLawParams):
     @property
     def u_first(self) -> float:
         """The current itself, or the drop |R + j omega L| i that it makes."""
-        return self.i_start if self.model == "d2" else self.impedance * self.i_start
+        current = self.current if self.i_start is None else self.i_start
+        return current if self.model == "d2" else self.impedance * current
 
 
 class RectifierGpc(GpcController[RectifierGpcParams]):
     """Holds the DC voltage by the drop V', or by the current of the decoupled structure; see `GpcController`.
 
-    A trip commands V' = 0: the converter's voltage equals the grid's, as with diodes that do not conduct.
+    A trip commands 0: the plant's switches go off, and the link stays at what the diodes hold.
     """
 
 

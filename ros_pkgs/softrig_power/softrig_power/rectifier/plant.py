@@ -9,12 +9,10 @@ from typing import Any, Literal, NamedTuple, Self
 from pydantic import model_validator
 from softrig_core import BlockParams, Level, Plant, Port, check_steps, executable, param, to_ns
 
-from . import averaged, ports, switched
-from .circuit import INJECTION, SPWM, Circuit, Period, grid, phases
+from . import averaged, diodes, ports, switched
+from .circuit import INJECTION, SPWM, Circuit, Period, grid, phases, turned
 from .parameters import RectifierConstants
 from .quality import CYCLES, FIGURES, PLAIN, TIME, WINDOWS, empty, figures
-
-NOMINAL_CURRENT = 37.83218957482916  # A, of the published constants
 
 
 class RectifierPlantParams(RectifierConstants, BlockParams):
@@ -34,7 +32,8 @@ class RectifierPlantParams(RectifierConstants, BlockParams):
     carrier_hz: float = param(1e4, "frequency of the triangular carrier", "Hz", ge=100.0, le=1e6)
     substep: float = param(1e-5, "longest internal step", "s", gt=0.0, le=1e-3)
     v_start: float = param(400.0, "DC voltage at the start", "V", gt=0.0, le=1e4)
-    i_start: float = param(NOMINAL_CURRENT, "current i_d at the start (peak); i_q is 0", "A", ge=-1e4, le=1e4)
+    i_start: float | None = param(None, "current i_d at the start (peak), i_q is 0; that of the operating point when "
+                                  "absent", "A", ge=-1e4, le=1e4)  # fmt: skip
     v_least: float = param(1.0, "DC voltage at which the converter is given up", "V", gt=0.0, le=1e3)
     waveform: bool = param(False, "send the waveforms of each period")
 
@@ -43,7 +42,13 @@ class RectifierPlantParams(RectifierConstants, BlockParams):
         check_steps(self.period, self.substep, "substep")
         if self.carrier_hz < 10.0 * self.f:
             raise ValueError(f"carrier_hz = {self.carrier_hz:g} Hz: expected at least ten times f = {self.f:g} Hz")
+        _ = self.i_first  # a load that the grid cannot carry has no operating point to begin at
         return self
+
+    @property
+    def i_first(self) -> float:
+        """Current at the start: `i_start`, or that of the operating point of these constants."""
+        return self.current if self.i_start is None else self.i_start
 
     @property
     def steps(self) -> int:
@@ -77,11 +82,14 @@ class RectifierPlant(Plant[RectifierPlantParams]):
 
     In realtime a command older than 5 periods is held with a warning; one older than 20 is replaced by V' = 0.
 
+    A command of exactly 0 is the word for switches off (a trip, lost commands): the diodes beside them are a bridge,
+    which feeds the load and holds the link at the peak between two phases, less what the load draws through L.
+
     ``power_quality`` has the figures of the last whole six grid cycles (zeros before the first are over).
 
     A command that is not finite or beyond 10,000 never gets here by a node; an event that is no possible value is
     refused and the last good one holds. When the DC voltage collapses below `v_least` the converter is given up: its
-    switches open, the link discharges into the load.
+    switches stay off, the diodes carry on.
     """
 
     STALE_PERIODS = 20  # realtime: an older command is replaced by 0
@@ -110,14 +118,14 @@ class RectifierPlant(Plant[RectifierPlantParams]):
         import numpy as np
 
         p = self.p
-        abc = phases(p.i_start, 0.0, 0.0)
-        self._x = np.array((p.i_start, 0.0, p.v_start) if p.model == "averaged_dq" else (*abc, p.v_start))
+        abc = phases(p.i_first, 0.0, 0.0)
+        self._x = np.array((p.i_first, 0.0, p.v_start) if p.model == "averaged_dq" else (*abc, p.v_start))
         self._legs = np.zeros(3)
         self._sums, self._complete = empty(), empty()
         self._trace = np.zeros((p.steps if p.waveform else 0, len(ports.WAVEFORM_CHANNELS)))
         self._trace[:] = (*abc, 0.0, p.v_start)
         self._end = 0.0
-        self._before = p.i_start
+        self._before = p.i_first
         self._load, self._amplitude, self._fifth = p.R_L, p.V_g, 0.0
         self._figures: tuple[float, ...] = (0.0,) * len(FIGURES)
         self.collapsed = False
@@ -160,10 +168,10 @@ class RectifierPlant(Plant[RectifierPlantParams]):
         start = t / 1e9
         if (self.age("command") or 0) > self._late:
             self.report(Level.WARN, "late", f"command older than {self.LATE_PERIODS} periods is held")
-        if self.collapsed:
-            self._discharge()
-            return
-        v = self._move(start, command[0])
+        wanted = 0.0 if self.collapsed else command[0]
+        if wanted == 0.0:
+            self.report(Level.WARN, "off", "switches off: the diodes carry the current")
+        v = self._move(start, wanted)
         self._before = command[0]
         complete = self._complete[PLAIN]
         if complete[WINDOWS] != self._figures[0] and complete[TIME] > 0.999 * self._window:
@@ -178,10 +186,26 @@ class RectifierPlant(Plant[RectifierPlantParams]):
             self._skip(start)
         self._end = start + p.period
         both = (self._circuit, self._period_at(start, command))
+        if command == 0.0:
+            return self._rectify(start, both)
         if p.model == "switched":
             return switched.advance(self._x, self._legs, p.steps, self._window, both, p.carrier_hz, p.injection,
                                     self._sums, self._complete, self._trace)  # fmt: skip
         return averaged.advance(self._x, p.steps, self._window, both, self._sums, self._complete, self._trace)
+
+    def _rectify(self, start: float, both: tuple[Circuit, Period]) -> float:
+        """Move over the period with the switches off."""
+        import numpy as np
+
+        p = self.p
+        x = np.array(averaged.read(start, self._x, self._circuit))
+        v = diodes.advance(x, p.steps, self._window, both, self._sums, self._complete, self._trace)
+        self._legs[:] = 0.0
+        if self._x.size == len(x):
+            self._x[:] = x
+        else:
+            self._x[:] = (*turned(x[0], x[1], x[2], self._circuit.omega * self._end), v)
+        return v
 
     def _skip(self, start: float) -> None:
         """Begin with the sums anew: time does not go on where it was (realtime after a pause of the host)."""
@@ -197,13 +221,12 @@ class RectifierPlant(Plant[RectifierPlantParams]):
                         "the last good ones hold")  # fmt: skip
 
     def _collapse(self, v: float) -> None:
+        if self.collapsed:
+            return
         self.collapsed = True
         self.report(Level.ERROR, "collapse", f"DC voltage {v:g} V, below {self.p.v_least:g} V: converter given up")
         self._x[:] = 0.0
         self._x[-1] = self.p.v_least
-
-    def _discharge(self) -> None:
-        self._x[-1] *= math.exp(-self.p.period / (self._load * self.p.C))
 
 
 main = executable(RectifierPlant)

@@ -119,7 +119,7 @@ def figures(sums: Array) -> dict[str, float]:
     dict of str to float
         As `FIGURES`: ``current``, ``current_5``, ``current_7``: amplitudes (A peak), root mean square over the phases,
         of the fundamental and of harmonics; ``ripple``: largest less smallest DC voltage; ``voltage_6``,
-        ``voltage_12``: amplitudes of its harmonics.
+        ``voltage_12``: amplitudes of its harmonics. Shares of a current that is 0 are 0.
     """
     import numpy as np
 
@@ -136,13 +136,14 @@ def figures(sums: Array) -> dict[str, float]:
     grid_1 = np.hypot(sums[GRID_COS : GRID_COS + 3, 1], sums[GRID_SIN : GRID_SIN + 3, 1]) * 2.0 / duration
     shares = products * 4.0 / duration**2
     link = 2.0 / duration * np.hypot(sums[LINK_COS], sums[LINK_SIN])
+    flows = first > 0.0
     some = np.sqrt((peak**2).mean(axis=0))
     found = {
         "windows": plain[WINDOWS],
-        "thd": 100.0 * math.sqrt(max(0.0, squares.sum() - first) / first),
-        "thd50": 100.0 * math.sqrt((peak[:, 2:] ** 2).sum() / 2.0 / first),
-        "pf": plain[POWER] / duration / rms.sum(),
-        "dpf": shares.sum() / (peak[:, 1] * grid_1).sum(),
+        "thd": 100.0 * math.sqrt(max(0.0, squares.sum() - first) / first) if flows else 0.0,
+        "thd50": 100.0 * math.sqrt((peak[:, 2:] ** 2).sum() / 2.0 / first) if flows else 0.0,
+        "pf": plain[POWER] / duration / rms.sum() if flows else 0.0,
+        "dpf": shares.sum() / (peak[:, 1] * grid_1).sum() if flows else 0.0,
         "current": some[1],
         "power": plain[POWER] / duration,
         "voltage": plain[LINK] / duration,

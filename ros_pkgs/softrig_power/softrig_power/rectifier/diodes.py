@@ -1,0 +1,103 @@
+"""The switches off: the six diodes beside them are a bridge, which charges the link to the peak between two phases."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from softrig_core import jit
+
+from .circuit import Circuit, Period, grid
+from .quality import PLAIN, WINDOWS, sample, turn_over
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    Array = NDArray[np.float64]
+
+STEP = 1e-6  # s, longest step; half of it changes the voltage of a loaded link by less than 0.01 %
+
+
+@jit
+def advance(
+    x: Array, steps: int, window: float, p: tuple[Circuit, Period], sums: Array, complete: Array, trace: Array
+) -> float:
+    """Move (i_a, i_b, i_c, v) over one period; parameters as of `averaged.advance`."""
+    circuit, period = p
+    h = period.length / steps
+    for j in range(steps):
+        t, end = period.start + j * h, period.start + (j + 1) * h
+        while t < end:
+            border = (sums[PLAIN, WINDOWS] + 1.0) * window
+            stop = min(end, border)
+            sample(sums, t, 0.5 * (stop - t), (x[0], x[1], x[2], x[3]), grid(t, circuit, period), circuit.omega)
+            count = math.ceil((stop - t) / STEP - 1e-9)
+            for k in range(count):
+                conduct(t + (k + 0.5) * (stop - t) / count, (stop - t) / count, x, p)
+            sample(sums, stop, 0.5 * (stop - t), (x[0], x[1], x[2], x[3]), grid(stop, circuit, period), circuit.omega)
+            if stop >= border:
+                turn_over(sums, complete)
+            t = stop
+        if trace.shape[0] > 0:
+            trace[j, 0], trace[j, 1], trace[j, 2], trace[j, 4] = x[0], x[1], x[2], x[3]
+            trace[j, 3] = grid(end, circuit, period)[0]
+    return x[3]
+
+
+@jit
+def conduct(t: float, h: float, x: Array, p: tuple[Circuit, Period]) -> None:
+    """One step around t: a leg carries its current by its upper diode into the link (s = 1), or back by the lower one.
+
+    A leg without current has none until its terminal is above the link's positive or below its negative rail; a current
+    that would turn round ends.
+    """
+    circuit, period = p
+    g = grid(t, circuit, period)
+    v = x[3]
+    s_a, on_a = (1.0 if x[0] > 0.0 else 0.0), (1.0 if x[0] != 0.0 else 0.0)
+    s_b, on_b = (1.0 if x[1] > 0.0 else 0.0), (1.0 if x[1] != 0.0 else 0.0)
+    s_c, on_c = (1.0 if x[2] > 0.0 else 0.0), (1.0 if x[2] != 0.0 else 0.0)
+    if on_a + on_b + on_c == 0.0 and max(g) - min(g) > v:
+        high, low = max(g), min(g)
+        on_a, s_a = (1.0 if g[0] == high or g[0] == low else 0.0), (1.0 if g[0] == high else 0.0)
+        on_b, s_b = (1.0 if g[1] == high or g[1] == low else 0.0), (1.0 if g[1] == high else 0.0)
+        on_c, s_c = (1.0 if g[2] == high or g[2] == low else 0.0), (1.0 if g[2] == high else 0.0)
+    drive_a, drive_b, drive_c = (g[0] - circuit.R * x[0] - s_a * v, g[1] - circuit.R * x[1] - s_b * v,
+                                 g[2] - circuit.R * x[2] - s_c * v)  # fmt: skip
+    count = on_a + on_b + on_c
+    if count > 1.0:
+        rail = (on_a * drive_a + on_b * drive_b + on_c * drive_c) / count  # negative rail to the grid's neutral
+        if count == 2.0:
+            if on_a == 0.0 and (g[0] - rail > v or g[0] < rail):
+                on_a, s_a = 1.0, (1.0 if g[0] - rail > v else 0.0)
+                drive_a = g[0] - s_a * v
+            elif on_b == 0.0 and (g[1] - rail > v or g[1] < rail):
+                on_b, s_b = 1.0, (1.0 if g[1] - rail > v else 0.0)
+                drive_b = g[1] - s_b * v
+            elif on_c == 0.0 and (g[2] - rail > v or g[2] < rail):
+                on_c, s_c = 1.0, (1.0 if g[2] - rail > v else 0.0)
+                drive_c = g[2] - s_c * v
+            count = on_a + on_b + on_c
+            rail = (on_a * drive_a + on_b * drive_b + on_c * drive_c) / count
+        x[0] = carried(x[0], on_a, s_a, h * (drive_a - rail) / circuit.L)
+        x[1] = carried(x[1], on_b, s_b, h * (drive_b - rail) / circuit.L)
+        x[2] = carried(x[2], on_c, s_c, h * (drive_c - rail) / circuit.L)
+        left = (x[0] != 0.0) + (x[1] != 0.0) + (x[2] != 0.0)
+        if left > 0:  # what one leg has lost by ending is missing in the others
+            rest = (x[0] + x[1] + x[2]) / left
+            x[0] = carried(x[0], x[0], s_a, -rest)
+            x[1] = carried(x[1], x[1], s_b, -rest)
+            x[2] = carried(x[2], x[2], s_c, -rest)
+    else:
+        x[0], x[1], x[2] = 0.0, 0.0, 0.0
+    x[3] = v + h * (s_a * x[0] + s_b * x[1] + s_c * x[2] - v / period.load) / circuit.C
+
+
+@jit
+def carried(i: float, on: float, s: float, change: float) -> float:
+    """Current of a leg after a change, or 0 where its diode would carry it backwards or it is not `on`."""
+    after = i + change
+    if on == 0.0 or (s == 1.0 and after < 0.0) or (s == 0.0 and after > 0.0):
+        return 0.0
+    return after
