@@ -16,7 +16,7 @@ from softrig_core import Level, ParameterError, Refused, list_scenarios, load_sc
 from softrig_core.wire.cdr import Layout
 from softrig_core.wire.codec import Decoder
 from softrig_drives.lsrm.current_controller import CurrentController
-from softrig_drives.lsrm.figures import FORCE, POSITION, SPEED
+from softrig_drives.lsrm.figures import FORCE, POSITION, SPEED, arrival, overshoot, peak_force
 from softrig_drives.lsrm.fuzzy import TABLE_II, THIRDS, LsrmFuzzy
 from softrig_drives.lsrm.load import LsrmLoad
 from softrig_drives.lsrm.machine import Geometry, distance, inductance, slope
@@ -462,6 +462,53 @@ def test_position_is_quantised():
 
 
 # monitor
+
+
+@pytest.mark.parametrize("name", ["lsrm_fuzzy", "lsrm_fuzzy_n2"])
+def test_a_motion_backwards_has_the_figures_of_its_mirror_image(name):
+    """Old: overshoot and dip of -200 %, the force while it brakes, and a monitor that refuses the speed."""
+    forwards, backwards = simulate(name), simulate(name, overrides={"v_d": -0.5})
+    turned = {"peak_force", "mean_force", "profile_end"}
+    for key, value in forwards.figures.items():
+        assert backwards.figures[key] == pytest.approx(-value if key in turned else value, rel=1e-9)
+    before, after = (run.blocks["motion_monitor"].status() for run in (forwards, backwards))
+    assert before.keys() == after.keys()
+    for key in ("overshoot", "rise_time", "settling_time", "dip", "recovery", "iae", "itae", "peak_error"):
+        if key in before:
+            assert after[key][0] == pytest.approx(before[key][0], rel=1e-9)
+    assert after["peak_force"][0] == pytest.approx(-before["peak_force"][0])
+
+
+def there_and_back(*overshoots):
+    """Legs of 2 s to 0.5 m/s, forwards and backwards in turn, a while beyond it."""
+    t = np.arange(0, 2000 * len(overshoots)) * 1e-3
+    way = np.where((t // 2.0) % 2.0 == 0.0, 1.0, -1.0)
+    beyond = np.array(overshoots)[(t // 2.0).astype(int)]
+    local = t % 2.0
+    speed = way * 0.5 * np.where(local < 1.0, np.minimum(local / 0.4, 1.0 + beyond), 1.0)
+    return t, way, speed, np.cumsum(speed) * 1e-3, way * np.where(local < 0.4, 16.0 + 100.0 * beyond, 12.0)
+
+
+def test_figures_of_a_motion_there_and_back():
+    t, way, speed, x, force = there_and_back(0.03, 0.04)
+    monitor = MotionMonitor()
+    for k in range(t.size):
+        values = {"reference": (x[k], 0.5 * way[k], 0.0), "joint_states": (x[k], speed[k], force[k]), "load": None}
+        monitor.update(k * 1_000_000, phase_currents=(0.0,) * 4, phase_voltage=(0.0,) * 4, force_cmd=(0.0,), **values)
+        if k == 1999:
+            assert monitor.status()["overshoot"][0] == pytest.approx(3.0)
+            assert monitor.status()["peak_force"][0] == pytest.approx(19.0)
+    status = {name: value for name, (value, _) in monitor.status().items()}
+    assert status["overshoot"] == pytest.approx(4.0)
+    assert status["rise_time"] == pytest.approx(0.32, abs=2e-3)
+    assert status["settling_time"] == pytest.approx(1.0, abs=2e-3)
+    assert status["peak_force"] == pytest.approx(-20.0)
+    signals = {FORCE: (t, force), POSITION: (t, x), SPEED: (t, speed)}
+    assert peak_force(signals) == pytest.approx(-20.0)  # there and back: the larger one
+    assert peak_force(signals, end=1.9) == pytest.approx(19.0)
+    assert peak_force(signals, start=2.0, sign=1.0) < 0.0
+    assert overshoot(signals, v_d=-0.5, start=2.0) == pytest.approx(4.0)
+    assert arrival({SPEED: (t[2000:], speed[2000:])}, v_d=-0.5) == pytest.approx(2.396, abs=1e-3)
 
 
 @pytest.mark.parametrize("name", ["lsrm_fuzzy", "lsrm_fuzzy_n2"])

@@ -1,5 +1,8 @@
 """Figure functions of the drive: overshoot and dip of the speed, tracking error, force.
 
+They follow the sign of `v_d`, and the force the direction of the motion: a motion backwards has the figures of its
+mirror image, forces with their own sign.
+
 `start` and `end` (s) limit the samples as in `softrig_core.rig.metrics`. Of two drives in one rig, `drive` is the name
 before the topics of one (``trapezoid``).
 """
@@ -16,22 +19,23 @@ POSITION = "joint_states/translator/position"
 SPEED = "joint_states/translator/velocity"
 FORCE = "joint_states/translator/effort"
 REFERENCE = "reference/translator/velocity"
+BOTH_WAYS = 1.2  # way over distance from the start, beyond which a motion has gone there and back
 
 
 @figure("%", (SPEED,))
 def overshoot(
     signals: SignalMap, *, v_d: float, start: float | None = None, end: float | None = None, drive: str = ""
 ) -> float:
-    """(max v - v_d)/v_d in %; negative when the speed never reaches v_d."""
-    return 100.0 * (float(np.max(window(signals, _of(drive, SPEED), start, end)[1])) / v_d - 1.0)
+    """Largest of (v - v_d)/v_d in %; negative when the speed never reaches v_d."""
+    return 100.0 * (float(np.max(np.sign(v_d) * window(signals, _of(drive, SPEED), start, end)[1])) / abs(v_d) - 1.0)
 
 
 @figure("%", (SPEED,))
 def dip(
     signals: SignalMap, *, v_d: float, start: float | None = None, end: float | None = None, drive: str = ""
 ) -> float:
-    """(v_d - min v)/v_d in %."""
-    return 100.0 * (1.0 - float(np.min(window(signals, _of(drive, SPEED), start, end)[1])) / v_d)
+    """Largest of (v_d - v)/v_d in %."""
+    return 100.0 * (1.0 - float(np.min(np.sign(v_d) * window(signals, _of(drive, SPEED), start, end)[1])) / abs(v_d))
 
 
 @figure("m", (SPEED, REFERENCE))
@@ -48,15 +52,26 @@ def itae(signals: SignalMap, *, start: float | None = None, end: float | None = 
     return float((t * error).sum() * _interval(t))
 
 
-@figure("N", (FORCE,))
+@figure("N", (FORCE, POSITION))
 def peak_force(
-    signals: SignalMap, *, width: float = 0.005, sign: float = 1.0, start: float | None = None,
+    signals: SignalMap, *, width: float = 0.005, sign: float | None = None, start: float | None = None,
     end: float | None = None, drive: str = "",
 ) -> float:  # fmt: skip
-    """Largest (with `sign` -1: smallest) centred mean of the force over `width` (s), in N."""
+    """Largest (with `sign` -1: smallest) centred mean of the force over `width` (s), in N.
+
+    Without `sign` that in the direction of the motion; of a motion both ways that of the larger size.
+    """
     t, F = window(signals, _of(drive, FORCE), start, end, least=2)
     n = max(1, round(width / _interval(t)))
-    return float(sign * np.max(sign * np.convolve(F, np.full(n, 1.0 / n), mode="valid")))
+    means = np.convolve(F, np.full(n, 1.0 / n), mode="valid")
+    if sign is None:
+        x = window(signals, _of(drive, POSITION), start, end)[1]
+        there, back = float(np.max(x) - x[0]), float(x[0] - np.min(x))
+        way = float(np.max(np.abs(np.diff(x, prepend=x[0])).cumsum()))
+        if way > BOTH_WAYS * max(there, back):
+            return float(means[np.argmax(np.abs(means))])
+        sign = 1.0 if there >= back else -1.0
+    return float(sign * np.max(sign * means))
 
 
 @figure("N", (FORCE, POSITION))
@@ -77,7 +92,7 @@ def force_ripple(signals: SignalMap, *, pitch: float = 0.052, pitches: int = 2, 
 def arrival(signals: SignalMap, *, v_d: float, part: float = 0.99, drive: str = "") -> float:
     """First time in s at which the speed is at `part` of v_d, linear between samples; inf when never."""
     t, v = signals[_of(drive, SPEED)]
-    goal = part * v_d
+    v, goal = np.sign(v_d) * v, part * abs(v_d)
     k = int(np.argmax(v >= goal))
     if v[k] < goal:
         return float("inf")

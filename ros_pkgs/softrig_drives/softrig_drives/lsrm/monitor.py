@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from pydantic import field_validator
 from softrig_core import executable, param
 from softrig_core.rig import metrics
 from softrig_core.rig.watch import Measure, Watch, WatchParams
@@ -20,15 +22,24 @@ class MotionMonitorParams(WatchParams):
 
     period: float = param(1e-3, "sampling period", "s", gt=0.0, le=0.1)
     window: float = param(10.0, "the figures are those of this last time", "s", gt=0.0, le=3600.0)
-    v_d: float = param(0.5, "cruise speed that the figures refer to", "m/s", gt=0.0, le=10.0)
+    v_d: float = param(0.5, "cruise speed that the figures refer to; in the direction of the reference", "m/s",
+                       ge=-10.0, le=10.0)  # fmt: skip
     band: float = param(0.02, "half width of the band around v_d as a part of it", gt=0.0, lt=0.9)
     force_window: float = param(5e-3, "the peak force is that of a mean over this time", "s", gt=0.0, le=1.0)
+
+    @field_validator("v_d")
+    @classmethod
+    def _moves(cls, v_d: float) -> float:
+        if v_d == 0.0:
+            raise ValueError("expected a speed, forwards or backwards")
+        return v_d
 
 
 class MotionMonitor(Watch[MotionMonitorParams]):
     """Overshoot, rise and settling time, IAE, ITAE, peak error, peak force; after a load its dip and recovery.
 
-    At the monitor's own period; the figures of a scenario see every sample.
+    At the monitor's own period; the figures of a scenario see every sample. Speeds are in the direction of the
+    reference; where it turns, the figures begin anew.
     """
 
     INPUTS = (JOINT_STATES, PHASE_CURRENTS, PHASE_VOLTAGE, FORCE_CMD, REFERENCE_PORT, LOAD)
@@ -38,27 +49,38 @@ class MotionMonitor(Watch[MotionMonitorParams]):
         super().start()
         self._load: tuple[float, ...] = (0.0, 0.0)
         self._loaded: float | None = None
+        self._way = 0.0  # direction of the reference, 0 before it has moved
+        self._begin: float | None = None  # when it turned
 
-    def update(self, t: int, *, load: tuple[float, ...] | None, **inputs: Any) -> Mapping[str, Any]:
+    def update(
+        self, t: int, *, load: tuple[float, ...] | None, reference: tuple[float, ...], **inputs: Any
+    ) -> Mapping[str, Any]:
         """Take one sample in."""
+        way = math.copysign(1.0, reference[1]) if reference[1] else 0.0
+        if way * self._way < 0.0:
+            self._begin, self._loaded = t / 1e9, None
+        self._way = way or self._way
         if load is not None and load != self._load:
             self._load, self._loaded = load, t / 1e9
-        return super().update(t, **inputs)
+        return super().update(t, reference=reference, **inputs)
 
     def measures(self) -> Iterator[Measure]:
         """Figures of the window; those of the start until a load comes, then those of the load."""
-        v_d, band = self.p.v_d, {"final": self.p.v_d, "band": self.p.band, "at": "sample"}
-        yield Measure("overshoot", overshoot, {"v_d": v_d})
-        yield Measure("rise_time", metrics.rise_time, {"signal": SPEED, "final": v_d})
+        v_d = math.copysign(self.p.v_d, self._way or self.p.v_d)
+        band, leg = {"final": v_d, "band": self.p.band, "at": "sample"}, {"start": self._begin}
+        yield Measure("overshoot", overshoot, {"v_d": v_d, **leg})
+        yield Measure("rise_time", metrics.rise_time, {"signal": SPEED, "final": v_d, **leg})
         if self._loaded is None:
-            yield Measure("settling_time", metrics.settling_time, {"signal": SPEED, "start": 0.0, **band})
+            yield Measure(
+                "settling_time", metrics.settling_time, {"signal": SPEED, "start": self._begin or 0.0, **band}
+            )
         else:
             yield Measure("dip", dip, {"v_d": v_d, "start": self._loaded})
             yield Measure("recovery", metrics.settling_time, {"signal": SPEED, "start": self._loaded, **band})
         yield Measure("iae", iae)
         yield Measure("itae", itae)
         yield Measure("peak_error", metrics.peak, {"signal": SPEED, "reference": REFERENCE})
-        yield Measure("peak_force", peak_force, {"width": self.p.force_window})
+        yield Measure("peak_force", peak_force, {"width": self.p.force_window, **leg})
         yield Measure("peak_command", metrics.peak, {"signal": "force_cmd/translator/effort"})
         for phase in PHASES:
             yield Measure(f"peak_current_{phase}", metrics.peak, {"signal": f"phase_currents/{phase}/position"})
