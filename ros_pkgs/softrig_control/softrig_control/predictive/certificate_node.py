@@ -43,7 +43,8 @@ class CertificateNode(Block[CertificateParams]):
 
     ``certificate/verdict``: valid (1 or 0), largest modulus of the closed loop, smallest eigenvalue of Qbar, residual
     of the corrected (32), smallest eigenvalue of its left side less Q + K'RK. A certificate that is none is reported as
-    a warning.
+    a warning. It is one of the transfer function and sampling time in its own parameters, without bounds: nothing else
+    of a rig is held against it, and /diagnostics name them.
     """
 
     @classmethod
@@ -72,6 +73,11 @@ class CertificateNode(Block[CertificateParams]):
     def refused(self, t: int) -> Mapping[str, Any]:
         """A press that cannot be read gets silence."""
         return {}
+
+    def health(self) -> Mapping[str, str]:
+        """Tell what it is a certificate of."""
+        p = self.p
+        return {"model": f"num = {list(p.num)}, den = {list(p.den)}, T = {p.T:g} s, Q = {p.Q:g}, R = {p.R:g}"}
 
     def _answer(self) -> Mapping[str, Any]:
         found = self._certificate()

@@ -219,6 +219,9 @@ def _override(raw: dict[str, Any], key: str, value: Any) -> None:
     if not parameter and key in shared:
         raw["shared"] = shared | {key: value}
         return
+    if node not in nodes and isinstance(shared.get(node), Mapping):  # one value of a group
+        raw["shared"] = merge(dict(shared), {node: {parameter: value}})
+        return
     faults = raw.get("faults") or {}
     if parameter and node in faults:
         raw["faults"] = merge(faults, {node: {WORDS.get(parameter, parameter): value}})

@@ -34,6 +34,11 @@ class UnitFleet(Plant[FleetParams]):
     """
 
     @classmethod
+    def agreed(cls, params: FleetParams) -> Mapping[str, Any]:
+        """The units."""
+        return Units.read(params.unit_table).agreed()
+
+    @classmethod
     def ports(cls, params: FleetParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
         """One channel a unit."""
         units = Units.read(params.unit_table)

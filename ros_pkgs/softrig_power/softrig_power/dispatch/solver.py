@@ -75,6 +75,11 @@ class DispatchSolver(Solver[DispatchParams]):
     """
 
     @classmethod
+    def agreed(cls, params: DispatchParams) -> Mapping[str, Any]:
+        """The units: the proof is of these."""
+        return Units.read(params.unit_table).agreed()
+
+    @classmethod
     def ports(cls, params: DispatchParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
         """One channel a unit."""
         units = Units.read(params.unit_table)

@@ -48,6 +48,11 @@ class Units:
     ids: tuple[str, ...]
     table: Array
 
+    def agreed(self) -> dict[str, object]:
+        """Give what the units and who dispatches them must have in common: limits and costs."""
+        rows = zip(self.ids, self.table.tolist(), strict=True)
+        return {"dispatch/units": self.ids} | {f"dispatch/unit {name}": tuple(row) for name, row in rows}
+
     def __post_init__(self) -> None:
         table = np.array(self.table, dtype=float)
         if table.ndim != 2 or table.shape[0] == 0 or table.shape[1] != len(COLUMNS):

@@ -7,12 +7,13 @@ import functools
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Literal, Self
+from typing import Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import model_validator
 from softrig_core import BlockParams, param
+from softrig_core.model.params import flatten
 
 from . import steady
 from .circuit import BUS1, BUS2, BUS4, I12, I34, I_SH, PULSE, SE12, SE34, SH, circuit
@@ -43,6 +44,12 @@ class DeviceParams(BlockParams):
             raise ValueError(f"waveform = pulse: a cycle has {cycle:.6g} control periods, expected {CYCLE}")
         _flow(self.network, self.initial)
         return self
+
+    def agreed(self) -> dict[str, Any]:
+        """Give what all nodes of the device must have in common, to start in one steady state."""
+        network = {f"gupfc/network.{name}": value for name, value in flatten(self.network).items()}
+        initial = {f"gupfc/initial.{name}": value for name, value in flatten(self.initial).items()}
+        return {**network, **initial, "gupfc/waveform": self.waveform, "gupfc/substeps": self.substeps}
 
     @property
     def step(self) -> float:

@@ -55,6 +55,11 @@ class GupfcPlant(Plant[GupfcPlantParams]):
     STALE_PERIODS: ClassVar[int] = 3
 
     @classmethod
+    def agreed(cls, params: GupfcPlantParams) -> Mapping[str, Any]:
+        """The steady state in which all start."""
+        return params.agreed()
+
+    @classmethod
     def ports(cls, params: GupfcPlantParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
         """Three commands; six vectors, DC link, status, and the trace if asked for."""
         trace = array("trace", "gupfc/trace", {"step": params.substeps, "part": 2 * len(TRACE)}, "pu")

@@ -43,6 +43,11 @@ class SeriesController(Block[SeriesControllerParams]):
     """
 
     @classmethod
+    def agreed(cls, params: SeriesControllerParams) -> Mapping[str, Any]:
+        """The steady state in which all start."""
+        return params.agreed()
+
+    @classmethod
     def ports(cls, params: SeriesControllerParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
         """Give the ports of its circuit."""
         u, i = ("u2", "i12") if params.circuit == 1 else ("u4", "i34")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import cmath
 import math
 from collections.abc import Mapping
+from typing import Any
 
 from softrig_control.filters import SecondOrderFilter
 from softrig_control.phase_locked_loop import PhaseLockedLoop, PllParams
@@ -43,6 +44,11 @@ class ShuntController(Block[ShuntControllerParams]):
 
     INPUTS = (measured("u1"), measured("i_sh"), SHUNT_REFERENCE)
     OUTPUTS = (SHUNT,)
+
+    @classmethod
+    def agreed(cls, params: ShuntControllerParams) -> Mapping[str, Any]:
+        """The steady state in which all start."""
+        return params.agreed()
 
     def setup(self) -> None:
         """Solve the power flow of the start."""

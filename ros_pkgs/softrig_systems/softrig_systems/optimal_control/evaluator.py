@@ -41,6 +41,11 @@ class OcpEvaluator(Observer[EvaluatorParams]):
     """
 
     @classmethod
+    def agreed(cls, params: EvaluatorParams) -> Mapping[str, Any]:
+        """The plant, and the task that the plan is for."""
+        return {**params.plant_agreed(), **params.task_agreed()}
+
+    @classmethod
     def ports(cls, params: EvaluatorParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
         """Channels of the problem; the plan may be missing."""
         problem = params.statement()

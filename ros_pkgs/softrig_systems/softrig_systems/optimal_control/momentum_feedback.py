@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 from softrig_core import Block, Port, executable, to_s
 
@@ -17,6 +18,11 @@ class MomentumFeedback(Block[ProblemParams]):
     The gyroscopic torque cannot change \|h\|, so no control does with less than \|h_0\|^2/(2T). In the last period
     T - t is held at the period; after the horizon the command is zero. A state that is refused holds the command.
     """
+
+    @classmethod
+    def agreed(cls, params: ProblemParams) -> Mapping[str, Any]:
+        """The task; its idea of the plant is its own."""
+        return params.task_agreed()
 
     @classmethod
     def ports(cls, params: ProblemParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:

@@ -73,6 +73,11 @@ class Planner(Solver[P]):
         raise NotImplementedError
 
     @classmethod
+    def agreed(cls, params: Any) -> Mapping[str, Any]:
+        """The task; its idea of the plant is its own."""
+        return params.task_agreed()
+
+    @classmethod
     def ports(cls, params: Any) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
         """Channels of the problem."""
         problem = params.statement()

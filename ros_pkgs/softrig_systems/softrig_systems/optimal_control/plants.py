@@ -53,6 +53,11 @@ class OcpPlant(Plant[P]):
     """
 
     @classmethod
+    def agreed(cls, params: OcpPlantParams) -> Mapping[str, Any]:
+        """The problem."""
+        return params.plant_agreed()
+
+    @classmethod
     def ports(cls, params: OcpPlantParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
         """Channels of the problem."""
         problem = params.statement()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Literal, Self
+from typing import Any, Literal, Self
 
 from pydantic import model_validator
 from softrig_core import Block, BlockParams, Level, executable, param, to_ns
@@ -52,6 +52,11 @@ class AqmController(Block[AqmControllerParams]):
 
     INPUTS = (STATE, REFERENCE)
     OUTPUTS = (COMMAND, HEALTH)
+
+    @classmethod
+    def agreed(cls, params: AqmControllerParams) -> Mapping[str, Any]:
+        """What is wanted; its idea of the network is its own."""
+        return {"tcp/set_point": params.set_point}
 
     def setup(self) -> None:
         """Choose the law."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from softrig_core import Params, param
 
@@ -14,6 +14,10 @@ class Bottleneck(Params):
     C: float = param(3750.0, "capacity C of the link", "packet/s", gt=0.0, le=1e7)
     tau_p: float = param(0.2, "propagation delay tau_p of a round trip (printed tau_d)", "s", gt=0.0, le=10.0)
     q_max: float = param(300.0, "room in the queue; what arrives beyond is lost", "packet", gt=0.0, le=1e6)
+
+    def agreed(self) -> dict[str, Any]:
+        """Give what a network and who judges it must have in common."""
+        return {f"tcp/{name}": getattr(self, name) for name in Bottleneck.model_fields}
 
 
 class Equilibrium(NamedTuple):

@@ -30,6 +30,11 @@ class AqmMetrics(Observer[AqmMetricsParams]):
 
     INPUTS = (STATE, TRUTH, COMMAND, REFERENCE)
 
+    @classmethod
+    def agreed(cls, params: AqmMetricsParams) -> Mapping[str, Any]:
+        """The bottleneck that it judges, and what is wanted of it."""
+        return {**params.agreed(), "tcp/set_point": params.set_point}
+
     def start(self) -> None:
         """Nothing seen."""
         p = self.p

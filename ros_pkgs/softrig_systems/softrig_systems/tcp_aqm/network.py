@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Literal, NamedTuple, Self
+from typing import Any, Literal, NamedTuple, Self
 
 from pydantic import model_validator
 from softrig_core import BlockParams, Level, Plant, Port, param
@@ -64,6 +64,11 @@ class Network(Plant[P]):
     """
 
     OUTPUTS = (STATE, TRUTH)
+
+    @classmethod
+    def agreed(cls, params: NetworkParams) -> Mapping[str, Any]:
+        """The bottleneck."""
+        return params.agreed()
 
     @classmethod
     def ports(cls, params: NetworkParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
