@@ -29,9 +29,18 @@ def test_its_linear_model_is_the_analytic_one(blocks, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     matplotlib.use("Agg")
     known = {"__name__": "page"}
-    exec(blocks[1], known)
+    exec(blocks[2], known)
     pole = -0.05 / np.sqrt(0.9)  # d/dh of -0.1 sqrt(h)
     assert known["u"][0] == pytest.approx(2.0 * np.sqrt(0.9), rel=1e-8)
     assert known["plant"].poles() == pytest.approx([pole], rel=1e-8)
     assert known["loop"].poles() == pytest.approx([pole - 0.3], rel=1e-8)
     assert {p.name for p in tmp_path.iterdir()} == {"bode.png", "step.png", "locus.png"}
+
+
+def test_a_run_in_a_notebook(blocks, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    known = {"__name__": "page"}
+    exec(blocks[0], known)
+    exec(blocks[1], known)
+    assert "<Run of dc_motor_smc_b2 (inprocess, seed 0)" in capsys.readouterr().out
+    assert (tmp_path / "speed.pdf").read_bytes().startswith(b"%PDF")

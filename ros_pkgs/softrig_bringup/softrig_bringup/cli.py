@@ -78,6 +78,12 @@ def _parser() -> argparse.ArgumentParser:
     verb("list", _list, "list scenarios by system, with duration and title").add_argument(
         "filter", nargs="?", default="", help="only scenarios or systems with this in their name"
     )
+    verb(
+        "signals", _signals, "signals of a scenario: unit, message type, who publishes and who reads them"
+    ).add_argument("scenario", help="name or YAML file")
+    verb("figures", _figures, "functions that figures of a scenario may name, or all about one").add_argument(
+        "name", nargs="?", default="", help="of a function"
+    )
     run_verb.arguments(verb("run", run_verb.run, "run a scenario: metrics, bag, plots, report"))
     node = verb("node", _node, "start one executable, as `ros2 run` does")
     node.add_argument("package")
@@ -176,6 +182,18 @@ def _list(options: argparse.Namespace) -> int:
     from .listing import main as listing
 
     return listing(options.filter)
+
+
+def _signals(options: argparse.Namespace) -> int:
+    from .listing import list_signals
+
+    return list_signals(options.scenario)
+
+
+def _figures(options: argparse.Namespace) -> int:
+    from .listing import list_figures
+
+    return list_figures(options.name)
 
 
 def _completion(options: argparse.Namespace) -> int:

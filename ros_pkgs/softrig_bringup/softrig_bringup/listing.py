@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 import os
 import sys
@@ -11,8 +12,10 @@ from typing import Any
 from rich.console import Console
 from rich.text import Text
 from rich.tree import Tree
-from softrig_core import Scenario, ScenarioError, list_scenarios, load_scenario
+from softrig_core import Scenario, ScenarioError, list_scenarios, load_scenario, rig_of
 from softrig_core.guard import plain, say
+from softrig_core.rig.figures import signal_units
+from softrig_core.wire.signals import full_name
 
 
 def console(**options: Any) -> Console:
@@ -80,3 +83,37 @@ def _took(name: str) -> list[str]:
         return [f"took {float(content['wall_s']):.2g} s ({content['mode']})"]
     except (OSError, ValueError, KeyError, TypeError):
         return []
+
+
+def list_figures(name: str) -> int:
+    """Print the figure functions that scenarios may name, or what one of them says of itself."""
+    from softrig_core.rig.registry import find, registered
+
+    if name:
+        function = find(name)
+        print(f"{name}{inspect.signature(function)}\n\n{inspect.getdoc(function) or ''}\n")
+        print(f"unit: {getattr(function, 'unit', None) or 'as the scenario says'}")
+        return 0
+    for one in registered():
+        first = (inspect.getdoc(find(one)) or "").partition("\n")[0]
+        print(f"{one}\t{getattr(find(one), 'unit', None) or ''}\t{first}")
+    return 0
+
+
+def list_signals(name: str) -> int:
+    """Print the signals of a scenario: name, unit, who publishes it, who reads it; a field that is the only one is left
+    out, as it may be wherever a signal is named.
+    """
+    rig = rig_of(name)
+    units = signal_units(rig)
+    source = {p.topic: (m, p) for m in rig.members for p in m.outputs}
+    for topic, port in rig.topics.items():
+        labels = [f"{topic}/{label}" for label in port.labels]
+        for label in labels:
+            short = label.rpartition("/")[0]
+            shown = short if full_name(short, units) == label else label
+            member, own = source.get(topic, (None, port))
+            readers = ", ".join(m.name for m, _ in rig.readers(member, own)) if member else ""
+            said = f"{member.name if member else 'outside'} -> {readers or '-'}"
+            print(f"{shown}\t{units[label] or '1'}\t{port.msgtype.replace('/msg/', '/')}\t{said}")
+    return 0

@@ -36,7 +36,7 @@ def run_section(directory: Path, run: RunRecord, title: str, heading: str, ancho
     what = ", ".join([run.scenario, *run.changed])
     broken = [e("p", f"The run broke: {run.error}", class_="broken")] if run.error else []
     parts = [
-        ("Figures", [_metrics(run)]),
+        ("Figures", [metrics(run)]),
         ("Signals", list(_pictures(directory, run))),
         ("Block diagram", list(_rig(run))),
         ("Repeat this run", [e("pre", run.command)]),
@@ -83,7 +83,8 @@ def verdict(run: RunRecord) -> Element:
     return mark(not run.missed, text)
 
 
-def _metrics(run: RunRecord) -> Element:
+def metrics(run: RunRecord) -> Element:
+    """The table of figures, without columns that say nothing."""
     if not run.metrics:
         return e("p", "No metrics." if run.error else "This scenario has no metrics.", class_="note")
     columns: dict[str, tuple[str, Callable[[Result], Element | str]]] = {

@@ -31,7 +31,19 @@ def plot_name(number: int, title: str) -> str:
     return f"plot_{number:02d}_{re.sub(r'[^a-z0-9]+', '_', title.lower()).strip('_')[:60]}.png"
 
 
-def plot_run(signals: Signals, rig: Rig, directory: Path, also: str = "") -> list[Path]:
+def plot_entry(signals: Signals, rig: Rig, entry: PlotEntry) -> Figure:
+    """Draw one plot of a run, with its title."""
+    from matplotlib import rc_context
+
+    source = Source(signals, rig)
+    with rc_context(look.style()):
+        figure = _xy_figure(source, entry) if entry.x else _time_figure(source, entry, marks_of(rig, signals))
+        figure.suptitle(entry.title, x=0.008, ha="left", fontsize=12, fontweight="bold")
+        fold_exponents(figure)
+    return figure
+
+
+def plot_run(signals: Signals, rig: Rig, directory: Path, also: str = "", most: int | None = None) -> list[Path]:
     """Draw the plots of the rig's scenario and the overview.
 
     Parameters
@@ -44,6 +56,8 @@ def plot_run(signals: Signals, rig: Rig, directory: Path, also: str = "") -> lis
         An existing directory.
     also : str
         One of `FORMATS`: a file of this kind beside each PNG; empty: none.
+    most : int, optional
+        Only the first plots, and the overview if there are fewer.
 
     Returns
     -------
@@ -64,13 +78,15 @@ def plot_run(signals: Signals, rig: Rig, directory: Path, also: str = "") -> lis
     paths = []
     with rc_context(look.style()):
         outside = {p.topic for m in rig.members if m.external for p in m.outputs} & set(source.silent)
-        for number, entry in enumerate(rig.scenario.plots, 1):
+        for number, entry in enumerate(rig.scenario.plots[:most], 1):
             parts = [part for name in entry.signals for part in name.split(" - ", 1)]
             if outside and all(source.topic(part) in outside for part in parts):
                 continue
             figure = _xy_figure(source, entry) if entry.x else _time_figure(source, entry, marks)
             paths.append(directory / plot_name(number, entry.title))
             save_figure(figure, paths[-1], entry.title, rig.scenario.name, also)
+    if most is not None and len(paths) >= most:
+        return paths
     with rc_context(look.style() | {"lines.linewidth": 1.0}):
         paths.append(directory / OVERVIEW)
         save_figure(_overview(source), paths[-1], "Every recorded signal", rig.scenario.name, also)

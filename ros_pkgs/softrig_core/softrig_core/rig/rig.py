@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib.metadata
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from pydantic import ValidationError
@@ -16,10 +16,11 @@ from ..model.port import CLOCK, Port, Refused
 from ..model.schedule import Schedule
 from ..wire.cdr import Pick
 from ..wire.codec import selection
+from ..wire.signals import full_name
 from .agreement import require_agreement
 from .faults import insert
 from .node_parameters import NodeParameters
-from .scenario import Scenario, explain
+from .scenario import PlotEntry, Scenario, explain
 from .scenario_file import closest
 from .units import misfit
 
@@ -106,7 +107,7 @@ class Rig:
                                 f"{clock.name}, expected at most {TICKS:.0e}")  # fmt: skip
         require_agreement(scenario.name, members)
         _wire(scenario, members)
-        return cls(scenario, (*plants, *_sorted([m for m in members if not m.is_plant])), clock)
+        return cls(_whole_names(scenario, members), (*plants, *_sorted([m for m in members if not m.is_plant])), clock)
 
     @property
     def ticks(self) -> int:
@@ -160,6 +161,11 @@ class Rig:
         """Give the rig with another length or other parameters (``node.parameter`` to value)."""
         scenario = self.scenario.changed(duration=duration, overrides=overrides)
         return Rig.from_scenario(scenario, {m.name: m.block_class for m in self.members})
+
+    def with_plots(self, plots: tuple[PlotEntry, ...]) -> Rig:
+        """Give the rig with other plots."""
+        changed = self.scenario.model_copy(update={"plots": plots})
+        return replace(self, scenario=_whole_names(changed, list(self.members)))
 
     @property
     def topics(self) -> dict[str, Port]:
@@ -304,6 +310,21 @@ def _wire(scenario: Scenario, members: list[Member]) -> None:
                     f"{scenario.name}: {port.topic} from {source.name} does not fit {member.name}: {error}"
                 ) from None
     _check_units(scenario, members)
+
+
+def _whole_names(scenario: Scenario, members: list[Member]) -> Scenario:
+    """Give the scenario with the signals of its figures and plots by their whole names."""
+    known = {f"{p.topic}/{label}" for m in members for p in (*m.outputs, *m.inputs) for label in p.labels}
+
+    def whole(value: Any) -> Any:
+        if isinstance(value, str) and "/" in value and value not in known:
+            return " - ".join(full_name(part, known) for part in value.split(" - "))
+        return value
+
+    figures = {name: f.model_copy(update={"arguments": {k: whole(v) for k, v in f.arguments.items()}})
+               for name, f in scenario.figures.items()}  # fmt: skip
+    plots = tuple(p.model_copy(update={"signals": {whole(n): t for n, t in p.signals.items()}}) for p in scenario.plots)
+    return scenario.model_copy(update={"figures": figures, "plots": plots})
 
 
 def unit_of(source: Member, port: Port, label: str, seen: tuple[str, ...] = ()) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.metadata
 import math
 import signal
 import time
@@ -10,19 +11,29 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
+from ..errors import ScenarioError
 from ..model.block import Block
 from ..model.timebase import SECOND
 from ..wire.recording import Recording
 from ..wire.signals import Signals
 from .claims import NEVER
-from .figures import Result, evaluate, figures_of
+from .figures import Result, evaluate, figures_of, signal_units
 from .findings import Finding, findings, values
 from .inprocess import run_inprocess
 from .rig import Rig
 from .scenario import Scenario, load_scenario
 
 
-@dataclass
+def _view(name: str) -> Callable[..., Any]:
+    """Find a function of the package that draws; the core draws nothing by itself."""
+    point = next(iter(importlib.metadata.entry_points(group="softrig_views", name=name)), None)
+    if point is None:
+        raise ScenarioError("nothing that draws is installed: expected the package softrig_bringup")
+    view: Callable[..., Any] = point.load()
+    return view
+
+
+@dataclass(repr=False)
 class Run:
     """A finished run.
 
@@ -96,6 +107,70 @@ class Run:
         own, units = values(self.results), {r.name: r.unit for r in self.results}
         name = self.rig.scenario.name
         return findings(self.rig.scenario, lambda other: own if other == name else None, units)
+
+    def __repr__(self) -> str:
+        """Say what it was, how far it came and how its figures did."""
+        end = self.error or self.stopped_at or f"{self.reached_s:g} s in {self.wall_s:.3g} s"
+        judged = [r for r in self.results if r.judged] if not self.error else []
+        passed = f", {sum(r.passed for r in judged)} of {len(judged)} figures pass" if judged else ""
+        return f"<Run of {self.rig.scenario.name} ({self.mode}, seed {self.seed}): {end}{passed}>"
+
+    def _repr_html_(self) -> str:
+        """Figures and pictures, for a notebook."""
+        return str(_view("html")(self))
+
+    def plot(self, *names: str, window: tuple[float, float] | None = None) -> Any:
+        """Draw signals over time.
+
+        Parameters
+        ----------
+        *names : str
+            Signals, each unit in its own axes; those of the scenario's first plot when there are none.
+        window : (float, float), optional
+            First and last time, s.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            Shown by a notebook; ``figure.savefig("speed.pdf")`` keeps it.
+
+        Raises
+        ------
+        ScenarioError
+            No such signal, or softrig_bringup, which draws, is not installed.
+        """
+        return _view("plot")(self, names, window)
+
+    def to_pandas(self, topic: str = "") -> Any:
+        """Give the signals of a topic, or each signal's newest value at all times of the clock, as a data frame.
+
+        Parameters
+        ----------
+        topic : str
+            All topics when empty.
+
+        Returns
+        -------
+        pandas.DataFrame
+            Index: time in s. Columns: signals by name; ``attrs["units"]`` has their units.
+
+        Raises
+        ------
+        ImportError
+            pandas is not installed.
+        KeyError
+            No such topic.
+        """
+        import pandas
+
+        names = [name for name in self.signals if not topic or name.startswith(f"{topic}/")]
+        if not names:
+            self.signals.table(topic)
+        units = signal_units(self.rig)
+        columns = {name: pandas.Series(x, index=t) for name in names for t, x in [self.signals[name]] if t.size}
+        frame = pandas.DataFrame(columns).rename_axis("t, s").ffill()
+        frame.attrs["units"] = {name: units.get(name, "") for name in columns}
+        return frame
 
     @property
     def missed(self) -> list[Result]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -31,8 +31,29 @@ class Table(NamedTuple):
     columns: dict[str, Array]
 
 
+def full_name(name: str, known: Iterable[str]) -> str:
+    """Give the whole name of a signal that was called without its field: ``buck/state/voltage`` of ``.../position``.
+
+    Parameters
+    ----------
+    name : str
+    known : iterable of str
+        All signals.
+
+    Returns
+    -------
+    str
+        The name itself when it is whole, or when none or several signals begin so.
+    """
+    names = list(known)
+    if name in names:
+        return name
+    found = [k for k in names if k.rpartition("/")[0] == name]
+    return found[0] if len(found) == 1 else name
+
+
 class Signals(Mapping[str, Signal]):
-    """Signals by name ``topic/channel/field``, decoded when first asked for.
+    """Signals by name ``topic/channel/field``, decoded when first asked for; the field may be left out if there is one.
 
     Parameters
     ----------
@@ -64,7 +85,7 @@ class Signals(Mapping[str, Signal]):
         if topic is None:
             raise KeyError(f"no topic for signal {name!r}; recorded are {', '.join(self.recording.topics)}")
         table = self.table(topic)
-        label = name[len(topic) + 1 :]
+        label = full_name(name[len(topic) + 1 :], table.columns)
         if label not in table.columns:
             raise KeyError(f"no signal {label!r} on {topic}; it has {', '.join(table.columns)}")
         return Signal(table.t, table.columns[label])

@@ -1,0 +1,48 @@
+"""A run in a notebook: its figures and pictures in a cell."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING
+from xml.etree.ElementTree import tostring
+
+from softrig_core import Run, ScenarioError
+from softrig_core.rig.scenario import PlotEntry
+
+from .html import e, picture
+from .plots.curves import check_plots
+from .plots.figures import plot_entry, plot_run
+from .run import summary
+from .run_page import metrics
+from .run_record import RunRecord
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+MOST = 4  # pictures in a cell
+
+
+def html(run: Run) -> str:
+    """Give the title, the table of figures and the first pictures of a run, which need no style sheet."""
+    record = RunRecord.model_validate(summary(run, run.results, ""))
+    with TemporaryDirectory() as folder:
+        found = plot_run(run.signals, run.rig, Path(folder), most=MOST)
+        pictures = [picture(path.read_bytes(), path.stem) for path in found[:MOST]]
+    about = e("p", e("b", record.title), f" · {run!r}".replace("<", "").replace(">", ""))
+    return tostring(e("div", about, metrics(record), *pictures), "unicode", "html")
+
+
+def plot(run: Run, names: Sequence[str], window: tuple[float, float] | None = None) -> Figure:
+    """Draw signals of a run over time; see `softrig_core.Run.plot`."""
+    scenario = run.rig.scenario
+    if names:
+        entry = PlotEntry(title=scenario.title, signals=dict.fromkeys(names, ""), window=window)
+    elif scenario.plots:
+        entry = scenario.plots[0] if window is None else scenario.plots[0].model_copy(update={"window": window})
+    else:
+        raise ScenarioError(f"{scenario.name} has no plots of its own; which signals? It has {', '.join(run.signals)}")
+    rig = run.rig.with_plots((entry,))
+    check_plots(rig)
+    return plot_entry(run.signals, rig, rig.scenario.plots[0])

@@ -1,0 +1,76 @@
+"""A run at a prompt and in a notebook; signals by their short names."""
+
+import numpy as np
+import pytest
+from softrig_bringup.cli import main
+from softrig_core import Rig, ScenarioError, load_scenario, simulate
+from softrig_core.wire.signals import full_name
+
+SHORT, WHOLE = "motor/applied/armature", "motor/applied/armature/effort"
+
+
+@pytest.fixture(scope="module")
+def run():
+    return simulate("dc_motor_smc_b2", duration=0.5)
+
+
+def test_a_run_is_one_line_at_a_prompt(run):
+    assert repr(run).startswith("<Run of dc_motor_smc_b2 (inprocess, seed 0): 0.5 s in ")
+    assert "\n" not in repr(run)
+    assert len(repr(run)) < 120
+
+
+def test_a_run_shows_its_figures_and_pictures_in_a_cell(run):
+    cell = run._repr_html_()
+    assert "<td" in cell
+    assert "rise time" in cell
+    assert cell.count('<img src="data:image/png;base64,') == 4
+
+
+def test_signals_are_plotted_by_name_in_their_units(run):
+    figure = run.plot(SHORT, "motor/true_state/shaft/velocity", window=(0.1, 0.2))
+    volts, speed = figure.axes
+    assert (volts.get_ylabel(), speed.get_ylabel()) == ("Voltage, V", "Speed, rad/s")
+    assert volts.get_xlim() == (0.1, 0.2)
+    assert len(run.plot().axes) >= 1
+    with pytest.raises(ScenarioError, match="no signal 'motor/speed'"):
+        run.plot("motor/speed")
+
+
+def test_signals_become_a_data_frame_with_units(run):
+    pandas = pytest.importorskip("pandas")
+    frame = run.to_pandas("motor/applied")
+    assert isinstance(frame, pandas.DataFrame)
+    assert np.array_equal(frame[WHOLE].to_numpy(), run.signals[WHOLE].x)
+    assert frame.attrs["units"][WHOLE] == "V"
+    assert len(run.to_pandas().columns) > 5
+    with pytest.raises(KeyError, match="no topic 'nowhere'"):
+        run.to_pandas("nowhere")
+
+
+def test_the_only_field_of_a_channel_may_be_left_out(run):
+    assert np.array_equal(run.signals[SHORT].x, run.signals[WHOLE].x)
+    with pytest.raises(KeyError, match="no signal 'shaft' on motor/state; it has shaft/position, shaft/velocity"):
+        run.signals["motor/state/shaft"]  # which of them?
+    assert full_name("a/b", ["a/b/x", "a/b/y"]) == "a/b"
+    scenario = load_scenario("dc_motor_smc_b2")
+    plots = (scenario.plots[0].model_copy(update={"signals": {SHORT: "volts"}}),)
+    figures = {"mean": scenario.figures["rise_time"].model_copy(
+        update={"function": "mean", "unit": None, "arguments": {"signal": SHORT}})}  # fmt: skip
+    short = scenario.model_copy(update={"plots": plots, "figures": figures, "expect": {}, "claims": {}})
+    rig = Rig.from_scenario(short.changed(duration=0.5))
+    assert list(rig.scenario.plots[0].signals) == [WHOLE]
+    assert simulate(rig).figures["mean"] == pytest.approx(run.signals[WHOLE].x.mean())
+
+
+def test_signals_and_figures_are_listed(capsys):
+    assert main(["signals", "dc_motor_smc_b2"]) == 0
+    rows = {line.split("\t")[0]: line.split("\t")[1:] for line in capsys.readouterr().out.splitlines()}
+    assert rows[SHORT] == ["V", "sensor_msgs/JointState", "dc_motor_plant -> dc_motor_metrics"]
+    assert rows["motor/state/shaft/velocity"][0] == "rad/s"
+    assert main(["figures"]) == 0
+    assert "rise_time\ts\tTime in s from the first crossing" in capsys.readouterr().out
+    assert main(["figures", "rise_time"]) == 0
+    assert "low, high : float" in capsys.readouterr().out
+    assert main(["figures", "rise_tim"]) == 2
+    assert "did you mean 'rise_time'?" in capsys.readouterr().err
