@@ -1,13 +1,16 @@
 """Faults on links: what each does to messages, where a scenario puts them, and that no placement sees a difference."""
 
 import math
+import random
 from itertools import pairwise
 
+import numpy as np
 import pytest
 from conftest import differences, in_process, make_scenario
 from hypothesis import given, strategies as st
+from simulated import Discovery, SimulatedRig, World
 from softrig_control.fault import Fault
-from softrig_core import ParameterError, Rig, ScenarioError, simulate
+from softrig_core import ParameterError, Rig, RunError, ScenarioError, simulate
 
 MS = 1_000_000
 BASIC = {"plant": "plant", "source": "source", "gain": "gain"}
@@ -178,6 +181,37 @@ def test_an_outside_reader_which_cannot_be_told_of_silence_gets_what_is_held():
     nodes = {**BASIC, "gain": {"executable": "gain", "external": True}}
     rig = faulty(nodes=nodes, gone={"link": "lag/state", "kind": "silence"})
     assert not next(m for m in rig.members if m.name == "gone").outputs[0].sporadic
+
+
+def test_what_no_reader_may_take_is_refused_by_each_for_itself():
+    fault = {"link": "lag/state", "kind": "invalid", "every": 0.05, "lasts": 0.01}
+    rig = faulty(nodes={**BASIC, "watcher": "watcher"}, bad=fault)
+    run = simulate(rig)
+    said = run.signals["lag/state/bad/x/position"].x
+    u = run.signals["lag/command/u/effort"].x
+    r = run.signals["lag/reference/x/position"].x
+    bad = np.isnan(said)
+    assert list(np.flatnonzero(bad)) == list(range(0, len(said), 5))
+    assert list(u[~bad]) == list(2.0 * (r - said)[~bad])
+    held = np.flatnonzero(bad)[1:]
+    assert list(u[held]) == list(u[held - 1])  # the answer before is held
+    assert run.blocks["gain"].reports["refused state"][2] == bad.sum()
+    with pytest.raises(RunError, match=r"plant refuses lag/command/bad at t = 0.1 s: u/effort is nan"):
+        simulate(faulty(bad={"link": "lag/command", "kind": "invalid", "from": 0.1}))
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_nodes_refuse_it_as_blocks_in_process_do(seed):
+    rig = faulty(bad={"link": "lag/state -> gain", "kind": "invalid", "probability": 0.3})
+    rng = random.Random(seed)
+    world = World(lambda *_: rng.randrange(1_000, 5 * MS))
+    Discovery(world, rng)
+    run = SimulatedRig(rig, world, "lockstep", after=lambda name: rng.randrange(50 * MS), start_timeout=0.0)
+    run.run(100.0)
+    assert {n: (a.state, a.error) for n, a in run.adapters.items()} == dict.fromkeys(run.adapters, ("done", None))
+    assert differences(in_process(rig), run.recording) == []
+    (refused,) = [i.refused for i in run.adapters["gain"].inputs if i.name == "state"]
+    assert refused == sum(np.isnan(simulate(rig).signals["lag/state/bad/x/position"].x))
 
 
 def test_with_faults_the_seed_alone_decides():

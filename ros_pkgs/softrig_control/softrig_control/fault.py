@@ -13,7 +13,7 @@ from .delay import Line, whole_periods
 from .unit_delay import LinkParams
 
 Kind = Literal["offset", "scale", "drift", "noise", "quantise", "saturate", "stuck", "spike", "delay", "loss", "repeat",
-               "silence", "add", "replace"]  # fmt: skip
+               "silence", "add", "replace", "invalid"]  # fmt: skip
 
 
 class FaultParams(LinkParams):
@@ -33,7 +33,7 @@ class FaultParams(LinkParams):
     stop: float = param(0.0, "time from which it is gone; 0: it stays", "s", ge=0.0)
     every: float = param(0.0, "it comes and goes with this period; 0: it stays", "s", ge=0.0)
     lasts: float = param(0.0, "how long it is there in each period", "s", ge=0.0)
-    probability: float = param(1.0, "of `spike`, `loss` and `repeat`, for each message", ge=0.0, le=1.0)
+    probability: float = param(1.0, "of `spike`, `loss`, `repeat` and `invalid`, for each message", ge=0.0, le=1.0)
     lost_in_burst: float = param(1.0, "probability that a message is lost in a burst (Gilbert-Elliott)", ge=0.0, le=1.0)
     burst_begins: float = param(0.0, "probability that a burst of losses begins at a message; 0: none does", ge=0.0,
                                 le=1.0)  # fmt: skip
@@ -117,7 +117,7 @@ class Fault(Block[FaultParams]):
         """Give both ends of the link, of the same message type, and the switch."""
         switch = button("toggle", f"{params.topic_out}/toggle", held=True)
         return (params.port("sent", params.topic_in), switch), (
-            params.port("arrived", params.topic_out, sporadic=not params.holds),
+            params.port("arrived", params.topic_out, sporadic=not params.holds, unchecked=params.kind == "invalid"),
         )  # fmt: skip
 
     def setup(self) -> None:
@@ -194,7 +194,7 @@ class Fault(Block[FaultParams]):
             self._last_due = due
             self._line.send(due, Sample(t, sent))
             return None
-        if kind == "spike" and draws[0] >= p.probability:
+        if kind in ("spike", "invalid") and draws[0] >= p.probability:
             return sent
         changed = list(sent)
         if p.points:
@@ -220,7 +220,7 @@ class Fault(Block[FaultParams]):
         p = self.p
         if p.kind == "noise":
             return list(self.rng.standard_normal(len(self._concerned)).tolist())
-        if p.kind not in ("loss", "repeat", "delay", "spike"):
+        if p.kind not in ("loss", "repeat", "delay", "spike", "invalid"):
             return []
         draw, turn = self.rng.random(2).tolist()
         if p.kind == "loss" and p.burst_begins:
@@ -243,6 +243,8 @@ class Fault(Block[FaultParams]):
             return min(max(x, low), high)
         if kind == "stuck":
             return self._began[1][i]
+        if kind == "invalid":
+            return math.nan
         return x + value  # offset, spike
 
 

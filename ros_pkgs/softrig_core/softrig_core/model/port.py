@@ -65,6 +65,8 @@ class Port:
         Input only: a message may carry a subset of the channels; the others keep their value, at first `safe`.
     dims : Dims
         Labels and sizes of the dimensions of a Float64MultiArray; the last one changes fastest.
+    unchecked : bool
+        Output of a fault: may say what no reader takes, NaN or beyond limits; each refuses it for itself.
     safe : tuple of float
         Value in the absence of a valid one: a plant's input under its watchdog, a controller's output when
         its measurement is bad. Default zeros.
@@ -83,6 +85,7 @@ class Port:
     delayed: bool = False
     sporadic: bool = False
     partial: bool = False
+    unchecked: bool = False
     dims: Dims = ()
     safe: tuple[float, ...] = field(default=())
     limits: tuple[float, ...] = field(default=())
@@ -120,6 +123,15 @@ class Port:
     def bound(self) -> float:
         """Values the sum of whose magnitudes is not above it are all within their limits."""
         return min(self.limits, default=0.0)
+
+    def beyond(self, values: Sequence[float]) -> str:
+        """Say which value is not finite or beyond its limit, and what was expected; empty when all may be taken."""
+        for label, value, limit, unit in zip(self.labels, values, self.limits, self.units, strict=True):
+            if value - value != 0.0:
+                return f"{label} is {value}, expected a finite number"
+            if abs(value) > limit:
+                return f"{label} is {value:g} {unit or '1'}, expected at most {limit:g} in magnitude"
+        return ""
 
     @property
     def type(self) -> MessageType:

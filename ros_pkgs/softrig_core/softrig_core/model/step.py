@@ -11,7 +11,7 @@ from typing import Any
 
 from ..errors import RunError, describe
 from .answer import Row, check, flat, usual
-from .block import Block, Plant
+from .block import Block, Level, Plant
 from .port import Port, Sample
 from .schedule import Schedule
 
@@ -68,6 +68,7 @@ class Step:
         self.plain = not any(p.sporadic or p.delayed for p in outputs)
         self.spoken: list[int | None] = [None] * len(outputs)  # of one that is not plain: when each output spoke last
         self.said: Any = {}  # the newest answer: what is held when an input is refused
+        self._doubters: list[tuple[int, Step, Port, Callable[[Any], Any] | None]] = []
         self._readers: list[tuple[int, dict[str, Any], str, Callable[[Any], Any] | None]] = []
         self._sizes = tuple(p.size for p in outputs)
         self._bound = min((p.bound for p in outputs), default=0.0)
@@ -107,6 +108,10 @@ class Step:
             row = rows[k]
             if row is not None:
                 values[name] = row if take is None else take(row)
+        for k, reader, port, take in self._doubters:
+            row = rows[k]
+            if row is not None:
+                reader.doubt(t, port, row if take is None else take(row))
         if self.send is not None:
             self.send(t, rows)
 
@@ -185,9 +190,29 @@ class Step:
             def take(found: Any) -> Sample:
                 return Sample(self.t, found if pick is None else pick(found))
 
-        self._readers.append((k, reader.values, name, take))
+        if self.outputs[k].unchecked:
+            self._doubters.append((k, reader, port, take))
+        else:
+            self._readers.append((k, reader.values, name, take))
         reader.sources.append(self)
         reader.stamps[name] = (lambda: self.t) if self.plain else (lambda: self.spoken[k])
+
+    def doubt(self, t: int, port: Port, found: Row) -> None:
+        """Take a message that may be bad, as one that comes over a wire: what an input refuses never reaches the block.
+
+        Raises
+        ------
+        RunError
+            A plant has no command for its tick.
+        """
+        reason = port.beyond(found.data if isinstance(found, Sample) else found)
+        if not reason:
+            self.values[port.name] = found
+        elif isinstance(self.block, Plant):
+            raise RunError(f"{self.name} refuses {port.topic} at t = {t / 1e9:.9g} s: {reason}")
+        else:
+            self.bad = True
+            self.block.report(Level.WARN, f"refused {port.name}", f"{port.topic}: {reason}")
 
     def failure(self, error: Exception) -> RunError:
         """Say that the block has failed, where, and why."""

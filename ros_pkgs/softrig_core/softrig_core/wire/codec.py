@@ -63,12 +63,8 @@ class Decoder:
         return None if order == tuple(range(layout.size)) else getter(order)
 
     def _check(self, values: tuple[float, ...]) -> None:
-        port = self._port
-        for label, value, limit, unit in zip(port.labels, values, port.limits, port.units, strict=True):
-            if value - value != 0.0:
-                raise Refused(f"{label} is {value}, expected a finite number")
-            if abs(value) > limit:
-                raise Refused(f"{label} is {value:g} {unit or '1'}, expected at most {limit:g} in magnitude")
+        if reason := self._port.beyond(values):
+            raise Refused(reason)
 
     def _learn(self, data: bytes) -> None:
         """Adopt the layout of `data` if it carries what the port needs."""
