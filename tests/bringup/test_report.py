@@ -1,5 +1,6 @@
 """Plots and the HTML report, from a synthetic drive run in memory."""
 
+import json
 import math
 import platform
 from html.parser import HTMLParser
@@ -463,5 +464,19 @@ def test_bad_run_directories_are_refused(make_run, tmp_path):
     ):
         file.write_text(changed)
         with pytest.raises(ScenarioError, match=message):
+            write_report([file.parent], tmp_path / "r.html")
+    for keys, value, message in (
+        (("nodes", "plant"), {"reports": "none"}, r"nodes\.reports: "),
+        (("nodes", "plant"), {"refused": {"motor/command": 3}}, r"nodes\.refused\.motor/command: "),
+        (("wiring",), {"nodes": {}, "wires": [{"topic": "t", "type": "T", "source": "s"}]}, "wiring: .*t names 's'"),
+        (("metrics", 0, "tolerance"), -1.0, r"metrics\.0\.tolerance: input should be greater than or equal to 0"),
+    ):
+        edited = json.loads(content)
+        place = edited
+        for key in keys[:-1]:
+            place = place[key]
+        place[keys[-1]] = value
+        file.write_text(json.dumps(edited))
+        with pytest.raises(ScenarioError, match=rf"(?s)metrics\.json: {message}"):
             write_report([file.parent], tmp_path / "r.html")
     assert not (tmp_path / "r.html").exists()

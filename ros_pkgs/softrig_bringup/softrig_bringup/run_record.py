@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError, field_validator
 from softrig_core import ScenarioError
 from softrig_core.rig.figures import Result
 from softrig_core.rig.scenario import PlotEntry
@@ -15,6 +15,14 @@ from .citations import Citation
 from .plots.curves import Shown
 from .wiring import Wiring
 from .wording import measured_here
+
+
+class _Status(BaseModel):
+    """What the pages read of a node's status by its name; figures may stand beside it."""
+
+    error: str = ""
+    reports: dict[str, tuple[int, str, int]] = {}
+    refused: dict[str, tuple[int, str]] = {}
 
 
 class RunRecord(BaseModel):
@@ -47,6 +55,13 @@ class RunRecord(BaseModel):
     citations: tuple[Citation, ...] = ()
     wiring: Wiring = Wiring()
     signals: dict[str, Shown] = {}
+
+    @field_validator("nodes")
+    @classmethod
+    def _readable(cls, nodes: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
+        for status in nodes.values():
+            _Status.model_validate(status)
+        return nodes
 
     @property
     def simulated_s(self) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, model_validator
 from softrig_core import Rig
 
 SWEEPS = 8  # over the columns, until neighbours stand side by side
@@ -49,6 +49,14 @@ class Wiring(BaseModel):
 
     nodes: dict[str, Node] = {}
     wires: tuple[Wire, ...] = ()
+
+    @model_validator(mode="after")
+    def _connected(self) -> Wiring:
+        for wire in self.wires:
+            for name in (wire.source, *wire.readers):
+                if name not in self.nodes:
+                    raise ValueError(f"{wire.topic} names {name!r}, which is none of the nodes")
+        return self
 
 
 def wiring_of(rig: Rig) -> Wiring:

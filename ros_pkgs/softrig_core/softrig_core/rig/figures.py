@@ -54,7 +54,7 @@ class Result(BaseModel):
     unit: str = ""
     published: float | None = None
     expected: float | None = None
-    tolerance: float | None = None
+    tolerance: float | None = Field(None, ge=0, allow_inf_nan=False)
     at_most: float | None = None
     at_least: float | None = None
     passed: bool = Field(alias="pass")
