@@ -153,7 +153,7 @@ def test_a_metric_that_cannot_be_computed_is_a_miss_with_its_reason(folder, monk
     def broken(signals, signal):
         raise error("no such thing")
 
-    monkeypatch.setattr("softrig_core.rig.metrics.final_value", figure("{signal}")(broken))
+    monkeypatch.setattr("softrig_core.rig.measures.final_value", figure("{signal}")(broken))
     assert run("lag", "--mode", "inprocess", "--no-record", "--no-plots") == 1
     (metric,) = json.loads((folder / "runs" / "lag" / "metrics.json").read_text())["metrics"]
     assert (metric["value"], metric["pass"]) == (None, False)

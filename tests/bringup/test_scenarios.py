@@ -313,7 +313,7 @@ def test_hostile_yaml_is_one_line(text, message):
     assert len(str(caught.value)) < 300
 
 
-def test_figure_functions_come_from_installed_packages():
+def test_measures_come_from_installed_packages():
     known = registry.registered()
     assert {"rise_time", "dtc_flux_error_peak", "pv_gmpp"} <= set(known)
     for name in known:

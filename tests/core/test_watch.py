@@ -4,7 +4,7 @@ import pytest
 from conftest import in_process, make_scenario
 from faultrig import COMMAND, REFERENCE, STATE, Gain, Lag, Source
 from softrig_core import Rig, Signals, run_inprocess
-from softrig_core.rig import metrics
+from softrig_core.rig import measures
 from softrig_core.rig.watch import Measure, Watch, WatchParams
 
 X, U, R = "lag/state/x/position", "lag/command/u/effort", "lag/reference/x/position"
@@ -14,11 +14,11 @@ class Eye(Watch[WatchParams]):
     INPUTS = (STATE, COMMAND, REFERENCE)
 
     def measures(self):
-        yield Measure("rms_error", metrics.rms, {"signal": X, "reference": R})
-        yield Measure("mean_command", metrics.mean, {"signal": U})
-        yield Measure("variation", metrics.total_variation, {"signal": U})
-        yield Measure("last", metrics.final_value, {"signal": X})
-        yield Measure("never", metrics.rise_time, {"signal": X, "final": 1e9})
+        yield Measure("rms_error", measures.rms, {"signal": X, "reference": R})
+        yield Measure("mean_command", measures.mean, {"signal": U})
+        yield Measure("variation", measures.total_variation, {"signal": U})
+        yield Measure("last", measures.final_value, {"signal": X})
+        yield Measure("never", measures.rise_time, {"signal": X, "final": 1e9})
 
 
 @pytest.mark.parametrize("period", [0.01, 0.05])
@@ -30,9 +30,9 @@ def test_running_figures_equal_those_of_the_recording_to_the_last_bit(period):
     status = run_inprocess(rig, 3)["eye"].status()
     signals = Signals(in_process(rig, 3))
     assert status == {
-        "rms_error": (metrics.rms(signals, X, reference=R), "m"),
-        "mean_command": (metrics.mean(signals, U), "N"),
-        "variation": (metrics.total_variation(signals, U), "N/s"),
+        "rms_error": (measures.rms(signals, X, reference=R), "m"),
+        "mean_command": (measures.mean(signals, U), "N"),
+        "variation": (measures.total_variation(signals, U), "N/s"),
         "last": (signals[X].x[-1], "m"),
     }
 
@@ -41,8 +41,8 @@ def test_the_window_moves_and_forgets():
     rig = Rig.from_blocks({"plant": Lag(), "source": Source(), "gain": Gain(), "eye": Eye(window=0.25)}, 1.0)
     status = run_inprocess(rig, 0)["eye"].status()
     signals = Signals(in_process(rig))
-    assert status["mean_command"][0] == metrics.mean(signals, U, start=0.75)
-    assert status["mean_command"][0] != metrics.mean(signals, U)
+    assert status["mean_command"][0] == measures.mean(signals, U, start=0.75)
+    assert status["mean_command"][0] != measures.mean(signals, U)
 
 
 def test_nothing_seen_gives_no_figures_and_reset_forgets():
@@ -61,4 +61,4 @@ def test_an_offline_reference_is_not_paired_with_the_output_at_the_end():
     t, x = signals[X]
     when, r = signals[R]
     assert t.size == when.size + 1
-    assert metrics.peak(signals, X, reference=R) == abs(x[:-1] - r).max()
+    assert measures.peak(signals, X, reference=R) == abs(x[:-1] - r).max()

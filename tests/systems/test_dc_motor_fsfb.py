@@ -20,7 +20,7 @@ from softrig_core import (
     load_scenario,
     run_inprocess,
 )
-from softrig_core.rig import metrics
+from softrig_core.rig import measures
 from softrig_drives.dc_axis.buttons import StepButtons
 from softrig_drives.dc_axis.controller import FsfbController, design
 from softrig_drives.dc_axis.plant import DcAxisPlant
@@ -56,20 +56,20 @@ def axis(name="dc_motor_fsfb", seed=0, **overrides):
 
 
 def overshoot(signals, step):
-    return metrics.overshoot(signals, Y, final=step)
+    return measures.overshoot(signals, Y, final=step)
 
 
 def rise(signals, step):
-    return metrics.rise_time(signals, Y, final=step)
+    return measures.rise_time(signals, Y, final=step)
 
 
 def settling(signals, step):
-    return metrics.settling_time(signals, Y, final=step, at="sample")
+    return measures.settling_time(signals, Y, final=step, at="sample")
 
 
 def unsettled(signals, step):
     """Outside the 2 % band again within the last two seconds."""
-    return metrics.peak(signals, Y, reference=step, start=6.0) > 0.02 * step
+    return measures.peak(signals, Y, reference=step, start=6.0) > 0.02 * step
 
 
 # acceptance ------------------------------------------------------------------------------------------------------
@@ -85,7 +85,7 @@ def test_every_scenario_meets_its_figures(name):
 def test_1_the_published_design_numbers_without_delay():
     baseline = run("dc_motor_fsfb_s7_baseline0")
     assert rise(baseline, 10.0) == pytest.approx(4.633, abs=0.003)
-    assert metrics.rise_time(baseline, Y, end=7.0) == pytest.approx(4.013, abs=0.001)
+    assert measures.rise_time(baseline, Y, end=7.0) == pytest.approx(4.013, abs=0.001)
     for name, error in (("", 9.783), ("_p", 9.840)):
         designed = run(f"dc_motor_fsfb_s7{name}")
         assert rise(designed, 10.0) == pytest.approx(0.966, abs=0.002)
@@ -141,7 +141,7 @@ def test_6_set_p_needs_the_predictor():
     for variant in ("_none", "_velocity"):
         signals = run(f"dc_motor_fsfb_s6{variant}")
         assert unsettled(signals, 10.0)
-        assert metrics.peak(signals, U, start=6.0) == 12.0
+        assert measures.peak(signals, U, start=6.0) == 12.0
     assert overshoot(run("dc_motor_fsfb_s6"), 10.0) <= 0.3
 
 
@@ -228,9 +228,9 @@ def test_reference_table(row):
     else:
         assert settling(signals, step) == pytest.approx(t_settle, abs=1e-9)
     assert overshoot(signals, step) == pytest.approx(over, abs=0.05 if over > 5 else 0.007)
-    assert metrics.peak_to_peak(signals, Y, start=6.0) == pytest.approx(swing, abs=6e-4)
-    assert metrics.peak(signals, U) * MM == pytest.approx(command, abs=0.06)
-    assert metrics.peak(signals, V) == pytest.approx(speed, abs=0.06)
+    assert measures.peak_to_peak(signals, Y, start=6.0) == pytest.approx(swing, abs=6e-4)
+    assert measures.peak(signals, U) * MM == pytest.approx(command, abs=0.06)
+    assert measures.peak(signals, V) == pytest.approx(speed, abs=0.06)
 
 
 def rise_of_design(inner, ratio):
@@ -399,7 +399,7 @@ def test_friction_step_size(monkeypatch):
         fine = Signals(in_process(Rig.from_scenario(load_scenario(name))))
         step = signals[SET_POINT].x[-1]
         assert overshoot(fine, step) == pytest.approx(overshoot(signals, step), abs=0.2)
-        swings = [metrics.peak_to_peak(s, Y, start=8.0) for s in (fine, signals)]
+        swings = [measures.peak_to_peak(s, Y, start=8.0) for s in (fine, signals)]
         assert swings[0] == pytest.approx(swings[1], abs=0.02)
 
 
@@ -488,7 +488,7 @@ def test_model_signals_are_the_delay_free_loop():
     position, velocity, acceleration, deceleration, jerk = (late[f"axis/model/{n}/position"].x for n in names)
     assert (position == none["axis/model/position_set/position"].x).all()  # whatever the network does
     designed = run("dc_motor_fsfb_s7")  # at 1 ms: the continuous design
-    assert metrics.rise_time(designed, "axis/model/position_set/position", final=10.0) == pytest.approx(
+    assert measures.rise_time(designed, "axis/model/position_set/position", final=10.0) == pytest.approx(
         0.966, abs=0.002
     )
     assert np.abs(np.diff(position) / 0.01 - (velocity[1:] + velocity[:-1]) / 2).max() < 0.05
@@ -510,11 +510,11 @@ def test_metrics_node_agrees_with_the_recording():
     status = run_inprocess(rig, 0)["axis_metrics"].status()
     signals = run("dc_motor_fsfb_s1_none")
     assert status["rise_time"][0] == pytest.approx(rise(signals, 10.0), abs=1e-9)
-    assert status["settling_time"][0] == pytest.approx(metrics.settling_time(signals, Y, final=10.0), abs=1e-9)
+    assert status["settling_time"][0] == pytest.approx(measures.settling_time(signals, Y, final=10.0), abs=1e-9)
     assert status["overshoot"][0] == pytest.approx(overshoot(signals, 10.0), abs=1e-9)
     assert status["error"][0] == pytest.approx(10.0 - signals[Y].x[-1])
-    assert status["peak_speed"][0] == pytest.approx(metrics.peak(signals, V))
-    assert status["peak_voltage"][0] == pytest.approx(metrics.peak(signals, U))
+    assert status["peak_speed"][0] == pytest.approx(measures.peak(signals, V))
+    assert status["peak_voltage"][0] == pytest.approx(measures.peak(signals, U))
 
 
 def test_metrics_node_starts_again_with_a_new_step():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from conftest import differences, in_process
 from softrig_core import Rig, Signals, load_scenario, run_processes
-from softrig_core.rig import metrics
+from softrig_core.rig import measures
 
 pytestmark = pytest.mark.processes
 
@@ -33,7 +33,7 @@ def test_real_time_reaches_the_same_result_with_the_delay_read_from_the_stamps(t
     assert np.median(age) == pytest.approx(0.08, abs=1e-9)
     assert age.min() >= 0.0
     assert signals[Y].x[-1] == pytest.approx(10.0, abs=0.1)
-    assert metrics.overshoot(signals, Y, final=10.0) < 5.0
+    assert measures.overshoot(signals, Y, final=10.0) < 5.0
 
 
 PERSON = """

@@ -22,10 +22,10 @@ from softrig_core import (
     run_inprocess,
     run_processes,
 )
-from softrig_core.rig import metrics
+from softrig_core.rig import measures
 from softrig_drives.dc_motor.kalman_surface import DcMotorSmcKalman
 from softrig_drives.dc_motor.model import MotorConstants, state_space
-from softrig_drives.dc_motor.monitor import DcMotorMetrics
+from softrig_drives.dc_motor.monitor import DcMotorMonitor
 from softrig_drives.dc_motor.pid import DcMotorPid
 from softrig_drives.dc_motor.plant import DcMotorPlant
 from softrig_drives.dc_motor.sliding_mode import DcMotorSmc
@@ -398,19 +398,19 @@ def test_kalman_gain_is_where_the_riccati_recursion_ends():
 def test_observer_agrees_with_the_metric_functions():
     rig, signals = run("dc_motor_smc_b1")
     observer = run_inprocess(rig, 0)["dc_motor_metrics"]
-    assert isinstance(observer, DcMotorMetrics)
+    assert isinstance(observer, DcMotorMonitor)
     found = {name: value for name, (value, _) in observer.status().items()}
     w, v = "motor/true_state/shaft/velocity", "motor/applied/armature/effort"
     assert found == pytest.approx(
         {
-            "rise_time": metrics.rise_time(signals, w, final=10.0),
-            "settling_time": metrics.settling_time(signals, w, final=10.0),
-            "overshoot": metrics.overshoot(signals, w, final=10.0),
-            "mean_error": metrics.mean_error(signals, w, reference=10.0, start=3.0),
-            "rms_error": metrics.rms(signals, w, reference=10.0, start=3.0),
-            "peak_to_peak": metrics.peak_to_peak(signals, w, start=3.0),
-            "total_variation": metrics.total_variation(signals, v, start=3.0),
-            "peak_current": metrics.peak(signals, "motor/sensors/current_a/position"),
+            "rise_time": measures.rise_time(signals, w, final=10.0),
+            "settling_time": measures.settling_time(signals, w, final=10.0),
+            "overshoot": measures.overshoot(signals, w, final=10.0),
+            "mean_error": measures.mean_error(signals, w, reference=10.0, start=3.0),
+            "rms_error": measures.rms(signals, w, reference=10.0, start=3.0),
+            "peak_to_peak": measures.peak_to_peak(signals, w, start=3.0),
+            "total_variation": measures.total_variation(signals, v, start=3.0),
+            "peak_current": measures.peak(signals, "motor/sensors/current_a/position"),
         },
         rel=1e-9,
     )

@@ -28,7 +28,7 @@ from softrig_core import (
 from softrig_core.model import compiled
 from softrig_core.model.params import build
 from softrig_core.node.messages import marker_array
-from softrig_core.rig import metrics
+from softrig_core.rig import measures
 from softrig_robots.driven_robot import compile_robot
 from softrig_robots.dynamics import RobotDynamics
 from softrig_robots.manipulator.controller import VcsController
@@ -37,7 +37,7 @@ from softrig_robots.manipulator.plant import ManipulatorPlant
 from softrig_robots.manipulator.surfaces import Coefficients
 from softrig_robots.manipulator.trajectory import TrajectorySource
 from softrig_robots.rigid_body import SymbolicRobot, load_model
-from softrig_robots.tracking import TrackingMetrics
+from softrig_robots.tracking import TrackingMonitor
 from softrig_robots.urdf import read_urdf
 
 URDF = Path(softrig_robots.__file__).parent / "urdf"
@@ -376,14 +376,14 @@ def test_control_period_hardly_matters(period, substeps):
     overrides = {f"{n}__period": period for n in nodes} | {"manipulator_plant__substeps": substeps}
     other, nominal = (run("manipulator_adsmc", 7.0, **o) for o in (overrides, {}))
     for signal in E_SIGNAL:
-        assert metrics.peak(other, signal) == pytest.approx(metrics.peak(nominal, signal), rel=0.05)
+        assert measures.peak(other, signal) == pytest.approx(measures.peak(nominal, signal), rel=0.05)
 
 
 def test_order_of_the_laws():
     adsmc, dsmc, smc = (run(f"manipulator_adsmc{s}") for s in ("", "_s4", "_s5"))
     for e, v in zip(E_SIGNAL, V_SIGNAL, strict=True):
-        assert metrics.rms(adsmc, e) < metrics.rms(dsmc, e) / 10
-        assert metrics.total_variation(smc, v, start=2.5) > 500 * metrics.total_variation(adsmc, v, start=2.5)
+        assert measures.rms(adsmc, e) < measures.rms(dsmc, e) / 10
+        assert measures.total_variation(smc, v, start=2.5) > 500 * measures.total_variation(adsmc, v, start=2.5)
 
 
 @pytest.mark.parametrize("position", [-0.1, 0.1])
@@ -393,9 +393,9 @@ def test_high_gains_run_away_only_if_the_estimate_may_wind_up(position):
     free = run("manipulator_adsmc", vcs_controller__adapt_at_limit=True, **options)
     worst = 0.0
     for e in E_SIGNAL:
-        assert metrics.peak(guarded, e) <= 0.1002
-        assert metrics.peak(guarded, e, start=2.0) <= 0.00011
-        worst = max(worst, metrics.peak(free, e))
+        assert measures.peak(guarded, e) <= 0.1002
+        assert measures.peak(guarded, e, start=2.0) <= 0.00011
+        worst = max(worst, measures.peak(free, e))
     assert worst > 1.0
 
 
@@ -405,16 +405,16 @@ def test_figures_while_running_equal_those_of_the_recording():
         "metrics": scenario.nodes["vcs_controller"].model_copy(update={"executable": "tracking_metrics"})
     }
     blocks = run_inprocess(Rig.from_scenario(scenario.model_copy(update={"nodes": nodes})), 0)
-    assert isinstance(blocks["metrics"], TrackingMetrics)
+    assert isinstance(blocks["metrics"], TrackingMonitor)
     figures = {k: v for k, (v, _) in blocks["metrics"].status().items()}
     signals = run("manipulator_adsmc_s2", 4.0)
     for i, (e, v) in enumerate(zip(E_SIGNAL, V_SIGNAL, strict=True), 1):
-        assert figures[f"max_error joint{i}"] == pytest.approx(metrics.peak(signals, e), rel=1e-9)
-        assert figures[f"late_max_error joint{i}"] == pytest.approx(metrics.peak(signals, e, start=2.5), rel=1e-9)
-        assert figures[f"rms_error joint{i}"] == pytest.approx(metrics.rms(signals, e), rel=1e-9)
-        assert figures[f"peak_voltage motor{i}"] == metrics.peak(signals, v)
+        assert figures[f"max_error joint{i}"] == pytest.approx(measures.peak(signals, e), rel=1e-9)
+        assert figures[f"late_max_error joint{i}"] == pytest.approx(measures.peak(signals, e, start=2.5), rel=1e-9)
+        assert figures[f"rms_error joint{i}"] == pytest.approx(measures.rms(signals, e), rel=1e-9)
+        assert figures[f"peak_voltage motor{i}"] == measures.peak(signals, v)
         assert figures[f"total_variation motor{i}"] == pytest.approx(
-            metrics.total_variation(signals, v, start=2.5), rel=1e-9
+            measures.total_variation(signals, v, start=2.5), rel=1e-9
         )
         settled = next(
             m.value for m in evaluate(Rig.from_scenario(scenario), signals) if m.name == f"settling_time_{i}"

@@ -26,7 +26,7 @@ from softrig_core import (
     run_processes,
     simulate,
 )
-from softrig_core.rig.metrics import mean
+from softrig_core.rig.measures import mean
 from softrig_optim.algorithms import AlgorithmParams, make
 from softrig_optim.search import run
 from softrig_power.pv import figures as pv_figures
@@ -41,7 +41,7 @@ from softrig_power.pv.converter import (
 from softrig_power.pv.curves import PvCurves
 from softrig_power.pv.figures import POWER
 from softrig_power.pv.module import ModuleParams, cell
-from softrig_power.pv.monitor import MpptMetrics
+from softrig_power.pv.monitor import MpptMonitor
 from softrig_power.pv.mppt import MpptOptimizer
 from softrig_power.pv.plant import PvPlant
 from softrig_power.pv.shading import ShadingSource
@@ -476,7 +476,7 @@ def test_tracker_knows_nothing_of_the_plant():
 
 def test_metrics_node():
     """Its running figures are those of the recording."""
-    node = MpptMetrics(period=0.5)
+    node = MpptMonitor(period=0.5)
     best = string(PATTERN1).gmpp
     everything = PATTERN1 + ROOM
     node.update(0, (best.v, 0.5 * best.i, 25.0), everything)
@@ -574,7 +574,7 @@ def test_impossible_conditions_are_refused(change, text):
     plant.advance(0, (0.5,), PATTERN2 + ROOM)
     assert plant.source is string(PATTERN2)
 
-    node, best = MpptMetrics(), string(PATTERN1).gmpp
+    node, best = MpptMonitor(), string(PATTERN1).gmpp
     for t in (0, 1_000_000):
         node.update(t, (best.v, best.i, 25.0), change)
     assert text in node.reports["environment"][1]

@@ -42,7 +42,7 @@ from softrig_power.rectifier.averaged import ode_abc
 from softrig_power.rectifier.circuit import INJECTION, SPWM, Circuit, Period, grid, phases
 from softrig_power.rectifier.controller import RectifierGpc
 from softrig_power.rectifier.models import SEED19_DEN, SEED19_NUM, d2, linearised, n3, seed19
-from softrig_power.rectifier.monitor import RigMetrics
+from softrig_power.rectifier.monitor import RectifierMonitor
 from softrig_power.rectifier.parameters import RectifierConstants
 from softrig_power.rectifier.plant import RectifierPlant
 from softrig_power.rectifier.ports import DC_LINK, POWER_QUALITY, V_DROP, events
@@ -704,7 +704,7 @@ def test_metrics_by_event():
     assert found["event_1_final"][0] == pytest.approx(400.0, abs=1e-6)
     assert found["event_1_settling"][0] == pytest.approx(37 * T, abs=1e-9)
     assert found["event_0_settling"] == (0.0, "s")
-    watcher = RigMetrics(set_point=100.0)
+    watcher = RectifierMonitor(set_point=100.0)
     for k, y in enumerate((0.0, 90.0, 104.0, 99.0)):
         watcher.update(k * 10**9, dc_link=(y, 0.0), reference=None, events=None)
     assert watcher.status()["event_0_overshoot"] == (pytest.approx(4.0), "%")

@@ -26,7 +26,7 @@ from softrig_core import (
     simulate,
 )
 from softrig_core.model.params import build, flatten
-from softrig_core.rig import metrics
+from softrig_core.rig import measures
 from softrig_robots.driven_robot import compile_robot
 from softrig_robots.dynamics import RobotDynamics
 from softrig_robots.figures import repeatability
@@ -35,7 +35,7 @@ from softrig_robots.rehab.controller import VoltageController
 from softrig_robots.rehab.emvc import Emvc
 from softrig_robots.rehab.impedance import Impedance
 from softrig_robots.rehab.model import JOINTS, foot_jacobian, rehab_urdf
-from softrig_robots.rehab.monitor import RehabMetrics
+from softrig_robots.rehab.monitor import RehabMonitor
 from softrig_robots.rehab.patient import Patient
 from softrig_robots.rehab.plant import RehabPlant
 from softrig_robots.rehab.prom import PromReference
@@ -160,7 +160,7 @@ def test_plant_agrees_with_an_independent_integrator():
 def test_substeps_agree_to_four_digits():
     two, eight = (run("rehab_impedance", 5.0, rehab_plant__substeps=n) for n in (2, 8))
     for e in E_SIGNAL:
-        assert metrics.rms(two, e) == pytest.approx(metrics.rms(eight, e), rel=1e-4)
+        assert measures.rms(two, e) == pytest.approx(measures.rms(eight, e), rel=1e-4)
 
 
 def test_gear_torque_balances_the_leg():
@@ -223,7 +223,7 @@ def test_scenario_meets_its_numbers(name):
 
 
 def rms(signals):
-    return np.array([metrics.rms(signals, e, start=3.0) for e in E_SIGNAL])
+    return np.array([measures.rms(signals, e, start=3.0) for e in E_SIGNAL])
 
 
 def test_only_the_ratio_of_alpha_hat_and_period_matters():
@@ -276,9 +276,9 @@ def test_law_goes_on_from_the_voltage_that_the_plant_applied():
     blind = run("rehab_impedance", 6.0, voltage_controller__use_applied=False, **tight)
     agreed = run("rehab_impedance", 6.0, voltage_controller__v_max=6.0, **tight)
     for e, v in zip(E_SIGNAL, V_SIGNAL, strict=True):
-        assert metrics.peak(fed, e, start=3.0) < math.radians(0.02)
+        assert measures.peak(fed, e, start=3.0) < math.radians(0.02)
         np.testing.assert_allclose(fed[e].x, agreed[e].x, atol=1e-12)
-        assert metrics.peak(fed, v) > 6.0
+        assert measures.peak(fed, v) > 6.0
     fed_limited, blind_limited = (np.abs(s[V_SIGNAL[0]].x) > 6.0 for s in (fed, blind))
     assert blind_limited.sum() > 2 * fed_limited.sum()  # winds up and comes back late
 
@@ -414,7 +414,7 @@ def test_exercise_of_the_tuner_is_the_scenario():
     signals = run("rehab_impedance_r6")
     mse = [math.degrees(1.0) ** 2 * np.mean(signals[e].x ** 2) for e in E_SIGNAL]
     assert found.mse == pytest.approx(np.mean(mse), rel=1e-9)
-    assert found.variation == pytest.approx(np.mean([metrics.total_variation(signals, v) for v in V_SIGNAL]), rel=1e-9)
+    assert found.variation == pytest.approx(np.mean([measures.total_variation(signals, v) for v in V_SIGNAL]), rel=1e-9)
 
 
 @pytest.mark.parametrize(("alpha_hat", "mse"), [(1.0, 2.7e-4), (2.0, 7.3e-5), (4.0, 2.1e-5), (6.4, 1.02e-5)])
@@ -721,11 +721,11 @@ def test_figures_while_running_equal_those_of_the_recording():
     node = scenario.nodes["prom_reference"].model_copy(update={"executable": "rehab_metrics"})
     rig = Rig.from_scenario(scenario.model_copy(update={"nodes": scenario.nodes | {"metrics": node}}))
     block = run_inprocess(rig, 0)["metrics"]
-    assert isinstance(block, RehabMetrics)
+    assert isinstance(block, RehabMonitor)
     figures = {k: v for k, (v, _) in block.status().items()}
     signals = run("rehab_impedance", 6.0)
     for joint, e in zip(JOINTS, E_SIGNAL, strict=True):
-        assert figures[f"late_rms_error {joint}"] == pytest.approx(math.degrees(metrics.rms(signals, e, start=3.0)))
+        assert figures[f"late_rms_error {joint}"] == pytest.approx(math.degrees(measures.rms(signals, e, start=3.0)))
         for m in evaluate(rig, signals):
             name = m.name.replace("_", " ")
             if name in figures and name.startswith(("mse", "iae", "mav")):

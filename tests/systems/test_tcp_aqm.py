@@ -24,7 +24,7 @@ from softrig_core.rig.findings import findings, values
 from softrig_systems.tcp_aqm.controller import HOLD, AqmController
 from softrig_systems.tcp_aqm.fluid_plant import TcpFluid
 from softrig_systems.tcp_aqm.model import Bottleneck, equilibrium, phi, psi
-from softrig_systems.tcp_aqm.monitor import AqmMetrics
+from softrig_systems.tcp_aqm.monitor import AqmMonitor
 from softrig_systems.tcp_aqm.packets_plant import TcpPackets
 
 NAMES = sorted(n for n in list_scenarios() if n.startswith("tcp_aqm_smc"))
@@ -506,7 +506,7 @@ def test_anti_windup_freezes_the_integral_while_clipped():
 def test_the_metrics_node_gives_the_figures():
     rig, _ = run("tcp_aqm_smc_detuned", aqm_metrics__period=0.001)
     blocks = run_inprocess(rig, 0)
-    metrics = next(b for b in blocks.values() if isinstance(b, AqmMetrics))
+    metrics = next(b for b in blocks.values() if isinstance(b, AqmMonitor))
     found = figures("tcp_aqm_smc_detuned")
     for name in ("J_q", "J_w", "J_R", "settling_time", "peak", "deviation", "utilisation"):
         assert metrics.status()[name][0] == pytest.approx(found[name].value, rel=1e-3), name

@@ -9,7 +9,8 @@ from xml.etree.ElementTree import Element
 
 from pydantic import BaseModel, ConfigDict
 from softrig_core import ScenarioError
-from softrig_core.rig.scenario_file import closest, scenario_folders
+from softrig_core.errors import closest
+from softrig_core.rig.scenario_file import scenario_folders
 
 from .html import e
 

@@ -7,8 +7,8 @@ import os
 from pathlib import Path
 
 from softrig_core import Rig, ScenarioError, run_processes
+from softrig_core.errors import closest
 from softrig_core.guard import say
-from softrig_core.rig.scenario_file import closest
 from softrig_core.rig.starting import placed
 
 

@@ -15,9 +15,11 @@ from softrig_core.rig.scenario_file import locate, scenario_folders
 
 @cache
 def workspace(package: str) -> Path | None:
-    """Give the colcon workspace in which a package was built, of those that are sourced."""
+    """Give the workspace of a package: in which colcon has built it, or which --workspace named."""
     for prefix in prefixes():
         if (prefix / "share" / "ament_index" / "resource_index" / "packages" / package).exists():
+            if (prefix / "workspace").is_file():
+                return Path((prefix / "workspace").read_text().strip())
             install = prefix if prefix.name == "install" else prefix.parent  # merged, or a folder a package
             return install.parent if (install / "local_setup.sh").is_file() and not _ours(prefix) else None
     return None

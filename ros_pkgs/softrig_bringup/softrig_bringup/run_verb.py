@@ -161,8 +161,8 @@ def _assignment(text: str) -> tuple[str, Any]:
 def _changed(scenario: Scenario, changes: dict[str, Any]) -> Scenario:
     from pydantic import ValidationError
     from softrig_core import ScenarioError
+    from softrig_core.errors import closest
     from softrig_core.rig.scenario import merge
-    from softrig_core.rig.scenario_file import closest
 
     for name in changes.get("nodes", {}):
         if name not in scenario.nodes:

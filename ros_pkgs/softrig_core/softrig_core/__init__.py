@@ -55,7 +55,7 @@ if TYPE_CHECKING:
     from .node import executable as executable
     from .rig.figures import evaluate as evaluate, figures_of as figures_of
     from .rig.inprocess import run_inprocess as run_inprocess
-    from .rig.metrics import SignalMap as SignalMap, window as window
+    from .rig.measures import SignalMap as SignalMap, window as window
     from .rig.processes import run_processes as run_processes
     from .rig.registry import figure as figure
     from .rig.replay import feed as feed
@@ -86,7 +86,7 @@ else:
         "node": "executable",
         "rig.figures": "evaluate figures_of",
         "rig.inprocess": "run_inprocess",
-        "rig.metrics": "SignalMap window",
+        "rig.measures": "SignalMap window",
         "rig.processes": "run_processes",
         "rig.registry": "figure",
         "rig.replay": "feed",

@@ -7,7 +7,7 @@ import math
 import re
 from typing import Any, NoReturn
 
-from .errors import ScenarioError
+from .errors import ScenarioError, closest
 
 
 class Number:
@@ -50,8 +50,6 @@ class Parser(argparse.ArgumentParser):
         """Parse, and refuse the rest here, where it is known which options there are."""
         found, rest = super().parse_known_args(args, namespace)
         if rest:
-            from .rig.scenario_file import closest
-
             options = [o for a in self._actions for o in a.option_strings]
             what = "option" if rest[0].startswith("-") else "argument"
             self.error(f"unexpected {what} {rest[0]!r}{closest(rest[0].partition('=')[0], options)}")
@@ -66,8 +64,6 @@ class Parser(argparse.ArgumentParser):
         """
         wrong = re.match(r"argument (\S+): invalid choice: '(.*)' \(choose from (.*)\)", message)
         if wrong:
-            from .rig.scenario_file import closest
-
             known = [name.strip(" '") for name in wrong[3].split(",")]
             message = f"{wrong[1]} {wrong[2]!r} is unknown{closest(wrong[2], known)}; expected {', '.join(known)}"
         verb = self.prog.partition(" ")[2]

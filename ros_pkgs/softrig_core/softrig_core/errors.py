@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sysconfig
 import traceback
+from collections.abc import Iterable
 from pathlib import Path
 
 
@@ -32,3 +33,11 @@ def describe(error: BaseException) -> str:
     ours = (*_LIBRARIES, _OURS, "<")
     places = [f for f in traceback.extract_tb(error.__traceback__) if not f.filename.startswith(ours)]
     return f"{what} ({places[-1].filename}, line {places[-1].lineno})" if places else what
+
+
+def closest(name: str, known: Iterable[str]) -> str:
+    """Suggest the nearest of some names, as the end of a message."""
+    from difflib import get_close_matches
+
+    near = get_close_matches(name, list(known), 1)
+    return f" (did you mean {near[0]!r}?)" if near else ""

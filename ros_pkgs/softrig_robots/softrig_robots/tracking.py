@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from softrig_core import Port, command, executable, joint_state, param, reference
-from softrig_core.rig import metrics
+from softrig_core.rig import measures
 from softrig_core.rig.watch import Measure, Watch, WatchParams
 
 
-class TrackingMetricsParams(WatchParams):
+class TrackingMonitorParams(WatchParams):
     """Which joints and motors, and from when on the late figures count."""
 
     period: float = param(0.001, "sampling period", "s", gt=0.0, le=100.0)
@@ -19,11 +19,11 @@ class TrackingMetricsParams(WatchParams):
     band: float = param(0.002, "an error inside this band counts as settled", "rad", gt=0.0)
 
 
-class TrackingMetrics(Watch[TrackingMetricsParams]):
+class TrackingMonitor(Watch[TrackingMonitorParams]):
     """Largest and rms errors, largest late errors, settling times, peak voltages and their total variation."""
 
     @classmethod
-    def ports(cls, params: TrackingMetricsParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
+    def ports(cls, params: TrackingMonitorParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
         """Listens only."""
         return (
             joint_state("joint_states", "joint_states", params.joints, position="rad"),
@@ -35,14 +35,14 @@ class TrackingMetrics(Watch[TrackingMetricsParams]):
         """Figures of each joint and motor."""
         for joint in self.p.joints:
             pair = {"signal": f"joint_states/{joint}/position", "reference": f"reference/{joint}/position"}
-            yield Measure(f"max_error {joint}", metrics.peak, pair)
-            yield Measure(f"rms_error {joint}", metrics.rms, pair)
-            yield Measure(f"late_max_error {joint}", metrics.peak, pair | {"start": self.p.late})
-            yield Measure(f"settling_time {joint}", metrics.error_settling_time, pair | {"band": self.p.band})
+            yield Measure(f"max_error {joint}", measures.peak, pair)
+            yield Measure(f"rms_error {joint}", measures.rms, pair)
+            yield Measure(f"late_max_error {joint}", measures.peak, pair | {"start": self.p.late})
+            yield Measure(f"settling_time {joint}", measures.error_settling_time, pair | {"band": self.p.band})
         for motor in self.p.motors:
             voltage = {"signal": f"motor_command/{motor}/effort"}
-            yield Measure(f"peak_voltage {motor}", metrics.peak, voltage)
-            yield Measure(f"total_variation {motor}", metrics.total_variation, voltage | {"start": self.p.late})
+            yield Measure(f"peak_voltage {motor}", measures.peak, voltage)
+            yield Measure(f"total_variation {motor}", measures.total_variation, voltage | {"start": self.p.late})
 
 
-main = executable(TrackingMetrics)
+main = executable(TrackingMonitor)

@@ -8,9 +8,9 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from softrig_core import ScenarioError, list_scenarios
+from softrig_core.errors import closest
 from softrig_core.rig.expectation import Expected
 from softrig_core.rig.scenario import explain
-from softrig_core.rig.scenario_file import closest
 from softrig_core.rig.yaml_file import read_yaml
 
 from ..study.definition import study_folders

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from softrig_core import Scenario, ScenarioError, load_scenario
-from softrig_core.rig.scenario_file import closest
+from softrig_core.errors import closest
 from softrig_optim.sweep import progress, stream
 
 from ..folder import replace

@@ -9,11 +9,11 @@ from dataclasses import dataclass
 from typing import Any
 
 from softrig_core import Rig, Scenario, ScenarioError
+from softrig_core.errors import closest
 from softrig_core.model.params import flatten
 from softrig_core.rig.figures import signal_units
 from softrig_core.rig.references import pick
 from softrig_core.rig.scenario import explain
-from softrig_core.rig.scenario_file import closest
 
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _RANGE = re.compile(rf"(log )?\s*({_NUMBER})\.\.({_NUMBER})(?:([*~])(\d+))?")

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 from softrig_core import Port, Rig, ScenarioError, Signals
+from softrig_core.errors import closest
 from softrig_core.model.port import XYZ
 from softrig_core.rig.figures import signal_units
 from softrig_core.rig.scenario import PlotEntry
-from softrig_core.rig.scenario_file import closest
 
 Array = NDArray[np.float64]
 

@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 import numpy as np
 from softrig_core import Rig, SignalMap, figures_of
-from softrig_core.rig import metrics
+from softrig_core.rig import measures
 from softrig_core.rig.expectation import Expectation
 from softrig_core.rig.figures import Figure
 from softrig_core.rig.requirements import Judge
@@ -60,7 +60,7 @@ class Mark:
 def marks_of(rig: Rig, signals: SignalMap) -> dict[str, list[Mark]]:
     """Give the marks of each signal that figures of the scenario are measured of.
 
-    Only figures of `softrig_core.rig.metrics` that have a place in a picture over time: levels (final value, mean,
+    Only figures of `softrig_core.rig.measures` that have a place in a picture over time: levels (final value, mean,
     extremes, overshoot, peak against a constant) and instants (rise, settling, reaching).
 
     Parameters
@@ -121,21 +121,21 @@ def _placed(figure: Figure, mark: Mark, signals: SignalMap) -> Iterator[Mark]:
     """Place a figure in the picture of its signal; nothing for one that has no place there."""
     a = figure.arguments
     mark = replace(mark, start=_given(a, "start", -math.inf), end=_given(a, "end", math.inf))
-    if figure.function in (metrics.mean, metrics.final_value):
+    if figure.function in (measures.mean, measures.final_value):
         yield mark
-    elif figure.function in (metrics.maximum, metrics.minimum):
+    elif figure.function in (measures.maximum, measures.minimum):
         yield _extreme(mark, signals, a, math.nan)
-    elif figure.function is metrics.peak and not isinstance(a.get("reference", 0.0), str):
+    elif figure.function is measures.peak and not isinstance(a.get("reference", 0.0), str):
         yield _extreme(mark, signals, a, _given(a, "reference", 0.0))
-    elif figure.function in (metrics.reach_time, metrics.error_settling_time):
+    elif figure.function in (measures.reach_time, measures.error_settling_time):
         yield mark.at(lambda v: v, "time")
-    elif figure.function in (metrics.overshoot, metrics.settling_time, metrics.rise_time):
+    elif figure.function in (measures.overshoot, measures.settling_time, measures.rise_time):
         yield from _step(figure, mark, signals)
 
 
 def _extreme(mark: Mark, signals: SignalMap, arguments: Mapping[str, Any], zero: float) -> Mark:
     """Place an extreme, or a peak on either side of `zero`: a bound everywhere, a value beside where it is reached."""
-    t, x = metrics.window(signals, arguments["signal"], arguments.get("start"), arguments.get("end"))
+    t, x = measures.window(signals, arguments["signal"], arguments.get("start"), arguments.get("end"))
     if not math.isnan(zero):
         at = int(np.argmax(np.abs(x - zero)))
         side = 1.0 if x[at] >= zero else -1.0
@@ -152,14 +152,14 @@ def _extreme(mark: Mark, signals: SignalMap, arguments: Mapping[str, Any], zero:
 def _step(figure: Figure, mark: Mark, signals: SignalMap) -> Iterator[Mark]:
     """Place what is measured of a step."""
     a = figure.arguments
-    t, x = metrics.window(signals, a["signal"], a.get("start"), a.get("end"))
+    t, x = measures.window(signals, a["signal"], a.get("start"), a.get("end"))
     initial = _given(a, "initial", 0.0)
     step = (float(x[-1]) if a.get("final") is None else float(a["final"])) - initial
-    if figure.function is metrics.overshoot:
+    if figure.function is measures.overshoot:
         yield mark.at(lambda v: initial + step * (1.0 + v / 100.0), "value")
         return
     began = t[0] if a.get("start") is None else float(a["start"])
-    if figure.function is metrics.rise_time:
+    if figure.function is measures.rise_time:
         reached = np.flatnonzero((x - initial) * np.sign(step) >= a.get("low", 0.1) * abs(step))
         if not reached.size:
             return

@@ -9,11 +9,11 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 from softrig_core import ScenarioError
+from softrig_core.errors import closest
 from softrig_core.rig.claims import Claim
 from softrig_core.rig.expectation import Expected
 from softrig_core.rig.references import fill
 from softrig_core.rig.scenario import explain
-from softrig_core.rig.scenario_file import closest
 from softrig_core.rig.yaml_file import read_yaml
 
 MOST = 1_000_000  # seeds, points, candidates: room is made for all of them at once

@@ -7,10 +7,9 @@ import sys
 from os.path import isfile
 from pathlib import Path
 
-from ..errors import ScenarioError
+from ..errors import ScenarioError, closest
 from ..model.resource import prefixes
 from .rig import load_main
-from .scenario_file import closest
 
 PROFILE = Path(__file__).parent.with_name("fastdds_profile.xml")
 

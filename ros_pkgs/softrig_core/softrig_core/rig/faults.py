@@ -7,10 +7,9 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
-from ..errors import ScenarioError
+from ..errors import ScenarioError, closest
 from ..model.params import BlockParams
 from ..model.port import Port
-from .scenario_file import closest
 
 PACKAGE, EXECUTABLE = "softrig_control", "fault"
 WORDS = {"from": "start", "to": "stop", "channels": "affects"}  # as scenarios say it: the node's parameter

@@ -17,7 +17,7 @@ from ..model.params import flatten
 from .claims import NEVER
 from .expectation import Expectation
 from .formula import SURE
-from .metrics import SignalMap
+from .measures import SignalMap
 from .references import fill_parameters, pick
 from .registry import Function, find
 from .requirements import Judge, judges

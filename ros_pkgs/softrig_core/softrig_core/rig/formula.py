@@ -17,9 +17,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import ScenarioError
+from ..errors import ScenarioError, closest
 from ..model.timebase import SECOND
-from .scenario_file import closest
 from .units import powers, text
 
 Array = NDArray[np.float64]

@@ -1,4 +1,4 @@
-"""Figure functions: those of `softrig_core.rig.metrics` and the entry points of group ``softrig_figures``."""
+"""Figure functions: those of `softrig_core.rig.measures` and the entry points of group ``softrig_figures``."""
 
 from __future__ import annotations
 
@@ -7,8 +7,7 @@ from collections.abc import Callable, Sequence
 from functools import cache
 from typing import Any, TypeVar
 
-from ..errors import ScenarioError
-from .scenario_file import closest
+from ..errors import ScenarioError, closest
 
 GROUP = "softrig_figures"
 Function = Callable[..., float]
@@ -40,9 +39,9 @@ def _points() -> dict[str, importlib.metadata.EntryPoint]:
 
 def registered() -> list[str]:
     """Names of all figure functions that are installed."""
-    from . import metrics
+    from . import measures
 
-    return sorted({*metrics.__all__, *_points()})
+    return sorted({*measures.__all__, *_points()})
 
 
 def find(name: str) -> Function:
@@ -53,10 +52,10 @@ def find(name: str) -> Function:
     ScenarioError
         Not registered, or its module cannot be imported.
     """
-    from . import metrics
+    from . import measures
 
-    if name in metrics.__all__:
-        return getattr(metrics, name)
+    if name in measures.__all__:
+        return getattr(measures, name)
     point = _points().get(name)
     if point is None:
         raise ScenarioError(f"no figure function {name!r} is registered{closest(name, registered())}; "

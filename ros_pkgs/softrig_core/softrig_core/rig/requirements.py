@@ -31,7 +31,7 @@ from .formula import (
     read,
     variables,
 )
-from .metrics import SignalMap
+from .measures import SignalMap
 
 if TYPE_CHECKING:
     from .rig import Rig

@@ -9,7 +9,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from ..errors import ScenarioError, describe
+from ..errors import ScenarioError, closest, describe
 from ..model.block import Block, Plant
 from ..model.params import BlockParams, ParameterError, build, flatten
 from ..model.port import CLOCK, Port, Refused
@@ -21,7 +21,6 @@ from .agreement import require_agreement
 from .faults import insert
 from .node_parameters import NodeParameters
 from .scenario import PlotEntry, Scenario, explain
-from .scenario_file import closest
 from .units import misfit
 
 TICKS = 10**9  # of the clock in one run: more would take days
@@ -69,13 +68,7 @@ class Member:
 
 @dataclass(frozen=True)
 class Rig:
-    """All members: plants first, then the others in the order in which they can answer a tick.
-
-    Raises (from `from_scenario`)
-    -----------------------------
-    ScenarioError
-        Names the node, port or cycle that cannot work.
-    """
+    """All members: plants first, then the others in the order in which they can answer a tick."""
 
     scenario: Scenario
     members: tuple[Member, ...]
@@ -83,7 +76,13 @@ class Rig:
 
     @classmethod
     def from_scenario(cls, scenario: Scenario, classes: Mapping[str, type[Block]] | None = None) -> Rig:
-        """Build, wire and check; `classes` gives nodes their block class where no executable does."""
+        """Build, wire and check; `classes` gives nodes their block class where no executable does.
+
+        Raises
+        ------
+        ScenarioError
+            Names the node, port or cycle that cannot work.
+        """
         known = dict(classes or {})
         for name, entry in scenario.nodes.items():
             if name not in known:

@@ -7,13 +7,13 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
-from ..errors import ScenarioError
+from ..errors import ScenarioError, closest
 from .claims import Claim
 from .expectation import Expected
 from .faults import WORDS, FaultEntry
 from .references import fill
 from .requirements import Required, check_lengths
-from .scenario_file import closest, list_scenarios, locate, merge, resolve
+from .scenario_file import list_scenarios, locate, merge, resolve
 
 __all__ = ["FigureEntry", "NodeEntry", "PlotEntry", "Scenario", "list_scenarios", "load_scenario", "merge"]
 

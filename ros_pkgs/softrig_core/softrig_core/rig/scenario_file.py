@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import difflib
 import os
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from functools import lru_cache
 from os.path import isfile
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from ..errors import ScenarioError
+from ..errors import ScenarioError, closest
 from ..model.resource import prefixes
 from .yaml_file import SIZE, read_yaml
 
@@ -198,12 +197,6 @@ def merge(base: Mapping[str, Any], change: Mapping[str, Any]) -> dict[str, Any]:
         else:
             merged[key] = value
     return merged
-
-
-def closest(name: str, known: Iterable[str]) -> str:
-    """Suggest the nearest of some names, as the end of a message."""
-    near = difflib.get_close_matches(name, list(known), 1)
-    return f" (did you mean {near[0]!r}?)" if near else ""
 
 
 def _variants(path: Path, raw: Mapping[str, Any]) -> dict[str, Any]:

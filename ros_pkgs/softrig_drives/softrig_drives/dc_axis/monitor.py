@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from softrig_core import executable, param
-from softrig_core.rig import metrics
+from softrig_core.rig import measures
 from softrig_core.rig.watch import Measure, Watch, WatchParams
 
 from .ports import COMMAND, CONTROLLER_STATE, TRUE_STATE
@@ -15,13 +15,13 @@ Y, V = "axis/true_state/axis/position", "axis/true_state/axis/velocity"
 SET_POINT = "axis/controller_state/set_point/position"
 
 
-class AxisMetricsParams(WatchParams):
+class AxisMonitorParams(WatchParams):
     """Settling band."""
 
     band: float = param(0.02, "settling band as a fraction of the step", gt=0.0)
 
 
-class AxisMetrics(Watch[AxisMetricsParams]):
+class AxisMonitor(Watch[AxisMonitorParams]):
     """Step response of the true position to the newest change of the set point."""
 
     INPUTS = (TRUE_STATE, COMMAND, CONTROLLER_STATE)
@@ -44,14 +44,14 @@ class AxisMetrics(Watch[AxisMetricsParams]):
             return
         at, before, set_point = self._step
         step = {"signal": Y, "start": at, "initial": before, "final": set_point}
-        yield Measure("rise_time", metrics.rise_time, step)
-        yield Measure("settling_time", metrics.settling_time, step | {"band": self.p.band})
-        yield Measure("overshoot", metrics.overshoot, step)
-        yield Measure("set_point", metrics.final_value, {"signal": SET_POINT})
+        yield Measure("rise_time", measures.rise_time, step)
+        yield Measure("settling_time", measures.settling_time, step | {"band": self.p.band})
+        yield Measure("overshoot", measures.overshoot, step)
+        yield Measure("set_point", measures.final_value, {"signal": SET_POINT})
         now = self.now / 1e9
-        yield Measure("error", metrics.mean_error, {"signal": Y, "reference": set_point, "start": now})
-        yield Measure("peak_voltage", metrics.peak, {"signal": "axis/command/armature/effort", "start": at})
-        yield Measure("peak_speed", metrics.peak, {"signal": V, "start": at})
+        yield Measure("error", measures.mean_error, {"signal": Y, "reference": set_point, "start": now})
+        yield Measure("peak_voltage", measures.peak, {"signal": "axis/command/armature/effort", "start": at})
+        yield Measure("peak_speed", measures.peak, {"signal": V, "start": at})
 
 
-main = executable(AxisMetrics)
+main = executable(AxisMonitor)

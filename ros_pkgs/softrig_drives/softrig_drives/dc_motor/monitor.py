@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from softrig_core import executable, param
-from softrig_core.rig import metrics
+from softrig_core.rig import measures
 from softrig_core.rig.watch import Measure, Watch, WatchParams
 
 from .ports import COMMAND, REFERENCE, SENSORS, SPEED
@@ -15,14 +15,14 @@ SPEED_NOW, VOLTAGE = "motor/state/shaft/velocity", "motor/command/armature/effor
 CURRENT = "motor/sensors/current_a/position"
 
 
-class DcMotorMetricsParams(WatchParams):
+class DcMotorMonitorParams(WatchParams):
     """Settling band and late window."""
 
     band: float = param(0.02, "settling band as a fraction of the step", gt=0.0)
     late: float = param(3.0, "steady figures are taken from this time after a step on", "s", ge=0.0)
 
 
-class DcMotorMetrics(Watch[DcMotorMetricsParams]):
+class DcMotorMonitor(Watch[DcMotorMonitorParams]):
     """Step response and chattering figures of the newest step of the reference.
 
     On the rig, remap ``motor/state`` to ``motor/true_state`` and ``motor/command`` to ``motor/applied`` for the true
@@ -49,16 +49,16 @@ class DcMotorMetrics(Watch[DcMotorMetricsParams]):
             return
         at, before, r = self._step
         step = {"signal": SPEED_NOW, "start": at, "initial": before, "final": r}
-        yield Measure("rise_time", metrics.rise_time, step)
-        yield Measure("settling_time", metrics.settling_time, step | {"band": self.p.band})
-        yield Measure("overshoot", metrics.overshoot, step)
-        yield Measure("peak_current", metrics.peak, {"signal": CURRENT, "start": at})
+        yield Measure("rise_time", measures.rise_time, step)
+        yield Measure("settling_time", measures.settling_time, step | {"band": self.p.band})
+        yield Measure("overshoot", measures.overshoot, step)
+        yield Measure("peak_current", measures.peak, {"signal": CURRENT, "start": at})
         late = at + self.p.late
         if self.now / 1e9 >= late:
-            yield Measure("mean_error", metrics.mean_error, {"signal": SPEED_NOW, "reference": r, "start": late})
-            yield Measure("rms_error", metrics.rms, {"signal": SPEED_NOW, "reference": r, "start": late})
-            yield Measure("peak_to_peak", metrics.peak_to_peak, {"signal": SPEED_NOW, "start": late})
-            yield Measure("total_variation", metrics.total_variation, {"signal": VOLTAGE, "start": late})
+            yield Measure("mean_error", measures.mean_error, {"signal": SPEED_NOW, "reference": r, "start": late})
+            yield Measure("rms_error", measures.rms, {"signal": SPEED_NOW, "reference": r, "start": late})
+            yield Measure("peak_to_peak", measures.peak_to_peak, {"signal": SPEED_NOW, "start": late})
+            yield Measure("total_variation", measures.total_variation, {"signal": VOLTAGE, "start": late})
 
 
-main = executable(DcMotorMetrics)
+main = executable(DcMotorMonitor)

@@ -8,7 +8,7 @@ from typing import Any
 
 from pydantic import field_validator
 from softrig_core import executable, param
-from softrig_core.rig import metrics
+from softrig_core.rig import measures
 from softrig_core.rig.watch import Measure, Watch, WatchParams
 
 from .figures import POSITION, REFERENCE, SPEED, dip, iae, itae, overshoot, peak_force
@@ -69,23 +69,23 @@ class MotionMonitor(Watch[MotionMonitorParams]):
         v_d = math.copysign(self.p.v_d, self._way or self.p.v_d)
         band, leg = {"final": v_d, "band": self.p.band, "at": "sample"}, {"start": self._begin}
         yield Measure("overshoot", overshoot, {"v_d": v_d, **leg})
-        yield Measure("rise_time", metrics.rise_time, {"signal": SPEED, "final": v_d, **leg})
+        yield Measure("rise_time", measures.rise_time, {"signal": SPEED, "final": v_d, **leg})
         if self._loaded is None:
             yield Measure(
-                "settling_time", metrics.settling_time, {"signal": SPEED, "start": self._begin or 0.0, **band}
+                "settling_time", measures.settling_time, {"signal": SPEED, "start": self._begin or 0.0, **band}
             )
         else:
             yield Measure("dip", dip, {"v_d": v_d, "start": self._loaded})
-            yield Measure("recovery", metrics.settling_time, {"signal": SPEED, "start": self._loaded, **band})
+            yield Measure("recovery", measures.settling_time, {"signal": SPEED, "start": self._loaded, **band})
         yield Measure("iae", iae)
         yield Measure("itae", itae)
-        yield Measure("peak_error", metrics.peak, {"signal": SPEED, "reference": REFERENCE})
+        yield Measure("peak_error", measures.peak, {"signal": SPEED, "reference": REFERENCE})
         yield Measure("peak_force", peak_force, {"width": self.p.force_window, **leg})
-        yield Measure("peak_command", metrics.peak, {"signal": "force_cmd/translator/effort"})
+        yield Measure("peak_command", measures.peak, {"signal": "force_cmd/translator/effort"})
         for phase in PHASES:
-            yield Measure(f"peak_current_{phase}", metrics.peak, {"signal": f"phase_currents/{phase}/position"})
-            yield Measure(f"peak_voltage_{phase}", metrics.peak, {"signal": f"phase_voltage/{phase}/effort"})
-        yield Measure("position", metrics.final_value, {"signal": POSITION})
+            yield Measure(f"peak_current_{phase}", measures.peak, {"signal": f"phase_currents/{phase}/position"})
+            yield Measure(f"peak_voltage_{phase}", measures.peak, {"signal": f"phase_voltage/{phase}/effort"})
+        yield Measure("position", measures.final_value, {"signal": POSITION})
 
 
 main = executable(MotionMonitor)

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 from softrig_core import executable, param
-from softrig_core.rig import metrics
+from softrig_core.rig import measures
 from softrig_core.rig.watch import Measure, Watch, WatchParams
 
 from .figures import power_balance
@@ -45,8 +45,8 @@ class GupfcMonitor(Watch[GupfcMonitorParams]):
             self._asked, self._changed = (*series_1, *series_2), t / 1e9
         return super().update(t, status=status)
 
-    def _settling_time(self, signals: metrics.SignalMap, signal: str, reference: float) -> float:
-        settled = metrics.error_settling_time(signals, signal, reference=reference, band=self.p.band,
+    def _settling_time(self, signals: measures.SignalMap, signal: str, reference: float) -> float:
+        settled = measures.error_settling_time(signals, signal, reference=reference, band=self.p.band,
                                               start=self._changed)  # fmt: skip
         return settled - self._changed
 
@@ -54,14 +54,14 @@ class GupfcMonitor(Watch[GupfcMonitorParams]):
         """Extremes of the window, figures since the last change."""
         for name in ("v1", "v_dc"):
             signal = {"signal": f"gupfc/status/{name}/position"}
-            yield Measure(f"{name}_min", metrics.minimum, signal)
-            yield Measure(f"{name}_max", metrics.maximum, signal)
+            yield Measure(f"{name}_min", measures.minimum, signal)
+            yield Measure(f"{name}_max", measures.maximum, signal)
         if not self._asked:
             return
         for name, wanted in zip(FLOWS, self._asked, strict=True):
             error = {"signal": f"gupfc/status/{name}/position", "reference": wanted}
             yield Measure(f"{name}_settling_time", self._settling_time, error, "s")
-            yield Measure(f"{name}_mean_error", metrics.mean_error, error | {"start": self._changed})
+            yield Measure(f"{name}_mean_error", measures.mean_error, error | {"start": self._changed})
         yield Measure("power_balance", power_balance, {"start": self._changed})
 
 

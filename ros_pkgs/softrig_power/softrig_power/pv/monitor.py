@@ -11,14 +11,14 @@ from .figures import characteristic_of
 from .ports import array_port, environment
 
 
-class MpptMetricsParams(ArrayParams, BlockParams):
+class MpptMonitorParams(ArrayParams, BlockParams):
     """The string, and when it counts as tracked."""
 
     period: float = param(0.001, "sampling period", "s", gt=0.0, le=100.0)
     level: float = param(0.98, "tracked: at least this share of the maximum", gt=0.0, le=1.0)
 
 
-class MpptMetrics(Observer[MpptMetricsParams]):
+class MpptMonitor(Observer[MpptMonitorParams]):
     """Efficiency, basin, tracking time and energy share, from what a tracker sees and from what it must not see.
 
     - efficiency: power now over the global maximum
@@ -28,7 +28,7 @@ class MpptMetrics(Observer[MpptMetricsParams]):
     """
 
     @classmethod
-    def ports(cls, params: MpptMetricsParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
+    def ports(cls, params: MpptMonitorParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
         """One irradiance and one temperature a module."""
         return (array_port("port"), environment(len(params.irradiance), held=True)), ()
 
@@ -72,4 +72,4 @@ class MpptMetrics(Observer[MpptMetricsParams]):
         return figures
 
 
-main = executable(MpptMetrics)
+main = executable(MpptMonitor)

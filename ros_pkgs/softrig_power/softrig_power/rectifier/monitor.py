@@ -8,7 +8,7 @@ from itertools import zip_longest
 from typing import Any
 
 from softrig_core import executable, param, scalars
-from softrig_core.rig import metrics
+from softrig_core.rig import measures
 from softrig_core.rig.watch import Measure, Watch, WatchParams
 
 from .parameters import RectifierConstants
@@ -20,7 +20,7 @@ V_DC = "dc_link/voltage/position"
 EVENTS = 100  # the newest; a reference that ramps is an event at each tick
 
 
-class RigMetricsParams(WatchParams):
+class RectifierMonitorParams(WatchParams):
     """Settling band and set point."""
 
     period: float = param(0.00083, "sampling period", "s", gt=0.0, le=0.1)
@@ -28,7 +28,7 @@ class RigMetricsParams(WatchParams):
     set_point: float = param(400.0, "reference until one arrives", "V", gt=0.0, le=1e4)
 
 
-class RigMetrics(Watch[RigMetricsParams]):
+class RectifierMonitor(Watch[RectifierMonitorParams]):
     """Least, largest and newest voltage, settling time and overshoot since each change of an event or the reference.
 
     ``event_0`` is the start. The settling time counts from the change to the first sample from which on the voltage has
@@ -59,12 +59,12 @@ class RigMetrics(Watch[RigMetricsParams]):
         ends = [at - 0.5 * self.p.period for _, at, _ in self._events][1:]
         for (k, at, w), end in zip_longest(self._events, ends):
             part = {"signal": V_DC, "start": at, "end": end}
-            yield Measure(f"event_{k}_v_min", metrics.minimum, part)
-            yield Measure(f"event_{k}_v_max", metrics.maximum, part)
-            yield Measure(f"event_{k}_final", metrics.final_value, part)
-            yield Measure(f"event_{k}_overshoot", metrics.overshoot, part | {"final": w})
+            yield Measure(f"event_{k}_v_min", measures.minimum, part)
+            yield Measure(f"event_{k}_v_max", measures.maximum, part)
+            yield Measure(f"event_{k}_final", measures.final_value, part)
+            yield Measure(f"event_{k}_overshoot", measures.overshoot, part | {"final": w})
             band = {"final": w, "band": self.p.band, "at": "sample"}
-            yield Measure(f"event_{k}_settling", metrics.settling_time, part | band)
+            yield Measure(f"event_{k}_settling", measures.settling_time, part | band)
 
 
-main = executable(RigMetrics)
+main = executable(RectifierMonitor)

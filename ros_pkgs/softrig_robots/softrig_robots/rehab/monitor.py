@@ -5,20 +5,20 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from softrig_core import command, executable, joint_state, param, reference
-from softrig_core.rig import metrics
+from softrig_core.rig import measures
 from softrig_core.rig.watch import Measure, Watch, WatchParams
 
 from .model import JOINTS
 
 
-class RehabMetricsParams(WatchParams):
+class RehabMonitorParams(WatchParams):
     """From when on the late figures count."""
 
     period: float = param(0.001, "sampling period", "s", gt=0.0, le=100.0)
     late: float = param(3.0, "begin of the late window", "s", ge=0.0)
 
 
-class RehabMetrics(Watch[RehabMetricsParams]):
+class RehabMonitor(Watch[RehabMonitorParams]):
     """MSE, SAE, IAE of the error, MAC of the currents, MAV of the voltages, rms of the late error; angles in degrees.
 
     Remap ``reference`` to ``regenerated`` behind an impedance law.
@@ -35,12 +35,12 @@ class RehabMetrics(Watch[RehabMetricsParams]):
         """Figures of each joint."""
         for joint in JOINTS:
             error = {"signal": f"joint_states/{joint}/position", "reference": f"reference/{joint}/position"}
-            yield Measure(f"mse {joint}", metrics.mean_square, error, "deg^2")
-            yield Measure(f"sae {joint}", metrics.sum_absolute, error, "deg")
-            yield Measure(f"iae {joint}", metrics.integral_absolute, error, "deg s")
-            yield Measure(f"mac {joint}", metrics.mean_absolute, {"signal": f"motor_states/{joint}/effort"})
-            yield Measure(f"mav {joint}", metrics.mean_absolute, {"signal": f"motor_command/{joint}/effort"})
-            yield Measure(f"late_rms_error {joint}", metrics.rms, error | {"start": self.p.late}, "deg")
+            yield Measure(f"mse {joint}", measures.mean_square, error, "deg^2")
+            yield Measure(f"sae {joint}", measures.sum_absolute, error, "deg")
+            yield Measure(f"iae {joint}", measures.integral_absolute, error, "deg s")
+            yield Measure(f"mac {joint}", measures.mean_absolute, {"signal": f"motor_states/{joint}/effort"})
+            yield Measure(f"mav {joint}", measures.mean_absolute, {"signal": f"motor_command/{joint}/effort"})
+            yield Measure(f"late_rms_error {joint}", measures.rms, error | {"start": self.p.late}, "deg")
 
 
-main = executable(RehabMetrics)
+main = executable(RehabMonitor)

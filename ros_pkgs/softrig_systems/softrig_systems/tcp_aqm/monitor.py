@@ -12,7 +12,7 @@ from .model import Bottleneck, equilibrium
 from .ports import COMMAND, REFERENCE, STATE, TRUTH
 
 
-class AqmMetricsParams(Bottleneck, BlockParams):
+class AqmMonitorParams(Bottleneck, BlockParams):
     """The network, and the windows of the figures."""
 
     period: float = param(0.001, "sampling period", "s", gt=0.0, le=1.0)
@@ -21,7 +21,7 @@ class AqmMetricsParams(Bottleneck, BlockParams):
     band: float = param(0.02, "settling band as a fraction of the set point", gt=0.0, lt=1.0)
 
 
-class AqmMetrics(Observer[AqmMetricsParams]):
+class AqmMonitor(Observer[AqmMonitorParams]):
     """Mean squares J of queue, window, round trip and drop probability; peak, settling, deviation, utilisation.
 
     J_q = mean (q - q_d)^2 of the measured queue, J_w = mean (w - w0)^2, J_R = mean R^2, J_p = mean p^2, over all
@@ -90,4 +90,4 @@ class AqmMetrics(Observer[AqmMetricsParams]):
         }
 
 
-main = executable(AqmMetrics)
+main = executable(AqmMonitor)
