@@ -31,7 +31,7 @@ class AqmMonitor(Observer[AqmMonitorParams]):
     INPUTS = (STATE, TRUTH, COMMAND, REFERENCE)
 
     @classmethod
-    def agreed(cls, params: AqmMetricsParams) -> Mapping[str, Any]:
+    def agreed(cls, params: AqmMonitorParams) -> Mapping[str, Any]:
         """The bottleneck that it judges, and what is wanted of it."""
         return {**params.agreed(), "tcp/set_point": params.set_point}
 
