@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+from xml.etree import ElementTree
 
 import pytest
 from conftest import PATIENCE
@@ -274,6 +275,31 @@ def test_a_run_that_is_stopped_says_what_it_did_and_judges_nothing(folder, monke
     page = (folder / "runs" / "lag" / "report.html").read_text()
     assert f"{content['reached_s']:.6g} of 1 s" in page
     assert "differs" not in page
+
+
+def test_strict_and_junit_judge_a_changed_run(folder):
+    changed = ["lag", "--mode", "inprocess", "--no-record", "--no-plots", "--set", "gain.k=9", "--junit", "unit.xml"]
+    assert run(*changed) == 0
+    assert ElementTree.parse(folder / "unit.xml").getroot().get("failures") == "0"
+    assert run(*changed, "--strict") == 1
+    root = ElementTree.parse(folder / "unit.xml").getroot()
+    assert int(root.get("failures")) >= 1
+    assert root.find(".//testcase[@name='last']/failure") is not None
+    assert run("lag_breaks", "--mode", "inprocess", "--no-record", "--no-plots", "--junit", "unit.xml") == 3
+    assert ElementTree.parse(folder / "unit.xml").getroot().get("errors") == "1"
+
+
+@pytest.mark.parametrize(("options", "status"), [([], 0), (["--max-missed", "50"], 1), (["--max-missed", "90"], 0)])
+def test_most_deadlines_missed_is_no_silent_success(folder, monkeypatch, capsys, options, status):
+    def late(scenario, mode, directory, **_):
+        done = simulate(scenario)
+        done.status = {"plant": {"state": "done", "ticks": 1000, "missed_deadlines": 768}, "gain": {"ticks": 100}}
+        return done
+
+    monkeypatch.setattr("softrig_bringup.run.execute", late)
+    assert run("lag", "--realtime", "--no-record", "--no-plots", *options) == status
+    said = "plant missed 76.8 % of its deadlines: this machine does not keep up"
+    assert (said in capsys.readouterr().err) == (options != ["--max-missed", "90"])
 
 
 def test_what_was_not_simulated_is_not_measured_and_what_never_happens_is_never(folder, capsys):

@@ -2,6 +2,7 @@
 
 import json
 import re
+from xml.etree import ElementTree
 
 import pytest
 from softrig_bringup.cli import main
@@ -126,6 +127,15 @@ def test_a_claim_that_needs_a_run_that_broke_is_not_borne_out(folder, capsys):
     error = capsys.readouterr().err
     assert "lag_slow: lag_slow: node plant: parameter gain = -0.5" in error
     assert "claim order: the verdict reproduced cannot be checked" in error
+
+
+def test_results_are_told_to_machines(folder):
+    (folder / "lag.yaml").write_text(LAG.replace("VERDICT", "refuted"))
+    assert main(["results", "--workers", "1", "--junit", "unit.xml", "--json", "rows.json"]) == 1
+    root = ElementTree.parse(folder / "unit.xml").getroot()
+    assert (root.get("tests"), root.get("failures")) == ("3", "1")
+    assert "does not hold" in root.find(".//failure").get("message")
+    assert [row["holds"] for row in json.loads((folder / "rows.json").read_text())] == [False, True, True]
 
 
 def test_an_unknown_system_is_refused(folder, capsys):

@@ -100,6 +100,8 @@ def _parser() -> argparse.ArgumentParser:
                          help="results.html and results.md go here (default runs/results)")  # fmt: skip
     results.add_argument("--studies", action="store_true", help="the claims of studies too: hundreds of runs")
     results.add_argument("--workers", type=Number(int, 1), metavar="N", help="processes (default: all cores)")
+    results.add_argument("--junit", type=Path, metavar="FILE", help="report as JUnit XML")
+    results.add_argument("--json", type=Path, metavar="FILE", help="report as JSON")
     study = verb("study", _study, "a scenario over grids, draws, seeds or a search; interrupted, the next call goes on")
     study.add_argument("study", help="name or file of a study, or a scenario; `study list` shows the studies")
     study.add_argument("--grid", action="extend", nargs="+", default=[], metavar="NODE.PARAM=A,B,C",
@@ -145,6 +147,7 @@ def _parser() -> argparse.ArgumentParser:
     golden.add_argument("--duration", type=float, metavar="S", help="another length of the golden run")
     golden.add_argument("--seed", type=int, metavar="N", help="another seed")
     golden.add_argument("--bags", type=Path, default=Path("bags"), metavar="DIR", help="where they are")
+    golden.add_argument("--junit", type=Path, metavar="FILE", help="with --check: report as JUnit XML")
     new = verb("new", _new, "write a package with a plant, a law, a scenario and tests, to begin with")
     new.add_argument("name", metavar="NAME", help="of the package: lower-case letters, digits and _")
     new.add_argument("--into", type=Path, default=Path(), metavar="DIR", help="where its folder is made (here)")
@@ -223,7 +226,8 @@ def _results(options: argparse.Namespace) -> int:
     from .results import main as results
 
     with stoppable():
-        return results(options.systems, options.out, options.workers, studies=options.studies)
+        return results(options.systems, options.out, options.workers, studies=options.studies, junit=options.junit,
+                   as_json=options.json)  # fmt: skip
 
 
 def _study(options: argparse.Namespace) -> int:
@@ -274,4 +278,5 @@ def _falsify(options: argparse.Namespace) -> int:
 def _golden(options: argparse.Namespace) -> int:
     from .golden import main as golden
 
-    return golden(options.names, options.bags, duration=options.duration, seed=options.seed, check=options.check)
+    return golden(options.names, options.bags, duration=options.duration, seed=options.seed, check=options.check,
+                  junit=options.junit)  # fmt: skip

@@ -23,6 +23,7 @@ from softrig_core.model.params import flatten
 from softrig_core.rig.yaml_file import read_yaml
 
 from .folder import replace
+from .junit import Case, Suite, write_junit
 from .run import versions
 
 DECIDE = ("machine", "math", "numpy", "scipy", "casadi", "pin")  # of the versions: the bits of a run
@@ -274,7 +275,8 @@ def _write(file: Path, recipe: Recipe) -> None:
     replace(file, stream.getvalue())
 
 
-def main(names: Sequence[str], folder: Path, *, duration: float | None, seed: int | None, check: bool) -> int:
+def main(names: Sequence[str], folder: Path, *, duration: float | None, seed: int | None, check: bool,
+         junit: Path | None = None) -> int:  # fmt: skip
     """Regenerate golden bags (all of the folder when none is named), or only check them.
 
     A duration or seed changes the recipes that are there and leaves the rest of them, which was edited by hand.
@@ -283,10 +285,12 @@ def main(names: Sequence[str], folder: Path, *, duration: float | None, seed: in
     if check and changes:
         given = " and ".join(f"--{key}" for key in changes)
         raise ScenarioError(f"golden --check with {given}: expected --check alone, a bag is checked as it was made")
+    if junit is not None and not check:
+        raise ScenarioError("golden --junit: goes with --check")
     chosen = list(names) or sorted(p.parent.name for p in folder.glob("*/golden.yaml"))
     if not chosen:
         raise ScenarioError(f"{folder} has no golden bags yet; name the scenarios to make them of")
-    status = 0
+    status, suites = 0, []
     for name in chosen:
         there = (folder / name / "golden.yaml").is_file()
         golden = load(folder / name, **changes) if there or check else create(folder / name, name, **changes)
@@ -301,4 +305,8 @@ def main(names: Sequence[str], folder: Path, *, duration: float | None, seed: in
         if result is not None and not result.equal:
             print(result)
             status = 1 if check else status
+        differs = "" if result is None or result.equal else str(result)
+        suites.append(Suite(name, 0.0, [Case("bag", differs, f"{golden.recipe.duration:g} s")]))
+    if junit is not None:
+        write_junit(junit, suites)
     return status

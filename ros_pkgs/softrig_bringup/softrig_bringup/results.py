@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -26,6 +26,7 @@ from softrig_core.rig.findings import Finding, findings, needed, values
 from softrig_optim.sweep import progress, stream
 
 from .folder import ResultsFolder, replace
+from .junit import Case, Suite, write_junit
 from .run import save, summary, versions
 
 
@@ -182,6 +183,18 @@ def study_findings(
     return scenarios, rows
 
 
+def suites(rows: Sequence[Finding], measured: Mapping[str, Measured]) -> list[Suite]:
+    """Give each scenario's claims as a suite of cases."""
+    found: dict[str, list[Case]] = {}
+    for row in rows:
+        case = Case(
+            f"claim {row.key}", "" if row.holds else row.false, f"{row.verdict}: {row.measured_text} {row.unit}"
+        )
+        found.setdefault(row.scenario, []).append(case)
+    broken = {name: m.error for name, m in measured.items() if m.error}
+    return [Suite(name, 0.0, found.get(name, ()), broken.get(name, "")) for name in dict.fromkeys([*found, *broken])]
+
+
 def left_out(systems: Sequence[str]) -> str:
     """Say which claims are held by `--studies` alone; empty for none."""
     from .study.definition import list_studies, load_study
@@ -193,8 +206,23 @@ def left_out(systems: Sequence[str]) -> str:
     return f"{more} more claims are of studies ({names}): hundreds of runs, with --studies" if more else ""
 
 
-def main(systems: Sequence[str], out: Path, workers: int | None = None, *, studies: bool = False) -> int:
-    """Write results.html and results.md into a directory; 1 when a verdict is false or cannot be checked."""
+def main(
+    systems: Sequence[str], out: Path, workers: int | None = None, *, studies: bool = False, junit: Path | None = None,
+    as_json: Path | None = None,
+) -> int:  # fmt: skip
+    """Write results.html and results.md into a directory; 1 when a verdict is false or cannot be checked.
+
+    Parameters
+    ----------
+    systems : sequence of str
+        See `claiming`.
+    out : Path
+    workers : int, optional
+    studies : bool
+        The claims of studies too.
+    junit, as_json : Path, optional
+        Reports for machines: a suite a scenario with a case a claim; the findings.
+    """
     from .results_page import counts, html, markdown
 
     scenarios = claiming(systems)
@@ -210,6 +238,10 @@ def main(systems: Sequence[str], out: Path, workers: int | None = None, *, studi
         scenarios, rows = scenarios + more, rows + held
     replace(out / "results.html", html(scenarios, rows, without, out))
     replace(out / "results.md", markdown(scenarios, rows, without))
+    if junit is not None:
+        write_junit(junit, suites(rows, measured))
+    if as_json is not None:
+        replace(as_json, json.dumps([row.model_dump() for row in rows], indent=1) + "\n")
     kept = sum(m.kept for m in measured.values())
     if kept:
         print(f"{kept} of {len(measured)} runs are kept: neither code nor scenario has changed")
