@@ -170,8 +170,9 @@ def test_a_workspace_is_remembered_follows_what_comes_and_is_forgotten(user, pac
     assert not user(f"SOFTRIG_WORKSPACE=none '{SOFTRIG}' list heater")[0]
     assert not user(f"'{SOFTRIG}' --workspace none list heater")[0]
     assert not user(f"'{SOFTRIG}' list heater")[0]
-    _, error = user(f"'{SOFTRIG}' --workspace nowhere list", status=2)
-    assert "--workspace 'nowhere': no ROS package there" in error
+    for command in (f"'{SOFTRIG}' --workspace nowhere list", f"SOFTRIG_WORKSPACE=nowhere '{SOFTRIG}' list"):
+        _, error = user(command, status=2)
+        assert error.startswith("softrig: --workspace 'nowhere': no ROS package there")
 
 
 @pytest.mark.processes
