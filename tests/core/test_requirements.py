@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from conftest import make_scenario
 from hypothesis import given, settings, strategies as st
-from softrig_core.errors import ScenarioError
+from softrig_core.errors import RunError, ScenarioError
 from softrig_core.model.timebase import SECOND
 from softrig_core.rig.expectation import Expectation
 from softrig_core.rig.figures import evaluate, figures_of
@@ -264,3 +264,39 @@ def test_a_scenario_may_expect_that_a_requirement_is_violated():
     scenario = rig.scenario.model_copy(update={"expect": {"it": Expectation(at_most=0.0)}})
     run = simulate(Rig.from_scenario(scenario))
     assert [r.passed for r in run.results] == [True]
+
+
+def live(formula, **about):
+    return wired(formula, **about)
+
+
+@pytest.mark.parametrize(
+    "formula",
+    [
+        "always[0.2, 0.8] state <= 0.3",
+        "eventually[0.1, 0.9] state > 0.2",
+        "always (rising(command) -> eventually[0, 0.05] state >= 0)",
+        "always[0, 0.5] (state <= 0.4 and state >= -1)",
+    ],
+)
+def test_a_watched_margin_closes_in_on_that_of_the_record(formula):
+    rig = live(formula, live=True)
+    run = simulate(rig)
+    margin = figure_of(rig, run.signals).number
+    lower, upper, decided = (run.signals[f"requirement/it/{name}/position"].x for name in ("lower", "upper", "decided"))
+    assert np.all(lower <= upper)
+    assert np.all(np.diff(upper) <= 0.0)
+    assert np.all(np.diff(lower) >= 0.0)
+    assert lower[-1] <= margin <= upper[-1]
+    if decided[-1]:
+        assert upper[-1] == margin
+
+
+def test_a_watched_requirement_ends_the_run_at_the_tick_at_which_it_is_violated():
+    rig = live("always state <= 0.3", ends=True)
+    free = simulate(wired("always state <= 0.3"))
+    t, x = free.signals["lag/state/x/position"]
+    first = t[np.flatnonzero(x > 0.3)[0]]
+    with pytest.raises(RunError, match=rf"requirement_it: always state <= 0.3 is violated.*known at t = {first:.9g} s"):
+        simulate(rig)
+    assert simulate(live("always state <= 100", ends=True)).results[0].passed

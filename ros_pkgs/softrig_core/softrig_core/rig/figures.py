@@ -124,8 +124,7 @@ def figures_of(rig: Rig) -> list[Figure]:
         except ScenarioError as error:
             raise ScenarioError(f"{rig.scenario.name}: figure {name}: {error}") from None
         found.append(Figure(name, function, arguments, unit, scale))
-    named = {k: fill_parameters(v, parameter) if isinstance(v, str) else v for k, v in rig.scenario.shared.items()}
-    found += [Figure(name, judge, {}, judge.unit, 1.0) for name, judge in judges(rig, named, units).items()]
+    found += [Figure(name, judge, {}, judge.unit, 1.0) for name, judge in judges(rig, units).items()]
     return found
 
 

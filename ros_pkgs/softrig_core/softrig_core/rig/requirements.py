@@ -5,6 +5,7 @@ A requirement is a figure whose value is its margin (robustness) and whose expec
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -14,6 +15,7 @@ import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 from ..errors import ScenarioError
+from ..model.params import flatten
 from ..model.schedule import Schedule
 from ..model.timebase import SECOND
 from .formula import (
@@ -32,6 +34,7 @@ from .formula import (
     variables,
 )
 from .measures import SignalMap
+from .references import fill_parameters, pick
 
 if TYPE_CHECKING:
     from .rig import Rig
@@ -48,6 +51,10 @@ class Requirement(BaseModel):
         Where the paper or sheet says so.
     scale : dict of str to float
         By unit, what counts as one: for formulas that compare several units. The margin is then a pure number.
+    live : bool
+        Whether a node ``requirement_NAME`` watches it while the rig runs.
+    ends : bool
+        Whether that node ends the run when it is violated; implies `live`.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
@@ -55,6 +62,8 @@ class Requirement(BaseModel):
     formula: str = Field(min_length=1, max_length=2000)
     where: str = ""
     scale: dict[str, Annotated[float, Field(gt=0.0)]] = {}
+    live: bool = False
+    ends: bool = False
 
 
 Required = Annotated[
@@ -125,14 +134,61 @@ def _grid(clock: Schedule, end: float) -> Array:
     return np.array([clock.time(k) for k in range(last + 1)], dtype=np.float64)
 
 
-def judges(rig: Rig, named: Mapping[str, Any], units: Mapping[str, str]) -> dict[str, Judge]:
+def names_of(rig: Rig, units: Mapping[str, str]) -> tuple[dict[str, float], dict[str, str]]:
+    """Give the shared names of a rig's scenario that formulas may use: numbers, and signals.
+
+    Parameters
+    ----------
+    rig : Rig
+    units : mapping
+        Of each signal of the rig.
+    """
+    values = {m.name: flatten(m.params) for m in rig.members}
+
+    def parameter(node: str, name: str) -> Any:
+        try:
+            return pick(values[node], name)
+        except KeyError:
+            raise ScenarioError(f"{rig.scenario.name}: ${node}.{name}: no such parameter") from None
+
+    shared = rig.scenario.shared.items()
+    named = {k: fill_parameters(v, parameter) if isinstance(v, str) else v for k, v in shared}
+    numbers = {k: float(v) for k, v in named.items() if isinstance(v, int | float) and not isinstance(v, bool)}
+    return numbers, {k: v for k, v in named.items() if isinstance(v, str) and v in units}
+
+
+def watched(rig: Rig, units: Mapping[str, str]) -> dict[str, dict[str, Any]]:
+    """Give the nodes that watch requirements of a rig's scenario while it runs, as entries of its nodes."""
+    numbers, signals = names_of(rig, units)
+    nodes = {}
+    for name, requirement in rig.scenario.requirements.items():
+        if not (requirement.live or requirement.ends):
+            continue
+        judge = _judge(rig, requirement, {**numbers, **dict.fromkeys(signals)}, signals, units)
+        topics = {t: p for t, p in rig.topics.items() if any(s.startswith(f"{t}/") for s in judge.signals.values())}
+        said = ("topic", "msgtype", "channels", "fields", "units", "frame_id", "limits")
+        ports = [
+            {"name": f"input_{k}", **{key: getattr(p, key) for key in said}} for k, p in enumerate(topics.values())
+        ]  # fmt: skip
+        nodes[f"requirement_{name}"] = {
+            "package": "softrig_control", "executable": "requirement_monitor",
+            "parameters": {
+                "period": rig.clock.params.period, "formula": requirement.formula, "ports": json.dumps(ports),
+                "names": list(judge.signals), "signals": list(judge.signals.values()), "constants": list(numbers),
+                "values": list(numbers.values()), "scale_units": list(requirement.scale),
+                "scale_values": list(requirement.scale.values()), "topic": f"requirement/{name}",
+                "ends": requirement.ends,
+            },
+        }  # fmt: skip
+    return nodes
+
+
+def judges(rig: Rig, units: Mapping[str, str]) -> dict[str, Judge]:
     """Read the requirements of a rig's scenario.
 
     Parameters
     ----------
     rig : Rig
-    named : mapping
-        Shared values with the parameters of nodes filled in: numbers, or names of signals; others are left out.
     units : mapping
         Of each signal of the rig.
 
@@ -142,8 +198,9 @@ def judges(rig: Rig, named: Mapping[str, Any], units: Mapping[str, str]) -> dict
         Names the requirement: a formula that does not parse, an unknown name, units that do not fit, an interval
         without a tick in it.
     """
-    numbers = {k: float(v) for k, v in named.items() if isinstance(v, int | float) and not isinstance(v, bool)}
-    signals = {k: v for k, v in named.items() if isinstance(v, str) and v in units}
+    if not rig.scenario.requirements:
+        return {}
+    numbers, signals = names_of(rig, units)
     known: dict[str, float | None] = {**numbers, **dict.fromkeys(signals)}
     found = {}
     for name, requirement in rig.scenario.requirements.items():

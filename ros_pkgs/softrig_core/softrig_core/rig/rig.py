@@ -20,6 +20,7 @@ from ..wire.signals import full_name
 from .agreement import require_agreement
 from .faults import insert
 from .node_parameters import NodeParameters
+from .requirements import watched
 from .scenario import PlotEntry, Scenario, explain
 from .units import misfit
 
@@ -106,7 +107,8 @@ class Rig:
                                 f"{clock.name}, expected at most {TICKS:.0e}")  # fmt: skip
         require_agreement(scenario.name, members)
         _wire(scenario, members)
-        return cls(_whole_names(scenario, members), (*plants, *_sorted([m for m in members if not m.is_plant])), clock)
+        rig = cls(_whole_names(scenario, members), (*plants, *_sorted([m for m in members if not m.is_plant])), clock)
+        return cls.from_scenario(_with_watchers(rig), classes) if _live(scenario) else rig
 
     @property
     def ticks(self) -> int:
@@ -266,6 +268,22 @@ def _with_faults(scenario: Scenario, members: list[Member]) -> Scenario:
         return Scenario.model_validate({**dict(scenario), "nodes": nodes, "faults": {}})
     except ValidationError as error:
         raise ScenarioError(f"{scenario.name}: {explain(error)}") from None
+
+
+def _live(scenario: Scenario) -> bool:
+    return any(r.live or r.ends for r in scenario.requirements.values())
+
+
+def _with_watchers(rig: Rig) -> Scenario:
+    """Give the scenario with the nodes that watch its requirements among its nodes."""
+    units = {f"{t}/{label}": u for t, p in rig.topics.items() for label, u in zip(p.labels, p.units, strict=True)}
+    nodes = {n: e.model_dump() for n, e in rig.scenario.nodes.items()}
+    for name, entry in watched(rig, units).items():
+        if name in nodes:
+            raise ScenarioError(f"{rig.scenario.name}: node {name}: that is the name of what watches a requirement")
+        nodes[name] = entry
+    quiet = {n: r.model_copy(update={"live": False, "ends": False}) for n, r in rig.scenario.requirements.items()}
+    return Scenario.model_validate({**dict(rig.scenario), "nodes": nodes, "requirements": quiet})
 
 
 def _clock(scenario: Scenario, members: list[Member]) -> Member:

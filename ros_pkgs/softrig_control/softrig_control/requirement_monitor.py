@@ -1,0 +1,145 @@
+"""A requirement watched while the rig runs: its margin as far as it is known, the end of a run that violates it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import Any, Self
+
+from pydantic import model_validator
+from softrig_core import Block, BlockParams, Level, Port, RunError, Sample, ScenarioError, executable, param, scalars
+from softrig_core.rig.formula import EDGES, SURE, margin_unit, once_there, read, variables
+
+ENDLESS = 1e12  # stands for a margin of which nothing is known yet
+
+
+class RequirementMonitorParams(BlockParams):
+    """The formula, what its names stand for, and the topics that they are on."""
+
+    formula: str = param("always x <= 1", "in signal temporal logic, over the names below", min_length=1)
+    ports: str = param(
+        '[{"name": "state", "topic": "state", "msgtype": "sensor_msgs/msg/JointState", "channels": ["x"],'
+        ' "fields": ["position"], "units": ["m"]}]', "the topics, each as a port, in JSON",
+    )  # fmt: skip
+    names: tuple[str, ...] = param(("x",), "names of signals in the formula")
+    signals: tuple[str, ...] = param(("state/x/position",), "the signal of each: topic/channel/field")
+    constants: tuple[str, ...] = param((), "names of numbers in the formula")
+    values: tuple[float, ...] = param((), "their values")
+    scale_units: tuple[str, ...] = param((), "units of a formula that compares several")
+    scale_values: tuple[float, ...] = param((), "what counts as one in each")
+    topic: str = param("requirement", "topic of the margin", min_length=1)
+    ends: bool = param(False, "end the run when the requirement is violated")
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        for one, other in (("names", "signals"), ("constants", "values"), ("scale_units", "scale_values")):
+            if len(getattr(self, one)) != len(getattr(self, other)):
+                raise ValueError(f"{len(getattr(self, one))} {one}, but {len(getattr(self, other))} {other}")
+        known = {f"{p.topic}/{label}" for p in self.inputs() for label in p.labels}
+        for signal in self.signals:
+            if signal not in known:
+                raise ValueError(f"signal {signal!r} is on none of the ports; they have {', '.join(sorted(known))}")
+        try:
+            self.read()
+        except ScenarioError as error:
+            raise ValueError(str(error)) from None
+        return self
+
+    def inputs(self) -> tuple[Port, ...]:
+        """Give the ports that the text describes."""
+        try:
+            given = json.loads(self.ports)
+            tuples = ("channels", "fields", "units", "limits")
+            return tuple(
+                Port(**{k: tuple(v) if k in tuples else v for k, v in each.items()}, sporadic=False) for each in given
+            )
+        except (TypeError, AttributeError, KeyError, ValueError) as error:
+            raise ValueError(f"ports: {error}; expected a JSON list of ports") from None
+
+    def read(self) -> tuple[Any, Mapping[str, Any], str]:
+        """Give the formula, its conditions and the unit of its margin.
+
+        Raises
+        ------
+        ScenarioError
+            It cannot be read, or its units do not fit.
+        """
+        known: dict[str, float | None] = dict(zip(self.constants, self.values, strict=True))
+        tree, conditions = read(self.formula, known | dict.fromkeys(self.names))
+        units = {f"{p.topic}/{label}": u for p in self.inputs() for label, u in zip(p.labels, p.units, strict=True)}
+        signals = dict(zip(self.names, self.signals, strict=True))
+        compared = {n: units[signals[n]] for n in variables(tree) if n not in conditions}
+        tree, unit = margin_unit(tree, compared, dict(zip(self.scale_units, self.scale_values, strict=True)))
+        return tree, conditions, unit
+
+
+class RequirementMonitor(Block[RequirementMonitorParams]):
+    """Says at each tick between which bounds the margin of a requirement lies, whatever comes.
+
+    The upper bound falls as the run goes on: below zero the requirement is violated, and nothing can mend it. `decided`
+    is 1 once nothing that comes can change it. Signals are held; what has not come yet compares as false.
+    """
+
+    @classmethod
+    def ports(cls, params: RequirementMonitorParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
+        """Give the topics of the formula's signals, and the margin."""
+        unit = params.read()[2]
+        bounds = {"lower": unit, "upper": unit, "decided": ""}
+        return params.inputs(), (scalars("margin", params.topic, bounds, limits=(ENDLESS,) * 3),)
+
+    def setup(self) -> None:
+        """Read the formula and find its signals."""
+        self._tree, self._conditions, self._unit = self.p.read()
+        places = {f"{p.topic}/{label}": (p.name, k) for p in self.p.inputs() for k, label in enumerate(p.labels)}
+        signals = dict(zip(self.p.names, self.p.signals, strict=True))
+        self._places = {name: places[signal] for name, signal in signals.items()}
+        self._used = variables(self._tree)
+        for name in self._used:
+            if name not in self._conditions:
+                self._tree = once_there(self._tree, name)
+
+    def start(self) -> None:
+        """Nothing seen."""
+        from sentil import Formula, OnlineMonitor
+
+        self._monitor = OnlineMonitor(Formula.from_json(json.dumps(self._tree)))
+        self._before: dict[str, float] = {}
+        self._violated = self._decided = False
+        self._bounds = (-ENDLESS, ENDLESS)
+
+    def update(self, t: int, **inputs: Any) -> Mapping[str, tuple[float, ...]]:
+        """Take the signals of this tick in."""
+        seen: dict[str, float] = {}
+        for name in self._used:
+            condition = self._conditions.get(name)
+            port, k = self._places[condition.signal if condition else name]
+            came = self.age(port) is not None
+            given = inputs[port]
+            value = (given.data if isinstance(given, Sample) else given)[k] if came else 0.0
+            if condition is None:
+                seen[name] = value
+                seen[f"_there__{name}"] = SURE if came else -SURE
+                continue
+            true = EDGES[condition.edge](value, self._before.get(name, value)) if condition.edge else value > 0.5
+            seen[name] = SURE if true else -SURE
+            self._before[name] = value
+        if not self._decided:  # sentil then goes on with the formula at later instants
+            found = self._monitor.update(float(t), seen)
+            self._decided = bool(found.resolved)
+            self._bounds = found.lower, found.upper
+            if found.upper < 0.0 and not self._violated:
+                self._violated = True
+                self._tell(t, found.upper)
+        lower, upper = (max(-ENDLESS, min(ENDLESS, x)) for x in self._bounds)
+        return {"margin": (lower, upper, float(self._decided))}
+
+    def _tell(self, t: int, margin: float) -> None:
+        """Say that the requirement is violated, or end the run with that."""
+        least = f"{margin:.6g} {self._unit}".rstrip()
+        text = f"{self.p.formula} is violated, its margin is at most {least}, known at t = {t / 1e9:.9g} s"
+        if self.p.ends:
+            raise RunError(f"{self.name}: {text}")
+        self.report(Level.ERROR, "violated", text)
+
+
+main = executable(RequirementMonitor)
