@@ -48,11 +48,9 @@ class RequirementMonitorParams(BlockParams):
     def inputs(self) -> tuple[Port, ...]:
         """Give the ports that the text describes."""
         try:
-            given = json.loads(self.ports)
+            given: list[dict[str, Any]] = json.loads(self.ports)
             tuples = ("channels", "fields", "units", "limits")
-            return tuple(
-                Port(**{k: tuple(v) if k in tuples else v for k, v in each.items()}, sporadic=False) for each in given
-            )
+            return tuple(Port(**{k: tuple(v) if k in tuples else v for k, v in each.items()}) for each in given)
         except (TypeError, AttributeError, KeyError, ValueError) as error:
             raise ValueError(f"ports: {error}; expected a JSON list of ports") from None
 
