@@ -50,7 +50,8 @@ class RequirementMonitorParams(BlockParams):
         try:
             given: list[dict[str, Any]] = json.loads(self.ports)
             tuples = ("channels", "fields", "units", "limits")
-            return tuple(Port(**{k: tuple(v) if k in tuples else v for k, v in each.items()}) for each in given)
+            shaped: list[dict[str, Any]] = [{k: tuple(v) if k in tuples else v for k, v in p.items()} for p in given]
+            return tuple(Port(**about) for about in shaped)
         except (TypeError, AttributeError, KeyError, ValueError) as error:
             raise ValueError(f"ports: {error}; expected a JSON list of ports") from None
 
