@@ -10,6 +10,7 @@ from softrig_core.model.runner import Runner
 from softrig_core.rig.inprocess import run_inprocess, wired
 from softrig_core.rig.rig import Rig
 from softrig_core.wire.recording import Recording
+from softrig_core.wire.signals import Signals
 
 
 def overdriven(values, period=0.01):
@@ -80,3 +81,27 @@ def test_what_is_recorded_as_numbers_is_the_bytes_of_each_message():
     found = [port.layout().decode(data) for data in topic.data]
     assert [stamp for stamp, _ in found] == topic.times == [10_000_000 * k for k in range(11)]
     assert [port.layout().encode(*message) for message in found] == topic.data
+
+
+def test_a_recording_keeps_numbers_until_somebody_asks_for_bytes_and_both_say_the_same():
+    rig = Rig.from_blocks({"plant": Lag(), "law": Gain(), "source": Source()}, 1.0)
+
+    def record():
+        recording = Recording((t, p.msgtype) for t, p in rig.topics.items())
+        run_inprocess(rig, 0, recording)
+        return recording
+
+    numbers, made = record(), record()
+    assert all(topic.data for topic in made.topics.values() if topic.times)  # bytes of all
+    signals, expected = Signals(numbers), Signals(made)
+    assert [t for t, topic in numbers.topics.items() if topic.columns() is None] == ["lag/offset", "lag/kick"]
+    assert list(signals) == list(expected)
+    for name, signal in expected.items():
+        assert (signals[name].t == signal.t).all()
+        assert (signals[name].x == signal.x).all()
+    assert [(t, topic.name, data) for t, topic, data in numbers.messages()] == [
+        (t, topic.name, data) for t, topic, data in made.messages()
+    ]
+    assert not numbers.topics["lag/state"]._data
+    numbers.topics["lag/state"].times.pop()  # somebody changes it
+    assert numbers.topics["lag/state"].columns() is None

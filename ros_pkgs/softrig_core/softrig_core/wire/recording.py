@@ -6,10 +6,12 @@ import heapq
 import json
 import struct
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from operator import itemgetter
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .cdr import Layout
 
@@ -17,6 +19,7 @@ _RECORD = struct.Struct("<qHI")  # time, number of the topic, length of the mess
 _ROW_HEAD = struct.Struct("<qH")  # time, `_ROW`; the numbers of all messages of a row follow
 _ROW = 0xFFFF
 _MAGIC = b"softrig shard 2\n"
+CHUNK = 4096  # messages that are made at a time
 
 
 def relative(name: str) -> str:
@@ -96,29 +99,84 @@ class ShardWriter:
         self._file.close()
 
 
+class Columns(NamedTuple):
+    """Messages of one layout as numbers: their times in ns, shape (n,), and all their numbers, (n, size)."""
+
+    times: NDArray[np.int64]
+    values: NDArray[np.float64]
+    layout: Layout
+
+    def messages(self, said: int) -> list[bytes]:
+        """Give their bytes; `said` messages of the topic were before them."""
+        marks = np.arange(said, said + len(self.times)) if self.layout.numbered else self.times
+        raw, n = self.layout.encode_block(marks, self.values).tobytes(), self.layout.length
+        return [raw[i : i + n] for i in range(0, len(raw), n)]
+
+    def part(self, first: int, last: int) -> Columns:
+        """Give some of them."""
+        return Columns(self.times[first:last], self.values[first:last], self.layout)
+
+
 class Topic:
-    """All messages of one topic: tick times in ns and message bytes."""
+    """All messages of one topic: tick times in ns and message bytes.
+
+    What came as numbers stays so until somebody asks for bytes: they take a tenth of the room.
+    """
 
     def __init__(self, name: str, msgtype: str) -> None:
         self.name = name
         self.msgtype = msgtype
         self._times: list[int] = []
         self._data: list[bytes] = []
-        self.settle: Callable[[], object] | None = None  # makes messages of the numbers that stand for them
+        self._columns: list[Columns] = []
+        self._timed = self._made = 0  # so many of the columns are in the lists
+        self.settle: Callable[[], object] = lambda: None  # brings what is still under way
+
+    def add_columns(self, columns: Columns) -> None:
+        """Append messages as numbers."""
+        self._columns.append(columns)
 
     @property
     def times(self) -> list[int]:
         """Tick time of each message, ns."""
-        if self.settle is not None:
-            self.settle()
+        self.settle()
+        for columns in self._columns[self._timed :]:
+            self._times += columns.times.tolist()
+        self._timed = len(self._columns)
         return self._times
 
     @property
     def data(self) -> list[bytes]:
         """The messages."""
-        if self.settle is not None:
-            self.settle()
+        self.settle()
+        for columns in self._columns[self._made :]:
+            self._data += columns.messages(len(self._data))
+        self._made = len(self._columns)
         return self._data
+
+    def columns(self) -> Columns | None:
+        """Give all messages as numbers; None when some came as bytes or may have been changed."""
+        self.settle()
+        known = self._columns
+        number = sum(len(c.times) for c in known)
+        if not number or self._data or (self._timed and len(self.times) != number):
+            return None
+        if any(c.layout.form != known[0].layout.form for c in known):
+            return None
+        if len(known) > 1:
+            times, values = (np.concatenate([c[k] for c in known]) for k in (0, 1))
+            self._columns, self._timed = [Columns(times, values, known[0].layout)], min(1, self._timed)
+        return self._columns[0]
+
+    def stream(self) -> Iterator[tuple[int, bytes]]:
+        """Give time and bytes of each message; what stands as numbers is not kept as bytes."""
+        whole = self.columns()
+        if whole is None:
+            yield from zip(self.times, self.data, strict=True)
+            return
+        for first in range(0, len(whole.times), CHUNK):
+            part = whole.part(first, first + CHUNK)
+            yield from zip(part.times.tolist(), part.messages(first), strict=True)
 
 
 class Recording:
@@ -139,14 +197,14 @@ class Recording:
         buffer, pack = bytearray(), _row_packer(layouts.values())
         topics = [(self._order[number], layout) for number, layout in layouts.items()]
 
-        def add(t: int, values: Sequence[float]) -> None:
-            buffer.extend(pack(t, _ROW, *values))
-
         def settle() -> None:
             if buffer:
                 content = bytes(buffer)
                 buffer.clear()
                 _read_rows(memoryview(content), topics)
+
+        def add(t: int, values: Sequence[float]) -> None:
+            buffer.extend(pack(t, _ROW, *values))
 
         for topic, _ in topics:
             topic.settle = settle
@@ -154,11 +212,8 @@ class Recording:
 
     def messages(self) -> Iterator[tuple[int, Topic, bytes]]:
         """Give all messages by time; equal times in topic order."""
-        streams = [
-            zip(topic.times, [rank] * len(topic.times), topic.data, strict=True)
-            for rank, topic in enumerate(self._order)
-        ]
-        for t, rank, data in heapq.merge(*streams):
+        streams = [_ranked(rank, topic) for rank, topic in enumerate(self._order)]
+        for t, rank, data in heapq.merge(*streams, key=itemgetter(0, 1)):
             yield t, self._order[rank], data
 
     def read_shard(self, path: Path) -> int:
@@ -194,6 +249,10 @@ class Recording:
         return len(content) - at
 
 
+def _ranked(rank: int, topic: Topic) -> Iterator[tuple[int, int, bytes]]:
+    return ((t, rank, data) for t, data in topic.stream())
+
+
 def _row_packer(layouts: Iterable[Layout]) -> Callable[..., bytes]:
     return struct.Struct(f"{_ROW_HEAD.format}{sum(layout.size for layout in layouts)}d").pack
 
@@ -204,16 +263,12 @@ def _read_rows(content: memoryview, row: Sequence[tuple[Topic, Layout]]) -> int:
     block = np.frombuffer(content, dtype=np.uint8)[: len(content) // length * length].reshape(-1, length)
     other = np.flatnonzero((block[:, 8:10] != 0xFF).any(axis=1))
     block = block[: other[0]] if other.size else block
-    stamps = np.ascontiguousarray(block[:, :8]).view("<i8")[:, 0]
+    times = np.ascontiguousarray(block[:, :8]).view("<i8")[:, 0]
     values = np.ascontiguousarray(block[:, _ROW_HEAD.size :]).view("<f8")
     first = 0
     for topic, layout in row:
-        said = len(topic.data)
-        marks = np.arange(said, said + len(stamps)) if layout.numbered else stamps
-        raw = layout.encode_block(marks, values[:, first : first + layout.size]).tobytes()
+        topic.add_columns(Columns(times, values[:, first : first + layout.size], layout))
         first += layout.size
-        topic.times.extend(stamps.tolist())
-        topic.data.extend(raw[i : i + layout.length] for i in range(0, len(raw), layout.length))
     return int(block.size)
 
 

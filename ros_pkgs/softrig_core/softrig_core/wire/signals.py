@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ..model.timebase import SECOND
 from .cdr import Layout, Message, parse
-from .recording import Recording, Topic
+from .recording import Columns, Recording, Topic
 from .types import TYPES
 
 Array = NDArray[np.float64]
@@ -100,6 +100,10 @@ class Signals(Mapping[str, Signal]):
 
 
 def _decode(topic: Topic, epoch: int) -> Table:
+    if (known := topic.columns()) is not None:
+        t = (known.times - epoch) / SECOND
+        first = parse(topic.msgtype, known.layout.encode(0, (0.0,) * known.layout.size))
+        return Table(t, t, dict(zip(_labels(topic.msgtype, first), _read(known), strict=True)))
     t = (np.array(topic.times, dtype=np.int64) - epoch) / SECOND
     if not topic.data:
         return Table(t, t, {})
@@ -122,6 +126,13 @@ def _decode(topic: Topic, epoch: int) -> Table:
     stamps = np.array([m.stamp or 0 for m in messages], dtype=np.int64)
     columns = {k: np.array([row.get(k, np.nan) for row in rows], dtype=np.float64) for k in labels}
     return Table(t, (stamps - epoch) / SECOND, columns)
+
+
+def _read(known: Columns) -> list[Array]:
+    """Give the numbers as a message carries them: a flag is 0 or 1."""
+    flags = [code[-1] == "?" for _, code in known.layout.slots for _ in range(int(code[:-1]))]
+    columns = [np.ascontiguousarray(x) for x in known.values.T]
+    return [(x != 0.0).astype(np.float64) if flag else x for x, flag in zip(columns, flags, strict=True)]
 
 
 def _stamps(layout: Layout, block: NDArray[np.uint8], t: Array, epoch: int) -> Array:
