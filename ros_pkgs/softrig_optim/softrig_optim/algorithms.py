@@ -15,7 +15,7 @@ from .perturb import PerturbObserve
 from .pso import ParticleSwarm
 from .salp import ImprovedSalpSwarm, SalpSwarm
 from .scan import Scan
-from .search import Options, Search
+from .search import Options, PopulationOptions, Search
 from .whale import Whale
 from .wolf import GreyWolf
 
@@ -54,30 +54,28 @@ def make(
         A setting that the algorithm cannot work with; the text names it.
     """
     options: Options = {"maximise": maximise, "budget": p.budget}
-    n_pop, n_iter = p.n_pop, 10 if p.n_iter is None else p.n_iter
+    grown: PopulationOptions = {"maximise": maximise, "budget": p.budget, "n_pop": p.n_pop}
+    if p.n_iter is not None:
+        grown["n_iter"] = p.n_iter
     match algorithm:
         case "issa":
-            return ImprovedSalpSwarm(
-                lower, upper, seed, n_pop=n_pop, n_iter=n_iter, c3_threshold=p.c3_threshold, **options
-            )
+            return ImprovedSalpSwarm(lower, upper, seed, c3_threshold=p.c3_threshold, **grown)
         case "ssa":
-            return SalpSwarm(lower, upper, seed, n_pop=n_pop, n_iter=n_iter, c3_threshold=p.c3_threshold, **options)
+            return SalpSwarm(lower, upper, seed, c3_threshold=p.c3_threshold, **grown)
         case "pso":
-            return ParticleSwarm(lower, upper, seed, n_pop=n_pop, n_iter=n_iter, **options)
+            return ParticleSwarm(lower, upper, seed, **grown)
         case "de_rand1":
-            return DifferentialEvolution(lower, upper, seed, n_pop=n_pop, n_iter=n_iter, variant="rand1", **options)
+            return DifferentialEvolution(lower, upper, seed, variant="rand1", **grown)
         case "de_best1":
-            return DifferentialEvolution(lower, upper, seed, n_pop=n_pop, n_iter=n_iter, variant="best1", **options)
+            return DifferentialEvolution(lower, upper, seed, variant="best1", **grown)
         case "fa" | "fa_all_pairs":
-            n_iter = 6 if p.n_iter is None else p.n_iter
-            pairs = algorithm == "fa_all_pairs"
-            return Firefly(lower, upper, seed, n_pop=n_pop, n_iter=n_iter, all_pairs=pairs, **options)
+            return Firefly(lower, upper, seed, all_pairs=algorithm == "fa_all_pairs", **grown)
         case "gwo":
-            return GreyWolf(lower, upper, seed, n_pop=n_pop, n_iter=n_iter, **options)
+            return GreyWolf(lower, upper, seed, **grown)
         case "woa":
-            return Whale(lower, upper, seed, n_pop=n_pop, n_iter=n_iter, **options)
+            return Whale(lower, upper, seed, **grown)
         case "ga":
-            return Genetic(lower, upper, seed, n_pop=n_pop, n_iter=n_iter, **options)
+            return Genetic(lower, upper, seed, **grown)
         case "perturb_observe":
             return PerturbObserve(lower, upper, seed, step=p.step, initial=p.initial, **options)
         case "scan":

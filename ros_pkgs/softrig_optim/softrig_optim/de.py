@@ -7,7 +7,7 @@ from typing import Literal, Unpack
 
 import numpy as np
 
-from .search import Moves, Options, Population, points
+from .search import Moves, Population, PopulationOptions, Seed, points
 
 
 class DifferentialEvolution(Population):
@@ -37,21 +37,12 @@ class DifferentialEvolution(Population):
     SMALLEST = 4
 
     def __init__(
-        self,
-        lower: Sequence[float],
-        upper: Sequence[float],
-        seed: int | np.random.Generator = 0,
-        *,
-        n_pop: int = 4,
-        n_iter: int = 10,
-        variant: Literal["rand1", "best1"] = "rand1",
-        f_min: float = 0.2,
-        f_max: float = 0.8,
-        cr: float = 0.3,
-        **options: Unpack[Options],
-    ) -> None:
+        self, lower: Sequence[float], upper: Sequence[float], seed: Seed = 0, *,
+        variant: Literal["rand1", "best1"] = "rand1", f_min: float = 0.2, f_max: float = 0.8, cr: float = 0.3,
+        **options: Unpack[PopulationOptions],
+    ) -> None:  # fmt: skip
         self.variant, self.f_min, self.f_max, self.cr = variant, f_min, f_max, cr
-        super().__init__(lower, upper, seed, n_pop=n_pop, n_iter=n_iter, **options)
+        super().__init__(lower, upper, seed, **options)
 
     def moves(self) -> Moves:  # noqa: D102
         n, rng = self.lower.size, self.rng

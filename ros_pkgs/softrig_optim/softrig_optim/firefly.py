@@ -6,10 +6,9 @@ import math
 from collections.abc import Sequence
 from typing import Unpack
 
-import numpy as np
 from softrig_core.model import dense
 
-from .search import Moves, Options, Population, points
+from .search import Moves, Population, PopulationOptions, Seed, points
 
 
 class Firefly(Population):
@@ -35,22 +34,14 @@ class Firefly(Population):
     [1] J. Farzaneh, A. Karsaz, 2020 (table II). X.-S. Yang, Firefly algorithms for multimodal optimization, 2009.
     """
 
+    N_ITER = 6
+
     def __init__(
-        self,
-        lower: Sequence[float],
-        upper: Sequence[float],
-        seed: int | np.random.Generator = 0,
-        *,
-        n_pop: int = 4,
-        n_iter: int = 6,
-        all_pairs: bool = False,
-        beta0: float = 2.0,
-        alpha: float = 0.6,
-        gamma: float = 1.0,
-        **options: Unpack[Options],
-    ) -> None:
+        self, lower: Sequence[float], upper: Sequence[float], seed: Seed = 0, *, all_pairs: bool = False,
+        beta0: float = 2.0, alpha: float = 0.6, gamma: float = 1.0, **options: Unpack[PopulationOptions],
+    ) -> None:  # fmt: skip
         self.all_pairs, self.beta0, self.alpha, self.gamma = all_pairs, beta0, alpha, gamma
-        super().__init__(lower, upper, seed, n_pop=n_pop, n_iter=n_iter, **options)
+        super().__init__(lower, upper, seed, **options)
 
     def moves(self) -> Moves:  # noqa: D102
         x = self.spread()

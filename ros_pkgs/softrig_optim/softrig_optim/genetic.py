@@ -7,7 +7,7 @@ from typing import Unpack
 
 import numpy as np
 
-from .search import Array, Moves, Options, Population, points
+from .search import Array, Moves, Population, PopulationOptions, Seed, points
 
 
 class Genetic(Population):
@@ -32,25 +32,17 @@ class Genetic(Population):
     """
 
     SMALLEST = 2
+    N_POP = 20
 
     def __init__(
-        self,
-        lower: Sequence[float],
-        upper: Sequence[float],
-        seed: int | np.random.Generator = 0,
-        *,
-        n_pop: int = 20,
-        n_iter: int = 10,
-        blend: float = 0.5,
-        mutation: float = 0.1,
-        step: float = 0.1,
-        elite: int = 1,
-        **options: Unpack[Options],
-    ) -> None:
+        self, lower: Sequence[float], upper: Sequence[float], seed: Seed = 0, *, blend: float = 0.5,
+        mutation: float = 0.1, step: float = 0.1, elite: int = 1, **options: Unpack[PopulationOptions],
+    ) -> None:  # fmt: skip
+        n_pop = options.get("n_pop", self.N_POP)
         if not 1 <= elite < n_pop:
             raise ValueError(f"elite is {elite}, expected at least 1 and less than n_pop = {n_pop}")
         self.blend, self.mutation, self.step, self.elite = blend, mutation, step, elite
-        super().__init__(lower, upper, seed, n_pop=n_pop, n_iter=n_iter, **options)
+        super().__init__(lower, upper, seed, **options)
 
     def moves(self) -> Moves:  # noqa: D102
         x = self.spread()

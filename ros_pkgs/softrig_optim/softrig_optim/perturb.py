@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Unpack
 
-import numpy as np
-
-from .search import Moves, Options, Search
+from .search import Moves, Options, Search, Seed
 
 
 class PerturbObserve(Search):
@@ -28,15 +26,9 @@ class PerturbObserve(Search):
     """
 
     def __init__(
-        self,
-        lower: Sequence[float],
-        upper: Sequence[float],
-        seed: int | np.random.Generator = 0,
-        *,
-        step: float = 0.005,
-        initial: float | None = None,
-        **options: Unpack[Options],
-    ) -> None:
+        self, lower: Sequence[float], upper: Sequence[float], seed: Seed = 0, *, step: float = 0.005,
+        initial: float | None = None, **options: Unpack[Options],
+    ) -> None:  # fmt: skip
         if len(lower) != 1:
             raise ValueError(f"perturb and observe has one variable, got bounds of {len(lower)}")
         self.step = step

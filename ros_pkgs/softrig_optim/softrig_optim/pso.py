@@ -7,7 +7,7 @@ from typing import Unpack
 
 import numpy as np
 
-from .search import Moves, Options, Population, points
+from .search import Moves, Population, PopulationOptions, Seed, points
 
 
 class ParticleSwarm(Population):
@@ -33,20 +33,11 @@ class ParticleSwarm(Population):
     """
 
     def __init__(
-        self,
-        lower: Sequence[float],
-        upper: Sequence[float],
-        seed: int | np.random.Generator = 0,
-        *,
-        n_pop: int = 4,
-        n_iter: int = 10,
-        w: float = 0.4,
-        c1: float = 1.2,
-        c2: float = 1.6,
-        **options: Unpack[Options],
-    ) -> None:
+        self, lower: Sequence[float], upper: Sequence[float], seed: Seed = 0, *, w: float = 0.4, c1: float = 1.2,
+        c2: float = 1.6, **options: Unpack[PopulationOptions],
+    ) -> None:  # fmt: skip
         self.w, self.c1, self.c2 = w, c1, c2
-        super().__init__(lower, upper, seed, n_pop=n_pop, n_iter=n_iter, **options)
+        super().__init__(lower, upper, seed, **options)
 
     def moves(self) -> Moves:  # noqa: D102
         x = self.spread()

@@ -8,7 +8,7 @@ from typing import Unpack
 
 import numpy as np
 
-from .search import Array, Moves, Options, Population, points
+from .search import Array, Moves, Population, PopulationOptions, Seed, points
 
 
 class SalpSwarm(Population):
@@ -41,18 +41,11 @@ class SalpSwarm(Population):
     AMPLITUDE, DECAY = 3.2, 3.5
 
     def __init__(
-        self,
-        lower: Sequence[float],
-        upper: Sequence[float],
-        seed: int | np.random.Generator = 0,
-        *,
-        n_pop: int = 4,
-        n_iter: int = 10,
-        c3_threshold: float = 0.5,
-        **options: Unpack[Options],
-    ) -> None:
+        self, lower: Sequence[float], upper: Sequence[float], seed: Seed = 0, *, c3_threshold: float = 0.5,
+        **options: Unpack[PopulationOptions],
+    ) -> None:  # fmt: skip
         self.c3_threshold = c3_threshold
-        super().__init__(lower, upper, seed, n_pop=n_pop, n_iter=n_iter, **options)
+        super().__init__(lower, upper, seed, **options)
 
     def follow(self, own: Array, ahead: Array) -> Array:
         """Give the new position of a follower behind the salp ahead, eq. (7)."""

@@ -8,7 +8,7 @@ from typing import Unpack
 
 import numpy as np
 
-from .search import Moves, Options, Search
+from .search import Moves, Options, Search, Seed
 
 GOLDEN = 0.5 * (3.0 - math.sqrt(5.0))
 EPS = math.sqrt(2.2e-16)
@@ -34,15 +34,9 @@ class Scan(Search):
     """
 
     def __init__(
-        self,
-        lower: Sequence[float],
-        upper: Sequence[float],
-        seed: int | np.random.Generator = 0,
-        *,
-        n_grid: int = 20,
-        tolerance: float = 1e-3,
-        **options: Unpack[Options],
-    ) -> None:
+        self, lower: Sequence[float], upper: Sequence[float], seed: Seed = 0, *, n_grid: int = 20,
+        tolerance: float = 1e-3, **options: Unpack[Options],
+    ) -> None:  # fmt: skip
         if len(lower) != 1:
             raise ValueError(f"a scan has one variable, got bounds of {len(lower)}")
         if n_grid < 3:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 Point = tuple[float, ...]
 Array = NDArray[np.float64]
+Seed = int | np.random.Generator
 Moves = Generator[Sequence[Point], list[float], None]
 
 
@@ -28,6 +29,13 @@ class Options(TypedDict, total=False):
     maximise: bool
     budget: int | None
     stop: Callable[[Search], bool] | None
+
+
+class PopulationOptions(Options, total=False):
+    """What every search with a population takes beside its own parameters."""
+
+    n_pop: int
+    n_iter: int
 
 
 class Search(ABC):
@@ -74,7 +82,7 @@ class Search(ABC):
         self,
         lower: Sequence[float],
         upper: Sequence[float],
-        seed: int | np.random.Generator = 0,
+        seed: Seed = 0,
         *,
         maximise: bool = False,
         budget: int | None = None,
@@ -206,26 +214,23 @@ class Population(Search):
 
     Parameters
     ----------
-    n_pop : int
-        Population, at least the class's `SMALLEST`.
-    n_iter : int
-        Iterations after the initial population.
+    n_pop : int, optional
+        Population, at least the class's `SMALLEST`; its `N_POP` when absent.
+    n_iter : int, optional
+        Iterations after the initial population; `N_ITER` when absent.
     **options
         Those of `Search`.
     """
 
     SMALLEST = 1
+    N_POP, N_ITER = 4, 10
 
     def __init__(
-        self,
-        lower: Sequence[float],
-        upper: Sequence[float],
-        seed: int | np.random.Generator = 0,
-        *,
-        n_pop: int = 4,
-        n_iter: int = 10,
-        **options: Unpack[Options],
-    ) -> None:
+        self, lower: Sequence[float], upper: Sequence[float], seed: Seed = 0, *, n_pop: int | None = None,
+        n_iter: int | None = None, **options: Unpack[Options],
+    ) -> None:  # fmt: skip
+        n_pop = self.N_POP if n_pop is None else n_pop
+        n_iter = self.N_ITER if n_iter is None else n_iter
         if n_pop < self.SMALLEST:
             raise ValueError(f"n_pop is {n_pop}, {type(self).__name__} needs at least {self.SMALLEST}")
         if n_iter < 1:
