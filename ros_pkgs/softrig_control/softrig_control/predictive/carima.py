@@ -11,6 +11,8 @@ from dataclasses import dataclass
 from itertools import zip_longest
 from typing import NamedTuple
 
+from softrig_core.model.dense import total
+
 from ..discretise import Matrix, matmul, zero_order_hold
 
 Polynomial = tuple[float, ...]  # coefficients of z^0, z^-1, z^-2, ...
@@ -65,7 +67,7 @@ class Carima:
         m: Matrix = tuple(tuple(float(i == j) for j in range(n)) for i in range(n))
         for k in range(1, n + 1):
             product = matmul(a, m)
-            characteristic.append(-sum(product[i][i] for i in range(n)) / k)
+            characteristic.append(-total(product[i][i] for i in range(n)) / k)
             m = tuple(tuple(product[i][j] + characteristic[k] * (i == j) for j in range(n)) for i in range(n))
         markov, x = [], b
         for _ in range(n):
@@ -94,14 +96,14 @@ class Carima:
     @property
     def dc_gain(self) -> float:
         """Steady y for u = 1; infinite with an integrator."""
-        return sum(self.b) / total if (total := sum(self.a)) else math.inf
+        return total(self.b) / below if (below := total(self.a)) else math.inf
 
     def step_response(self, n: int) -> list[float]:
         """Give y(1), ..., y(n) for u = 1 from t = 0 on, from rest."""
         y = [0.0]
         for k in range(1, n + 1):
-            past = sum(-a * y[k - i] for i, a in enumerate(self.a[1:], 1) if k >= i)
-            y.append(past + sum(self.b[:k]))
+            past = total(-a * y[k - i] for i, a in enumerate(self.a[1:], 1) if k >= i)
+            y.append(past + total(self.b[:k]))
         return y[1:]
 
 

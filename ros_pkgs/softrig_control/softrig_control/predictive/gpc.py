@@ -6,6 +6,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from softrig_core.model import dense
+
 from ..discretise import Matrix, matmul
 from .carima import Carima, add, multiply, predict
 
@@ -80,7 +82,7 @@ class Gpc:
         self.hessian: Matrix = tuple(
             tuple(x + tuning.weight * (i == j) for j, x in enumerate(row)) for i, row in enumerate(squares)
         )
-        self._pull = tuple(sum(row) for row in transposed)  # G' 1: what multiplies w
+        self._pull = tuple(dense.total(row) for row in transposed)  # G' 1: what multiplies w
         self._outputs = matmul(transposed, f)
         self._past = matmul(transposed, h) if h[0] else ((),) * tuning.moves
         inverse = invert(self.hessian)

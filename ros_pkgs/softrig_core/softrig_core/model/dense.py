@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import sys
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -145,12 +146,17 @@ def solve(a: ArrayLike, b: ArrayLike) -> Any:
     return x[:, 0] if B.ndim == 1 else x
 
 
+def total(values: Iterable[float]) -> float:
+    """Add from the first to the last; Python's `sum` compensates rounding from version 3.12 on, so its bits differ."""
+    found = 0.0
+    for value in values:
+        found += value
+    return found
+
+
 def norm(x: ArrayLike) -> float:
     """Give the Euclidean length of a real vector, summed from the first term to the last."""
-    total = 0.0
-    for value in np.asarray(x, dtype=np.float64).ravel().tolist():
-        total += value * value
-    return math.sqrt(total)
+    return math.sqrt(total(value * value for value in np.asarray(x, dtype=np.float64).ravel().tolist()))
 
 
 def times(a: ArrayLike, b: ArrayLike) -> NDArray[np.complex128]:

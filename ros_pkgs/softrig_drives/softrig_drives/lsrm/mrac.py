@@ -8,6 +8,7 @@ from typing import Self
 
 from pydantic import model_validator
 from softrig_core import executable, param
+from softrig_core.model.dense import total
 
 from .machine import Mechanics
 from .ports import FORCE_CMD, REFERENCE, SPEED, THETA
@@ -76,7 +77,7 @@ class LsrmMrac(SpeedControl[LsrmMracParams]):
             min(max(theta - rate * part * error, low), high)
             for theta, rate, part, low, high in zip(self.theta, self._rates, phi, p.theta_min, p.theta_max, strict=True)
         )
-        force = sum(theta * part for theta, part in zip(self.theta, phi, strict=True))
+        force = total(theta * part for theta, part in zip(self.theta, phi, strict=True))
         self._answer = {"force_cmd": (self.clip(force),), "theta": self.theta}
         return self._answer
 

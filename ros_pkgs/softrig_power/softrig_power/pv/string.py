@@ -8,6 +8,7 @@ from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
+from softrig_core.model.dense import total
 
 from .module import STC, Array, Cell, ModuleParams, cell
 
@@ -117,7 +118,7 @@ def characteristic(p: ModuleParams, irradiance: tuple[float, ...], temperature: 
     for I at every voltage of the table by Newton's method from a coarse curve.
     """
     cells = [cell(p, g, t) for g, t in zip(irradiance, temperature, strict=True)]
-    open_circuit = sum(p.V_oc + p.K_V * (t - STC[1]) for t in temperature)
+    open_circuit = total(p.V_oc + p.K_V * (t - STC[1]) for t in temperature)
     v = np.linspace(-p.V_f * len(cells), HEADROOM * open_circuit, POINTS)
     high = max(c.current(-p.V_f) for c in cells)  # from there on every bypass diode conducts
     low = -1.0

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from softrig_core import BlockParams, Observer, executable, param
+from softrig_core.model.dense import total
 
 from .model import Bottleneck, equilibrium
 from .ports import COMMAND, REFERENCE, STATE, TRUTH
@@ -75,8 +76,8 @@ class AqmMonitor(Observer[AqmMonitorParams]):
             return {}
         J_q, J_w, J_R, J_p = (x / self._n for x in self._squares)
         n = len(self._recent)
-        mean = sum(self._recent) / n
-        spread = (sum((q - mean) ** 2 for q in self._recent) / n) ** 0.5
+        mean = total(self._recent) / n
+        spread = (total((q - mean) ** 2 for q in self._recent) / n) ** 0.5
         settled = self._outside < self._seconds
         return {
             "J_q": (J_q, "packet^2"),
