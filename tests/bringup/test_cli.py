@@ -529,6 +529,21 @@ def test_a_terminal_that_goes_while_a_table_is_printed(folder):
     assert (found.returncode, found.stderr) == (141, "")
 
 
+@pytest.mark.parametrize("error", ["MemoryError()", "ImportError('x.so: failed to map segment from shared object')",
+                                   "OSError(12, 'Cannot allocate memory')"])  # fmt: skip
+def test_too_little_memory_is_no_bad_input(error, folder, monkeypatch, capsys):
+    (folder / "greedy.py").write_text(f"raise {error}\n")
+    (folder / "greedy-1.0.dist-info").mkdir()
+    (folder / "greedy-1.0.dist-info" / "METADATA").write_text("Name: greedy\nVersion: 1.0\n")
+    (folder / "greedy-1.0.dist-info" / "entry_points.txt").write_text("[console_scripts]\nplant = greedy:plant\n")
+    monkeypatch.syspath_prepend(folder)
+    (folder / "lag.yaml").write_text(
+        SCENARIO.replace("package: faultrig, executable: plant", "package: greedy, executable: plant")
+    )
+    assert run("lag", "--mode", "inprocess") == 3
+    assert "out of memory" in capsys.readouterr().err
+
+
 def test_a_file_that_is_no_scenario_hides_no_other(folder, capsys):
     (folder / "broken.yaml").write_text("a: [\n")
     (folder / "typo.yaml").write_text("{title: t, system: s, source: s, duration: -1, nodes: {}}\n")

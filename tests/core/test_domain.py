@@ -6,7 +6,7 @@ import subprocess
 import sys
 
 import pytest
-from softrig_core import RunError, ScenarioError
+from softrig_core import RunError, ScenarioError, run_processes
 from softrig_core.model import compiled
 from softrig_core.rig import domain
 from softrig_core.rig.domain import free_domain
@@ -90,6 +90,22 @@ def test_a_domain_with_a_ros_session_is_not_chosen(monkeypatch):
         with free_domain(number) as wanted:  # who asks for it by its number means that session
             assert wanted == number
     assert number not in domain.inhabited()
+
+
+def test_a_host_without_loopback_is_told_at_once(monkeypatch, tmp_path, lag_rig):
+    code = "from softrig_core.rig.domain import require_loopback; require_loopback()"
+    if subprocess.run(["unshare", "-rn", "true"], capture_output=True).returncode:
+        pytest.skip("network namespaces are not permitted here")
+    done = subprocess.run(["unshare", "-rn", sys.executable, "-c", code], capture_output=True, text=True)
+    assert "RunError: the loopback interface lo is down" in done.stderr
+    domain.require_loopback()
+
+    def down():
+        raise RunError("lo is down")
+
+    monkeypatch.setattr("softrig_core.rig.processes.require_loopback", down)
+    with pytest.raises(RunError, match="lo is down"):
+        run_processes(lag_rig, 0, tmp_path)
 
 
 def test_launches_share_a_domain_and_no_run_chooses_it():

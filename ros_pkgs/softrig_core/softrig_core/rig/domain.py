@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import fcntl
 import os
+import socket
 import stat
+import struct
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -14,6 +16,7 @@ from ..model.compiled import cache_folder
 
 DOMAINS = range(1, 101)  # 0 is everybody's default; above 101 the ports of Linux' ephemeral range begin
 HIGHEST = 232  # what DDS can number
+SIOCGIFFLAGS, IFF_UP = 0x8913, 1  # of Linux: <net/if.h>
 PORT_BASE, PORT_GAIN = 7400, 250  # of its UDP ports: the DDSI-RTPS specification, section 9.6.1
 
 
@@ -92,6 +95,23 @@ def join_domain(number: int) -> int:
         os.close(file)
         raise RunError(f"domain {number} is in use by a run on this host; set ROS_DOMAIN_ID to another") from None
     return file
+
+
+def require_loopback() -> None:
+    """Make sure that nodes of this host can find each other.
+
+    Raises
+    ------
+    RunError
+        The loopback interface is down: each node would wait for the others in vain.
+    """
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as any_socket:
+        try:
+            request = fcntl.ioctl(any_socket, SIOCGIFFLAGS, struct.pack("256s", b"lo"))
+        except OSError:  # it has another name here
+            return
+    if not struct.unpack_from("H", request, 16)[0] & IFF_UP:
+        raise RunError("the loopback interface lo is down, and nodes find each other over it; `ip link set lo up`")
 
 
 def inhabited() -> set[int]:

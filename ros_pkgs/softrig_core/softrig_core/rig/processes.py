@@ -12,7 +12,7 @@ from typing import Any, Literal
 from ..errors import ScenarioError
 from ..wire.recording import Recording
 from .children import Child, last_line, read_status, stop
-from .domain import free_domain
+from .domain import free_domain, require_loopback
 from .executables import environment
 from .guests import Guests
 from .peers import starter
@@ -100,6 +100,7 @@ def run_processes(
         A node refused its parameters.
     """
     directory.mkdir(parents=True, exist_ok=True)
+    require_loopback()
     children: list[Child] = []
     external = [m for m in rig.members if m.external]
     if wait is None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.metadata
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -194,6 +195,7 @@ class Rig:
         return [m for m in self.members if not m.is_plant and not awaited(m)]
 
 
+_NO_MEMORY = re.compile("annot allocate memory|failed to map segment")  # of the C library and its loader
 CLOCK_NODE = "clock"  # node and executable of a clock that is no plant
 
 
@@ -213,7 +215,11 @@ def load_main(package: str, executable: str) -> Any:
         return None
     try:
         return points[executable].load()
+    except MemoryError:
+        raise
     except (Exception, SystemExit) as error:
+        if isinstance(error, OSError | ImportError) and _NO_MEMORY.search(str(error)):
+            raise MemoryError(str(error)) from error
         raise ScenarioError(f"{package}/{executable} cannot be loaded: {describe(error)}") from error
 
 

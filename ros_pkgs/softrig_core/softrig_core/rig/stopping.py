@@ -1,4 +1,4 @@
-"""Being stopped from outside: SIGINT, SIGTERM and SIGHUP end a run in the same orderly way."""
+"""Being stopped from outside: SIGINT, SIGTERM, SIGHUP and SIGQUIT end a run in the same orderly way."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
 
-SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
 
 
 class Stopped(KeyboardInterrupt):
