@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from softrig_core import Rig, ScenarioError, load_scenario, simulate
+from softrig_power.gupfc.power_flow_node import PowerFlowNode
 
 SHARED = [
     ("tcp_aqm_smc", "N", 48, {"tcp_fluid", "aqm_controller", "aqm_metrics"}),
@@ -94,3 +95,10 @@ def test_an_operating_point_that_a_flat_start_misses_is_held_by_the_rig():
     for name, value in flows.items():
         found = run.signals[f"gupfc/status/{'v1' if name == 'v' else name}/position"].x
         assert np.abs(found - value).max() < 1e-3
+
+
+def test_power_flow_says_how_many_operating_points_there_are():
+    node = PowerFlowNode()
+    node.update(0, None, (1.3, 0.15), (0.85, -0.1), (1.02,))
+    text = node.health()["operating points"]
+    assert text == "8; taken: the one with the smallest series voltage, 0.2363 pu, the next needs 1.022 pu"
