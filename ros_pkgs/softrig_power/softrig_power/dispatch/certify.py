@@ -11,6 +11,7 @@ from typing import Literal
 import numpy as np
 
 from .branch import branch_and_bound, chord_excess
+from .conditions import Conditions
 from .two_stage import NoDispatch, breakpoints, milp, nlp
 from .units import Array, Units, balanced, cost_of, infeasible, marginal_cost
 
@@ -48,6 +49,8 @@ class Dispatch:
         Wall-clock s, best cost and bound, as the proof closed.
     limited : bool
         Whether the wall-clock limit struck, so that another run may end elsewhere.
+    losses, reserve : float
+        Losses of the network at P and spinning reserve that it leaves, MW; NaN without conditions.
     """
 
     P: Array
@@ -61,6 +64,8 @@ class Dispatch:
     reason: str = ""
     trace: list[tuple[float, float, float]] = field(default_factory=list)
     limited: bool = False
+    losses: float = np.nan
+    reserve: float = np.nan
 
     @property
     def gap(self) -> float:
@@ -153,6 +158,36 @@ class Optimiser:
             note("two stages", found.bound)
             self._adapt(demand, found, begun, note)
         found.reason = "proven" if found.gap <= self.tol else found.reason
+        return found
+
+    def conditioned(self, demand: float, conditions: Conditions, start: Array | None = None) -> Dispatch:
+        """Branch and bound with losses, ramps and reserve; as many boxes as `max_nodes`, whatever they take.
+
+        Raises
+        ------
+        InfeasibleError
+            No dispatch meets all conditions.
+        """
+        why = conditions.infeasible(self.units, demand)
+        if why:
+            raise InfeasibleError(why)
+        begun = time.perf_counter()
+        first = np.clip(self.units.p_min if start is None else start, conditions.low, conditions.high)
+        proof = branch_and_bound(self.units, demand, first, self.tol, self.max_nodes, conditions)
+        if not np.isfinite(proof.cost):
+            done = proof.bound == np.inf
+            raise InfeasibleError(
+                f"infeasible: no dispatch meets demand {demand:g} MW and reserve {conditions.reserve:g} MW" if done
+                else f"no dispatch found in {proof.nodes} boxes for demand {demand:g} MW with its conditions"
+            )  # fmt: skip
+        found = self._answer(proof.P)
+        found.bound, found.nodes, found.stage = min(proof.bound, found.cost), proof.nodes, "branch and bound"
+        found.stages = {"branch and bound": time.perf_counter() - begun}
+        found.reason = "proven" if found.gap <= self.tol else f"{proof.nodes} boxes"
+        weight = 1.0 - conditions.losses.slopes(proof.P)
+        left, right = self.units.slopes(proof.P)
+        found.price = (float(np.max(left / weight)), float(np.min(right / weight)))
+        found.losses, found.reserve = conditions.losses.of(proof.P), conditions.spinning(self.units, proof.P)
         return found
 
     def _adapt(self, demand: float, found: Dispatch, begun: float, note: Callable[[str, float], None]) -> None:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
-from pydantic import field_validator
+from pydantic import field_validator, model_validator
 from softrig_core import (
     Level,
     Port,
@@ -24,6 +25,7 @@ from softrig_core import (
 
 from .baselines import Baseline, lambda_iteration, swarm, without_ripples
 from .certify import Dispatch, InfeasibleError, Method, Optimiser
+from .conditions import Conditions, Losses
 from .enumeration import TooManyError, enumerate_kinks
 from .two_stage import NoDispatch, arch_bounds
 from .units import TableError, Units, infeasible, marginal_cost
@@ -45,6 +47,8 @@ class DispatchParams(SolverParams):
     mip_gap: float = param(1e-7, "relative gap at which the MILP of the two stages ends", ge=0.0, le=1.0)
     time_limit: float = param(120.0, "wall-clock time of a solve; then the best so far with its true gap", "s",
                               gt=0.0, le=86400.0)  # fmt: skip
+    loss_table: str = param("", "table of B coefficients (a file or a package:// URI); empty: no losses")
+    reserve: float = param(0.0, "spinning reserve asked for", "MW", ge=0.0, le=1e7)
     warm_start: bool = param(True, "begin with the last dispatch")
 
     @field_validator("unit_table")
@@ -52,6 +56,20 @@ class DispatchParams(SolverParams):
     def _readable(cls, source: str) -> str:
         Units.read(source)
         return source
+
+    @model_validator(mode="after")
+    def _conditions(self) -> Self:
+        units = Units.read(self.unit_table)
+        if self.loss_table:
+            Losses.read(self.loss_table, units.ids)
+        if self.conditioned(units) and self.method != "certified":
+            raise ValueError(f"method = {self.method}: losses, ramps and reserve are for the method certified")
+        return self
+
+    def conditioned(self, units: Units) -> bool:
+        """Whether there is more to meet than limits and demand."""
+        ramps = np.isfinite(units.now) & (np.isfinite(units.ramp_up) | np.isfinite(units.ramp_down))
+        return bool(self.loss_table) or self.reserve > 0.0 or bool(ramps.any())
 
 
 class Request(NamedTuple):
@@ -61,6 +79,7 @@ class Request(NamedTuple):
     units: Units
     demand: float
     start: Any
+    conditions: Conditions | None
 
 
 class DispatchSolver(Solver[DispatchParams]):
@@ -118,22 +137,32 @@ class DispatchSolver(Solver[DispatchParams]):
         self._asked = (wanted, units)
         if units is not None:
             try:
-                self._units = Units(self._units.ids, np.reshape(units, (-1, 7)))
+                self._units = Units(self._units.ids, np.reshape(units, (-1, 7)), self._units.more)
             except TableError as error:
                 self.report(Level.ERROR, "units", f"dispatch/units: {error}; the last table stays")
-        why = infeasible(self._units, wanted)
+        last = self._last.P if self._last is not None else None
+        conditions = self._conditions(last)
+        why = conditions.infeasible(self._units, wanted) if conditions else infeasible(self._units, wanted)
         if why:
             self.report(Level.ERROR, "infeasible", f"{why}; the last set points stay")
             return None
-        start = self._last.P if self._last is not None and self.p.warm_start else None
-        return Request(self.p, self._units, wanted, start)
+        return Request(self.p, self._units, wanted, last if self.p.warm_start else None, conditions)
+
+    def _conditions(self, last: Any) -> Conditions | None:
+        """What is to be met now: ramps count from the last dispatch, at first from the table's outputs."""
+        if not self.p.conditioned(self._units):
+            return None
+        losses = Losses.read(self.p.loss_table, self._units.ids) if self.p.loss_table else None
+        return Conditions.of(self._units, losses, self.p.reserve, last)
 
     @staticmethod
     def solve(request: Request, work: Work) -> Dispatch | str:
         """Solve one demand by the method asked for; a text says why there is no dispatch."""
-        p, units, demand, start = request
+        p, units, demand, start, conditions = request
         optimiser = Optimiser(units, nseg=p.nseg, tol=p.tol, mip_gap=p.mip_gap, time_limit=p.time_limit)
         try:
+            if conditions is not None:
+                return optimiser.conditioned(demand, conditions, start)
             if p.method == "certified":
                 return optimiser.certified(demand, start, lambda cost, bound: work.status(cost=cost, bound=bound))
             if p.method == "two_stage":
@@ -180,10 +209,13 @@ class DispatchSolver(Solver[DispatchParams]):
         last = self._last
         if last is None:
             return super().health()
+        met = (
+            {} if math.isnan(last.losses) else {"losses": f"{last.losses:.6g} MW", "reserve": f"{last.reserve:.6g} MW"}
+        )
         figures = {f"stage {name}": f"{seconds:.3g} s" for name, seconds in last.stages.items()}
         return {**super().health(), "cost": f"{last.cost:.9g} $/h", "lower bound": f"{last.bound:.9g} $/h",
                 "gap": f"{last.gap:.3g} $/h", "stage reached": last.stage, "stop reason": last.reason,
-                "nodes": str(last.nodes), "binaries": str(last.binaries), **figures}  # fmt: skip
+                "nodes": str(last.nodes), "binaries": str(last.binaries), **met, **figures}  # fmt: skip
 
 
 main = executable(DispatchSolver)

@@ -14,6 +14,7 @@ Array = NDArray[np.float64]
 COLUMNS = (
     "p_min_MW", "p_max_MW", "a_usd_per_MW2h", "b_usd_per_MWh", "c_usd_per_h", "e_usd_per_h", "f_rad_per_MW",
 )  # fmt: skip
+MORE = ("p_now_MW", "ramp_up_MW", "ramp_down_MW", "reserve_MW")  # columns that a table may have
 NARROW = 1e-6  # MW; a last arch shorter than this is part of the one before
 BALANCE = 1e-6  # MW; how far the sum may be from the demand
 
@@ -34,6 +35,8 @@ class Units:
         Name of each unit, n of them, all different.
     table : ndarray, shape (n, 7)
         p_min (MW), p_max (MW), a ($/MW^2 h), b ($/MWh), c ($/h), e ($/h), f (rad/MW).
+    more : ndarray, shape (n, 4), optional
+        `MORE`: output now, ramps up and down to the next dispatch, most reserve, all MW; NaN where nothing is told.
 
     Raises
     ------
@@ -47,6 +50,7 @@ class Units:
 
     ids: tuple[str, ...]
     table: Array
+    more: Array | None = None
 
     def agreed(self) -> dict[str, object]:
         """Give what the units and who dispatches them must have in common: limits and costs."""
@@ -86,8 +90,8 @@ class Units:
         if "/" not in source and not source.endswith(".csv"):
             source = f"package://softrig_power/dispatch/tables/{source}.csv"
         path = resource(source)
-        ids, rows = [], []
-        with path.open(newline="") as file:
+        ids, rows, more = [], [], []
+        with path.open(newline="", encoding="utf-8-sig") as file:
             reader = csv.DictReader(file)
             missing = [c for c in ("unit", *COLUMNS) if c not in (reader.fieldnames or ())]
             if missing:
@@ -95,16 +99,24 @@ class Units:
             for number, row in enumerate(reader, 2):
                 ids.append(row["unit"])
                 values = []
-                for column in COLUMNS:
+                for column in (*COLUMNS, *MORE):
+                    if column in MORE and not row.get(column):
+                        values.append(np.nan)
+                        continue
                     try:
                         values.append(float(row[column]))
                     except (TypeError, ValueError):
                         raise TableError(f"{path.name}, line {number}, column {column}: {row[column]!r} is no number"
                                          ) from None  # fmt: skip
-                rows.append(values)
+                    if column in MORE and not values[-1] >= 0.0:
+                        raise TableError(
+                            f"{path.name}, line {number}, column {column}: {row[column]}, expected at least 0"
+                        )
+                rows.append(values[: len(COLUMNS)])
+                more.append(values[len(COLUMNS) :])
         if not rows:
             raise TableError(f"{path.name}: no unit in it")
-        return cls(tuple(ids), np.array(rows))
+        return cls(tuple(ids), np.array(rows), np.array(more) if np.isfinite(more).any() else None)
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -118,6 +130,31 @@ class Units:
     def p_max(self) -> Array:
         """Upper limits, MW, shape (n,)."""
         return self.table[:, 1]
+
+    def _more(self, column: int, absent: float) -> Array:
+        if self.more is None:
+            return np.full(len(self), absent)
+        return np.where(np.isnan(self.more[:, column]), absent, self.more[:, column])
+
+    @property
+    def now(self) -> Array:
+        """Outputs now, MW; NaN where the table does not tell."""
+        return self._more(0, np.nan)
+
+    @property
+    def ramp_up(self) -> Array:
+        """Largest rise to the next dispatch, MW; infinite where the table has none."""
+        return self._more(1, np.inf)
+
+    @property
+    def ramp_down(self) -> Array:
+        """Largest fall to the next dispatch, MW; infinite where the table has none."""
+        return self._more(2, np.inf)
+
+    @property
+    def ready(self) -> Array:
+        """Most reserve that a unit gives, MW; its whole range where the table has none."""
+        return np.minimum(self._more(3, np.inf), self.p_max - self.p_min)
 
     def cost(self, P: ArrayLike) -> Array:
         """Cost of each unit, equation (1).

@@ -1,0 +1,167 @@
+"""Dispatch with B-matrix losses, ramp limits and reserve: against enumeration, with proof, through the node."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from softrig_core import Level, ParameterError
+from softrig_power.dispatch.certify import InfeasibleError, Optimiser
+from softrig_power.dispatch.conditions import Conditions, Losses
+from softrig_power.dispatch.solver import DispatchSolver
+from softrig_power.dispatch.units import COLUMNS, MORE, TableError, Units
+
+B = 1e-5 * np.array([[7.1, 3.0, 2.5], [3.0, 6.9, 3.2], [2.5, 3.2, 8.0]])  # 1/MW, of a system of three units
+THREE = Units.read("units_3")
+
+
+def enumerated(units, demand, conditions, step):
+    """The least cost of a fine grid over two units, the third one balancing; the grid is finer at valve points."""
+    axes = []
+    for j in (0, 1):
+        low, high = conditions.low[j], conditions.high[j]
+        valves = units.valve_points(j)
+        axes.append(np.unique(np.concatenate([np.arange(low, high, step), valves[(valves >= low) & (valves <= high)],
+                                              [high]])))  # fmt: skip
+    p0, p1 = (a.ravel() for a in np.meshgrid(*axes, indexing="ij"))
+    p2 = np.maximum(demand - p0 - p1, 0.0)
+    b, b0 = conditions.losses.B, conditions.losses.B0
+    for _ in range(12):
+        P = np.column_stack([p0, p1, p2])
+        p2 = demand + np.sum(P * (P @ b), axis=1) + P @ b0 + conditions.losses.B00 - p0 - p1
+    P = np.column_stack([p0, p1, p2])
+    left = np.sum(np.minimum(conditions.ready, units.p_max - P), axis=1)
+    good = (p2 >= conditions.low[2]) & (p2 <= conditions.high[2]) & (left >= conditions.reserve)
+    return float(units.cost(P[good]).sum(axis=1).min()) if good.any() else np.inf
+
+
+def with_more(**columns):
+    """The three units with further columns of the field's tables."""
+    more = np.full((3, 4), np.nan)
+    for name, values in columns.items():
+        more[:, MORE.index(f"{name}_MW")] = values
+    return Units(THREE.ids, THREE.table, more)
+
+
+CASES = {
+    "losses": (THREE, Losses(B, np.zeros(3)), 0.0),
+    "linear and constant losses": (THREE, Losses(B, np.array([1e-3, -2e-3, 5e-4]), 0.4), 0.0),
+    "ramps": (with_more(p_now=[300.0, 120.0, 300.0], ramp_up=[80.0, 70.0, 50.0], ramp_down=[100.0, 40.0, 60.0]),
+              None, 0.0),
+    "reserve": (with_more(reserve=[60.0, 50.0, 100.0]), None, 150.0),
+    "all": (with_more(p_now=[400.0, 120.0, 300.0], ramp_up=[80.0, 70.0, 80.0], ramp_down=[200.0, 80.0, 60.0],
+                      reserve=[60.0, 50.0, 70.0]), Losses(B, np.zeros(3)), 178.0),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("demand", [700.0, 850.0])
+def test_proven_against_enumeration(case, demand):
+    units, losses, reserve = CASES[case]
+    conditions = Conditions.of(units, losses, reserve)
+    grid = enumerated(units, demand, conditions, 4.0)
+    if grid == np.inf:
+        with pytest.raises(InfeasibleError):
+            Optimiser(units).conditioned(demand, conditions)
+        return
+    found = Optimiser(units).conditioned(demand, conditions)
+    assert found.reason == "proven"
+    assert found.gap <= 1e-3
+    assert found.P.sum() - conditions.losses.of(found.P) == pytest.approx(demand, abs=1e-6)
+    assert np.all(conditions.low - 1e-9 <= found.P)
+    assert np.all(conditions.high + 1e-9 >= found.P)
+    assert conditions.spinning(units, found.P) >= reserve - 1e-6
+    assert found.bound <= grid + 1e-9  # a bound is a bound
+    assert grid - 60.0 < found.cost <= grid + 1e-3  # and the grid nearly finds it
+    plain = Optimiser(THREE).certified(demand)
+    assert found.cost >= plain.cost - 1e-3
+
+
+def test_each_condition_binds_somewhere():
+    """Otherwise the enumeration above would compare the same thing five times."""
+    plain = Optimiser(THREE).certified(850.0).cost
+    costs = {}
+    for case, (units, losses, reserve) in CASES.items():
+        costs[case] = Optimiser(units).conditioned(850.0, Conditions.of(units, losses, reserve)).cost
+    assert all(cost > plain + 1.0 for cost in costs.values())
+    assert costs["all"] > max(costs["losses"], plain)
+
+
+def test_without_conditions_the_same_dispatch():
+    none = Conditions.of(THREE)
+    assert Optimiser(THREE).conditioned(850.0, none).cost == pytest.approx(8234.07173, abs=1e-3)
+
+
+def test_thirteen_units_with_losses_are_proven():
+    units = Units.read("units_13")
+    losses = Losses(np.diag(np.linspace(1e-5, 4e-5, 13)), np.zeros(13))
+    found = Optimiser(units, tol=2.0, max_nodes=200_000).conditioned(1800.0, Conditions.of(units, losses))
+    assert found.P.sum() - found.losses == pytest.approx(1800.0, abs=1e-6)
+    assert found.cost > 17963.8
+    assert found.bound > 17963.8
+    assert found.gap < 40.0
+    assert (found.reason == "proven") == (found.gap <= 2.0)
+
+
+@pytest.mark.parametrize(("conditions", "why"), [
+    (Conditions.of(THREE, Losses(B, np.zeros(3)), 0.0, np.array([600.0, 200.0, 400.0])), ""),
+    (Conditions.of(CASES["ramps"][0], None, 0.0, np.array([300.0, 350.0, 300.0])), "unit 2 is so far outside its"),
+    (Conditions.of(CASES["ramps"][0]), "within limits and ramps, less losses, the units give"),
+    (Conditions.of(THREE, None, 2000.0), "reserve 2000 MW, but the units have"),
+    (Conditions.of(THREE, Losses(100.0 * B, np.zeros(3))), "an incremental loss of 1 or more"),
+])  # fmt: skip
+def test_what_cannot_be_is_said(conditions, why):
+    if not why:
+        assert conditions.infeasible(THREE, 850.0) == ""
+        return
+    with pytest.raises(InfeasibleError, match=why):
+        Optimiser(THREE).conditioned(1100.0, conditions)
+
+
+def write(path, units, columns=(), head=b""):
+    rows = [",".join(("unit", *COLUMNS, *columns))]
+    for k, name in enumerate(units.ids):
+        more = [] if units.more is None else [units.more[k, MORE.index(c)] for c in columns]
+        rows.append(",".join([name, *(repr(float(v)) for v in (*units.table[k], *more))]))
+    path.write_bytes(head + "\n".join(rows).encode())
+    return str(path)
+
+
+def test_tables_as_the_field_has_them(tmp_path):
+    """Further columns, a byte order mark, any number of units: ports and set points follow the table."""
+    units = CASES["ramps"][0]
+    again = Units.read(write(tmp_path / "units.csv", units, MORE[:3], b"\xef\xbb\xbf"))
+    np.testing.assert_array_equal(again.table, units.table)
+    np.testing.assert_array_equal(again.more, units.more)
+    losses = tmp_path / "losses.csv"
+    lines = [",".join([name, *map(str, row), "0.001", "0.3" if k == 0 else ""]) for k, (name, row) in
+             enumerate(zip(units.ids, B.tolist(), strict=True))]  # fmt: skip
+    losses.write_bytes(b"\xef\xbb\xbf" + "\n".join([",".join(["unit", *units.ids, "b0", "b00_MW"]), *lines]).encode())
+    read = Losses.read(str(losses), units.ids)
+    np.testing.assert_allclose(read.B, B)
+    assert (read.B0.tolist(), read.B00) == ([0.001] * 3, 0.3)
+    with pytest.raises(TableError, match="losses of the units"):
+        Losses.read(str(losses), (*units.ids, "4"))
+    solver = DispatchSolver(unit_table=str(tmp_path / "units.csv"), loss_table=str(losses), demand=850.0)
+    outputs = {p.name: p for p in solver.ports(solver.p)[1]}
+    assert outputs["setpoints"].size == 3
+    request = solver.request(0, demand=None)
+    found = solver.solve(request, None)
+    assert found.reason == "proven"
+    assert found.losses == pytest.approx(read.of(found.P))
+    with pytest.raises(ParameterError, match="for the method certified"):
+        DispatchSolver(unit_table="units_3", loss_table=str(losses), method="two_stage")
+    (tmp_path / "bad.csv").write_text((tmp_path / "units.csv").read_text("utf-8-sig").replace("80.0", "-80.0", 1))
+    with pytest.raises(TableError, match="expected at least 0"):
+        Units.read(str(tmp_path / "bad.csv"))
+
+
+def test_ramps_count_from_the_last_dispatch(tmp_path):
+    table = write(tmp_path / "units.csv", CASES["ramps"][0], MORE[:3])
+    solver = DispatchSolver(unit_table=table)
+    solver.start()
+    first = solver.solve(solver.request(0, demand=(850.0,)), None)
+    solver._last = first
+    second = solver.request(1, demand=(900.0,))
+    np.testing.assert_allclose(second.conditions.high, np.minimum(THREE.p_max, first.P + [80.0, 70.0, 50.0]))
+    assert solver.request(2, demand=(1190.0,)) is None
+    assert solver.reports["infeasible"][0] == Level.ERROR
