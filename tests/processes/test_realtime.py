@@ -31,7 +31,7 @@ def test_a_lost_controller_brings_the_safe_input_and_a_new_one_takes_over(bench)
     bench.wait(lambda: "stale lag/command" in bench.status("plant")["reports"])
     ticks = bench.status("plant")["ticks"]
     bench.wait(lambda: bench.status("plant")["ticks"] > ticks + 20)
-    assert bench.signal("plant", "lag/applied/u/effort").x[-1] == 0.0
+    bench.wait(lambda: bench.signal("plant", "lag/applied/u/effort").x[-1] == 0.0)
     bench.start("gain", "gain")
     bench.wait(lambda: "recovered lag/command" in bench.status("plant")["reports"])
     bench.wait(lambda: bench.signal("plant", "lag/applied/u/effort").x[-1] != 0.0)
@@ -61,9 +61,8 @@ def test_of_two_rivals_neither_is_believed(bench):
     bench.wait(lambda: bench.status("plant")["refused"]["lag/command"][0] > 10)
     ticks = bench.status("plant")["ticks"]
     bench.wait(lambda: bench.status("plant")["ticks"] > ticks + 20)
-    applied = bench.signal("plant", "lag/applied/u/effort").x
-    assert applied[-1] == 0.0
-    assert applied.max() < 5.0
+    bench.wait(lambda: bench.signal("plant", "lag/applied/u/effort").x[-1] == 0.0)
+    assert bench.signal("plant", "lag/applied/u/effort").x.max() < 5.0
     bench.kill("intruder")
     bench.wait(lambda: bench.signal("plant", "lag/applied/u/effort").x[-1] != 0.0)
 
@@ -131,6 +130,7 @@ def test_a_button_is_also_a_service_that_presses_it_for_one_tick(bench):
     assert bench.ends("person") == 0
     ticks = bench.status("plant")["ticks"]
     bench.wait(lambda: bench.status("plant")["ticks"] > ticks + 100)
+    bench.wait(lambda: bench.signal("plant", "lag/applied/u/effort").x.size > ticks + 100)  # written up to there
     assert list(bench.signal("plant", "lag/kick/data").x) == [1.0, 0.0]
     assert bench.signal("plant", "lag/applied/u/effort").x.sum() == 1.0
 

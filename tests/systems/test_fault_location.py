@@ -17,7 +17,7 @@ from softrig_core import Level, ParameterError, Recording, feed, run_processes, 
 from softrig_core.model.params import build
 from softrig_core.rig.domain import free_domain
 from softrig_core.rig.executables import environment, find_executable
-from softrig_power.fault_location import pictures, study
+from softrig_power.fault_location import pictures, study, study_tool
 from softrig_power.fault_location.cases import PUBLISHED, RESISTANCES, Case
 from softrig_power.fault_location.comtrade_file import ComtradeFileError, read_comtrade, write_comtrade
 from softrig_power.fault_location.confidence import ErrorBudget, confidence, shifted
@@ -884,6 +884,14 @@ def test_comtrade_that_tells_of_more_than_it_has_is_refused_before_there_is_room
     largest = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert largest < 10e6
+
+
+def test_the_study_tool_takes_what_launch_gives_to_every_executable(monkeypatch, capsys):
+    given = []
+    monkeypatch.setattr(study_tool, "sensitivity", lambda processes: given.append(processes) or {})
+    ros = ["--ros-args", "-r", "__node:=study", "-p", "a:=1", "--"]
+    assert study_tool.main([*ros, "--sensitivity", "--processes", "3", "--ros-args", "--log-level", "info"]) == 0
+    assert given == [3]
 
 
 def test_command_line(record, tmp_path, capsys):

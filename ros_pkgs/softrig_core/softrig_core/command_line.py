@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import math
 import re
+from collections.abc import Sequence
 from typing import Any, NoReturn
 
 from .errors import ScenarioError, closest
@@ -41,6 +42,17 @@ class Number:
         what = "a whole number" if self.kind is int else "a number"
         bound = f"of at least {self.low:g}" if math.isinf(self.high) else f"from {self.low:g} to {self.high:g}"
         raise argparse.ArgumentTypeError(f"expected {what} {bound}, got {text!r}")
+
+
+def without_ros(arguments: Sequence[str]) -> list[str]:
+    """Leave out ``--ros-args ... --``, which launch gives to every executable, of a tool that is no node."""
+    rest, ros = [], False
+    for word in arguments:
+        if word == "--ros-args" or (ros and word == "--"):
+            ros = word == "--ros-args"
+        elif not ros:
+            rest.append(word)
+    return rest
 
 
 class Parser(argparse.ArgumentParser):

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from softrig_core.command_line import without_ros
 
 from .cases import PUBLISHED
 from .location import LocatorParams, locate
@@ -26,7 +27,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--processes", type=int, metavar="N", help="default: all cores")
     parser.add_argument("--sensitivity", action="store_true", help="the disturbed records instead of the 48 cases")
     parser.add_argument("--out", type=Path, metavar="DIR", help="cases.csv and the pictures go here")
-    options = parser.parse_args(arguments)
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    options = parser.parse_args(without_ros(given))
     if options.sensitivity:
         print(sensitivity_table(sensitivity(processes=options.processes)))
         return 0
