@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, Literal, Protocol
 
@@ -122,8 +122,9 @@ class Adapter:
         self.outputs = [Output(p, middleware.resolve(p.topic), i) for i, p in enumerate(outputs)]
         self.clock_output = Output(CLOCK, CLOCK.topic, -1)
         self.tick_output = Output(Port("tick", "~/tick", TICK), f"{middleware.full_name}/tick", -1)
-        self._publish_tick: Callable[[bytes], None] | None = None
-        self._tick_bytes = TickWriter()
+        self._acknowledge: Callable[[int, Iterable[str]], None] | None = None
+        self._silent = any(p.sporadic for p in outputs)  # at times
+        self._owns_clock = self.links.owns_clock and options.mode == "lockstep"
         self._open_record(sink)
         self.buttons = Buttons(self.values, self._record_press)
 
@@ -132,12 +133,12 @@ class Adapter:
         self.drive = drive
         middleware, lockstep = self.middleware, self.options.mode == "lockstep"
         if self.links.acknowledges and lockstep:  # nobody waits for ticks in real time
-            self._publish_tick = middleware.publisher("~/tick", TICK, self.tick_output.matched)
+            self._acknowledge = self._acknowledging()
         for item in self.inputs:
             self._subscribe(item)
         for output in self.outputs:
             output.send = middleware.sender(output.port.topic, output.layout, output.matched)
-        if self.links.owns_clock and lockstep:
+        if self._owns_clock:
             self.clock_output.send = middleware.sender(CLOCK.topic, CLOCK_LAYOUT, self.clock_output.matched)
         middleware.timer(WATCH_PERIOD, self._watch)
 
@@ -159,7 +160,7 @@ class Adapter:
         row = {o.number: o.layout for o in self.outputs} if self.step.plain else {}
         if self.links.owns_clock:
             recorded.append((CLOCK.topic, CLOCK.msgtype))
-            if self.step.plain and self.options.mode == "lockstep":
+            if self.step.plain and self._owns_clock:
                 row[self.extra_numbers] = CLOCK_LAYOUT
         self.recorded = recorded
         wanted = self.options.shard and sink is None
@@ -195,24 +196,32 @@ class Adapter:
         for output, row in zip(self.outputs, rows, strict=True):
             if row is None:
                 continue
-            mark, values = (row.stamp + self.epoch, row.data) if isinstance(row, Sample) else (stamp, row)
+            mark, values = (row.stamp + self.epoch, row.data) if type(row) is Sample else (stamp, row)
             if output.numbered:
                 mark = output.said
                 output.said += 1
-            output.send(mark, values)
-            said.append((output, mark, values))
-        if self._publish_tick is not None:
-            self._publish_tick(self._tick_bytes(stamp, [o.name for o, _, _ in said if o.port.sporadic]))
-        clock = self.links.owns_clock and self.options.mode == "lockstep"
-        if clock:
+            output.send(mark, values)  # type: ignore[arg-type]
+            if self._add_row is None or self._silent:
+                said.append((output, mark, values))  # type: ignore[arg-type]
+        if self._acknowledge is not None:
+            self._acknowledge(stamp, [o.name for o, _, _ in said if o.port.sporadic] if self._silent else ())
+        if self._owns_clock:
             self.clock_output.send(stamp, ())
         if self._add_row is not None:
             self._add_row(stamp, flat(rows) if rows else ())
         elif self.sink is not None:
             for output, mark, values in said:
                 self.sink.add(output.number, stamp, output.layout.encode(mark, values))
-            if clock:
+            if self._owns_clock:
                 self.sink.add(self.extra_numbers, stamp, CLOCK_LAYOUT.encode(stamp, ()))
+
+    def _acknowledging(self) -> Callable[[int, Iterable[str]], None]:
+        """Give what says that a tick is answered, and which sporadic ports have spoken at it."""
+        if self._silent:
+            write, publish = TickWriter(), self.middleware.publisher("~/tick", TICK, self.tick_output.matched)
+            return lambda stamp, spoken: publish(write(stamp, spoken))
+        send = self.middleware.sender("~/tick", Layout(TICK), self.tick_output.matched)
+        return lambda stamp, spoken: send(stamp, ())
 
     # health ----------------------------------------------------------------------------------------------------
 
