@@ -8,9 +8,8 @@ import sys
 import numpy as np
 import pytest
 from conftest import PATIENCE
-from softrig_core import jit
+from softrig_core import History, jit
 from softrig_core.model.dde import between, delayed, integrator, trajectory
-from softrig_core.model.history import History
 
 
 def polynomial(c, t):

@@ -6,13 +6,9 @@ import numpy as np
 import pytest
 from conftest import make_scenario
 from hypothesis import given, settings, strategies as st
-from softrig_core.errors import RunError, ScenarioError
-from softrig_core.model.timebase import SECOND
+from softrig_core import SECOND, Rig, RunError, ScenarioError, evaluate, figures_of, simulate
 from softrig_core.rig.expectation import Expectation
-from softrig_core.rig.figures import evaluate, figures_of
 from softrig_core.rig.formula import Record, horizon, margin_unit, read, variables
-from softrig_core.rig.rig import Rig
-from softrig_core.rig.simulate import simulate
 
 PERIOD = 0.1
 KNOWN = {"x": None, "y": None, "level": 0.5}
@@ -201,7 +197,7 @@ def test_what_the_record_cannot_tell_is_not_judged_and_does_not_pass():
 
 
 def test_a_file_whose_requirement_looks_beyond_its_end_is_refused(tmp_path):
-    from softrig_core.rig.scenario import load_scenario
+    from softrig_core import load_scenario
 
     file = tmp_path / "mine.yaml"
     file.write_text("extends: dc_motor_smc_b2\ntitle: mine\nrequirements: {late: 'always[5, 7] abs(voltage) <= 24'}\n")

@@ -4,13 +4,9 @@ import pytest
 from conftest import make_scenario
 from faultrig import Gain, Lag, Source
 from simulated import SimulatedRig, World
-from softrig_core.errors import RunError
-from softrig_core.model.block import Block
+from softrig_core import Block, Recording, Rig, RunError, Signals, run_inprocess
 from softrig_core.model.runner import Runner
-from softrig_core.rig.inprocess import run_inprocess, wired
-from softrig_core.rig.rig import Rig
-from softrig_core.wire.recording import Recording
-from softrig_core.wire.signals import Signals
+from softrig_core.rig.inprocess import wired
 
 
 def overdriven(values, period=0.01):

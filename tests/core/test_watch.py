@@ -3,9 +3,8 @@
 import pytest
 from conftest import in_process, make_scenario
 from faultrig import COMMAND, REFERENCE, STATE, Gain, Lag, Source
-from softrig_core import Rig, Signals, run_inprocess
+from softrig_core import Measure, Rig, Signals, Watch, WatchParams, run_inprocess
 from softrig_core.rig import measures
-from softrig_core.rig.watch import Measure, Watch, WatchParams
 
 X, U, R = "lag/state/x/position", "lag/command/u/effort", "lag/reference/x/position"
 

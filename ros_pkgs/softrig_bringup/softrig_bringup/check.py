@@ -8,9 +8,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from softrig_core import Run, RunError, ScenarioError, load_scenario, rig_of, simulate
+from softrig_core import Run, RunError, ScenarioError, figures_of, load_scenario, rig_of, simulate
 from softrig_core.guard import say
-from softrig_core.rig.figures import Result, figures_of
+from softrig_core.rig.figures import Result
 from softrig_core.rig.findings import Finding
 from softrig_optim.sweep import progress, stream
 

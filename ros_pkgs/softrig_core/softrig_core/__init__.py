@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from .errors import RunError as RunError, ScenarioError as ScenarioError
     from .model.block import Block as Block, Level as Level, Observer as Observer, Plant as Plant, Values as Values
     from .model.compiled import Compiled as Compiled
+    from .model.history import History as History
     from .model.jit import jit as jit
     from .model.linear import Sampled as Sampled, equilibrium as equilibrium, linearise as linearise
     from .model.marker import Marker as Marker
@@ -63,6 +64,7 @@ if TYPE_CHECKING:
     from .rig.scenario import Scenario as Scenario, load_scenario as load_scenario
     from .rig.scenario_file import list_scenarios as list_scenarios
     from .rig.simulate import Run as Run, rig_of as rig_of, simulate as simulate
+    from .rig.watch import Measure as Measure, Watch as Watch, WatchParams as WatchParams
     from .wire.recording import Recording as Recording
     from .wire.signals import Signals as Signals
 else:
@@ -70,6 +72,7 @@ else:
         "errors": "RunError ScenarioError",
         "model.block": "Block Level Observer Plant Values",
         "model.compiled": "Compiled",
+        "model.history": "History",
         "model.jit": "jit",
         "model.linear": "Sampled equilibrium linearise",
         "model.marker": "Marker",
@@ -94,6 +97,7 @@ else:
         "rig.scenario": "Scenario load_scenario",
         "rig.scenario_file": "list_scenarios",
         "rig.simulate": "Run rig_of simulate",
+        "rig.watch": "Measure Watch WatchParams",
         "wire.recording": "Recording",
         "wire.signals": "Signals",
     }

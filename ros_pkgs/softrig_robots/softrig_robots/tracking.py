@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from softrig_core import Port, command, executable, joint_state, param, reference
+from softrig_core import Measure, Port, Watch, WatchParams, command, executable, joint_state, param, reference
 from softrig_core.rig import measures
-from softrig_core.rig.watch import Measure, Watch, WatchParams
 
 
 class TrackingMonitorParams(WatchParams):

@@ -7,9 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import yaml
-from softrig_core import Scenario, list_scenarios
+from softrig_core import Scenario, figures_of, list_scenarios
 from softrig_core.extras import need
-from softrig_core.rig.figures import figures_of
 
 from ..folder import FALSIFICATION, ResultsFolder, replace
 from ..report import write_report

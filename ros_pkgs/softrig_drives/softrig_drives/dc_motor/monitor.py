@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from softrig_core import executable, param
+from softrig_core import Measure, Watch, WatchParams, executable, param
 from softrig_core.rig import measures
-from softrig_core.rig.watch import Measure, Watch, WatchParams
 
 from .ports import COMMAND, REFERENCE, SENSORS, SPEED
 

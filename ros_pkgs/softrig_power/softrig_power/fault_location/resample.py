@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-from softrig_core.model.jit import jit
+from softrig_core import jit
 
 Array = NDArray[np.float64]
 HALF = 10.0  # periods of the slower rate, half the width of the kernel

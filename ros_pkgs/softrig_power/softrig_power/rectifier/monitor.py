@@ -7,9 +7,8 @@ from collections.abc import Iterator, Mapping
 from itertools import zip_longest
 from typing import Any
 
-from softrig_core import executable, param, scalars
+from softrig_core import Measure, Watch, WatchParams, executable, param, scalars
 from softrig_core.rig import measures
-from softrig_core.rig.watch import Measure, Watch, WatchParams
 
 from .parameters import RectifierConstants
 from .ports import DC_LINK, events

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Literal
 
-from softrig_core import Block, BlockParams, Level, Port, executable, joint_state, param
-from softrig_core.model.history import History
+from softrig_core import Block, BlockParams, History, Level, Port, executable, joint_state, param
 
 from .params import DelayParams, law_of_the_tank
 from .ports import INFLOW, LEVEL, SEEN, TORQUE

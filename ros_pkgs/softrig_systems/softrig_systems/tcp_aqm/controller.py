@@ -6,8 +6,7 @@ from collections.abc import Mapping
 from typing import Any, Literal, Self
 
 from pydantic import model_validator
-from softrig_core import Block, BlockParams, Level, executable, param, to_ns
-from softrig_core.model.history import History
+from softrig_core import Block, BlockParams, History, Level, executable, param, to_ns
 
 from .laws import LAWS, Gains, LawName, Measured
 from .model import Bottleneck, phi, psi

@@ -6,8 +6,7 @@ from typing import Self
 
 import numpy as np
 from pydantic import model_validator
-from softrig_core import Level, executable, param
-from softrig_core.model.history import History
+from softrig_core import History, Level, executable, param
 
 from .network import Network, NetworkParams
 from .packets import NOBODY, START, Agenda, Counts, Fifo, Sources, arrive, mean_window, run_until, schedule
