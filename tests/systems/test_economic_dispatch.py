@@ -417,7 +417,10 @@ def test_an_infeasible_demand_is_an_error_and_the_last_set_points_stay(node):
         assert level == Level.ERROR
         assert f"demand {demand:g} MW, but the units give 250 to 1200 MW" in text
         assert count == 1 + k
+        assert node.anew == {"infeasible"}  # logged each time
+        node.anew.clear()
     assert ask(node, 5, 900.0)["setpoints"]
+    assert "infeasible" not in node.reports  # diagnostics are those of the dispatch in effect
 
 
 def test_another_table_counts_and_a_broken_one_does_not(node):
@@ -427,8 +430,9 @@ def test_another_table_counts_and_a_broken_one_does_not(node):
     more = ask(node, 1, 850.0, units=tuple(table.ravel()))["summary"][1]
     assert more == pytest.approx(cost + 100.0, abs=1e-6)
     table[1, 5] = -1.0
-    again = ask(node, 2, 850.0, units=tuple(table.ravel()))["summary"][1]
-    assert again == pytest.approx(more, abs=1e-9)
+    assert ask(node, 2, 850.0, units=tuple(table.ravel())) == {}  # nothing new to say about the table that stays
+    again = ask(node, 3, 860.0, units=tuple(table.ravel()))["summary"][1]
+    assert again > more
     assert "unit 2, column e_usd_per_h: -1, expected at least 0" in node.reports["units"][1]
 
 

@@ -430,7 +430,9 @@ def test_unreachable_reference_saturates(reference):
         assert 0.0 <= answer["series_2"][0] <= NETWORK.series_limit * (1.0 + 1e-12)
         assert all(math.isfinite(x) for x in answer["series_2"])
     assert answer["series_2"][0] == pytest.approx(NETWORK.series_limit)
-    assert controller.reports["limited"][0] is Level.WARN
+    level, text, _ = controller.reports["series_voltage_limited"]
+    assert level is Level.WARN
+    assert text.startswith(f"series voltage at its limit of {NETWORK.series_limit:g} pu while")
 
 
 def test_unreachable_voltage_saturates():
@@ -442,7 +444,9 @@ def test_unreachable_voltage_saturates():
         answer = controller.update(0, u1=(u.real, u.imag, 0.0), i_sh=(i.real, i.imag, 0.0), reference=(1.9,))
     alpha = math.remainder(answer["shunt"][1] - cmath.phase(point.u1) - TURN * 2999, math.tau)
     assert -math.radians(30.0) * (1 + 1e-9) <= alpha < -math.radians(8.0)  # 5 deg a pu of 2.3 pu
-    assert controller.reports["limited"][0] is Level.WARN
+    level, text, _ = controller.reports["reactive_current_limited"]
+    assert level is Level.WARN
+    assert "pu while 1.9 pu is asked of a voltage of 1" in text
 
 
 def test_voltage_that_vanishes():

@@ -72,6 +72,7 @@ class Block(Generic[P]):
         self.name = name
         self.ages: Callable[[str], int | None] | None = None  # set by who runs the block
         self.reports: dict[str, tuple[Level, str, int]] = {}
+        self.anew: set[str] = set()  # keys of reports to be logged once more
         try:
             self.setup()
             self.reset(0)
@@ -107,6 +108,7 @@ class Block(Generic[P]):
         self._seed = seed
         self.__dict__.pop("rng", None)
         self.reports.clear()
+        self.anew.clear()
         self.start()
 
     def start(self) -> None:
@@ -119,8 +121,10 @@ class Block(Generic[P]):
 
         return np.random.default_rng([self._seed, zlib.crc32(self.name.encode())])
 
-    def report(self, level: Level, key: str, text: str) -> None:
-        """Note an event for /diagnostics: logged the first time a key appears, counted always."""
+    def report(self, level: Level, key: str, text: str, *, anew: bool = False) -> None:
+        """Note an event for /diagnostics: logged the first time a key appears or when it is `anew`, counted always."""
+        if anew:
+            self.anew.add(key)
         count = self.reports[key][2] if key in self.reports else 0
         self.reports[key] = (level, text, count + 1)
 

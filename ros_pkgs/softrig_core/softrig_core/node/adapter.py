@@ -305,6 +305,8 @@ class Adapter:
     def _watch(self) -> None:
         if self.shard is not None:
             self.shard.flush()
+        self._logged -= self.block.anew
+        self.block.anew.clear()
         for key, (level, text, _) in self.block.reports.items():
             self.log_once(key, level, text)
         self.drive.progress()

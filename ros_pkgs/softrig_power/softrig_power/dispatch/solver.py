@@ -134,17 +134,21 @@ class DispatchSolver(Solver[DispatchParams]):
             return None
         if (wanted, units) == self._asked and not pressed:
             return None
-        self._asked = (wanted, units)
-        if units is not None:
+        before, self._asked = self._asked, (wanted, units)
+        if units is not None and (before is None or units != before[1]):
             try:
                 self._units = Units(self._units.ids, np.reshape(units, (-1, 7)), self._units.more)
             except TableError as error:
-                self.report(Level.ERROR, "units", f"dispatch/units: {error}; the last table stays")
+                self.report(Level.ERROR, "units", f"dispatch/units: {error}; the last table stays", anew=True)
+                if before is not None and before[0] == wanted and not pressed:
+                    return None  # nothing new is asked of the table that stays
+            else:
+                self.reports.pop("units", None)
         last = self._last.P if self._last is not None else None
         conditions = self._conditions(last)
         why = conditions.infeasible(self._units, wanted) if conditions else infeasible(self._units, wanted)
         if why:
-            self.report(Level.ERROR, "infeasible", f"{why}; the last set points stay")
+            self.report(Level.ERROR, "infeasible", f"{why}; the last set points stay", anew=True)
             return None
         return Request(self.p, self._units, wanted, last if self.p.warm_start else None, conditions)
 
@@ -186,8 +190,11 @@ class DispatchSolver(Solver[DispatchParams]):
             return {}
         found = result.answer
         if found is None or isinstance(found, str):
-            self.report(Level.ERROR, "no dispatch", f"{found or 'no dispatch in time'}; the last set points stay")
+            self.report(Level.ERROR, "no dispatch", f"{found or 'no dispatch in time'}; the last set points stay",
+                        anew=True)  # fmt: skip
             return {}
+        for key in ("infeasible", "no dispatch", "NLP", "time limit"):  # what was wrong with an earlier demand is over
+            self.reports.pop(key, None)
         if "failed" in found.reason:
             self.report(Level.WARN, "NLP", found.reason)
         if found.limited:

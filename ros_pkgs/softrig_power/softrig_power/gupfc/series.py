@@ -99,7 +99,8 @@ class SeriesController(Block[SeriesControllerParams]):
         v = self._kp * error + self._integral
         limit = p.network.series_limit
         if abs(v) > limit:
-            self.report(Level.WARN, "limited", f"series voltage limited to {limit:g} pu: {asked:g} pu is not reached")
+            self.report(Level.WARN, "series_voltage_limited", f"series voltage at its limit of {limit:g} pu while "
+                        f"{asked:g} pu is asked for and {(u * i.conjugate()):.4g} pu flows")  # fmt: skip
             cut = v * (limit / abs(v))
             self._integral += cut - v
             v = cut

@@ -83,16 +83,19 @@ class ShuntController(Block[ShuntControllerParams]):
         theta = self._pll(u)
         v = self._magnitude(abs(u))
         i_q = self._reactive(-(complex(i_sh[0], i_sh[1]) * cmath.rect(1.0, -theta)).imag)
-        i_q_ref = self._limited(self._voltage(v_ref - v), p.current_limit, "reactive current", "pu")
-        alpha = -self._limited(self._current(i_q_ref - i_q), p.angle_limit, "angle", "deg")
+        wanted = f"{v_ref:g} pu is asked of a voltage of {v:.4g} pu"
+        i_q_ref = self._limited(self._voltage(v_ref - v), p.current_limit, "reactive_current", "pu", wanted)
+        wanted = f"{i_q_ref:.4g} pu is asked of a reactive current of {i_q:.4g} pu"
+        alpha = -self._limited(self._current(i_q_ref - i_q), p.angle_limit, "angle", "deg", wanted)
         angle = math.remainder(theta + math.radians(alpha), math.tau)
         self._answer = {"shunt": (p.network.shunt_sigma, angle, self._pll.omega)}
         return self._answer
 
-    def _limited(self, x: float, limit: float, what: str, unit: str) -> float:
+    def _limited(self, x: float, limit: float, what: str, unit: str, wanted: str) -> float:
         if -limit <= x <= limit:
             return x
-        self.report(Level.WARN, "limited", f"{what} limited to {limit:g} {unit}: the voltage reference is out of reach")
+        text = f"{what.replace('_', ' ')} at its limit of {limit:g} {unit} while {wanted}"
+        self.report(Level.WARN, f"{what}_limited", text)
         return math.copysign(limit, x)
 
     def refused(self, t: int) -> Mapping[str, tuple[float, ...]]:
