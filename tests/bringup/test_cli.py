@@ -424,6 +424,11 @@ def test_pip_does_it_where_uv_cannot_be_had_and_a_shared_environment_is_not_inst
     shutil.rmtree(tmp_path / ".ws")  # as another checkout whose .venv is a link to this one
     assert softrig("setup").returncode == 0
     assert [c for c in (tmp_path / "calls").read_text().splitlines() if " install " in c] == installs
+    (tmp_path / ".venv" / "share" / "softrig" / "run").unlink()
+    shutil.rmtree(tmp_path / ".ws")
+    assert softrig("setup", SOFTRIG_WHEELS="bin").returncode == 0  # by uv, nothing from the network either
+    (call,) = [c for c in (tmp_path / "calls").read_text().splitlines() if c.startswith("uv ")]
+    assert f"--require-hashes --build-constraints {tmp_path}/.ws/run.txt --require-build-hashes --no-index" in call
     said = softrig("add", "tables")
     assert said.returncode == 2
     assert "add tables: no such set; there are run uv" in said.stderr

@@ -3,6 +3,7 @@
 import importlib.util
 import os
 import re
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -62,6 +63,31 @@ def test_the_layout_is_what_colcon_builds(tmp_path):
     subprocess.run(command, cwd=tmp_path, check=True, capture_output=True)
     assert visible(tmp_path / "ours") == visible(theirs)
     assert entry_points(ours) == entry_points(*tmp_path.glob("build/*"))
+
+
+@pytest.mark.long
+def test_a_set_up_without_a_network(tmp_path):
+    """What `fetch` has downloaded is all that a set-up needs, by uv, verified."""
+    there = tmp_path / "there"
+    for name in ("scripts", "ros_pkgs", "config"):
+        shutil.copytree(ROOT / name, there / name, ignore=shutil.ignore_patterns("__pycache__", "*.egg-info"))
+    ours = ("AMENT_", "PYTHON", "VIRTUAL_ENV", "COLCON_", "SOFTRIG_", "LD_", "_ROS_")
+    user = {k: v for k, v in os.environ.items() if not k.startswith(ours)}
+    user |= {"HOME": str(tmp_path), "PATH": f"{sys.base_prefix}/bin:/usr/bin:/bin"}
+    subprocess.run([ROOT / "scripts" / "softrig", "fetch", tmp_path / "wheels", "tables"], check=True, env=user)
+    nowhere = dict.fromkeys(("HTTP_PROXY", "HTTPS_PROXY", "ALL_PROXY"), "http://127.0.0.1:9")
+    cut_off = user | {k: v for name in nowhere for k, v in ((name, nowhere[name]), (name.lower(), nowhere[name]))}
+
+    def softrig(*arguments, **variables):
+        return subprocess.run([there / "scripts" / "softrig", *arguments], cwd=tmp_path, env=cut_off | variables,
+                              capture_output=True, text=True, stdin=subprocess.DEVNULL)  # fmt: skip
+
+    done = softrig("run", "dc_motor_smc_b2", "--mode", "inprocess", SOFTRIG_WHEELS=str(tmp_path / "wheels"))
+    assert done.returncode == 0, done.stderr
+    assert "uv could not" not in (there / ".ws" / "setup.log").read_text()
+    assert softrig("add", "tables", SOFTRIG_WHEELS=str(tmp_path / "wheels")).returncode == 0
+    assert softrig("add", "search", SOFTRIG_WHEELS=str(tmp_path / "wheels")).returncode == 2  # not fetched
+    assert softrig("python", "-c", "import pyarrow").returncode == 0
 
 
 def names(requirements):
