@@ -959,6 +959,19 @@ def test_a_topic_that_is_short_of_a_message_is_named(record, tmp_path, capsys):
     assert "line/r/current has no message at 0.035 s, line/r/voltage has" in capsys.readouterr().err
 
 
+def test_a_bag_stamped_by_a_wall_clock(record, tmp_path, capsys):
+    """Its times in s have but seven digits behind the point as floats: they count from the first stamp."""
+    to_bag(record, tmp_path / "there")
+    recording = read_bag(tmp_path / "there")
+    for topic in recording.topics.values():
+        topic.times[:] = [t + 1_795_340_519_250_000_000 for t in topic.times]
+    write_bag(tmp_path / "bag", recording)
+    assert main(["locate", str(tmp_path / "bag"), "--line", "paper"]) == 0
+    said = capsys.readouterr().out
+    assert said.startswith("fault at 49.990 km")
+    assert "window 0.0213 to 0.0398 s, from the change at 0.0203 s" in said
+
+
 # long ----------------------------------------------------------------------------------------------------------------
 
 

@@ -22,6 +22,8 @@ from .line_file import line_data
 from .location import LocatorParams, locate
 from .record import COLUMNS, GROUPS, TOPICS, Record, RecordError
 
+EPOCH = 10**15  # ns, no simulated time comes so far
+
 
 def main(arguments: Sequence[str]) -> int:
     """Read, locate, tell; 0 when the fault has a position, 1 when not, 2 for input that cannot be used."""
@@ -70,7 +72,9 @@ def read(sources: Sequence[Path], channels: Sequence[str] = (), late: tuple[floa
             if late[0] == late[1]:
                 return whole
             return Record.from_ends(whole.t - late[0], whole.samples[:, :6], whole.t - late[1], whole.samples[:, 6:])
-        return Record.from_signals(Signals(recording), late)
+        first = min((t.times[0] for t in recording.topics.values() if t.times), default=0)
+        epoch = first if first > EPOCH else 0  # stamps of a wall clock: t = 0 is the first of them
+        return Record.from_signals(Signals(recording, epoch), late)
     return read_comtrade(sources, channels, late)
 
 
