@@ -15,10 +15,10 @@ from typing import Any
 from rich.table import Table
 from softrig_bags.write import write_bag
 from softrig_core import Rig, Scenario, ScenarioError, run_processes
+from softrig_core.model.codec import Decoder
 from softrig_core.rig.domain import free_domain
 from softrig_core.rig.executables import environment
 from softrig_core.rig.scenario import NodeEntry
-from softrig_core.wire.codec import Decoder
 from softrig_core.wire.recording import ShardWriter
 
 from .console import console

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, strategies as st
 from rosbags.typesys import Stores, get_typestore
 from softrig_core import Refused, button, command, joint_state, number, reference, scalars, vector3, wrench
+from softrig_core.model.codec import Decoder, selection
 from softrig_core.wire.cdr import Layout, parse
-from softrig_core.wire.codec import Decoder, selection
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 TYPES = STORE.types

@@ -20,9 +20,9 @@ from softrig_core import (
     wrench,
 )
 from softrig_core.model.answer import check
+from softrig_core.model.codec import Decoder, selection
 from softrig_core.model.schedule import Schedule
 from softrig_core.wire.cdr import Layout
-from softrig_core.wire.codec import Decoder, selection
 from typing_extensions import TypeVar
 
 DELAY = {"package": "softrig_control", "executable": "unit_delay", "parameters": {

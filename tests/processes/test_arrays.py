@@ -12,10 +12,10 @@ from hypothesis import given, strategies as st
 from rosbags.typesys import Stores, get_typestore
 from simulated import SimulatedRig, World
 from softrig_core import Block, Level, Recording, Refused, Rig, Signals, array, pose, run_processes
+from softrig_core.model.codec import Decoder, selection
 from softrig_core.rig.domain import free_domain
 from softrig_core.rig.executables import environment
 from softrig_core.wire.cdr import Layout, parse
-from softrig_core.wire.codec import Decoder, selection
 
 MATRIX = array("m", "matrix", {"row": 2, "column": 3}, "kg m^2")
 POSE = pose("p", "tool_pose", "base_link")

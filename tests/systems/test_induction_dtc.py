@@ -26,8 +26,8 @@ from softrig_core import (
     run_inprocess,
 )
 from softrig_core.model import compiled
+from softrig_core.model.codec import Decoder
 from softrig_core.wire.cdr import Layout
-from softrig_core.wire.codec import Decoder
 from softrig_drives.induction_dtc.adc import AdcParams, Converter
 from softrig_drives.induction_dtc.dtc import DtcController
 from softrig_drives.induction_dtc.estimator import EstimatorParams, make_estimator

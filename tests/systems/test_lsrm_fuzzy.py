@@ -13,8 +13,8 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import solve_continuous_are
 from softrig_control.fuzzy import TakagiSugeno, sum_rules
 from softrig_core import Level, ParameterError, Refused, list_scenarios, load_scenario, simulate
+from softrig_core.model.codec import Decoder
 from softrig_core.wire.cdr import Layout
-from softrig_core.wire.codec import Decoder
 from softrig_drives.lsrm.current_controller import CurrentController
 from softrig_drives.lsrm.figures import FORCE, POSITION, SPEED, arrival, overshoot, peak_force
 from softrig_drives.lsrm.fuzzy import TABLE_II, THIRDS, LsrmFuzzy

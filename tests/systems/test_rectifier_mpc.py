@@ -35,9 +35,9 @@ from softrig_core import (
     scalars,
     simulate,
 )
+from softrig_core.model.codec import Decoder
 from softrig_core.rig.findings import findings, values
 from softrig_core.wire.cdr import Layout
-from softrig_core.wire.codec import Decoder
 from softrig_power.rectifier.averaged import ode_abc
 from softrig_power.rectifier.circuit import INJECTION, SPWM, Circuit, Period, grid, phases
 from softrig_power.rectifier.controller import RectifierGpc

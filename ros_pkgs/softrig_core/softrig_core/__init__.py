@@ -51,7 +51,6 @@ if TYPE_CHECKING:
     from .model.scene import Pose as Pose, Scene as Scene
     from .model.solver import Result as Result, Solver as Solver, SolverParams as SolverParams
     from .model.state import state_type as state_type
-    from .model.timebase import SECOND as SECOND, to_ns as to_ns, to_s as to_s
     from .model.worker import Work as Work
     from .node import executable as executable
     from .rig.figures import evaluate as evaluate, figures_of as figures_of
@@ -65,6 +64,7 @@ if TYPE_CHECKING:
     from .rig.scenario_file import list_scenarios as list_scenarios
     from .rig.simulate import Run as Run, rig_of as rig_of, simulate as simulate
     from .rig.watch import Measure as Measure, Watch as Watch, WatchParams as WatchParams
+    from .timebase import SECOND as SECOND, to_ns as to_ns, to_s as to_s
     from .wire.recording import Recording as Recording
     from .wire.signals import Signals as Signals
 else:
@@ -84,7 +84,7 @@ else:
         "model.scene": "Pose Scene",
         "model.solver": "Result Solver SolverParams",
         "model.state": "state_type",
-        "model.timebase": "SECOND to_ns to_s",
+        "timebase": "SECOND to_ns to_s",
         "model.worker": "Work",
         "node": "executable",
         "rig.figures": "evaluate figures_of",

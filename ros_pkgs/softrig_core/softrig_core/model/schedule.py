@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable
 from fractions import Fraction
 
-from .timebase import SECOND
+from ..timebase import SECOND
 
 
 def rational(seconds: float | str | Fraction) -> Fraction:

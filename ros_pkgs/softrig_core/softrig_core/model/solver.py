@@ -23,9 +23,9 @@ from typing import Any, ClassVar, NamedTuple
 from typing_extensions import TypeVar
 
 from ..errors import RunError
+from ..timebase import to_ns, to_s
 from .block import Block, Level, Values
 from .params import BlockParams, param
-from .timebase import to_ns, to_s
 from .worker import Work, Worker
 
 

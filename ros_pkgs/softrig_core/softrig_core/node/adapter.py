@@ -18,8 +18,8 @@ from ..model.block import Block, Level, Plant
 from ..model.port import CLOCK, Port, Sample
 from ..model.schedule import Schedule
 from ..model.step import Rows, Step
-from ..model.timebase import SECOND
 from ..rig.options import InputLink, Links, RunOptions
+from ..timebase import SECOND
 from ..wire.cdr import Layout
 from ..wire.recording import ShardWriter, Sink, relative
 from .buttons import Buttons

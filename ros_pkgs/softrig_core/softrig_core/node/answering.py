@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Callable
 
 from ..model.block import Level
-from ..model.timebase import to_ns
+from ..timebase import to_ns
 from .adapter import Adapter
 from .feed import KEPT, Feed
 from .hearing import Hearing

@@ -19,8 +19,8 @@ from rclpy.node import Node
 
 from ..errors import RunError
 from ..guard import secure_streams, tell
-from ..model.timebase import SECOND
 from ..rig.rig import load_block
+from ..timebase import SECOND
 from .adapter import Adapter
 from .contained import ContainedMiddleware
 from .exchange import Exchange

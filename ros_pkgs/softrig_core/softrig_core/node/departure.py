@@ -14,7 +14,7 @@ from collections.abc import Callable, Set
 
 from ..model.port import Port, Refused
 from ..model.schedule import Schedule
-from ..model.timebase import SECOND
+from ..timebase import SECOND
 from .adapter import Adapter
 from .endpoint import Input
 from .start import CHECK, Handshake

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from ..model.codec import Decoder
 from ..model.port import Port
-from ..wire.codec import Decoder
 from .middleware import Send
 
 

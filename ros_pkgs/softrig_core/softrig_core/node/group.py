@@ -7,10 +7,10 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from ..errors import RunError
+from ..model.codec import selection
 from ..model.port import Refused
 from ..model.runner import Runner
 from ..wire.cdr import Pick
-from ..wire.codec import selection
 from .adapter import Adapter
 from .endpoint import Input, Output
 from .lockstep import Lockstep

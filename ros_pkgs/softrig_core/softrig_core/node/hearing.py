@@ -7,10 +7,10 @@ from typing import Any
 
 from ..model.answer import Row
 from ..model.block import Block, Level
+from ..model.codec import readable_stamp
 from ..model.port import Refused, Sample
-from ..model.timebase import SECOND, to_ns
+from ..timebase import SECOND, to_ns
 from ..wire.cdr import Pick
-from ..wire.codec import readable_stamp
 from .adapter import Adapter
 from .endpoint import Input
 from .feed import Feed

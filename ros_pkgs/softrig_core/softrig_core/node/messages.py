@@ -11,7 +11,7 @@ from ..model.block import Level
 from ..model.marker import Marker
 from ..model.params import Declaration
 from ..model.resource import prefixes
-from ..model.timebase import SECOND
+from ..timebase import SECOND
 
 
 @cache

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Set
 
+from ..model.codec import Decoder
 from ..model.port import CLOCK, Port, Refused
 from ..rig.options import InputLink
-from ..wire.codec import Decoder
 from .arrivals import Arrivals
 from .endpoint import Input
 from .middleware import Receive

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from ..model.codec import readable_stamp
 from ..model.port import Refused, Sample
-from ..model.timebase import SECOND
-from ..wire.codec import readable_stamp
+from ..timebase import SECOND
 from .adapter import Adapter
 from .arrivals import Arrivals
 from .endpoint import Input

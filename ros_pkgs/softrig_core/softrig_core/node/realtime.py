@@ -15,7 +15,7 @@ from ..errors import RunError
 from ..model.answer import Row
 from ..model.block import Level
 from ..model.step import Rows
-from ..model.timebase import SECOND
+from ..timebase import SECOND
 from ..wire.cdr import Pick
 from .adapter import Adapter
 from .answering import Answering

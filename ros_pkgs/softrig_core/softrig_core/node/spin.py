@@ -11,7 +11,7 @@ from rclpy.task import Future
 
 from ..errors import RunError, describe
 from ..guard import tell
-from ..model.timebase import SECOND
+from ..timebase import SECOND
 from .adapter import Adapter
 
 

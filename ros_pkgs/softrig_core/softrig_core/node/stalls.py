@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ..model.timebase import SECOND
+from ..timebase import SECOND
 from .adapter import Adapter
 from .arrivals import Arrivals
 from .endpoint import Input

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import ScenarioError, closest
-from ..model.timebase import SECOND
+from ..timebase import SECOND
 from .units import powers, text
 
 Array = NDArray[np.float64]

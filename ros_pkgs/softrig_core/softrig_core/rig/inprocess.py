@@ -7,10 +7,10 @@ from collections.abc import Callable, Sequence
 from ..errors import ScenarioError
 from ..model.answer import flat
 from ..model.block import Block
+from ..model.codec import encoder
 from ..model.port import CLOCK, Port, Sample
 from ..model.runner import Runner
 from ..model.step import Rows, Step
-from ..wire.codec import encoder
 from ..wire.recording import Sink
 from .rig import Member, Rig
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 from bisect import bisect_right
 
 from ..errors import RunError
+from ..model.codec import Decoder
 from ..model.port import Sample
 from ..model.runner import Runner
 from ..model.step import Step
-from ..wire.codec import Decoder
 from ..wire.recording import Recording
 from .inprocess import recorder, step_of
 from .rig import Member

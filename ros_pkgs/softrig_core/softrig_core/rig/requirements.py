@@ -17,7 +17,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 from ..errors import ScenarioError
 from ..model.params import flatten
 from ..model.schedule import Schedule
-from ..model.timebase import SECOND
+from ..timebase import SECOND
 from .formula import (
     EDGES,
     SURE,

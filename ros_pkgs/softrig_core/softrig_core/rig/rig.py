@@ -12,11 +12,11 @@ from pydantic import ValidationError
 
 from ..errors import ScenarioError, closest, describe
 from ..model.block import Block, Plant
+from ..model.codec import selection
 from ..model.params import BlockParams, ParameterError, build, flatten
 from ..model.port import CLOCK, Port, Refused
 from ..model.schedule import Schedule
 from ..wire.cdr import Pick
-from ..wire.codec import selection
 from ..wire.signals import full_name
 from .agreement import require_agreement
 from .faults import insert

@@ -13,7 +13,7 @@ from typing import Any
 
 from ..errors import ScenarioError
 from ..model.block import Block
-from ..model.timebase import SECOND
+from ..timebase import SECOND
 from ..wire.recording import Recording
 from ..wire.signals import Signals
 from .claims import NEVER

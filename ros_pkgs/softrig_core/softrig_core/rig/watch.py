@@ -12,7 +12,7 @@ import numpy as np
 from ..model.block import Observer
 from ..model.params import BlockParams, param
 from ..model.port import Port
-from ..model.timebase import SECOND
+from ..timebase import SECOND
 from ..wire.signals import Signal
 from .registry import Function
 from .units import compose, factor

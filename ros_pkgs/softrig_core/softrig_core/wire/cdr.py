@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..model.timebase import SECOND
+from ..timebase import SECOND
 from .types import TYPES, Dims
 
 Pick = Callable[[tuple[Any, ...]], tuple[Any, ...]]  # takes some items

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..model.timebase import SECOND
+from ..timebase import SECOND
 from .cdr import Layout, Message, parse
 from .recording import Columns, Recording, Topic
 from .types import TYPES

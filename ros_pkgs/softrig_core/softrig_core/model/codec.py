@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from itertools import count
 
-from ..model.port import Port, Refused
-from ..model.timebase import SECOND
-from .cdr import CdrError, Layout, Message, Pick, getter, parse
+from ..timebase import SECOND
+from ..wire.cdr import CdrError, Layout, Message, Pick, getter, parse
+from .port import Port, Refused
 
 
 class Decoder:
