@@ -12,6 +12,7 @@ import atexit
 import contextlib
 import ctypes
 import gc
+import importlib
 import json
 import os
 import select
@@ -236,7 +237,7 @@ class _Edited:
 def serve(link: socket.socket) -> Callable[[], Any]:
     """Answer requests until nobody can ask any more; returns only in a process that it has forked, with its work."""
     with contextlib.suppress(Exception):  # the node says itself what is wrong with it
-        load_main("softrig_core", "container")  # which imports all that nodes have in common
+        importlib.import_module("softrig_core.node.preloaded")  # by name: the rig side knows nothing of ROS
     edited = _Edited()
     asleep = _threads()  # listeners of rclpy's tracing (lttng), which wait on a futex without a lock
     ended: dict[int, int] = {}
