@@ -421,7 +421,7 @@ def test_runs_of_very_different_length_have_no_axis_in_common(tmp_path):
               "--out", str(tmp_path / name)])  # fmt: skip
     main(["report", *(str(tmp_path / n) for n in "abcde"), "--out", str(tmp_path / "all.html")])
     page = (tmp_path / "all.html").read_text()
-    assert re.findall(r'alt="Armature voltage and current([^"]*)"', page) == [
+    assert re.findall(r'alt="Armature voltage and current(, [^"]*)"', page) == [
         ", runs of up to 1 s", ", runs of up to 0.02 s"]  # fmt: skip
     assert "no other run of about their length has their plots: e" in page
 

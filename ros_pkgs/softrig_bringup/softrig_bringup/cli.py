@@ -94,6 +94,18 @@ def _parser() -> argparse.ArgumentParser:
     report.add_argument("--out", type=Path, default=Path("report.html"))
     report.add_argument("--label", action="append", default=[], metavar="TEXT",
                         help="name of a run, in their order (default: its own, or its folder)")  # fmt: skip
+    plot = verb("plot", _plot, "pictures of a run that is over, for a paper: size, letters, data")
+    plot.add_argument("run", type=Path, metavar="DIR", help="of a run, or a bag that a run has written")
+    plot.add_argument(
+        "signals", nargs="*", metavar="SIGNAL", help="one picture of these (default: the scenario's plots)"
+    )
+    plot.add_argument("--out", type=Path, default=Path("pictures"), metavar="DIR", help="they go here (pictures)")
+    plot.add_argument("--format", choices=("pdf", "svg", "png", "pgf"), default="pdf")
+    plot.add_argument("--width", type=Number(float, 20, 1000), metavar="MM", help="width; the height follows")
+    plot.add_argument("--font", type=Number(float, 3, 40), metavar="PT", help="size of the letters")
+    plot.add_argument("--no-title", action="store_true", help="as figures of a paper have their captions")
+    plot.add_argument("--window", type=float, nargs=2, metavar=("FROM", "TO"), help="s")
+    plot.add_argument("--csv", action="store_true", help="the data beside each picture, units in the head")
     results = verb("results", _results, "hold every claim of the papers against what is measured now")
     results.add_argument("systems", nargs="*", metavar="SYSTEM", help="default: all")
     results.add_argument("--out", type=Path, default=Path("runs/results"), metavar="DIR",
@@ -217,6 +229,16 @@ def _report(options: argparse.Namespace) -> int:
 
     write_report(options.runs, options.out, options.label)
     print(f"wrote {options.out}")
+    return 0
+
+
+def _plot(options: argparse.Namespace) -> int:
+    from .redraw import redraw
+
+    for path in redraw(options.run, options.signals, options.out, form=options.format, width=options.width,
+                       font=options.font, title=not options.no_title, data=options.csv,
+                       window=tuple(options.window) if options.window else None):  # fmt: skip
+        print(path)
     return 0
 
 

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 from xml.etree.ElementTree import Element
 
+from softrig_bags.errors import BagError
+from softrig_core import ScenarioError
 from softrig_core.rig.figures import Result
 
 from .citations import sources
@@ -15,6 +19,7 @@ from .diagram import draw_diagram
 from .html import NONE, e, mark, picture, table
 from .plots.figures import OVERVIEW, plot_name
 from .plots.style import pretty_unit
+from .redraw import draw_missing
 from .run_record import RunRecord
 from .wording import NEVER, accepted, difference, measured, measured_here, number
 
@@ -139,6 +144,12 @@ def _pictures(directory: Path, run: RunRecord) -> Iterator[Element]:
     wanted = [(plot_name(i, p.title), p.title, ", ".join(p.signals)) for i, p in enumerate(run.plots, 1)]
     wanted.append((OVERVIEW, "Every recorded signal", ""))
     found = [(directory / name, title, text) for name, title, text in wanted if (directory / name).is_file()]
+    if not found and (directory / "bag").is_dir():
+        with TemporaryDirectory() as folder, suppress(ScenarioError, BagError):  # its scenario or bag may be gone
+            for path in draw_missing(directory, Path(folder)):
+                title, text = next(((t, x) for name, t, x in wanted if name == path.name), (path.stem, ""))
+                yield e("figure", picture(path.read_bytes(), title), *([e("figcaption", text)] if text else []))
+            return
     if not found:
         yield e("p", "This run has no pictures.", class_="note")
     for path, title, text in found:

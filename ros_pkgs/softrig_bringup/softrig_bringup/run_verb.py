@@ -62,10 +62,26 @@ def run(options: argparse.Namespace) -> int:
         return _run_reserved(options)
 
 
-def _run_reserved(options: argparse.Namespace) -> int:
-    from softrig_core import ScenarioError, load_scenario
-    from softrig_core.rig.executables import environment
+def scenario_of(options: argparse.Namespace) -> Scenario:
+    """Give the scenario with what the options change of it."""
+    from softrig_core import load_scenario
     from softrig_core.rig.scenario import merge
+
+    scenario = load_scenario(options.scenario, dict(_assignment(text) for text in options.set))
+    changes: dict[str, Any] = {}
+    for key in ("duration", "seed"):
+        if getattr(options, key) is not None:
+            changes[key] = getattr(options, key)
+    for name in options.external:
+        changes = merge(changes, {"nodes": {name: {"external": True}}})
+    if changes:
+        scenario = _changed(scenario, changes)
+    return scenario
+
+
+def _run_reserved(options: argparse.Namespace) -> int:
+    from softrig_core import ScenarioError
+    from softrig_core.rig.executables import environment
     from softrig_core.rig.start_server import prepare
 
     from .folder import ResultsFolder
@@ -76,15 +92,7 @@ def _run_reserved(options: argparse.Namespace) -> int:
         raise ScenarioError("--realtime: blocks in process know no wall clock; expected --mode processes or container")
     if options.mode != "inprocess":
         prepare(environment(0, Path()))  # on another core, while this one reads and checks the scenario
-    scenario = load_scenario(options.scenario, dict(_assignment(text) for text in options.set))
-    changes: dict[str, Any] = {}
-    for key in ("duration", "seed"):
-        if getattr(options, key) is not None:
-            changes[key] = getattr(options, key)
-    for name in options.external:
-        changes = merge(changes, {"nodes": {name: {"external": True}}})
-    if changes:
-        scenario = _changed(scenario, changes)
+    scenario = scenario_of(options)
     rig = checked(scenario)  # before anything of an earlier run is replaced
     if options.only:
         from .part import run_part

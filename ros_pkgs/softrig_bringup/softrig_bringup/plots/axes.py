@@ -144,9 +144,10 @@ def _names(ax: Axes, marks: Sequence[Mark], scale: float) -> None:
     if len(places) > NAMED:
         return
     for x, name in places.items():
-        ax.annotate(name, (x, 0.04), (3, 0), xycoords=("data", "axes fraction"), textcoords="offset points",
+        text = ax.annotate(name, (x, 0.04), (3, 0), xycoords=("data", "axes fraction"), textcoords="offset points",
                     rotation=90, va="bottom", ha="left", fontsize=8, color="#444444", zorder=4,
                     bbox={"facecolor": "white", "alpha": 0.75, "edgecolor": "none", "pad": 0.5})  # fmt: skip
+        text.set_in_layout(False)  # a long name must not press the axes flat
 
 
 def _quantised(y: Array) -> bool:

@@ -31,14 +31,39 @@ def plot_name(number: int, title: str) -> str:
     return f"plot_{number:02d}_{re.sub(r'[^a-z0-9]+', '_', title.lower()).strip('_')[:60]}.png"
 
 
-def plot_entry(signals: Signals, rig: Rig, entry: PlotEntry) -> Figure:
-    """Draw one plot of a run, with its title."""
+def plot_entry(
+    signals: Signals, rig: Rig, entry: PlotEntry, *, title: bool = True, font: float | None = None,
+    inches: float | None = None,
+) -> Figure:  # fmt: skip
+    """Draw one plot of a run.
+
+    Parameters
+    ----------
+    signals, rig
+        See `plot_run`.
+    entry : PlotEntry
+    title : bool
+    font : float, optional
+        Size of the letters, points.
+    inches : float, optional
+        Width; the height follows, not below what the rows need.
+    """
     from matplotlib import rc_context
 
     source = Source(signals, rig)
-    with rc_context(look.style()):
-        figure = _xy_figure(source, entry) if entry.x else _time_figure(source, entry, marks_of(rig, signals))
-        figure.suptitle(entry.title, x=0.008, ha="left", fontsize=12, fontweight="bold")
+    own = {"font.size": font, "legend.fontsize": font, "axes.titlesize": font} if font else {}
+    with rc_context(look.style() | own):
+        letters = int(110 * (inches or look.WIDTH) / look.WIDTH * 9.0 / (font or 9.0))
+        marks = marks_of(rig, signals)
+        figure = _xy_figure(source, entry) if entry.x else _time_figure(source, entry, marks, letters)
+        if inches:
+            wide, high = figure.get_size_inches()
+            figure.set_size_inches(inches, high * max(inches / wide, 0.7))
+        for ax in figure.axes if font else ():
+            for text in (*ax.texts, *(box.get_texts() if (box := ax.get_legend()) else ())):
+                text.set_fontsize(font)
+        if title:
+            figure.suptitle(entry.title, x=0.008, ha="left", fontsize=font or 12, fontweight="bold")
         fold_exponents(figure)
     return figure
 
@@ -114,7 +139,7 @@ def save_figure(figure: Figure, path: Path, title: str, run: str, also: str = ""
         figure.savefig(path.with_suffix(f".{also}"), metadata=undated)
 
 
-def _time_figure(source: Source, entry: PlotEntry, marks: Mapping[str, Sequence[Mark]]) -> Figure:
+def _time_figure(source: Source, entry: PlotEntry, marks: Mapping[str, Sequence[Mark]], letters: int = 110) -> Figure:
     """Signals over time: one row a unit, without those that were never published."""
     from matplotlib.figure import Figure
 
@@ -132,7 +157,7 @@ def _time_figure(source: Source, entry: PlotEntry, marks: Mapping[str, Sequence[
         entries = draw_marks(ax, [m for c in row for m in marks.get(c.signal, ())], scale)
         ax.set_ylabel(_value_title(row, unit, entry.quantity))
         if len(row) > 1 or entries:
-            legend(ax, row, "", 110, entries)
+            legend(ax, row, "", letters, entries)
     _limit_time(axes[-1], entry, scale)
     if not rows:
         axes[0].set_axis_off()

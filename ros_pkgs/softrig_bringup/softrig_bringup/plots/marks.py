@@ -164,7 +164,7 @@ def _step(figure: Figure, mark: Mark, signals: SignalMap) -> Iterator[Mark]:
         if not reached.size:
             return
         began = t[reached[0]]
-        mark = replace(mark, name=f"{mark.name}, from {began:.3g} s")
+        mark = replace(mark, name=f"{mark.name} from {began:.3g} s")
     yield mark.at(lambda v: float(began) + v, "time")
 
 

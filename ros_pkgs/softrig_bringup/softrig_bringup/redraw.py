@@ -1,0 +1,139 @@
+"""Pictures of a run that is over, drawn from its bag: for a paper, or where the run drew none."""
+
+from __future__ import annotations
+
+import csv
+import os
+import shlex
+from collections.abc import Sequence
+from io import StringIO
+from pathlib import Path
+from typing import Any
+
+from softrig_bags.read import BagSignals, signals
+from softrig_bags.reader import BagReader
+from softrig_core import Rig, ScenarioError, rig_of
+from softrig_core.command_line import Parser
+from softrig_core.rig.scenario import PlotEntry
+
+from .folder import replace
+from .plots.curves import Curve, Source, check_plots
+from .plots.figures import plot_entry, plot_name, plot_run
+from .run_record import read_run
+
+MM = 25.4  # in an inch
+
+
+def rig_of_run(directory: Path) -> tuple[Rig, BagSignals]:
+    """Give the rig of a run and its signals.
+
+    Parameters
+    ----------
+    directory : Path
+        Of a run, or a bag that a run has written.
+
+    Raises
+    ------
+    ScenarioError
+        Neither, or no bag in it, or its scenario is unknown here.
+    """
+    bag = directory / "bag" if (directory / "metrics.json").is_file() else directory
+    if not bag.is_dir():
+        raise ScenarioError(f"{directory}: no bag in it, expected the directory of a run or a bag; pictures are drawn "
+                            "from the bag")  # fmt: skip
+    found = signals(bag)
+    if (bag.parent / "metrics.json").is_file():
+        return _as_it_ran(read_run(bag.parent).command), found
+    scenario = BagReader(bag).custom_data.get("scenario", "")
+    if not scenario:
+        raise ScenarioError(f"{bag}: does not say of which scenario it is")
+    return rig_of(scenario), found
+
+
+def _as_it_ran(command: str) -> Rig:
+    """Build the rig that a run's command stands for."""
+    from .run_verb import arguments, scenario_of
+
+    parser = Parser(prog="softrig run")
+    arguments(parser)
+    words = shlex.split(command)
+    return Rig.from_scenario(scenario_of(parser.parse_args(words[words.index("run") + 1 :])))
+
+
+def draw_missing(directory: Path, into: Path) -> list[Path]:
+    """Draw the pictures of a run that has none; gives their files."""
+    rig, found = rig_of_run(directory)
+    return plot_run(found, rig, into)
+
+
+def redraw(
+    directory: Path, names: Sequence[str], out: Path, *, form: str = "pdf", width: float | None = None,
+    font: float | None = None, title: bool = True, window: tuple[float, float] | None = None, data: bool = False,
+) -> list[Path]:  # fmt: skip
+    """Draw pictures of a run anew.
+
+    Parameters
+    ----------
+    directory : Path
+        See `rig_of_run`.
+    names : sequence of str
+        Signals for one picture; the plots of the scenario when there are none.
+    out : Path
+        Folder of the pictures; made when it is not there.
+    form : {"pdf", "svg", "png", "pgf"}
+        PGF needs LaTeX.
+    width : float, optional
+        mm; the height follows, letters stay as large as `font` says.
+    font : float, optional
+        Size of the letters, points.
+    title : bool
+        Whether titles are drawn.
+    window : (float, float), optional
+        First and last time, s.
+    data : bool
+        A CSV file beside each picture: time and the signals, units in the head.
+
+    Returns
+    -------
+    list of Path
+    """
+    rig, found = rig_of_run(directory)
+    entries = rig.scenario.plots
+    if names:
+        entries = (PlotEntry(title="_".join(n.replace("/", " ") for n in names), signals=dict.fromkeys(names, "")),)
+    if window is not None:
+        entries = tuple(entry.model_copy(update={"window": window}) for entry in entries)
+    rig = rig.with_plots(entries)
+    check_plots(rig)
+    if not entries:
+        raise ScenarioError(f"{rig.scenario.name} has no plots of its own; which signals? It has {', '.join(found)}")
+    out.mkdir(parents=True, exist_ok=True)
+    source = Source(found, rig)
+    paths = []
+    for number, entry in enumerate(rig.scenario.plots, 1):
+        figure = plot_entry(found, rig, entry, title=title and not names, font=font, inches=width and width / MM)
+        paths.append(out / Path(plot_name(number, entry.title)).with_suffix(f".{form}"))
+        undated: dict[str, Any] = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}  # equal runs, equal files
+        try:
+            figure.savefig(paths[-1], dpi=300, metadata=undated.get(form))
+        except RuntimeError as error:  # of the PGF backend
+            raise ScenarioError(
+                f"{form}: {str(error).splitlines()[0]}; it needs LaTeX (xelatex), pdf does not"
+            ) from None
+        if data:
+            replace(paths[-1].with_suffix(".csv"), _table([source.shown(entry, n) for n in entry.signals]))
+            paths.append(paths[-1].with_suffix(".csv"))
+    return paths
+
+
+def _table(curves: Sequence[Curve]) -> str:
+    """Write curves as CSV: a row a time, a cell empty where a signal has no sample."""
+    rows: dict[float, list[str]] = {}
+    for k, curve in enumerate(curves):
+        for t, x in zip(curve.x.tolist(), curve.y.tolist(), strict=True):
+            rows.setdefault(t, [""] * len(curves))[k] = repr(x)
+    text = StringIO()
+    writer = csv.writer(text, lineterminator=os.linesep)
+    writer.writerow(["t (s)", *(f"{c.signal or c.label} ({c.unit or '1'})" for c in curves)])
+    writer.writerows([repr(t), *rows[t]] for t in sorted(rows))
+    return text.getvalue()
