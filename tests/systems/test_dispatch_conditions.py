@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from softrig_core import Level, ParameterError
+from softrig_core import Level, ParameterError, load_scenario, simulate
 from softrig_power.dispatch.certify import InfeasibleError, Optimiser
 from softrig_power.dispatch.conditions import Conditions, Losses
 from softrig_power.dispatch.solver import DispatchSolver
@@ -153,6 +153,15 @@ def test_tables_as_the_field_has_them(tmp_path):
     (tmp_path / "bad.csv").write_text((tmp_path / "units.csv").read_text("utf-8-sig").replace("80.0", "-80.0", 1))
     with pytest.raises(TableError, match="expected at least 0"):
         Units.read(str(tmp_path / "bad.csv"))
+
+
+def test_the_scenario_takes_any_table_whose_first_unit_is_1():
+    """Its pictures named units that a smaller table has not."""
+    run = simulate("economic_dispatch", overrides={"table": "units_3", "demand": 850.0})
+    assert run.figures["cost"] == pytest.approx(8234.07173, abs=1e-3)
+    shown = [name for plot in load_scenario("economic_dispatch").plots for name in plot.signals if "fleet" in name]
+    assert shown
+    assert all(len(run.signals[name].x) for name in shown)
 
 
 def test_ramps_count_from_the_last_dispatch(tmp_path):
