@@ -25,8 +25,11 @@ SOURCES = {  # modules that another name brings
 OTHERS = {"motulator", "gym_electric_motor"}  # compared with where somebody has installed them
 
 
-def depends(folder, kind="exec"):
-    return set(re.findall(f"<{kind}_depend>(.+?)</", (folder / "package.xml").read_text()))
+TEMPLATE = ROOT / "ros_pkgs/softrig_bringup/softrig_bringup/template/package.xml.template"
+
+
+def depends(file, kind="exec"):
+    return set(re.findall(f"<{kind}_depend>(.+?)</", file.read_text()))
 
 
 def imports(folder):
@@ -43,7 +46,8 @@ def imports(folder):
 
 def test_every_key_exists():
     ours = {folder.name for folder in PACKAGES}
-    used = {key for folder in PACKAGES for kind in ("exec", "test", "build") for key in depends(folder, kind)} - ours
+    files = [TEMPLATE, *(folder / "package.xml" for folder in PACKAGES)]
+    used = {key for file in files for kind in ("exec", "test", "build") for key in depends(file, kind)} - ours
     assert used == {*KEYS["ros"], *KEYS["system"]}
     for key, system in KEYS["system"].items():  # none that rosdep would have pip put into the system's Python
         names = system["ubuntu"]["*"] if isinstance(system["ubuntu"], dict) else system["ubuntu"]
@@ -53,7 +57,7 @@ def test_every_key_exists():
 @pytest.mark.parametrize("folder", PACKAGES, ids=lambda f: f.name)
 def test_every_import_is_declared(folder):
     extras = {name for requirements in PROJECT["optional-dependencies"].values() for name in requirements}
-    declared = depends(folder) | FROM_PIP | extras
+    declared = depends(folder / "package.xml") | FROM_PIP | extras
     missing = {name for name in imports(folder) if not {name, f"python3-{name}", SOURCES.get(name, name)} & declared}
     assert not missing
 
