@@ -53,9 +53,11 @@ def test_each_node_is_a_process_of_its_own(tmp_path):
         for pid, command in processes_of(tmp_path).items():
             status = dict(line.split(":\t", 1) for line in Path(f"/proc/{pid}/status").read_text().splitlines())
             seen[pid] = (status["Name"], int(status["PPid"]), os.getpgid(pid), command.split(b"\0"))
+        if t and len(seen) == len(BASIC):
+            raise KeyboardInterrupt
 
-    outcome = run_processes(Rig.from_scenario(make_scenario(BASIC)), 0, tmp_path, progress=progress)
-    assert outcome.error == ""
+    outcome = run_processes(Rig.from_scenario(make_scenario(BASIC, 1e4)), 0, tmp_path, progress=progress)
+    assert (outcome.error, outcome.stopped) == ("", signal.SIGINT)
     assert sorted(name for name, *_ in seen.values()) == ["gain", "plant", "source"]
     (server,) = {parent for _, parent, *_ in seen.values()}
     assert server == start_server._server._process.pid  # forked, not started one by one

@@ -9,7 +9,14 @@ import subprocess
 from .errors import ScenarioError
 
 # the extra of pyproject.toml that brings a package
-EXTRAS = {"pyarrow": "tables", "optuna": "search", "cmaes": "search", "distributed": "dask", "osqp": "osqp"}
+EXTRAS = {
+    "pyarrow": "tables",
+    "pandas": "frames",
+    "optuna": "search",
+    "cmaes": "search",
+    "distributed": "dask",
+    "osqp": "osqp",
+}
 
 
 def need(package: str, what: str) -> None:

@@ -12,6 +12,7 @@ from functools import cached_property
 from typing import Any
 
 from ..errors import ScenarioError
+from ..extras import need
 from ..model.block import Block
 from ..timebase import SECOND
 from ..wire.recording import Recording
@@ -156,11 +157,12 @@ class Run:
 
         Raises
         ------
-        ImportError
-            pandas is not installed.
+        ScenarioError
+            pandas is not installed and could not be added.
         KeyError
             No such topic.
         """
+        need("pandas", "to_pandas")
         import pandas
 
         names = [name for name in self.signals if not topic or name.startswith(f"{topic}/")]
