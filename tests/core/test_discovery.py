@@ -264,6 +264,21 @@ def test_real_time_begins_when_all_are_up(kind):
         assert departure(kind, seed) == [], seed
 
 
+def test_who_waits_for_a_node_that_cannot_begin_waits_as_long_as_that_may_take_and_it_says_what_it_lacks():
+    """Its graph shows late that somebody reads what it says: the others have begun, and hear nothing of it."""
+    rig, expected = rig_and_record("basic")
+    world = World()
+    run = SimulatedRig(rig, world, "lockstep", timeout=10.0, start_timeout=60.0)
+    handshake = run.adapters["gain"].drive.handshake
+    absent, begun = handshake.absent, world.now
+    handshake.absent = lambda: absent() if world.now > begun + 40_000 * MS else ["plant does not subscribe lag/command"]
+    assert set(run.run().values()) == {"done"}, {n: str(a.error) for n, a in run.adapters.items()}
+    assert differences(expected, run.recording) == []
+    assert [text for _, text in run.nodes["gain"].logs] == [
+        "cannot begin yet: plant does not subscribe lag/command"
+    ]  # fmt: skip
+
+
 @pytest.mark.parametrize("kind", ["basic", "two plants", "end"])
 def test_who_judges_matches_by_the_graph_alone_loses_messages(kind, monkeypatch):
     """The model shows the race that starts once had: the graph knows a reader before the writer is matched with it."""

@@ -153,7 +153,8 @@ class Step:
     # its parts ----------------------------------------------------------------------------------------------------
 
     def _finish_or_update(self, t: int, **inputs: Any) -> Any:
-        return (self.block.finish if t == self.schedule.last else self.block.update)(t, **inputs)
+        last = self.schedule.last
+        return (self.block.update if last is None or t < last else self.block.finish)(t, **inputs)
 
     def checked(self, found: Any) -> Rows:
         """Give what each output says, checked."""

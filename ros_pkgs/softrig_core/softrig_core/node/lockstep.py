@@ -10,8 +10,10 @@ from collections import deque
 from collections.abc import Callable, Set
 from typing import Any
 
+from ..model.block import Level
 from ..model.solver import Solver
 from ..model.step import Rows
+from ..timebase import SECOND
 from .adapter import Adapter
 from .arrivals import Arrivals
 from .endpoint import Input
@@ -23,6 +25,8 @@ from .paired import paired
 from .solving import Solving, hear_busy
 from .stalls import Stalls
 from .start import CHECK, Handshake
+
+SAY_AFTER = 5 * SECOND // CHECK  # checks after which a node that cannot begin says what it lacks
 
 
 class Lockstep:
@@ -44,6 +48,7 @@ class Lockstep:
         self._turn = turn
         self.arrivals = Arrivals(node, turn)
         self._stalls = Stalls(node, self.arrivals)
+        self._checks = 0  # of the start
         self._over = False  # the last tick is answered
         self._awaited = 0  # tick whose wants are set
         self._durations: deque[int] = deque(maxlen=100_000)
@@ -124,9 +129,13 @@ class Lockstep:
         """Begin when every declared peer is matched, both ways."""
         if self.ready or self.node.state != "starting":
             return
-        absent = self.handshake.absent()
+        self.node.absent = absent = self.handshake.absent()
         self.node.lacking = self.handshake.lacking
-        if not absent:
+        if absent:
+            self._checks += 1
+            if self._checks == SAY_AFTER:
+                self.node.middleware.log(Level.WARN, f"cannot begin yet: {'; '.join(absent)}")
+        else:
             self._starter.cancel()
             self.ready = True
             self._stalls.restart()

@@ -57,6 +57,8 @@ def conclude(adapter: Adapter, stopped: bool) -> int:
             adapter.shard.close()
         except OSError as error:
             adapter.error, adapter.state = error, "failed"
+    if stopped and adapter.state == "starting" and adapter.absent:
+        tell(adapter.middleware.name, f"stopped before it could begin: {'; '.join(adapter.absent)}")
     if stopped and adapter.state != "failed":
         adapter.state = "done"  # who is stopped by a person has not failed
     try:

@@ -50,8 +50,11 @@ class Stalls:
         elif node.state == "starting" or (node.state == "running" and not self._begun()):
             limit = node.options.start_timeout
             if limit and waited > limit:
-                silent = [f"nothing on {p.topic} yet" for p in arrivals.pairings if not p.have]
-                node.fail(f"not all peers after {limit:g} s: {'; '.join(self.handshake.absent() or silent)}")
+                absent = self.handshake.absent()
+                lacking = [p for p in arrivals.pairings if not p.have]
+                node.waits_for = self.handshake.silent if absent else [p.sender for p in lacking]
+                silent = [f"nothing on {p.topic} yet" for p in lacking]
+                node.fail(f"not all peers after {limit:g} s: {'; '.join(absent or silent)}")
         elif node.state == "running":
             if self._progress != (node.t, arrivals.heard):
                 self._progress = (node.t, arrivals.heard)
@@ -80,7 +83,10 @@ class Stalls:
         node = self._node
         lacking = [p for p in self._arrivals.pairings if not p.have]
         gone = [p for p in lacking if not p.item.publishers]
-        if lacking and (waited > node.options.timeout or (gone and waited > GONE_AFTER)):
+        limit = node.options.timeout
+        if node.ticks <= 1:  # somebody in the rig may not have begun: as long as he may take for that
+            limit = max(limit, node.options.start_timeout)
+        if lacking and (waited > limit or (gone and waited > GONE_AFTER)):
             lacking = gone or lacking
             what = ", ".join(
                 f"{p.topic} from {p.sender}{' (gone)' if p in gone else ''}"

@@ -29,6 +29,8 @@ class Handshake:
     ----------
     lacking : list of str
         Topics of external nodes that nobody publishes yet.
+    silent : list of str
+        Senders that do not publish yet.
     """
 
     def __init__(
@@ -42,10 +44,12 @@ class Handshake:
         self._settled = 0
         self._seen: list[tuple[str, str]] = []
         self.lacking: list[str] = []
+        self.silent: list[str] = []
 
     def absent(self) -> list[str]:
         """Describe the peers that are not there yet; nothing when the node may begin."""
         node, links = self._node, self._node.links
+        self.silent = [sender for i, sender in self._awaited if not i.publishers and not i.heard]
         absent = [
             f"no publisher on {i.port.topic} (expected from {sender}{self._other_type(i)})"
             for i, sender in self._awaited if not i.publishers and not i.heard  # who has said all it had to say is gone
