@@ -19,7 +19,7 @@ from softrig_bringup.diagram import draw_diagram
 from softrig_bringup.folder import RUN
 from softrig_bringup.plots import figures as plots
 from softrig_bringup.plots.axes import fold_exponents
-from softrig_bringup.plots.curves import Curve, Shown, check_plots
+from softrig_bringup.plots.curves import Curve, Shown, check_plots, inside
 from softrig_bringup.plots.figures import places, plot_run
 from softrig_bringup.plots.marks import marks_of
 from softrig_bringup.plots.overlay import BAND, Overlay, band, draw_overlay
@@ -413,6 +413,13 @@ def test_a_windowed_picture_has_the_range_of_its_window(monkeypatch):
     low, high = ax.get_ylim()
     assert 0.3 < low < 0.41
     assert 0.5 < high < 0.6
+
+
+@pytest.mark.parametrize(("held", "values"), [(True, [1.0, 2.0, 2.0]), (False, [1.5, 2.0, 3.0])])
+def test_a_curve_is_cut_at_the_edges_of_its_window(held, values):
+    t = np.array([0.0, 1.0, 2.0, 3.0])
+    found = inside(Curve("", "V", t, t + 1.0, held), (0.5, 2.0))
+    assert (list(found.x), list(found.y)) == ([0.5, 1.0, 2.0], values)
 
 
 def test_runs_of_very_different_length_have_no_axis_in_common(tmp_path):

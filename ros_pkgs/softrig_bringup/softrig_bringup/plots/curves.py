@@ -117,9 +117,13 @@ def inside(curve: Curve, window: tuple[float, float] | None) -> Curve:
         return replace(curve, x=x[:0], y=y[:0])
     chosen = (x > first) & (x < last)
     edges = np.array([first, last])
-    held = y[np.searchsorted(x, edges, "right") - 1] if curve.held else np.interp(edges, x, y)
+    if curve.held:  # up to the last edge, not the step that may be there
+        end = np.searchsorted(x, last) - 1 if first < last < x[-1] else np.searchsorted(x, last, "right") - 1
+        ends = y[[np.searchsorted(x, first, "right") - 1, end]]
+    else:
+        ends = np.interp(edges, x, y)
     return replace(curve, x=np.concatenate([edges[:1], x[chosen], edges[1:]]),
-                   y=np.concatenate([held[:1], y[chosen], held[1:]]))  # fmt: skip
+                   y=np.concatenate([ends[:1], y[chosen], ends[1:]]))  # fmt: skip
 
 
 class Source:
