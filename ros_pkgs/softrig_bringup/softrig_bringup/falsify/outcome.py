@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import yaml
-from softrig_core import Scenario, figures_of, list_scenarios
+from softrig_core import Run, Scenario, figures_of, list_scenarios
 from softrig_core.extras import need
 
 from ..folder import FALSIFICATION, ResultsFolder, replace
@@ -15,9 +15,12 @@ from ..report import write_report
 from ..run import checked, execute, save, summary
 from .definition import Falsification
 from .engine import Outcome, falsify
+from .picture import draw_worst
 from .shrink import Case
 from .space import Space
 from .trial import LARGE
+
+PICTURE = "worst.png"
 
 
 def main(task: Falsification, out: Path, *, workers: int | None = None, scheduler: str = "") -> int:
@@ -40,13 +43,17 @@ def _write(task: Falsification, outcome: Outcome, out: Path) -> dict[str, Path]:
     """Write the runs that matter, their scenario files and the page; give the files."""
     files: dict[str, Path] = {}
     nominal = Scenario.model_validate(dict(outcome.space.scenario) | {"faults": _kept(outcome)})
-    runs = [_record(task, nominal, out / "nominal")]
+    runs = {"nominal": _record(task, nominal, out / "nominal")}
     for name, case in (("worst", outcome.case), ("small", outcome.small)):
         if case is not None:
             files[name] = out / f"{task.name}_{name}.yaml"
             replace(files[name], scenario_file(task, name, case, outcome))
-            runs.append(_record(task, case[0].changed(overrides=case[1]), out / name))
-    write_report(runs, out / "report.html", [r.name for r in runs])
+            runs[name] = _record(task, case[0].changed(overrides=case[1]), out / name)
+    write_report([out / name for name in runs], out / "report.html", list(runs))
+    if "worst" in runs and not runs["worst"].error:
+        asked = (outcome.violated or list(outcome.names))[0]
+        pair = {"as it is": runs["nominal"], "worst found": runs["worst"]}
+        draw_worst(pair, asked, out / PICTURE, task.title or task.name)
     replace(out / "outcome.json", json.dumps(content(task, outcome), indent=1) + "\n")
     return files
 
@@ -59,14 +66,14 @@ def _kept(outcome: Outcome) -> dict[str, Any]:
     return {n: f.model_dump() for n, f in outcome.space.scenario.faults.items() if n not in added}
 
 
-def _record(task: Falsification, scenario: Scenario, folder: Path) -> Path:
+def _record(task: Falsification, scenario: Scenario, folder: Path) -> Run:
     """Run a case once more and write its bag, figures, pictures and page."""
     place = ResultsFolder(folder)
     place.clear()
     done = execute(checked(scenario), "inprocess", folder / "log")
     figures = [] if done.error else done.results
     save(done, summary(done, figures, f"scripts/softrig falsify {task.name}"), place)
-    return folder
+    return done
 
 
 def scenario_file(task: Falsification, kind: str, case: Case, outcome: Outcome) -> str:

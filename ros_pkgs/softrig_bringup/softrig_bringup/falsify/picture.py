@@ -1,0 +1,59 @@
+"""The picture of a falsification: the run as it is and the worst one over each other, what is violated shaded."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from softrig_core import Run, figures_of
+from softrig_core.rig.figures import signal_units
+from softrig_core.rig.requirements import Judge
+
+from ..plots import style as look
+from ..plots.axes import draw, draw_marks, legend
+from ..plots.curves import Curve
+from ..plots.figures import save_figure, time_scale
+from ..plots.marks import marks_of
+from ..plots.style import axis_title, quantity
+
+
+def draw_worst(runs: Mapping[str, Run], requirement: str, path: Path, title: str) -> None:
+    """Draw the signals of a requirement in several runs, a row a signal.
+
+    Parameters
+    ----------
+    runs : mapping of str to Run
+        By label; what the last one violates is shaded.
+    requirement : str
+    path : Path
+        The PNG.
+    title : str
+    """
+    from matplotlib import rc_context
+    from matplotlib.figure import Figure
+
+    *_, last = runs.values()
+    judge = next(f.function for f in figures_of(last.rig) if f.name == requirement)
+    assert isinstance(judge, Judge)
+    units = signal_units(last.rig)
+    held = {f"{t}/{label}" for m in last.rig.members if not m.is_plant for p in m.outputs
+            for t, label in ((p.topic, x) for x in p.labels)}  # fmt: skip
+    rows = {
+        name: [Curve(label, units[signal], *run.signals[signal], signal in held) for label, run in runs.items()]
+        for name, signal in judge.signals.items()
+    }  # fmt: skip
+    marks = [m for m in next(iter(marks_of(last.rig, last.signals).values()), []) if m.name == requirement]
+    with rc_context(look.style()):
+        figure = Figure(figsize=(look.WIDTH, 1.3 + 2.3 * len(rows)), dpi=look.DPI, layout="constrained")
+        axes = figure.subplots(len(rows), 1, sharex=True, squeeze=False)[:, 0]
+        scale, time = time_scale(rows.values())
+        for k, (ax, (name, curves)) in enumerate(zip(axes, rows.items(), strict=True)):
+            draw(ax, curves, scale)
+            entries = draw_marks(ax, marks, scale)
+            if k == 0:
+                legend(ax, curves, "", 110, entries)
+            unit = units[judge.signals[name]]
+            ax.set_ylabel(axis_title((quantity(unit) if len(rows) == 1 else "") or name, unit))
+        axes[-1].set_xlabel(axis_title("Time", time))
+        figure.align_ylabels()
+        save_figure(figure, path, title, last.rig.scenario.name)
