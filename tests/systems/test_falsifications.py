@@ -1,0 +1,46 @@
+"""What the shipped falsifications find: the worst run, the violation made small, and that both rerun."""
+
+import json
+
+import pytest
+from softrig_bringup.cli import main
+from softrig_bringup.falsify.definition import falsification_of, list_falsifications
+from softrig_bringup.falsify.space import parse, space_of
+from softrig_core import load_scenario, simulate
+
+
+@pytest.mark.parametrize("name", sorted(list_falsifications()))
+def test_every_shipped_falsification_fits_its_rig(name):
+    task = falsification_of(name, {})
+    scenario = load_scenario(task.scenario)
+    assert set(task.requirements) <= scenario.requirements.keys()
+    space = space_of(scenario, [parse(key, given) for key, given in task.over.items()])
+    for over, nominal in zip(space.overs, space.nominal, strict=True):  # the paper's own numbers are in the range
+        numbers = nominal if isinstance(nominal, list) else [nominal]
+        assert all(over.low <= x <= over.high for x in numbers)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", sorted(list_falsifications()))
+def test_outcome(name, tmp_path):
+    # runs, least margin of the worst run, and what of the small case is near
+    known = {
+        "dc_motor_insensitive": (111, {"settles": -2.0828}, {"dc_motor_plant.Kt": 0.0149055}),
+        "dc_motor_fsfb_late": (50, {"no_overshoot": -0.02531},
+                               {"fieldbus_delay.delay": 0.1000037, "fieldbus_delay.jitter": 0.0200073}),
+        "lsrm_fuzzy_load": (42, {"overshoot_within": -0.025948, "arrives": -0.029151}, {"lsrm_plant.C": 6.16821}),
+        "rehab_impedance_gain": (23, {"tracks": -0.0038937}, {"voltage_controller.emvc.alpha_hat": [5.93869]}),
+        "pwa_delay_tank": (22, {"never_dry": -0.0005}, {"tank_plant.delay": 6.52024}),
+        "induction_dtc_resistance": (43, {"flux_band": -1.40459}, {"im_plant.R_s": 3.68771}),
+    }  # fmt: skip
+    status = main(["falsify", name, "--out", str(tmp_path), "--workers", "2"])
+    found = json.loads((tmp_path / "outcome.json").read_text())
+    assert (status, bool(found["violated"])) == (1, True)
+    small = simulate(load_scenario(str(tmp_path / f"{name}_small.yaml")))
+    assert {n: small.figures[n] for n in found["small"]} == found["small"]
+    runs, worst, changes = known.get(name, (found["runs"], {}, {}))
+    assert found["runs"] == runs
+    for key, margin in worst.items():
+        assert found["worst"][key] == pytest.approx(margin, rel=1e-4)
+    for key, value in changes.items():
+        assert found["small_changes"][key] == pytest.approx(value, rel=1e-4)
