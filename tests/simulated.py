@@ -295,13 +295,15 @@ class SimulatedRig:
         Node name to ns after which it is started.
     groups : sequence of sequences of str
         Nodes that share a process; any other has one of its own.
+    recorders : sequence of str, optional
+        As `node_parameters` takes them.
     **options
         ``run.*`` parameters of all nodes.
     """
 
     def __init__(self, rig, world, mode, seed=0, without=(), departs=False, after=None, groups=(),
-                 **options):  # fmt: skip
-        self.rig, self.world = rig, world
+                 recorders=None, **options):  # fmt: skip
+        self.rig, self.world, self.recorders = rig, world, recorders
         self.recording = Recording((t, p.msgtype) for t, p in rig.topics.items())
         slowest = max((m.schedule for m in rig.members), key=lambda s: s.period)
         self.epoch = slowest.held(world.now + 1_000_000_000) if mode == "realtime" and not departs else 0
@@ -321,8 +323,8 @@ class SimulatedRig:
 
     def _adapter(self, member, mode, seed, options, process):
         rig, world = self.rig, self.world
-        given = {k.removeprefix("run."): v for k, v in node_parameters(rig, member, seed, mode).items()
-                 if k.startswith("run.")}  # fmt: skip
+        parameters = node_parameters(rig, member, seed, mode, recorders=self.recorders)
+        given = {k.removeprefix("run."): v for k, v in parameters.items() if k.startswith("run.")}
         given |= {"epoch": self.epoch, **options}
         node = SimulatedNode(world, member.name, member.remap, process)
         sink = _Sink.__new__(_Sink)

@@ -7,10 +7,12 @@ from functools import cache, partial
 
 import pytest
 from conftest import differences, in_process, make_scenario
-from simulated import Discovery, SimulatedRig, World, some
+from simulated import Discovery, SimulatedNode, SimulatedRig, SimulatedTimer, World, some
 from simulated_outside import SimulatedOutside
 from softrig_core import Rig
 from softrig_core.node.endpoint import Output
+from softrig_core.node.recorders import RECORDER, left_out
+from softrig_core.node.tick import TICK
 from softrig_core.rig.supervision import blamed
 from test_ports import RIGS as PORT_RIGS
 from test_processes import RIGS as PROCESS_RIGS
@@ -104,6 +106,42 @@ def stall(run, rng, longest=3_000):
 def test_no_start_loses_a_message(kind):
     for seed in range(20):
         assert start(kind, seed, stalls=seed % 3) == [], seed
+
+
+class SimulatedRecorder:
+    """Reads topics as the graph shows them to it, some time later; leaves one of them out."""
+
+    def __init__(self, world, asks, skipped):
+        self.node, self.read = SimulatedNode(world, "recorder", {}), {}
+        self.skipped = skipped
+        self.say = self.node.publisher(RECORDER, TICK, lambda count: None) if asks else lambda data: None
+        SimulatedTimer(world, 100 * MS, self._look, self.node)
+
+    def _look(self):
+        self.say(left_out("/recorder", [self.skipped]))
+        for end in list(self.node._seen(self.node.world.writers)):
+            if end.topic not in (self.skipped, RECORDER) and end.topic not in self.read:
+                found = self.read[end.topic] = []
+                self.node.subscribe(end.topic, end.msgtype, found.append, lambda count: None)
+
+
+@pytest.mark.parametrize("asks", [True, False], ids=["asks", "is named"])
+def test_a_recorder_in_the_domain_of_a_rig_has_all_of_it(asks):
+    """From the first message on, whenever it sees what; and what it leaves out holds nobody up."""
+    rig, expected = rig_and_record("three plants")
+    for seed in range(10):
+        rng = random.Random(seed)
+        world = World(lambda *_, rng=rng: rng.randrange(1_000, 5 * MS))
+        Discovery(world, rng)
+        skipped = "/third/state" if asks else "/nobody"
+        recorder = SimulatedRecorder(world, asks, skipped)
+        run = SimulatedRig(rig, world, "lockstep", after=lambda name, rng=rng: rng.randrange(300 * MS),
+                           recorders=() if asks else ["recorder"])  # fmt: skip
+        assert set(run.run(100.0).values()) == {"done"}
+        world.run(world.now + 100 * MS)
+        for name, topic in expected.topics.items():
+            full = name if name == "/clock" else f"/{name}"
+            assert recorder.read.get(full, []) == (topic.data if full != skipped else []), (seed, name)
 
 
 def guests(kind, rng):

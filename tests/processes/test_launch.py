@@ -1,11 +1,17 @@
 """The launch file: one start and one end of all nodes, a status, and no node left behind."""
 
+import signal
+import subprocess
+
 import pytest
+from conftest import in_process, until
 from launching import launch, nodes_of
-from softrig_core import load_scenario
+from softrig_bags.read import read_bag
+from softrig_core import Rig, load_scenario
 from softrig_core.node.container import split
 from softrig_core.rig.domain import free_domain
-from softrig_core.rig.executables import environment
+from softrig_core.rig.executables import environment, find_executable
+from softrig_core.wire.recording import relative
 from test_outside import SYSTEMS, short
 
 SCENARIO = """
@@ -79,3 +85,33 @@ def test_every_system_ends_by_itself(system, mode, tmp_path, monkeypatch):
     with free_domain() as domain:
         status, said = launch({"scenario": str(file), "mode": mode}, environment(domain, tmp_path))
     assert status == 0, said
+
+
+@pytest.mark.processes
+@pytest.mark.parametrize("topics", [(), ("/lag/state", "/clock")], ids=["all", "some"])
+def test_a_launched_rig_waits_for_a_recorder_that_asks_for_it(topics, lag, tmp_path):
+    """What was recorded is what the same run in process gives, from t = 0 on, whatever the recorder leaves out."""
+    with free_domain() as domain:
+        variables = environment(domain, tmp_path)
+        recorder = subprocess.Popen(
+            [find_executable("softrig_bags", "recorder"), *topics, "--use-sim-time", "-o", tmp_path / "bag"],
+            env=variables, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+        )  # fmt: skip
+        try:
+            until((tmp_path / "bag").exists)
+            status, said = launch({"scenario": "lag", "mode": "lockstep"}, variables)
+            recorder.send_signal(signal.SIGINT)
+            told = recorder.communicate()[0]
+        finally:
+            recorder.kill()
+            recorder.wait()
+    assert status == 0, said
+    assert recorder.returncode == 0, told
+    assert "none lost" in told
+    rig = Rig.from_scenario(load_scenario("lag"))
+    whole = in_process(rig)
+    bag = read_bag(tmp_path / "bag")
+    for name in map(relative, topics or [name for name, topic in whole.topics.items() if topic.times]):
+        assert bag.topics[name].times == whole.topics[name].times
+    if topics:
+        assert set(bag.topics) == {relative(topic) for topic in topics}

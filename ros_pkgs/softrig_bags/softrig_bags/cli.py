@@ -84,7 +84,7 @@ def _selection_arguments(parser: argparse.ArgumentParser) -> None:
 @_leaving
 @_command
 def main_record(argv: list[str]) -> int:
-    """Record topics into a bag until SIGINT or SIGTERM; exit status 1 when messages were lost on the way, or may be."""
+    """Record topics into a bag until SIGINT or SIGTERM; exit status 1 when messages are missing, or may be."""
     parser = Parser(
         prog="softrig record",
         description="Record topics into a rosbag2 bag until Ctrl-C. Topics are picked up as they appear.",
@@ -126,7 +126,7 @@ def main_record(argv: list[str]) -> int:
     print(f"recording into {directory}", flush=True)
     recorder.run()
     print(f"{writer.count} messages of {len(writer.topics)} topics in {directory}, {recorder.losses()}")
-    return 1 if recorder.lost or recorder.holds.found else 0
+    return 1 if recorder.lost or recorder.missed or recorder.holds.found else 0
 
 
 @_leaving

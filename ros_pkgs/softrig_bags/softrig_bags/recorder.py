@@ -12,9 +12,12 @@ from rclpy.event_handler import QoSSubscriptionEventType as Event, SubscriptionE
 from rclpy.subscription import Subscription
 from softrig_core import RunError
 from softrig_core.node.messages import message_class
+from softrig_core.node.recorders import RECORDER, left_out
+from softrig_core.node.tick import TICK
 
 from .bag import BagWriter
 from .holds import Holds, patience
+from .join import Join
 from .ros import EventPoll, Session, offered, subscription_profile
 from .selection import Selection
 from .stamps import is_stamped, stamp
@@ -50,11 +53,14 @@ class Recorder:
         self._subscriptions: dict[str, Subscription] = {}
         self._numbers: dict[str, int] = {}
         self._refused: set[str] = set()
+        self._left_out: set[str] = set()
+        self._joins: dict[str, Join] = {}
         self._events = EventPoll(self._node)
         self._lost: dict[str, int] = {}
         self._lost_before: dict[str, int] = {}
         self.holds = holds or Holds(patience())
         steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._asks = self._node.create_publisher(message_class(TICK), RECORDER, 10)
         self._node.create_timer(DISCOVERY_PERIOD, self._discover, clock=steady)
         self._node.create_timer(FLUSH_PERIOD, self._flush, clock=steady)
 
@@ -63,13 +69,20 @@ class Recorder:
         """Number of messages lost by topic."""
         return {t: n for t in self._numbers if (n := self._lost.get(t, 0) + self._lost_before.get(t, 0))}
 
+    @property
+    def missed(self) -> dict[str, int]:
+        """Number of messages by topic that were published before this recorder joined, as stamps and numbers tell."""
+        return {topic: n for topic, join in self._joins.items() if (n := join.missed)}
+
     def losses(self) -> str:
         """Tell in a few words what is missing."""
-        lost = self.lost
+        lost, missed = self.lost, self.missed
         told = f"LOST {sum(lost.values())}: {self._writer.custom_data['lost']}" if lost else ""
+        if missed:
+            told += f"{'; ' if told else ''}JOINED LATE, MISSED {sum(missed.values())}: {_listed(missed)}"
         if self.holds.found:
             held = f"HELD for {self.holds}: what was sent then may be missing"
-            return f"{told}; {held}" if lost else f"none counted as lost, but {held}"
+            return f"{told}; {held}" if told else f"none counted as lost, but {held}"
         return told or "none lost"
 
     def run(self) -> None:
@@ -91,6 +104,8 @@ class Recorder:
             self._events.poll()
             self._note_losses()
             self._note_holds()
+            if self.missed:
+                self._writer.custom_data["missed"] = _listed(self.missed)
             self._writer.close()
         except OSError as error:
             unwritten = self._writer.salvage()
@@ -102,12 +117,15 @@ class Recorder:
     def _discover(self) -> None:
         self._note_holds()
         for name, types in self._node.get_topic_names_and_types():
-            if name in self._subscriptions or name in self._refused or name not in self._selection:
+            if name in self._subscriptions or name in self._refused:
                 continue
-            if len(types) > 1:
+            if name not in self._selection:
+                self._left_out.add(name)
+            elif len(types) > 1:
                 self._refuse(name, f"is published with {len(types)} types: {', '.join(types)}")
             else:
                 self._subscribe(name, types[0])
+        self._asks.publish(left_out(self._node.get_fully_qualified_name(), sorted(self._left_out | self._refused)))
 
     def _refuse(self, name: str, reason: str) -> None:
         self._refused.add(name)
@@ -157,15 +175,29 @@ class Recorder:
 
     def _receiver(self, topic: BagTopic) -> Callable[[bytes], None]:
         write, number, now = self._writer.write, self._numbers[topic.name], time.time_ns
+        join = self._joins.setdefault(topic.name, Join(topic))
         if not self._stamped:
-            return lambda data: write(number, now(), data)
+
+            def by_arrival(data: bytes) -> None:
+                write(number, now(), data)
+                if join.open:
+                    join.look(data)
+
+            return by_arrival
 
         def by_stamp(data: bytes) -> None:
             t = max(stamp(data), 0)
             self._newest = max(self._newest, t)
             write(number, t, data)
+            if join.open:
+                join.look(data)
 
-        return by_stamp if is_stamped(topic) else lambda data: write(number, self._newest, data)
+        def by_newest(data: bytes) -> None:
+            write(number, self._newest, data)
+            if join.open:
+                join.look(data)
+
+        return by_stamp if is_stamped(topic) else by_newest
 
     def _flush(self) -> None:
         self._writer.flush()
@@ -174,7 +206,7 @@ class Recorder:
 
     def _note_losses(self) -> None:
         found = self.lost
-        text = ", ".join(f"{topic}: {n}" for topic, n in found.items())
+        text = _listed(found)
         if text != self._writer.custom_data.get("lost", ""):
             self._writer.custom_data["lost"] = text
             self._node.get_logger().error(f"messages lost so far: {text}")
@@ -200,3 +232,7 @@ class Recorder:
         with subscription.handle:
             while (taken := subscription.handle.take_message(subscription.msg_type, True)) is not None:
                 subscription.callback(taken[0])
+
+
+def _listed(counts: dict[str, int]) -> str:
+    return ", ".join(f"{topic}: {n}" for topic, n in counts.items())

@@ -31,6 +31,11 @@ def generate_launch_description():
             choices=["processes", "container"],
             description="a process for each node, or one for all",
         ),
+        DeclareLaunchArgument(
+            "wait_for",
+            default_value="",
+            description="names of recorders that are to have all from t = 0 and do not ask for it, as rosbag2_recorder",
+        ),
         DeclareLaunchArgument("seed", default_value="", description="instead of the scenario's"),
     ]
     return LaunchDescription([*arguments, OpaqueFunction(function=_nodes)])
@@ -58,7 +63,7 @@ def _nodes(context):
     atexit.register(rmtree, folder, ignore_errors=True)
     found = []
     for group in groups(rig, placed(rig, value("place"))):
-        given = {m.name: node_parameters(rig, m, seed, value("mode")) for m in group}
+        given = {m.name: node_parameters(rig, m, seed, value("mode"), recorders=value("wait_for").split()) for m in group}
         if len(group) > 1:
             found.append(Node(package="softrig_core", executable="container", output="screen", on_exit=_ended,
                               arguments=container_arguments(group, given, folder)))  # fmt: skip

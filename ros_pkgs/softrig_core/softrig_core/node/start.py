@@ -7,6 +7,7 @@ from collections.abc import Sequence, Set
 from .adapter import Adapter
 from .endpoint import Input, Output
 from .middleware import Peer, other_types
+from .recorders import Recorders
 
 CHECK = 1_000_000_000 // 50  # ns between two checks
 SETTLED = 25  # checks in a row in which what the graph says has not changed
@@ -45,10 +46,12 @@ class Handshake:
         self._seen: list[tuple[str, str]] = []
         self.lacking: list[str] = []
         self.silent: list[str] = []
+        alone = not node.options.links  # in a domain where others live, as what is launched is
+        self._recorders = Recorders(node.middleware, node.links.recorders) if alone or node.links.public else None
 
     def absent(self) -> list[str]:
         """Describe the peers that are not there yet; nothing when the node may begin."""
-        node, links = self._node, self._node.links
+        node = self._node
         self.silent = [sender for i, sender in self._awaited if not i.publishers and not i.heard]
         absent = [
             f"no publisher on {i.port.topic} (expected from {sender}{self._other_type(i)})"
@@ -60,6 +63,7 @@ class Handshake:
             found += [(o.topic, peer.name) for o, _ in self._wanted if o.topic in topics]
         for output, known in self._wanted:
             names = known + [name for topic, name in found if topic == output.topic and name not in known]
+            names += self._recorders.of(output.topic) if self._recorders else []
             there = [i.name for i in node.middleware.subscribers(output.topic) if i.msgtype == output.port.msgtype]
             there = [name for name in there if name not in self._local]
             absent += [f"{name} does not subscribe {output.topic}" for name in names if name not in there]
@@ -72,11 +76,16 @@ class Handshake:
         # all senders have come and it has not changed for a while.
         self._settled = self._settled + 1 if seen == self._seen and not absent else 0
         self._seen = seen
-        if absent or self._settled >= SETTLED or (node.options.links and not links.outside):
+        if absent or self._settled >= SETTLED or self._knows_all():
             if len(unread) == len(node.outputs) and not node.is_plant:  # only a plant may do without any reader
                 absent += [f"nobody subscribes {topic}" for topic in unread]
             return absent
         return [f"nobody subscribes {topic}" for topic in unread] or ["outside nodes are still announcing themselves"]
+
+    def _knows_all(self) -> bool:
+        """Whether the rig names all who may be there."""
+        links = self._node.links
+        return bool(self._node.options.links) and not links.outside and not links.public
 
     def _outside(self, absent: list[str]) -> list[Peer]:
         """Give the external nodes behind the topics that they publish."""

@@ -103,6 +103,10 @@ class Links(BaseModel):
         Realtime: the nodes that it waits for.
     grid : str
         Longest period of the rig in s, of which t = 0 in real time is a multiple.
+    public : bool
+        Others may live in the domain of the rig: recorders that ask for it are awaited.
+    recorders : list of str
+        Nodes outside the rig that read everything and are awaited.
     """
 
     model_config = ConfigDict(extra="forbid")
@@ -124,3 +128,5 @@ class Links(BaseModel):
     starter: str = ""
     starts: list[str] = []
     grid: str = ""
+    public: bool = False
+    recorders: list[str] = []

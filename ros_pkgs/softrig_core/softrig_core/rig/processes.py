@@ -122,7 +122,8 @@ def run_processes(
                         # A signal waits until it is known who has been started; what Python does at a fork would
                         # swallow it with a traceback, besides.
                         with unstopped():
-                            children += start(rig, group, seed, directory, options, record, variables)
+                            children += start(rig, group, seed, directory, options, record, variables,
+                                              None if own_domain else ())  # fmt: skip
                     error = supervise(rig, children, progress, guests, mode == "realtime", stopping)
                 except KeyboardInterrupt as interrupt:
                     stopped = signal_of(interrupt)

@@ -32,30 +32,45 @@ def groups(rig: Rig, containers: Iterable[Sequence[str]], only: Sequence[str] = 
     return [g for g in shared if g] + [[m] for m in own.values()]
 
 
-def node_parameters(rig: Rig, member: Member, seed: int, mode: str) -> dict[str, Any]:
-    """Give the ROS parameters that start a member of a rig: those of its block that differ, and how it runs."""
+def node_parameters(rig: Rig, member: Member, seed: int, mode: str, *,
+                    recorders: Sequence[str] | None = None) -> dict[str, Any]:  # fmt: skip
+    """Give the ROS parameters that start a member of a rig: those of its block that differ, and how it runs.
+
+    Parameters
+    ----------
+    rig : Rig
+    member : Member
+    seed : int
+    mode : {"lockstep", "realtime"}
+    recorders : sequence of str, optional
+        Nodes outside the rig that read everything and are awaited, besides those that ask for it; None: the domain is
+        the rig's own, nobody else is in it.
+    """
     default = flatten(member.block_class.Params())
     own = {k: v for k, v in flatten(member.params).items() if v != default.get(k)}
+    others = {} if recorders is None else {"public": True, "recorders": list(recorders)}
     return own | {
         "run.mode": mode,
         "run.seed": seed,
         "run.duration": rig.scenario.duration,
         "run.timeout": rig.scenario.timeout,
         "run.start_timeout": rig.scenario.start_timeout,
-        "run.links": links(rig, member).model_dump_json(),
+        "run.links": links(rig, member).model_copy(update=others).model_dump_json(),
     }
 
 
 def start(rig: Rig, group: list[Member], seed: int, directory: Path, options: dict[str, Any],
-           record: bool, variables: dict[str, str]) -> list[Child]:  # fmt: skip
-    """Start a node, or several in a container."""
+           record: bool, variables: dict[str, str], recorders: Sequence[str] | None = None) -> list[Child]:  # fmt: skip
+    """Start a node, or several in a container; `recorders` as `node_parameters` takes them."""
     log = directory / f"{'+'.join(m.name for m in group)[:200]}.log"
     given = {}
     for member in group:
         stem = directory / member.name
         for kind in FILES:
             stem.with_suffix(f".{kind}").unlink(missing_ok=True)
-        given[member.name] = node_parameters(rig, member, seed, options["run.mode"]) | options | {
+        given[member.name] = node_parameters(
+            rig, member, seed, options["run.mode"], recorders=recorders
+        ) | options | {
             "run.shard": str(stem.with_suffix(".shard")) if record else "",
             "run.status": str(stem.with_suffix(".status")),
         }  # fmt: skip
