@@ -109,9 +109,10 @@ def test_no_start_loses_a_message(kind):
 
 
 class SimulatedRecorder:
-    """Reads topics as the graph shows them to it, some time later; leaves one of them out."""
+    """Reads topics as the graph shows them to it, up to some seconds later; leaves one of them out."""
 
-    def __init__(self, world, asks, skipped):
+    def __init__(self, world, asks, skipped, rng):
+        self.rng = rng
         self.node, self.read = SimulatedNode(world, "recorder", {}), {}
         self.skipped = skipped
         self.say = self.node.publisher(RECORDER, TICK, lambda count: None) if asks else lambda data: None
@@ -122,7 +123,8 @@ class SimulatedRecorder:
         for end in list(self.node._seen(self.node.world.writers)):
             if end.topic not in (self.skipped, RECORDER) and end.topic not in self.read:
                 found = self.read[end.topic] = []
-                self.node.subscribe(end.topic, end.msgtype, found.append, lambda count: None)
+                subscribe = partial(self.node.subscribe, end.topic, end.msgtype, found.append, lambda count: None)
+                self.node.world.at(self.node.world.now + self.rng.randrange(3_000 * MS), subscribe, self.node)
 
 
 @pytest.mark.parametrize("asks", [True, False], ids=["asks", "is named"])
@@ -134,7 +136,7 @@ def test_a_recorder_in_the_domain_of_a_rig_has_all_of_it(asks):
         world = World(lambda *_, rng=rng: rng.randrange(1_000, 5 * MS))
         Discovery(world, rng)
         skipped = "/third/state" if asks else "/nobody"
-        recorder = SimulatedRecorder(world, asks, skipped)
+        recorder = SimulatedRecorder(world, asks, skipped, rng)
         run = SimulatedRig(rig, world, "lockstep", after=lambda name, rng=rng: rng.randrange(300 * MS),
                            recorders=() if asks else ["recorder"])  # fmt: skip
         assert set(run.run(100.0).values()) == {"done"}
