@@ -1,5 +1,8 @@
 """The step and the runner: what may leave a block, ages, ticks one by one; alike in every placement."""
 
+import subprocess
+import sys
+
 import pytest
 from conftest import make_scenario
 from faultrig import Gain, Lag, Source
@@ -101,3 +104,28 @@ def test_a_recording_keeps_numbers_until_somebody_asks_for_bytes_and_both_say_th
     assert not numbers.topics["lag/state"]._data
     numbers.topics["lag/state"].times.pop()  # somebody changes it
     assert numbers.topics["lag/state"].columns() is None
+
+
+@pytest.mark.parametrize(("package", "executable"), [
+    ("softrig_systems", "aqm_controller"), ("softrig_systems", "tcp_fluid"), ("softrig_systems", "tank_plant"),
+])  # fmt: skip
+def test_nothing_is_loaded_in_the_first_tick_of_a_node_in_real_time(package, executable):
+    code = f"""
+import sys
+from softrig_core.model.block import Plant
+from softrig_core.model.rehearsal import rehearse
+from softrig_core.rig.rig import load_block
+kind = load_block({package!r}, {executable!r})
+rehearse(kind, kind.Params(), "node", always=True)
+block = kind(kind.Params(), "node")
+values = {{p.name: p.initial for p in block.ports(block.p)[0]}}
+before = set(sys.modules)
+if isinstance(block, Plant):
+    block.outputs(0)
+    block.advance(0, **values)
+else:
+    block.update(0, **values)
+print(sorted(set(sys.modules) - before))
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert (done.stdout, done.stderr) == ("[]\n", "")

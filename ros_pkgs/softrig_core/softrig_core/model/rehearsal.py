@@ -12,7 +12,7 @@ from .jit import Jit
 from .solver import Solver
 
 
-def rehearse(block_class: type[Block], params: Any, name: str) -> bool:
+def rehearse(block_class: type[Block], params: Any, name: str, always: bool = False) -> bool:
     """Answer a tick with a block made for that purpose, if the class uses native code that is made at its first call.
 
     In lockstep the first tick would take seconds, in real time all the deadlines of these seconds would be missed.
@@ -22,13 +22,15 @@ def rehearse(block_class: type[Block], params: Any, name: str) -> bool:
     block_class : type of Block
     params : BlockParams
     name : str
+    always : bool
+        Whatever it uses: against the wall clock an import in the first tick is late, too.
 
     Returns
     -------
     bool
         Whether there was anything to rehearse. What fails here says so in the run.
     """
-    if issubclass(block_class, Solver) or not _native(block_class):
+    if issubclass(block_class, Solver) or not (always or _native(block_class)):
         return False
     with suppress(Exception), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the values are no real ones

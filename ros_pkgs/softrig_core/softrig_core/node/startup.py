@@ -72,7 +72,7 @@ def make_adapter(node: Node, block_class: type[Block], middleware: Middleware) -
         Bad parameters.
     """
     params, options = _parameters(node, block_class)
-    rehearse(block_class, params, node.get_name())
+    rehearse(block_class, params, node.get_name(), always=options.mode == "realtime")
     block = block_class(params, node.get_name())
     block.reset(options.seed)
     adapter = Adapter(middleware, block, options)
