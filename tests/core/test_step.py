@@ -106,9 +106,9 @@ def test_a_recording_keeps_numbers_until_somebody_asks_for_bytes_and_both_say_th
     assert numbers.topics["lag/state"].columns() is None
 
 
-@pytest.mark.parametrize(("package", "executable"), [
-    ("softrig_systems", "aqm_controller"), ("softrig_systems", "tcp_fluid"), ("softrig_systems", "tank_plant"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("package", "executable"), [("softrig_systems", "aqm_controller"), ("softrig_control", "certificate")]
+)
 def test_nothing_is_loaded_in_the_first_tick_of_a_node_in_real_time(package, executable):
     code = f"""
 import sys
