@@ -323,3 +323,16 @@ def test_a_law_far_behind_drops_what_is_older_than_the_window_and_says_so():
     assert dropped > 190
     assert gain.block.reports["dropped"][1] == f"{dropped} ticks dropped: the law is too slow, or was held"
     assert gain.drive.missed >= dropped
+
+
+def test_a_plant_without_commands_says_so_again_while_it_lasts():
+    rig = basic(60.0)
+    world = World()
+    run = SimulatedRig(rig, world, "realtime", without=("source",))
+    world.match()
+    command = COMMAND.layout().encode
+    world.run(run.epoch + 100 * MS)
+    send(run, "/lag/command", COMMAND.msgtype, command(world.now, (1.0,)))
+    world.run(run.epoch + 35 * SECOND)
+    told = [text for _, text in run.nodes["plant"].logs if text.startswith("no command on lag/command")]
+    assert 3 <= len(told) <= 5

@@ -27,6 +27,7 @@ from .hearing import Hearing
 from .middleware import Receive
 from .start import Handshake
 
+AGAIN = 10.0  # s between two times that a silence which lasts is told
 CATCH_UP = SECOND  # a longer pause than this (a suspended host) is skipped, not simulated
 END_GRACE = SECOND  # a node that waits for a sender ends this much after the end of the run all the same
 
@@ -54,6 +55,7 @@ class Realtime:
         self._lateness: deque[int] = deque(maxlen=5_000)
         self.tick_number: int | None = None
         self.skipped = 0
+        self._silence_told = 0.0
         self._missed = 0
         self._told: dict[Realtime, list[tuple[int, Callable[[int, Row], None]]]] = {}
         node.epoch = node.options.epoch
@@ -107,10 +109,15 @@ class Realtime:
             self._timer.again(SECOND // 1000)
 
     def progress(self) -> None:
-        """A node whose senders have ended before it does not wait for them beyond the end of the run."""
+        """Tell a silence again while it lasts; end a node whose senders have ended before it, after the run."""
         node = self.node
         if self.departure is not None:
             node.lacking = self.departure.handshake.lacking
+        if self.hearing.stale and node.middleware.steady() > self._silence_told + AGAIN:
+            self._silence_told = node.middleware.steady()
+            for name in sorted(self.hearing.stale):
+                topic = self.hearing.feeds[name].item.port.topic
+                node.middleware.log(Level.ERROR, node.block.reports[f"stale {topic}"][1])
         end = node.schedule.end
         if end is not None and node.state == "running" and self.now() > (node.epoch or self._started) + end + END_GRACE:
             node.finish()
