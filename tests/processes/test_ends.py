@@ -214,3 +214,15 @@ def test_ctrl_c_once_or_twice_is_a_clean_end_of_every_node(mode, tmp_path):
         assert [process.wait(PATIENCE) for process in running] == [0, 0, 0]
     said = "".join((tmp_path / f"{member.name}.log").read_text() for member in rig.members)
     assert not any(word in said for word in ("Traceback", "FATAL", "terminate called"))
+
+
+def test_a_status_that_is_read_while_it_is_written_is_read_again(tmp_path, monkeypatch):
+    path, texts = tmp_path / "plant.status", ['{"t": 1', "", '{"t": 17}']
+    path.touch()
+    monkeypatch.setattr(Path, "read_text", lambda _: texts.pop(0))
+    assert read_status(path) == {"t": 17}
+    monkeypatch.undo()
+    path.write_text('{"t": 1')  # its writer has been killed
+    assert read_status(path) == {}
+    path.unlink()
+    assert read_status(path) == {}

@@ -63,7 +63,9 @@ def _nodes(context):
     atexit.register(rmtree, folder, ignore_errors=True)
     found = []
     for group in groups(rig, placed(rig, value("place"))):
-        given = {m.name: node_parameters(rig, m, seed, value("mode"), recorders=value("wait_for").split()) for m in group}
+        given = {
+            m.name: node_parameters(rig, m, seed, value("mode"), recorders=value("wait_for").split()) for m in group
+        }
         if len(group) > 1:
             found.append(Node(package="softrig_core", executable="container", output="screen", on_exit=_ended,
                               arguments=container_arguments(group, given, folder)))  # fmt: skip

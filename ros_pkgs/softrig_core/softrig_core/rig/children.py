@@ -14,6 +14,7 @@ from typing import Any
 from .rig import Member
 from .start_server import Forked
 
+READS = 20  # of a status file that is half written
 STOP_STEPS = ((signal.SIGINT, 3.0), (signal.SIGTERM, 3.0), (signal.SIGKILL, 3.0))
 
 
@@ -55,11 +56,18 @@ def stop(children: list[Child]) -> None:
 
 
 def read_status(path: Path) -> dict[str, Any]:
-    """Read what a node says of itself; empty before it has said anything."""
-    try:
-        return json.loads(path.read_text())
-    except (FileNotFoundError, json.JSONDecodeError):
-        return {}
+    """Read what a node says of itself; empty before it has said anything.
+
+    In real time a node changes its file in its place, which takes some us: what is half written is read again.
+    """
+    for _ in range(READS):
+        try:
+            return json.loads(path.read_text())
+        except FileNotFoundError:
+            return {}
+        except json.JSONDecodeError:
+            time.sleep(0.001)
+    return {}  # killed while it wrote
 
 
 def last_line(log: Path) -> str:
