@@ -50,7 +50,7 @@ def test_the_data_of_a_picture_has_units_in_its_head(run, tmp_path):
     assert main(["plot", str(run), *options]) == 0
     (table,) = tmp_path.glob("*.csv")
     head, *rows = csv.reader(table.open())
-    assert head == ["t (s)", "motor/applied/armature/effort (V)", "motor/true_state/shaft/velocity (rad/s)"]
+    assert head == ["t (s)", "motor/applied/armature (V)", "motor/true_state/shaft/velocity (rad/s)"]
     times = [float(row[0]) for row in rows]
     assert times == sorted(times)
     assert (times[0], times[-1]) == (0.05, 0.1)

@@ -438,7 +438,7 @@ def test_a_search_finds_the_best_gain_whatever_the_workers_and_goes_on(folder):
          ["figures_over_gain_k", "distribution", "signal_lag_state_x"]),
         ({"grid": {"gain.k": [1, 2], "plant.gain": [1, 2]}},
          ["figures_over_gain_k", "figures_over_plant", "map_of_last"]),
-        ({"seeds": 6}, ["distribution"]),
+        ({"seeds": 6, "signals": ["lag/command/u"]}, ["distribution", "signal_lag_command_u"]),
         ({"draws": {"count": 6, "parameters": {"gain.k": {"uniform": [1, 2]}}}}, ["figures_over_gain_k"]),
         ({"search": {"figure": "last", "count": 4, "parameters": {"gain.k": {"uniform": [1, 2]}}}},
          ["search_last", "search_parallel"]),

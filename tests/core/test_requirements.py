@@ -146,6 +146,14 @@ def test_a_margin_is_in_the_signals_unit_and_names_where_it_is_violated():
     assert margin.violated == ((pytest.approx(bad[0]), pytest.approx(bad[-1])),)
 
 
+@pytest.mark.parametrize("live", [False, True])
+def test_a_shared_signal_may_be_named_without_its_only_field(live):
+    short = wired("always abs(command) <= 1.0", shared={"command": "lag/command/u"}, live=live)
+    whole = wired("always abs(command) <= 1.0", live=live)
+    assert [figure_of(r, simulate(r).signals).value for r in (short, whole)] == [figure_of(
+        whole, simulate(whole).signals).value] * 2  # fmt: skip
+
+
 def test_a_requirement_is_a_figure_of_a_run_and_passes_where_it_holds():
     run = simulate(wired("always abs(command) <= 10 * gain"))
     _, u = run.signals["lag/command/u/effort"]

@@ -15,7 +15,7 @@ from rich.tree import Tree
 from softrig_core import Scenario, ScenarioError, list_scenarios, load_scenario, rig_of
 from softrig_core.guard import plain, say
 from softrig_core.rig.figures import signal_units
-from softrig_core.wire.signals import full_name
+from softrig_core.wire.signals import short_name
 
 
 def console(**options: Any) -> Console:
@@ -110,10 +110,8 @@ def list_signals(name: str) -> int:
     for topic, port in rig.topics.items():
         labels = [f"{topic}/{label}" for label in port.labels]
         for label in labels:
-            short = label.rpartition("/")[0]
-            shown = short if full_name(short, units) == label else label
             member, own = source.get(topic, (None, port))
             readers = ", ".join(m.name for m, _ in rig.readers(member, own)) if member else ""
             said = f"{member.name if member else 'outside'} -> {readers or '-'}"
-            print(f"{shown}\t{units[label] or '1'}\t{port.msgtype.replace('/msg/', '/')}\t{said}")
+            print(f"{short_name(label, units)}\t{units[label] or '1'}\t{port.msgtype.replace('/msg/', '/')}\t{said}")
     return 0

@@ -121,12 +121,12 @@ def redraw(
                 f"{form}: {str(error).splitlines()[0]}; it needs LaTeX (xelatex), pdf does not"
             ) from None
         if data:
-            replace(paths[-1].with_suffix(".csv"), _table([source.shown(entry, n) for n in entry.signals]))
+            replace(paths[-1].with_suffix(".csv"), _table([source.shown(entry, n) for n in entry.signals], source))
             paths.append(paths[-1].with_suffix(".csv"))
     return paths
 
 
-def _table(curves: Sequence[Curve]) -> str:
+def _table(curves: Sequence[Curve], source: Source) -> str:
     """Write curves as CSV: a row a time, a cell empty where a signal has no sample."""
     rows: dict[float, list[str]] = {}
     for k, curve in enumerate(curves):
@@ -134,6 +134,6 @@ def _table(curves: Sequence[Curve]) -> str:
             rows.setdefault(t, [""] * len(curves))[k] = repr(x)
     text = StringIO()
     writer = csv.writer(text, lineterminator=os.linesep)
-    writer.writerow(["t (s)", *(f"{c.signal or c.label} ({c.unit or '1'})" for c in curves)])
+    writer.writerow(["t (s)", *(f"{source.short(c.signal) or c.label} ({c.unit or '1'})" for c in curves)])
     writer.writerows([repr(t), *rows[t]] for t in sorted(rows))
     return text.getvalue()

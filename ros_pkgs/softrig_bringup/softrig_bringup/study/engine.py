@@ -10,9 +10,11 @@ from typing import Any, Literal
 
 import numpy as np
 from softrig_core import ScenarioError, figures_of, rig_of
+from softrig_core.errors import closest
 from softrig_core.extras import need
 from softrig_core.guard import say
 from softrig_core.rig.expectation import Expectation
+from softrig_core.wire.signals import full_name
 from softrig_optim.sweep import progress, stream
 
 from ..folder import STUDY, ResultsFolder, replace
@@ -118,8 +120,8 @@ def _check(study: Study) -> None:
             )
         topics = {f"{topic}/{label}" for topic, port in rig.topics.items() for label in port.labels}
         for name in study.signals:
-            if name not in topics:
-                raise ScenarioError(f"{study.name}: no signal {name!r}; {case.scenario} has {', '.join(topics)}")
+            if full_name(name, topics) not in topics:
+                raise ScenarioError(f"{study.name}: no signal {name!r}{closest(name, topics)}; {case.scenario} has {', '.join(topics)}")
         if len(seen) == max(1, len(study.cases)):
             return
 

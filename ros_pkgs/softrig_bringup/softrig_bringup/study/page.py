@@ -14,6 +14,7 @@ from softrig_core.extras import need
 from softrig_core.model.params import declarations
 from softrig_core.rig.figures import Result, signal_units
 from softrig_core.rig.findings import Finding
+from softrig_core.wire.signals import short_name
 
 from ..citations import cited, sources
 from ..folder import STUDY, ResultsFolder
@@ -62,7 +63,8 @@ def _units(rows: Sequence[Row]) -> dict[str, str]:
     units: dict[str, str] = {}
     for scenario in dict.fromkeys(row["scenario"] for row in rows):
         rig = rig_of(scenario)
-        units |= {f.name: f.unit for f in figures_of(rig)} | signal_units(rig)
+        own = signal_units(rig)
+        units |= {f.name: f.unit for f in figures_of(rig)} | own | {short_name(n, own): u for n, u in own.items()}
         units |= {f"{m.name}.{d.name}": d.unit for m in rig.members for d in declarations(type(m.params))}
     return units
 

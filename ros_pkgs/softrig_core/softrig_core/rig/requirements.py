@@ -18,6 +18,7 @@ from ..errors import ScenarioError
 from ..model.params import flatten
 from ..model.schedule import Schedule
 from ..timebase import SECOND
+from ..wire.signals import full_name
 from .formula import (
     EDGES,
     SURE,
@@ -154,7 +155,8 @@ def names_of(rig: Rig, units: Mapping[str, str]) -> tuple[dict[str, float], dict
     shared = rig.scenario.shared.items()
     named = {k: fill_parameters(v, parameter) if isinstance(v, str) else v for k, v in shared}
     numbers = {k: float(v) for k, v in named.items() if isinstance(v, int | float) and not isinstance(v, bool)}
-    return numbers, {k: v for k, v in named.items() if isinstance(v, str) and v in units}
+    signals = {k: full_name(v, units) for k, v in named.items() if isinstance(v, str)}
+    return numbers, {k: v for k, v in signals.items() if v in units}
 
 
 def watched(rig: Rig, units: Mapping[str, str]) -> dict[str, dict[str, Any]]:

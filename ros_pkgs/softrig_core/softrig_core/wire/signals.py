@@ -52,6 +52,12 @@ def full_name(name: str, known: Iterable[str]) -> str:
     return found[0] if len(found) == 1 else name
 
 
+def short_name(name: str, known: Iterable[str]) -> str:
+    """Give the shortest name of a signal that `full_name` leads back to it: without its field when it has but one."""
+    short = name.rpartition("/")[0]
+    return short if full_name(short, known) == name else name
+
+
 class Signals(Mapping[str, Signal]):
     """Signals by name ``topic/channel/field``, decoded when first asked for; the field may be left out if there is one.
 
