@@ -231,8 +231,11 @@ class SimulatedNode(Middleware):
     def subscriptions_of(self, peer):
         return [r.topic for r in self._seen(self.world.readers) if r.node.name == peer.name]
 
-    def types(self, topic):
-        return sorted({e.msgtype for e in self._seen(self.world.writers + self.world.readers) if e.topic == topic})
+    def topics(self):
+        found = {}
+        for end in self._seen(self.world.writers + self.world.readers):
+            found.setdefault(end.topic, set()).add(end.msgtype)
+        return {topic: sorted(types) for topic, types in found.items()}
 
     def log(self, level, text):
         self.logs.append((level, text))

@@ -15,6 +15,7 @@ from softrig_core import Rig, load_scenario
 from softrig_core.node.adapter import Adapter
 from softrig_core.node.group import Group
 from softrig_core.node.ros import RosMiddleware, quiet_after_shutdown
+from softrig_core.rig.guests import Guests
 from softrig_core.rig.options import RunOptions
 from test_discovery import rig_and_record, with_guests
 
@@ -36,6 +37,36 @@ def waiting(mode, seconds):
     assert lacking(run) == ["lag/command"]
     assert {(a.t, a.ticks, a.epoch) for a in run.adapters.values()} == {(0, 0, 0)}
     return run
+
+
+def test_a_controller_on_a_wrong_topic_is_told_which_one_it_should_be():
+    run = waiting("lockstep", 1.0)
+    said = []
+    guests = Guests(with_guests("basic", ("gain",)), said.append)
+
+    def look():
+        guests.look({name: a.status() for name, a in run.adapters.items()})
+
+    look()
+    assert said == []
+    node = SimulatedNode(run.world, "somebody", {})
+    node.publisher("lag/comand", COMMAND.msgtype, lambda count: None)
+    node.publisher("joint_states", "sensor_msgs/msg/Imu", lambda count: None)  # of another type: its own business
+    run.run(1.0)
+    look(), look()
+    assert said == ["/somebody publishes /lag/comand, which nobody in the rig reads; lag/command is awaited from gain"]
+    node.publisher(COMMAND.topic, COMMAND.msgtype, lambda count: None)
+    run.run(1.0)
+    look()
+    assert said[1:] == ["gain is there"]
+
+
+def test_a_refused_message_of_an_outside_node_is_told_once():
+    said = []
+    guests = Guests(with_guests("basic", ("gain",)), said.append)
+    for count in (1, 2):
+        guests.look({"plant": {"refused": {"lag/command": [count, "u is nan"]}}})
+    assert said == ["plant refused a message on lag/command: u is nan"]
 
 
 def test_in_lockstep_a_controller_may_come_after_minutes_and_nothing_is_lost():

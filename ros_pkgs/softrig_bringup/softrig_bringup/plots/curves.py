@@ -158,7 +158,9 @@ class Source:
             x = y
         elif held and x[-1] < self.end:
             x, y = np.append(x, self.end), np.append(y, y[-1])
-        return Curve(label or self.short(name), self.units[name], x, y, held, _reference(self.topics[topic], label), name)
+        return Curve(
+            label or self.short(name), self.units[name], x, y, held, _reference(self.topics[topic], label), name
+        )
 
     def difference(self, first: str, second: str, label: str = "") -> Curve:
         """Give a signal less the newest value of another, at the samples of the first."""
@@ -166,7 +168,12 @@ class Source:
         n = len(self.signals.table(self.topic(first)).t)  # without the end to which a held signal is drawn
         newest = np.searchsorted(b.x, a.x[:n], side="right") - 1
         both = newest >= 0
-        return Curve(label or f"{self.short(first)} - {self.short(second)}", a.unit, a.x[:n][both], a.y[:n][both] - b.y[newest[both]])
+        return Curve(
+            label or f"{self.short(first)} - {self.short(second)}",
+            a.unit,
+            a.x[:n][both],
+            a.y[:n][both] - b.y[newest[both]],
+        )
 
     def short(self, name: str) -> str:
         """Give the shortest name of a signal."""

@@ -121,7 +121,9 @@ def _check(study: Study) -> None:
         topics = {f"{topic}/{label}" for topic, port in rig.topics.items() for label in port.labels}
         for name in study.signals:
             if full_name(name, topics) not in topics:
-                raise ScenarioError(f"{study.name}: no signal {name!r}{closest(name, topics)}; {case.scenario} has {', '.join(topics)}")
+                raise ScenarioError(
+                    f"{study.name}: no signal {name!r}{closest(name, topics)}; {case.scenario} has {', '.join(topics)}"
+                )
         if len(seen) == max(1, len(study.cases)):
             return
 

@@ -319,8 +319,11 @@ class Adapter:
 
     def write_status(self) -> None:
         """Write the status file, if one is wanted."""
-        if not self.options.status:
-            return
+        if self.options.status:
+            self._status.write(self.status(), in_place=self.drive.open_ended and self.state == "running")
+
+    def status(self) -> dict[str, Any]:
+        """Say how it is, what it refuses, and while an outside node lacks who publishes what."""
         refused = {i.port.topic: [i.refused, i.last_refusal] for i in self.inputs + self.paces if i.refused}
         status: dict[str, Any] = {
             "state": self.state, "t": self.t, "ticks": self.ticks, "error": str(self.error) if self.error else "",
@@ -328,8 +331,11 @@ class Adapter:
             "reports": {key: [int(level), text, n] for key, (level, text, n) in self.block.reports.items()},
             "busy": self.drive.busy(), "cpu_s": round(time.process_time(), 3),
         }  # fmt: skip
+        if self.lacking:
+            status["published"] = {t: [[p.msgtype, p.full_name] for p in self.middleware.publishers(t)]
+                                   for t in self.middleware.topics()}  # fmt: skip
         if self.state != "running":  # what takes longer than a tick
             status |= {"peak_memory_mb": peak_memory()} | self.drive.statistics()
         if self.state == "done":
             status |= figures(self.block)
-        self._status.write(status, in_place=self.drive.open_ended and self.state == "running")
+        return status

@@ -86,8 +86,8 @@ class Middleware(Protocol):
     def subscriptions_of(self, peer: Peer) -> list[str]:
         """Topics that a node reads; empty while the graph does not know the node."""
 
-    def types(self, topic: str) -> list[str]:
-        """Message types under which a topic, by its full name, exists."""
+    def topics(self) -> dict[str, list[str]]:
+        """Message types under which each topic exists, by its full name."""
 
     def log(self, level: Level, text: str) -> None:
         """Say something to whoever operates the node."""
@@ -104,4 +104,5 @@ def other_types(middleware: Middleware, port: Port) -> str:
     middleware : Middleware
     port : Port
     """
-    return ", ".join(t for t in middleware.types(middleware.resolve(port.topic)) if t != port.msgtype)
+    there = middleware.topics().get(middleware.resolve(port.topic), ())
+    return ", ".join(t for t in there if t != port.msgtype)

@@ -151,9 +151,9 @@ class RosMiddleware(Middleware):
             return [t for t, _ in self.node.get_subscriber_names_and_types_by_node(peer.name, peer.namespace)]
         return []
 
-    def types(self, topic: str) -> list[str]:
-        """Message types under which a topic exists."""
-        return list(dict(self.node.get_topic_names_and_types()).get(topic, []))
+    def topics(self) -> dict[str, list[str]]:
+        """Message types under which each topic exists."""
+        return dict(self.node.get_topic_names_and_types())
 
     def log(self, level: Level, text: str) -> None:
         """Log by the node's logger: terminal, log file and /rosout."""

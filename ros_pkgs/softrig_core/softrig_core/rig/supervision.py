@@ -38,10 +38,11 @@ def supervise(
             return _reason(children, failed)
         if not running:
             return ""
-        guests.look(children)
-        state = read_status(plant.status)
+        states = {c.member.name: read_status(c.status) for c in children}
+        guests.look(states)
+        state = states[plant.member.name]
         t = state.get("t", 0)
-        busy = any(read_status(c.status).get("busy") for c in running)
+        busy = any(states[c.member.name].get("busy") for c in running)
         if realtime:
             if late == math.inf and state.get("epoch"):
                 to_start = state["epoch"] / 1e9 - time.time()
