@@ -1,4 +1,4 @@
-"""How much of a topic was published before the recorder joined it: in simulated time the stamps tell, or the numbers."""
+"""How much of a topic was published before the recorder joined it: in simulated time stamps tell, or numbers."""
 
 from __future__ import annotations
 

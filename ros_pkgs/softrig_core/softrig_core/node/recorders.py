@@ -1,7 +1,7 @@
 """Recorders that ask a rig to wait for them: who picks topics up as they appear would otherwise miss its first ticks.
 
-A recorder that offers `RECORDER` is awaited by the nodes of a rig on everything they publish, but for what it says there,
-again and again, that it leaves out. Other recorders (rosbag2) are awaited where the rig is told their names.
+A recorder that offers `RECORDER` is awaited by the nodes of a rig on everything they publish, but for what it says
+there, again and again, that it leaves out. Other recorders (rosbag2) are awaited where the rig is told their names.
 """
 
 from __future__ import annotations
