@@ -10,6 +10,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")  # before numpy, as the command li
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from . import (
+    environment,
     falsify,
     fault_location,
     gupfc,
@@ -30,7 +31,7 @@ PARTS: dict[str, Callable[[], None]] = {
     "realtime": realtime.realtime,
     "systems": systems.print_table, "induction": induction.print_table, "fault_location": fault_location.print_table,
     "gupfc": gupfc.print_table, "rectifier": rectifier.print_table, "optimal_control": optimal_control.print_table,
-    "falsify": falsify.print_table,
+    "falsify": falsify.print_table, "environment": environment.print_table,
 }  # fmt: skip
 
 

@@ -9,6 +9,7 @@ from typing import Any, Self
 from pydantic import model_validator
 from softrig_core import Block, BlockParams, Level, Port, RunError, Sample, ScenarioError, executable, param, scalars
 from softrig_core.rig.formula import EDGES, SURE, margin_unit, once_there, read, variables
+from softrig_core.rig.port_text import ports_of
 
 ENDLESS = 1e12  # stands for a margin of which nothing is known yet
 
@@ -47,13 +48,7 @@ class RequirementMonitorParams(BlockParams):
 
     def inputs(self) -> tuple[Port, ...]:
         """Give the ports that the text describes."""
-        try:
-            given: list[dict[str, Any]] = json.loads(self.ports)
-            tuples = ("channels", "fields", "units", "limits")
-            shaped: list[dict[str, Any]] = [{k: tuple(v) if k in tuples else v for k, v in p.items()} for p in given]
-            return tuple(Port(**about) for about in shaped)
-        except (TypeError, AttributeError, KeyError, ValueError) as error:
-            raise ValueError(f"ports: {error}; expected a JSON list of ports") from None
+        return ports_of(self.ports)
 
     def read(self) -> tuple[Any, Mapping[str, Any], str]:
         """Give the formula, its conditions and the unit of its margin.

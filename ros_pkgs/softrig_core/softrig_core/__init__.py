@@ -53,6 +53,7 @@ if TYPE_CHECKING:
     from .model.state import state_type as state_type
     from .model.worker import Work as Work
     from .node import executable as executable
+    from .rig.environment import RigEnv as RigEnv
     from .rig.figures import evaluate as evaluate, figures_of as figures_of
     from .rig.inprocess import run_inprocess as run_inprocess
     from .rig.measures import SignalMap as SignalMap, window as window
@@ -87,6 +88,7 @@ else:
         "timebase": "SECOND to_ns to_s",
         "model.worker": "Work",
         "node": "executable",
+        "rig.environment": "RigEnv",
         "rig.figures": "evaluate figures_of",
         "rig.inprocess": "run_inprocess",
         "rig.measures": "SignalMap window",

@@ -16,6 +16,7 @@ EXTRAS = {
     "cmaes": "search",
     "distributed": "dask",
     "osqp": "osqp",
+    "gymnasium": "learning",
 }
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 from ..errors import ScenarioError
 from ..model.answer import flat
@@ -48,10 +48,7 @@ def run_inprocess(
             raise ScenarioError(f"node {member.name} is external: in-process runs have no place for it")
     steps = wired(rig, {m.name: m.block(seed) for m in rig.members})
     if sink is not None:
-        numbers = {topic: number for number, topic in enumerate(rig.topics)}
-        for step in steps.values():
-            ports = [*step.outputs, CLOCK] if step.name == rig.clock.name else step.outputs
-            step.send = recorder(sink, step, ports, [numbers[p.topic] for p in ports])
+        record(rig, steps, sink)
     stride = max(1, rig.ticks // 100)
     for k, t in enumerate(Runner(list(steps.values())).run()):
         if progress is not None and (k % stride == 0 or k == rig.ticks):
@@ -80,6 +77,14 @@ def wired(rig: Rig, blocks: dict[str, Block]) -> dict[str, Step]:
 def step_of(member: Member, block: Block) -> Step:
     """Make the step of a member."""
     return Step(member.name, block, member.schedule, member.inputs, member.outputs)
+
+
+def record(rig: Rig, steps: Mapping[str, Step], sink: Sink) -> None:
+    """Have a sink get every message of the steps of a rig."""
+    numbers = {topic: number for number, topic in enumerate(rig.topics)}
+    for step in steps.values():
+        ports = [*step.outputs, CLOCK] if step.name == rig.clock.name else step.outputs
+        step.send = recorder(sink, step, ports, [numbers[p.topic] for p in ports])
 
 
 def recorder(sink: Sink, step: Step, ports: Sequence[Port],

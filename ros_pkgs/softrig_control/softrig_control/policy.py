@@ -1,0 +1,190 @@
+"""A policy in the place of a law: a function from what it observes to what it commands, by its registered name."""
+
+from __future__ import annotations
+
+import importlib.metadata
+from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property
+from typing import Any, Self
+
+from pydantic import model_validator
+from softrig_core import Block, BlockParams, ParameterError, Port, Sample, executable, param
+from softrig_core.rig.port_text import ports_of
+
+GROUP = "softrig_policies"  # of entry points
+Act = Callable[[Sequence[float]], Sequence[float]]
+
+
+def linear(weights: Sequence[float], observations: int, actions: int) -> Act:
+    """Give the policy ``u = W y + b``.
+
+    Parameters
+    ----------
+    weights : sequence of float
+        Row by row, one an action: its weight of each observation, then its constant.
+    observations, actions : int
+        How many there are.
+
+    Raises
+    ------
+    ValueError
+        Another number of weights.
+    """
+    wide = observations + 1
+    if len(weights) != actions * wide:
+        raise ValueError(f"a linear policy of {observations} observations and {actions} actions has {actions * wide} "
+                         f"weights, row by row with the constant last; got {len(weights)}")  # fmt: skip
+    rows = [weights[k * wide : (k + 1) * wide] for k in range(actions)]
+
+    def act(observed: Sequence[float]) -> list[float]:
+        found = []
+        for row in rows:
+            total = row[-1]
+            for weight, value in zip(row, observed, strict=False):
+                total += weight * value
+            found.append(total)
+        return found
+
+    return act
+
+
+def find(name: str) -> Callable[[Sequence[float], int, int], Act]:
+    """Find what makes a policy: `linear`, or the entry point of an installed package in the group `GROUP`.
+
+    Raises
+    ------
+    ParameterError
+        There is none; says which there are. Nothing that is not registered is imported: a scenario may be anybody's.
+    """
+    if name == "linear":
+        return linear
+    points = importlib.metadata.entry_points(group=GROUP)
+    if name not in points.names:
+        known = ", ".join(["linear", *sorted(points.names)])
+        raise ParameterError(f"policy = {name!r}: expected one of {known}; a package registers its own, "
+                             f"module:callable, in the group {GROUP}")  # fmt: skip
+    try:
+        make: Any = points[name].load()
+    except (ImportError, AttributeError) as error:
+        raise ParameterError(f"policy = {name!r} ({points[name].value}) cannot be loaded: {error}") from None
+    if not callable(make):
+        raise ParameterError(f"policy = {name!r}: {points[name].value} is a {type(make).__name__}, expected a function")
+    return make  # type: ignore[no-any-return]
+
+
+class PolicyParams(BlockParams):
+    """The policy, its numbers, and the ports of the law in whose place it stands."""
+
+    policy: str = param("linear", "`linear`, or the name of an entry point in the group softrig_policies")
+    weights: tuple[float, ...] = param((0.0, 0.0), "what the policy has learned")
+    inputs: str = param(
+        '[{"name": "state", "topic": "state", "msgtype": "sensor_msgs/msg/JointState", "channels": ["x"],'
+        ' "fields": ["position"], "units": ["m"]}]', "the topics that come, each as a port, in JSON",
+    )  # fmt: skip
+    outputs: str = param(
+        '[{"name": "command", "topic": "command", "msgtype": "sensor_msgs/msg/JointState", "channels": ["x"],'
+        ' "fields": ["effort"], "units": ["N"]}]', "the topics that it says, likewise",
+    )  # fmt: skip
+    observe: tuple[str, ...] = param(("state/x/position",), "the signals of an observation: topic/channel/field")
+    act: tuple[str, ...] = param(("command/x/effort",), "those of an action; the others keep their ports' safe values")
+    low: tuple[float, ...] = param((), "least value of each action; empty: the limits of the ports")
+    high: tuple[float, ...] = param((), "largest value of each action")
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        for what, signals, ports in (("observe", self.observe, self.come), ("act", self.act, self.go)):
+            known = {f"{p.topic}/{label}" for p in ports for label in p.labels}
+            for signal in signals:
+                if signal not in known:
+                    raise ValueError(
+                        f"{what}: {signal!r} is on none of the ports; they have {', '.join(sorted(known))}"
+                    )
+            if len({*signals}) != len(signals) or not signals:
+                raise ValueError(f"{what}: expected signals, each once")
+        for name in ("low", "high"):
+            if len(getattr(self, name)) not in (0, len(self.act)):
+                raise ValueError(f"{name}: {len(getattr(self, name))} values, expected one an action, {len(self.act)}")
+        for signal, (low, high) in zip(self.act, self.bounds(), strict=True):
+            if not low < high:
+                raise ValueError(f"bounds of {signal}: {low:g} is not below {high:g}")
+        return self
+
+    @cached_property
+    def come(self) -> tuple[Port, ...]:
+        """The inputs that the text describes."""
+        return ports_of(self.inputs)
+
+    @cached_property
+    def go(self) -> tuple[Port, ...]:
+        """The outputs that the text describes."""
+        return ports_of(self.outputs)
+
+    def bounds(self) -> list[tuple[float, float]]:
+        """Least and largest value of each action, within the limits of its port."""
+        limits = {f"{p.topic}/{label}": m for p in self.go for label, m in zip(p.labels, p.limits, strict=True)}
+        most = [limits[a] for a in self.act]
+        low = self.low or [-m for m in most]
+        high = self.high or most
+        return [(max(a, -m), min(b, m)) for a, b, m in zip(low, high, most, strict=True)]
+
+
+class Policy(Block[PolicyParams]):
+    """Answers each tick with what its policy says of the newest observation, within the bounds of the actions.
+
+    A value that has not come yet is observed as its port's safe one.
+    """
+
+    act: Act
+
+    @classmethod
+    def ports(cls, params: PolicyParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
+        """Give those of the law that it stands for."""
+        return params.come, params.go
+
+    def setup(self) -> None:
+        """Find where each signal is, and the policy."""
+        p = self.p
+        places = {f"{port.topic}/{label}": (port, k) for port in p.come for k, label in enumerate(port.labels)}
+        self._observed = [places[signal] for signal in p.observe]
+        at = {signal: k for k, signal in enumerate(p.act)}
+        self._acted = [(port, [at.get(f"{port.topic}/{label}") for label in port.labels]) for port in p.go]
+        self._bounds = p.bounds()
+        self._make = find(p.policy)
+        self._policy()
+
+    def _policy(self) -> Act:
+        p = self.p
+        try:
+            return self._make(p.weights, len(p.observe), len(p.act))
+        except ValueError as error:
+            raise ParameterError(f"policy {p.policy}: {error}") from None
+
+    def start(self) -> None:
+        """Begin with a policy that remembers nothing."""
+        self.act = self._policy()
+
+    def observation(self, inputs: Mapping[str, Any]) -> tuple[float, ...]:
+        """Give the observation that the values of the ports make."""
+        found = []
+        for port, k in self._observed:
+            given = inputs[port.name]
+            given = port.safe if given is None else given.data if isinstance(given, Sample) else given
+            found.append(given[k])
+        return tuple(found)
+
+    def update(self, t: int, **inputs: Any) -> Mapping[str, tuple[float, ...] | Sample | None]:
+        """Say what the policy commands."""
+        given = self.act(self.observation(inputs))
+        if len(given) != len(self._bounds):
+            raise ValueError(f"the policy gave {len(given)} actions, expected {len(self._bounds)}")
+        # of a NaN neither comparison holds: it goes on and is refused as any block's
+        action = [low if a < low else high if a > high else a for a, (low, high) in zip(given, self._bounds)]
+        said: dict[str, tuple[float, ...] | Sample | None] = {}
+        for port, places in self._acted:
+            row = tuple([safe if k is None else float(action[k]) for k, safe in zip(places, port.safe, strict=True)])
+            silent = port.sporadic and not any(k is not None for k in places)
+            said[port.name] = None if silent else Sample(t, row) if port.delayed else row
+        return said
+
+
+main = executable(Policy)

@@ -1,0 +1,54 @@
+"""Steps a second of a rig as an environment of an agent, beside gym-electric-motor's comparable one."""
+
+from __future__ import annotations
+
+import os
+import sys
+
+import numpy as np
+from softrig_core import RigEnv, run_inprocess
+
+from .console import console
+from .induction import drive, peer, switching
+from .induction_peers import LEGS
+from .timing import least
+
+SECONDS = 0.5
+
+
+def rates(seconds: float = SECONDS) -> dict[str, float]:
+    """Measure steps a CPU second: the drive by itself, and with an agent that plays its switching back.
+
+    Parameters
+    ----------
+    seconds : float
+        Simulated, s; the fastest of five.
+    """
+    actions = [np.array(LEGS[v], dtype=float) for v in switching(seconds)[0]]
+    legs = [f"switches/{leg}/effort" for leg in ("Sa", "Sb", "Sc")]
+    rig = drive(seconds)
+    environment = RigEnv(rig, "dtc_controller", act=dict.fromkeys(legs, (0.0, 1.0)), reward=lambda now: 0.0)
+
+    def episode() -> None:
+        environment.reset(seed=1)
+        for action in actions[:-1]:  # the law says nothing at the end time
+            environment.step(action)
+
+    run = least(lambda: run_inprocess(rig, 1))
+    return {
+        "rig in process, with its law": len(actions) / run,
+        "RigEnv, an agent in its place": len(actions) / least(episode),
+    }
+
+
+def print_table() -> None:
+    """Steps a second of the induction motor drive as an environment, beside gym-electric-motor's where installed.
+
+    ``SOFTRIG_PEERS`` in the environment: an interpreter that has it.
+    """
+    found: dict[str, float | None] = {**rates()}
+    vectors, _ = switching(SECONDS)
+    theirs = peer("gym-electric-motor", vectors, os.environ.get("SOFTRIG_PEERS", sys.executable))
+    found["gym-electric-motor, Finite-SC-SCIM-v0, Euler"] = None if theirs is None else len(vectors) / theirs["cpu_s"]
+    for name, rate in found.items():
+        console.print(f"{name:48} " + ("not installed" if rate is None else f"{rate:10,.0f} steps/s"))
