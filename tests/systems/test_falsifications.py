@@ -23,7 +23,7 @@ def test_every_shipped_falsification_fits_its_rig(name):
 @pytest.mark.long
 @pytest.mark.parametrize("name", sorted(list_falsifications()))
 def test_outcome(name, tmp_path):
-    # runs, least margin of the worst run, and what of the small case is near
+    # runs, least margins of the worst run, and what the small case changes
     known = {
         "dc_motor_insensitive": (111, {"settles": -2.0828}, {"dc_motor_plant.Kt": 0.0149055}),
         "dc_motor_fsfb_late": (50, {"no_overshoot": -0.02531},
@@ -31,6 +31,7 @@ def test_outcome(name, tmp_path):
         "lsrm_fuzzy_load": (42, {"overshoot_within": -0.025948, "arrives": -0.029151}, {"lsrm_plant.C": 6.16821}),
         "rehab_impedance_gain": (23, {"tracks": -0.0038937}, {"voltage_controller.emvc.alpha_hat": [5.93869]}),
         "pwa_delay_tank": (22, {"never_dry": -0.0005}, {"tank_plant.delay": 6.52024}),
+        "rectifier_mpc_load": (91, {"recovers": -197.353, "dip": -145.353}, {"gpc_controller.lam": 253.333}),
         "induction_dtc_resistance": (43, {"flux_band": -1.40459}, {"im_plant.R_s": 3.68771}),
     }  # fmt: skip
     status = main(["falsify", name, "--out", str(tmp_path), "--workers", "2"])
