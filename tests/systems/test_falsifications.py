@@ -31,6 +31,7 @@ def test_outcome(name, tmp_path):
         "lsrm_fuzzy_load": (42, {"overshoot_within": -0.025948, "arrives": -0.029151}, {"lsrm_plant.C": 6.16821}),
         "rehab_impedance_gain": (23, {"tracks": -0.0038937}, {"voltage_controller.emvc.alpha_hat": [5.93869]}),
         "pwa_delay_tank": (22, {"never_dry": -0.0005}, {"tank_plant.delay": 6.52024}),
+        "tcp_aqm_flows": (52, {"settles": -117.6}, {"tcp_fluid.tau_p": 0.217495}),
         "rectifier_mpc_load": (91, {"recovers": -197.353, "dip": -145.353}, {"gpc_controller.lam": 253.333}),
         "induction_dtc_resistance": (43, {"flux_band": -1.40459}, {"im_plant.R_s": 3.68771}),
     }  # fmt: skip

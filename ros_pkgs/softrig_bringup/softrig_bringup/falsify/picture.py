@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
+import numpy as np
 from softrig_core import Run, figures_of
 from softrig_core.rig.figures import signal_units
 from softrig_core.rig.requirements import Judge
@@ -42,6 +43,8 @@ def draw_worst(runs: Mapping[str, Run], requirement: str, path: Path, title: str
         name: [Curve(label, units[signal], *run.signals[signal], signal in held) for label, run in runs.items()]
         for name, signal in judge.signals.items()
     }  # fmt: skip
+    different = {n: c for n, c in rows.items() if any(not np.array_equal(c[0].y, other.y) for other in c[1:])}
+    rows = different or rows  # a reference that is the same in all says nothing
     marks = [m for m in next(iter(marks_of(last.rig, last.signals).values()), []) if m.name == requirement]
     with rc_context(look.style()):
         figure = Figure(figsize=(look.WIDTH, 1.3 + 2.3 * len(rows)), dpi=look.DPI, layout="constrained")
