@@ -24,6 +24,7 @@ from softrig_core.model.port import CLOCK
 from softrig_core.rig.code import fingerprints
 from softrig_core.rig.figures import Result
 from softrig_core.rig.stopping import signal_of, stoppable, unstopped
+from softrig_core.timebase import SECOND
 
 from .citations import cited
 from .folder import ResultsFolder
@@ -155,6 +156,7 @@ def summary(run: Run, figures: Sequence[Result], command: str, label: str = "") 
         "versions": versions() | checkout(),
         "code": fingerprints(m.block_class for m in own),
         "parameters": {m.name: flatten(m.params) for m in own},
+        "changes": _changes(run),
         "units": {m.name: {d.name: d.unit for d in declarations(type(m.params)) if d.unit} for m in own},
         "metrics": [f.model_dump(by_alias=True) for f in figures],
         "claims": [f.model_dump() for f in run.claims],
@@ -164,6 +166,17 @@ def summary(run: Run, figures: Sequence[Result], command: str, label: str = "") 
         "wiring": wiring_of(run.rig).model_dump(),
         "citations": [c.model_dump() for c in cited(scenario.cites)],
     }
+
+
+def _changes(run: Run) -> list[dict[str, Any]]:
+    """The changes that took effect: the tick in s, the node, and its new values."""
+    end = round(run.reached_s * SECOND) if run.error or run.stopped else run.rig.end
+    found = [
+        {"at_s": tick / SECOND, "node": m.name, "set": dict(change.values)}
+        for m in run.rig.members for change in m.changes
+        if (tick := m.schedule.next(change.at - 1)) <= min(end, m.schedule.last or 0)
+    ]  # fmt: skip
+    return sorted(found, key=lambda c: c["at_s"])
 
 
 def _plant_ticks(run: Run) -> int:

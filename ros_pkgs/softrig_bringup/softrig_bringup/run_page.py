@@ -46,6 +46,7 @@ def run_section(directory: Path, run: RunRecord, title: str, heading: str, ancho
         ("Block diagram", list(_rig(run))),
         ("Repeat this run", [e("pre", run.command)]),
         ("Parameters", list(_parameters(run))),
+        ("Changed while it ran", list(_changes(run))),
         ("Nodes", list(_nodes(run))),
         ("Sources", list(sources(run.citations))),
         ("Versions", [_pairs(run.versions)]),
@@ -175,6 +176,17 @@ def _parameters(run: RunRecord) -> Iterator[Element]:
         summary = e("summary", e("code", node), e("span", f" {count}", class_="note"))
         shown = {name: _value(value, units.get(name, "")) for name, value in values.items()}
         yield e("details", summary, _pairs(shown))
+
+
+def _changes(run: RunRecord) -> Iterator[Element]:
+    """What was changed while it ran; the parameters above are those of the start."""
+    rows: list[list[Element | str]] = [
+        [f"{change.at_s:.9g}", e("code", f"{change.node}.{name}"),
+         _value(value, run.units.get(change.node, {}).get(name, ""))]
+        for change in run.changes for name, value in change.set.items()
+    ]  # fmt: skip
+    if rows:
+        yield table(["From t, s", "Parameter", "Value"], rows, "n  ")
 
 
 def _value(value: Any, unit: str) -> str:

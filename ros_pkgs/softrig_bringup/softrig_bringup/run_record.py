@@ -25,6 +25,14 @@ class _Status(BaseModel):
     refused: dict[str, tuple[int, str]] = {}
 
 
+class _Changed(BaseModel):
+    """What changed while it ran: from which tick on, of which node."""
+
+    at_s: float
+    node: str
+    set: dict[str, Any]
+
+
 class RunRecord(BaseModel):
     """What the pages need of ``metrics.json``."""
 
@@ -48,6 +56,7 @@ class RunRecord(BaseModel):
     metrics: tuple[Result, ...]
     plots: tuple[PlotEntry, ...] = ()
     parameters: dict[str, dict[str, Any]]
+    changes: tuple[_Changed, ...] = ()
     units: dict[str, dict[str, str]] = {}
     versions: dict[str, str]
     code: dict[str, str] = {}

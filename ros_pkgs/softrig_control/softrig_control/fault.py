@@ -22,29 +22,36 @@ class FaultParams(LinkParams):
     kind: Kind = param("offset", "what happens to the messages")
     affects: tuple[str, ...] = param((), "channels or single values (``shaft/velocity``) concerned; empty: all")
     value: tuple[float, ...] = param((1.0,), "offset; factor; drift a second; standard deviation of the noise; step; "
-                                     "upper limit; height of a spike: one, or one for each concerned")  # fmt: skip
-    lower: tuple[float, ...] = param((), "lower limit of `saturate`; empty: -value")
-    points: tuple[float, ...] = param((), "of `add` and `replace`: values of a profile over `span`, equally spaced")
-    span: float = param(1.0, "time that the points cover, from `start` on; the last one stays", "s", gt=0.0)
+                                     "upper limit; height of a spike: one, or one for each concerned",
+                                     live=True)  # fmt: skip
+    lower: tuple[float, ...] = param((), "lower limit of `saturate`; empty: -value", live=True)
+    points: tuple[float, ...] = param(
+        (), "of `add` and `replace`: values of a profile over `span`, equally spaced", live=True
+    )
+    span: float = param(1.0, "time that the points cover, from `start` on; the last one stays", "s", gt=0.0, live=True)
     linear: bool = param(
         False, "whether the points are joined by lines, the last one at the end of `span`, or are steps"
     )
-    start: float = param(0.0, "time from which the fault is there", "s", ge=0.0)
-    stop: float = param(0.0, "time from which it is gone; 0: it stays", "s", ge=0.0)
-    every: float = param(0.0, "it comes and goes with this period; 0: it stays", "s", ge=0.0)
-    lasts: float = param(0.0, "how long it is there in each period", "s", ge=0.0)
-    probability: float = param(1.0, "of `spike`, `loss`, `repeat` and `invalid`, for each message", ge=0.0, le=1.0)
-    lost_in_burst: float = param(1.0, "probability that a message is lost in a burst (Gilbert-Elliott)", ge=0.0, le=1.0)
+    start: float = param(0.0, "time from which the fault is there", "s", ge=0.0, live=True)
+    stop: float = param(0.0, "time from which it is gone; 0: it stays", "s", ge=0.0, live=True)
+    every: float = param(0.0, "it comes and goes with this period; 0: it stays", "s", ge=0.0, live=True)
+    lasts: float = param(0.0, "how long it is there in each period", "s", ge=0.0, live=True)
+    probability: float = param(
+        1.0, "of `spike`, `loss`, `repeat` and `invalid`, for each message", ge=0.0, le=1.0, live=True
+    )
+    lost_in_burst: float = param(
+        1.0, "probability that a message is lost in a burst (Gilbert-Elliott)", ge=0.0, le=1.0, live=True
+    )
     burst_begins: float = param(0.0, "probability that a burst of losses begins at a message; 0: none does", ge=0.0,
-                                le=1.0)  # fmt: skip
-    burst_ends: float = param(1.0, "probability that it ends at a message", gt=0.0, le=1.0)
-    delay: float = param(0.0, "of `delay`, rounded up to whole periods", "s", ge=0.0, le=1e4)
+                                le=1.0, live=True)  # fmt: skip
+    burst_ends: float = param(1.0, "probability that it ends at a message", gt=0.0, le=1.0, live=True)
+    delay: float = param(0.0, "of `delay`, rounded up to whole periods", "s", ge=0.0, le=1e4, live=True)
     jitter: float = param(0.0, "largest additional delay; whole periods from 0 up to it are equally likely", "s",
-                          ge=0.0, le=1e4)  # fmt: skip
+                          ge=0.0, le=1e4, live=True)  # fmt: skip
     overtaking: bool = param(True, "whether a message may arrive before one sent earlier, which is then dropped")
     holds: bool = param(False, "say the value held again in place of silence, for a reader that cannot be told of it; "
                         "at first `initial`")  # fmt: skip
-    active: bool = param(True, "whether it is switched on at first; the button `toggle` switches")
+    active: bool = param(True, "whether it is switched on at first; the button `toggle` switches", live=True)
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
@@ -103,7 +110,12 @@ class Fault(Block[FaultParams]):
     -----
     ``drift`` grows from the moment the fault begins, ``stuck`` holds the value of that moment. The random numbers
     depend on the rig's seed and the node's name; they are drawn for every message, so that neither `start` nor
-    `toggle` shifts them. A lost message is drawn independently, or in bursts after Gilbert and Elliott [1]_ where
+    `toggle` shifts them.
+
+    What may change while it runs (when, how much, how often, `active`) acts on the messages from then on: what is under
+    way arrives when it was to, and what has begun keeps its beginning. A changed `active` switches as `toggle` does.
+
+    A lost message is drawn independently, or in bursts after Gilbert and Elliott [1]_ where
     `burst_begins` > 0.
 
     References
@@ -131,6 +143,12 @@ class Fault(Block[FaultParams]):
         self._concerned = p.concerned()
         self._values = p.value if len(p.value) > 1 else p.value * len(self._concerned)
         self._limits = list(zip(*p.range(), strict=True)) if p.kind == "saturate" else []
+
+    def change(self, params: FaultParams) -> None:
+        """Be there at other times, by another amount, or be switched on or off."""
+        if params.active != self.p.active:
+            self._on = params.active
+        super().change(params)
 
     def start(self) -> None:
         """Switched as the parameters say, nothing under way."""

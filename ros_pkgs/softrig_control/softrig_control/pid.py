@@ -8,12 +8,14 @@ from softrig_core import Params, param
 class PidParams(Params):
     """Gains of `Pid`; inherit for a node's parameters and give the published values."""
 
-    kp: float = param(1.0, "proportional gain Kp")
-    ki: float = param(0.0, "integral gain Ki", "1/s")
-    kd: float = param(0.0, "derivative gain Kd", "s")
-    n_filter: float = param(100.0, "corner N of the derivative filter Kd N s/(s + N)", "1/s", gt=0.0)
-    anti_windup: bool = param(True, "stop the integral while the output is beyond u_max and the error drives it on")
-    u_max: float = param(1.0, "actuator limit that anti_windup assumes; the output itself is not clipped", gt=0.0)
+    kp: float = param(1.0, "proportional gain Kp", live=True)
+    ki: float = param(0.0, "integral gain Ki", "1/s", live=True)
+    kd: float = param(0.0, "derivative gain Kd", "s", live=True)
+    n_filter: float = param(100.0, "corner N of the derivative filter Kd N s/(s + N)", "1/s", gt=0.0, live=True)
+    anti_windup: bool = param(True, "stop the integral while the output is beyond u_max and the error drives it on",
+                              live=True)  # fmt: skip
+    u_max: float = param(1.0, "actuator limit that anti_windup assumes; the output itself is not clipped", gt=0.0,
+                         live=True)  # fmt: skip
 
 
 class Pid:
@@ -30,15 +32,36 @@ class Pid:
     gains : PidParams
     period : float
         Ts in s.
+
+    Notes
+    -----
+    `retune` is bumpless, u is the same for the same error: I is kept in units of u, so another Ki acts on what comes;
+    another Kp moves the difference (Kp_old - Kp_new) e into I, as Astrom and Hagglund have it [1]_; the derivative's
+    memory d stays and another Kd or N acts on the next change of e. Without integral action (Ki = 0) nothing would
+    ever take that difference away again, so I stays and u jumps with Kp.
+
+    References
+    ----------
+    .. [1] K. J. Astrom, T. Hagglund, PID Controllers: Theory, Design, and Tuning, 2nd ed., ISA 1995, chapter 3.
     """
 
     def __init__(self, gains: PidParams, period: float) -> None:
+        self._take(gains, period)
+        self.reset()
+
+    def _take(self, gains: PidParams, period: float) -> None:
         self._kp = gains.kp
         self._ki_ts = gains.ki * period
         self._kd_n = gains.kd * gains.n_filter
         self._decay = 1.0 + gains.n_filter * period
         self._limit = gains.u_max if gains.anti_windup else float("inf")
-        self.reset()
+
+    def retune(self, gains: PidParams, period: float) -> None:
+        """Go on with other gains, without a bump."""
+        kp = self._kp
+        self._take(gains, period)
+        if self._ki_ts and self._kp != kp:
+            self._integral += (kp - self._kp) * self._error
 
     def reset(self) -> None:
         """Forget the past: no integral, no error before the next one."""

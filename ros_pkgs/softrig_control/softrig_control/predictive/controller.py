@@ -30,19 +30,22 @@ class GpcLawParams(BlockParams):
     N1: int = param(1, "first predicted sample that counts", ge=1, le=1000)
     Np: int = param(11, "prediction horizon", ge=1, le=1000)
     Nc: int = param(2, "control horizon, number of moves", ge=1, le=50)
-    lam: float = param(1.0, "weight lambda of the moves", ge=0.0, le=1e12)
-    u_min: float = param(-UNBOUNDED, "smallest command", ge=-UNBOUNDED, le=UNBOUNDED)
-    u_max: float = param(UNBOUNDED, "largest command", ge=-UNBOUNDED, le=UNBOUNDED)
+    lam: float = param(1.0, "weight lambda of the moves", ge=0.0, le=1e12, live=True)
+    u_min: float = param(-UNBOUNDED, "smallest command", ge=-UNBOUNDED, le=UNBOUNDED, live=True)
+    u_max: float = param(UNBOUNDED, "largest command", ge=-UNBOUNDED, le=UNBOUNDED, live=True)
     du_max: float = param(UNBOUNDED, "largest move in one period; for the solvers, the closed form knows none",
-                          gt=0.0, le=UNBOUNDED)  # fmt: skip
+                          gt=0.0, le=UNBOUNDED, live=True)  # fmt: skip
     solver: Literal["closed_form", "daqp", "osqp", "qpoases"] = param(
         "closed_form", "closed form, clipped to u_min and u_max, or a solver that keeps all bounds for all moves"
     )
-    set_point: float = param(0.0, "reference until one arrives", ge=-UNBOUNDED, le=UNBOUNDED)
+    set_point: float = param(0.0, "reference until one arrives", ge=-UNBOUNDED, le=UNBOUNDED,
+                             live=True)  # fmt: skip
     u_start: float = param(0.0, "command that was applied before the start", ge=-UNBOUNDED, le=UNBOUNDED)
-    u_safe: float = param(0.0, "command after a trip", ge=-UNBOUNDED, le=UNBOUNDED)
-    trip_low: float = param(-UNBOUNDED, "measured value at or below which the law trips", ge=-UNBOUNDED, le=UNBOUNDED)
-    trip_high: float = param(UNBOUNDED, "measured value above which the law trips", ge=-UNBOUNDED, le=UNBOUNDED)
+    u_safe: float = param(0.0, "command after a trip", ge=-UNBOUNDED, le=UNBOUNDED, live=True)
+    trip_low: float = param(-UNBOUNDED, "measured value at or below which the law trips", ge=-UNBOUNDED, le=UNBOUNDED,
+                            live=True)  # fmt: skip
+    trip_high: float = param(UNBOUNDED, "measured value above which the law trips", ge=-UNBOUNDED, le=UNBOUNDED,
+                             live=True)  # fmt: skip
     measured: str = param("output/v_dc/position", "signal under control, topic/channel/field")
     measured_also: tuple[str, ...] = param((), "channels that come in the same message as the measured signal")
     measured_unit: str = param("V", "its unit, and that of the reference")
@@ -107,6 +110,9 @@ class GpcController(Block[P]):
     A programme without a solution holds the last command. Bad input, too; the third bad sample in a row, or a measured
     value outside `trip_low`, `trip_high`, trips: `u_safe` from then on, for good. A loop that swings without end, as
     under gains of another plant, is told as a warning.
+
+    Other weights and bounds change the next move and not the command that it starts from, so nothing jumps; another
+    `set_point` counts until a reference arrives. A trip stays one, with the `u_safe` that it tripped to.
     """
 
     @classmethod
@@ -128,6 +134,14 @@ class GpcController(Block[P]):
         if p.solver != "closed_form":
             name: SolverName = p.solver
             self._solver = make_solver(name, self.law.hessian, p.du_max)
+
+    def change(self, params: P) -> None:
+        """Take another weight, bounds or set point: the law goes on from its command and what it has measured."""
+        before = self.law
+        if params.set_point != self.p.set_point:
+            self._w = params.set_point
+        super().change(params)
+        self.law.go_on(before)
 
     def start(self) -> None:
         """Forget everything."""

@@ -98,6 +98,10 @@ class Gpc:
         self._y = [y] * len(self.outputs)
         self._moves = [0.0] * len(self.past)
 
+    def go_on(self, before: Gpc) -> None:
+        """Go on where another law of the same model stood: its command, past outputs and past moves."""
+        self.u, self._y, self._moves = before.u, before._y, before._moves
+
     def measure(self, y: float) -> None:
         """Take y(t) in."""
         self._y.insert(0, y)

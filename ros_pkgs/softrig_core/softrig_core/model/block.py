@@ -100,6 +100,22 @@ class Block(Generic[P]):
     def setup(self) -> None:
         """Compute what depends on the parameters only; called once. Import heavy libraries here."""
 
+    def change(self, params: P) -> None:
+        """Go on with other parameters, between two ticks; the state stays as it is.
+
+        By default `setup` is called again, which must then make nothing that holds state. A block whose state means
+        something else under other parameters overrides it and says in its docstring what happens to that state: where
+        the field expects it, the output does not jump. Only parameters declared ``live=True`` differ; the values were
+        checked on a spare block.
+
+        Parameters
+        ----------
+        params : BlockParams
+            Those to go on with; `p` are still those of before.
+        """
+        self.p = params
+        self.setup()
+
     def warm_up(self) -> None:
         """Call native code that a tick on first values does not reach; asked before a node begins, of a spare block."""
 

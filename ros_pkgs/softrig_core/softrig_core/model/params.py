@@ -22,7 +22,10 @@ class ParameterError(ValueError):
     """A parameter is unknown, of the wrong type or out of bounds; the message names it."""
 
 
-def param(default: Any, doc: str, unit: str = "", *, each: tuple[float, float] | None = None, **bounds: Any) -> Any:
+def param(
+    default: Any, doc: str, unit: str = "", *, each: tuple[float, float] | None = None, live: bool = False,
+    **bounds: Any,
+) -> Any:  # fmt: skip
     """Declare one field of a `Params` class.
 
     Parameters
@@ -35,11 +38,14 @@ def param(default: Any, doc: str, unit: str = "", *, each: tuple[float, float] |
         SI unit, empty for a pure number.
     each : (float, float), optional
         Least and largest value of every element of a list.
+    live : bool
+        Whether it may change while the block runs (`softrig_core.model.block.Block.change`): gains, limits, set
+        points, switches; not what sets a size, a port or the period.
     **bounds
         ``gt``, ``ge``, ``lt``, ``le``, ``min_length``, ``max_length`` as in pydantic. A number without them is bounded
         by `LARGEST` alone; a count that sets an effort or a size needs its own.
     """
-    extra: dict[str, Any] = {"unit": unit} | ({} if each is None else {"each": each})
+    extra: dict[str, Any] = {"unit": unit} | ({} if each is None else {"each": each}) | ({"live": True} if live else {})
     return Field(default, description=doc, json_schema_extra=extra, **bounds)
 
 
@@ -117,6 +123,7 @@ class Declaration:
     unit: str
     lower: float | None
     upper: float | None
+    live: bool
 
 
 def declarations(model: type[Params], prefix: str = "") -> list[Declaration]:
@@ -144,6 +151,7 @@ def declarations(model: type[Params], prefix: str = "") -> list[Declaration]:
                 str(extra.get("unit", "")) if isinstance(extra, dict) else "",
                 lower,
                 upper,
+                isinstance(extra, dict) and bool(extra.get("live")),
             )
         )
     return found

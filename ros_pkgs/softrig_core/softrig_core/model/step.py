@@ -5,13 +5,16 @@ It knows what the inputs of a tick are and how old, asks the block, and lets not
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import math
+from collections import deque
+from collections.abc import Callable, Iterable, Mapping
 from operator import itemgetter
 from typing import Any
 
 from ..errors import RunError, describe
 from .answer import Row, check, flat, usual
 from .block import Block, Level, Plant
+from .change import Change, revise
 from .port import Port, Sample
 from .schedule import Schedule
 
@@ -28,6 +31,8 @@ class Step:
     block : Block
     schedule : Schedule
     inputs, outputs : sequence of Port
+    changes : iterable of Change
+        Of the block's parameters, in the order of their times.
 
     Attributes
     ----------
@@ -56,8 +61,9 @@ class Step:
     moved: Callable[[], object] | None = None
 
     def __init__(
-        self, name: str, block: Block, schedule: Schedule, inputs: tuple[Port, ...], outputs: tuple[Port, ...]
-    ) -> None:
+        self, name: str, block: Block, schedule: Schedule, inputs: tuple[Port, ...], outputs: tuple[Port, ...],
+        changes: Iterable[Change] = (),
+    ) -> None:  # fmt: skip
         self.name, self.block, self.schedule = name, block, schedule
         self.inputs, self.outputs = inputs, outputs
         self.values: dict[str, Any] = {p.name: p.initial for p in inputs}
@@ -78,6 +84,8 @@ class Step:
         if not isinstance(block, Plant) and block.finishes():
             self.respond = self._finish_or_update
         block.ages = self.age
+        self._changes = deque(changes)
+        self._change_at = self._changes[0].at if self._changes else math.inf
 
     # what a tick is -----------------------------------------------------------------------------------------------
 
@@ -91,6 +99,8 @@ class Step:
         """
         self.t = t
         try:
+            if t >= self._change_at:
+                self._change(t)
             self.said = found = self.refused(t) if self.bad else self.respond(t, **self._asked)
             rows = self.checked(found)
         except RunError as error:
@@ -149,6 +159,13 @@ class Step:
         self.bad = False
         own = self.block.refused(t)
         return self.held() if own is None else own
+
+    def _change(self, t: int) -> None:
+        """Take the changes that are due: those up to `t`."""
+        changes = self._changes
+        while changes and changes[0].at <= t:
+            self.block.change(revise(self.block.p, changes.popleft().values))
+        self._change_at = changes[0].at if changes else math.inf
 
     # its parts ----------------------------------------------------------------------------------------------------
 

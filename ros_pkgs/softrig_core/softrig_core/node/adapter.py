@@ -15,6 +15,7 @@ from typing import Any, Literal, Protocol
 from ..errors import RunError
 from ..model.answer import flat
 from ..model.block import Block, Level, Plant
+from ..model.change import loads
 from ..model.port import CLOCK, Port, Sample
 from ..model.schedule import Schedule
 from ..model.step import Rows, Step
@@ -103,7 +104,7 @@ class Adapter:
             block.p.period, self.links.base or None, options.duration, block.speaks_at_end()
         )  # fmt: skip
         inputs, outputs = block.ports(block.p)
-        self.step = Step(middleware.name, block, self.schedule, inputs, outputs)
+        self.step = Step(middleware.name, block, self.schedule, inputs, outputs, loads(options.changes))
         self.values = self.step.values
         self.is_plant = isinstance(block, Plant)
         self.namespace = middleware.full_name.rsplit("/", 1)[0]

@@ -106,7 +106,7 @@ def usage(name: str, block_class: type[Block]) -> str:
     lines += ["", "Parameters, each as `--ros-args -p NAME:=VALUE` (node name, remaps and files as in any ROS 2 node):"]
     for d in [*declarations(block_class.Params), *declarations(RunOptions, "run.")]:
         unit = f" {d.unit}" if d.unit else ""
-        lines.append(f"  {d.name} = {d.default!r}{unit}: {d.doc}")
+        lines.append(f"  {d.name} = {d.default!r}{unit}: {d.doc}{'; may change while running' if d.live else ''}")
     return "\n".join(lines)
 
 

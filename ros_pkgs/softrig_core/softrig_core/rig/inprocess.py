@@ -76,7 +76,7 @@ def wired(rig: Rig, blocks: dict[str, Block]) -> dict[str, Step]:
 
 def step_of(member: Member, block: Block) -> Step:
     """Make the step of a member."""
-    return Step(member.name, block, member.schedule, member.inputs, member.outputs)
+    return Step(member.name, block, member.schedule, member.inputs, member.outputs, member.changes)
 
 
 def record(rig: Rig, steps: Mapping[str, Step], sink: Sink) -> None:

@@ -34,6 +34,7 @@ class RunOptions(Params):
         0, "realtime: wall-clock time in ns that is t = 0, 0 = when all nodes of the rig are up", ge=0, le=2**63 - 1
     )
     links: str = param("", "JSON of `Links`, written by the runner", max_length=1 << 20)
+    changes: str = param("", "JSON of changes of parameters while it runs, written by the runner", max_length=1 << 20)
 
 
 class InputLink(BaseModel):

@@ -12,6 +12,7 @@ from pydantic import ValidationError
 
 from ..errors import ScenarioError, closest, describe
 from ..model.block import Block, Plant
+from ..model.change import Change
 from ..model.codec import selection
 from ..model.params import BlockParams, ParameterError, build, flatten
 from ..model.port import CLOCK, Port, Refused
@@ -19,6 +20,7 @@ from ..model.schedule import Schedule
 from ..wire.cdr import Pick
 from ..wire.signals import full_name
 from .agreement import require_agreement
+from .changes import script
 from .faults import insert
 from .node_parameters import NodeParameters
 from .requirements import watched
@@ -52,6 +54,7 @@ class Member:
     remap: dict[str, str]
     links: dict[str, Link]
     schedule: Schedule
+    changes: tuple[Change, ...] = ()
 
     @property
     def is_plant(self) -> bool:
@@ -107,6 +110,7 @@ class Rig:
             raise ScenarioError(f"{scenario.name}: {scenario.duration:g} s are {clock.schedule.ticks:.3g} periods of "
                                 f"{clock.name}, expected at most {TICKS:.0e}")  # fmt: skip
         require_agreement(scenario.name, members)
+        script(scenario.name, scenario.changes, members)
         _wire(scenario, members)
         rig = cls(_whole_names(scenario, members), (*plants, *_sorted([m for m in members if not m.is_plant])), clock)
         return cls.from_scenario(_with_watchers(rig), classes) if _live(scenario) else rig

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
 from ..errors import ScenarioError, closest
+from .changes import ChangeEntry
 from .claims import Claim
 from .expectation import Expected
 from .faults import WORDS, FaultEntry
@@ -98,6 +99,8 @@ class Scenario(_Model):
         Keys of entries in ``references.bib``, beside the scenario files.
     faults : dict of str to FaultEntry
         What goes wrong on links, by the name of the node that does it.
+    changes : list of ChangeEntry
+        Parameters that change while it runs.
     figures : dict of str to FigureEntry
         What is measured, by name.
     expect : dict of str to Expectation
@@ -126,6 +129,7 @@ class Scenario(_Model):
     nodes: dict[NodeName, NodeEntry] = Field(min_length=1)
     containers: tuple[tuple[str, ...], ...] = ()
     faults: Annotated[dict[NodeName, FaultEntry], BeforeValidator(_or_empty)] = {}
+    changes: tuple[ChangeEntry, ...] = ()
     figures: Annotated[dict[str, FigureEntry], BeforeValidator(_or_empty)] = {}
     expect: Annotated[dict[str, Expected], BeforeValidator(_or_empty)] = {}
     claims: Annotated[dict[str, Claim], BeforeValidator(_or_empty)] = {}

@@ -10,6 +10,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from ..model.change import dumps
 from ..model.params import flatten
 from .children import Child
 from .executables import find_executable
@@ -56,6 +57,7 @@ def node_parameters(rig: Rig, member: Member, seed: int, mode: str, *,
         "run.timeout": rig.scenario.timeout,
         "run.start_timeout": rig.scenario.start_timeout,
         "run.links": links(rig, member).model_copy(update=others).model_dump_json(),
+        "run.changes": dumps(member.changes),
     }
 
 

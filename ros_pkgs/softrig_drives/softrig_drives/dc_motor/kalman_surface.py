@@ -17,7 +17,7 @@ from .sliding_mode import SurfaceControl, SurfaceParams
 class DcMotorSmcKalmanParams(SensorConstants, MotorConstants, SurfaceParams):
     """The law, the filter's model of motor and encoder, and its noise variances."""
 
-    delta: float = param(5.0, "softening of K s/(|s| + delta); 0 is K sgn(s)", "rad/s^2", ge=0.0)
+    delta: float = param(5.0, "softening of K s/(|s| + delta); 0 is K sgn(s)", "rad/s^2", ge=0.0, live=True)
     var_current: float = param(6.4e-7, "variance of the measured current", "A^2", gt=0.0)
     var_w: float = param(1e-4, "variance of the speed's disturbance in one step", "rad^2/s^2", gt=0.0)
     var_i: float = param(1e-5, "variance of the current's disturbance in one step", "A^2", gt=0.0)
@@ -51,6 +51,12 @@ class DcMotorSmcKalman(SurfaceControl[DcMotorSmcKalmanParams]):
             r=(p.var_current, self._rad_per_count**2 / 12.0),
         )
         self._acceleration = (-p.b / p.J, p.Kt / p.J, -1.0 / p.J)
+
+    def change(self, params: DcMotorSmcKalmanParams) -> None:
+        """Take other gains of the law; the filter goes on as it is, none of its parameters is live."""
+        kept = self._filter
+        super().change(params)
+        self._filter = kept
 
     def start(self) -> None:
         """Begin with the estimate of a motor at rest."""

@@ -20,15 +20,16 @@ class SurfaceParams(SpeedControlParams):
     c and K/r are solved from rise and settling time of the paper's Table II.
     """
 
-    c: float = param(5.0320416, "slope c of the surface s = c e + e'", "1/s", gt=0.0)
+    c: float = param(5.0320416, "slope c of the surface s = c e + e'", "1/s", gt=0.0, live=True)
     k: float | None = param(
-        None, "switching gain K; absent: k_per_ref times the size of the reference", "rad/s^3", gt=0.0
+        None, "switching gain K; absent: k_per_ref times the size of the reference", "rad/s^3", gt=0.0, live=True
     )
-    k_per_ref: float = param(9.71170883, "switching gain per reference K/|r|", "1/s^2", gt=0.0)
-    delta: float = param(0.0, "softening of K s/(|s| + delta); 0 is K sgn(s)", "rad/s^2", ge=0.0)
-    model_gain: float = param(13.89, "gain of the law's model w'' = gain u - a1 w' - a0 w, eq. (16)", gt=0.0)
-    model_a1: float = param(5.648, "coefficient a1 of that model", "1/s")
-    model_a0: float = param(1.509, "coefficient a0 of that model", "1/s^2")
+    k_per_ref: float = param(9.71170883, "switching gain per reference K/|r|", "1/s^2", gt=0.0, live=True)
+    delta: float = param(0.0, "softening of K s/(|s| + delta); 0 is K sgn(s)", "rad/s^2", ge=0.0, live=True)
+    model_gain: float = param(13.89, "gain of the law's model w'' = gain u - a1 w' - a0 w, eq. (16)", gt=0.0,
+                              live=True)  # fmt: skip
+    model_a1: float = param(5.648, "coefficient a1 of that model", "1/s", live=True)
+    model_a0: float = param(1.509, "coefficient a0 of that model", "1/s^2", live=True)
     publish_surface: bool = param(False, "also publish s on motor/surface")
 
 
@@ -46,6 +47,8 @@ class SurfaceControl(SpeedControl[P]):
 
     with wd' = wd'' = 0, because the reference is a constant that may step. On the ideal motor s' = -K sgn(s). Where K
     follows the reference, a reference of zero keeps the K of the one before, or nothing would brake the motor.
+
+    The law has no integral: other gains act at the next tick, and the voltage of a switching law may jump at any.
     """
 
     OUTPUTS = (COMMAND,)
@@ -65,16 +68,19 @@ class SurfaceControl(SpeedControl[P]):
     def start(self) -> None:
         """Begin with the set point and its switching gain."""
         super().start()
-        self._k_gain = 0.0  # until a reference other than zero gives it
+        self._size = 0.0  # of the reference that scales K: 0 until there is one other than zero
+        self._rescale(self._r)
+
+    def change(self, params: P) -> None:
+        """Take other gains, K for the reference that it was scaled to."""
+        super().change(params)
         self._rescale(self._r)
 
     def _rescale(self, r: float) -> None:
         p = self.p
         self._scaled_to = r
-        if p.k is not None:
-            self._k_gain = p.k / p.model_gain
-        elif r:
-            self._k_gain = p.k_per_ref * abs(r) / p.model_gain
+        self._size = abs(r) or self._size
+        self._k_gain = (p.k_per_ref * self._size if p.k is None else p.k) / p.model_gain
 
     def law(self, r: float, w: float, wd: float) -> Mapping[str, tuple[float, ...]]:
         """Answer for the reference r, the speed w and its derivative wd."""
@@ -91,9 +97,10 @@ class DcMotorSmcParams(SurfaceParams):
     wd_source: Literal["current", "diff"] = param(
         "current", "w' from the measured current, w' = wd_i i - wd_w w, or from the difference of speeds"
     )
-    wd_lp: float = param(0.0, "time constant of a first-order low-pass on w' of the difference; 0 is none", "s", ge=0.0)
-    wd_w: float = param(5.5, "b/J in w' of the current", "1/s")
-    wd_i: float = param(37.5, "Kt/J in w' of the current", "rad/s^2/A")
+    wd_lp: float = param(0.0, "time constant of a first-order low-pass on w' of the difference; 0 is none", "s", ge=0.0,
+                         live=True)  # fmt: skip
+    wd_w: float = param(5.5, "b/J in w' of the current", "1/s", live=True)
+    wd_i: float = param(37.5, "Kt/J in w' of the current", "rad/s^2/A", live=True)
 
 
 class DcMotorSmc(SurfaceControl[DcMotorSmcParams]):

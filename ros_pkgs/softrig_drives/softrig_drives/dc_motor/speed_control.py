@@ -13,8 +13,9 @@ from typing_extensions import TypeVar
 class SpeedControlParams(BlockParams):
     """Set point and its range."""
 
-    set_point: float = param(10.0, "speed reference until one arrives on motor/reference", "rad/s")
-    reference_limit: float = param(21.8, "largest speed whose current the rig's sensor can tell", "rad/s", gt=0.0)
+    set_point: float = param(10.0, "speed reference until one arrives on motor/reference", "rad/s", live=True)
+    reference_limit: float = param(21.8, "largest speed whose current the rig's sensor can tell", "rad/s", gt=0.0,
+                                   live=True)  # fmt: skip
 
     @model_validator(mode="after")
     def _set_point(self) -> Self:
@@ -32,12 +33,19 @@ class SpeedControl(Block[P]):
     """Base of the speed controllers.
 
     A law calls `reference` for the reference that holds at this tick. A tick of which something was refused gets
-    0 V and leaves the state of the law as it is.
+    0 V and leaves the state of the law as it is. Another `set_point` counts until a reference arrives; a smaller
+    `reference_limit` leaves the reference that is followed as it is.
     """
 
     def start(self) -> None:
         """Begin with the set point of the parameters."""
         self._r = self.p.set_point
+
+    def change(self, params: P) -> None:
+        """Follow another set point."""
+        if params.set_point != self.p.set_point:
+            self._r = params.set_point
+        super().change(params)
 
     def reference(self, message: tuple[float, ...] | None) -> float:
         """Give the reference to follow: the newest in range."""

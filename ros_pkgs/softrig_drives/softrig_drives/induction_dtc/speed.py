@@ -14,11 +14,11 @@ class SpeedControllerParams(PidParams, BlockParams):
     """Gains of the speed loop."""
 
     period: float = param(1e-3, "sampling period", "s", gt=0.0, le=100.0)
-    kp: float = param(1.5, "proportional gain K_p", "N m s/rad")
-    ki: float = param(15.0, "integral gain K_i", "N m/rad")
-    kd: float = param(0.0, "derivative gain K_d", "N m s^2/rad")
-    u_max: float = param(20.0, "largest torque reference", "N m", gt=0.0)
-    slew: float = param(500.0, "slew rate of the speed reference", "rad/s^2", gt=0.0)
+    kp: float = param(1.5, "proportional gain K_p", "N m s/rad", live=True)
+    ki: float = param(15.0, "integral gain K_i", "N m/rad", live=True)
+    kd: float = param(0.0, "derivative gain K_d", "N m s^2/rad", live=True)
+    u_max: float = param(20.0, "largest torque reference", "N m", gt=0.0, live=True)
+    slew: float = param(500.0, "slew rate of the speed reference", "rad/s^2", gt=0.0, live=True)
 
 
 class SpeedController(Block[SpeedControllerParams]):
@@ -31,6 +31,13 @@ class SpeedController(Block[SpeedControllerParams]):
         """Make the law."""
         self._pid = Pid(self.p, self.p.period)
         self._rise = self.p.slew * self.p.period
+
+    def change(self, params: SpeedControllerParams) -> None:
+        """Take other gains without a bump, see `softrig_control.pid.Pid.retune`."""
+        law = self._pid
+        super().change(params)
+        law.retune(params, params.period)
+        self._pid = law
 
     def start(self) -> None:
         """Stand still."""

@@ -14,9 +14,9 @@ class LsrmPiParams(SpeedControlParams):
     """The paper's gains and the scale that it does not tell."""
 
     K_F: float = param(80.0, "force for a control value of 1; gives the published peak error of 0.1 m/s", "N",
-                       gt=0.0, le=1e4)  # fmt: skip
-    K_p: float = param(1.3, "proportional gain", "s/m", ge=0.0, le=1e4)
-    K_i: float = param(3.2, "integral gain", "1/m", ge=0.0, le=1e5)
+                       gt=0.0, le=1e4, live=True)  # fmt: skip
+    K_p: float = param(1.3, "proportional gain", "s/m", ge=0.0, le=1e4, live=True)
+    K_i: float = param(3.2, "integral gain", "1/m", ge=0.0, le=1e5, live=True)
 
 
 class LsrmPi(SpeedControl[LsrmPiParams]):
@@ -27,8 +27,18 @@ class LsrmPi(SpeedControl[LsrmPiParams]):
 
     def setup(self) -> None:
         """Make the law."""
+        self._pid = Pid(self._gains(), self.p.period)
+
+    def _gains(self) -> PidParams:
         p = self.p
-        self._pid = Pid(PidParams(kp=p.K_F * p.K_p, ki=p.K_F * p.K_i, u_max=p.F_max), p.period)
+        return PidParams(kp=p.K_F * p.K_p, ki=p.K_F * p.K_i, u_max=p.F_max)
+
+    def change(self, params: LsrmPiParams) -> None:
+        """Take other gains without a bump, see `softrig_control.pid.Pid.retune`."""
+        law = self._pid
+        super().change(params)
+        law.retune(self._gains(), params.period)
+        self._pid = law
 
     def start(self) -> None:
         """No integral."""

@@ -1,0 +1,104 @@
+"""Changes of parameters while a block runs: checked as at the start, all or none, taken between two ticks."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from .params import BlockParams, ParameterError, build, declarations, flatten
+
+if TYPE_CHECKING:
+    from .block import Block
+
+
+class Change(NamedTuple):
+    """New values of parameters.
+
+    Parameters
+    ----------
+    at : int
+        ns; it takes effect at the first tick of its node that is not earlier.
+    values : mapping
+        Value by dotted name.
+    """
+
+    at: int
+    values: Mapping[str, Any]
+
+
+def dumps(changes: Iterable[Change]) -> str:
+    """Write changes as JSON, ``[[ns, {name: value}], ...]``; empty when there are none."""
+    found = [[change.at, dict(change.values)] for change in changes]
+    return json.dumps(found) if found else ""
+
+
+def loads(text: str) -> list[Change]:
+    """Read what `dumps` has written.
+
+    Raises
+    ------
+    ParameterError
+        Something else.
+    """
+    try:
+        return [Change(int(at), dict(values)) for at, values in json.loads(text or "[]")]
+    except (ValueError, TypeError) as error:
+        raise ParameterError(f"changes: expected [[ns, {{name: value}}], ...]: {error}") from None
+
+
+def changeable(model: type[BlockParams]) -> list[str]:
+    """Name the parameters that are declared ``live=True``."""
+    return [d.name for d in declarations(model) if d.live]
+
+
+def revise(params: BlockParams, values: Mapping[str, Any]) -> BlockParams:
+    """Give the parameters with other values.
+
+    Raises
+    ------
+    ParameterError
+        One of them is unknown, may not change while running, or does not fit; names it.
+    """
+    known, free = flatten(params), changeable(type(params))
+    for name in values:
+        if name in known and name not in free:
+            which = f"these may: {', '.join(free)}" if free else "none of this block's may"
+            raise ParameterError(f"parameter {name} may not change while running; {which}")
+    revised: Any = build(type(params), known | dict(values))
+    return revised  # type: ignore[no-any-return]
+
+
+def check(block_class: type[Block], params: BlockParams, values: Mapping[str, Any], name: str = "") -> BlockParams:
+    """Make sure that a block could begin with the changed parameters, and that its rig would still fit together.
+
+    Parameters
+    ----------
+    block_class : type of Block
+    params : BlockParams
+        As they are.
+    values : mapping
+        Value by dotted name.
+    name : str
+        Of the node.
+
+    Returns
+    -------
+    BlockParams
+        As they are to be.
+
+    Raises
+    ------
+    ParameterError
+        See `revise`; or the block cannot be set up with them, its ports would be others, or what the nodes of its rig
+        must agree on would differ.
+    """
+    revised = revise(params, values)
+    block_class(revised, name)
+    what = ", ".join(values)
+    if block_class.ports(revised) != block_class.ports(params):
+        raise ParameterError(f"{what}: the ports would be others, which may not change while running")
+    before, after = block_class.agreed(params), block_class.agreed(revised)
+    if changed := [key for key in after if before.get(key) != after[key]]:
+        raise ParameterError(f"{what}: {changed[0]} would change, on which the nodes of a rig must agree")
+    return revised

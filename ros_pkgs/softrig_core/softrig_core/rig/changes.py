@@ -1,0 +1,73 @@
+"""Changes that a scenario makes to parameters of its nodes while it runs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING, Any
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from ..errors import ScenarioError, closest
+from ..model.change import Change, check
+from ..model.params import ParameterError
+from ..timebase import to_ns
+from .faults import EXECUTABLE, PACKAGE, WORDS
+
+if TYPE_CHECKING:
+    from .rig import Member
+
+
+class ChangeEntry(BaseModel):
+    """New values of parameters from a time on.
+
+    Parameters
+    ----------
+    at : float
+        In s. Each node takes its own at its first tick that is not earlier.
+    set : dict
+        ``node.parameter`` to value; of a fault, ``fault.active``.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    at: float = Field(ge=0, le=1e9)
+    set: dict[str, Any] = Field(min_length=1)
+
+
+def script(where: str, entries: Sequence[ChangeEntry], members: Iterable[Member]) -> None:
+    """Give each member its changes, in the order of their times, each checked against those before it.
+
+    Parameters
+    ----------
+    where : str
+        Name of the scenario, for errors.
+    entries : sequence of ChangeEntry
+    members : iterable of Member
+
+    Raises
+    ------
+    ScenarioError
+        No such node, a node of somebody else, or values that `softrig_core.model.change.check` refuses.
+    """
+    known = {m.name: m for m in members}
+    now = {m.name: m.params for m in known.values()}
+    for entry in sorted(entries, key=lambda e: e.at):
+        at = f"{where}: change at {entry.at:g} s"
+        by_node: dict[str, dict[str, Any]] = {}
+        for key, value in entry.set.items():
+            node, _, parameter = key.partition(".")
+            if node not in known or not parameter:
+                raise ScenarioError(f"{at}: {key!r}{closest(node, known)}: expected node.parameter with node one of "
+                                    f"{', '.join(known)}")  # fmt: skip
+            if (known[node].package, known[node].executable) == (PACKAGE, EXECUTABLE):
+                parameter = WORDS.get(parameter, parameter)
+            by_node.setdefault(node, {})[parameter] = value
+        for node, values in by_node.items():
+            member = known[node]
+            if member.external:
+                raise ScenarioError(f"{at}: node {node} is external: its parameters are not ours to change")
+            try:
+                now[node] = check(member.block_class, now[node], values, node)
+            except (ParameterError, ValueError) as error:
+                raise ScenarioError(f"{at}: node {node}: {error}") from None
+            member.changes = (*member.changes, Change(to_ns(entry.at), values))

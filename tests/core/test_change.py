@@ -1,0 +1,170 @@
+"""Parameters that change while a rig runs: checked like those of the start, between two ticks, alike in every place."""
+
+import json
+
+import pytest
+from conftest import differences, in_process
+from simulated import SimulatedRig, World
+from softrig_bringup.report import write_report
+from softrig_bringup.run import summary
+from softrig_core import (
+    Block,
+    BlockParams,
+    ParameterError,
+    Rig,
+    ScenarioError,
+    Signals,
+    feed,
+    load_scenario,
+    param,
+    simulate,
+)
+from softrig_core.model.change import changeable, check
+from softrig_core.model.params import flatten
+from softrig_core.rig.rig import load_block
+
+
+def rig_of(name, duration, changes, overrides=None, **keys):
+    """A scenario with changes, ``{time: {node.parameter: value}}``."""
+    found = load_scenario(name, overrides).changed(duration=duration)
+    entries = [{"at": at, "set": values} for at, values in changes.items()]
+    return Rig.from_scenario(type(found).model_validate({**dict(found), **keys, "changes": entries}))
+
+
+OFFSET = {"offset": {"link": "motor/state -> dc_motor_smc", "kind": "offset", "value": [2.0], "active": False}}
+CASES = {  # scenario, duration, changes, further keys
+    "sliding mode": (
+        "dc_motor_smc_b2",
+        0.15,
+        {0.05: {"dc_motor_smc.k": 60.0}, 0.1011: {"dc_motor_smc.delta": 0.5}},
+        {},
+    ),
+    "pid": ("dc_motor_smc_b5_pid", 0.15, {0.05: {"dc_motor_pid.kp": 3.0}, 0.1: {"dc_motor_pid.ki": 90.0}}, {}),
+    "gpc": ("rectifier_mpc_seed19", 0.03, {0.01: {"gpc_controller.set_point": 300.0, "gpc_controller.lam": 50.0}}, {}),
+    "fault": ("dc_motor_smc_b2", 0.1, {0.05: {"offset.active": True}, 0.08: {"offset.to": 0.09}}, {"faults": OFFSET}),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_a_scripted_change_gives_the_same_bytes_in_every_placement(case):
+    name, duration, changes, keys = CASES[case]
+    rig = rig_of(name, duration, changes, **keys)
+    here = in_process(rig)
+    unchanged = in_process(rig_of(name, duration, {}, **keys))
+    assert differences(here, unchanged)
+    first = min(changes)
+    for topic in here.topics:  # nothing before the first change differs, and nothing waits a tick longer
+        k = sum(t < first * 1e9 for t in here.topics[topic].times)
+        assert here.topics[topic].data[:k] == unchanged.topics[topic].data[:k]
+    names = [m.name for m in rig.members]
+    for groups in ((), [names], [names[::2]]):
+        run = SimulatedRig(rig, World(), "lockstep", groups=groups)
+        assert set(run.run().values()) == {"done"}
+        assert not differences(here, run.recording), groups
+
+
+def test_a_change_takes_effect_at_the_first_tick_that_is_not_earlier():
+    rig = rig_of("dc_motor_smc_b2", 0.1, {0.0501: {"dc_motor_smc.set_point": 5.0, "dc_motor_smc.k": 60.0}})
+    a, b = (Signals(in_process(r))["motor/command/armature/effort"]
+            for r in (rig, rig_of("dc_motor_smc_b2", 0.1, {})))  # fmt: skip
+    law = next(m for m in rig.members if m.name == "dc_motor_smc")
+    k = next(k for k in range(len(a[0])) if a[1][k] != b[1][k])
+    assert a[0][k] >= 0.0501 > a[0][k] - float(law.schedule.period)
+
+
+def test_replay_into_one_node_takes_the_changes():
+    rig = rig_of(*CASES["sliding mode"][:3])
+    recording = in_process(rig)
+    law = next(m for m in rig.members if m.name == "dc_motor_smc")
+    answers = feed(law, 0, recording)
+    assert answers.topics["motor/command"].data == recording.topics["motor/command"].data
+
+
+STATEFUL = {"dc_motor_smc_b2": 0.1, "dc_motor_smc_b5_pid": 0.1, "dc_motor_smc_b4": 0.1, "rectifier_mpc_n4": 0.03,
+            "lsrm_fuzzy_pi": 0.05, "induction_dtc_short": 0.1, "rectifier_mpc_n1_qp1": 0.03}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", STATEFUL)
+def test_a_change_to_the_same_values_changes_no_byte(name):
+    """What a law remembers is kept: its `change` makes nothing anew that holds state."""
+    plain = rig_of(name, STATEFUL[name], {})
+    same = {f"{m.name}.{k}": v for m in plain.members for k, v in flatten(m.params).items()
+            if k in changeable(m.block_class.Params)}  # fmt: skip
+    assert same, name
+    times = [STATEFUL[name] * part for part in (0.31, 0.7)]
+    assert not differences(in_process(plain), in_process(rig_of(name, STATEFUL[name], dict.fromkeys(times, same))))
+
+
+def test_other_gains_of_a_pid_do_not_move_its_output():
+    pid = load_block("softrig_drives", "dc_motor_pid")(kp=2.0, ki=5.0, kd=0.1)
+    for k in range(50):
+        before = pid.update(k, state=(0.1 * k,), reference=(10.0,))["command"][0]
+    integral = pid._pid._integral
+    pid.change(check(type(pid), pid.p, {"kp": 4.0, "kd": 0.3}))
+    assert pid._pid._integral != integral
+    after = pid.update(50, state=(0.1 * 49,), reference=(10.0,))["command"][0]  # the same error once more
+    drift = 5.0 * pid.p.period * (10.0 - 4.9)  # of the integral in one period
+    derivative = pid._pid._derivative
+    assert after == pytest.approx(before + drift + derivative - derivative * (1.0 + 100.0 * pid.p.period), abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"dc_motor_smc.period": 0.1}, "parameter period may not change while running; these may: "),
+        ({"dc_motor_smc.kk": 0.1}, "parameter kk is unknown"),
+        ({"dc_motor_smc.k": -1.0}, "parameter k = -1.0: input should be greater than 0"),
+        ({"dc_motor_smc.k": "much"}, "parameter k = 'much'"),
+        ({"dc_motor_smc.k": 60.0, "dc_motor_smc.set_point": 30.0}, "beyond reference_limit = 21.8 rad/s"),
+        ({"dc_motor_smcc.k": 60.0}, "expected node.parameter with node one of"),
+        ({"dc_motor_smc": 60.0}, "expected node.parameter with node one of"),
+    ],
+)
+def test_a_change_that_cannot_be_is_refused_before_the_run(changes, said):
+    with pytest.raises(ScenarioError, match=r"^dc_motor_smc_b2: change at 0\.05 s: ") as error:
+        rig_of("dc_motor_smc_b2", 0.1, {0.05: changes})
+    assert said in str(error.value)
+
+
+def test_what_only_another_change_allows_is_checked_in_the_order_of_time():
+    allowed = {0.05: {"dc_motor_smc.reference_limit": 40.0}, 0.06: {"dc_motor_smc.set_point": 30.0}}
+    rig_of("dc_motor_smc_b2", 0.1, dict(reversed(allowed.items())))
+    with pytest.raises(ScenarioError, match=r"change at 0\.04 s: .*beyond reference_limit"):
+        rig_of("dc_motor_smc_b2", 0.1, {**allowed, 0.04: {"dc_motor_smc.set_point": 30.0}})
+
+
+def test_ports_and_what_nodes_agree_on_do_not_change():
+    class OfParams(BlockParams):
+        """Parameters that say more than they should."""
+
+        size: int = param(1, "channels", live=True)
+        limit: float = param(1.0, "of the plant", live=True)
+
+    class Odd(Block[OfParams]):
+        """Declares as live what cannot be."""
+
+        @classmethod
+        def ports(cls, params):
+            return (), tuple(range(params.size))
+
+        @classmethod
+        def agreed(cls, params):
+            return {"tank/limit": params.limit}
+
+    with pytest.raises(ParameterError, match="size: the ports would be others"):
+        check(Odd, OfParams(), {"size": 2})
+    with pytest.raises(ParameterError, match="limit: tank/limit would change, on which the nodes of a rig must agree"):
+        check(Odd, OfParams(), {"limit": 2.0})
+
+
+def test_metrics_and_report_show_what_changed_and_when(tmp_path):
+    changes = {0.0501: {"dc_motor_smc.k": 60.0}, 0.5: {"dc_motor_smc.delta": 0.5}}
+    run = simulate(rig_of("dc_motor_smc_b2", 0.1, changes))
+    found = summary(run, run.results, "softrig run dc_motor_smc_b2")
+    assert found["changes"] == [{"at_s": 0.06, "node": "dc_motor_smc", "set": {"k": 60.0}}]  # a period of 10 ms
+    (tmp_path / "metrics.json").write_text(json.dumps(found))
+    write_report([tmp_path], tmp_path / "report.html")
+    page = (tmp_path / "report.html").read_text()
+    assert "Changed while it ran" in page
+    assert "<code>dc_motor_smc.k</code>" in page
+    assert "dc_motor_smc.delta" not in page
