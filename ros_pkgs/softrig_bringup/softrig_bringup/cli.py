@@ -52,11 +52,12 @@ _FOREIGN = {
 # verbs of scripts/softrig itself, which never get here
 _SCRIPT = {
     "setup": "only set up what is missing: .venv from the lock files, .ws from ros_pkgs",
-    "add": "add sets of scripts/locks to .venv (tables, frames, search, learning, dask, osqp, colcon, test)",
+    "add": "add sets of scripts/locks to .venv (tables, frames, search, learning, dask, osqp, docs, colcon, test)",
     "fetch": "fetch DIR: download all packages; SOFTRIG_WHEELS=DIR then sets up without a network",
     "colcon": "colcon of the set-up, for packages of your own: scripts/softrig colcon build",
     "env": 'print the environment, for a shell of your own: eval "$(scripts/softrig env)"',
     "python": "the Python of the set-up, with everything importable: scripts/softrig python my_script.py",
+    "docs": "build the pages as a site with a search, in runs/docs; --serve shows it on this host",
     "pages": "make the generated parts, figures and pictures of the doc pages, or check them",
     "bench": "what the suite costs, as ratios to baselines of the same run; --help names its parts",
 }

@@ -17,6 +17,7 @@ EXTRAS = {
     "distributed": "dask",
     "osqp": "osqp",
     "gymnasium": "learning",
+    "sphinx": "docs",
 }
 
 

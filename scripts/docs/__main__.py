@@ -1,0 +1,69 @@
+"""``python -m docs``, which `scripts/softrig docs` runs."""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+import sys
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+
+from softrig_core.extras import need
+from softrig_core.guard import guarded
+
+from .outline import ROOT
+
+
+def main() -> int:
+    """Build the site; warnings are errors."""
+    parser = argparse.ArgumentParser(prog="scripts/softrig docs", description=main.__doc__)
+    parser.add_argument("--out", type=Path, default=ROOT / "runs" / "docs", metavar="DIR", help="where (runs/docs)")
+    parser.add_argument("--serve", nargs="?", type=int, const=8000, metavar="PORT",
+                        help="show it at http://127.0.0.1:PORT (8000; 0: any that is free) until Ctrl-C")  # fmt: skip
+    parser.add_argument(
+        "--sources", action="store_true", help="only write what Sphinx reads, and check all links to files"
+    )
+    given = parser.parse_args()
+    status = build(given.out, sources_only=given.sources)
+    if status == 0 and given.serve is not None:
+        serve(given.out / "html", given.serve)
+    return status
+
+
+def build(out: Path, sources_only: bool = False) -> int:
+    """Write the sources to ``out/source`` and the site to ``out/html``; gives the exit status."""
+    from . import collect, gallery, reference
+
+    source = out / "source"
+    shutil.rmtree(source, ignore_errors=True)
+    collect.collect(source)
+    gallery.write(source)
+    reference.write(source)
+    gallery.write_indices(source)
+    if sources_only:
+        print(source)
+        return 0
+    need("sphinx", "the site")
+    from sphinx.cmd.build import main as sphinx
+
+    shutil.rmtree(out / "html", ignore_errors=True)
+    options = ["-q", "-W", "--keep-going", "-b", "html", "-c", str(Path(__file__).parent), "-d", str(out / "doctrees")]
+    status = sphinx([*options, str(source), str(out / "html")])
+    print("there are warnings: see above" if status else f"wrote {out / 'html' / 'index.html'}",
+          file=sys.stderr if status else sys.stdout)  # fmt: skip
+    return 1 if status else 0
+
+
+def serve(folder: Path, port: int) -> None:
+    """Show a folder on the loopback address until Ctrl-C."""
+    with ThreadingHTTPServer(("127.0.0.1", port), partial(SimpleHTTPRequestHandler, directory=folder)) as server:
+        print(f"http://127.0.0.1:{server.server_port} (Ctrl-C ends it)", flush=True)
+        try:
+            server.serve_forever()
+        except KeyboardInterrupt:
+            print()
+
+
+if __name__ == "__main__":
+    raise SystemExit(guarded(main))

@@ -1,0 +1,96 @@
+"""Pages of the packages as the site has them: links as they lie there, comments gone, long tables folded."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+from pathlib import Path
+
+from .outline import ROOT, places
+
+FOLDED = 16  # rows from which on a table is folded
+_COMMENT = re.compile(r"^<!--.*?-->\n|<!--.*?-->", re.S | re.M)
+_LINK = re.compile(r"(\]\()([^)\s]+)(\))")
+_FENCE = re.compile(r"(^```.*?^```$)", re.S | re.M)
+_TABLE = re.compile(r"(?:^\|.*\n)+", re.M)
+_INDENTED = re.compile(r"(?<=\n\n)(?:    .*\n|\n+(?=    ))+")
+_COMMAND = re.compile(r"    ([\w./]*softrig|scripts/|ros2|eval|export|colcon|docker|pip|cd|git|ROS_|SOFTRIG_)\b")
+_HEADING = re.compile(r"^```.*?^```$|^(#+) ", re.S | re.M)
+
+
+def collect(site: Path) -> None:
+    """Write every page of the packages to its place in a folder, with the pictures that it shows."""
+    for page, place in places().items():
+        target = site / f"{place}.md"
+        target.parent.mkdir(parents=True, exist_ok=True)
+        target.write_text(moved(page.read_text(encoding="utf-8"), page, place, site), encoding="utf-8")
+
+
+def moved(text: str, page: Path, place: str, site: Path) -> str:
+    """Give the text of a page for its place on the site; copies its pictures.
+
+    Raises
+    ------
+    ValueError
+        A link leads to what the site does not have.
+    """
+    here = Path(place).parent
+
+    def link(found: re.Match[str]) -> str:
+        target, hash_, anchor = found[2].partition("#")
+        if not target or ":" in target:
+            return found[0]
+        there = (page.parent / target).resolve()
+        if there in places():
+            target = os.path.relpath(f"{places()[there]}.md", here)
+        elif there == ROOT / "README.md":
+            target, hash_, anchor = os.path.relpath("index.md", here), "", ""
+        elif there.suffix in (".png", ".svg") and there.is_file():
+            shutil.copyfile(there, _folder(site / "pictures") / there.name)
+            target = os.path.relpath(f"pictures/{there.name}", here)
+        else:
+            raise ValueError(f"{page}: the link {found[2]} leads to no page and no picture of the site")
+        return f"{found[1]}{target}{hash_}{anchor}{found[3]}"
+
+    parts = _FENCE.split(_COMMENT.sub("", text))
+    for k in range(0, len(parts), 2):  # what stands in fences stays
+        parts[k] = _INDENTED.sub(_fenced, _TABLE.sub(_folded, _LINK.sub(link, parts[k])))
+    return promoted("".join(parts))
+
+
+def promoted(text: str) -> str:
+    """Lift headings that skip a level: generated parts do not know under which they stand."""
+    above: list[int] = []
+
+    def heading(found: re.Match[str]) -> str:
+        if not found[1]:
+            return found[0]
+        while len(above) > 1 and above[-1] >= len(found[1]):
+            above.pop()
+        if not above or above[-1] < len(found[1]):
+            above.append(len(found[1]))
+        return "#" * (above[0] + len(above) - 1) + " "
+
+    return _HEADING.sub(heading, text)
+
+
+def _folder(path: Path) -> Path:
+    path.mkdir(parents=True, exist_ok=True)
+    return path
+
+
+def _fenced(found: re.Match[str]) -> str:
+    """Commands as such, so that their comments stand back."""
+    if not _COMMAND.match(found[0]):
+        return found[0]
+    lines = found[0].rstrip("\n").split("\n")
+    return "\n".join(["```bash", *(line[4:] for line in lines), "```", ""])
+
+
+def _folded(found: re.Match[str]) -> str:
+    rows = found[0].rstrip("\n").split("\n")
+    if len(rows) - 2 < FOLDED:
+        return found[0]
+    head = ", ".join(cell.strip() for cell in rows[0].strip("|").split("|") if cell.strip())
+    return f":::{{dropdown}} {len(rows) - 2} rows: {head}\n\n{found[0]}\n:::\n"

@@ -1,0 +1,66 @@
+"""What Sphinx is told; `docs.__main__` writes the source folder that it reads."""
+
+import re
+import sys
+from pathlib import Path
+from typing import Any
+
+from docutils.nodes import SkipNode
+from docutils.utils.math.latex2mathml import tex2mathml
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+project = "softrig"
+copyright = "the authors of softrig, Apache-2.0"
+extensions = ["myst_parser", "sphinx_design", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
+myst_enable_extensions = ["colon_fence", "attrs_block", "attrs_inline"]
+myst_heading_anchors = 5
+html_math_renderer = "mathml"
+myst_fence_as_directive = {"math"}
+highlight_language = "text"
+smartquotes = False  # -- is no dash in a command
+html_theme = "furo"
+html_title = "softrig"
+html_static_path = [str(Path(__file__).parent / "static")]
+html_css_files = ["softrig.css"]
+html_js_files = ["gallery.js"]
+html_copy_source = False
+html_show_sphinx = False
+html_theme_options = {"navigation_with_keys": True}
+pygments_style = "friendly"
+pygments_dark_style = "monokai"
+autodoc_typehints = "signature"
+autodoc_typehints_format = "short"
+autodoc_member_order = "bysource"
+autodoc_preserve_defaults = True
+napoleon_google_docstring = False
+napoleon_use_rtype = False
+python_use_unqualified_type_names = True
+toc_object_entries_show_parents = "hide"
+# short names of types, which several packages may have, are shown without a link
+suppress_warnings = ["ref.python"]
+
+
+def plain_bars(app: object, what: str, name: str, obj: object, options: object, lines: list[str]) -> None:
+    """Keep reST from reading ``|e|`` and numbers of references as its own."""
+    text = "\n".join(lines).replace("|", "\\|")
+    text = re.sub(r"\[(\d+)\]_", r"[\1]", text)
+    lines[:] = re.sub(r"^( *)(?:\.\. )?(\[\d+\] )", r"\n\1\2", text, flags=re.M).split("\n")
+
+
+def inline(translator: Any, node: Any) -> None:
+    """Write a formula as MathML, which browsers set by themselves: no script, no network."""
+    translator.body.append(tex2mathml(node.astext(), as_block=False))
+    raise SkipNode
+
+
+def block(translator: Any, node: Any) -> None:
+    """Write a formula in lines of its own."""
+    translator.body.append(f'<div class="math">{tex2mathml(node.astext(), as_block=True)}</div>')
+    raise SkipNode
+
+
+def setup(app: Any) -> None:
+    """Connect what this file defines."""
+    app.connect("autodoc-process-docstring", plain_bars)
+    app.add_html_math_renderer("mathml", (inline, None), (block, None))

@@ -1,0 +1,92 @@
+"""The first page, the lists of each kind of page, and the gallery of systems."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from pages.generated import verdicts
+from softrig_core import list_scenarios, load_scenario
+
+from .outline import KINDS, ROOT, SYSTEMS, pages, title
+
+_ROW = re.compile(r"\]\(ros_pkgs/[^)]*/doc/(\w+)\.md\)[^`|]*`(\w+)`\s*\|\s*([^|]*?)\s*\|")
+
+INDEX = """# softrig
+
+Closed loops over real ROS 2 topics **that give the same numbers every time**: published plants and controllers of
+drives, power converters, robots and networks, each its own node, in one process or in ten, recorded and replayed bit
+for bit.
+
+![Speed of a DC motor under sliding mode control](pictures/dc_motor_smc_b2_1.png)
+
+```bash
+scripts/softrig run dc_motor_smc --mode container
+```
+
+::::{grid} 1 2 2 2
+:gutter: 3
+
+"""
+
+
+def sentences() -> dict[str, tuple[str, str]]:
+    """Give of each system what to run and what comes out, as the table of the README says it."""
+    table = (ROOT / "README.md").read_text(encoding="utf-8")
+    return {name: (scenario, text) for name, scenario, text in _ROW.findall(table)}
+
+
+def picture(name: str) -> str:
+    """Give the file name of a system's picture: its own, or the first of its page."""
+    found = re.search(r"!\[[^\]]*\]\(([\w.]+)\)", pages()[name].read_text(encoding="utf-8"))
+    return SYSTEMS[name].picture or (found[1] if found else "")
+
+
+def slug(text: str) -> str:
+    """Write a word as the name of a class."""
+    return re.sub(r"\W+", "-", text.lower())
+
+
+def write(site: Path) -> None:
+    """Write the gallery: a card a system, with buttons for fields and methods."""
+    said = sentences()
+    if missing := sorted(SYSTEMS.keys() - said.keys()):
+        raise ValueError(f"README.md: its table of systems has no row of {', '.join(missing)}")
+    fields = dict.fromkeys(s.field for s in SYSTEMS.values())
+    methods = sorted({m for s in SYSTEMS.values() for m in s.methods})
+    text = ["# Gallery", "", "Each system was rebuilt from its paper, whose errors are corrected in the model; its",
+            "page holds what was published beside what is measured here.", "",
+            "```{raw} html", '<div class="filter">']  # fmt: skip
+    for label, names in (("Field", fields), ("Method", methods)):
+        buttons = "".join(f'<button type="button" data-only="{slug(n)}">{n}</button>' for n in names)
+        text.append(f'<p><span>{label}</span><button type="button" data-only="" class="on">all</button>{buttons}</p>')
+    text += ["</div>", "```", "", "::::{grid} 1 2 2 3", ":gutter: 3", ":class-container: systems", ""]
+    for name, system in SYSTEMS.items():
+        scenario, sentence = said[name]
+        claims = verdicts(load_scenario(scenario).system)
+        text += [
+            f":::{{grid-item-card}} {title(pages()[name]).split(':')[0]}", f":link: {name}", ":link-type: doc",
+            f":img-top: ../pictures/{picture(name)}", f":img-alt: {title(pages()[name])}",
+            f":class-item: {' '.join(map(slug, (system.field, *system.methods)))}", "",
+            sentence, "", f"{{.tags}}\n{system.field} · {' · '.join(system.methods)}", "",
+            f"{{.verdicts}}\nClaims of the paper: {claims}", "", f"{{.try}}\n`run {scenario}`", ":::", "",
+        ]  # fmt: skip
+    text += ["::::", "", "```{toctree}", ":hidden:", "", *SYSTEMS, "```", ""]
+    (site / "gallery" / "index.md").write_text("\n".join(text), encoding="utf-8")
+
+
+def write_indices(site: Path) -> None:
+    """Write the first page and one that opens each kind of page, from what lies there."""
+    index = [INDEX]
+    shown = "{} systems rebuilt from their papers: {} experiments to run, change and question."
+    entries = [("gallery", "Gallery", shown.format(len(SYSTEMS), len(list_scenarios())))]
+    entries += [(kind, head, text) for kind, (head, text, _) in KINDS.items()]
+    for folder, head, text in entries:
+        index += [f":::{{grid-item-card}} {head}", f":link: {folder}/index", ":link-type: doc", "", text, ":::", ""]
+    index += ["::::", "", "```{toctree}", ":hidden:", "", *(f"{folder}/index" for folder, _, _ in entries), "```", ""]
+    (site / "index.md").write_text("\n".join(index), encoding="utf-8")
+    for kind, (head, text, names) in KINDS.items():
+        made = sorted(p.stem for p in (site / kind).glob("*.md") if p.stem not in names)
+        made.sort(key=lambda name: (name.startswith("softrig_"), name != "softrig_core", name != "verbs"))
+        lines = [f"# {head}", "", text, "", "```{toctree}", ":maxdepth: 1", "", *names, *made, "```", ""]
+        (site / kind / "index.md").write_text("\n".join(lines), encoding="utf-8")

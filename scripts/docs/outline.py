@@ -1,0 +1,86 @@
+"""What stands where on the site: four kinds of pages, kept apart, and the gallery of systems."""
+
+from __future__ import annotations
+
+import re
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
+
+ROOT = Path(__file__).resolve().parents[2]
+
+# folder of the site: title, what one finds there, pages in order (by file name, wherever a package has them)
+KINDS = {
+    "tutorials": (
+        "Tutorials",
+        "From nothing to a result, a quarter of an hour each. Every command in them is run by a test.",
+        ("test_bench",),
+    ),
+    "how-to": (
+        "How-to guides",
+        "You know what you want to do; here is how.",
+        ("set_up", "python", "studies", "bags", "reports"),
+    ),
+    "explanations": (
+        "Explanations",
+        "Why it is as it is, and what you can rely on.",
+        ("tick", "placements", "bits", "solver"),
+    ),
+    "reference": ("Reference", "Everything by name; most of it is made from the code.", ("scenario_file", "model_kit")),
+}  # fmt: skip
+
+
+class System(NamedTuple):
+    """How the gallery sorts a system: field, methods, the picture of its card (none: the first of its page)."""
+
+    field: str
+    methods: tuple[str, ...]
+    picture: str = ""
+
+
+SYSTEMS = {
+    "dc_motor_smc": System("drive", ("sliding mode", "PID", "observer")),
+    "dc_motor_fsfb": System("drive", ("state feedback", "predictor", "observer")),
+    "induction_dtc": System("drive", ("switching table",)),
+    "lsrm_fuzzy": System("drive", ("fuzzy", "PID"), "lsrm_fuzzy_profiles.png"),
+    "pv_mppt": System("power", ("search",)),
+    "rectifier_mpc": System("power", ("predictive",), "rectifier_mpc_load_steps.png"),
+    "gupfc": System("power", ("PID",), "gupfc_response.png"),
+    "fault_location": System("power", ("estimation", "search"), "fault_location_waveforms.png"),
+    "economic_dispatch": System("power", ("optimal", "search"), "economic_dispatch_stacked.png"),
+    "manipulator_adsmc": System("robot", ("sliding mode", "adaptive")),
+    "rehab_impedance": System("robot", ("impedance",)),
+    "tcp_aqm": System("network", ("sliding mode", "PID"), "tcp_aqm_laws.png"),
+    "optimal_control_mvim": System("theory", ("optimal",), "optimal_control_plans.png"),
+    "pwa_delay": System("theory", ("stability proof", "state feedback"), "pwa_delay_margins.png"),
+}
+
+
+@cache
+def pages() -> dict[str, Path]:
+    """Find the pages of the packages by file name."""
+    return {page.stem: page for page in sorted(ROOT.glob("ros_pkgs/*/doc/*.md"))}
+
+
+@cache
+def places() -> dict[Path, str]:
+    """Say where on the site each page goes, without suffix.
+
+    Raises
+    ------
+    ValueError
+        A page has no place, or a place no page.
+    """
+    found = {name: f"{kind}/{name}" for kind, (_, _, names) in KINDS.items() for name in names}
+    found |= {name: f"gallery/{name}" for name in SYSTEMS}
+    if lost := sorted(found.keys() ^ pages().keys()):
+        raise ValueError(f"{', '.join(lost)}: a page of ros_pkgs/*/doc and its place in scripts/docs/outline.py must "
+                         "both be there")  # fmt: skip
+    return {page: found[name] for name, page in pages().items()}
+
+
+def title(page: Path) -> str:
+    """Give the title of a page."""
+    found = re.search(r"^# (.+)$", page.read_text(encoding="utf-8"), re.M)
+    assert found, f"{page} has no title"
+    return found[1]

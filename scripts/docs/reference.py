@@ -1,0 +1,197 @@
+"""Pages of the reference that the code writes: verbs, nodes, figures, faults, messages, Python."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import inspect
+import re
+from collections.abc import Callable
+from importlib.metadata import distribution
+from pathlib import Path
+from typing import get_args
+from unittest import mock
+
+import softrig_core
+from pages.generated import _parameter, nodes
+from softrig_bringup import cli
+from softrig_control.fault import Fault, FaultParams, Kind
+from softrig_core import ScenarioError
+from softrig_core.model.params import declarations
+from softrig_core.rig.registry import find, registered
+from softrig_core.rig.rig import load_block
+from softrig_core.wire.types import TYPES
+
+from .outline import ROOT
+
+PACKAGES = sorted(p.parent.name for p in ROOT.glob("ros_pkgs/*/setup.cfg"))
+
+
+def write(site: Path) -> None:
+    """Write all generated pages of the reference."""
+    made = {"verbs": verbs, "nodes": all_nodes, "figures": figures, "faults": faults, "messages": messages,
+            "softrig_core": front_door}  # fmt: skip
+    for name, page in made.items():
+        (site / "reference" / f"{name}.md").write_text(page(), encoding="utf-8")
+    for package in PACKAGES:
+        if package != "softrig_core":
+            (site / "reference" / f"{package}.md").write_text(api(package), encoding="utf-8")
+
+
+def _cell(text: object) -> str:
+    return str(text).replace("|", "\\|").replace("\n", " ").replace("<", "&lt;")
+
+
+def verbs() -> str:
+    """Every verb with what it takes, from its parser."""
+    parser = cli._parser()
+    parts = ["# Commands", "", parser.description or "", "", parser.epilog or "", ""]
+    (subparsers,) = (a for a in parser._actions if isinstance(a, argparse._SubParsersAction))
+    helps = {a.dest: a.help or "" for a in subparsers._choices_actions}
+    parts += ["| command | |", "|---|---|"]
+    parts += [f"| [`{name}`](#{name}) | {_cell(helps[name])} |" for name in subparsers.choices] + [""]
+    for name, sub in subparsers.choices.items():
+        own = sub
+        if name in cli._FOREIGN:
+            module, function, _ = cli._FOREIGN[name]
+            own = _parser_of(getattr(importlib.import_module(module), function))
+        parts += _verb(name, own, helps[name], "##")
+    return "\n".join(parts)
+
+
+class _Found(BaseException):
+    """Carries the parser of a command line out of it."""
+
+
+def _parser_of(main: Callable[[list[str]], int]) -> argparse.ArgumentParser:
+    """Give the parser that a command makes when it is called."""
+
+    def caught(self: argparse.ArgumentParser, *_: object, **__: object) -> None:
+        raise _Found(self)
+
+    with mock.patch.object(argparse.ArgumentParser, "parse_args", caught):
+        try:
+            main([])
+        except _Found as found:
+            return found.args[0]
+    raise ValueError(f"{main} makes no parser")
+
+
+def _verb(name: str, parser: argparse.ArgumentParser, text: str, mark: str) -> list[str]:
+    parts = [f"{mark} {name}", "", text[:1].upper() + text[1:] + ".", ""]
+    nested = [a for a in parser._actions if isinstance(a, argparse._SubParsersAction)]
+    rows = []
+    for action in parser._actions:
+        if action.help == argparse.SUPPRESS or isinstance(action, argparse._HelpAction | argparse._SubParsersAction):
+            continue
+        value = "" if action.nargs == 0 else action.metavar or (
+            "{" + ",".join(map(str, action.choices)) + "}" if action.choices else action.dest.upper())  # fmt: skip
+        value = " ".join(value) if isinstance(value, tuple) else value
+        shown = " ".join(filter(None, (", ".join(action.option_strings), value)))
+        rows.append(f"| `{_cell(shown)}` | {_cell((action.help or '') % _defaults(action, parser))} |")
+    if rows:
+        parts += ["| | |", "|---|---|", *rows, ""]
+    for group in nested:
+        about = {a.dest: a.help or "" for a in group._choices_actions}
+        for child, sub in group.choices.items():
+            parts += _verb(f"{name} {child}", sub, about.get(child, sub.description or ""), f"{mark}#")
+    return parts
+
+
+def _defaults(action: argparse.Action, parser: argparse.ArgumentParser) -> dict[str, object]:
+    return vars(action) | {"prog": parser.prog}
+
+
+def all_nodes() -> str:
+    """Every executable with its topics and parameters, from their declarations."""
+    parts = ["# Nodes", "", "Every executable of the packages: what it reads and publishes, its parameters with unit",
+             "and bounds. `scripts/softrig node PACKAGE EXECUTABLE` starts one with the values given here.",
+             ""]  # fmt: skip
+    for package in PACKAGES:
+        found = sorted(distribution(package).entry_points.select(group="console_scripts").names)
+        shown = []
+        for executable in found:
+            try:
+                load_block(package, executable)
+            except ScenarioError:
+                continue  # a tool, no node
+            shown.append(executable)
+        if shown:
+            parts += [f"## {package}", "", nodes(package, shown).replace("#### ", "### "), ""]
+    return "\n".join(parts)
+
+
+def figures() -> str:
+    """Every figure function, from its signature and docstring."""
+    parts = ["# Figures", "", "What a scenario can measure: functions that its `figures` name.",
+             "`scripts/softrig figures NAME` prints the same.", ""]  # fmt: skip
+    for name in registered():
+        function = find(name)
+        parts += [f"## {name}", "", f"Unit: {getattr(function, 'unit', None) or 'as the scenario says'}.", "",
+                  "```{eval-rst}", f".. autofunction:: {function.__module__}.{function.__qualname__}", "   :no-index:",
+                  "```", ""]  # fmt: skip
+    return "\n".join(parts)
+
+
+def faults() -> str:
+    """What a fault can do, from its declaration."""
+    doc = inspect.cleandoc((Fault.__doc__ or "").partition("Notes\n")[0])
+    parts = ["# Faults", "", doc, "", "Kinds: " + ", ".join(f"`{kind}`" for kind in get_args(Kind)) + ".", "",
+             "What each does and how a scenario names them: [the test bench](../tutorials/test_bench.md#a-fault). All "
+             "parameters of the node `softrig_control fault`:", "",
+             "| parameter | default | unit | bounds | |", "|---|---|---|---|---|",
+             *(_parameter(d) for d in declarations(FaultParams)), ""]  # fmt: skip
+    return "\n".join(parts)
+
+
+def messages() -> str:
+    """Every message type that the suite knows, from its codec."""
+    parts = ["# Messages", "", "The message types that ports use, with what each carries on the wire, in order. All "
+             "come from common_interfaces; every message in a loop carries its tick in `header.stamp`.", "",
+             "| type | on the wire |", "|---|---|"]  # fmt: skip
+    for name, kind in TYPES.items():
+        items = (f"{i.name or i.kind}" + (f" ({i.size})" if i.size else "") for i in kind.schema)
+        parts.append(f"| `{name.replace('/msg/', '/')}` | {', '.join(items)} |")
+    return "\n".join([*parts, ""])
+
+
+def front_door() -> str:
+    """What `softrig_core` names, by module, from docstrings."""
+    parts = ["# Python: softrig_core", "",
+             "What a user needs is named by the package itself: `from softrig_core import simulate`.", ""]  # fmt: skip
+    homes = vars(softrig_core)["_HOMES"]
+    order = sorted(homes, key=lambda home: (home != "rig.simulate", home))
+    for home in order:
+        module = importlib.import_module(f"softrig_core.{home}")
+        head = (inspect.getdoc(module) or home).splitlines()[0].rstrip(".")
+        parts += [f"## {home.rpartition('.')[2]}", "", f"{head}.", "", "```{eval-rst}"]
+        for name in sorted(homes[home].split(), key=lambda name: name != "simulate"):
+            value = getattr(softrig_core, name)
+            kind = "autoclass" if inspect.isclass(value) else "autofunction" if callable(value) else "autodata"
+            parts += [f".. {kind}:: softrig_core.{name}", *(["   :members:"] if kind == "autoclass" else []), ""]
+        parts += ["```", ""]
+    return "\n".join(parts)
+
+
+def api(package: str) -> str:
+    """What the modules of a package say of themselves: the first line of each, of its classes and functions."""
+    parts = [f"# Python: {package}", ""]
+    for path in sorted((ROOT / "ros_pkgs" / package / package).rglob("*.py")):
+        dotted = ".".join(path.relative_to(ROOT / "ros_pkgs" / package).with_suffix("").parts).removesuffix(".__init__")
+        if re.search(r"\.template|__main__", dotted):
+            continue
+        try:
+            module = importlib.import_module(dotted)
+        except ImportError:
+            continue  # needs launch, or an extra
+        there = ((n, v) for n, v in vars(module).items() if inspect.isclass(v) or inspect.isfunction(v))
+        own = [(n, v) for n, v in there if n[0] != "_" and v.__module__ == dotted and inspect.getdoc(v)]
+        if not own:
+            continue
+        parts += [f"## {dotted.removeprefix(package + '.')}", "", (inspect.getdoc(module) or "").split("\n\n")[0], "",
+                  "```{eval-rst}"]  # fmt: skip
+        for name, value in own:
+            kind = "autoclass" if inspect.isclass(value) else "autofunction"
+            parts += [f".. {kind}:: {dotted}.{name}", ""]
+        parts += ["```", ""]
+    return "\n".join(parts)

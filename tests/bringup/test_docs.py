@@ -1,0 +1,119 @@
+"""The site: every page has its place, everything is in the reference, nothing leads nowhere."""
+
+import re
+import urllib.parse
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+from docs import collect, gallery, outline, reference
+from docs.__main__ import build
+from softrig_bringup import cli
+from softrig_core.rig.registry import registered
+from softrig_core.wire.types import TYPES
+
+
+def test_every_page_of_the_packages_has_a_place_and_leads_to_pages_of_the_site(tmp_path):
+    collect.collect(tmp_path)
+    written = {p.relative_to(tmp_path).with_suffix("").as_posix() for p in tmp_path.rglob("*.md")}
+    assert written == set(outline.places().values())
+    for page in tmp_path.rglob("*.md"):
+        text = page.read_text()
+        assert "<!--" not in text, page
+        for target in re.findall(r"\]\(([^)\s#:]+)(?:#[^)\s]*)?\)", re.sub(r"```.*?```", "", text, flags=re.S)):
+            assert target == "../index.md" or (page.parent / target).exists(), (page, target)
+
+
+def test_a_link_to_nowhere_is_told(tmp_path):
+    page = outline.pages()["tick"]
+    with pytest.raises(ValueError, match=r"tick.md: the link gone.md leads to no page"):
+        collect.moved("[a](gone.md)\n", page, "explanations/tick", tmp_path)
+
+
+def test_how_a_page_is_moved(tmp_path):
+    page = outline.pages()["tick"]
+
+    def moved(text):
+        return collect.moved(text, page, "explanations/tick", tmp_path)
+
+    assert moved("[b](bits.md#how-far) [c](../../softrig_bags/doc/bags.md) [d](#here) [e](https://a.b)") == (
+        "[b](bits.md#how-far) [c](../how-to/bags.md) [d](#here) [e](https://a.b)"
+    )
+    assert moved("```\n[b](gone.md)\n```\n") == "```\n[b](gone.md)\n```\n"
+    assert moved("<!-- numbers\n1: x\n-->\nText\n") == "Text\n"
+    assert moved("## A\n#### B\n#### C\n## D\n### E\n") == "## A\n### B\n### C\n## D\n### E\n"
+    assert moved("So:\n\n    scripts/softrig list  # all\n    scripts/softrig new a\n\n    x = 1\n\nText\n") == (
+        "So:\n\n```bash\nscripts/softrig list  # all\nscripts/softrig new a\n\nx = 1\n```\n\nText\n"
+    )
+    short, long = ("| a | b |\n|---|---|\n" + "| 1 | 2 |\n" * n for n in (collect.FOLDED - 1, collect.FOLDED))
+    assert moved(short) == short
+    assert moved(f"{long}\nText\n") == f":::{{dropdown}} {collect.FOLDED} rows: a, b\n\n{long}\n:::\n\nText\n"
+
+
+def test_the_gallery_has_a_card_of_every_system_with_a_picture_that_is_there(tmp_path):
+    collect.collect(tmp_path)
+    gallery.write(tmp_path)
+    text = (tmp_path / "gallery/index.md").read_text()
+    assert re.findall(r"^:link: (\w+)$", text, re.M) == list(outline.SYSTEMS)
+    for picture in re.findall(r"^:img-top: (\S+)$", text, re.M):
+        assert (tmp_path / "gallery" / picture).is_file(), picture
+    assert {p.stem for p in (tmp_path / "gallery").glob("*.md")} == {*outline.SYSTEMS, "index"}
+
+
+def test_the_reference_has_everything_that_there_is():
+    verbs = reference.verbs()
+    names = {*cli._FOREIGN, *cli._SCRIPT, *cli._parser()._subparsers._group_actions[0].choices}
+    assert {n.split()[0] for n in re.findall(r"^##+ (.+)$", verbs, re.M)} == names
+    for option in ("--mode", "--junit FILE", "--rel", "--rate"):
+        assert re.search(rf"^\| `[^`]*{option}\b", verbs, re.M), option
+    assert re.findall(r"^## (\w+)$", reference.figures(), re.M) == registered()
+    assert all(f"`{name.replace('/msg/', '/')}`" in reference.messages() for name in TYPES)
+    nodes = reference.all_nodes()
+    assert "### `dc_motor_plant`" in nodes
+    assert "| `current_a`" not in nodes
+    assert re.search(r"^\| `Kt` \| [\d.]+ \| N m/A \|", nodes, re.M)
+    for home in reference.softrig_core._HOMES.values():
+        assert all(f":: softrig_core.{name}\n" in reference.front_door() for name in home.split())
+
+
+class _Links(HTMLParser):
+    def __init__(self):
+        super().__init__()
+        self.targets, self.loaded, self.names = [], [], set()
+
+    def handle_starttag(self, tag, attrs):
+        found = dict(attrs)
+        self.names.add(found.get("id"))
+        if tag in ("script", "img", "link", "iframe"):
+            self.loaded += [u for u in (found.get("src"), found.get("href")) if u]
+        elif found.get("href"):
+            self.targets.append(found["href"])
+
+
+def links(page):
+    parser = _Links()
+    parser.feed(page.read_text())
+    return parser
+
+
+@pytest.mark.long
+@pytest.mark.timeout(900)
+def test_the_site_is_built_without_a_warning_and_needs_no_network(tmp_path):
+    assert build(tmp_path) == 0
+    html = tmp_path / "html"
+    found = {page.resolve(): links(page) for page in html.rglob("*.html")}
+    assert len(found) > 50
+    for page, own in found.items():
+        for target in own.loaded:
+            assert not re.match(r"(https?:)?//", target), (page, target)
+        for target in (*own.targets, *own.loaded):
+            path, _, anchor = target.partition("#")
+            path = path.partition("?")[0]
+            if ":" in path:
+                continue
+            there = (page.parent / urllib.parse.unquote(path)).resolve() if path else page
+            assert there.exists(), (page, target)
+            if anchor and there in found:
+                assert urllib.parse.unquote(anchor) in found[there].names, (page, target)
+    words = Path(html / "searchindex.js").read_text()
+    assert "lockstep" in words
