@@ -19,7 +19,7 @@ KINDS = {
     "how-to": (
         "How-to guides",
         "You know what you want to do; here is how.",
-        ("set_up", "python", "studies", "bags", "reports"),
+        ("set_up", "python", "studies", "learning", "bags", "reports"),
     ),
     "explanations": (
         "Explanations",
@@ -64,18 +64,18 @@ def pages() -> dict[str, Path]:
 
 @cache
 def places() -> dict[Path, str]:
-    """Say where on the site each page goes, without suffix.
+    """Say where on the site each page goes, without suffix; a page that nobody has put anywhere is a how-to guide.
 
     Raises
     ------
     ValueError
-        A page has no place, or a place no page.
+        A place has no page.
     """
     found = {name: f"{kind}/{name}" for kind, (_, _, names) in KINDS.items() for name in names}
     found |= {name: f"gallery/{name}" for name in SYSTEMS}
-    if lost := sorted(found.keys() ^ pages().keys()):
-        raise ValueError(f"{', '.join(lost)}: a page of ros_pkgs/*/doc and its place in scripts/docs/outline.py must "
-                         "both be there")  # fmt: skip
+    if lost := sorted(found.keys() - pages().keys()):
+        raise ValueError(f"{', '.join(lost)}: named in scripts/docs/outline.py, but no package has such a page in doc/")
+    found = {name: f"how-to/{name}" for name in pages()} | found
     return {page: found[name] for name, page in pages().items()}
 
 
