@@ -46,13 +46,15 @@ class OpaqueFunction:
 
 
 class Node:
-    def __init__(self, *, package, executable, name=None, output="log", on_exit=None, arguments=(), remappings=(),
-                 parameters=()):  # fmt: skip
+    def __init__(self, *, package, executable, name=None, namespace=None, output="log", on_exit=None, arguments=(),
+                 remappings=(), parameters=()):  # fmt: skip
         self.package, self.executable, self.name, self.on_exit = package, executable, name, on_exit
+        self.namespace = namespace
         self.parameters, self.remappings, self.arguments = list(parameters), list(remappings), list(arguments)
 
     def command(self):
         ros = [f"__node:={self.name}"] if self.name else []
+        ros += [f"__ns:=/{self.namespace}"] if self.namespace else []
         ros += [f"{old}:={new}" for old, new in self.remappings]
         options = [word for rule in ros for word in ("-r", rule)]
         options += [word for file in self.parameters for word in ("--params-file", file)]
@@ -86,9 +88,13 @@ def nodes_of(values):
 
 
 def launch(values, variables, meddle=lambda processes: None):
-    """Launch until all have ended; gives the status and what was said. `meddle` gets the processes by node name."""
+    """Launch until all have ended; gives the status and what was said. `meddle` gets the processes by node name.
+
+    Several launches on one domain: `values` is a list.
+    """
+    nodes = [node for given in (values if isinstance(values, list) else [values]) for node in nodes_of(given)]
     output = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
-    running = {node: subprocess.Popen(node.command(), env=variables, **output) for node in nodes_of(values)}
+    running = {node: subprocess.Popen(node.command(), env=variables, **output) for node in nodes}
     context, status, said = SimpleNamespace(is_shutdown=False), 0, []
     try:
         while running:

@@ -1,13 +1,15 @@
 """The launch file: one start and one end of all nodes, a status, and no node left behind."""
 
+import json
 import signal
 import subprocess
 
 import pytest
-from conftest import in_process, until
+from conftest import differences, in_process, until
 from launching import launch, nodes_of
 from softrig_bags.read import read_bag
-from softrig_core import Rig, load_scenario
+from softrig_bringup.cli import main
+from softrig_core import Rig, ScenarioError, load_scenario
 from softrig_core.node.container import split
 from softrig_core.rig.domain import free_domain
 from softrig_core.rig.executables import environment, find_executable
@@ -24,6 +26,10 @@ nodes:
   plant: {package: faultrig, executable: plant}
   source: {package: faultrig, executable: source}
   gain: {package: faultrig, executable: gain, parameters: {noise: 0.01}}
+figures:
+  last: {function: final_value, arguments: {signal: lag/state/x/position}}
+claims:
+  last: {published: 7.0, tolerance: 1 %, where: nowhere, verdict: reproduced}
 variants:
   long: {duration: 1000.0}
 """
@@ -85,6 +91,73 @@ def test_every_system_ends_by_itself(system, mode, tmp_path, monkeypatch):
     with free_domain() as domain:
         status, said = launch({"scenario": str(file), "mode": mode}, environment(domain, tmp_path))
     assert status == 0, said
+
+
+def of_a_run(words, out):
+    """The bag and the figures of `softrig run` with these options."""
+    main(["run", *words, "--mode", "inprocess", "--out", str(out), "--no-plots"])
+    return read_bag(out / "bag"), json.loads((out / "metrics.json").read_text())["metrics"]
+
+
+@pytest.mark.processes
+def test_a_launch_takes_the_options_of_a_run_and_leaves_what_a_run_leaves(lag, tmp_path, capsys):
+    """Two rigs in two namespaces of one domain, in two placements, and neither reads the other."""
+    (tmp_path / "given.yaml").write_text("/a/gain: {ros__parameters: {noise: 0.02, use_sim_time: false}}\n")
+    options = {
+        "a": {"params_file": str(tmp_path / "given.yaml"), "seed": "5"},
+        "b": {"duration": "0.3", "place": "container"},
+    }
+    common = {"scenario": "lag", "mode": "lockstep", "record": "true"}
+    with free_domain() as domain:
+        values = [common | {"namespace": name, "out": str(tmp_path / name)} | given for name, given in options.items()]
+        status, said = launch(values, environment(domain, tmp_path))
+    assert status == 0, said
+    for name, words in (("a", ["lag", "--set", "gain.noise=0.02", "--seed", "5"]), ("b", ["lag", "--duration", "0.3"])):
+        bag, metrics = of_a_run(words, tmp_path / f"run_{name}")
+        assert differences(read_bag(tmp_path / name / "bag"), bag) == []
+        assert json.loads((tmp_path / name / "metrics.json").read_text())["metrics"] == metrics
+        assert (tmp_path / name / "report.html").exists()
+    assert "last" in capsys.readouterr().out
+
+
+@pytest.mark.processes
+def test_a_launch_that_is_judged_ends_with_a_status(lag, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    with free_domain() as domain:
+        values = {"scenario": "lag", "mode": "lockstep", "place": "container", "judge": "true"}
+        status, said = launch(values, environment(domain, tmp_path))
+    assert (status, said.splitlines()[-1]) == (1, "judged: status 1")
+    assert "claim last" in capsys.readouterr().out
+    assert not (tmp_path / "runs").exists()  # nothing was to be recorded
+
+
+@pytest.mark.parametrize(
+    ("content", "told"),
+    [
+        ("gian: {ros__parameters: {noise: 1.0}}", "gian: no such node .did you mean 'gain'"),
+        ("gain: {noise: 1.0}", "gain: expected ros__parameters"),
+        ("- gain", "expected NODE"),
+        ("gain: {ros__parameters: {nose: 1.0}}", "nose"),
+        ("gain: [", "given.yaml"),
+    ],
+)
+def test_a_params_file_that_does_not_fit_is_refused_in_words(content, told, lag, tmp_path):
+    (tmp_path / "given.yaml").write_text(content)
+    with pytest.raises(ScenarioError, match=told):
+        nodes_of({"scenario": "lag", "params_file": str(tmp_path / "given.yaml")})
+
+
+@pytest.mark.parametrize(("name", "value"), [("external", "gian"), ("duration", "long"), ("seed", "-1")])
+def test_an_argument_that_does_not_fit_is_refused_in_words(name, value, lag):
+    with pytest.raises(ScenarioError, match=f"{name}.*{value}"):
+        nodes_of({"scenario": "lag", name: value})
+
+
+def test_what_is_external_is_not_launched_and_waited_for_without_limit(lag):
+    nodes = nodes_of({"scenario": "lag", "external": "gain source"})
+    assert [n.name for n in nodes] == ["plant"]
+    with open(nodes[0].parameters[0]) as file:
+        assert "    run.start_timeout: 0.0" in file.read().splitlines()
 
 
 @pytest.mark.processes

@@ -1,4 +1,4 @@
-"""How much of a topic was published before the recorder joined it: in simulated time stamps tell, or numbers."""
+"""How much of a topic was published before the recorder joined it: stamps of simulated time tell, or numbers."""
 
 from __future__ import annotations
 

@@ -85,12 +85,18 @@ def execute(
         outcome = run_processes(rig, seed, directory, mode="realtime" if realtime else "lockstep",
                                 domain=domain, progress=progress, announce=announce, wait=wait,
                                 containers=placed(rig, mode))  # fmt: skip
-        name = "realtime" if realtime and mode != "container" else f"{mode}, realtime" if realtime else mode
-        run = Run(rig, seed, outcome.recording, time.perf_counter() - started, name, outcome.epoch,
-                  outcome.status, outcome.error, outcome.stopped)  # fmt: skip
+        run = Run(rig, seed, outcome.recording, time.perf_counter() - started, mode_name(mode, realtime),
+                  outcome.epoch, outcome.status, outcome.error, outcome.stopped)  # fmt: skip
     if not run.error and not run.stopped and not realtime:
         run.error = gaps(rig, run.recording)
     return run
+
+
+def mode_name(mode: str, realtime: bool) -> str:
+    """Say in one word or two where nodes live and what they go by."""
+    if not realtime:
+        return mode
+    return f"{mode}, realtime" if mode == "container" else "realtime"
 
 
 def _status(block: Block) -> dict[str, Any]:

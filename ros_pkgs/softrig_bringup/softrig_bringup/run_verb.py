@@ -20,6 +20,8 @@ from softrig_core.guard import plain, say
 if TYPE_CHECKING:
     from softrig_core import Run, Scenario
 
+    from .folder import ResultsFolder
+
 MISSED = 10.0  # per cent of missed deadlines that are worth a word
 NEWS = 10.0  # s of wall-clock time between two lines of progress
 
@@ -32,6 +34,8 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--realtime", action="store_true", help="against the wall clock, not in lockstep")
     parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE",
                         help="change a parameter (node.parameter) or a shared value")  # fmt: skip
+    parser.add_argument("--params-file", type=Path, metavar="FILE",
+                        help="change parameters, in the form of ros2 param dump")  # fmt: skip
     parser.add_argument("--duration", type=float, metavar="S", help="instead of the scenario's")
     parser.add_argument("--seed", type=int, metavar="N", help="instead of the scenario's")
     parser.add_argument("--external", action="append", default=[], metavar="NODE", help="somebody else starts this one")
@@ -67,7 +71,12 @@ def scenario_of(options: argparse.Namespace) -> Scenario:
     from softrig_core import load_scenario
     from softrig_core.rig.scenario import merge
 
-    scenario = load_scenario(options.scenario, dict(_assignment(text) for text in options.set))
+    given = {}
+    if options.params_file is not None:
+        from .params_file import params_of
+
+        given = params_of(options.params_file, load_scenario(options.scenario).nodes)
+    scenario = load_scenario(options.scenario, given | dict(_assignment(text) for text in options.set))
     changes: dict[str, Any] = {}
     for key in ("duration", "seed"):
         if getattr(options, key) is not None:
@@ -84,9 +93,7 @@ def _run_reserved(options: argparse.Namespace) -> int:
     from softrig_core.rig.executables import environment
     from softrig_core.rig.start_server import prepare
 
-    from .folder import ResultsFolder
-    from .repeat import words
-    from .run import checked, execute, save, summary
+    from .run import checked, execute
 
     if options.realtime and options.mode == "inprocess":
         raise ScenarioError("--realtime: blocks in process know no wall clock; expected --mode processes or container")
@@ -98,22 +105,54 @@ def _run_reserved(options: argparse.Namespace) -> int:
         from .part import run_part
 
         return run_part(rig, options)
-    changed = _changes(options)
-    out = (options.out or Path("runs") / _folder_name(scenario.name, options)).absolute()
+    folder = results_folder(options, scenario.name)
+    with _progress(scenario) as progress:
+        done = execute(rig, options.mode, folder.path / "log", realtime=options.realtime, domain=options.domain,
+                       progress=progress, wait=options.wait, announce=_announce)  # fmt: skip
+    return conclude(options, done, folder)
+
+
+def results_folder(options: argparse.Namespace, scenario: str) -> ResultsFolder:
+    """Clear the folder for the results of a run, and say what it replaces."""
+    from .folder import ResultsFolder
+
+    out = (options.out or Path("runs") / _folder_name(scenario, options)).absolute()
     folder = ResultsFolder(out)
     if folder.replaced:
         say(f"replacing {folder.replaced} in {_shown(out)}")
     folder.clear()
-    with _progress(scenario) as progress:
-        done = execute(rig, options.mode, out / "log", realtime=options.realtime, domain=options.domain,
-                       progress=progress, wait=options.wait, announce=_announce)  # fmt: skip
-    changed += [done.stopped_at] if done.stopped else []
+    return folder
+
+
+def conclude(options: argparse.Namespace, done: Run, folder: ResultsFolder | None) -> int:
+    """Write what a run has brought, print its figures, judge it.
+
+    Parameters
+    ----------
+    options : argparse.Namespace
+        Of the verb `run`.
+    done : Run
+    folder : ResultsFolder or None
+        None: nothing is written.
+
+    Returns
+    -------
+    int
+        Exit status.
+    """
+    from .repeat import words
+    from .run import save, summary
+
+    rig, scenario = done.rig, done.rig.scenario
+    changed = _changes(options) + ([done.stopped_at] if done.stopped else [])
     figures = [] if done.error else done.results
     command = shlex.join([*words((m.package for m in rig.members), "run"), *repeat(options)])
     content = summary(done, figures, command, options.label) | {"changed": changed}
     if options.external:  # the title of the scenario is about what did not run
         content["title"] = f"{scenario.name} with {', '.join(options.external)} from outside"
-    save(done, content, folder, record=not options.no_record, plots=not options.no_plots, also=options.format)
+    if folder is not None:
+        save(done, content, folder, record=not options.no_record, plots=not options.no_plots, also=options.format)
+    out = folder.path if folder is not None else None
     if options.junit is not None:
         from .check import outcome_of, suite_of
         from .junit import write_junit
@@ -124,7 +163,8 @@ def _run_reserved(options: argparse.Namespace) -> int:
         write_junit(options.junit, [replace(suite, error=suite.error or done.stopped_at)])
     if done.error:
         say(f"the run broke: {done.error}")
-        say(f"what was recorded up to there is in {_shown(out)}, what the nodes said in its log/")
+        if out is not None:
+            say(f"what was recorded up to there is in {_shown(out)}, what the nodes said in its log/")
         return 3
     _print_figures(content, done, out)
     if done.stopped:
@@ -150,13 +190,15 @@ def _missed(status: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
 
 def _changes(options: argparse.Namespace) -> list[str]:
     """Say what of a scenario was changed on the command line, in words."""
-    found = [*options.set, *(f"{name} outside, its parameters unknown" for name in options.external)]
+    found = [str(options.params_file)] if options.params_file is not None else []
+    found += [*options.set, *(f"{name} outside, its parameters unknown" for name in options.external)]
     return found + [f"{name} {value}" for name in ("duration", "seed") if (value := getattr(options, name)) is not None]
 
 
 def _folder_name(scenario: str, options: argparse.Namespace) -> str:
     """Name the folder of a run so that runs that differ do not replace each other."""
     parts = [scenario] + (["realtime"] if options.realtime or options.mode == "realtime" else [])
+    parts += [options.params_file.stem] if options.params_file is not None else []
     parts += [*options.set, *(f"external_{name}" for name in options.external)]
     parts += [f"{name}_{value}" for name in ("duration", "seed") if (value := getattr(options, name)) is not None]
     return re.sub(r"[^A-Za-z0-9_.=+-]+", "_", "-".join(parts))[:120]
@@ -240,7 +282,7 @@ def _news(scenario: Scenario) -> Callable[[int], None]:
     return tell
 
 
-def _print_figures(content: Mapping[str, Any], run: Run, out: Path) -> None:
+def _print_figures(content: Mapping[str, Any], run: Run, out: Path | None) -> None:
     from rich.table import Table
 
     from .listing import console as make_console, styled
@@ -284,7 +326,8 @@ def _print_figures(content: Mapping[str, Any], run: Run, out: Path) -> None:
         if "missed_deadlines" in status:
             figures = {k: v for k, v in status.items() if k.endswith("_ms") or k == "missed_deadlines"}
             console.print(f"{name}: " + ", ".join(f"{k} {v:.3g}" for k, v in figures.items()))
-    console.print(f"results in {_shown(out)}")
+    if out is not None:
+        console.print(f"results in {_shown(out)}")
 
 
 def _shown(path: Path) -> str:

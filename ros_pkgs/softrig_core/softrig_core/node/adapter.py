@@ -122,7 +122,7 @@ class Adapter:
         self.inputs = [Input(p) for p in inputs]
         self.paces: list[Input] = []  # /clock and the ticks of other nodes
         self.outputs = [Output(p, middleware.resolve(p.topic), i) for i, p in enumerate(outputs)]
-        self.clock_output = Output(CLOCK, CLOCK.topic, -1)
+        self.clock_output = Output(CLOCK, middleware.resolve(CLOCK.topic), -1)
         self.tick_output = Output(Port("tick", "~/tick", TICK), f"{middleware.full_name}/tick", -1)
         self._acknowledge: Callable[[int, Iterable[str]], None] | None = None
         self._silent = any(p.sporadic for p in outputs)  # at times

@@ -133,13 +133,32 @@ def run_processes(
             for child in children:
                 os.close(child.end)
         remove_leftovers(domain if own_domain and not external else None)
-    status = {c.member.name: read_status(c.status) for c in children}
-    recording = Recording((t, p.msgtype) for t, p in rig.topics.items())
-    for child in children:
-        if child.shard.exists():
-            recording.read_shard(child.shard)
+    recording, status = gathered(rig, directory, [c.member.name for c in children])
     refused = next((c for c in children if c.process.returncode == 2 and not c.interrupted), None)
     if refused is not None:
         raise ScenarioError(last_line(refused.log))
     epoch = int(status.get(starter(rig).name, {}).get("epoch", 0))
     return Outcome(recording, status, domain, epoch, error, stopped)
+
+
+def gathered(rig: Rig, directory: Path, names: Iterable[str],
+             namespace: str = "") -> tuple[Recording, dict[str, dict[str, Any]]]:  # fmt: skip
+    """Give what the nodes of a run have recorded and what each said of itself.
+
+    Parameters
+    ----------
+    rig : Rig
+    directory : Path
+        Of the `FILES` that the nodes wrote.
+    names : iterable of str
+        Of the nodes.
+    namespace : str
+        See `Recording.read_shard`.
+    """
+    recording = Recording((t, p.msgtype) for t, p in rig.topics.items())
+    status = {}
+    for name in names:
+        status[name] = read_status(directory / f"{name}.status")
+        if (shard := directory / f"{name}.shard").exists():
+            recording.read_shard(shard, namespace)
+    return recording, status

@@ -100,12 +100,27 @@ def start(rig: Rig, group: list[Member], seed: int, directory: Path, options: di
     ]
 
 
-def container_arguments(group: Sequence[Member], given: Mapping[str, dict[str, Any]], directory: Path) -> list[str]:
-    """Write the parameter files of nodes that share a process and give the command line of their container."""
+def container_arguments(
+    group: Sequence[Member], given: Mapping[str, dict[str, Any]], directory: Path,
+    shared: Mapping[str, str] | None = None,
+) -> list[str]:  # fmt: skip
+    """Write the parameter files of nodes that share a process and give the command line of their container.
+
+    Parameters
+    ----------
+    group : sequence of Member
+    given : mapping
+        Parameters by node, as `node_parameters` gives them.
+    directory : Path
+    shared : mapping of str to str, optional
+        Remaps of all of them.
+    """
     arguments: list[str] = []
     for member in group:
         arguments += ["--"] if arguments else []
         arguments += [member.package, member.executable, *_ros_arguments(member, given[member.name], directory)]
+        for old, new in (shared or {}).items():
+            arguments += ["-r", f"{old}:={new}"]
     return arguments
 
 

@@ -224,8 +224,14 @@ class Recording:
         for t, rank, data in heapq.merge(*streams, key=itemgetter(0, 1)):
             yield t, self._order[rank], data
 
-    def read_shard(self, path: Path) -> int:
+    def read_shard(self, path: Path, namespace: str = "") -> int:
         """Add the messages of a shard; a record cut off by a crash at its end is left out.
+
+        Parameters
+        ----------
+        path : Path
+        namespace : str
+            Of the node that wrote it, below which its topics are: ``a/``; empty for the root.
 
         Returns
         -------
@@ -236,7 +242,7 @@ class Recording:
         head, start = _read_head(content)
         if head is None:
             return len(content)
-        topics = [self.topics[name] for name, _ in head["topics"]]
+        topics = [self.topics[name.removeprefix(namespace)] for name, _ in head["topics"]]
         row = [(topics[number], Layout(*form)) for number, form in head["row"]]
         at, size = start, _RECORD.size
         while at + _ROW_HEAD.size <= len(content):
