@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from softrig_core import ScenarioError, list_scenarios
 from softrig_core.errors import closest
 from softrig_core.rig.expectation import Expected
-from softrig_core.rig.scenario import explain
+from softrig_core.rig.places import explain
 from softrig_core.rig.yaml_file import read_yaml
 
 from ..study.definition import study_folders
@@ -90,4 +90,4 @@ def falsification_of(what: str, changes: dict[str, Any]) -> Falsification:
     try:
         return Falsification.model_validate(raw | changes)
     except ValidationError as error:
-        raise ScenarioError(f"{where}: {explain(error)}") from None
+        raise ScenarioError(f"{where}: {explain(error, Falsification)}") from None

@@ -12,8 +12,8 @@ from softrig_core import Rig, Scenario, ScenarioError
 from softrig_core.errors import closest
 from softrig_core.model.params import flatten
 from softrig_core.rig.figures import signal_units
+from softrig_core.rig.places import explain
 from softrig_core.rig.references import pick
-from softrig_core.rig.scenario import explain
 
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _RANGE = re.compile(rf"(log )?\s*({_NUMBER})\.\.({_NUMBER})(?:([*~])(\d+))?")

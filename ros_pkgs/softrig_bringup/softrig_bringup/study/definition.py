@@ -12,8 +12,8 @@ from softrig_core import ScenarioError
 from softrig_core.errors import closest
 from softrig_core.rig.claims import Claim
 from softrig_core.rig.expectation import Expected
+from softrig_core.rig.places import explain
 from softrig_core.rig.references import fill
-from softrig_core.rig.scenario import explain
 from softrig_core.rig.yaml_file import read_yaml
 
 MOST = 1_000_000  # seeds, points, candidates: room is made for all of them at once
@@ -214,4 +214,4 @@ def make_study(raw: dict[str, Any]) -> Study:
     try:
         return Study.model_validate(raw)
     except ValidationError as error:
-        raise ScenarioError(explain(error)) from None
+        raise ScenarioError(explain(error, Study)) from None

@@ -23,8 +23,9 @@ from .agreement import require_agreement
 from .changes import script
 from .faults import insert
 from .node_parameters import NodeParameters
+from .places import explain
 from .requirements import watched
-from .scenario import PlotEntry, Scenario, explain
+from .scenario import PlotEntry, Scenario
 from .units import misfit
 
 TICKS = 10**9  # of the clock in one run: more would take days
@@ -160,7 +161,7 @@ class Rig:
         try:
             scenario = Scenario.model_validate(about | keys)
         except ValidationError as error:
-            raise ScenarioError(f"{name}: {explain(error)}") from None
+            raise ScenarioError(f"{name}: {explain(error, Scenario)}") from None
         return cls.from_scenario(scenario, {node: type(block) for node, block in blocks.items()})
 
     def changed(self, *, duration: float | None = None, overrides: Mapping[str, Any] | None = None) -> Rig:
@@ -277,7 +278,7 @@ def _with_faults(scenario: Scenario, members: list[Member]) -> Scenario:
     try:
         return Scenario.model_validate({**dict(scenario), "nodes": nodes, "faults": {}})
     except ValidationError as error:
-        raise ScenarioError(f"{scenario.name}: {explain(error)}") from None
+        raise ScenarioError(f"{scenario.name}: {explain(error, Scenario)}") from None
 
 
 def _live(scenario: Scenario) -> bool:

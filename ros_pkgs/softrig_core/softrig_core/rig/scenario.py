@@ -12,6 +12,7 @@ from .changes import ChangeEntry
 from .claims import Claim
 from .expectation import Expected
 from .faults import WORDS, FaultEntry
+from .places import explain, place
 from .references import fill
 from .requirements import Required, check_lengths
 from .scenario_file import list_scenarios, locate, merge, resolve
@@ -174,7 +175,7 @@ class Scenario(_Model):
         try:
             return Scenario.model_validate({**dict(self), **changes, **(raw if overrides else {})})
         except ValidationError as error:
-            raise ScenarioError(f"{self.name}: {explain(error)}") from None
+            raise ScenarioError(f"{self.name}: {explain(error, Scenario)}") from None
 
     def claimed(self) -> list[str]:
         """Names of its own figures that its claims speak of."""
@@ -196,7 +197,7 @@ def load_scenario(name: str, overrides: Mapping[str, Any] | None = None) -> Scen
     Raises
     ------
     ScenarioError
-        Unknown scenario, YAML error, unknown key or bad value; names file and key.
+        Unknown scenario, YAML error, unknown key or bad value; names file, line and key.
     """
     name, path = locate(name)
     raw = resolve(name, path)
@@ -210,7 +211,8 @@ def load_scenario(name: str, overrides: Mapping[str, Any] | None = None) -> Scen
         check_lengths(scenario.duration, scenario.shared, scenario.requirements)
         return scenario
     except ValidationError as error:
-        raise ScenarioError(f"{path.name}: {explain(error)}") from None
+        at = place(name, path, error.errors()[0]["loc"])
+        raise ScenarioError(f"{at}: {explain(error, Scenario)}") from None
     except ScenarioError as error:
         raise ScenarioError(f"{path.name}: {error}") from None
 
@@ -237,14 +239,3 @@ def _override(raw: dict[str, Any], key: str, value: Any) -> None:
         raise ScenarioError(f"override {key!r}{near}: expected node.parameter with node one of "
                             f"{', '.join(nodes_and_faults)}{also}")  # fmt: skip
     raw["nodes"] = merge({**nodes, node: nodes[node] or {}}, {node: {"parameters": {parameter: value}}})
-
-
-def explain(error: ValidationError) -> str:
-    """Say in one line what the first error of a validation is, and where."""
-    first = error.errors()[0]
-    where = ".".join(str(p) for p in first["loc"])
-    more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
-    hint = "unknown key" if first["type"] == "extra_forbidden" else first["msg"].removeprefix("Value error, ")
-    whole = first["type"] == "missing" or isinstance(first["input"], Scenario | dict)
-    given = "" if whole else f", got {first['input']!r}"[:120]
-    return f"{where}: {hint}{given}{more}" if where else f"{hint}{more}"

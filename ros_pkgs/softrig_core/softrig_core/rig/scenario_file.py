@@ -128,7 +128,7 @@ def resolve(name: str, path: Path, seen: tuple[str, ...] = ()) -> dict[str, Any]
     raw.pop("variants", None)
     parent = raw.pop("extends", None)
     if parent is not None:
-        raw = inherit(resolve(parent, _parent(path, parent), (*seen, name)), raw)
+        raw = inherit(resolve(parent, parent_of(path, parent), (*seen, name)), raw)
     if name != path.stem:
         raw = inherit(raw, variants[name.removeprefix(f"{path.stem}_")] or {})
     return raw
@@ -209,7 +209,8 @@ def _variants(path: Path, raw: Mapping[str, Any]) -> dict[str, Any]:
     return {str(name): changes for name, changes in variants.items()}  # YAML reads 40 as a number
 
 
-def _parent(path: Path, parent: Any) -> Path:
+def parent_of(path: Path, parent: Any) -> Path:
+    """Find the file of the scenario that another one extends; a ScenarioError names the nearest."""
     if not isinstance(parent, str) or "/" in parent:
         raise ScenarioError(f"{path.name}: extends: expected the name of a scenario, got {parent!r}"[:200])
     beside = path.with_name(f"{parent}.yaml")

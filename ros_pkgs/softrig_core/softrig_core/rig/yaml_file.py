@@ -81,12 +81,21 @@ def read_yaml(text: str, where: str) -> Any:
             return None
         _count(node)
         return loader.construct_document(node)
+    except yaml.MarkedYAMLError as error:
+        said = ", ".join(part for part in (error.context, error.problem) if part)
+        line = f"line {error.problem_mark.line + 1}: " if error.problem_mark and "\n" in text else ""
+        raise ScenarioError(f"{where}: not valid YAML: {line}{said}"[:200]) from None
     except (yaml.YAMLError, ValueError, RecursionError) as error:
         reason = " ".join(str(error).split())[:200]
         raise ScenarioError(f"{where}: not valid YAML: {reason}") from None
     finally:
         if loader is not None:
             loader.dispose()
+
+
+def compose(text: str) -> Any:
+    """Give the nodes of a document that `read_yaml` has read, which know their lines."""
+    return yaml.compose(text, _Loader)
 
 
 def _limit_depth(text: str) -> None:
