@@ -18,6 +18,7 @@ EXTRAS = {
     "osqp": "osqp",
     "gymnasium": "learning",
     "sphinx": "docs",
+    "fmpy": "fmu",
 }
 
 

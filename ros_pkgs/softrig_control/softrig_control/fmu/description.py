@@ -1,0 +1,185 @@
+"""What an FMU says of itself in its modelDescription.xml, read by FMPy, with its units in ours."""
+
+from __future__ import annotations
+
+import zipfile
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+from softrig_core import resource
+from softrig_core.errors import closest
+from softrig_core.extras import need
+from softrig_core.rig.units import base, powers, text
+
+BASES = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")  # of the FMI's base units
+# how FMPy's methods call the types: of FMI 2.0, of FMI 3.0
+KINDS = {"Real": "Real", "Integer": "Integer", "Boolean": "Boolean", "Enumeration": "Integer", "String": "String"}
+KINDS3 = {name: name for name in ("Float64", "Float32", "Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64",
+                                  "UInt64", "Boolean", "String")} | {"Enumeration": "Int64"}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Unit:
+    """A unit: its name as we write it, and how its values become those of the base units: ``factor * x + offset``."""
+
+    name: str
+    factor: float
+    offset: float
+    base: tuple[tuple[str, int], ...]  # name and power, sorted
+
+    @staticmethod
+    def of(name: str) -> Unit:
+        """Give a unit that is known by its name alone."""
+        factor, parts = base(name)
+        return Unit(name, factor, 0.0, tuple(sorted(parts.items())))
+
+
+@dataclass(frozen=True)
+class Variable:
+    """A scalar variable; `kind` is the type as FMPy's ``get...`` and ``set...`` call it, `unit` None where unstated."""
+
+    name: str
+    reference: int
+    kind: str
+    causality: str
+    start: str | None
+    least: float | None
+    largest: float | None
+    unit: Unit | None
+
+
+@dataclass(frozen=True)
+class Description:
+    """An FMU as far as a rig needs to know it.
+
+    Attributes
+    ----------
+    path : Path
+    version : str
+        Of the FMI: ``2.0``, ``3.0``.
+    co_simulation, model_exchange : bool
+        Which of the two it has.
+    serialises : bool
+        Whether its state can be kept as bytes.
+    variables : dict of str to Variable
+    """
+
+    path: Path
+    version: str
+    co_simulation: bool
+    model_exchange: bool
+    serialises: bool
+    variables: dict[str, Variable]
+
+    def variable(self, name: str) -> Variable:
+        """Find a variable.
+
+        Raises
+        ------
+        ValueError
+            There is none, or it is of a type that no channel carries.
+        """
+        if name not in self.variables:
+            raise ValueError(f"{self.path.name} has no variable {name!r}{closest(name, self.variables)}; it has "
+                             f"{_listed(list(self.variables))}")  # fmt: skip
+        found = self.variables[name]
+        if not found.kind:
+            raise ValueError(f"{name} of {self.path.name} is an array, clock or binary, expected a scalar")
+        return found
+
+
+def describe(source: str) -> Description:
+    """Read the description of an FMU.
+
+    Parameters
+    ----------
+    source : str
+        A file, or ``package://PACKAGE/path``.
+
+    Raises
+    ------
+    ValueError
+        There is no such file, it is no FMU of FMI 2.0 or 3.0, or has no binary for this machine.
+    """
+    path = resource(source, "FMU").resolve()
+    stat = path.stat()
+    return _describe(path, stat.st_mtime_ns, stat.st_size)
+
+
+@cache
+def _describe(path: Path, _changed: int, _size: int) -> Description:
+    need("fmpy", f"the FMU {path.name}")
+    from fmpy import platform, platform_tuple, read_model_description
+
+    try:
+        with zipfile.ZipFile(path) as archive:
+            names = archive.namelist()
+        model = read_model_description(str(path), validate=False)
+    except Exception as error:  # of zipfile, of lxml, of FMPy, which raises bare Exceptions as well
+        raise ValueError(f"{path} cannot be read as an FMU: {type(error).__name__}: {error}") from None
+    if model.fmiVersion != "2.0" and not model.fmiVersion.startswith("3.0"):
+        raise ValueError(f"{path.name} is of FMI {model.fmiVersion}, expected 2.0 or 3.0")
+    here = platform if model.fmiVersion == "2.0" else platform_tuple
+    built = sorted({name.split("/")[1] for name in names if name.startswith("binaries/") and name.count("/") > 1})
+    if here not in built:
+        raise ValueError(f"{path.name} has no binary for this machine, {here}; it has {', '.join(built) or 'none'}")
+    units = {u.name: _unit(u) for u in model.unitDefinitions}
+    kinds = KINDS if model.fmiVersion == "2.0" else KINDS3
+    variables = {}
+    for v in model.modelVariables:
+        unit = v.unit or (v.declaredType.unit if v.declaredType is not None else None)
+        known = None if not unit else units.get(unit) or Unit.of(_ours(unit))
+        kind = "" if v.dimensions else kinds.get(v.type, "")
+        least, largest = (None if x is None or kind == "String" else float(x) for x in (v.min, v.max))
+        variables[v.name] = Variable(v.name, v.valueReference, kind, v.causality, v.start, least, largest, known)
+    either = model.coSimulation or model.modelExchange
+    return Description(path, model.fmiVersion, model.coSimulation is not None, model.modelExchange is not None,
+                       bool(either and either.canGetAndSetFMUstate and either.canSerializeFMUstate),
+                       variables)  # fmt: skip
+
+
+def _ours(name: str) -> str:
+    """Write a unit as ours are: ``N.m/rad2`` of Modelica is ``N m/rad^2``."""
+    import re
+
+    plain = name.replace(".", " ").replace("Ohm", "ohm")
+    return re.sub(r"(?<=[A-Za-z])(-?\d)", r"^\1", plain)
+
+
+def _unit(found: object) -> Unit:
+    name = _ours(found.name)  # type: ignore[attr-defined]
+    given = found.baseUnit  # type: ignore[attr-defined]
+    if given is None:
+        return Unit.of(name)
+    parts = tuple(sorted((b, int(getattr(given, b))) for b in BASES if int(getattr(given, b) or 0)))
+    unit = Unit(name, float(given.factor), float(given.offset), parts)
+    if (unit.factor, unit.offset) == (1.0, 0.0) and Unit.of(name) != unit:
+        return Unit(text(dict(parts)), 1.0, 0.0, parts)  # a name that says nothing to us, of an SI unit
+    return unit
+
+
+def conversion(found: Variable, wanted: str) -> tuple[float, float]:
+    """Give how values of a variable become those of a port: ``scale * x + offset``.
+
+    Parameters
+    ----------
+    found : Variable
+    wanted : str
+        Unit at the port; empty: that of the variable.
+
+    Raises
+    ------
+    ValueError
+        They measure different quantities.
+    """
+    if not wanted or found.unit is None or powers(wanted) == powers(found.unit.name):
+        return 1.0, 0.0
+    port = Unit.of(wanted)
+    if port.base != found.unit.base:
+        raise ValueError(f"{found.name} is in {found.unit.name!r}, expected {wanted!r}, which is another quantity")
+    return found.unit.factor / port.factor, found.unit.offset / port.factor
+
+
+def _listed(names: list[str]) -> str:
+    return ", ".join(names[:30]) + (f" and {len(names) - 30} more" if len(names) > 30 else "")

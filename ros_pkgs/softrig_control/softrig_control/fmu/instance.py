@@ -1,0 +1,262 @@
+"""One FMU that runs in this process: co-simulation, or model exchange with a fixed-step integrator."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+Cell = tuple[str, int]  # type as FMPy calls it, value reference
+Numbers = tuple[float, ...]
+REAL = ("Real", "Float64", "Float32")
+EVENTS = 1000  # iterations of one event
+
+
+class Plan(NamedTuple):
+    """What to run and how.
+
+    Attributes
+    ----------
+    folder : str
+        Where the FMU is unpacked.
+    exchange : bool
+        Model exchange in place of co-simulation.
+    inputs, outputs : tuple of Cell
+    start : tuple of (Cell, value)
+        Parameters and start values, set before the initialisation.
+    steps : int
+        Communication steps, or steps of the integrator, in one period.
+    """
+
+    folder: str
+    exchange: bool
+    inputs: tuple[Cell, ...]
+    outputs: tuple[Cell, ...]
+    start: tuple[tuple[Cell, Any], ...]
+    steps: int
+
+
+class Refusal(RuntimeError):
+    """The FMU refused a call or asked to end; the text says which, and what the FMU said last."""
+
+
+class Instance:
+    """An FMU; see `Plan`.
+
+    Raises
+    ------
+    Refusal
+        By every method.
+    """
+
+    def __init__(self, plan: Plan) -> None:
+        from fmpy import read_model_description
+
+        self.plan = plan
+        self._model: Any = read_model_description(plan.folder, validate=False)
+        self._three = self._model.fmiVersion.startswith("3")
+        self._fmu: Any = None
+        self._said: deque[str] = deque(maxlen=2)
+        self._get = _grouped(plan.outputs)
+        self._set = _grouped(plan.inputs)
+
+    def _log(self, *arguments: Any) -> None:
+        self._said.append(arguments[-1].decode(errors="replace") if arguments[-1] else "")
+
+    def begin(self) -> Numbers:
+        """Instantiate anew, set the start values, initialise at time 0, and give the outputs."""
+        return self._told(self._begin)
+
+    def advance(self, start: float, end: float, values: Numbers) -> Numbers:
+        """Set the inputs, go from `start` to `end` (s) with them held, and give the outputs."""
+        return self._told(self._advance, start, end, values)
+
+    def keep(self) -> bytes:
+        """Give the whole state as bytes; of the same FMU in another process, too."""
+        return self._told(self._keep)
+
+    def restore(self, state: bytes) -> Numbers:
+        """Go on from a state that was kept, and give the outputs."""
+        return self._told(self._restore, state)
+
+    def _told(self, call: Callable[..., Any], *arguments: Any) -> Any:
+        try:
+            return call(*arguments)
+        except Exception as error:  # FMPy raises bare Exceptions as well
+            self._fmu = None  # in which state it is nobody knows: not even that it can be freed
+            if isinstance(error, Refusal):
+                raise
+            said = "".join(f"; it says: {text}" for text in self._said if text)
+            name, status = getattr(error, "function", ""), getattr(error, "status", 0)
+            kinds = {2: "discarded it", 3: "error", 4: "fatal error"}
+            what = f"{name}: {kinds.get(status, f'status {status}')}" if name else f"{type(error).__name__}: {error}"
+            raise Refusal(what + said) from None
+
+    def _begin(self) -> Numbers:
+        from fmpy.simulation import instantiate_fmu
+
+        if self._fmu is not None:
+            self._fmu.terminate()
+            self._fmu.freeInstance()
+        kind = "ModelExchange" if self.plan.exchange else "CoSimulation"
+        fmu: Any = instantiate_fmu(self.plan.folder, self._model, kind, logger=self._log)
+        self._fmu = fmu
+        if not self._three:
+            fmu.setupExperiment(startTime=0.0)
+        for (name, reference), value in self.plan.start:
+            getattr(fmu, f"set{name}")([reference], [value])
+        if self._three:
+            fmu.enterInitializationMode(startTime=0.0)
+        else:
+            fmu.enterInitializationMode()
+        fmu.exitInitializationMode()
+        if self.plan.exchange:
+            self._begin_exchange()
+        return self._outputs()
+
+    def _put(self, values: Sequence[float]) -> None:
+        for name, (references, places) in self._set.items():
+            given: list[Any] = [values[k] for k in places]
+            if name == "Boolean":
+                given = [x != 0.0 for x in given]
+            elif name not in REAL:
+                if wrong := [x for x in given if x != int(x)]:
+                    raise Refusal(f"an input is a whole number, got {wrong[0]!r}")
+                given = [int(x) for x in given]
+            getattr(self._fmu, f"set{name}")(references, given)
+
+    def _outputs(self) -> Numbers:
+        found = [0.0] * len(self.plan.outputs)
+        for name, (references, places) in self._get.items():
+            for k, x in zip(places, getattr(self._fmu, f"get{name}")(references), strict=True):
+                found[k] = float(x)
+        return tuple(found)
+
+    def _advance(self, start: float, end: float, values: Numbers) -> Numbers:
+        self._put(values)
+        n = self.plan.steps
+        if self.plan.exchange:
+            self._event(start)  # the inputs have jumped
+        for k in range(n):
+            a = start + (end - start) * k / n
+            b = end if k == n - 1 else start + (end - start) * (k + 1) / n
+            if self.plan.exchange:
+                self._integrate(a, b)
+            else:
+                self._do_step(a, b - a)
+        return self._outputs()
+
+    def _do_step(self, t: float, h: float) -> None:
+        if not self._three:
+            self._fmu.doStep(t, h)
+            return
+        _, ends, early, last = self._fmu.doStep(t, h)
+        if ends or early:
+            raise Refusal(f"fmi3DoStep: {'asks to end the simulation' if ends else 'returned early'} at {last:.9g} s")
+
+    def _keep(self) -> bytes:
+        state = self._fmu.getFMUState()
+        try:
+            found = self._fmu.serializeFMUState(state) if self._three else self._fmu.serializeFMUstate(state)
+        finally:
+            self._fmu.freeFMUState(state)
+        return bytes(found)
+
+    def _restore(self, found: bytes) -> Numbers:
+        fmu = self._fmu
+        state = fmu.deserializeFMUState(found) if self._three else fmu.deSerializeFMUstate(found)
+        try:
+            fmu.setFMUState(state)
+        finally:
+            fmu.freeFMUState(state)
+        return self._outputs()
+
+    # model exchange -----------------------------------------------------------------------------------------------
+
+    def _begin_exchange(self) -> None:
+        import ctypes
+
+        if self._three:
+            self._states = self._fmu.getNumberOfContinuousStates()
+            self._count = self._fmu.getNumberOfEventIndicators()
+        else:
+            self._states = self._model.numberOfContinuousStates
+            self._count = self._model.numberOfEventIndicators
+        self._x = (ctypes.c_double * self._states)()
+        self._dx = (ctypes.c_double * self._states)()
+        self._z = (ctypes.c_double * self._count)()
+        self._next = float("inf")
+        self._discrete()
+
+    def _event(self, t: float) -> None:
+        self._fmu.setTime(t)
+        self._fmu.enterEventMode()
+        self._discrete()
+
+    def _discrete(self) -> None:
+        """Settle the discrete states of an event; then time goes on."""
+        update = self._fmu.updateDiscreteStates if self._three else self._fmu.newDiscreteStates
+        for _ in range(EVENTS):
+            more, ends, _, _, defined, at = update()
+            if ends:
+                raise Refusal("asks to end the simulation")
+            if not more:
+                break
+        else:
+            raise Refusal(f"an event does not settle in {EVENTS} iterations")
+        self._next = at if defined else float("inf")
+        self._fmu.enterContinuousTimeMode()
+        if self._states:
+            self._fmu.getContinuousStates(self._x, self._states)
+
+    def _signs(self) -> list[bool]:
+        if self._count:
+            self._fmu.getEventIndicators(self._z, self._count)
+        return [z > 0.0 for z in self._z]
+
+    def _integrate(self, a: float, b: float) -> None:
+        """One step of the integrator, cut at time events; a state event takes effect at the end of its step."""
+        while a < b:
+            end = self._next if a < self._next < b else b
+            before = self._signs()
+            self._rk4(a, end)
+            wants, ends = self._fmu.completedIntegratorStep()
+            if ends:
+                raise Refusal("asks to end the simulation")
+            if wants or end >= self._next or self._signs() != before:
+                self._event(end)
+            a = end
+
+    def _rk4(self, a: float, b: float) -> None:
+        h, n = b - a, self._states
+        fmu = self._fmu
+        if not n:
+            fmu.setTime(b)
+            return
+        derivatives = fmu.getContinuousStateDerivatives if self._three else fmu.getDerivatives
+        x0 = list(self._x)
+
+        def slope(t: float, x: list[float]) -> list[float]:
+            fmu.setTime(t)
+            self._x[:] = x
+            fmu.setContinuousStates(self._x, n)
+            derivatives(self._dx, n)
+            return list(self._dx)
+
+        k1 = slope(a, x0)
+        k2 = slope(a + h / 2, [x + h / 2 * k for x, k in zip(x0, k1, strict=True)])
+        k3 = slope(a + h / 2, [x + h / 2 * k for x, k in zip(x0, k2, strict=True)])
+        k4 = slope(b, [x + h * k for x, k in zip(x0, k3, strict=True)])
+        self._x[:] = [x + h / 6 * (p + 2 * q + 2 * r + s) for x, p, q, r, s in zip(x0, k1, k2, k3, k4, strict=True)]
+        fmu.setTime(b)
+        fmu.setContinuousStates(self._x, n)
+
+
+def _grouped(cells: Sequence[Cell]) -> dict[str, tuple[list[int], list[int]]]:
+    """Sort by type: the value references, and their places among all."""
+    found: dict[str, tuple[list[int], list[int]]] = {}
+    for k, (name, reference) in enumerate(cells):
+        references, places = found.setdefault(name, ([], []))
+        references.append(reference)
+        places.append(k)
+    return found

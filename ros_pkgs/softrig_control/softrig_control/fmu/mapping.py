@@ -1,0 +1,187 @@
+"""Which channel of which topic is which variable of an FMU."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+from softrig_core import Port, joint_state, reference, vector3
+from softrig_core.model.port import XYZ
+
+from .description import Description, Variable, conversion
+
+FIELDS = ("position", "velocity", "acceleration", "effort", "vector")
+_ENTRY = re.compile(
+    r"(?P<topic>\S+)/(?P<channel>[^\s/\[]+)/(?P<field>[a-z]+)\s*(\[(?P<unit>[^\]]*)\])?\s*=\s*(?P<name>\S.*)"
+)
+
+
+class Place(NamedTuple):
+    """A variable and where its value stands: scale and offset make the port's value of the FMU's."""
+
+    variable: Variable
+    port: int
+    at: int
+    scale: float
+    offset: float
+
+    def out(self, x: float) -> float:
+        """Give the port's value of the FMU's; the same bits where the units are the same."""
+        return x if self.scale == 1.0 and not self.offset else self.scale * x + self.offset
+
+    def into(self, x: float) -> float:
+        """Give the FMU's value of the port's."""
+        return x if self.scale == 1.0 and not self.offset else (x - self.offset) / self.scale
+
+
+class Mapped(NamedTuple):
+    """The ports of one side, and the place of each variable."""
+
+    ports: tuple[Port, ...]
+    places: tuple[Place, ...]
+
+
+def mapped(
+    unit: Description,
+    entries: Sequence[str],
+    outward: bool,
+    trajectories: Sequence[str] = (),
+    frames: Mapping[str, str] | None = None,
+) -> Mapped:
+    """Make the ports of one side of an FMU.
+
+    Parameters
+    ----------
+    unit : Description
+    entries : sequence of str
+        ``TOPIC/CHANNEL/FIELD [UNIT] = VARIABLE``; without a unit that of the variable holds.
+    outward : bool
+        Whether these are outputs.
+    trajectories : sequence of str
+        Topics that carry JointTrajectory messages.
+    frames : mapping of str to str
+        Topics that carry Vector3Stamped messages, and their frames.
+
+    Raises
+    ------
+    ValueError
+        An entry cannot be read, names a variable that is not there, another quantity or the same place as another.
+    """
+    frames = frames or {}
+    topics: dict[str, dict[tuple[str, str], tuple[str, Variable, tuple[float, float]]]] = {}
+    for entry in entries:
+        found = _ENTRY.fullmatch(entry.strip())
+        if found is None or found["field"] not in FIELDS:
+            raise ValueError(f"{entry!r}: expected TOPIC/CHANNEL/FIELD [UNIT] = VARIABLE with field one of "
+                             f"{', '.join(FIELDS)}")  # fmt: skip
+        variable = unit.variable(found["name"])
+        if not outward and variable.causality != "input":
+            raise ValueError(f"{entry!r}: {variable.name} is {variable.causality} of {unit.path.name}, expected an "
+                             f"input; it has {_names(unit, 'input')}")  # fmt: skip
+        if outward and variable.causality == "input":
+            raise ValueError(f"{entry!r}: {variable.name} is an input of {unit.path.name}; its outputs are "
+                             f"{_names(unit, 'output')}")  # fmt: skip
+        if variable.kind == "String":
+            raise ValueError(f"{entry!r}: {variable.name} is a text, which no channel carries")
+        try:
+            turn = conversion(variable, found["unit"] or "")
+        except ValueError as error:
+            raise ValueError(f"{entry!r}: {error}") from None
+        own = variable.unit.name or "1" if variable.unit else "1" if variable.kind == "Boolean" else ""
+        cells = topics.setdefault(found["topic"], {})
+        if (found["channel"], found["field"]) in cells:
+            raise ValueError(f"{entry!r}: this place has a variable already")
+        cells[found["channel"], found["field"]] = (found["unit"] or own, variable, turn)
+    if not outward and len({v.name for cells in topics.values() for _, v, _ in cells.values()}) < len(entries):
+        raise ValueError("inputs: a variable is named twice")
+    ports, places = [], []
+    for k, (topic, cells) in enumerate(topics.items()):
+        port = _port(topic, cells, outward, topic in trajectories, frames.get(topic))
+        names = port.channels
+        for (channel, field), (_, variable, turn) in cells.items():
+            places.append(Place(variable, k, port.fields.index(field) * len(names) + names.index(channel), *turn))
+        ports.append(port)
+    for given in (*trajectories, *frames):
+        if not re.fullmatch(r"\S+", given):
+            raise ValueError(f"{given!r} is no topic")
+    return Mapped(tuple(ports), tuple(places))
+
+
+def _port(topic: str, cells: Mapping[tuple[str, str], tuple[str, Variable, tuple[float, float]]], outward: bool,
+          trajectory: bool, frame: str | None) -> Port:  # fmt: skip
+    name = "to_" * outward + re.sub(r"\W", "_", topic)
+    fields = [f for f in FIELDS if any(f == field for _, field in cells)]
+    channels = list(dict.fromkeys(channel for channel, _ in cells))
+    allowed = ("vector",) if frame is not None else FIELDS[:3] if trajectory else ("position", "velocity", "effort")
+    if wrong := [f for f in fields if f not in allowed]:
+        raise ValueError(f"{topic}: no field {wrong[0]} in its messages, expected {', '.join(allowed)}; topics of "
+                         "JointTrajectory are named in trajectories, those of Vector3Stamped in frames")  # fmt: skip
+    if frame is not None:
+        if set(channels) - set(XYZ):
+            raise ValueError(f"{topic}: channels {', '.join(channels)}, expected x, y and z")
+        channels = list(XYZ)
+    missing = [f"{topic}/{c}/{f}" for f in fields for c in channels if (c, f) not in cells]
+    if missing and outward and frame is None:
+        raise ValueError(f"{topic}: the message carries {', '.join(missing)} as well; name a variable for each")
+    units = {f: [cells[c, f][0] if (c, f) in cells else "" for c in channels] for f in fields}
+    safe = tuple(_safe(cells[c, f]) if (c, f) in cells else 0.0 for f in fields for c in channels)
+    if frame is not None:
+        return vector3(name, topic, frame, units["vector"], safe=safe)
+    if trajectory:
+        return reference(name, topic, channels, **units, safe=safe)  # type: ignore[arg-type]
+    return joint_state(name, topic, channels, **units, safe=safe)  # type: ignore[arg-type]
+
+
+def _safe(cell: tuple[str, Variable, tuple[float, float]]) -> float:
+    """Give the start value as the port has it: what an input has before anybody spoke."""
+    _, variable, (scale, offset) = cell
+    if variable.start is None:
+        return 0.0
+    start = {"true": 1.0, "false": 0.0}.get(variable.start)
+    return scale * (float(variable.start) if start is None else start) + offset
+
+
+def _names(unit: Description, causality: str) -> str:
+    return ", ".join(v.name for v in unit.variables.values() if v.causality == causality) or "none"
+
+
+def start_values(unit: Description, entries: Sequence[str]) -> tuple[tuple[Variable, float | int | bool | str], ...]:
+    """Read ``VARIABLE = VALUE``: parameters and start values, in the FMU's own units.
+
+    Raises
+    ------
+    ValueError
+        There is no such variable, it cannot be set, or the value is none of its type or bounds.
+    """
+    found: dict[str, tuple[Variable, float | int | bool | str]] = {}
+    for entry in entries:
+        name, equals, value = (part.strip() for part in entry.partition("="))
+        if not equals:
+            raise ValueError(f"{entry!r}: expected VARIABLE = VALUE")
+        variable = unit.variable(name)
+        if variable.causality in ("independent", "calculatedParameter"):
+            raise ValueError(f"{entry!r}: {name} is {variable.causality} of {unit.path.name}, it cannot be set")
+        if name in found:
+            raise ValueError(f"{entry!r}: {name} is set twice")
+        found[name] = (variable, _value(variable, value))
+    return tuple(found.values())
+
+
+def _value(variable: Variable, value: str) -> float | int | bool | str:
+    if variable.kind == "String":
+        return value
+    if variable.kind == "Boolean":
+        if value.lower() not in ("true", "false", "0", "1"):
+            raise ValueError(f"{variable.name} = {value}: expected true or false")
+        return value.lower() in ("true", "1")
+    real = variable.kind in ("Real", "Float64", "Float32")
+    try:
+        number = float(value) if real else int(value)
+    except ValueError:
+        raise ValueError(f"{variable.name} = {value}: expected {'a number' if real else 'a whole number'}") from None
+    low = -float("inf") if variable.least is None else variable.least
+    high = float("inf") if variable.largest is None else variable.largest
+    if not (abs(number) < float("inf") and low <= number <= high):
+        raise ValueError(f"{variable.name} = {value}: expected {low:g} to {high:g}, a finite number")
+    return number

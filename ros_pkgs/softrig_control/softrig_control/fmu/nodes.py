@@ -1,0 +1,208 @@
+"""The nodes: an FMU as a plant, an FMU as a law."""
+
+from __future__ import annotations
+
+import math
+import shutil
+import tempfile
+import weakref
+from collections.abc import Callable, Mapping
+from functools import cached_property
+from typing import Any, Literal, Self
+
+from pydantic import model_validator
+from softrig_core import Block, BlockParams, ParameterError, Plant, Port, RunError, executable, param
+from softrig_core.model.schedule import Schedule, rational
+
+from .description import Description, describe
+from .instance import Instance, Plan, Refusal
+from .mapping import Mapped, mapped, start_values
+
+Method = Literal["co_simulation", "model_exchange"]
+
+
+class FmuParams(BlockParams):
+    """Which FMU, which of its variables are which channels, its start values and steps."""
+
+    fmu: str = param("", "file of the FMU, or package://PACKAGE/path")
+    inputs: tuple[str, ...] = param((), "what it reads, each TOPIC/CHANNEL/FIELD [UNIT] = VARIABLE; without a unit "
+                                    "that of the variable holds")  # fmt: skip
+    outputs: tuple[str, ...] = param((), "what it says, likewise")
+    values: tuple[str, ...] = param((), "its parameters and start values, each VARIABLE = VALUE in the FMU's units")
+    trajectories: tuple[str, ...] = param((), "topics above that carry JointTrajectory messages (references)")
+    vectors: tuple[str, ...] = param((), "topics above that carry Vector3Stamped messages, each TOPIC = FRAME")
+    method: Method = param("co_simulation", "interface that is used; model_exchange: with the Runge-Kutta method of "
+                           "fourth order, `steps` a period")  # fmt: skip
+    steps: int = param(1, "communication steps, or steps of the integrator, in one period", ge=1, le=100_000)
+    isolated: bool = param(True, "run it in a process of its own: a crash of the FMU then ends the run by name")
+    timeout: float = param(60.0, "wall-clock time after which a call of an isolated FMU is given up", "s", gt=0.0,
+                           le=1e6)  # fmt: skip
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        if self.fmu:
+            unit = self.unit
+            if not (unit.model_exchange if self.method == "model_exchange" else unit.co_simulation):
+                other = "co_simulation" if unit.co_simulation else "model_exchange"
+                raise ValueError(f"{unit.path.name} has no {self.method}, only {other}")
+            start_values(unit, self.values)
+            if shared := {p.topic for p in self.reads.ports} & {p.topic for p in self.says.ports}:
+                raise ValueError(f"{min(shared)} is both read and said")
+        return self
+
+    @cached_property
+    def unit(self) -> Description:
+        """What the FMU says of itself."""
+        return describe(self.fmu)
+
+    @cached_property
+    def reads(self) -> Mapped:
+        """Ports and places of the inputs."""
+        return self._mapped(self.inputs, False)
+
+    @cached_property
+    def says(self) -> Mapped:
+        """Ports and places of the outputs."""
+        return self._mapped(self.outputs, True)
+
+    def _mapped(self, entries: tuple[str, ...], outward: bool) -> Mapped:
+        frames = {}
+        for entry in self.vectors:
+            topic, equals, frame = (part.strip() for part in entry.partition("="))
+            if not equals:
+                raise ValueError(f"vectors: {entry!r}: expected TOPIC = FRAME")
+            frames[topic] = frame
+        return mapped(self.unit, entries, outward, self.trajectories, frames)
+
+
+class _Fmu(Block[FmuParams]):
+    """What both have: the FMU, its time, and the way from ports to variables."""
+
+    @classmethod
+    def ports(cls, params: FmuParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
+        """Give the ports that the parameters name."""
+        return (params.reads.ports, params.says.ports) if params.fmu else ((), ())
+
+    def setup(self) -> None:
+        """Unpack the FMU and load it."""
+        p = self.p
+        if not p.fmu:
+            raise ParameterError("parameter fmu = '': expected the file of an FMU")
+        from fmpy import extract
+
+        self._time = Schedule(rational(p.period)).time
+        folder = tempfile.mkdtemp(prefix="softrig_fmu_")
+        self._folder = weakref.finalize(self, shutil.rmtree, folder, True)
+        try:
+            extract(str(p.unit.path), unzipdir=folder)
+        except Exception as error:  # FMPy raises bare Exceptions, zipfile many kinds
+            raise ParameterError(f"parameter fmu = {p.fmu!r} cannot be unpacked: {error!r}") from None
+        plan = Plan(
+            folder,
+            p.method == "model_exchange",
+            tuple((x.variable.kind, x.variable.reference) for x in p.reads.places),
+            tuple((x.variable.kind, x.variable.reference) for x in p.says.places),
+            tuple(((v.kind, v.reference), value) for v, value in start_values(p.unit, p.values)),
+            p.steps,
+        )
+        self._fmu: Any = None
+        if p.isolated:
+            from .child import Isolated
+
+            self._make: Callable[[], Any] = lambda: Isolated(plan, p.timeout)
+        else:
+            self._make = lambda: Instance(plan)
+        self._keys = [port.name for port in p.reads.ports]
+        self._fresh = False
+
+    def start(self) -> None:
+        """Instantiate the FMU anew and initialise it."""
+        self._k = 0
+        if not self._fresh:
+            if self._fmu is None:
+                self._fmu = self._asked(self._make)
+            self._first = self._asked(self._fmu.begin)
+        self._fresh = True
+        self._answer = self._said(self._first)
+
+    def _step(self, inputs: Mapping[str, tuple[float, ...]]) -> None:
+        """Move the FMU over one period with the inputs held; the outputs are then those of its end."""
+        rows = [inputs[key] for key in self._keys]
+        values = tuple(x.into(rows[x.port][x.at]) for x in self.p.reads.places)
+        self._fresh = False
+        found = self._asked(self._fmu.advance, self._now(self._k), self._now(self._k + 1), values)
+        self._k += 1
+        self._answer = self._said(found)
+
+    def _now(self, k: int) -> float:
+        return self._time(k) / 1e9
+
+    def _said(self, found: tuple[float, ...]) -> Mapping[str, tuple[float, ...]]:
+        ports = self.p.says.ports
+        rows = [[0.0] * port.size for port in ports]
+        for place, x in zip(self.p.says.places, found, strict=True):
+            if not math.isfinite(x):
+                raise RunError(f"{self._who()}: {place.variable.name} = {x} at {self._now(self._k):.9g} s of its time, "
+                               "expected a finite number")  # fmt: skip
+            rows[place.port][place.at] = place.out(x)
+        return {port.name: tuple(row) for port, row in zip(ports, rows, strict=True)}
+
+    def _asked(self, call: Any, *arguments: Any) -> Any:
+        try:
+            return call(*arguments)
+        except Refusal as error:
+            raise RunError(f"{self._who()} at {self._now(self._k):.9g} s of its time: {error}") from None
+
+    def _who(self) -> str:
+        return f"{self.name or type(self).__name__}: the FMU {self.p.unit.path.name}"
+
+    def keep(self) -> tuple[int, bytes]:
+        """Give the whole state: periods since the start, and what the FMU wrote.
+
+        Raises
+        ------
+        RunError
+            The FMU cannot.
+        """
+        if not self.p.unit.serialises:
+            raise RunError(f"{self._who()} cannot keep its state (canGetAndSetFMUstate, canSerializeFMUstate)")
+        return self._k, self._asked(self._fmu.keep)
+
+    def restore(self, kept: tuple[int, bytes]) -> None:
+        """Go on from a state that `keep` gave, here or in another block of the same FMU."""
+        self._fresh = False
+        self._k = kept[0]
+        self._answer = self._said(self._asked(self._fmu.restore, kept[1]))
+
+
+class FmuPlant(_Fmu, Plant[FmuParams]):
+    """An FMU as a plant: outputs at t_k, then one period with the inputs of t_k held.
+
+    Outputs that depend on the inputs at once show those of the period before. Its time is that of its own steps, from
+    0 on, in every mode.
+    """
+
+    def outputs(self, t: int) -> Mapping[str, tuple[float, ...]]:
+        """Give the outputs."""
+        return self._answer
+
+    def advance(self, t: int, **inputs: tuple[float, ...]) -> None:
+        """Move over one period."""
+        self._step(inputs)
+
+
+class FmuLaw(_Fmu):
+    """An FMU as a law: it gets the inputs of t_k, makes the step from t_k on, and then says the answer of t_k.
+
+    This is how a sampled law in an FMU works: its step is one sample. One with continuous states answers with what it
+    has at the end of the period.
+    """
+
+    def update(self, t: int, **inputs: tuple[float, ...]) -> Mapping[str, tuple[float, ...]]:
+        """Answer one tick."""
+        self._step(inputs)
+        return self._answer
+
+
+plant = executable(FmuPlant)
+law = executable(FmuLaw)

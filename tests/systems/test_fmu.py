@@ -1,0 +1,273 @@
+"""FMUs as plants and laws: built here from C, run by every interface, and wrong in every way they can be."""
+
+import math
+import re
+from pathlib import Path
+
+import pytest
+from conftest import differences, in_process, make_scenario, no_process_left
+from softrig_core import ParameterError, Rig, RunError, ScenarioError, Signals, load_scenario, run_processes, simulate
+from softrig_drives.dc_motor.plant import DcMotorPlant
+
+pytest.importorskip("fmpy")
+from fmu_build import build_fmu
+from softrig_control.fmu.description import describe
+from softrig_control.fmu.nodes import FmuLaw, FmuPlant
+
+PAGE = Path(__file__).parents[2] / "ros_pkgs" / "softrig_control" / "doc" / "fmu.md"
+PORTS = {"inputs": ("motor/command/armature/effort = voltage",), "outputs": (
+    "motor/state/shaft/position = theta",
+    "motor/state/shaft/velocity = w", "motor/state/shaft/effort = torque")}  # fmt: skip
+BALL = ("ball/state/ball/position = height", "ball/state/ball/velocity = v", "ball/bounces/count/position = bounces")
+
+
+@pytest.fixture(scope="module")
+def fmus(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("fmus")
+    for model in ("motor", "ball", "law"):
+        for version in (2, 3):
+            build_fmu(folder, model, version)
+    return folder
+
+
+@pytest.fixture
+def page(fmus, tmp_path, monkeypatch):
+    """The scenarios of the page, in a folder with their FMUs."""
+    for path in fmus.glob("*.fmu"):
+        (tmp_path / path.name).symlink_to(path)
+    for name, text in zip(("plant", "law"), re.findall(r"```yaml\n(.*?)```", PAGE.read_text(), re.DOTALL), strict=True):
+        (tmp_path / f"{name}.yaml").write_text(text)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def motor(fmus, version=2, **given):
+    return FmuPlant(name="motor", **{"fmu": str(fmus / f"motor{version}.fmu"), "period": 0.001, **PORTS} | given)
+
+
+def voltage(k):
+    return (12.0 * math.sin(0.01 * k),)
+
+
+def trace(plant, ticks=300):
+    found = []
+    for k in range(ticks):
+        found.append(plant.outputs(0)["to_motor_state"])
+        plant.advance(0, motor_command=voltage(k))
+    return found
+
+
+def ours(ticks=300, **constants):
+    plant = DcMotorPlant(period=0.001, **constants)
+    found = []
+    for k in range(ticks):
+        found.append(plant.outputs(k)["state"])
+        plant.advance(k * 1_000_000, command=voltage(k))
+    return found
+
+
+def distance(a, b):
+    return max(abs(x - y) for p, q in zip(a, b, strict=True) for x, y in zip(p, q, strict=True))
+
+
+@pytest.mark.parametrize("version", [2, 3])
+def test_a_motor_in_an_fmu_is_ours(fmus, version):
+    assert describe(str(fmus / f"motor{version}.fmu")).version == f"{version}.0"
+    values = ("R = 0.5", "J = 0.0005")
+    expected = ours(R=0.5, J=0.0005)
+    stepped = trace(motor(fmus, version, values=values))
+    assert distance(stepped, expected) < 1e-12
+    assert distance(expected, ours()) > 1e-3  # the values count
+    assert trace(motor(fmus, version, values=values, isolated=False)) == stepped
+    # theta, w and i of the fourth order with h |A| = 0.1 h/ms: an error of 1e-11; half the step, a 16th
+    coarse, fine = (
+        trace(motor(fmus, version, values=values, method="model_exchange", steps=n, isolated=False)) for n in (1, 2)
+    )
+    assert 1e-12 < distance(coarse, expected) < 1e-9
+    assert distance(fine, expected) < distance(coarse, expected) / 12.0
+
+
+@pytest.mark.parametrize("version", [2, 3])
+def test_a_ball_bounces_when_it_should(fmus, version):
+    """A drop from 1 m takes sqrt(2/g), the flight after the k-th bounce 2 e^k sqrt(2/g)."""
+    first = math.sqrt(2.0 / 9.81)
+    times = [first]
+    for k in range(1, 3):
+        times.append(times[-1] + 2.0 * 0.7**k * first)
+
+    def counted(**given):
+        plant = FmuPlant(fmu=str(fmus / f"ball{version}.fmu"), outputs=BALL, period=0.01, isolated=False, **given)
+        rows = []
+        for _ in range(math.ceil(times[-1] / 0.01) + 1):
+            rows.append((*plant.outputs(0)["to_ball_state"], *plant.outputs(0)["to_ball_bounces"]))
+            plant.advance(0)
+        return rows
+
+    rows = counted()
+    assert [sum(t <= 0.01 * k for t in times) for k in range(len(rows))] == [int(n) for _, _, n in rows]
+    for k, (height, v, n) in enumerate(rows):
+        since = 0.01 * k - times[int(n) - 1] if n else 0.01 * k
+        up = 0.7**n * 9.81 * first if n else 0.0
+        assert height == pytest.approx((0.0 if n else 1.0) + up * since - 9.81 / 2 * since**2, abs=1e-12)
+        assert v == pytest.approx(up - 9.81 * since, abs=1e-11)
+    # by model exchange an event waits for the end of its step, 0.1 ms here
+    for (height, _, n), (exchanged, _, m) in zip(rows, counted(method="model_exchange", steps=100), strict=True):
+        assert n == m
+        assert exchanged == pytest.approx(height, abs=5e-3)
+
+
+@pytest.mark.parametrize("version", [2, 3])
+def test_state_is_kept_and_restored_and_a_reset_begins_anew(fmus, version):
+    plant = motor(fmus, version)
+    begun = trace(plant, 20)
+    kept = plant.keep()
+    rest = trace(plant, 20)
+    plant.restore(kept)
+    assert trace(plant, 20) == rest
+    other = FmuPlant(plant.p, "other")  # in another process
+    other.restore(kept)
+    assert trace(other, 20) == rest
+    plant.reset(3)
+    assert trace(plant, 20) == begun
+    assert begun != rest
+
+
+def test_steps_inside_a_period_and_the_time_of_the_fmu(fmus):
+    """The fault strikes in the step that begins at 0.5 s."""
+    whole, halves = (motor(fmus, period=0.2, steps=n, values=("fault = 5",)) for n in (1, 2))
+    for plant, ticks in ((whole, 3), (halves, 2)):
+        for _ in range(ticks):
+            plant.advance(10**18, motor_command=(1.0,))  # as the wall clock has it
+        with pytest.raises(RunError, match=rf"motor2.fmu at {0.2 * ticks:g} s of its time: fmi2DoStep: error"):
+            plant.advance(10**18, motor_command=(1.0,))
+
+
+def test_units_are_converted_where_both_say_theirs(fmus):
+    outputs = ("motor/a/shaft/velocity [rpm] = w", "motor/b/shaft/effort [mN m] = torque", "motor/c/shaft/velocity = w")
+    plant = motor(fmus, outputs=outputs, isolated=False)
+    assert [p.units for p in plant.ports(plant.p)[1]] == [("rpm",), ("mN m",), ("rad/s",)]
+    for k in range(50):
+        plant.advance(0, motor_command=voltage(k))
+    (rpm,), (mNm,), (w,) = plant.outputs(0).values()
+    state = ours(51)[-1]
+    assert rpm == pytest.approx(w * 30.0 / math.pi, rel=1e-15)
+    assert (mNm, w) == pytest.approx((1e3 * state[2], state[1]), rel=1e-9)
+    volts = motor(fmus, inputs=("motor/command/armature/effort [mV] = voltage",))
+    volts.advance(0, motor_command=(12e3,))
+    plain = motor(fmus)
+    plain.advance(0, motor_command=(12.0,))
+    assert volts.outputs(0)["to_motor_state"] == pytest.approx(plain.outputs(0)["to_motor_state"], rel=1e-14)
+
+
+@pytest.mark.parametrize("version", [2, 3])
+def test_a_law_answers_the_tick_with_its_inputs(fmus, version):
+    law = FmuLaw(fmu=str(fmus / f"law{version}.fmu"), period=0.1, values=("kp = 3", "ki = 2"), inputs=(
+        "r/shaft/velocity [rad/s] = setpoint", "y/shaft/velocity = speed", "on/switch/position = enabled"),
+        outputs=("u/motor/effort = command",), trajectories=("r",))  # fmt: skip
+    assert [(p.msgtype.split("/")[-1], p.units) for p in law.ports(law.p)[0]] == [
+        ("JointTrajectory", ("rad/s",)), ("JointState", ("rpm",)), ("JointState", ("1",))]  # fmt: skip
+    rpm = 30.0 / math.pi
+    for n in range(3):  # error of 1 rpm
+        (u,) = law.update(0, r=(2.0 / rpm,), y=(1.0,), on=(1.0,))["to_u"]
+        assert u == pytest.approx(3.0 + 0.2 * n, rel=1e-14)
+    assert law.update(0, r=(2.0 / rpm,), y=(1.0,), on=(0.0,))["to_u"] == (0.0,)
+    assert law.update(0, r=(900.0 / rpm,), y=(1.0,), on=(1.0,))["to_u"] == (12.0,)
+
+
+@pytest.mark.parametrize(("given", "says"), [
+    ({"values": ("falt = 1",)}, r"motor2.fmu has no variable 'falt' \(did you mean 'fault'\?\); it has theta, w"),
+    ({"values": ("R = much",)}, "R = much: expected a number"),
+    ({"values": ("R = nan",)}, "R = nan: expected -inf to inf, a finite number"),
+    ({"values": ("R",)}, "'R': expected VARIABLE = VALUE"),
+    ({"inputs": ("a/b/effort [A] = voltage",)}, "voltage is in 'V', expected 'A', which is another quantity"),
+    ({"inputs": ("a/b/effort = w",)}, "w is output of motor2.fmu, expected an input; it has voltage"),
+    ({"outputs": ("a/b/effort = voltage",)}, "voltage is an input of motor2.fmu; its outputs are theta"),
+    ({"outputs": ("a/b = w",)}, "'a/b = w': expected TOPIC/CHANNEL/FIELD"),
+    ({"outputs": ("a/b/effort = w", "a/b/effort = i")}, "this place has a variable already"),
+    ({"outputs": ("a/b/effort = w", "a/c/velocity = i")}, "the message carries a/c/effort, a/b/velocity as well|"
+     "the message carries a/b/velocity, a/c/effort as well"),
+    ({"outputs": ("a/b/acceleration = w",)}, "no field acceleration in its messages"),
+    ({"outputs": ("motor/command/b/effort = w",)}, "motor/command is both read and said"),
+    ({"fmu": "nowhere.fmu"}, "no FMU 'nowhere.fmu'"),
+    ({"fmu": __file__}, "cannot be read as an FMU: BadZipFile"),
+    ({"fmu": ""}, "parameter fmu = '': expected the file of an FMU"),
+])  # fmt: skip
+def test_bad_input_is_told_by_name(fmus, given, says):
+    with pytest.raises(ParameterError, match=says):
+        motor(fmus, **given)
+
+
+def test_an_fmu_for_another_machine_or_without_the_interface_is_told(tmp_path):
+    build_fmu(tmp_path, "motor", platform="win64", exchange=False)
+    with pytest.raises(ParameterError, match=r"motor2\.fmu has no binary for this machine, .*; it has win64"):
+        motor(tmp_path)
+    (tmp_path / "other").mkdir()
+    build_fmu(tmp_path / "other", "motor", exchange=False)
+    with pytest.raises(ParameterError, match=r"motor2\.fmu has no model_exchange, only co_simulation"):
+        motor(tmp_path / "other", method="model_exchange")
+
+
+@pytest.mark.parametrize(("version", "fault", "says"), [
+    (2, 1, "crashed: its process was killed by SIGSEGV"),
+    (3, 2, "fmi3DoStep: discarded it; it says: the step is too hard for me"),
+    (2, 3, r"w = nan at 0\.6 s of its time, expected a finite number"),
+    (3, 4, "gave no answer within 0.1 s"),
+    (2, 5, "fmi2DoStep: error; it says: the step is too hard for me"),
+])  # fmt: skip
+def test_what_goes_wrong_inside_ends_by_name_and_a_reset_begins_anew(fmus, version, fault, says):
+    outputs = ("motor/state/shaft/velocity = w",)
+    plant = motor(fmus, version, period=0.1, timeout=0.1, values=(f"fault = {fault}",), outputs=outputs)
+
+    def run():
+        for _ in range(10):
+            plant.advance(0, motor_command=(1.0,))
+
+    for _ in range(2):
+        with pytest.raises(RunError, match=f"motor: the FMU motor{version}.fmu.*{says}"):
+            run()
+        plant.reset(0)
+
+
+def test_the_plant_of_the_page_is_controlled_as_ours(page):
+    scenario = load_scenario(str(page / "plant.yaml"))
+    run = simulate(scenario)
+    nodes = scenario.model_dump(mode="json", exclude_unset=True)["nodes"]
+    nodes["motor_plant"] |= {"package": "softrig_drives", "executable": "dc_motor_plant",
+                             "parameters": {"period": 0.001, "R": 0.5, "vmax": 100.0}}  # fmt: skip
+    expected = simulate(make_scenario(nodes, duration=2.0)).signals["motor/state/shaft/velocity"]
+    found = run.signals["motor/state/shaft/velocity"]
+    assert found.t.tolist() == expected.t.tolist()
+    assert found.x.tolist() == pytest.approx(expected.x.tolist(), abs=1e-9)
+    assert 0.01 < run.figures["rise_time"] < 1.0
+    with pytest.raises(ScenarioError, match=r"no variable 'speed'"):
+        simulate(scenario, overrides={"motor_plant.outputs": ["motor/state/shaft/velocity = speed"]})
+
+
+def test_the_law_of_the_page_holds_the_speed_of_our_motor(page, tmp_path):
+    run = simulate(load_scenario(str(page / "law.yaml")))
+    assert 0.01 < run.figures["rise_time"] < 2.0
+    assert run.signals["motor/state/shaft/velocity"].x[-1] == pytest.approx(1.0, abs=0.05)
+
+
+@pytest.mark.processes
+def test_nodes_and_a_container_give_the_bytes_of_the_run_in_process(page, tmp_path):
+    for name in ("plant", "law"):
+        wired = Rig.from_scenario(load_scenario(str(page / f"{name}.yaml"))).changed(duration=0.2)
+        expected = in_process(wired)
+        for groups in ([], [[m.name for m in wired.members]]):
+            outcome = run_processes(wired, 0, tmp_path / f"{name}{len(groups)}", containers=groups)
+            assert outcome.error == ""
+            assert differences(expected, outcome.recording) == []
+
+
+@pytest.mark.processes
+def test_a_crash_ends_a_run_by_name_and_the_bag_stays(page, tmp_path):
+    text = (page / "plant.yaml").read_text().replace("R = 0.5", "fault = 1")
+    (page / "plant.yaml").write_text(text)
+    wired = Rig.from_scenario(load_scenario(str(page / "plant.yaml")))
+    outcome = run_processes(wired, 0, tmp_path / "out", containers=[[m.name for m in wired.members]])
+    crash = "motor_plant: the FMU motor2.fmu at 0.5 s of its time: crashed: its process was killed by SIGSEGV"
+    assert crash in outcome.error
+    t = Signals(outcome.recording)["motor/state/shaft/velocity"].t
+    assert t[-1] == pytest.approx(0.5)
+    no_process_left(tmp_path / "out")
