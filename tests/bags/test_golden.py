@@ -8,6 +8,7 @@ import resource
 import struct
 import subprocess
 import sys
+import xml.etree.ElementTree as ET
 from pathlib import Path
 
 import pytest
@@ -228,6 +229,31 @@ def test_making_one_anew_shows_the_difference_and_check_tells_it(tmp_path, capsy
     assert main([], tmp_path, duration=None, seed=None, check=False) == 0
     assert "DIFFERS" in capsys.readouterr().out
     assert main([], tmp_path, duration=None, seed=None, check=True) == 0
+
+
+def test_a_check_writes_what_it_found_for_continuous_integration(tmp_path):
+    golden = create(tmp_path / "dc_motor_smc_b2", "dc_motor_smc_b2", 0.2, 0)
+    golden.make()
+    files = {"junit": tmp_path / "new" / "golden.xml", "as_json": tmp_path / "new" / "golden.json"}
+    keys = {"duration": None, "seed": None, "check": True}
+    assert main([], tmp_path, **keys, **files) == 0
+    about = {"bag": "dc_motor_smc_b2", "scenario": "dc_motor_smc_b2", "duration_s": 0.2, "seed": 0}
+    agrees = {**about, "pass": True, "compared": "byte for byte", "differs": ""}
+    assert json.loads(files["as_json"].read_text()) == [agrees]
+    assert ET.parse(files["junit"]).find("testsuite").attrib == {
+        "name": "dc_motor_smc_b2", "tests": "1", "failures": "0", "errors": "0", "time": "0.000"
+    }  # fmt: skip
+    recipe = golden.folder / "golden.yaml"
+    recipe.write_text(recipe.read_text().replace("scenario: dc_motor_smc_b2", "scenario: dc_motor_smc_b2_delta2"))
+    assert main([], tmp_path, **keys, **files) == 1
+    (found,) = json.loads(files["as_json"].read_text())
+    assert not found["pass"]
+    assert "motor/command" in found["differs"]
+    suite = ET.parse(files["junit"]).find("testsuite")
+    assert suite.attrib["failures"] == "1"
+    assert "motor/command" in suite.find("testcase/failure").attrib["message"]
+    with pytest.raises(ScenarioError, match="golden --json: goes with --check"):
+        main([], tmp_path, **keys | {"check": False, "as_json": files["as_json"]})
 
 
 def test_another_duration_or_seed_leaves_what_was_edited_by_hand(tmp_path):

@@ -161,6 +161,7 @@ def _parser() -> argparse.ArgumentParser:
     golden.add_argument("--seed", type=int, metavar="N", help="another seed")
     golden.add_argument("--bags", type=Path, default=Path("bags"), metavar="DIR", help="where they are")
     golden.add_argument("--junit", type=Path, metavar="FILE", help="with --check: report as JUnit XML")
+    golden.add_argument("--json", type=Path, metavar="FILE", help="with --check: report as JSON")
     new = verb("new", _new, "write a package with a plant, a law, a scenario and tests, to begin with")
     new.add_argument("name", metavar="NAME", help="of the package: lower-case letters, digits and _")
     new.add_argument("--into", type=Path, default=Path(), metavar="DIR", help="where its folder is made (here)")
@@ -302,4 +303,4 @@ def _golden(options: argparse.Namespace) -> int:
     from .golden import main as golden
 
     return golden(options.names, options.bags, duration=options.duration, seed=options.seed, check=options.check,
-                  junit=options.junit)  # fmt: skip
+                  junit=options.junit, as_json=options.json)  # fmt: skip

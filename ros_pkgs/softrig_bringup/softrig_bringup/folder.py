@@ -150,10 +150,11 @@ class ResultsFolder:
 
 
 def replace(path: Path, text: str) -> None:
-    """Write a file that appears whole or not at all; a link in its place is replaced, not followed."""
+    """Write a file that appears whole or not at all, its folder too; a link in its place is replaced, not followed."""
     temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         with naming(path):
+            path.parent.mkdir(parents=True, exist_ok=True)
             temporary.write_text(text, encoding="utf-8")
             temporary.replace(path)
     finally:

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -276,21 +277,23 @@ def _write(file: Path, recipe: Recipe) -> None:
 
 
 def main(names: Sequence[str], folder: Path, *, duration: float | None, seed: int | None, check: bool,
-         junit: Path | None = None) -> int:  # fmt: skip
+         junit: Path | None = None, as_json: Path | None = None) -> int:  # fmt: skip
     """Regenerate golden bags (all of the folder when none is named), or only check them.
 
     A duration or seed changes the recipes that are there and leaves the rest of them, which was edited by hand.
+    `junit` and `as_json` are files that a check writes: whether each bag agrees, and how it was compared.
     """
     changes: dict[str, Any] = {k: v for k, v in {"duration": duration, "seed": seed}.items() if v is not None}
     if check and changes:
         given = " and ".join(f"--{key}" for key in changes)
         raise ScenarioError(f"golden --check with {given}: expected --check alone, a bag is checked as it was made")
-    if junit is not None and not check:
-        raise ScenarioError("golden --junit: goes with --check")
+    for option, file in (("junit", junit), ("json", as_json)):
+        if file is not None and not check:
+            raise ScenarioError(f"golden --{option}: goes with --check")
     chosen = list(names) or sorted(p.parent.name for p in folder.glob("*/golden.yaml"))
     if not chosen:
         raise ScenarioError(f"{folder} has no golden bags yet; name the scenarios to make them of")
-    status, suites = 0, []
+    status, suites, content = 0, [], []
     for name in chosen:
         there = (folder / name / "golden.yaml").is_file()
         golden = load(folder / name, **changes) if there or check else create(folder / name, name, **changes)
@@ -307,6 +310,11 @@ def main(names: Sequence[str], folder: Path, *, duration: float | None, seed: in
             status = 1 if check else status
         differs = "" if result is None or result.equal else str(result)
         suites.append(Suite(name, 0.0, [Case("bag", differs, f"{golden.recipe.duration:g} s")]))
+        content.append({"bag": name, "scenario": golden.recipe.scenario, "duration_s": golden.recipe.duration,
+                        "seed": golden.recipe.seed, "pass": not differs, "compared": how,
+                        "differs": differs})  # fmt: skip
     if junit is not None:
         write_junit(junit, suites)
+    if as_json is not None:
+        replace(as_json, json.dumps(content, indent=1) + "\n")
     return status
