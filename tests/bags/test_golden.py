@@ -234,7 +234,7 @@ def test_making_one_anew_shows_the_difference_and_check_tells_it(tmp_path, capsy
 def test_a_check_writes_what_it_found_for_continuous_integration(tmp_path):
     golden = create(tmp_path / "dc_motor_smc_b2", "dc_motor_smc_b2", 0.2, 0)
     golden.make()
-    files = {"junit": tmp_path / "new" / "golden.xml", "as_json": tmp_path / "new" / "golden.json"}
+    files = {"junit": tmp_path / "golden.xml", "as_json": tmp_path / "golden.json"}
     keys = {"duration": None, "seed": None, "check": True}
     assert main([], tmp_path, **keys, **files) == 0
     about = {"bag": "dc_motor_smc_b2", "scenario": "dc_motor_smc_b2", "duration_s": 0.2, "seed": 0}

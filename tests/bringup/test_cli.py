@@ -450,6 +450,26 @@ def test_an_error_of_our_own_is_one_line_and_a_log(monkeypatch, tmp_path, capsys
     assert "in broken" in log.read_text()
 
 
+@pytest.mark.parametrize("where", ["execute", "save"])
+def test_an_error_of_our_own_in_a_run_is_kept_in_its_folder(folder, monkeypatch, capsys, where):
+    def broken(*arguments, **keys):
+        raise ZeroDivisionError("none of yours")
+
+    def once():
+        with monkeypatch.context() as patched:
+            patched.setattr("softrig_bringup.run." + {"execute": "run_inprocess", "save": "_write"}[where], broken)
+            return run("lag", "--mode", "inprocess", "--out", "out")
+
+    assert once() == 4
+    (log,) = (folder / "out" / "log").glob("softrig-error-*.log")
+    assert f"the traceback is in {log}" in capsys.readouterr().err
+    assert "in broken" in log.read_text()
+    assert once() == 4
+    assert len(list((folder / "out" / "log").iterdir())) == 1  # the old one was replaced
+    assert run("lag", "--mode", "inprocess", "--no-plots", "--out", "out") == 0
+    assert not (folder / "out" / "log").exists()
+
+
 def test_nothing_is_imported_from_the_current_directory(tmp_path):
     (tmp_path / "rich.py").write_text("raise SystemExit('a file of the current directory was run')")
     (tmp_path / "softrig_core.py").write_text("raise SystemExit('a file of the current directory was run')")

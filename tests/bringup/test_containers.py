@@ -68,7 +68,7 @@ def all_commands():
 
 @pytest.mark.parametrize("command", all_commands())
 def test_every_command_is_one_that_softrig_knows(command):
-    script, *words = shlex.split(command)
+    script, *words = shlex.split(command.removeprefix("mkdir -p runs && "))
     assert os.access(ROOT / script, os.X_OK)
     if script == "scripts/test" or words[0] in SET_UP:
         return

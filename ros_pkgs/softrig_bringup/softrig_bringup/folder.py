@@ -11,8 +11,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from softrig_core import ScenarioError
-from softrig_core.guard import naming
+from softrig_core import RunError, ScenarioError
+from softrig_core.guard import keep_traceback, naming
 
 MANIFEST = "softrig_files.json"
 UNDER_WAY = "*"  # in place of a list: a run has begun here and not ended; all that a run may write is its own
@@ -99,6 +99,20 @@ class ResultsFolder:
         """List everything that this run has written, so that a later one may replace it."""
         self._list(sorted({MANIFEST, *(f for f in _files(self.path) if f not in self._foreign)}))
 
+    @contextmanager
+    def keeping(self) -> Iterator[None]:
+        """Keep the traceback of an error of softrig itself in ``log/``, and list it; `guarded` then names that file."""
+        try:
+            yield
+        except (ScenarioError, RunError, OSError, MemoryError):
+            raise  # told in one line
+        except Exception as error:
+            kept = Path(keep_traceback(self.path / "log"))
+            if kept.is_relative_to(self.path):
+                self._list(sorted({MANIFEST, *_listed(self.path), str(kept.relative_to(self.path))}))
+            vars(error)["log"] = str(kept)
+            raise
+
     def _list(self, names: list[str]) -> None:
         replace(self.path / MANIFEST, json.dumps(names, indent=1) + "\n")
 
@@ -150,11 +164,10 @@ class ResultsFolder:
 
 
 def replace(path: Path, text: str) -> None:
-    """Write a file that appears whole or not at all, its folder too; a link in its place is replaced, not followed."""
+    """Write a file that appears whole or not at all; a link in its place is replaced, not followed."""
     temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         with naming(path):
-            path.parent.mkdir(parents=True, exist_ok=True)
             temporary.write_text(text, encoding="utf-8")
             temporary.replace(path)
     finally:

@@ -106,10 +106,11 @@ def _run_reserved(options: argparse.Namespace) -> int:
 
         return run_part(rig, options)
     folder = results_folder(options, scenario.name)
-    with _progress(scenario) as progress:
-        done = execute(rig, options.mode, folder.path / "log", realtime=options.realtime, domain=options.domain,
-                       progress=progress, wait=options.wait, announce=_announce)  # fmt: skip
-    return conclude(options, done, folder)
+    with folder.keeping():
+        with _progress(scenario) as progress:
+            done = execute(rig, options.mode, folder.path / "log", realtime=options.realtime, domain=options.domain,
+                           progress=progress, wait=options.wait, announce=_announce)  # fmt: skip
+        return conclude(options, done, folder)
 
 
 def results_folder(options: argparse.Namespace, scenario: str) -> ResultsFolder:

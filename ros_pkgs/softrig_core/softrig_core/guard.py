@@ -47,7 +47,7 @@ def guarded(work: Callable[[], int]) -> int:
     except ScenarioError as error:
         # from another exception: code of a user's package, whose traceback tells more than a line (a bag's does not)
         ours = type(error) is not ScenarioError or error.__cause__ is None
-        say(error if ours else f"{error}; the traceback is in {_traceback()}")
+        say(error if ours else f"{error}; the traceback is in {keep_traceback()}")
         return 2
     except BrokenPipeError:  # whoever read our output has enough
         return 141
@@ -64,7 +64,8 @@ def guarded(work: Callable[[], int]) -> int:
         say("out of memory; a shorter run or a smaller size may fit")
         return 3
     except Exception as error:
-        say(f"error of softrig itself: {type(error).__name__}: {error}; the traceback is in {_traceback()}")
+        say(f"error of softrig itself: {type(error).__name__}: {error}; the traceback is in "
+            f"{vars(error).get('log') or keep_traceback()}")  # fmt: skip
         return 4
 
 
@@ -131,15 +132,23 @@ def _flush() -> None:
         raise
 
 
-def _traceback() -> str:
-    """Write the traceback under way into a file of its own; gives its name."""
+def keep_traceback(folder: Path | None = None) -> str:
+    """Write the traceback under way into a file of its own; gives its name.
+
+    Parameters
+    ----------
+    folder : Path, optional
+        Made if need be; the system's temporary one when absent, or when nothing can be written there.
+    """
     import tempfile
     import traceback
 
     try:
-        number, name = tempfile.mkstemp(prefix="softrig-error-", suffix=".log")
+        if folder is not None:
+            folder.mkdir(parents=True, exist_ok=True)
+        number, name = tempfile.mkstemp(prefix="softrig-error-", suffix=".log", dir=folder)
         with os.fdopen(number, "w", encoding="utf-8", errors="replace") as file:
             file.write(f"{shlex.join(sys.argv)}\n{traceback.format_exc()}")
     except OSError as error:
-        return f"no file: {error}"
+        return f"no file: {error}" if folder is None else keep_traceback()
     return name
