@@ -173,3 +173,29 @@ def test_a_viewer_that_comes_late_gets_the_robot_description_and_markers(bench):
     bench.wait(lambda: bench.status("robot_dynamics")["state"] == "running")
     bench.python("viewer", WATCHER)
     assert bench.ends("viewer") == 0
+
+
+ASK_PROFILES = """
+import rclpy, sys
+from rclpy.node import Node
+rclpy.init()
+node = Node("asking")
+found = {}
+while len(found) < 2:
+    for topic in ("/lag/state", "/lag/applied"):
+        for end in node.get_publishers_info_by_topic(topic):
+            found[topic] = end.qos_profile
+told = {t: (q.durability.name, q.reliability.name, q.deadline.nanoseconds) for t, q in found.items()}
+print(told)
+kept = told["/lag/applied"][:2] == ("VOLATILE", "RELIABLE")
+sys.exit(0 if kept and told["/lag/state"] == ("TRANSIENT_LOCAL", "BEST_EFFORT", 20_000_000) else 4)
+"""
+
+
+def test_the_profile_of_a_topic_is_settable_as_of_any_node_of_ros(bench):
+    """By the parameters that rclpy has for it; a topic that is not named keeps its own."""
+    given = {"durability": "transient_local", "reliability": "best_effort", "deadline": "20000000"}
+    words = [w for k, v in given.items() for w in ("-p", f"qos_overrides./lag/state.publisher.{k}:={v}")]
+    bench.start("plant", "plant", *words)
+    bench.python("asking", ASK_PROFILES)
+    assert bench.ends("asking") == 0

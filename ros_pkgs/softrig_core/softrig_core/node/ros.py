@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from copy import copy
 from functools import wraps
 from typing import Any, ParamSpec
 
@@ -19,6 +20,7 @@ from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.logging import LoggingSeverity
 from rclpy.node import Node, NodeNameNonExistentError
 from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.qos_overriding_options import QoSOverridingOptions, QoSPolicyKind
 
 from ..model.block import Level
 from .messages import message_class
@@ -26,6 +28,11 @@ from .middleware import Matched, Middleware, Peer, Receive
 
 # Depth 10: in lockstep at most two messages of a topic are ever under way; outside readers get some slack.
 QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
+
+POLICIES = (
+    QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH, QoSPolicyKind.RELIABILITY, QoSPolicyKind.DURABILITY,
+    QoSPolicyKind.LIFESPAN, QoSPolicyKind.DEADLINE,
+)  # fmt: skip
 
 SEVERITY = {Level.OK: LoggingSeverity.INFO, Level.WARN: LoggingSeverity.WARN, Level.ERROR: LoggingSeverity.ERROR}
 
@@ -103,7 +110,8 @@ class RosMiddleware(Middleware):
     def publisher(self, topic: str, msgtype: str, matched: Matched) -> Callable[[bytes], None]:
         """Offer a topic."""
         events = PublisherEventCallbacks(matched=lambda status: matched(status.current_count))
-        made = self.node.create_publisher(message_class(msgtype), topic, QOS, event_callbacks=events)
+        made = self.node.create_publisher(message_class(msgtype), topic, copy(QOS), event_callbacks=events,
+                                          qos_overriding_options=self._overrides(topic))  # fmt: skip
         # what publish(bytes) ends in, without its type checks: worth 5 % of a lockstep loop
         publish: Callable[[bytes], None] = made.handle.publish_raw
         return publish
@@ -112,7 +120,17 @@ class RosMiddleware(Middleware):
         """Read the bytes of a topic."""
         events = SubscriptionEventCallbacks(matched=lambda status: matched(status.current_count))
         take = quiet_after_shutdown(receive)
-        self.node.create_subscription(message_class(msgtype), topic, take, QOS, raw=True, event_callbacks=events)
+        self.node.create_subscription(message_class(msgtype), topic, take, copy(QOS), raw=True, event_callbacks=events,
+                                      qos_overriding_options=self._overrides(topic))  # fmt: skip
+
+    def _overrides(self, topic: str) -> QoSOverridingOptions | None:
+        """Have rclpy read what is given of a topic's profile, into the profile that it got: a copy is made for each.
+
+        Without anything given there are no six parameters for each.
+        """
+        prefix = f"qos_overrides.{self.resolve(topic)}."
+        given = any(name.startswith(prefix) for name in self.node._parameter_overrides)
+        return QoSOverridingOptions(POLICIES) if given else None
 
     def post(self, call: Callable[[], object]) -> None:
         """Nobody else is in this process."""
