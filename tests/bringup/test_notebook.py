@@ -1,8 +1,13 @@
 """A run at a prompt and in a notebook; signals by their short names."""
 
+import re
+import sys
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from softrig_bringup.cli import main
+from softrig_bringup.progress import progress
 from softrig_core import Rig, ScenarioError, load_scenario, simulate
 from softrig_core.wire.signals import full_name
 
@@ -25,6 +30,47 @@ def test_a_run_shows_its_figures_and_pictures_in_a_cell(run):
     assert "<td" in cell
     assert "rise time" in cell
     assert cell.count('<img src="data:image/png;base64,') == 4
+
+
+class Cell:
+    """What IPython's `display` does as far as a bar needs it."""
+
+    def __init__(self):
+        self.states = []
+
+    def display(self, data, *, raw, display_id):
+        assert raw
+        assert display_id
+        self.update(data, raw=raw)
+        return self
+
+    def update(self, data, *, raw):
+        self.states.append(data["text/html"])
+
+
+def test_a_notebook_shows_how_far_a_run_is(monkeypatch):
+    cell = Cell()
+    shell = SimpleNamespace(kernel=object())
+    monkeypatch.setitem(sys.modules, "IPython", SimpleNamespace(get_ipython=lambda: shell))
+    monkeypatch.setitem(sys.modules, "IPython.display", SimpleNamespace(display=cell.display))
+    monkeypatch.setattr("softrig_bringup.progress.REDRAWN", -1.0)
+    simulate("dc_motor_smc_b2", duration=0.5, progress=True)
+    first, *between, last = cell.states
+    assert first == 'dc_motor_smc_b2 <progress value="0" max="0.5"></progress> 0 of 0.5 s'
+    assert last == ""
+    values = [float(re.search(r'value="([^"]+)"', state)[1]) for state in between]
+    assert values == sorted(values)
+    assert values[-1] == 0.5
+    assert len(values) > 40
+    with pytest.raises(ZeroDivisionError), progress("broken", 1.0):
+        raise ZeroDivisionError
+    assert cell.states[-1] == ""
+
+
+def test_without_a_terminal_a_line_now_and_then_says_how_far_a_run_is(monkeypatch, capsys):
+    monkeypatch.setattr("softrig_bringup.progress.NEWS", -1.0)
+    simulate("dc_motor_smc_b2", duration=0.5, progress=True)
+    assert capsys.readouterr().err.splitlines()[-1] == "softrig: dc_motor_smc_b2: 0.5 of 0.5 s"
 
 
 def test_signals_are_plotted_by_name_in_their_units(run):

@@ -7,9 +7,8 @@ import os
 import re
 import shlex
 import sys
-import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, nullcontext, suppress
+from collections.abc import Mapping, Sequence
+from contextlib import nullcontext, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,7 +22,6 @@ if TYPE_CHECKING:
     from .folder import ResultsFolder
 
 MISSED = 10.0  # per cent of missed deadlines that are worth a word
-NEWS = 10.0  # s of wall-clock time between two lines of progress
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -93,6 +91,7 @@ def _run_reserved(options: argparse.Namespace) -> int:
     from softrig_core.rig.executables import environment
     from softrig_core.rig.start_server import prepare
 
+    from .progress import progress
     from .run import checked, execute
 
     if options.realtime and options.mode == "inprocess":
@@ -107,9 +106,9 @@ def _run_reserved(options: argparse.Namespace) -> int:
         return run_part(rig, options)
     folder = results_folder(options, scenario.name)
     with folder.keeping():
-        with _progress(scenario) as progress:
+        with progress(scenario.name, scenario.duration) as tell:
             done = execute(rig, options.mode, folder.path / "log", realtime=options.realtime, domain=options.domain,
-                           progress=progress, wait=options.wait, announce=_announce)  # fmt: skip
+                           progress=tell, wait=options.wait, announce=_announce)  # fmt: skip
         return conclude(options, done, folder)
 
 
@@ -247,40 +246,10 @@ def _changed(scenario: Scenario, changes: dict[str, Any]) -> Scenario:
         raise ScenarioError(f"--{'.'.join(map(str, first['loc']))}: {first['msg']}, got {first['input']!r}") from None
 
 
-@contextmanager
-def _progress(scenario: Scenario) -> Iterator[Callable[[int], None] | None]:
-    """A progress bar on a terminal, elsewhere a line now and then."""
-    if not sys.stderr.isatty():
-        yield _news(scenario)
-        return
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-
-    from .listing import console
-
-    columns = (TextColumn("{task.description}", markup=False), BarColumn(),
-               TextColumn("{task.completed:.3g} of {task.total:.3g} s"), TimeElapsedColumn(),
-               TimeRemainingColumn())  # fmt: skip
-    with Progress(*columns, console=console(stderr=True, width=None), transient=True) as bar:
-        task = bar.add_task(scenario.name, total=scenario.duration)
-        yield lambda t: bar.update(task, completed=t / 1e9)
-
-
 def _announce(text: str) -> None:
     """Say what a run waits for, whole and with its lines: they are instructions."""
     with suppress(OSError):
         print(f"softrig: {plain(text)}", file=sys.stderr, flush=True)
-
-
-def _news(scenario: Scenario) -> Callable[[int], None]:
-    last = time.monotonic()
-
-    def tell(t: int) -> None:
-        nonlocal last
-        if time.monotonic() - last > NEWS:
-            last = time.monotonic()
-            say(f"{scenario.name}: {t / 1e9:.3g} of {scenario.duration:g} s")
-
-    return tell
 
 
 def _print_figures(content: Mapping[str, Any], run: Run, out: Path | None) -> None:

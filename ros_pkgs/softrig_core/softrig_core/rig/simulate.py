@@ -7,6 +7,7 @@ import math
 import signal
 import time
 from collections.abc import Callable, Mapping
+from contextlib import nullcontext
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -210,7 +211,7 @@ def simulate(
     seed: int | None = None,
     duration: float | None = None,
     overrides: Mapping[str, Any] | None = None,
-    progress: Callable[[int], object] | None = None,
+    progress: Callable[[int], object] | bool | None = None,
 ) -> Run:
     """Run a scenario or rig in this process: the same numbers and bytes as with nodes over DDS.
 
@@ -222,8 +223,9 @@ def simulate(
         Instead of the scenario's.
     duration, overrides
         See `rig_of`.
-    progress : callable, optional
-        Called with the time in ns about a hundred times.
+    progress : callable or bool, optional
+        Called with the time in ns about a hundred times. True: a bar on a terminal or in a notebook, drawn by
+        softrig_bringup.
 
     Raises
     ------
@@ -244,5 +246,7 @@ def simulate(
     number = rig.scenario.seed if seed is None else seed
     recording = Recording((topic, port.msgtype) for topic, port in rig.topics.items())
     started = time.perf_counter()
-    blocks = run_inprocess(rig, number, recording, progress)
+    bar = _view("progress")(rig.scenario.name, rig.scenario.duration) if progress is True else nullcontext(progress)
+    with bar as tell:
+        blocks = run_inprocess(rig, number, recording, tell or None)
     return Run(rig, number, recording, time.perf_counter() - started, blocks=blocks)

@@ -1,0 +1,95 @@
+"""How far a run is: a bar on a terminal and in a notebook, elsewhere a line now and then."""
+
+from __future__ import annotations
+
+import html
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from softrig_core.guard import say
+
+NEWS = 10.0  # s of wall-clock time between two lines
+REDRAWN = 0.1  # s of wall-clock time between two states of a notebook's bar
+
+Tell = Callable[[int], None]
+
+
+@contextmanager
+def progress(title: str, duration: float) -> Iterator[Tell]:
+    """Show how far a run is until it ends.
+
+    Parameters
+    ----------
+    title : str
+    duration : float
+        Of the run, s.
+
+    Yields
+    ------
+    callable
+        To be called with the time in ns.
+    """
+    if (show := _notebook()) is not None:
+        yield from _cell(show, title, duration)
+        return
+    if not sys.stderr.isatty():
+        yield _lines(title, duration)
+        return
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+    from .listing import console
+
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(),
+               TextColumn("{task.completed:.3g} of {task.total:.3g} s"), TimeElapsedColumn(),
+               TimeRemainingColumn())  # fmt: skip
+    with Progress(*columns, console=console(stderr=True, width=None), transient=True) as bar:
+        task = bar.add_task(title, total=duration)
+        yield lambda t: bar.update(task, completed=t / 1e9)
+
+
+def _notebook() -> Any:
+    """Give the function of IPython that shows something, when there is a notebook to show it."""
+    ipython: Any = sys.modules.get("IPython")  # loaded by whoever serves the notebook, never by us
+    shell = ipython.get_ipython() if ipython is not None else None
+    if shell is None or not hasattr(shell, "kernel"):
+        return None
+    from IPython.display import display  # type: ignore[import-not-found]
+
+    return display
+
+
+def _cell(show: Any, title: str, duration: float) -> Iterator[Tell]:
+    """Draw a bar of HTML, which needs no widgets; it leaves an empty line."""
+
+    def bar(seconds: float) -> dict[str, str]:
+        text = f"{seconds:.3g} of {duration:g} s"
+        drawn = f'<progress value="{seconds:g}" max="{duration:g}"></progress>'
+        return {"text/html": f"{html.escape(title)} {drawn} {text}", "text/plain": f"{title}: {text}"}
+
+    shown, last = show(bar(0.0), raw=True, display_id=True), time.monotonic()
+
+    def tell(t: int) -> None:
+        nonlocal last
+        if time.monotonic() - last > REDRAWN:
+            last = time.monotonic()
+            shown.update(bar(t / 1e9), raw=True)
+
+    try:
+        yield tell
+    finally:
+        shown.update({"text/html": "", "text/plain": ""}, raw=True)
+
+
+def _lines(title: str, duration: float) -> Tell:
+    last = time.monotonic()
+
+    def tell(t: int) -> None:
+        nonlocal last
+        if time.monotonic() - last > NEWS:
+            last = time.monotonic()
+            say(f"{title}: {t / 1e9:.3g} of {duration:g} s")
+
+    return tell
