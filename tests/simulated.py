@@ -279,6 +279,9 @@ class _Sink:
     def add(self, topic, t, data):
         self.recording.add(self.numbers[topic], t, data)
 
+    def note(self, t, data):
+        self.recording.note(t, data)
+
 
 class SimulatedRig:
     """All nodes of a rig, each with its real adapter.

@@ -1,10 +1,15 @@
 """Parameters that change while a rig runs: checked like those of the start, between two ticks, alike in every place."""
 
 import json
+import random
+from contextlib import suppress
+from functools import partial
 
 import pytest
 from conftest import differences, in_process
+from hypothesis import given, strategies as st
 from simulated import SimulatedRig, World
+from softrig_bags.topics import typestore
 from softrig_bringup.report import write_report
 from softrig_bringup.run import summary
 from softrig_core import (
@@ -22,6 +27,7 @@ from softrig_core import (
 from softrig_core.model.change import changeable, check
 from softrig_core.model.params import flatten
 from softrig_core.rig.rig import load_block
+from softrig_core.wire.parameter_event import decode, encode, recorded
 
 
 def rig_of(name, duration, changes, overrides=None, **keys):
@@ -51,9 +57,9 @@ def test_a_scripted_change_gives_the_same_bytes_in_every_placement(case):
     rig = rig_of(name, duration, changes, **keys)
     here = in_process(rig)
     unchanged = in_process(rig_of(name, duration, {}, **keys))
-    assert differences(here, unchanged)
+    assert differences(unchanged, here)
     first = min(changes)
-    for topic in here.topics:  # nothing before the first change differs, and nothing waits a tick longer
+    for topic in unchanged.topics:  # nothing before the first change differs, and nothing waits a tick longer
         k = sum(t < first * 1e9 for t in here.topics[topic].times)
         assert here.topics[topic].data[:k] == unchanged.topics[topic].data[:k]
     names = [m.name for m in rig.members]
@@ -168,3 +174,68 @@ def test_metrics_and_report_show_what_changed_and_when(tmp_path):
     assert "Changed while it ran" in page
     assert "<code>dc_motor_smc.k</code>" in page
     assert "dc_motor_smc.delta" not in page
+
+
+def events(recording):
+    """The changes that a recording holds, as a scenario says them."""
+    return [(t / 1e9, {f"{node}.{name}": value for name, value in values.items()})
+            for t, node, values in recorded(recording)]  # fmt: skip
+
+
+@pytest.mark.parametrize("groups", [(), [["dc_motor_plant", "dc_motor_smc"]]])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_run_that_was_tuned_by_hand_is_repeated_from_its_record(seed, groups):
+    """Somebody sets parameters at any moment; a script of the record gives the same bytes."""
+    rig = rig_of("dc_motor_smc_b2", 0.3, {0.2: {"dc_motor_smc.set_point": 8.0}}, faults=OFFSET)
+    world, rng = World(), random.Random(seed)
+    run = SimulatedRig(rig, world, "lockstep", seed, groups=groups)
+
+    def turn(node, values):
+        run.adapters[node].step.set(values)
+
+    start = world.now
+    world.at(start, partial(turn, "dc_motor_smc", {"c": 6}))  # before the first tick
+    for _ in range(5):
+        values = {"k": rng.uniform(10.0, 90.0), "delta": rng.choice([0.0, 1.0])}
+        world.at(start + rng.randrange(20_002_000, 20_085_000), partial(turn, "dc_motor_smc", values))
+    world.at(start + 20_040_000, partial(turn, "offset", {"active": True, "value": [0.5]}))
+    assert set(run.run().values()) == {"done"}
+    found = events(run.recording)
+    assert found[0] == (0.0, {"dc_motor_smc.c": 6.0})
+    assert {k for _, values in found for k in values} >= {"dc_motor_smc.k", "offset.active", "dc_motor_smc.set_point"}
+    script = {}
+    for at, values in found:
+        script.setdefault(at, {}).update(values)
+    assert not differences(run.recording, in_process(rig_of("dc_motor_smc_b2", 0.3, script, faults=OFFSET), seed))
+
+
+def test_what_is_refused_while_it_runs_changes_nothing():
+    rig = rig_of("dc_motor_smc_b2", 0.3, {})
+    run = SimulatedRig(rig, World(), "lockstep")
+    step = run.adapters["dc_motor_smc"].step
+    for values, said in (({"k": 5.0, "c": -1.0}, "c = -1.0"), ({"k": 5.0, "period": 0.1}, "period may not change")):
+        with pytest.raises(ParameterError, match=said):
+            step.set(values)
+    assert set(run.run().values()) == {"done"}
+    assert not differences(run.recording, in_process(rig))
+    assert "parameter_events" not in run.recording.topics
+
+
+@given(st.dictionaries(st.text(max_size=5), st.one_of(
+    st.none(), st.booleans(), st.integers(-(2**63), 2**63 - 1), st.floats(allow_nan=False), st.text(max_size=9),
+    st.lists(st.booleans(), max_size=3), st.lists(st.integers(-9, 9), max_size=3),
+    st.lists(st.floats(0, 1), max_size=3),
+    st.lists(st.text(max_size=3), max_size=3)), max_size=3), st.integers(0, 2**60))  # fmt: skip
+def test_a_recorded_change_is_a_parameter_event_as_ros_has_it(values, t):
+    data = encode(t, "/a/node", values)
+    assert decode(data) == (t, "/a/node", values)
+    message = typestore().deserialize_cdr(data, "rcl_interfaces/msg/ParameterEvent")
+    assert bytes(typestore().serialize_cdr(message, "rcl_interfaces/msg/ParameterEvent")) == data
+    assert [p.name for p in message.changed_parameters] == list(values)
+
+
+def test_a_recorded_change_that_is_cut_off_is_told():
+    data = encode(0, "/node", {"k": 1.0})
+    for n in range(len(data)):
+        with suppress(ValueError):  # never another error
+            decode(data[:n])

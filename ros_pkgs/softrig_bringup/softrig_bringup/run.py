@@ -25,6 +25,7 @@ from softrig_core.rig.code import fingerprints
 from softrig_core.rig.figures import Result
 from softrig_core.rig.stopping import signal_of, stoppable, unstopped
 from softrig_core.timebase import SECOND
+from softrig_core.wire.parameter_event import recorded
 
 from .citations import cited
 from .folder import ResultsFolder
@@ -175,14 +176,8 @@ def summary(run: Run, figures: Sequence[Result], command: str, label: str = "") 
 
 
 def _changes(run: Run) -> list[dict[str, Any]]:
-    """The changes that took effect: the tick in s, the node, and its new values."""
-    end = round(run.reached_s * SECOND) if run.error or run.stopped else run.rig.end
-    found = [
-        {"at_s": tick / SECOND, "node": m.name, "set": dict(change.values)}
-        for m in run.rig.members for change in m.changes
-        if (tick := m.schedule.next(change.at - 1)) <= min(end, m.schedule.last or 0)
-    ]  # fmt: skip
-    return sorted(found, key=lambda c: c["at_s"])
+    """The changes of parameters that took effect and were recorded: the tick in s, the node, its new values."""
+    return [{"at_s": t / SECOND, "node": node, "set": values} for t, node, values in recorded(run.recording, run.epoch)]
 
 
 def _plant_ticks(run: Run) -> int:

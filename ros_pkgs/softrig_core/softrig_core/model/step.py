@@ -14,7 +14,8 @@ from typing import Any
 from ..errors import RunError, describe
 from .answer import Row, check, flat, usual
 from .block import Block, Level, Plant
-from .change import Change, revise
+from .change import Change, check as check_change, revise
+from .params import flatten
 from .port import Port, Sample
 from .schedule import Schedule
 
@@ -54,11 +55,14 @@ class Step:
         Gets t, the tick that is to be answered: whether something that it needs has not come; None: never.
     moved : callable or None
         Called when a plant has moved on.
+    changed : callable or None
+        Gets (t, values by name) of each tick before which parameters were changed, and how.
     """
 
     send: Callable[[int, Rows], object] | None = None
     lacks: Callable[[int], bool] | None = None
     moved: Callable[[], object] | None = None
+    changed: Callable[[int, Mapping[str, Any]], object] | None = None
 
     def __init__(
         self, name: str, block: Block, schedule: Schedule, inputs: tuple[Port, ...], outputs: tuple[Port, ...],
@@ -160,12 +164,33 @@ class Step:
         own = self.block.refused(t)
         return self.held() if own is None else own
 
+    def set(self, values: Mapping[str, Any]) -> None:
+        """Change parameters at the next tick, all or none.
+
+        Raises
+        ------
+        ParameterError
+            See `softrig_core.model.change.check`.
+        """
+        now, due = self.block.p, sum(c.at <= self.t for c in self._changes)
+        for k in range(due):
+            now = revise(now, self._changes[k].values)
+        known = flatten(check_change(type(self.block), now, values, self.name))
+        self._changes.insert(due, Change(self.t, {name: known[name] for name in values}))
+        self._change_at = self._changes[0].at
+
     def _change(self, t: int) -> None:
         """Take the changes that are due: those up to `t`."""
         changes = self._changes
+        taken: dict[str, Any] = {}
         while changes and changes[0].at <= t:
-            self.block.change(revise(self.block.p, changes.popleft().values))
+            revised = revise(self.block.p, changes[0].values)
+            self.block.change(revised)
+            known = flatten(revised)
+            taken |= {name: known[name] for name in changes.popleft().values}
         self._change_at = changes[0].at if changes else math.inf
+        if self.changed is not None:
+            self.changed(t, taken)
 
     # its parts ----------------------------------------------------------------------------------------------------
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 import traceback
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, Literal, Protocol
 
@@ -22,6 +22,7 @@ from ..model.step import Rows, Step
 from ..rig.options import InputLink, Links, RunOptions
 from ..timebase import SECOND
 from ..wire.cdr import Layout
+from ..wire.parameter_event import encode
 from ..wire.recording import ShardWriter, Sink, relative
 from .buttons import Buttons
 from .endpoint import Input, Output
@@ -129,6 +130,7 @@ class Adapter:
         self._owns_clock = self.links.owns_clock and options.mode == "lockstep"
         self._open_record(sink)
         self.buttons = Buttons(self.values, self._record_press)
+        self.step.changed = self._record_change
 
     def begin(self, drive: Drive) -> None:
         """Offer and read the topics, driven by `drive`."""
@@ -180,6 +182,11 @@ class Adapter:
     def _record_press(self, item: Input, down: bool) -> None:
         if self.sink is not None and item.name in self.foreign:
             self.sink.add(self.foreign[item.name], self.drive.now(), item.port.layout().encode(0, (down,)))
+
+    def _record_change(self, t: int, values: Mapping[str, Any]) -> None:
+        stamp = self.epoch + t
+        if self.sink is not None:
+            self.sink.note(stamp, encode(stamp, f"/{self.middleware.name}", values))
 
     # ticks ----------------------------------------------------------------------------------------------------
 

@@ -56,11 +56,15 @@ def diagnostic_array(stamp: int, name: str, level: Level, text: str, values: Map
 
 
 def range_descriptor(declaration: Declaration) -> Any:
-    """Make the rcl_interfaces/ParameterDescriptor of a parameter: read-only, described, with its range."""
+    """Make the rcl_interfaces/ParameterDescriptor of a parameter: described, with its range, read-only unless live."""
     from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 
     unit = f" [{declaration.unit}]" if declaration.unit else ""
-    descriptor = ParameterDescriptor(description=declaration.doc + unit, read_only=True, dynamic_typing=True)
+    descriptor = ParameterDescriptor(
+        description=declaration.doc + unit, read_only=not declaration.live, dynamic_typing=True,
+        additional_constraints="may change while running, from the next tick on" if declaration.live
+        else "fixed from the start on",
+    )  # fmt: skip
     bounded = declaration.lower is not None or declaration.upper is not None
     if bounded and declaration.type is float:
         low = declaration.lower if declaration.lower is not None else -1.7e308

@@ -19,6 +19,7 @@ from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallba
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.logging import LoggingSeverity
 from rclpy.node import Node, NodeNameNonExistentError
+from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions, QoSPolicyKind
 
@@ -45,6 +46,10 @@ class ServingNode(Node):  # type: ignore[misc]
 
         def answer(request: Any, response: Any) -> Any:
             try:
+                if srv_type is SetParameters and len(request.parameters) > 1:  # all or none: rclpy goes one by one
+                    together = [Parameter.from_parameter_msg(p) for p in request.parameters]
+                    response.results = [self.set_parameters_atomically(together)] * len(together)
+                    return response
                 return callback(request, response)
             except Exception as error:
                 self.get_logger().error(f"{srv_name}: {type(error).__name__}: {error}", once=True)

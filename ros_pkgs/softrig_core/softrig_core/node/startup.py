@@ -26,6 +26,7 @@ from .messages import range_descriptor
 from .middleware import Middleware
 from .ros import RosMiddleware, ServingNode
 from .spin import spin
+from .tuning import Tuning
 
 
 def run_node(block_class: type[Block], argv: Sequence[str]) -> NoReturn:
@@ -77,6 +78,7 @@ def make_adapter(node: Node, block_class: type[Block], middleware: Middleware) -
     block.reset(options.seed)
     adapter = Adapter(middleware, block, options)
     Faces(node, adapter)
+    Tuning(node, adapter)
     return adapter
 
 
@@ -132,5 +134,7 @@ def _declare(node: Node, wanted: list[Declaration], values: Mapping[str, Any]) -
     for declaration in wanted:
         descriptor = range_descriptor(declaration)
         value = values.get(declaration.name)
-        if value is not None and value != []:
+        # a live one that has no value yet may get one
+        if (value is not None and value != []) or declaration.live:
+            value = None if value == [] else value
             node.declare_parameter(declaration.name, value, descriptor, ignore_override=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 from ..errors import ScenarioError
 from ..model.answer import flat
@@ -11,6 +12,7 @@ from ..model.codec import encoder
 from ..model.port import CLOCK, Port, Sample
 from ..model.runner import Runner
 from ..model.step import Rows, Step
+from ..wire import parameter_event
 from ..wire.recording import Sink
 from .rig import Member, Rig
 
@@ -85,6 +87,12 @@ def record(rig: Rig, steps: Mapping[str, Step], sink: Sink) -> None:
     for step in steps.values():
         ports = [*step.outputs, CLOCK] if step.name == rig.clock.name else step.outputs
         step.send = recorder(sink, step, ports, [numbers[p.topic] for p in ports])
+        step.changed = noter(sink, step.name)
+
+
+def noter(sink: Sink, name: str) -> Callable[[int, Mapping[str, Any]], object]:
+    """Give what records the changes of a node's parameters."""
+    return lambda t, values: sink.note(t, parameter_event.encode(t, f"/{name}", values))
 
 
 def recorder(sink: Sink, step: Step, ports: Sequence[Port],

@@ -5,6 +5,7 @@ from __future__ import annotations
 import heapq
 import json
 import struct
+from bisect import bisect_right
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from operator import itemgetter
 from pathlib import Path
@@ -14,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .cdr import Layout
+from .parameter_event import TOPIC as EVENTS, TYPE as EVENT
 
 _RECORD = struct.Struct("<qHI")  # time, number of the topic, length of the message that follows
 _ROW_HEAD = struct.Struct("<qH")  # time, `_ROW`; the numbers of all messages of a row follow
@@ -42,6 +44,9 @@ class Sink(Protocol):
             By number of the topic; arrays are numbered in the order of the calls.
         """
 
+    def note(self, t: int, data: bytes) -> None:
+        """Append a change of parameters (`parameter_event`), which took effect at tick time `t` (ns)."""
+
 
 class ShardWriter:
     """Append-only file of one node's messages; cheap in the loop, flushed by size and by `flush`.
@@ -64,7 +69,8 @@ class ShardWriter:
 
     def __init__(self, path: Path, topics: Sequence[tuple[str, str]], row: Mapping[int, Layout] | None = None) -> None:
         row = row or {}
-        head = {"topics": list(topics), "row": [[number, layout.form] for number, layout in row.items()]}
+        self._note = len(topics)
+        head = {"topics": [*topics, (EVENTS, EVENT)], "row": [[number, layout.form] for number, layout in row.items()]}
         self._file = path.open("wb", buffering=0)
         self._buffer = bytearray(_MAGIC + json.dumps(head).encode() + b"\n")
         self._pack_row = _row_packer(row.values())
@@ -78,6 +84,10 @@ class ShardWriter:
         buffer += data
         if len(buffer) > self._limit:
             self.flush()
+
+    def note(self, t: int, data: bytes) -> None:
+        """Append a change of parameters."""
+        self.add(self._note, t, data)
 
     def add_row(self, t: int, values: Iterable[float]) -> None:
         """Append one message of each topic of the row, all stamped `t`, by their numbers."""
@@ -218,6 +228,16 @@ class Recording:
             topic.settle = settle
         return add
 
+    def note(self, t: int, data: bytes) -> None:
+        """Add a change of parameters, by time and then by content: whoever made it, in whatever order they are read."""
+        if EVENTS not in self.topics:
+            self.topics[EVENTS] = Topic(EVENTS, EVENT)
+            self._order.append(self.topics[EVENTS])
+        topic = self.topics[EVENTS]
+        k = bisect_right(list(zip(topic.times, topic.data, strict=True)), (t, data))
+        topic.times.insert(k, t)
+        topic.data.insert(k, data)
+
     def messages(self) -> Iterator[tuple[int, Topic, bytes]]:
         """Give all messages by time; equal times in topic order."""
         streams = [_ranked(rank, topic) for rank, topic in enumerate(self._order)]
@@ -242,7 +262,7 @@ class Recording:
         head, start = _read_head(content)
         if head is None:
             return len(content)
-        topics = [self.topics[name.removeprefix(namespace)] for name, _ in head["topics"]]
+        topics = [self.topics[name.removeprefix(namespace)] for name, _ in head["topics"] if name != EVENTS]
         row = [(topics[number], Layout(*form)) for number, form in head["row"]]
         at, size = start, _RECORD.size
         while at + _ROW_HEAD.size <= len(content):
@@ -257,8 +277,12 @@ class Recording:
             t, topic, length = _RECORD.unpack_from(content, at)
             if at + size + length > len(content):
                 break
-            topics[topic].times.append(t)
-            topics[topic].data.append(bytes(content[at + size : at + size + length]))
+            data = bytes(content[at + size : at + size + length])
+            if topic == len(topics):
+                self.note(t, data)
+            else:
+                topics[topic].times.append(t)
+                topics[topic].data.append(data)
             at += size + length
         return len(content) - at
 
@@ -287,9 +311,9 @@ def _read_rows(content: memoryview, row: Sequence[tuple[Topic, Layout]]) -> int:
 
 
 def shard_topics(path: Path) -> dict[str, str]:
-    """Give name and message type of the topics of a shard; nothing when it is cut off inside its head."""
+    """Give name and message type of the topics of a shard, without changes; nothing when it is cut off in its head."""
     head, _ = _read_head(memoryview(path.read_bytes()))
-    return {} if head is None else dict(head["topics"])
+    return {} if head is None else {name: msgtype for name, msgtype in head["topics"] if name != EVENTS}
 
 
 def _read_head(content: memoryview) -> tuple[dict[str, Any] | None, int]:
