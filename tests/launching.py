@@ -45,6 +45,11 @@ class OpaqueFunction:
         self.function = function
 
 
+class Shutdown:
+    def __init__(self, *, reason):
+        self.reason = reason
+
+
 class Node:
     def __init__(self, *, package, executable, name=None, namespace=None, output="log", on_exit=None, arguments=(),
                  remappings=(), parameters=()):  # fmt: skip
@@ -64,7 +69,7 @@ class Node:
 
 MODULES = {
     "launch": [LaunchDescription],
-    "launch.actions": [DeclareLaunchArgument, OpaqueFunction],
+    "launch.actions": [DeclareLaunchArgument, OpaqueFunction, Shutdown],
     "launch.substitutions": [LaunchConfiguration],
     "launch_ros": [],
     "launch_ros.actions": [Node],

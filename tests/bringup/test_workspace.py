@@ -3,9 +3,13 @@
 import re
 from itertools import pairwise
 from pathlib import Path
+from xml.etree import ElementTree
 
 import pytest
+import yaml
 from softrig_bringup.launched import ARGUMENTS
+from softrig_bringup.viewer import WORLD, viewers
+from softrig_core import Rig, list_scenarios, load_scenario
 
 PACKAGES = Path(__file__).parents[2] / "ros_pkgs"
 
@@ -29,3 +33,35 @@ def test_the_page_of_the_workspace_has_every_argument_of_the_launch_file_and_no_
         r"^\| (`\w+`(?:, `\w+`)*) \| .* \|$", (PACKAGES / "softrig_bringup/doc/workspace.md").read_text(), re.M
     )
     assert {name.strip(" `") for row in rows for name in row.split(",")} == set(ARGUMENTS)
+
+
+@pytest.mark.parametrize(
+    "name", ["manipulator_adsmc", "rehab_impedance", "lsrm_fuzzy", "fault_location", "dc_motor_smc"]
+)
+def test_rviz_shows_what_the_nodes_publish_in_frames_that_exist(name, tmp_path):
+    rig = Rig.from_scenario(load_scenario(first(name)))
+    *frames, rviz = viewers(rig, tmp_path, "a", simulated=True)
+    shown = yaml.safe_load(Path(rviz.arguments[1]).read_text())["Visualization Manager"]
+    fixed = shown["Global Options"]["Fixed Frame"]
+    there, publishers = {fixed, WORLD}, {p.executable: p for p in frames}
+    if "robot_state_publisher" in publishers:
+        publisher = publishers["robot_state_publisher"]
+        urdf = yaml.safe_load(Path(publisher.parameters[0]).read_text())["/**"]["ros__parameters"]["robot_description"]
+        robot = ElementTree.fromstring(urdf)
+        there |= {link.get("name") for link in robot.iter("link")}
+        topic = dict(publisher.remappings)["joint_states"]
+        port = next(p for m in rig.members for p in m.outputs if p.topic == topic)
+        moving = {j.get("name") for j in robot.iter("joint") if j.get("type") != "fixed"}
+        assert port.msgtype == "sensor_msgs/msg/JointState"
+        assert moving == {label.rpartition("/")[0] for label in port.labels}
+        assert "/a/robot_description" in [d.get("Description Topic", {}).get("Value") for d in shown["Displays"]]
+    there |= {p.arguments[3] for p in frames if p.executable == "static_transform_publisher"}
+    drawn = {m.name: {k.frame_id for k in m.block(0).markers()} for m in rig.members}
+    assert {frame for found in drawn.values() for frame in found} <= there
+    topics = {d["Topic"]["Value"] for d in shown["Displays"] if "Topic" in d}
+    assert {f"/a/{node}/markers" for node, found in drawn.items() if found} <= topics
+    assert all(("/tf", "/a/tf") in p.remappings for p in (*frames, rviz))
+
+
+def first(system):
+    return next(name for name in list_scenarios() if name.startswith(system))

@@ -153,6 +153,12 @@ def test_an_argument_that_does_not_fit_is_refused_in_words(name, value, lag):
         nodes_of({"scenario": "lag", name: value})
 
 
+def test_a_viewer_is_no_node_of_the_rig_and_its_end_is_that_of_the_launch(lag):
+    *nodes, viewer = nodes_of({"scenario": "lag", "use_rviz": "true"})
+    assert [n.name for n in nodes] == ["plant", "source", "gain"]
+    assert (viewer.package, viewer.on_exit.reason) == ("rviz2", "the viewer is closed")
+
+
 def test_what_is_external_is_not_launched_and_waited_for_without_limit(lag):
     nodes = nodes_of({"scenario": "lag", "external": "gain source"})
     assert [n.name for n in nodes] == ["plant"]

@@ -7,7 +7,7 @@ They have one t = 0 and one end; a node that fails ends the launch, with status 
 from functools import partial
 
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, OpaqueFunction
+from launch.actions import DeclareLaunchArgument, OpaqueFunction, Shutdown
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from softrig_bringup.launched import ARGUMENTS, Launched
@@ -30,10 +30,11 @@ def _ended(launched, event, context):
 
 def _nodes(context):
     launched = Launched({name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS})
+    at_end = {"rig": partial(_ended, launched), "frames": None, "viewer": Shutdown(reason="the viewer is closed")}
     # launch_ros itself has no empty lists, and a container names its nodes in its arguments
     return [
         Node(package=p.package, executable=p.executable, name=p.name or None, namespace=p.namespace or None,
-             output="screen", on_exit=partial(_ended, launched), arguments=p.arguments, parameters=p.parameters,
+             output="screen", on_exit=at_end[p.kind], arguments=p.arguments, parameters=p.parameters,
              remappings=p.remappings)
         for p in launched.processes
     ]  # fmt: skip

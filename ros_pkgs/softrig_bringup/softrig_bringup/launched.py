@@ -8,7 +8,6 @@ import os
 import signal
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from pathlib import Path
 from shutil import rmtree
 from tempfile import mkdtemp
@@ -23,6 +22,7 @@ from softrig_core.rig.starting import container_arguments, groups, node_paramete
 
 from . import run_verb
 from .run import checked, gaps, mode_name
+from .viewer import Process, viewers
 
 # name: (default, choices, description); an empty default means: as the scenario says
 ARGUMENTS: dict[str, tuple[str | None, tuple[str, ...], str]] = {
@@ -38,33 +38,8 @@ ARGUMENTS: dict[str, tuple[str | None, tuple[str, ...], str]] = {
     "record": ("false", ("true", "false"), "bag, metrics.json, plots and report at the end, as `softrig run` writes"),
     "out": ("", (), "folder for them (default: runs/SCENARIO and what was changed, below the working folder)"),
     "judge": ("false", ("true", "false"), "table of the figures at the end; status 1 of the launch where they miss"),
+    "use_rviz": ("false", ("true", "false"), "RViz with a file for this rig; the launch ends when it is closed"),
 }
-
-
-@dataclass(frozen=True)
-class Process:
-    """What is to be started.
-
-    Parameters
-    ----------
-    package, executable : str
-    name : str
-        Of the node; empty for a container.
-    namespace : str
-    arguments : list of str
-        Of a container: its nodes.
-    parameters : list of str
-        Files.
-    remappings : list of (str, str)
-    """
-
-    package: str
-    executable: str
-    name: str = ""
-    namespace: str = ""
-    arguments: list[str] = field(default_factory=list)
-    parameters: list[str] = field(default_factory=list)
-    remappings: list[tuple[str, str]] = field(default_factory=list)
 
 
 class Launched:
@@ -105,6 +80,8 @@ class Launched:
             for group in groups(rig, placed(rig, given["place"]))
         ]
         self._running = len(self.processes)
+        if given["use_rviz"] == "true":
+            self.processes += viewers(rig, self._log, self._namespace, not self._realtime)
 
     def _process(self, group: list[Member], namespace: str, recorders: list[str]) -> Process:
         rig, log = self._rig, self._log
