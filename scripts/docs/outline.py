@@ -14,7 +14,7 @@ KINDS = {
     "tutorials": (
         "Tutorials",
         "From nothing to a result, a quarter of an hour each. Every command in them is run by a test.",
-        ("test_bench",),
+        ("first_run", "own_controller", "own_package", "test_bench"),
     ),
     "how-to": (
         "How-to guides",

@@ -122,7 +122,8 @@ def _in(text: str) -> Iterator[str]:
 
 
 def _sections(page: str) -> Iterator[tuple[str, str]]:
-    starts = [m.start() for m in re.finditer(r"^#+ ", page, re.MULTILINE)] or [0]
+    heads = re.finditer(r"^```.*?^```|^#+ ", page, re.DOTALL | re.MULTILINE)  # a comment in code is no heading
+    starts = [m.start() for m in heads if m[0][0] == "#"] or [0]
     for start, end in zip(starts, [*starts[1:], len(page)], strict=True):
         yield page[start:end].partition("\n")[0].lstrip("# "), page[start:end]
 

@@ -1,0 +1,122 @@
+"""The tutorials are true: what they tell a reader to write and to type works, in order, and gives what they show."""
+
+import os
+import re
+import shlex
+import signal
+import subprocess
+from contextlib import suppress
+from typing import NamedTuple
+
+import pytest
+from docs.outline import KINDS, ROOT, pages
+from softrig_bringup.cli import _FOREIGN, _SCRIPT, _parser
+from softrig_core.rig.domain import free_domain
+
+TUTORIALS = KINDS["tutorials"][2]
+_BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$|(?<=\n\n)((?:    [^\n]*\n)+)", re.S | re.M)
+_COMMAND = re.compile(r"(softrig|ls|sed|export|cd|kill|python)\b")
+MARK = "@@ block"
+
+
+class Block(NamedTuple):
+    """What stands in a page: a file to write, commands to type, or what these print."""
+
+    kind: str
+    text: str
+
+
+def blocks(page: str) -> list[Block]:
+    found = []
+    for match in _BLOCK.finditer(page):
+        language, fenced, indented = match.groups()
+        if indented:
+            text = re.sub(r"^    ", "", indented, flags=re.M)
+            if _COMMAND.match(text) and not page[: match.start()].rstrip().endswith("<!-- runs until Ctrl-C -->"):
+                found.append(Block("commands", text))
+        elif language == "text":
+            found.append(Block("output", fenced))
+        elif re.match(r"# [\w/]+\.\w+\n", fenced):
+            found.append(Block("file", fenced))
+    return found
+
+
+def script(found: list[Block]) -> str:
+    lines = ["set -eo pipefail", f"cd {shlex.quote(str(ROOT))}", 'eval "$(scripts/softrig env)"', 'cd "$FOLDER"']
+    for number, block in enumerate(found):
+        if block.kind == "file":
+            name = block.text.split("\n")[0][2:]
+            lines += [f"cat > {name} <<'@@ end'", block.text.rstrip("\n"), "@@ end"]
+        elif block.kind == "commands":
+            lines += [f"echo '{MARK} {number}'", block.text.rstrip("\n")]
+    return "\n".join([*lines, f"echo '{MARK} end'", ""])
+
+
+def shown(expected: str, printed: str) -> str:
+    """Say which line of an example was not printed, in order; `...` stands for anything."""
+    lines = iter([" ".join(line.split()) for line in printed.splitlines()])
+    for line in filter(None, (" ".join(e.split()) for e in expected.splitlines())):
+        pattern = ".*".join(map(re.escape, line.split("...")))
+        if not any(re.fullmatch(pattern, one) for one in lines):
+            return line
+    return ""
+
+
+@pytest.mark.long
+@pytest.mark.processes
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize("name", TUTORIALS)
+def test_a_tutorial_does_what_it_says(name, tmp_path):
+    found = blocks(pages()[name].read_text())
+    assert sum(block.kind == "commands" for block in found) >= 3
+    with free_domain() as domain:
+        pass  # `run --domain` takes its lock itself
+    work = tmp_path / "work"
+    work.mkdir()
+    text = script(found).replace("ROS_DOMAIN_ID=42", f"ROS_DOMAIN_ID={domain}")
+    text = text.replace("--domain 42", f"--domain {domain}")
+    environment = os.environ | {
+        "FOLDER": str(work), "XDG_STATE_HOME": str(tmp_path / "state"), "ROS_LOG_DIR": str(tmp_path / "log"),
+    }  # fmt: skip
+    environment.pop("SOFTRIG_WORKSPACE", None)
+    done = subprocess.Popen(["bash", "-c", text], env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+                            text=True, start_new_session=True)  # fmt: skip
+    try:
+        printed = done.communicate(timeout=800)[0]
+    finally:
+        with suppress(ProcessLookupError):
+            os.killpg(done.pid, signal.SIGKILL)  # a controller in the background
+    assert done.returncode == 0, printed
+    parts = dict(re.findall(rf"^{MARK} (\w+)\n(.*?)(?=^{MARK}|\Z)", printed, re.S | re.M))
+    assert "end" in parts, printed
+    last = ""
+    for number, block in enumerate(found):
+        if block.kind == "commands":
+            last = parts[str(number)]
+        elif block.kind == "output":
+            assert not (line := shown(block.text, last)), f"{line}\nwas not printed:\n{last}"
+
+
+@pytest.mark.parametrize("name", TUTORIALS)
+def test_the_commands_of_a_tutorial_are_commands(name):
+    verbs = _parser()
+    known = set(verbs._subparsers._group_actions[0].choices)
+    for block in blocks(pages()[name].read_text()):
+        if block.kind == "commands":
+            for line in re.sub(r"\\\n", " ", block.text).splitlines():
+                words = shlex.split(re.split(r" (?:\|\||&|2>|#)", line)[0], comments=True)
+                if words[0] != "softrig":
+                    continue
+                words = words[3:] if words[1] == "--workspace" else words[1:]
+                assert words[0] in known | {*_FOREIGN, *_SCRIPT}, line
+                if words[0] not in {*_FOREIGN, *_SCRIPT}:
+                    verbs.parse_args(words)
+
+
+def test_what_an_example_shows_is_held_against_what_was_printed():
+    assert shown("a  1 s\nb ... s\n", "x\na 1 s  \ny\nb 0.3 s\n") == ""
+    assert shown("a 1 s\n", "a 2 s\n") == "a 1 s"
+    assert shown("b\na\n", "a\nb\n") == "a"  # in order
+    assert blocks("Do:\n\n    softrig list\n\n```text\nx\n```\n```yaml\n# a.yaml\nb: 1\n```\n\n    always x > 1\n") == [
+        ("commands", "softrig list\n"), ("output", "x\n"), ("file", "# a.yaml\nb: 1\n"),
+    ]  # fmt: skip
