@@ -19,7 +19,8 @@ KINDS = {
     "how-to": (
         "How-to guides",
         "You know what you want to do; here is how.",
-        ("set_up", "python", "studies", "learning", "bags", "reports"),
+        ("set_up", "workspace", "continuous_integration", "python", "studies", "learning", "bags",
+         "bags_pandas", "reports", "paper_figures"),
     ),
     "explanations": (
         "Explanations",
