@@ -43,6 +43,7 @@ _FOREIGN = {
     "play": ("softrig_bags.cli", "main_play", "play a bag back"),
     "compare": ("softrig_bags.cli", "main_compare", "find the first difference between two bags"),
     "bag": ("softrig_bags.cli", "main_bag", "info, repair, export of a bag"),
+    "export": ("softrig_control.fmu.export", "main", "nodes of a scenario as FMUs, for other tools"),
     "locate": (
         "softrig_power.fault_location.locate_tool",
         "main",

@@ -19,6 +19,7 @@ EXTRAS = {
     "gymnasium": "learning",
     "sphinx": "docs",
     "fmpy": "fmu",
+    "pythonfmu": "fmu",
 }
 
 

@@ -26,6 +26,8 @@ class Plan(NamedTuple):
         Parameters and start values, set before the initialisation.
     steps : int
         Communication steps, or steps of the integrator, in one period.
+    log : bool
+        Whether the FMU is asked to log what it does.
     """
 
     folder: str
@@ -34,6 +36,7 @@ class Plan(NamedTuple):
     outputs: tuple[Cell, ...]
     start: tuple[tuple[Cell, Any], ...]
     steps: int
+    log: bool
 
 
 class Refusal(RuntimeError):
@@ -99,7 +102,7 @@ class Instance:
             self._fmu.terminate()
             self._fmu.freeInstance()
         kind = "ModelExchange" if self.plan.exchange else "CoSimulation"
-        fmu: Any = instantiate_fmu(self.plan.folder, self._model, kind, logger=self._log)
+        fmu: Any = instantiate_fmu(self.plan.folder, self._model, kind, debug_logging=self.plan.log, logger=self._log)
         self._fmu = fmu
         if not self._three:
             fmu.setupExperiment(startTime=0.0)

@@ -34,6 +34,7 @@ class FmuParams(BlockParams):
     method: Method = param("co_simulation", "interface that is used; model_exchange: with the Runge-Kutta method of "
                            "fourth order, `steps` a period")  # fmt: skip
     steps: int = param(1, "communication steps, or steps of the integrator, in one period", ge=1, le=100_000)
+    log: bool = param(False, "ask the FMU to log what it does: some say only then why they refuse a step")
     isolated: bool = param(True, "run it in a process of its own: a crash of the FMU then ends the run by name")
     timeout: float = param(60.0, "wall-clock time after which a call of an isolated FMU is given up", "s", gt=0.0,
                            le=1e6)  # fmt: skip
@@ -104,6 +105,7 @@ class _Fmu(Block[FmuParams]):
             tuple((x.variable.kind, x.variable.reference) for x in p.says.places),
             tuple(((v.kind, v.reference), value) for v, value in start_values(p.unit, p.values)),
             p.steps,
+            p.log,
         )
         self._fmu: Any = None
         if p.isolated:

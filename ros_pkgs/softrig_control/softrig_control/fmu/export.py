@@ -1,0 +1,96 @@
+"""A node of a scenario as an FMU: ``softrig export fmu SCENARIO NODE...``."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+from softrig_core import Rig, ScenarioError, load_scenario
+from softrig_core.command_line import Parser
+from softrig_core.errors import closest
+from softrig_core.extras import need
+from softrig_core.rig.rig import Member
+
+_SCRIPT = '''"""What runs in this FMU is {node}, {package}/{executable} of softrig."""
+
+from softrig_control.fmu.slave import Node
+
+
+class {model}(Node):
+    """See node.json."""
+'''
+
+
+def export(rig: Rig, node: str, folder: Path) -> Path:
+    """Write a node of a rig as an FMU for co-simulation (FMI 2.0).
+
+    Parameters
+    ----------
+    rig : Rig
+    node : str
+        Its name.
+    folder : Path
+        The file ``NODE.fmu`` goes here.
+
+    Returns
+    -------
+    Path
+        Of the FMU. It runs where softrig is installed: it holds the node's parameters, not its code.
+
+    Raises
+    ------
+    ScenarioError
+        There is no such node, or it has a link that an FMU cannot have.
+    """
+    members = {m.name: m for m in rig.members}
+    if node not in members:
+        raise ScenarioError(f"{rig.scenario.name} has no node {node!r}{closest(node, members)}; it has "
+                            f"{', '.join(members)}")  # fmt: skip
+    member = members[node]
+    _check(member)
+    need("pythonfmu", "an export as an FMU")
+    from .slave import content
+
+    model = re.sub(r"\W", "_", node)
+    folder.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(prefix="softrig_fmu_") as place:
+        script = Path(place, f"softrig_{model}.py")
+        script.write_text(_SCRIPT.format(model=model, node=node, package=member.package, executable=member.executable))
+        what = Path(place, "node.json")
+        what.write_text(json.dumps(content(member, rig.scenario.seed, model), indent=1), encoding="utf-8")
+        path = folder / f"{model}.fmu"
+        code = "import sys; from pythonfmu import FmuBuilder; FmuBuilder.build_FMU(*sys.argv[1:3], [sys.argv[3]])"
+        # in a process of its own: it imports the script by its name, and leaves its folder on the path
+        command = [sys.executable, "-P", "-c", code, str(script), str(path), str(what)]
+        done = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise ScenarioError(f"node {node}: no FMU: {(done.stderr.strip().splitlines() or ['no reason given'])[-1]}")
+    return path
+
+
+def _check(member: Member) -> None:
+    for port in (*member.inputs, *member.outputs):
+        if port.delayed:
+            raise ScenarioError(f"node {member.name}: {port.topic} carries acquisition times of its own, which an FMU "
+                                "cannot")  # fmt: skip
+    if member.external:
+        raise ScenarioError(f"node {member.name} is external: its code is not here")
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Be the verb."""
+    parser = Parser(prog="softrig export", description="Nodes of a scenario for other tools.")
+    parser.add_argument("kind", choices=["fmu"], help="a Functional Mock-up Unit, FMI 2.0, co-simulation")
+    parser.add_argument("scenario", help="name or YAML file")
+    parser.add_argument("nodes", nargs="+", metavar="NODE", help="of the scenario, with its parameters there")
+    parser.add_argument("--out", type=Path, default=Path(), metavar="DIR", help="NODE.fmu goes here (.)")
+    options = parser.parse_args(arguments)
+    rig = Rig.from_scenario(load_scenario(options.scenario))
+    for node in options.nodes:
+        print(export(rig, node, options.out))
+    return 0

@@ -1,0 +1,165 @@
+"""A node of a rig as the inside of an FMU; PythonFMU calls it, in whatever tool runs the FMU."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, cast
+from xml.etree.ElementTree import Element, SubElement
+
+import softrig_core
+from pythonfmu import Boolean, DefaultExperiment, Fmi2Causality, Fmi2Slave, Fmi2Variability, Integer, Real, String
+from pythonfmu.enums import Fmi2Status
+from softrig_core import Plant, Port
+from softrig_core.model.params import build, declarations, flatten
+from softrig_core.model.schedule import Schedule
+from softrig_core.model.step import Rows, Step
+from softrig_core.rig.rig import load_block
+from softrig_core.rig.units import base
+
+assert softrig_core  # before numpy, which its import pins
+TYPES = {float: Real, int: Integer, bool: Boolean, str: String}
+
+
+def variable(topic: str, label: str) -> str:
+    """Name the variable of a signal: ``motor.state.shaft.velocity``."""
+    return f"{topic}/{label}".strip("/").replace("/", ".")
+
+
+class Node(Fmi2Slave):  # type: ignore[misc,unused-ignore]
+    """What ``node.json`` in the FMU's resources says: block, parameters, topics, seed.
+
+    A step of the FMU is one period of the block, or a whole number of them with the inputs held. A plant's outputs are
+    those of the end of the step, a law's the answer of its (last) tick, at first the ports' safe values.
+    """
+
+    def __init__(self, **keywords: Any) -> None:
+        super().__init__(**keywords)
+        self._what = json.loads(Path(self.resources, "node.json").read_text(encoding="utf-8"))
+        self._class = load_block(self._what["package"], self._what["executable"])
+        self._values: dict[str, Any] = dict(self._what["parameters"])
+        self.modelName = self._what["model"]
+        self.description = " ".join((self._class.__doc__ or "").split("\n\n")[0].split())
+        self._params: Any = build(self._class.Params, self._values)
+        self._inputs, self._outputs = self._class.ports(self._params)
+        self.default_experiment = DefaultExperiment(start_time=0.0, step_size=self._what["parameters"]["period"])
+        self._broken = ""
+        self._extra: dict[str, dict[str, str]] = {}
+        self._numbers = {p.name: list(p.safe) for p in (*self._inputs, *self._outputs)}
+        for port in self._inputs:
+            self._register(port, Fmi2Causality.input)
+        for port in self._outputs:
+            self._register(port, Fmi2Causality.output)
+        self._declare()
+        self._begin()
+
+    def _register(self, port: Port, causality: Any) -> None:
+        row = self._numbers[port.name]
+        topic = self._what["topics"].get(port.topic, port.topic)
+        for k, (label, unit) in enumerate(zip(port.labels, port.units, strict=True)):
+            name = variable(topic, label)
+            self._extra[name] = {"unit": unit} if unit not in ("", "1") else {}
+            if causality is Fmi2Causality.input:
+                limit = repr(port.limits[k])
+                self._extra[name] |= {"min": f"-{limit}", "max": limit}
+            self.register_variable(Real(
+                name, causality=causality, description=f"{topic}/{label}",
+                getter=lambda k=k: row[k], setter=lambda x, k=k: row.__setitem__(k, x)), nested=False)  # fmt: skip
+
+    def _declare(self) -> None:
+        """Parameters that are single numbers or texts; lists stay as they were exported."""
+        for one in declarations(self._class.Params):
+            if one.name == "period" or one.type not in TYPES or isinstance(self._values.get(one.name), list | None):
+                continue
+            bounds = {"min": one.lower, "max": one.upper} if one.type in (float, int) else {}
+            self._extra[one.name] = {k: repr(v) for k, v in bounds.items() if v is not None}
+            if one.type is float and one.unit:
+                self._extra[one.name]["unit"] = one.unit
+            self.register_variable(TYPES[one.type](
+                one.name, causality=Fmi2Causality.parameter, variability=Fmi2Variability.fixed, description=one.doc,
+                getter=lambda n=one.name: self._values[n],
+                setter=lambda x, n=one.name: self._values.__setitem__(n, x)), nested=False)  # fmt: skip
+
+    def to_xml(self, model_options: Any = None) -> Element:
+        """Give the model description, with the units and bounds that PythonFMU does not know of."""
+        root = super().to_xml(model_options or {})
+        units = sorted({e["unit"] for e in self._extra.values() if "unit" in e})
+        found = Element("UnitDefinitions")
+        for unit in units:
+            factor, parts = base(unit)
+            one = SubElement(found, "Unit", name=unit)
+            if set(parts) <= {"kg", "m", "s", "A", "K", "mol", "cd", "rad"}:
+                SubElement(one, "BaseUnit", {k: str(v) for k, v in parts.items()} | {"factor": repr(factor)})
+        if units:
+            root.insert(1, found)
+        outputs = [v.attrib for v in root.iter("Unknown")]
+        if outputs:
+            initial = SubElement(root.find("ModelStructure"), "InitialUnknowns")
+            for index in outputs:
+                SubElement(initial, "Unknown", index)
+        for scalar in root.iter("ScalarVariable"):
+            scalar[0].attrib.update(self._extra[scalar.attrib["name"]])
+        return root
+
+    def _begin(self) -> None:
+        self._params = build(self._class.Params, self._values)
+        block = self._class(self._params, self._what["node"])
+        block.reset(self._what["seed"])
+        self._schedule = Schedule(self._params.period)
+        self._step = Step(self._what["node"], block, self._schedule, self._inputs, self._outputs)
+        self._step.send = self._take
+        self._k = 0
+        if isinstance(block, Plant):
+            self._step.say(0)
+
+    def _take(self, t: int, rows: Rows) -> None:
+        for port, row in zip(self._outputs, rows, strict=True):
+            if row is not None:  # none is delayed: no samples here
+                self._numbers[port.name][:] = cast(tuple[float, ...], row)
+
+    def exit_initialization_mode(self) -> None:
+        """Set the block up with the parameters that the tool has given."""
+        if self._values != self._what["parameters"]:
+            try:
+                self._begin()
+            except Exception as error:  # PythonFMU cannot take one here: told by the first step
+                self._broken = str(error)
+
+    def do_step(self, current_time: float, step_size: float) -> bool:
+        """Move on by whole periods."""
+        try:
+            self._do(step_size)
+        except Exception as error:
+            self.log(f"{self._what['node']}: {error}", Fmi2Status.error)
+            return False
+        return True
+
+    def _do(self, step_size: float) -> None:
+        if self._broken:
+            raise ValueError(self._broken)
+        period = float(self._schedule.period)
+        count = round(step_size / period)
+        if count < 1 or abs(count * period - step_size) > 1e-6 * period:
+            raise ValueError(f"a step of {step_size!r} s, expected a whole number of periods of {period!r} s")
+        for port in self._inputs:
+            row = tuple(self._numbers[port.name])
+            if reason := port.beyond(row):
+                raise ValueError(f"{port.topic}: {reason}")
+            self._step.values[port.name] = row
+        time: Callable[[int], int] = self._schedule.time
+        for _ in range(count):
+            if isinstance(self._step.block, Plant):
+                self._step.advance(time(self._k))
+                self._step.say(time(self._k + 1))
+            else:
+                self._step.say(time(self._k))
+            self._k += 1
+
+
+def content(member: Any, seed: int, model: str) -> dict[str, Any]:
+    """Give what ``node.json`` says of a member of a rig."""
+    return {
+        "model": model, "node": member.name, "package": member.package, "executable": member.executable, "seed": seed,
+        "parameters": flatten(member.params), "topics": dict(member.remap),
+    }  # fmt: skip

@@ -1,0 +1,134 @@
+"""Nodes of ours as FMUs: what FMPy makes of them are the numbers of the rig, bit for bit."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from ruamel.yaml import YAML
+from softrig_bringup.cli import main
+from softrig_core import Rig, RunError, ScenarioError, load_scenario, simulate
+from softrig_drives.dc_motor.plant import DcMotorPlant
+
+fmpy = pytest.importorskip("fmpy")
+pytest.importorskip("pythonfmu")
+# ruff: noqa: E402
+from fmpy.validation import validate_fmu
+from softrig_control.fmu.export import export
+from softrig_control.fmu.nodes import FmuPlant
+from softrig_control.fmu.slave import variable
+
+PAGE = Path(__file__).parents[2] / "ros_pkgs" / "softrig_control" / "doc" / "fmu.md"
+SHAFT = "motor.state.shaft.velocity"
+
+
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("exported")
+    assert main(["export", "fmu", "dc_motor_smc", "dc_motor_plant", "dc_motor_smc", "--out", str(folder)]) == 0
+    return folder
+
+
+def test_fmpy_simulates_the_numbers_of_the_plant_as_the_page_shows(exported, tmp_path):
+    """In a process of its own: PythonFMU's library can be loaded into a Python process once only."""
+    text = PAGE.read_text()
+    command = "export fmu dc_motor_smc dc_motor_plant dc_motor_smc --out fmus"
+    assert f"scripts/softrig {command}" in text  # what `exported` has done
+    (tmp_path / "fmus").symlink_to(exported)
+    code = re.findall(r"```python\n(.*?)```", text, re.DOTALL)[0] + f"print(*found[{SHAFT!r}].tolist())\n"
+    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True)
+    last, every = done.stdout.strip().splitlines()
+    plant = DcMotorPlant(period=0.0001, R=0.5)
+    expected = []
+    for k in range(201):
+        expected.append(plant.outputs(0)["state"][1])
+        plant.advance(k * 100_000, command=(3.0,))
+    assert [float(x) for x in every.split()] == expected
+    assert float(last) == expected[-1] > 0.005
+
+
+def test_the_description_has_names_units_bounds_and_texts(exported):
+    for name in ("dc_motor_plant", "dc_motor_smc"):
+        assert validate_fmu(str(exported / f"{name}.fmu")) == []
+    model = fmpy.read_model_description(str(exported / "dc_motor_plant.fmu"))
+    found = {v.name: v for v in model.modelVariables}
+    command, speed, R = found["motor.command.armature.effort"], found[SHAFT], found["R"]
+    assert (command.causality, command.unit, float(command.max)) == ("input", "V", 1e7)
+    assert (speed.causality, speed.unit, speed.description) == ("output", "rad/s", "motor/state/shaft/velocity")
+    assert (R.causality, R.unit, float(R.start), float(R.min)) == ("parameter", "ohm", 0.4, 0.0)
+    assert R.description == "armature resistance R"
+    assert found["rig"].type == "Boolean"
+    assert "period" not in found
+    assert float(model.defaultExperiment.stepSize) == 1e-4
+    speed_unit = next(u for u in model.unitDefinitions if u.name == "rad/s").baseUnit
+    assert (speed_unit.rad, speed_unit.s, float(speed_unit.factor)) == (1, -1, 1.0)
+
+
+def through_fmus(scenario, nodes, folder):
+    """A scenario file in which some nodes are replaced by their exports."""
+    rig = Rig.from_scenario(scenario)
+    entries = {}
+    for member in (m for m in rig.members if m.name in nodes):
+        given = {"period": member.params.period, "fmu": str(export(rig, member.name, folder)), "vectors": [],
+                 "trajectories": []}  # fmt: skip
+        for side, ports in (("inputs", member.inputs), ("outputs", member.outputs)):
+            given[side] = []
+            for port in ports:
+                vector = port.msgtype.endswith("Vector3Stamped")
+                given["vectors"] += [f"{port.topic} = {port.frame_id}"] if vector else []
+                given["trajectories"] += [port.topic] if port.msgtype.endswith("JointTrajectory") else []
+                given[side] += [f"{port.topic}/{label}{'/vector' * vector} = {variable(port.topic, label)}"
+                                for label in port.labels]  # fmt: skip
+        executable = "fmu_plant" if member.is_plant else "fmu_law"
+        entries[member.name] = {"package": "softrig_control", "executable": executable, "parameters": given}
+    raw = scenario.model_dump(mode="json", exclude_unset=True)
+    for name, entry in entries.items():
+        raw["nodes"][name] = {k: v for k, v in raw["nodes"][name].items() if k not in ("parameters", "remap")} | entry
+    raw = {k: raw[k] for k in ("title", "system", "source", "duration", "nodes", "seed") if k in raw}
+    path = folder / "through.yaml"
+    with path.open("w") as file:
+        YAML().dump(raw, file)
+    return load_scenario(str(path))
+
+
+@pytest.mark.parametrize(("name", "nodes", "overrides"), [
+    ("dc_motor_smc_b2", ["dc_motor_plant", "dc_motor_smc"], {"dc_motor_plant.current_noise": 0.01}),
+    ("induction_dtc", ["im_plant"], {}),
+])  # fmt: skip
+def test_a_rig_with_exports_in_it_has_the_same_numbers(name, nodes, overrides, tmp_path):
+    scenario = load_scenario(name, overrides)
+    expected = simulate(scenario, duration=0.05)
+    found = simulate(through_fmus(scenario, nodes, tmp_path), duration=0.05)
+    assert set(expected.signals) <= set(found.signals)
+    moved = 0
+    for signal in expected.signals:
+        assert found.signals[signal].x.tolist() == expected.signals[signal].x.tolist(), signal
+        moved += len(set(expected.signals[signal].x.tolist())) > 1
+    assert moved > 2
+
+
+def motor(exported, **given):
+    inputs, outputs = ("u/a/effort = motor.command.armature.effort",), (f"y/shaft/velocity = {SHAFT}",)
+    given = {"fmu": str(exported / "dc_motor_plant.fmu"), "period": 1e-4, "inputs": inputs, "outputs": outputs} | given
+    return FmuPlant(name="motor", log=True, **given)
+
+
+def test_a_longer_step_is_several_periods(exported):
+    long, short = motor(exported, period=5e-4), motor(exported)
+    long.advance(0, u=(5.0,))
+    for _ in range(5):
+        short.advance(0, u=(5.0,))
+    assert long.outputs(0) == short.outputs(0)
+
+
+def test_what_it_cannot_do_is_told_by_name(exported, tmp_path):
+    with pytest.raises(RunError, match=r"expected a whole number of periods of 0\.0001 s"):
+        motor(exported, period=1.5e-4).advance(0, u=(5.0,))
+    with pytest.raises(RunError, match=r"motor/command: .*2e\+07"):
+        motor(exported).advance(0, u=(2e7,))
+    with pytest.raises(RunError, match="parameter L = 0"):
+        motor(exported, values=("L = 0",)).advance(0, u=(5.0,))
+    rig = Rig.from_scenario(load_scenario("dc_motor_smc"))
+    with pytest.raises(ScenarioError, match=r"has no node 'dc_motor_plan' \(did you mean 'dc_motor_plant'\?\)"):
+        export(rig, "dc_motor_plan", tmp_path)
