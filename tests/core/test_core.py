@@ -1,6 +1,7 @@
 """Parameters, scenarios, wiring, the in-process runner, shards."""
 
 import math
+import os
 
 import numpy as np
 import pytest
@@ -17,8 +18,10 @@ from softrig_core import (
     RunError,
     ScenarioError,
     Signals,
+    figures_of,
     load_scenario,
     param,
+    rig_of,
     run_inprocess,
 )
 from softrig_core.model.params import build, declarations, flatten
@@ -27,6 +30,8 @@ from softrig_core.rig.scenario import merge
 from softrig_core.wire.cdr import Layout
 from softrig_core.wire.recording import ShardWriter, shard_topics
 from softrig_core.wire.types import TYPES
+
+INSTALLED = os.environ["AMENT_PREFIX_PATH"]
 
 
 class Inner(Params):
@@ -131,6 +136,26 @@ def test_a_bad_scenario_is_explained(folder, text, name, expected):
     with pytest.raises(ScenarioError) as error:
         load_scenario(name)
     assert expected in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("entry", "expected"),
+    [
+        ("nodes:\n  plant:\n    parameters:\n      gian: 2.0", "did you mean 'gain'?.* \\(bad.yaml, line 6\\)$"),
+        ("nodes:\n  plant:\n    remap: {stat: a}", "remap of 'stat', but .* \\(bad.yaml, line 5\\)$"),
+        ("nodes: {gain: {package: faultrig, executable: gain}, source: {package: faultrig, executable: source}}\n"
+         "figures:\n  peak: {function: maximum, arguments: {signal: lag/state/x/positoin}}",
+         "no signal 'lag/state/x/positoin' \\(did you mean 'lag/state/x/position'.* \\(bad.yaml, line 5\\)$"),
+    ],
+)  # fmt: skip
+def test_what_a_rig_cannot_be_names_the_line_of_its_file(folder, monkeypatch, entry, expected):
+    monkeypatch.setenv("AMENT_PREFIX_PATH", INSTALLED)
+    (folder / "bad.yaml").write_text(f"extends: base\nduration: 0.5\n{entry}\n")
+    with pytest.raises(ScenarioError, match=expected):
+        figures_of(rig_of("bad", duration=0.2))
+    with pytest.raises(ScenarioError) as error:  # what was not written there has no line
+        figures_of(rig_of("base", overrides={"plant.gian": 2.0}))
+    assert "line" not in str(error.value)
 
 
 def test_an_override_of_an_unknown_node_is_refused(folder):

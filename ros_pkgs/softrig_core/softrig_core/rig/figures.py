@@ -12,7 +12,7 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
 
-from ..errors import ScenarioError
+from ..errors import ScenarioError, closest
 from ..model.params import flatten
 from .claims import NEVER
 from .expectation import Expectation
@@ -122,7 +122,8 @@ def figures_of(rig: Rig) -> list[Figure]:
             _check_signals(function, arguments, units)
             unit, scale = _unit(function, arguments, units, entry.unit)
         except ScenarioError as error:
-            raise ScenarioError(f"{rig.scenario.name}: figure {name}: {error}") from None
+            at = rig.scenario.written("figures", name)
+            raise ScenarioError(f"{rig.scenario.name}: figure {name}: {error}{at}") from None
         found.append(Figure(name, function, arguments, unit, scale))
     found += [Figure(name, judge, {}, judge.unit, 1.0) for name, judge in judges(rig, units).items()]
     return found
@@ -220,7 +221,7 @@ def _check_signals(function: Function, arguments: Mapping[str, Any], units: Mapp
     named = {k: v for k, v in arguments.items() if isinstance(v, str) and (k in SIGNALS or "/" in v)}
     for name in (*named.values(), *getattr(function, "reads", ())):
         if name not in units:
-            raise ScenarioError(f"no signal {name!r}; the rig has {', '.join(units)}")
+            raise ScenarioError(f"no signal {name!r}{closest(name, units)}; the rig has {', '.join(units)}")
     both = [units[arguments[k]] for k in SIGNALS if isinstance(arguments.get(k), str)]
     if len(both) == 2 and powers(both[0]) != powers(both[1]):
         raise ScenarioError(f"signal in {both[0]!r}, but its reference in {both[1]!r}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from typing import Any
 
@@ -34,7 +35,9 @@ class NodeParameters:
             try:
                 self._known[name] = build(self._classes[name].Params, values)
             except ParameterError as error:
-                raise ScenarioError(f"{where}: {error}") from None
+                wrong = [k for k in entry.parameters if re.search(rf"\bparameter {re.escape(k)}(?![\w.])", str(error))]
+                at = self._scenario.written("nodes", name, "parameters", *wrong[:1])
+                raise ScenarioError(f"{where}: {error}{at}") from None
         return self._known[name]
 
     def _of(self, node: str, parameter: str) -> Any:

@@ -262,7 +262,8 @@ def _member(scenario: Scenario, name: str, block: type[Block], parameters: NodeP
     topics = [p.topic for p in (*inputs, *outputs)]
     for topic in entry.remap:
         if topic not in topics:
-            raise ScenarioError(f"{where}: remap of {topic!r}, but its topics are {', '.join(topics)}")
+            raise ScenarioError(f"{where}: remap of {topic!r}, but its topics are {', '.join(topics)}"
+                                f"{scenario.written('nodes', name, 'remap', topic)}")  # fmt: skip
     inputs = tuple(p.renamed(entry.remap.get(p.topic, p.topic)) for p in inputs)
     outputs = tuple(p.renamed(entry.remap.get(p.topic, p.topic)) for p in outputs)
     return Member(name, entry.package, entry.executable, block, params, inputs, outputs, entry.external,

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PrivateAttr, ValidationError, model_validator
 
 from ..errors import ScenarioError, closest
 from .changes import ChangeEntry
@@ -137,6 +138,13 @@ class Scenario(_Model):
     requirements: Annotated[dict[str, Required], BeforeValidator(_or_empty)] = {}
     plots: tuple[PlotEntry, ...] = ()
 
+    _file: Path | None = PrivateAttr(None)  # where all that is in it was written; for messages alone
+
+    def written(self, *keys: str) -> str:
+        """Say where one of its keys is written, as the end of a message; empty where that is not known."""
+        at = place(self.name, self._file, keys) if self._file else ""
+        return f" ({at})" if "line" in at else ""
+
     @model_validator(mode="after")
     def _contained_once(self) -> Scenario:
         named = [name for group in self.containers for name in group]
@@ -173,7 +181,9 @@ class Scenario(_Model):
             _override(raw, key, value)
         changes = {k: v for k, v in (("duration", duration), ("seed", seed)) if v is not None}
         try:
-            return Scenario.model_validate({**dict(self), **changes, **(raw if overrides else {})})
+            new = Scenario.model_validate({**dict(self), **changes, **(raw if overrides else {})})
+            new._file = None if overrides else self._file
+            return new
         except ValidationError as error:
             raise ScenarioError(f"{self.name}: {explain(error, Scenario)}") from None
 
@@ -209,6 +219,7 @@ def load_scenario(name: str, overrides: Mapping[str, Any] | None = None) -> Scen
         shared = raw.get("shared") or {}
         scenario = Scenario.model_validate({**fill(raw, shared if isinstance(shared, dict) else {}), "name": name})
         check_lengths(scenario.duration, scenario.shared, scenario.requirements)
+        scenario._file = None if overrides else path
         return scenario
     except ValidationError as error:
         at = place(name, path, error.errors()[0]["loc"])
