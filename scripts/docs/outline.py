@@ -19,13 +19,13 @@ KINDS = {
     "how-to": (
         "How-to guides",
         "You know what you want to do; here is how.",
-        ("set_up", "workspace", "continuous_integration", "python", "studies", "learning", "bags",
+        ("set_up", "workspace", "node", "continuous_integration", "python", "studies", "learning", "bags",
          "bags_pandas", "reports", "paper_figures"),
     ),
     "explanations": (
         "Explanations",
         "Why it is as it is, and what you can rely on.",
-        ("tick", "placements", "bits", "solver"),
+        ("idea", "tick", "placements", "bits", "solver"),
     ),
     "reference": ("Reference", "Everything by name; most of it is made from the code.", ("scenario_file", "model_kit")),
 }  # fmt: skip

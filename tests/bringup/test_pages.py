@@ -55,11 +55,6 @@ def test_rows_of_tables_have_the_cells_of_their_head(page):
     assert not wrong, wrong
 
 
-def test_the_counts_of_the_readme_are_as_the_scenarios_say():
-    text = (ROOT / "README.md").read_text()
-    assert pages.generate(text) == text, WRITE.format("README.md")
-
-
 @pytest.mark.long
 @pytest.mark.parametrize("page", [Path("README.md"), *PAGES], ids=str)
 def test_what_pages_say_was_measured_is(page):

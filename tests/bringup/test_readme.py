@@ -1,12 +1,14 @@
-"""The README is true: its controller closes a loop, its commands exist."""
+"""The README is true: its commands exist; the controller of the tutorial closes a loop."""
 
 import os
 import re
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
+import yaml
 from softrig_bringup.cli import _FOREIGN, _SCRIPT, _parser, main
 from softrig_core import list_scenarios
 from softrig_core.rig.domain import free_domain
@@ -17,9 +19,10 @@ README = (ROOT / "README.md").read_text()
 
 
 @pytest.mark.processes
-def test_the_controller_of_the_readme_takes_the_place_of_ours(tmp_path, monkeypatch, capsys):
+def test_the_controller_of_the_tutorial_takes_the_place_of_ours(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    code = re.search(r"```python\n(.*?)```", README, re.S)
+    page = (ROOT / "ros_pkgs/softrig_bringup/doc/own_controller.md").read_text()
+    code = re.search(r"```python\n(.*?)```", page, re.S)
     (tmp_path / "my_controller.py").write_text(code.group(1))
     with free_domain() as domain:
         pass  # `run --domain` takes its lock itself
@@ -70,3 +73,15 @@ def test_every_package_is_described_and_depends_one_way():
             "softrig_bags": {"softrig_core"},
         }.get(name)  # fmt: skip
         assert allowed is None or declared <= allowed, name
+
+
+def test_who_cites_names_the_version_that_is_there():
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text())
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    assert (citation["version"], citation["license"]) == (project["version"], project["license"])
+
+
+def test_links_of_who_contributes_lead_somewhere():
+    page = ROOT / ".github/CONTRIBUTING.md"
+    for path in re.findall(r"\]\((\S+?)\)", page.read_text()):
+        assert (page.parent / path).exists(), path
