@@ -63,5 +63,29 @@ def test_rviz_shows_what_the_nodes_publish_in_frames_that_exist(name, tmp_path):
     assert all(("/tf", "/a/tf") in p.remappings for p in (*frames, rviz))
 
 
+def test_the_tag_of_ros2_control_and_the_controllers_fit_the_plant():
+    rig = Rig.from_scenario(load_scenario("rehab_impedance"))
+    plant = next(m for m in rig.members if m.is_plant)
+    tag = ElementTree.fromstring(plant.block_class.scene(plant.params).description).find("ros2_control")
+    system = {p.get("name"): p.text for p in tag.find("hardware").iter("param")}
+    states = next(p for p in plant.outputs if f"/{p.topic}" == system["joint_states_topic"])
+    commands = next(p for p in plant.inputs if f"/{p.topic}" == system["joint_commands_topic"])
+    for port, kind in ((states, "state_interface"), (commands, "command_interface")):
+        told = {f"{j.get('name')}/{i.get('name')}" for j in tag.findall("joint") for i in j.findall(kind)}
+        assert told == set(port.labels)
+    assert float(system["trigger_joint_command_threshold"]) < 0  # or a command that does not change is not sent
+    content = yaml.safe_load((PACKAGES / "softrig_robots/config/rehab_leg_controllers.yaml").read_text())
+    manager = content.pop("controller_manager")["ros__parameters"]
+    assert manager.pop("update_rate") * plant.params.period == 1
+    assert set(manager) == set(content)
+    for entry in content.values():
+        given = entry["ros__parameters"]
+        kinds = given.get("command_interfaces") or [given.get("interface_name") or given["command_interface"]]
+        joints = given.get("joints") or given["dof_names"]
+        assert {f"{j}/{k}" for j in joints for k in kinds} <= set(commands.labels)
+        kinds = given.get("state_interfaces", given.get("reference_and_state_interfaces", []))
+        assert {f"{j}/{k}" for j in joints for k in kinds} <= set(states.labels)
+
+
 def first(system):
     return next(name for name in list_scenarios() if name.startswith(system))

@@ -199,3 +199,37 @@ def test_the_profile_of_a_topic_is_settable_as_of_any_node_of_ros(bench):
     bench.start("plant", "plant", *words)
     bench.python("asking", ASK_PROFILES)
     assert bench.ends("asking") == 0
+
+
+HARDWARE = """
+import rclpy, sys
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, qos_profile_sensor_data
+from sensor_msgs.msg import JointState
+JOINTS = ["hip", "knee"]
+rclpy.init()
+node = Node("topic_based_ros2_control_rehab_leg")
+latest = []
+commands = node.create_publisher(JointState, "/motor_command", QoSProfile(depth=1))
+node.create_subscription(JointState, "/joint_states", lambda m: latest.append(m), qos_profile_sensor_data)
+def write():
+    message = JointState(name=JOINTS, effort=[20.0, 0.0])
+    message.header.stamp = node.get_clock().now().to_msg()
+    commands.publish(message)
+node.create_timer(0.001, write)
+while not latest or latest[-1].position[0] < latest[0].position[0] + 0.05:
+    rclpy.spin_once(node)
+    for m in latest[-1:]:  # it indexes all three by the names, without a look at their lengths
+        if list(m.name) != JOINTS or not len(m.position) == len(m.velocity) == len(m.effort) == 2:
+            sys.exit(4)
+"""
+
+
+def test_a_plant_is_hardware_for_ros2_control_over_topics(bench):
+    """An outside node speaks as TopicBasedSystem of topic_based_ros2_control: best effort in, depth 1 out, no frame."""
+    bench.start("rehab_plant", "rehab_plant", package="softrig_robots")
+    bench.python("hardware", HARDWARE)
+    assert bench.ends("hardware") == 0
+    bench.wait(lambda: sum(bench.signal("rehab_plant", "joint_states/hip/velocity").x) > 0)
+    bench.wait(lambda: bench.status("rehab_plant")["ticks"])
+    assert bench.status("rehab_plant")["refused"] == {}

@@ -13,7 +13,7 @@ from softrig_core import Params, param
 
 from ..driven_robot import Motors
 from ..joints import PerJoint, require_positive
-from ..urdf import Link, check_inertia, robot_urdf
+from ..urdf import Link, check_inertia, hardware_tag, robot_urdf
 
 JOINTS = ("hip", "knee")
 LOWER = (radians(-30.0), radians(-90.0))
@@ -88,7 +88,8 @@ def rehab_urdf(segments: Segments | None = None, lower: tuple[float, ...] = LOWE
             )
         )
         origin = tip
-    return robot_urdf("rehab_leg", links, "foot", origin)
+    hardware = hardware_tag("rehab_leg", JOINTS, "/joint_states", "/motor_command")
+    return robot_urdf("rehab_leg", links, "foot", origin, hardware=hardware)
 
 
 def foot_jacobian(q1: float, q2: float, l1: float, l2: float) -> tuple[float, float, float, float]:
