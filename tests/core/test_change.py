@@ -9,14 +9,18 @@ import pytest
 from conftest import differences, in_process
 from hypothesis import given, strategies as st
 from simulated import SimulatedRig, World
+from softrig_bags.read import read_bag
 from softrig_bags.topics import typestore
+from softrig_bringup.cli import main
+from softrig_bringup.folder import ResultsFolder
 from softrig_bringup.report import write_report
-from softrig_bringup.run import summary
+from softrig_bringup.run import save, summary, turned
 from softrig_core import (
     Block,
     BlockParams,
     ParameterError,
     Rig,
+    Run,
     ScenarioError,
     Signals,
     feed,
@@ -207,6 +211,40 @@ def test_a_run_that_was_tuned_by_hand_is_repeated_from_its_record(seed, groups):
     for at, values in found:
         script.setdefault(at, {}).update(values)
     assert not differences(run.recording, in_process(rig_of("dc_motor_smc_b2", 0.3, script, faults=OFFSET), seed))
+
+
+def tuned(folder, duration="0.3"):
+    """The folder of a run whose law somebody has tuned while it ran."""
+    world = World()
+    run = SimulatedRig(rig_of("dc_motor_smc_b2", float(duration), {}), world, "lockstep", seed=5)
+    for at, values in ((20_030_000, {"k": 60.0}), (20_050_000, {"delta": 1.0, "k": 30.0})):
+        world.at(world.now + at, partial(run.adapters["dc_motor_smc"].step.set, values))
+    assert set(run.run().values()) == {"done"}
+    done = Run(run.rig, 5, run.recording, mode="processes")
+    command = f"softrig run dc_motor_smc_b2 --mode processes --seed 5 --duration {duration}"
+    content = summary(done, done.results, command) | {"changed": turned(done)}
+    save(done, content, ResultsFolder(folder), plots=False)
+    return content
+
+
+def test_run_like_repeats_a_tuned_run_and_its_repetition(tmp_path, capsys):
+    content = tuned(tmp_path / "tuned")
+    assert len(content["changes"]) == 2
+    assert content["changed"][0].startswith("dc_motor_smc.k=60.0 from 0.")
+    bag = read_bag(tmp_path / "tuned" / "bag")
+    for like, out in (("tuned/bag", "again"), ("again", "once_more")):
+        assert main(["run", "--like", str(tmp_path / like), "--mode", "inprocess", "--no-plots",
+                     "--out", str(tmp_path / out)]) == 0  # fmt: skip
+        again = read_bag(tmp_path / out / "bag")
+        assert again.topics.keys() == bag.topics.keys() >= {"parameter_events"}
+        assert not differences(bag, again)
+    capsys.readouterr()
+    assert main(["run", "--like", str(tmp_path / "tuned"), "--seed", "3"]) == 2
+    assert "--like repeats a run as it was: expected no --seed beside it" in capsys.readouterr().err
+    assert main(["run", "--like", str(tmp_path)]) == 2
+    assert "expected the directory of a run" in capsys.readouterr().err
+    assert main(["run"]) == 2
+    assert "expected a scenario, or --like RUN" in capsys.readouterr().err
 
 
 def test_what_is_refused_while_it_runs_changes_nothing():

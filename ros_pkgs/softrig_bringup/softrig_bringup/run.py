@@ -180,6 +180,18 @@ def _changes(run: Run) -> list[dict[str, Any]]:
     return [{"at_s": t / SECOND, "node": node, "set": values} for t, node, values in recorded(run.recording, run.epoch)]
 
 
+def turned(run: Run) -> list[str]:
+    """Say in words what somebody changed while it ran, the scenario's own changes left out."""
+    scripted = {
+        (m.schedule.next(c.at - 1), m.name, name) for m in run.rig.members for c in m.changes for name in c.values
+    }
+    return [
+        f"{node}.{name}={json.dumps(value)} from {t / SECOND:.9g} s"
+        for t, node, values in recorded(run.recording, run.epoch) for name, value in values.items()
+        if (t, node, name) not in scripted
+    ]  # fmt: skip
+
+
 def _plant_ticks(run: Run) -> int:
     return int(run.status.get(run.rig.clock.name, {}).get("ticks", 0))
 

@@ -26,7 +26,9 @@ MISSED = 10.0  # per cent of missed deadlines that are worth a word
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument("scenario", help="name or YAML file")
+    parser.add_argument("scenario", nargs="?", default="", help="name or YAML file")
+    parser.add_argument("--like", type=Path, metavar="RUN", help="instead of a scenario: that run (its folder "
+                        "or bag) once more, with all that was changed while it ran")  # fmt: skip
     parser.add_argument("--mode", choices=("processes", "container", "inprocess", "realtime"), default="processes",
                      help="where the nodes live; realtime: processes --realtime")  # fmt: skip
     parser.add_argument("--realtime", action="store_true", help="against the wall clock, not in lockstep")
@@ -66,9 +68,13 @@ def run(options: argparse.Namespace) -> int:
 
 def scenario_of(options: argparse.Namespace) -> Scenario:
     """Give the scenario with what the options change of it."""
-    from softrig_core import load_scenario
+    from softrig_core import ScenarioError, load_scenario
     from softrig_core.rig.scenario import merge
 
+    if options.like is not None:
+        return _repeated(options)
+    if not options.scenario:
+        raise ScenarioError("expected a scenario, or --like RUN")
     given = {}
     if options.params_file is not None:
         from .params_file import params_of
@@ -84,6 +90,23 @@ def scenario_of(options: argparse.Namespace) -> Scenario:
     if changes:
         scenario = _changed(scenario, changes)
     return scenario
+
+
+def _repeated(options: argparse.Namespace) -> Scenario:
+    """Give the scenario of the run that --like names, with what was changed of it before and while it ran."""
+    from softrig_core import ScenarioError
+
+    from .like import recall
+
+    for name in ("scenario", "set", "params_file", "duration", "seed", "external", "only"):
+        if getattr(options, name) not in ("", None, []):
+            word = name if name == "scenario" else f"--{name.replace('_', '-')}"
+            raise ScenarioError(f"--like repeats a run as it was: expected no {word} beside it")
+    parser = argparse.ArgumentParser(exit_on_error=False)
+    arguments(parser)
+    found, changes = recall(options.like, parser.parse_args)
+    scenario = scenario_of(found)
+    return type(scenario).model_validate({**dict(scenario), "changes": changes})
 
 
 def _run_reserved(options: argparse.Namespace) -> int:
@@ -141,10 +164,10 @@ def conclude(options: argparse.Namespace, done: Run, folder: ResultsFolder | Non
         Exit status.
     """
     from .repeat import words
-    from .run import save, summary
+    from .run import save, summary, turned
 
     rig, scenario = done.rig, done.rig.scenario
-    changed = _changes(options) + ([done.stopped_at] if done.stopped else [])
+    changed = _changes(options) + turned(done) + ([done.stopped_at] if done.stopped else [])
     figures = [] if done.error else done.results
     command = shlex.join([*words((m.package for m in rig.members), "run"), *repeat(options)])
     content = summary(done, figures, command, options.label) | {"changed": changed}
@@ -191,6 +214,7 @@ def _missed(status: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
 def _changes(options: argparse.Namespace) -> list[str]:
     """Say what of a scenario was changed on the command line, in words."""
     found = [str(options.params_file)] if options.params_file is not None else []
+    found += [f"like {options.like}"] if options.like is not None else []
     found += [*options.set, *(f"{name} outside, its parameters unknown" for name in options.external)]
     return found + [f"{name} {value}" for name in ("duration", "seed") if (value := getattr(options, name)) is not None]
 
@@ -199,6 +223,7 @@ def _folder_name(scenario: str, options: argparse.Namespace) -> str:
     """Name the folder of a run so that runs that differ do not replace each other."""
     parts = [scenario] + (["realtime"] if options.realtime or options.mode == "realtime" else [])
     parts += [options.params_file.stem] if options.params_file is not None else []
+    parts += ["again"] if options.like is not None else []
     parts += [*options.set, *(f"external_{name}" for name in options.external)]
     parts += [f"{name}_{value}" for name in ("duration", "seed") if (value := getattr(options, name)) is not None]
     return re.sub(r"[^A-Za-z0-9_.=+-]+", "_", "-".join(parts))[:120]
@@ -208,7 +233,9 @@ def repeat(options: argparse.Namespace) -> list[str]:
     """Command-line arguments that repeat a run."""
     from .repeat import scenario_word
 
-    arguments = [scenario_word(options.scenario), "--mode", options.mode, *(["--realtime"] if options.realtime else [])]
+    again = ["--like", str(options.like.absolute())] if options.like is not None else [scenario_word(options.scenario)]
+    arguments = [*again, "--mode", options.mode, *(["--realtime"] if options.realtime else [])]
+    arguments += ["--params-file", str(options.params_file.absolute())] if options.params_file is not None else []
     for text in options.set:
         arguments += ["--set", text]
     for name in options.external:

@@ -123,7 +123,7 @@ class Declaration:
     unit: str
     lower: float | None
     upper: float | None
-    live: bool
+    live: bool = False
 
 
 def declarations(model: type[Params], prefix: str = "") -> list[Declaration]:
