@@ -19,8 +19,8 @@ KINDS = {
     "how-to": (
         "How-to guides",
         "You know what you want to do; here is how.",
-        ("set_up", "workspace", "node", "continuous_integration", "python", "studies", "learning", "bags",
-         "bags_pandas", "reports", "paper_figures"),
+        ("set_up", "workspace", "node", "continuous_integration", "python", "studies", "learning", "linear_view",
+         "bags", "bags_pandas", "reports", "paper_figures"),
     ),
     "explanations": (
         "Explanations",

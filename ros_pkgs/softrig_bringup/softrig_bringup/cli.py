@@ -155,6 +155,19 @@ def _parser() -> argparse.ArgumentParser:
     falsify.add_argument("--out", type=Path, metavar="DIR", help="results go here (default runs/falsify_NAME)")
     falsify.add_argument("--workers", type=Number(int, 1), metavar="N", help="processes (default: all cores)")
     falsify.add_argument("--scheduler", default="", metavar="ADDRESS", help="a Dask cluster instead (tcp://host:8786)")
+    linear = verb("linearise", _linearise, "margins, poles and state space of a loop, where a run of a scenario is")
+    linear.add_argument(
+        "--open", default="", metavar="LINK", help="signal at which to open the loop (a plant's command)"
+    )
+    linear.add_argument("--out", type=Path, metavar="DIR", help="numbers and pictures go here")
+    rest = verb("steady", _steady, "where each signal is at the end of a run; status 1 when one does not rest")
+    rest.add_argument("--tolerance", type=Number(float, 0), default=1e-6, metavar="X",
+                      help="share of its size that a signal at rest may move (1e-6)")  # fmt: skip
+    for sub in (linear, rest):
+        sub.add_argument("scenario", help="name or YAML file")
+        sub.add_argument("--at", type=Number(float, 0), metavar="S", help="when (the scenario's end)")
+        sub.add_argument("--window", type=Number(float, 0), metavar="S", help="how long it is looked at")
+        sub.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="as in run")
     golden = verb("golden", _golden, "make golden bags anew and show the difference to the old, or check them")
     golden.add_argument("names", nargs="*", metavar="SCENARIO", help="default: all that are there")
     golden.add_argument("--check", action="store_true", help="only compare; exit status 1 when one differs")
@@ -298,6 +311,18 @@ def _falsify(options: argparse.Namespace) -> int:
     out = options.out or Path("runs") / f"falsify_{task.name}"
     with stoppable():
         return falsify(task, out, workers=options.workers, scheduler=options.scheduler)
+
+
+def _linearise(options: argparse.Namespace) -> int:
+    from .linear import linearise
+
+    return linearise(options)
+
+
+def _steady(options: argparse.Namespace) -> int:
+    from .linear import print_steady
+
+    return print_steady(options)
 
 
 def _golden(options: argparse.Namespace) -> int:

@@ -56,6 +56,7 @@ if TYPE_CHECKING:
     from .rig.environment import RigEnv as RigEnv
     from .rig.figures import evaluate as evaluate, figures_of as figures_of
     from .rig.inprocess import run_inprocess as run_inprocess
+    from .rig.linear_view import LinearView as LinearView, linear_view as linear_view, steady as steady
     from .rig.measures import SignalMap as SignalMap, window as window
     from .rig.processes import run_processes as run_processes
     from .rig.registry import figure as figure
@@ -91,6 +92,7 @@ else:
         "rig.environment": "RigEnv",
         "rig.figures": "evaluate figures_of",
         "rig.inprocess": "run_inprocess",
+        "rig.linear_view": "LinearView linear_view steady",
         "rig.measures": "SignalMap window",
         "rig.processes": "run_processes",
         "rig.registry": "figure",
