@@ -11,7 +11,8 @@ from softrig_drives.dc_motor.plant import DcMotorPlant
 
 pytest.importorskip("fmpy")
 from fmu_build import build_fmu
-from softrig_control.fmu.description import describe
+from softrig_control.fmu.description import Unit, Variable, _unit, conversion, describe
+from softrig_control.fmu.mapping import Place
 from softrig_control.fmu.nodes import FmuLaw, FmuPlant
 
 PAGE = Path(__file__).parents[2] / "ros_pkgs" / "softrig_control" / "doc" / "fmu.md"
@@ -157,6 +158,22 @@ def test_units_are_converted_where_both_say_theirs(fmus):
     plain = motor(fmus)
     plain.advance(0, motor_command=(12.0,))
     assert volts.outputs(0)["to_motor_state"] == pytest.approx(plain.outputs(0)["to_motor_state"], rel=1e-14)
+
+
+def test_units_with_an_offset_and_names_that_say_nothing():
+    from fmpy.model_description import BaseUnit, Unit as Given
+
+    celsius = _unit(Given("degC", BaseUnit(K=1, offset=273.15)))
+    assert celsius == Unit("degC", 1.0, 273.15, (("K", 1),))
+    place = Place(Variable("T", 0, "Real", "output", None, None, None, celsius), 0, 0, *conversion(
+        Variable("T", 0, "Real", "output", None, None, None, celsius), "K"))  # fmt: skip
+    assert place.out(20.0) == 293.15
+    assert place.into(293.15) == 20.0
+    assert _unit(Given("N.m/rad2", None)).name == "N m/rad^2"
+    assert _unit(Given("torque", BaseUnit(kg=1, m=2, s=-2))).base == Unit.of("N m").base
+    assert _unit(Given("torque", BaseUnit(kg=1, m=2, s=-2))).name == "kg m^2/s^2"
+    with pytest.raises(ValueError, match="T is in 'degC', expected 'V', which is another quantity"):
+        conversion(place.variable, "V")
 
 
 @pytest.mark.parametrize("version", [2, 3])

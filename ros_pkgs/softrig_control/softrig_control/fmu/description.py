@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
+import hashlib
+import tempfile
 import zipfile
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
-from softrig_core import resource
+from softrig_core import ParameterError, resource
 from softrig_core.errors import closest
 from softrig_core.extras import need
+from softrig_core.model.compiled import cache_folder
 from softrig_core.rig.units import base, powers, text
 
 BASES = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")  # of the FMI's base units
@@ -105,6 +109,30 @@ def describe(source: str) -> Description:
     path = resource(source, "FMU").resolve()
     stat = path.stat()
     return _describe(path, stat.st_mtime_ns, stat.st_size)
+
+
+def unpacked(path: Path) -> Path:
+    """Give the folder with the content of an FMU, in the cache: nothing is left behind by a node that is killed.
+
+    Raises
+    ------
+    ParameterError
+        It cannot be unpacked.
+    """
+    from fmpy import extract
+
+    folder = cache_folder() / "fmu" / hashlib.sha256(path.read_bytes()).hexdigest()[:32]
+    if folder.is_dir():
+        return folder
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=folder.parent, prefix="unpacking_") as place:
+        try:
+            extract(str(path), unzipdir=f"{place}/fmu")
+        except Exception as error:  # FMPy raises bare Exceptions, zipfile many kinds
+            raise ParameterError(f"parameter fmu = {str(path)!r} cannot be unpacked: {error!r}") from None
+        with contextlib.suppress(OSError):  # another node was first
+            Path(place, "fmu").rename(folder)
+    return folder
 
 
 @cache

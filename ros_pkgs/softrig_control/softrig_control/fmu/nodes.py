@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import math
-import shutil
-import tempfile
-import weakref
 from collections.abc import Callable, Mapping
 from functools import cached_property
 from typing import Any, Literal, Self
@@ -14,7 +11,7 @@ from pydantic import model_validator
 from softrig_core import Block, BlockParams, ParameterError, Plant, Port, RunError, executable, param
 from softrig_core.model.schedule import Schedule, rational
 
-from .description import Description, describe
+from .description import Description, describe, unpacked
 from .instance import Instance, Plan, Refusal
 from .mapping import Mapped, mapped, start_values
 
@@ -89,17 +86,9 @@ class _Fmu(Block[FmuParams]):
         p = self.p
         if not p.fmu:
             raise ParameterError("parameter fmu = '': expected the file of an FMU")
-        from fmpy import extract
-
         self._time = Schedule(rational(p.period)).time
-        folder = tempfile.mkdtemp(prefix="softrig_fmu_")
-        self._folder = weakref.finalize(self, shutil.rmtree, folder, True)
-        try:
-            extract(str(p.unit.path), unzipdir=folder)
-        except Exception as error:  # FMPy raises bare Exceptions, zipfile many kinds
-            raise ParameterError(f"parameter fmu = {p.fmu!r} cannot be unpacked: {error!r}") from None
         plan = Plan(
-            folder,
+            str(unpacked(p.unit.path)),
             p.method == "model_exchange",
             tuple((x.variable.kind, x.variable.reference) for x in p.reads.places),
             tuple((x.variable.kind, x.variable.reference) for x in p.says.places),
