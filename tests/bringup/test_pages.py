@@ -186,6 +186,7 @@ It rises in 0.607 s, {} later than 10 V `12.345` in [b](x123.45), in all 1,153 s
 
 def test_a_stale_page_is_told_and_mended(tmp_path, capsys):
     source = ROOT / GENERATED[0]
+    (tmp_path / "tests").symlink_to(ROOT / "tests")  # sources of its numbers
     page = tmp_path / "page.md"
     page.write_text(source.read_text().replace("| `period` |", "| `periode` |", 1))
     assert pages.main([str(page), "--check"]) == 1
