@@ -32,7 +32,7 @@ def test_an_unknown_part_is_told(capsys):
 
 def test_nothing_of_it_is_installed_with_the_packages():
     """Who installs the packages gets nodes and tools, no measurements of this machine."""
-    assert not [p for p in ROOT.glob("ros_pkgs/**/*bench*") if "__pycache__" not in p.parts]
+    assert not [p for p in ROOT.glob("ros_pkgs/**/*bench*.py") if "__pycache__" not in p.parts]
     assert not [p for p in ROOT.glob("ros_pkgs/*/setup.cfg") if "bench" in p.read_text()]
 
 

@@ -133,8 +133,11 @@ import softrig_core, softrig_control, softrig_optim, softrig_drives, softrig_pow
 import softrig_bags, softrig_bringup
 for package in [m for n, m in list(sys.modules.items()) if n.startswith("softrig_") and "." not in n]:
     for module in pkgutil.walk_packages(package.__path__, package.__name__ + "."):
-        if not module.name.endswith("__main__"):
+        # the environment asks for its extra when it is imported, which nothing of a run does
+        if not module.name.endswith("__main__") and module.name != "softrig_core.rig.environment":
             importlib.import_module(module.name)
 owners = packages_distributions()
-print(*{d.replace("_", "-").lower() for name in list(sys.modules) for d in owners.get(name, ())})
+# two packages bring lark; numpy.f2py takes charset_normalizer where it is there
+found = {name: owners[name][0] for name in list(sys.modules) if name in owners}
+print(*{d.replace("_", "-").lower() for name, d in found.items() if name not in ("charset_normalizer", "lark")})
 """
