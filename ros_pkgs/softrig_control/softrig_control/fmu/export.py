@@ -18,10 +18,11 @@ from softrig_core.rig.rig import Member
 
 _SCRIPT = '''"""What runs in this FMU is {node}, {package}/{executable} of softrig."""
 
+from pythonfmu import Fmi2Slave
 from softrig_control.fmu.slave import Node
 
 
-class {model}(Node):
+class {model}(Node, Fmi2Slave):
     """See node.json."""
 '''
 

@@ -5,12 +5,10 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 from xml.etree.ElementTree import Element, SubElement
 
 import softrig_core
-from pythonfmu import Boolean, DefaultExperiment, Fmi2Causality, Fmi2Slave, Fmi2Variability, Integer, Real, String
-from pythonfmu.enums import Fmi2Status
 from softrig_core import Plant, Port
 from softrig_core.model.params import build, declarations, flatten
 from softrig_core.model.schedule import Schedule
@@ -19,7 +17,11 @@ from softrig_core.rig.rig import load_block
 from softrig_core.rig.units import base
 
 assert softrig_core  # before numpy, which its import pins
-TYPES = {float: Real, int: Integer, bool: Boolean, str: String}
+
+if TYPE_CHECKING:
+    from pythonfmu import Fmi2Slave as Base
+else:
+    Base = object  # the class in the FMU has Fmi2Slave as its second base: PythonFMU is an extra
 
 
 def variable(topic: str, label: str) -> str:
@@ -27,7 +29,7 @@ def variable(topic: str, label: str) -> str:
     return f"{topic}/{label}".strip("/").replace("/", ".")
 
 
-class Node(Fmi2Slave):  # type: ignore[misc,unused-ignore]
+class Node(Base):  # type: ignore[misc,unused-ignore]
     """What ``node.json`` in the FMU's resources says: block, parameters, topics, seed.
 
     A step of the FMU is one period of the block, or a whole number of them with the inputs held. A plant's outputs are
@@ -35,6 +37,8 @@ class Node(Fmi2Slave):  # type: ignore[misc,unused-ignore]
     """
 
     def __init__(self, **keywords: Any) -> None:
+        from pythonfmu import DefaultExperiment, Fmi2Causality
+
         super().__init__(**keywords)
         self._what = json.loads(Path(self.resources, "node.json").read_text(encoding="utf-8"))
         self._class = load_block(self._what["package"], self._what["executable"])
@@ -55,6 +59,8 @@ class Node(Fmi2Slave):  # type: ignore[misc,unused-ignore]
         self._begin()
 
     def _register(self, port: Port, causality: Any) -> None:
+        from pythonfmu import Fmi2Causality, Real
+
         row = self._numbers[port.name]
         topic = self._what["topics"].get(port.topic, port.topic)
         for k, (label, unit) in enumerate(zip(port.labels, port.units, strict=True)):
@@ -69,14 +75,17 @@ class Node(Fmi2Slave):  # type: ignore[misc,unused-ignore]
 
     def _declare(self) -> None:
         """Parameters that are single numbers or texts; lists stay as they were exported."""
+        from pythonfmu import Boolean, Fmi2Causality, Fmi2Variability, Integer, Real, String
+
+        types = {float: Real, int: Integer, bool: Boolean, str: String}
         for one in declarations(self._class.Params):
-            if one.name == "period" or one.type not in TYPES or isinstance(self._values.get(one.name), list | None):
+            if one.name == "period" or one.type not in types or isinstance(self._values.get(one.name), list | None):
                 continue
             bounds = {"min": one.lower, "max": one.upper} if one.type in (float, int) else {}
             self._extra[one.name] = {k: repr(v) for k, v in bounds.items() if v is not None}
             if one.type is float and one.unit:
                 self._extra[one.name]["unit"] = one.unit
-            self.register_variable(TYPES[one.type](
+            self.register_variable(types[one.type](
                 one.name, causality=Fmi2Causality.parameter, variability=Fmi2Variability.fixed, description=one.doc,
                 getter=lambda n=one.name: self._values[n],
                 setter=lambda x, n=one.name: self._values.__setitem__(n, x)), nested=False)  # fmt: skip
@@ -128,6 +137,8 @@ class Node(Fmi2Slave):  # type: ignore[misc,unused-ignore]
 
     def do_step(self, current_time: float, step_size: float) -> bool:
         """Move on by whole periods."""
+        from pythonfmu.enums import Fmi2Status
+
         try:
             self._do(step_size)
         except Exception as error:
