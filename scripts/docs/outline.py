@@ -13,7 +13,7 @@ ROOT = Path(__file__).resolve().parents[2]
 KINDS = {
     "tutorials": (
         "Tutorials",
-        "From nothing to a result, a quarter of an hour each. Every command in them is run by a test.",
+        "From nothing to a result, a quarter of an hour each. A test types every command that ends by itself.",
         ("first_run", "own_controller", "own_package", "test_bench"),
     ),
     "how-to": (
