@@ -56,9 +56,7 @@ def _notebook() -> Any:
     shell = ipython.get_ipython() if ipython is not None else None
     if shell is None or not hasattr(shell, "kernel"):
         return None
-    from IPython.display import display  # type: ignore[import-not-found]
-
-    return display
+    return sys.modules["IPython.display"].display
 
 
 def _cell(show: Any, title: str, duration: float) -> Iterator[Tell]:
