@@ -1,0 +1,67 @@
+"""Parameters of a running node by ROS services and by the command: checked, all of a call or none."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+from conftest import Bench
+from softrig_core.rig.domain import free_domain
+
+pytestmark = pytest.mark.processes
+
+PERSON = """
+import json, rclpy
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.parameter_client import AsyncParameterClient
+rclpy.init()
+node = Node("person")
+client = AsyncParameterClient(node, "law")
+client.wait_for_services()
+
+def ask(future):
+    rclpy.spin_until_future_complete(node, future)
+    return future.result()
+
+def setting(**values):
+    results = ask(client.set_parameters([Parameter(k, value=v) for k, v in values.items()])).results
+    return [(r.successful, r.reason) for r in results]
+
+found = ask(client.describe_parameters(["k", "period"])).descriptors
+told = {d.name: [d.read_only, d.additional_constraints] for d in found}
+print(json.dumps({
+    "told": told, "k": setting(k=60), "period": setting(period=0.1), "c": setting(c=-1.0),
+    "wrong": setting(delta="much"),
+    "both": setting(delta=3.0, set_point=30.0), "in one": setting(set_point=30.0, reference_limit=40.0),
+}))
+"""
+
+
+def test_what_is_set_by_services_and_by_the_command_is_checked(tmp_path):
+    with free_domain() as domain:
+        bench = Bench(tmp_path, domain)
+        try:
+            bench.start("law", "dc_motor_smc", package="softrig_drives")
+            person = subprocess.run([sys.executable, "-c", PERSON], env=bench.environment, capture_output=True,
+                                    text=True, check=True, timeout=60)  # fmt: skip
+            said = json.loads(person.stdout)
+            command = [sys.executable, "-m", "softrig_bringup", "set", "law.delta", "0.5"]
+            first = subprocess.run(command, env=bench.environment, timeout=60, capture_output=True, text=True)
+            assert (first.returncode, first.stderr) == (0, "")
+            second = subprocess.run([*command, "law.c", "-1.0"], env=bench.environment, timeout=60,
+                                    capture_output=True, text=True)  # fmt: skip
+            assert second.returncode == 1
+            assert "law refuses delta, c: " in second.stderr
+        finally:
+            for name in list(bench.nodes):
+                bench.kill(name)
+    assert said["told"] == {"k": [False, "may change while running, from the next tick on"],
+                            "period": [True, "fixed from the start on"]}  # fmt: skip
+    assert said["k"] == [[True, ""]]
+    assert not said["period"][0][0]
+    assert "c out of range" in said["c"][0][1]
+    assert "parameter delta = 'much'" in said["wrong"][0][1]
+    assert [ok for ok, _ in said["both"]] == [False, False]
+    assert "beyond reference_limit" in said["both"][0][1]
+    assert [ok for ok, _ in said["in one"]] == [True, True]
