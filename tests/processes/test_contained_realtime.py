@@ -71,7 +71,7 @@ class Contained:
         monkeypatch.setattr(ros.RosMiddleware, "publisher", publisher)
         monkeypatch.setattr(ros.RosMiddleware, "subscribe", subscribe)
         monkeypatch.setattr(ros.RosMiddleware, "log", lambda m, level, text: self.logs.append(text))
-        monkeypatch.setattr(ros.RosMiddleware, "types", lambda m, topic: [])
+        monkeypatch.setattr(ros.RosMiddleware, "topics", lambda m: {})
         monkeypatch.setattr(ros.RosMiddleware, "publishers", lambda m, topic: [])
         self.recording = Recording((t, p.msgtype) for t, p in rig.topics.items())
         slowest = max((m.schedule for m in rig.members), key=lambda s: s.period)
