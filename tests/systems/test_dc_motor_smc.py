@@ -133,7 +133,8 @@ def test_rig_table(name):
 
 
 def test_every_scenario_is_tested():
-    assert {n for n in list_scenarios() if n.startswith("dc_motor_smc")} == {*IDEAL, *RIG, *LOADED}
+    faulty = {"dc_motor_smc_faults", "dc_motor_smc_faults_bus"}  # their golden bags and tests/core/test_faults.py
+    assert {n for n in list_scenarios() if n.startswith("dc_motor_smc")} == {*IDEAL, *RIG, *LOADED, *faulty}
 
 
 def test_softening_takes_the_chattering_away():

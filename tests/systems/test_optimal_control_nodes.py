@@ -74,7 +74,9 @@ def test_a_state_that_escapes_may_not_be_said(kind):
     while max(map(abs, plant.x)) <= 1e3:
         check(plant.outputs(0), port, "plant", 0)
         plant.advance(0, command=(1e6,))
-    with pytest.raises(RunError, match=r"plant: state .* became .* expected at most 1000 in magnitude at t = "):
+    with pytest.raises(
+        RunError, match=r"plant: state .* became (inf|nan|.* expected at most 1000 in magnitude) at t = "
+    ):
         check(plant.outputs(0), port, "plant", 0)
 
 

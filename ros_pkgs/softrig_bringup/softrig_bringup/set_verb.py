@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import time
 from typing import Any
 
 from softrig_core.command_line import Number
@@ -22,38 +21,15 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 def set_values(options: argparse.Namespace) -> int:
     """Set parameters of running nodes, node by node; gives the exit status: 1 when a node refuses."""
     from softrig_core.guard import say
+    from softrig_core.node.parameter_client import set_parameters
 
-    status = 0
     wanted = _by_node(options.values)
     if options.domain is not None:
         os.environ["ROS_DOMAIN_ID"] = str(options.domain)
-    import rclpy
-    from rclpy.node import Node
-    from rclpy.parameter import Parameter
-    from rclpy.parameter_client import AsyncParameterClient
-
-    rclpy.init(args=[])
-    try:
-        person = Node(f"softrig_set_{os.getpid()}")
-        for node, values in wanted.items():
-            client = AsyncParameterClient(person, node)
-            limit = time.monotonic() + options.wait
-            if not client.wait_for_services(timeout_sec=options.wait):
-                say(f"set: no node {node} within {options.wait:g} s")
-                status = 1
-                continue
-            answer = client.set_parameters_atomically([Parameter(name, value=v) for name, v in values.items()])
-            rclpy.spin_until_future_complete(person, answer, timeout_sec=max(1.0, limit - time.monotonic()))
-            result = answer.result() if answer.done() else None
-            if result is None:
-                say(f"set: {node} does not answer")
-                status = 1
-            elif not result.result.successful:
-                say(f"set: {node} refuses {', '.join(values)}: {result.result.reason}")
-                status = 1
-    finally:
-        rclpy.try_shutdown()
-    return status
+    refusals = set_parameters(wanted, options.wait)
+    for text in refusals:
+        say(f"set: {text}")
+    return 1 if refusals else 0
 
 
 def _by_node(words: list[str]) -> dict[str, dict[str, Any]]:

@@ -55,7 +55,12 @@ def check_entry_point(point: EntryPoint) -> str:
         twice = [a for a, b in pairwise(sorted(names)) if a == b]
         if twice:
             raise ValueError(f"{point.name} has two {what} named {twice[0]!r}")
-    block = block_class(params, point.name)
+    try:
+        block = block_class(params, point.name)
+    except ParameterError as error:
+        if inputs or outputs:
+            raise
+        return f"{point.name} has no ports before it is told of them: {error}"
     if isinstance(block, Plant):
         first, second = (_outputs(block, outputs, seed=3) for _ in range(2))
         if first != second:

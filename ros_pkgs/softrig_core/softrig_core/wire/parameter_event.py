@@ -4,15 +4,20 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from .recording import Recording
+from typing import Any, Protocol
 
 TOPIC, TYPE = "parameter_events", "rcl_interfaces/msg/ParameterEvent"
 _ONE = {1: "?", 2: "q", 3: "d"}  # of a value's field: bool, int64, float64; a string is the fourth
 _BOOL, _INTEGER, _DOUBLE, _STRING, _BOOLS, _INTEGERS, _DOUBLES, _STRINGS = 1, 2, 3, 4, 6, 7, 8, 9
 _KINDS = {bool: (_BOOL, _BOOLS), int: (_INTEGER, _INTEGERS), float: (_DOUBLE, _DOUBLES), str: (_STRING, _STRINGS)}
+
+
+class Recorded(Protocol):
+    """What has topics by name, each with its messages: a recording."""
+
+    @property
+    def topics(self) -> Mapping[str, Any]:
+        """By name."""
 
 
 class _Writer:
@@ -117,7 +122,7 @@ def decode(data: bytes) -> tuple[int, str, dict[str, Any]]:
         raise ValueError(f"malformed {TYPE}: {error}") from None
 
 
-def recorded(recording: Recording, epoch: int = 0) -> list[tuple[int, str, dict[str, Any]]]:
+def recorded(recording: Recorded, epoch: int = 0) -> list[tuple[int, str, dict[str, Any]]]:
     """Give the changes in a recording, in the order of their times: tick in ns after `epoch`, node, its new values.
 
     Raises
