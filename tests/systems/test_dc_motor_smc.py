@@ -133,7 +133,8 @@ def test_rig_table(name):
 
 
 def test_every_scenario_is_tested():
-    faulty = {"dc_motor_smc_faults", "dc_motor_smc_faults_bus"}  # their golden bags and tests/core/test_faults.py
+    # their golden bags and tests/core/test_faults.py; test_falsifications.py
+    faulty = {"dc_motor_smc_faults", "dc_motor_smc_faults_bus", "dc_motor_smc_b1_insensitive"}
     assert {n for n in list_scenarios() if n.startswith("dc_motor_smc")} == {*IDEAL, *RIG, *LOADED, *faulty}
 
 
