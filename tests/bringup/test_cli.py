@@ -569,7 +569,8 @@ def test_too_little_memory_is_no_bad_input(error, folder, monkeypatch, capsys):
     assert "out of memory" in capsys.readouterr().err
 
 
-def test_a_file_that_is_no_scenario_hides_no_other(folder, capsys):
+def test_a_file_that_is_no_scenario_hides_no_other(folder, capsys, monkeypatch):
+    monkeypatch.delenv("COLUMNS", raising=False)
     (folder / "broken.yaml").write_text("a: [\n")
     (folder / "typo.yaml").write_text("{title: t, system: s, source: s, duration: -1, nodes: {}}\n")
     assert main(["list"]) == 2

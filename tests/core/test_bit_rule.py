@@ -30,6 +30,7 @@ EXEMPT = {
     "softrig_control.predictive.qp._Osqp.__init__": SOLVER,
     "softrig_control.state_feedback.closed_loop_poles": CHECK,
     "softrig_control.state_feedback.place": "the rank, a check; gains come from `dense`",
+    "softrig_core.rig.linear_view": "looks at runs that are over",
     "softrig_drives.lsrm.profile.Quintic.speed_range": CHECK,
     "softrig_power.dispatch.baselines": SCALAR,
     "softrig_power.fault_location.confidence": CHECK,

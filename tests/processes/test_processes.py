@@ -311,7 +311,8 @@ def with_outside_controller(extra, directory, duration=1.0, mode="lockstep"):
 
         try:
             outcome = run_processes(wired, 0, directory, domain=domain, announce=announce, mode=mode)
-            assert said[1:] == ["gain is there"]
+            assert said[1] == "gain is there"
+            assert all("refused a message on lag/command" in text for text in said[2:])  # told while the run goes on
             return wired, outcome
         finally:
             for process in outside:
