@@ -150,7 +150,7 @@ def outcome(folder):
 
 def test_what_it_finds_is_a_scenario_file_that_gives_the_same_bits_again(file, tmp_path, capsys):
     given = ["falsify", str(file), "--over", "dc_motor_plant.R=0.5..2.5", "--budget", "12", "--workers", "1",
-             "--over", "dc_motor_smc.delta=log 0.5..20"]  # fmt: skip
+             "--over", "dc_motor_smc.delta=log 0.5..20", "--no-plots"]  # fmt: skip
     assert main([*given, "--out", str(tmp_path / "a")]) == 1
     said = " ".join(capsys.readouterr().out.split())
     found = outcome(tmp_path / "a")

@@ -153,6 +153,7 @@ def _parser() -> argparse.ArgumentParser:
     falsify.add_argument("--sampler", choices=("cmaes", "tpe", "random"), help="after random points (cmaes)")
     falsify.add_argument("--duration", type=float, metavar="S", help="instead of the scenario's")
     falsify.add_argument("--first", action="store_true", default=None, help="end at the first violation")
+    falsify.add_argument("--no-plots", action="store_true", help="scenario files and bags only")
     falsify.add_argument("--out", type=Path, metavar="DIR", help="results go here (default runs/falsify_NAME)")
     falsify.add_argument("--workers", type=Number(int, 1), metavar="N", help="processes (default: all cores)")
     falsify.add_argument("--scheduler", default="", metavar="ADDRESS", help="a Dask cluster instead (tcp://host:8786)")
@@ -311,7 +312,8 @@ def _falsify(options: argparse.Namespace) -> int:
     task = falsification_of(options.what, changes)
     out = options.out or Path("runs") / f"falsify_{task.name}"
     with stoppable():
-        return falsify(task, out, workers=options.workers, scheduler=options.scheduler)
+        plots = not options.no_plots
+        return falsify(task, out, workers=options.workers, scheduler=options.scheduler, plots=plots)
 
 
 def _linearise(options: argparse.Namespace) -> int:

@@ -23,14 +23,14 @@ from .trial import LARGE
 PICTURE = "worst.png"
 
 
-def main(task: Falsification, out: Path, *, workers: int | None = None, scheduler: str = "") -> int:
+def main(task: Falsification, out: Path, *, workers: int | None = None, scheduler: str = "", plots: bool = True) -> int:
     """Search and write the results; 1 when a requirement is violated, or an expected margin missed."""
     need("cmaes", "falsify")
     folder = ResultsFolder(out, FALSIFICATION)
     with folder.alone():
         try:
             outcome = falsify(task, out, workers=workers, scheduler=scheduler)
-            files = _write(task, outcome, out)
+            files = _write(task, outcome, out, plots)
         finally:
             folder.close()
     _print(task, outcome, out, files)
@@ -39,18 +39,19 @@ def main(task: Falsification, out: Path, *, workers: int | None = None, schedule
     return 1 if outcome.violated else 0
 
 
-def _write(task: Falsification, outcome: Outcome, out: Path) -> dict[str, Path]:
+def _write(task: Falsification, outcome: Outcome, out: Path, plots: bool) -> dict[str, Path]:
     """Write the runs that matter, their scenario files and the page; give the files."""
     files: dict[str, Path] = {}
     nominal = Scenario.model_validate(dict(outcome.space.scenario) | {"faults": _kept(outcome)})
-    runs = {"nominal": _record(task, nominal, out / "nominal")}
+    runs = {"nominal": _record(task, nominal, out / "nominal", plots)}
     for name, case in (("worst", outcome.case), ("small", outcome.small)):
         if case is not None:
             files[name] = out / f"{task.name}_{name}.yaml"
             replace(files[name], scenario_file(task, name, case, outcome))
-            runs[name] = _record(task, case[0].changed(overrides=case[1]), out / name)
-    write_report([out / name for name in runs], out / "report.html", list(runs))
-    if "worst" in runs and not runs["worst"].error:
+            runs[name] = _record(task, case[0].changed(overrides=case[1]), out / name, plots)
+    if plots:
+        write_report([out / name for name in runs], out / "report.html", list(runs))
+    if plots and "worst" in runs and not runs["worst"].error:
         asked = (outcome.violated or list(outcome.names))[0]
         pair = {"as it is": runs["nominal"], "worst found": runs["worst"]}
         draw_worst(pair, asked, out / PICTURE, task.title or task.name)
@@ -66,13 +67,13 @@ def _kept(outcome: Outcome) -> dict[str, Any]:
     return {n: f.model_dump() for n, f in outcome.space.scenario.faults.items() if n not in added}
 
 
-def _record(task: Falsification, scenario: Scenario, folder: Path) -> Run:
+def _record(task: Falsification, scenario: Scenario, folder: Path, plots: bool) -> Run:
     """Run a case once more and write its bag, figures, pictures and page."""
     place = ResultsFolder(folder)
     place.clear()
     done = execute(checked(scenario), "inprocess", folder / "log")
     figures = [] if done.error else done.results
-    save(done, summary(done, figures, f"scripts/softrig falsify {task.name}"), place)
+    save(done, summary(done, figures, f"scripts/softrig falsify {task.name}"), place, plots=plots)
     return done
 
 
