@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import yaml
-from softrig_core import Run, Scenario, figures_of, list_scenarios
+from softrig_core import Rig, Run, Scenario, figures_of, list_scenarios
 from softrig_core.extras import need
 
 from ..folder import FALSIFICATION, ResultsFolder, replace
@@ -17,7 +17,6 @@ from .definition import Falsification
 from .engine import Outcome, falsify
 from .picture import draw_worst
 from .shrink import Case
-from .space import Space
 from .trial import LARGE
 
 PICTURE = "worst.png"
@@ -129,7 +128,7 @@ def _print(task: Falsification, outcome: Outcome, out: Path, files: dict[str, Pa
     from ..listing import console as make_console
 
     console = make_console()
-    rig_units = {f.name: f.unit for f in figures_of(_rig(outcome.space))}
+    rig_units = {f.name: f.unit for f in figures_of(Rig.from_scenario(outcome.space.scenario))}
     table = Table(title=f"{task.name}: {outcome.found.runs} runs", title_justify="left", box=None, pad_edge=False)
     for name in ("requirement", "nominal margin", "worst", "made small", "unit"):
         table.add_column(name, justify="left" if name in ("requirement", "unit") else "right", overflow="fold")
@@ -145,12 +144,6 @@ def _print(task: Falsification, outcome: Outcome, out: Path, files: dict[str, Pa
     say += [f"{name} case: {path}" for name, path in files.items()] + [f"results in {out}"]
     for line in say:
         console.print(line, markup=False)
-
-
-def _rig(space: Space) -> Any:
-    from softrig_core import Rig
-
-    return Rig.from_scenario(space.scenario)
 
 
 def verdict(outcome: Outcome) -> str:

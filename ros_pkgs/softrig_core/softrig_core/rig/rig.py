@@ -288,9 +288,10 @@ def _live(scenario: Scenario) -> bool:
 
 def _with_watchers(rig: Rig) -> Scenario:
     """Give the scenario with the nodes that watch its requirements among its nodes."""
-    units = {f"{t}/{label}": u for t, p in rig.topics.items() for label, u in zip(p.labels, p.units, strict=True)}
+    from .figures import signal_units  # which knows rigs
+
     nodes = {n: e.model_dump() for n, e in rig.scenario.nodes.items()}
-    for name, entry in watched(rig, units).items():
+    for name, entry in watched(rig, signal_units(rig)).items():
         if name in nodes:
             raise ScenarioError(f"{rig.scenario.name}: node {name}: that is the name of what watches a requirement")
         nodes[name] = entry
