@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from softrig_power.fault_location.location import Locator, LocatorParams
+from softrig_power.fault_location.location import Locator
+from softrig_power.fault_location.objective import LocatorParams
 from softrig_power.fault_location.parameters import RATES, RigParams
 from softrig_power.fault_location.simulation import FaultedLine
 from softrig_power.fault_location.study import simulate

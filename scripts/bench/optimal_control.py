@@ -7,7 +7,7 @@ from collections.abc import Callable
 from softrig_systems.optimal_control import collocation
 from softrig_systems.optimal_control.exact import tpbvp
 from softrig_systems.optimal_control.mvim import solve
-from softrig_systems.optimal_control.problem import find
+from softrig_systems.optimal_control.problems import find
 
 from .timing import least
 

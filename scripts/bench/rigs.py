@@ -19,7 +19,7 @@ from softrig_core import (
     run_inprocess,
     run_processes,
 )
-from softrig_core.rig.rig import Member
+from softrig_core.rig.members import Member
 from softrig_core.rig.starting import placed
 
 from .console import console

@@ -164,7 +164,7 @@ def _pwa() -> Iterator[Work]:
 def _optimal() -> Iterator[Work]:
     from softrig_systems.optimal_control import collocation
     from softrig_systems.optimal_control.mvim import solve
-    from softrig_systems.optimal_control.problem import find
+    from softrig_systems.optimal_control.problems import find
 
     problem = find("spacecraft")
     yield Work("optimal", "series of order 8", lambda: solve(problem, 8))

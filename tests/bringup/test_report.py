@@ -34,7 +34,8 @@ from softrig_core import (
     scalars,
     vector3,
 )
-from softrig_core.rig.figures import Result, signal_units
+from softrig_core.rig.figures import Result
+from softrig_core.rig.members import signal_units
 
 
 class Drive(Plant):

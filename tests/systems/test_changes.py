@@ -16,14 +16,14 @@ from softrig_drives.lsrm.plant import LsrmPlant
 from softrig_power.dispatch.certify import Optimiser
 from softrig_power.dispatch.units import Units
 from softrig_power.fault_location import study
-from softrig_power.fault_location.location import LocatorParams, locate
+from softrig_power.fault_location.location import locate
+from softrig_power.fault_location.objective import LocatorParams
 from softrig_power.fault_location.parameters import RigParams
 from softrig_power.pv.plant import PvPlant
 from softrig_power.rectifier.plant import RectifierPlant
 from softrig_robots.manipulator.plant import ManipulatorPlant
 from softrig_systems.optimal_control.mvim import solve
-from softrig_systems.optimal_control.problem import find
-from softrig_systems.optimal_control.problems import INERTIA, spacecraft
+from softrig_systems.optimal_control.problems import INERTIA, find, spacecraft
 from softrig_systems.pwa_delay.plants import TankPlant
 
 

@@ -23,10 +23,11 @@ from softrig_power.fault_location.comtrade_file import ComtradeFileError, read_c
 from softrig_power.fault_location.confidence import ErrorBudget, confidence, shifted
 from softrig_power.fault_location.inception import inception, windowed
 from softrig_power.fault_location.locate_tool import read, to_bag
-from softrig_power.fault_location.location import Locator, LocatorParams, locate
+from softrig_power.fault_location.location import Locator, locate
 from softrig_power.fault_location.locator import FaultLocator
 from softrig_power.fault_location.marker import LocationMarker
 from softrig_power.fault_location.measurement import butterworth
+from softrig_power.fault_location.objective import LocatorParams
 from softrig_power.fault_location.parameters import RATES, RigParams
 from softrig_power.fault_location.plant import LinePlant
 from softrig_power.fault_location.record import CHANNELS, Record, RecordError, Status

@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 from scipy.signal import butter, sosfilt
 from softrig_power.fault_location.cases import Case
-from softrig_power.fault_location.location import LocatorParams, locate
+from softrig_power.fault_location.location import locate
+from softrig_power.fault_location.objective import LocatorParams
 from softrig_power.fault_location.parameters import RATES, RigParams, grounded, phases
 from softrig_power.fault_location.record import Record
 from softrig_power.fault_location.study import simulate

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from softrig_systems.optimal_control import collocation, exact, mvim, series
 from softrig_systems.optimal_control.mvim import solve
-from softrig_systems.optimal_control.problem import Problem, ProblemError, find
-from softrig_systems.optimal_control.problems import INERTIA, spacecraft
+from softrig_systems.optimal_control.problem import Problem, ProblemError
+from softrig_systems.optimal_control.problems import INERTIA, find, spacecraft
 from softrig_systems.optimal_control.tape import Tape, evaluate, expand
 
 SCALAR, SPACECRAFT, TWO_STATE, REACTOR = (find(n) for n in ("scalar", "spacecraft", "two_state", "reactor"))

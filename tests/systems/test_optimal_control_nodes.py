@@ -27,7 +27,8 @@ from softrig_systems.optimal_control.mvim_planner import MvimPlanner
 from softrig_systems.optimal_control.planning import Request
 from softrig_systems.optimal_control.plants import OcpPlant, ScalarPlant, SpacecraftPlant, TwoStatePlant
 from softrig_systems.optimal_control.player import OcpPlayer
-from softrig_systems.optimal_control.problem import ProblemError, find
+from softrig_systems.optimal_control.problem import ProblemError
+from softrig_systems.optimal_control.problems import find
 
 S = 10**9
 W0 = (0.01, 0.005, 0.001)

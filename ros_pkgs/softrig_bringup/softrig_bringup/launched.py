@@ -15,9 +15,9 @@ from tempfile import mkdtemp
 from softrig_core import Run, ScenarioError
 from softrig_core.rig.children import read_status
 from softrig_core.rig.domain import join_domain
+from softrig_core.rig.members import Member
 from softrig_core.rig.peers import starter
 from softrig_core.rig.processes import gathered
-from softrig_core.rig.rig import Member
 from softrig_core.rig.starting import container_arguments, groups, node_parameters, parameter_file, placed
 
 from . import run_verb

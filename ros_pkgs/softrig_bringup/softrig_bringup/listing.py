@@ -14,7 +14,7 @@ from rich.text import Text
 from rich.tree import Tree
 from softrig_core import Scenario, ScenarioError, list_scenarios, load_scenario, rig_of
 from softrig_core.guard import plain, say
-from softrig_core.rig.figures import signal_units
+from softrig_core.rig.members import signal_units
 from softrig_core.wire.signals import short_name
 
 

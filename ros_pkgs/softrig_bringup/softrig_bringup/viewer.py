@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from softrig_core import Block, Rig, Scene
-from softrig_core.rig.rig import Member
+from softrig_core.rig.members import Member
 
 WORLD = "world"  # the frame that is fixed where no robot brings one
 

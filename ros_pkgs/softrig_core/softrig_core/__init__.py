@@ -57,9 +57,8 @@ if TYPE_CHECKING:
     from .rig.figures import evaluate as evaluate, figures_of as figures_of
     from .rig.inprocess import run_inprocess as run_inprocess
     from .rig.linear_view import LinearView as LinearView, linear_view as linear_view, steady as steady
-    from .rig.measures import SignalMap as SignalMap, window as window
+    from .rig.measures import SignalMap as SignalMap, figure as figure, window as window
     from .rig.processes import run_processes as run_processes
-    from .rig.registry import figure as figure
     from .rig.replay import feed as feed
     from .rig.rig import Rig as Rig
     from .rig.scenario import Scenario as Scenario, load_scenario as load_scenario
@@ -93,9 +92,8 @@ else:
         "rig.figures": "evaluate figures_of",
         "rig.inprocess": "run_inprocess",
         "rig.linear_view": "LinearView linear_view steady",
-        "rig.measures": "SignalMap window",
+        "rig.measures": "SignalMap figure window",
         "rig.processes": "run_processes",
-        "rig.registry": "figure",
         "rig.replay": "feed",
         "rig.rig": "Rig",
         "rig.scenario": "Scenario load_scenario",

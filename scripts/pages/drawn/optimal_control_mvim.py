@@ -10,7 +10,8 @@ from matplotlib.figure import Figure
 from softrig_systems.optimal_control.exact import least_cost, tpbvp
 from softrig_systems.optimal_control.mvim import Solution, solve
 from softrig_systems.optimal_control.plants import step_function
-from softrig_systems.optimal_control.problem import Problem, find
+from softrig_systems.optimal_control.problem import Problem
+from softrig_systems.optimal_control.problems import find
 
 EXAMPLES = {"scalar": (5, 12), "spacecraft": (4, 8), "two_state": (2, 10)}  # the paper's order and a good one
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 from softrig_core import Run, figures_of
-from softrig_core.rig.figures import signal_units
+from softrig_core.rig.members import signal_units
 from softrig_core.rig.requirements import Judge
 
 from ..plots import style as look

@@ -11,7 +11,7 @@ from typing import Any
 from softrig_core import Rig, Scenario, ScenarioError
 from softrig_core.errors import closest
 from softrig_core.model.params import flatten
-from softrig_core.rig.figures import signal_units
+from softrig_core.rig.members import signal_units
 from softrig_core.rig.places import explain
 from softrig_core.rig.references import pick
 

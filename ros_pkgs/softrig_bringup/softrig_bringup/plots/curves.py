@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict
 from softrig_core import Port, Rig, ScenarioError, Signals
 from softrig_core.errors import closest
 from softrig_core.model.port import XYZ
-from softrig_core.rig.figures import signal_units
+from softrig_core.rig.members import signal_units
 from softrig_core.rig.scenario import PlotEntry
 from softrig_core.wire.signals import short_name
 

@@ -12,8 +12,9 @@ from xml.etree.ElementTree import Element
 from softrig_core import figures_of, load_scenario, rig_of
 from softrig_core.extras import need
 from softrig_core.model.params import declarations
-from softrig_core.rig.figures import Result, signal_units
+from softrig_core.rig.figures import Result
 from softrig_core.rig.findings import Finding
+from softrig_core.rig.members import signal_units
 from softrig_core.wire.signals import short_name
 
 from ..citations import cited, sources

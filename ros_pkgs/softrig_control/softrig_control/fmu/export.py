@@ -14,7 +14,7 @@ from softrig_core import Rig, ScenarioError, load_scenario
 from softrig_core.command_line import Parser
 from softrig_core.errors import closest
 from softrig_core.extras import need
-from softrig_core.rig.rig import Member
+from softrig_core.rig.members import Member
 
 _SCRIPT = '''"""What runs in this FMU is {node}, {package}/{executable} of softrig."""
 

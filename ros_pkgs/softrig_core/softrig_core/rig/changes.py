@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 from pydantic import BaseModel, ConfigDict, Field
 
 from ..errors import ScenarioError, closest
+from ..model.block import Block
 from ..model.change import Change, check
 from ..model.params import ParameterError
 from ..timebase import to_ns
 from .faults import EXECUTABLE, PACKAGE, WORDS
-
-if TYPE_CHECKING:
-    from .rig import Member
 
 
 class ChangeEntry(BaseModel):
@@ -34,7 +32,19 @@ class ChangeEntry(BaseModel):
     set: dict[str, Any] = Field(min_length=1)
 
 
-def script(where: str, entries: Sequence[ChangeEntry], members: Iterable[Member]) -> None:
+class Changing(Protocol):
+    """What is needed of a member."""
+
+    name: str
+    package: str
+    executable: str
+    block_class: type[Block]
+    params: Any
+    external: bool
+    changes: tuple[Change, ...]
+
+
+def script(where: str, entries: Sequence[ChangeEntry], members: Iterable[Changing]) -> None:
     """Give each member its changes, in the order of their times, each checked against those before it.
 
     Parameters
@@ -42,7 +52,8 @@ def script(where: str, entries: Sequence[ChangeEntry], members: Iterable[Member]
     where : str
         Name of the scenario, for errors.
     entries : sequence of ChangeEntry
-    members : iterable of Member
+    members : iterable
+        The nodes of the rig.
 
     Raises
     ------

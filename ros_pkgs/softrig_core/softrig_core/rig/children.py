@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from .rig import Member
+from .members import Member
 from .start_server import Forked
 
 READS = 20  # of a status file that is half written

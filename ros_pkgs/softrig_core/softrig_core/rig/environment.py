@@ -16,12 +16,12 @@ from ..model.step import Rows, Step
 from ..timebase import SECOND
 from ..wire.recording import Recording
 from ..wire.signals import full_name
-from .figures import signal_units
 from .inprocess import record, wired
+from .members import Member, signal_units
 from .port_text import ports_text
 from .references import fill_parameters, pick
 from .requirements import names_of
-from .rig import Member, Rig
+from .rig import Rig
 from .scenario import NodeEntry, Scenario
 from .simulate import Run, rig_of
 

@@ -13,15 +13,15 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
 
 from ..errors import ScenarioError, closest
-from ..model.params import flatten
 from .claims import NEVER
 from .expectation import Expectation
 from .formula import SURE
-from .measures import SignalMap
-from .references import fill_parameters, pick
-from .registry import Function, find
+from .measures import Function, SignalMap
+from .members import signal_units
+from .references import fill_parameters
+from .registry import find
 from .requirements import Judge, judges
-from .rig import Rig, unit_of
+from .rig import Rig
 from .units import compose, factor, powers
 
 DECIDED = "by its conditions alone"  # of a requirement without a distance
@@ -84,17 +84,6 @@ class Figure:
         return self.scale * float(self.function(signals, **self.arguments))
 
 
-def signal_units(rig: Rig) -> dict[str, str]:
-    """Give the unit of every signal of a rig by its name ``topic/channel/field``; of a pure number none."""
-    units = {
-        f"{topic}/{label}": unit
-        for topic, port in rig.topics.items()
-        for label, unit in zip(port.labels, port.units, strict=True)
-    }
-    handed = {f"{p.topic}/{label}": unit_of(m, p, label) for m in rig.members for p in m.outputs for label in p.labels}
-    return {name: "" if unit == "1" else unit for name, unit in (units | handed).items()}
-
-
 def figures_of(rig: Rig) -> list[Figure]:
     """Resolve and judge the figures of a rig's scenario.
 
@@ -103,22 +92,13 @@ def figures_of(rig: Rig) -> list[Figure]:
     ScenarioError
         Names the figure: an unknown function, argument, signal or parameter, a wrong type, a unit that does not fit.
     """
-    parameters = {m.name: flatten(m.params) for m in rig.members}
     units = signal_units(rig)
-
-    def parameter(node: str, name: str) -> Any:
-        if node not in parameters:
-            raise ScenarioError(f"${node}.{name}: the nodes are {', '.join(parameters)}")
-        try:
-            return pick(parameters[node], name)
-        except KeyError:
-            raise ScenarioError(f"${node}.{name}: {node} has {', '.join(parameters[node])}") from None
 
     found = []
     for name, entry in rig.scenario.figures.items():
         try:
             function = find(entry.function or name)
-            arguments = _arguments(function, fill_parameters(entry.arguments, parameter))
+            arguments = _arguments(function, fill_parameters(entry.arguments, rig.parameter))
             _check_signals(function, arguments, units)
             unit, scale = _unit(function, arguments, units, entry.unit)
         except ScenarioError as error:

@@ -14,7 +14,8 @@ from ..model.runner import Runner
 from ..model.step import Rows, Step
 from ..wire import parameter_event
 from ..wire.recording import Sink
-from .rig import Member, Rig
+from .members import Member
+from .rig import Rig
 
 
 def run_inprocess(

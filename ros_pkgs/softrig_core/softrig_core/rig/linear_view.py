@@ -25,10 +25,10 @@ from ..model.runner import Runner
 from ..model.step import Step
 from ..timebase import SECOND
 from ..wire.signals import full_name
-from .figures import signal_units
 from .inprocess import wired
+from .members import Member, signal_units
 from .requirements import names_of
-from .rig import Member, Rig
+from .rig import Rig
 from .scenario import Scenario
 from .simulate import rig_of, simulate
 

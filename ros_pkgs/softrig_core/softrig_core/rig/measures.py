@@ -26,13 +26,11 @@ ValueError
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Literal
+from collections.abc import Callable, Mapping, Sequence
+from typing import Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-
-from .registry import figure
 
 __all__ = [
     "error_overshoot", "error_settling_time", "final_value", "integral_absolute", "maximum", "mean", "mean_absolute",
@@ -44,6 +42,26 @@ HALF_NS = 5e-10  # s; times are whole ns: what is nearer to an end of a window t
 
 Array = NDArray[np.float64]
 SignalMap = Mapping[str, tuple[Array, Array]]
+Function = Callable[..., float]
+_F = TypeVar("_F", bound=Function)
+
+
+def figure(unit: str, reads: Sequence[str] = ()) -> Callable[[_F], _F]:
+    """Say what a figure function gives, so that a scenario is judged before its run.
+
+    Parameters
+    ----------
+    unit : str
+        Unit of the figure; ``{signal}`` stands for that of its argument `signal`.
+    reads : sequence of str
+        Signals that it reads besides those that its arguments name.
+    """
+
+    def declare(function: _F) -> _F:
+        function.unit, function.reads = unit, tuple(reads)  # type: ignore[attr-defined]
+        return function
+
+    return declare
 
 
 @figure("s")

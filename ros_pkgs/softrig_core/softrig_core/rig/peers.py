@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from ..model.port import Port
 from ..model.solver import Solver
+from .members import Member
 from .options import InputLink, Links
-from .rig import Member, Rig
+from .rig import Rig
 
 
 def links(rig: Rig, member: Member) -> Links:

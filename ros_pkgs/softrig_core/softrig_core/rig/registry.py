@@ -3,33 +3,14 @@
 from __future__ import annotations
 
 import importlib.metadata
-from collections.abc import Callable, Sequence
 from functools import cache
-from typing import Any, TypeVar
+from typing import Any
 
 from ..errors import ScenarioError, closest
+from . import measures
+from .measures import Function
 
 GROUP = "softrig_figures"
-Function = Callable[..., float]
-_F = TypeVar("_F", bound=Function)
-
-
-def figure(unit: str, reads: Sequence[str] = ()) -> Callable[[_F], _F]:
-    """Say what a figure function gives, so that a scenario is judged before its run.
-
-    Parameters
-    ----------
-    unit : str
-        Unit of the figure; ``{signal}`` stands for that of its argument `signal`.
-    reads : sequence of str
-        Signals that it reads besides those that its arguments name.
-    """
-
-    def declare(function: _F) -> _F:
-        function.unit, function.reads = unit, tuple(reads)  # type: ignore[attr-defined]
-        return function
-
-    return declare
 
 
 @cache
@@ -39,8 +20,6 @@ def _points() -> dict[str, importlib.metadata.EntryPoint]:
 
 def registered() -> list[str]:
     """Names of all figure functions that are installed."""
-    from . import measures
-
     return sorted({*measures.__all__, *_points()})
 
 
@@ -52,8 +31,6 @@ def find(name: str) -> Function:
     ScenarioError
         Not registered, or its module cannot be imported.
     """
-    from . import measures
-
     if name in measures.__all__:
         return getattr(measures, name)
     point = _points().get(name)

@@ -11,7 +11,7 @@ from ..model.runner import Runner
 from ..model.step import Step
 from ..wire.recording import Recording
 from .inprocess import recorder, step_of
-from .rig import Member
+from .members import Member
 
 
 def feed(member: Member, seed: int, recording: Recording) -> Recording:

@@ -9,13 +9,11 @@ import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 from ..errors import ScenarioError
-from ..model.params import flatten
 from ..model.schedule import Schedule
 from ..timebase import SECOND
 from ..wire.signals import full_name
@@ -35,41 +33,9 @@ from .formula import (
     variables,
 )
 from .measures import SignalMap
-from .references import fill_parameters, pick
-
-if TYPE_CHECKING:
-    from .rig import Rig
-
-
-class Requirement(BaseModel):
-    """What must hold in a run.
-
-    Parameters
-    ----------
-    formula : str
-        Over the scenario's shared names, times in s: ``always[1.1, 3] abs(speed - set_point) <= 0.02 * set_point``.
-    where : str
-        Where the paper or sheet says so.
-    scale : dict of str to float
-        By unit, what counts as one: for formulas that compare several units. The margin is then a pure number.
-    live : bool
-        Whether a node ``requirement_NAME`` watches it while the rig runs.
-    ends : bool
-        Whether that node ends the run when it is violated; implies `live`.
-    """
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-    formula: str = Field(min_length=1, max_length=2000)
-    where: str = ""
-    scale: dict[str, Annotated[float, Field(gt=0.0)]] = {}
-    live: bool = False
-    ends: bool = False
-
-
-Required = Annotated[
-    Requirement, BeforeValidator(lambda given: {"formula": given} if isinstance(given, str) else given)
-]
+from .members import Members
+from .references import fill_parameters
+from .requirement_entry import Requirement
 
 
 @dataclass(frozen=True)
@@ -135,31 +101,23 @@ def _grid(clock: Schedule, end: float) -> Array:
     return np.array([clock.time(k) for k in range(last + 1)], dtype=np.float64)
 
 
-def names_of(rig: Rig, units: Mapping[str, str]) -> tuple[dict[str, float], dict[str, str]]:
+def names_of(rig: Members, units: Mapping[str, str]) -> tuple[dict[str, float], dict[str, str]]:
     """Give the shared names of a rig's scenario that formulas may use: numbers, and signals.
 
     Parameters
     ----------
-    rig : Rig
+    rig : Members
     units : mapping
         Of each signal of the rig.
     """
-    values = {m.name: flatten(m.params) for m in rig.members}
-
-    def parameter(node: str, name: str) -> Any:
-        try:
-            return pick(values[node], name)
-        except KeyError:
-            raise ScenarioError(f"{rig.scenario.name}: ${node}.{name}: no such parameter") from None
-
     shared = rig.scenario.shared.items()
-    named = {k: fill_parameters(v, parameter) if isinstance(v, str) else v for k, v in shared}
+    named = {k: fill_parameters(v, rig.parameter) if isinstance(v, str) else v for k, v in shared}
     numbers = {k: float(v) for k, v in named.items() if isinstance(v, int | float) and not isinstance(v, bool)}
     signals = {k: full_name(v, units) for k, v in named.items() if isinstance(v, str)}
     return numbers, {k: v for k, v in signals.items() if v in units}
 
 
-def watched(rig: Rig, units: Mapping[str, str]) -> dict[str, dict[str, Any]]:
+def watched(rig: Members, units: Mapping[str, str]) -> dict[str, dict[str, Any]]:
     """Give the nodes that watch requirements of a rig's scenario while it runs, as entries of its nodes."""
     numbers, signals = names_of(rig, units)
     nodes = {}
@@ -185,12 +143,12 @@ def watched(rig: Rig, units: Mapping[str, str]) -> dict[str, dict[str, Any]]:
     return nodes
 
 
-def judges(rig: Rig, units: Mapping[str, str]) -> dict[str, Judge]:
+def judges(rig: Members, units: Mapping[str, str]) -> dict[str, Judge]:
     """Read the requirements of a rig's scenario.
 
     Parameters
     ----------
-    rig : Rig
+    rig : Members
     units : mapping
         Of each signal of the rig.
 
@@ -214,7 +172,7 @@ def judges(rig: Rig, units: Mapping[str, str]) -> dict[str, Judge]:
 
 
 def _judge(
-    rig: Rig, requirement: Requirement, known: Mapping[str, float | None], signals: Mapping[str, str],
+    rig: Members, requirement: Requirement, known: Mapping[str, float | None], signals: Mapping[str, str],
     units: Mapping[str, str],
 ) -> Judge:  # fmt: skip
     tree, conditions = read(requirement.formula, known)
@@ -231,26 +189,8 @@ def _judge(
     return Judge(tree, read_, conditions, unit, rig.clock.schedule, ticker, (*read_.values(), ticker))
 
 
-def _ticker(rig: Rig) -> str:
+def _ticker(rig: Members) -> str:
     """Give a signal that is sent at each tick of its node, to the end of the run."""
     ports = [(m, p) for m in rig.members for p in m.outputs if p.labels and not p.sporadic]
     _, port = max(ports, key=lambda each: (each[0].schedule.last or 0, -each[0].schedule.every))
     return f"{port.topic}/{port.labels[0]}"
-
-
-def check_lengths(duration: float, shared: Mapping[str, Any], requirements: Mapping[str, Requirement]) -> None:
-    """Refuse requirements that no run of a scenario's length can be judged by.
-
-    Raises
-    ------
-    ScenarioError
-        Names the requirement, its last window and the duration.
-    """
-    for name, requirement in requirements.items():
-        try:
-            reach = horizon(read(requirement.formula, dict.fromkeys(shared))[0]) / SECOND
-        except ScenarioError as error:
-            raise ScenarioError(f"requirement {name}: {error}") from None
-        if reach > duration * (1.0 + 1e-12):
-            raise ScenarioError(f"requirement {name}: its last window ends {reach:g} s after the start, the run ends "
-                                f"after {duration:g} s")  # fmt: skip

@@ -11,17 +11,16 @@ from typing import Any
 from pydantic import ValidationError
 
 from ..errors import ScenarioError, closest, describe
-from ..model.block import Block, Plant
-from ..model.change import Change
+from ..model.block import Block
 from ..model.codec import selection
-from ..model.params import BlockParams, ParameterError, build, flatten
-from ..model.port import CLOCK, Port, Refused
+from ..model.params import ParameterError, build, flatten
+from ..model.port import Port, Refused
 from ..model.schedule import Schedule
-from ..wire.cdr import Pick
 from ..wire.signals import full_name
 from .agreement import require_agreement
 from .changes import script
 from .faults import insert
+from .members import Link, Member, Members, signal_units, unit_of
 from .node_parameters import NodeParameters
 from .places import explain
 from .requirements import watched
@@ -32,53 +31,8 @@ TICKS = 10**9  # of the clock in one run: more would take days
 
 
 @dataclass(frozen=True)
-class Link:
-    """Where an input comes from: the publishing member, its port, and how to pick the values."""
-
-    source: Member
-    port: Port
-    pick: Pick | None
-
-
-@dataclass(eq=False)
-class Member:
-    """A node of the rig."""
-
-    name: str
-    package: str
-    executable: str
-    block_class: type[Block]
-    params: BlockParams
-    inputs: tuple[Port, ...]
-    outputs: tuple[Port, ...]
-    external: bool
-    remap: dict[str, str]
-    links: dict[str, Link]
-    schedule: Schedule
-    changes: tuple[Change, ...] = ()
-
-    @property
-    def is_plant(self) -> bool:
-        """Whether it owns time."""
-        return issubclass(self.block_class, Plant)
-
-    def block(self, seed: int) -> Block:
-        """Make the block at its initial state; a ScenarioError names a node that cannot be set up."""
-        try:
-            block = self.block_class(self.params, self.name)
-            block.reset(seed)
-        except ParameterError as error:
-            raise ScenarioError(f"node {self.name}: {error}") from error
-        return block
-
-
-@dataclass(frozen=True)
-class Rig:
-    """All members: plants first, then the others in the order in which they can answer a tick."""
-
-    scenario: Scenario
-    members: tuple[Member, ...]
-    clock: Member
+class Rig(Members):
+    """The members of a scenario, wired and checked."""
 
     @classmethod
     def from_scenario(cls, scenario: Scenario, classes: Mapping[str, type[Block]] | None = None) -> Rig:
@@ -115,18 +69,6 @@ class Rig:
         _wire(scenario, members)
         rig = cls(_whole_names(scenario, members), (*plants, *_sorted([m for m in members if not m.is_plant])), clock)
         return cls.from_scenario(_with_watchers(rig), classes) if _live(scenario) else rig
-
-    @property
-    def ticks(self) -> int:
-        """Number of the clock's last tick."""
-        assert self.clock.schedule.ticks is not None
-        return self.clock.schedule.ticks
-
-    @property
-    def end(self) -> int:
-        """Time of the clock's last tick, ns."""
-        assert self.clock.schedule.end is not None
-        return self.clock.schedule.end
 
     @classmethod
     def from_blocks(
@@ -173,31 +115,6 @@ class Rig:
         """Give the rig with other plots."""
         changed = self.scenario.model_copy(update={"plots": plots})
         return replace(self, scenario=_whole_names(changed, list(self.members)))
-
-    @property
-    def topics(self) -> dict[str, Port]:
-        """Every published topic in the order in which one tick's messages follow from each other."""
-        found = {"/clock": CLOCK} | {port.topic: port for m in self.members for port in m.outputs}
-        for m in self.members:
-            found |= {p.topic: p for p in m.inputs if p.topic not in found}
-        return found
-
-    def readers(self, member: Member, port: Port) -> list[tuple[Member, Port]]:
-        """Give the members that read an output."""
-        return [
-            (m, p) for m in self.members for p in m.inputs if (k := m.links.get(p.name)) and k.source is member
-            and k.port.name == port.name
-        ]  # fmt: skip
-
-    def leaves(self) -> list[Member]:
-        """Members that nobody waits for at each of their ticks; they acknowledge, so that nobody runs ahead of them."""
-
-        def awaited(m: Member) -> bool:
-            # what an outside node reads and waits for is not known
-            readers = [r for p in m.outputs for r, _ in self.readers(m, p) if not r.external]
-            return any(r.schedule.every <= m.schedule.every for r in readers)
-
-        return [m for m in self.members if not m.is_plant and not awaited(m)]
 
 
 _NO_MEMORY = re.compile("annot allocate memory|failed to map segment")  # of the C library and its loader
@@ -288,8 +205,6 @@ def _live(scenario: Scenario) -> bool:
 
 def _with_watchers(rig: Rig) -> Scenario:
     """Give the scenario with the nodes that watch its requirements among its nodes."""
-    from .figures import signal_units  # which knows rigs
-
     nodes = {n: e.model_dump() for n, e in rig.scenario.nodes.items()}
     for name, entry in watched(rig, signal_units(rig)).items():
         if name in nodes:
@@ -355,16 +270,6 @@ def _whole_names(scenario: Scenario, members: list[Member]) -> Scenario:
                for name, f in scenario.figures.items()}  # fmt: skip
     plots = tuple(p.model_copy(update={"signals": {whole(n): t for n, t in p.signals.items()}}) for p in scenario.plots)
     return scenario.model_copy(update={"figures": figures, "plots": plots})
-
-
-def unit_of(source: Member, port: Port, label: str, seen: tuple[str, ...] = ()) -> str:
-    """Give the unit of an output's value; of a link, which hands on what it does not know, that of its sender."""
-    unit = port.units[port.labels.index(label)]
-    for inward in source.inputs:
-        link = source.links.get(inward.name)
-        if not unit and link and inward.labels == port.labels and source.name not in seen:
-            unit = unit_of(link.source, link.port, label, (*seen, source.name))
-    return unit
 
 
 def _check_units(scenario: Scenario, members: list[Member]) -> None:

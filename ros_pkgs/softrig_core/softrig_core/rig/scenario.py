@@ -15,7 +15,7 @@ from .expectation import Expected
 from .faults import WORDS, FaultEntry
 from .places import explain, place
 from .references import fill
-from .requirements import Required, check_lengths
+from .requirement_entry import Required, check_lengths
 from .scenario_file import list_scenarios, locate, merge, resolve
 
 __all__ = ["FigureEntry", "NodeEntry", "PlotEntry", "Scenario", "list_scenarios", "load_scenario", "merge"]

@@ -19,9 +19,10 @@ from ..timebase import SECOND
 from ..wire.recording import Recording
 from ..wire.signals import Signals
 from .claims import NEVER
-from .figures import Result, evaluate, figures_of, signal_units
+from .figures import Result, evaluate, figures_of
 from .findings import Finding, findings, values
 from .inprocess import run_inprocess
+from .members import signal_units
 from .rig import Rig
 from .scenario import Scenario, load_scenario
 

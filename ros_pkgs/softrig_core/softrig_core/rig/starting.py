@@ -14,8 +14,9 @@ from ..model.change import dumps
 from ..model.params import flatten
 from .children import Child
 from .executables import find_executable
+from .members import Member
 from .peers import links
-from .rig import Member, Rig
+from .rig import Rig
 from .start_server import LIBC, PR_SET_PDEATHSIG, start_node
 
 FILES = ("status", "shard")  # that a node writes

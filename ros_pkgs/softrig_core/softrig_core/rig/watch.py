@@ -14,7 +14,7 @@ from ..model.params import BlockParams, param
 from ..model.port import Port
 from ..timebase import SECOND
 from ..wire.signals import Signal
-from .registry import Function
+from .measures import Function
 from .units import compose, factor
 
 

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from softrig_core import Params, param
 
 from .equations import lagrange
-from .location import Location, Locator, LocatorParams, locate
+from .location import Location, Locator, locate
+from .objective import LocatorParams
 from .record import GROUPS, Record, Status
 
 Array = NDArray[np.float64]

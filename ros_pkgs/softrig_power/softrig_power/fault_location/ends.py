@@ -4,17 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from itertools import product
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..lines.modal import AERIAL
 from .equations import model, objectives
+from .objective import Objective
 from .record import GROUPS, Record
-
-if TYPE_CHECKING:
-    from .location import Locator
 
 Array = NDArray[np.float64]
 WIRED = 1e-3  # of the voltage: ends that agree as well as this are not asked how they are wired
@@ -26,7 +23,7 @@ EXCHANGES = {"b and c": (0, 2, 1), "a and b": (1, 0, 2), "a and c": (2, 1, 0), "
              "a, c, b in a circle": (2, 0, 1)}  # fmt: skip
 
 
-def contradiction(work: Locator, limit: float) -> str:
+def contradiction(work: Objective, limit: float) -> str:
     """Say how the ends contradict each other, by more than `limit` of their voltage; nothing when they do not.
 
     At the place of a fault all three modes agree, not only the one that locates it: the measure is the least mean of
@@ -56,7 +53,7 @@ def contradiction(work: Locator, limit: float) -> str:
     return ""
 
 
-def _likely(work: Locator) -> Iterator[tuple[float, str]]:
+def _likely(work: Objective) -> Iterator[tuple[float, str]]:
     """Give the wirings under which the ends agree better, tried on a part of the window first, and how well, V."""
     part = (work.first, max(work.count // SHARE, 1))
     known = _least(work, _apart(work, work.record, part))
@@ -65,7 +62,7 @@ def _likely(work: Locator) -> Iterator[tuple[float, str]]:
             yield _least(work, _apart(work, other, (work.first, work.count))), name
 
 
-def _apart(work: Locator, record: Record, stretch: tuple[int, int]) -> Callable[[Array], Array]:
+def _apart(work: Objective, record: Record, stretch: tuple[int, int]) -> Callable[[Array], Array]:
     """Mean of F over the three modes at points in km, V, over a stretch (first sample, number of samples)."""
     line = model(work.section)
     groups = [record.group(name) for name in GROUPS]
@@ -82,7 +79,7 @@ def _apart(work: Locator, record: Record, stretch: tuple[int, int]) -> Callable[
     return apart
 
 
-def _least(work: Locator, apart: Callable[[Array], Array], curve: Array | None = None) -> float:
+def _least(work: Objective, apart: Callable[[Array], Array], curve: Array | None = None) -> float:
     """Least value along the line: on the locator's grid, then between its points."""
     from scipy.optimize import minimize_scalar
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .location import LocatorParams
+from .objective import LocatorParams
 from .record import GROUPS, Record, RecordError, Status
 
 CHANGE = 0.2  # of the largest value of a channel group in the first cycle

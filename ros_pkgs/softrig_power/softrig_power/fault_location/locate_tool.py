@@ -19,7 +19,8 @@ from .comtrade_file import ComtradeFileError, read_comtrade
 from .confidence import ErrorBudget, conditions, confidence, describe
 from .inception import inception, windowed
 from .line_file import line_data
-from .location import LocatorParams, locate
+from .location import locate
+from .objective import LocatorParams
 from .record import COLUMNS, GROUPS, TOPICS, Record, RecordError
 
 EPOCH = 10**15  # ns, no simulated time comes so far

@@ -13,7 +13,8 @@ from softrig_core import Block, BlockParams, Level, Port, array, button, executa
 
 from .confidence import ErrorBudget, confidence
 from .equations import TAPS, model, objectives
-from .location import Location, Locator, LocatorParams, check_travel
+from .location import Location, Locator
+from .objective import LocatorParams, check_travel
 from .ports import LOCATION, OBJECTIVE, VERDICT, location_port, record_port, streams
 from .record import COLUMNS, GROUPS, Record, RecordError, Status
 

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .cases import LENGTH, PLACES, PUBLISHED, Case
-from .location import Location, Locator, LocatorParams
+from .location import Location, Locator
+from .objective import LocatorParams
 from .record import Record
 
 if TYPE_CHECKING:

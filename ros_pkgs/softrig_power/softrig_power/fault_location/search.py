@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 
 from .equations import objectives_integer
-
-if TYPE_CHECKING:
-    from .location import Locator
+from .objective import Objective
 
 
-def brent(work: Locator, mode: int) -> tuple[float, float]:
+def brent(work: Objective, mode: int) -> tuple[float, float]:
     """Grid on the line, then bounded Brent in the two cells beside its lowest point; gives x (km) and F (V)."""
     from scipy.optimize import minimize_scalar
 
@@ -28,7 +26,7 @@ def brent(work: Locator, mode: int) -> tuple[float, float]:
     return float(found.x), float(found.fun)
 
 
-def swarm(work: Locator, mode: int) -> tuple[float, float]:
+def swarm(work: Objective, mode: int) -> tuple[float, float]:
     """Whale or grey wolf search on [0, L], a generation at a time (Mirjalili and Lewis 2016, Mirjalili et al. 2014)."""
     from softrig_optim.algorithms import AlgorithmParams, make
 
@@ -42,7 +40,7 @@ def swarm(work: Locator, mode: int) -> tuple[float, float]:
     return float(search.result[0]), float(search.expected)
 
 
-def integer_grid(work: Locator, mode: int) -> tuple[float, float]:
+def integer_grid(work: Objective, mode: int) -> tuple[float, float]:
     """Whole-sample delays n = 0 ... T rate (15): x is a multiple of v/rate."""
     out = np.empty(int(work.travel) + 1)
     objectives_integer(work.model, work.ends(mode), work.record.rate, work.first, work.count, out)

@@ -13,7 +13,8 @@ from softrig_core.model.params import build
 from softrig_optim.sweep import stream
 
 from .cases import PUBLISHED, Case
-from .location import Algorithm, LocatorParams, locate
+from .location import locate
+from .objective import Algorithm, LocatorParams
 from .parameters import RATES, RigParams
 from .record import Record
 from .simulation import CHANNELS, FaultedLine

@@ -12,7 +12,8 @@ import numpy as np
 from softrig_core.command_line import without_ros
 
 from .cases import PUBLISHED
-from .location import LocatorParams, locate
+from .location import locate
+from .objective import LocatorParams
 from .parameters import FaultParams, RigParams
 from .study import METHODS, SENSITIVITY, Row, as_csv, published_jobs, run, sensitivity, simulate
 

@@ -4,20 +4,17 @@ from __future__ import annotations
 
 import cmath
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 from softrig_core.model import dense
 
+from .objective import Objective
 from .record import RecordError, Status
-
-if TYPE_CHECKING:
-    from .location import Locator
 
 QUIET = 20.0  # times the largest step of the quiet part make an arrival
 
 
-def phasor(work: Locator, mode: int) -> float:
+def phasor(work: Objective, mode: int) -> float:
     r"""Two-end phasor method on the last whole cycle that the window allows.
 
     .. math::
@@ -45,14 +42,14 @@ def phasor(work: Locator, mode: int) -> float:
     return min(max(x, 0.0), work.section.length)
 
 
-def travelling_wave(work: Locator, mode: int) -> float:
+def travelling_wave(work: Objective, mode: int) -> float:
     """Double-ended arrival times: x = (L + v (t_S - t_R))/2, km, clipped to the line; whole samples."""
     arrivals = [_arrival(work, mode, row) for row in (0, 2)]
     x = 0.5 * (work.section.length + work.section.velocity * (arrivals[0] - arrivals[1]) / work.record.rate)
     return min(max(x, 0.0), work.section.length)
 
 
-def _arrival(work: Locator, mode: int, row: int) -> int:
+def _arrival(work: Objective, mode: int, row: int) -> int:
     """First sample whose second difference stands out of those before; the fault is not in the first half of them."""
     bends = np.abs(np.diff(work.ends(mode)[row, : work.first + work.count], 2))
     quiet = float(bends[: work.first // 2].max())

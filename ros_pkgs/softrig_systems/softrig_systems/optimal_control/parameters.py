@@ -7,8 +7,8 @@ from typing import Any, Self
 from pydantic import model_validator
 from softrig_core import BlockParams, param
 
-from .problem import Problem, ProblemError, find
-from .problems import INERTIA, spacecraft
+from .problem import Problem, ProblemError
+from .problems import INERTIA, find, spacecraft
 
 
 class ProblemParams(BlockParams):

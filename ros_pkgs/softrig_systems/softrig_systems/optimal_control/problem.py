@@ -11,7 +11,6 @@ They are necessary. The paper calls them sufficient because J is convex; for non
 
 from __future__ import annotations
 
-import importlib.metadata
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
@@ -187,33 +186,3 @@ def _tape(name: str, inputs: list[ca.SX], outputs: list[ca.SX]) -> Tape:
     import casadi as ca
 
     return Tape.of(ca.Function(name, [ca.vertcat(*inputs)], [ca.densify(ca.vertcat(*outputs))]))
-
-
-GROUP = "softrig_problems"  # of entry points
-
-
-def find(name: str) -> Problem:
-    """Find a problem by its name: one of ours, or the entry point of an installed package in the group `GROUP`.
-
-    Raises
-    ------
-    ProblemError
-        There is none; says which there are. Nothing that is not registered is imported: a scenario may be anybody's.
-    """
-    from .problems import PROBLEMS
-
-    if name in PROBLEMS:
-        return PROBLEMS[name]
-    points = importlib.metadata.entry_points(group=GROUP)
-    if name not in points.names:
-        known = ", ".join([*PROBLEMS, *sorted(points.names)])
-        raise ProblemError(
-            f"problem = {name!r}: expected one of {known}; a package registers its own in the group {GROUP}"
-        )
-    try:
-        found = points[name].load()
-    except (ImportError, AttributeError) as error:
-        raise ProblemError(f"problem = {name!r} ({points[name].value}) cannot be loaded: {error}") from None
-    if not isinstance(found, Problem):
-        raise ProblemError(f"problem = {name!r}: {points[name].value} is a {type(found).__name__}, expected a Problem")
-    return found

@@ -7,6 +7,7 @@ multiplies a state.
 
 from __future__ import annotations
 
+import importlib.metadata
 from functools import lru_cache
 from typing import Any
 
@@ -81,3 +82,29 @@ def _reactor() -> Problem:
 
 
 PROBLEMS = {p.name: p for p in (_scalar(), spacecraft(), TWO_STATE, _reactor())}
+GROUP = "softrig_problems"  # of entry points
+
+
+def find(name: str) -> Problem:
+    """Find a problem by its name: one of ours, or the entry point of an installed package in the group `GROUP`.
+
+    Raises
+    ------
+    ProblemError
+        There is none; says which there are. Nothing that is not registered is imported: a scenario may be anybody's.
+    """
+    if name in PROBLEMS:
+        return PROBLEMS[name]
+    points = importlib.metadata.entry_points(group=GROUP)
+    if name not in points.names:
+        known = ", ".join([*PROBLEMS, *sorted(points.names)])
+        raise ProblemError(
+            f"problem = {name!r}: expected one of {known}; a package registers its own in the group {GROUP}"
+        )
+    try:
+        found = points[name].load()
+    except (ImportError, AttributeError) as error:
+        raise ProblemError(f"problem = {name!r} ({points[name].value}) cannot be loaded: {error}") from None
+    if not isinstance(found, Problem):
+        raise ProblemError(f"problem = {name!r}: {points[name].value} is a {type(found).__name__}, expected a Problem")
+    return found

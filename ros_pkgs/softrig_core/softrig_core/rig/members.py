@@ -1,0 +1,141 @@
+"""The members of a rig and how they are linked."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from ..errors import ScenarioError
+from ..model.block import Block, Plant
+from ..model.change import Change
+from ..model.params import BlockParams, ParameterError, flatten
+from ..model.port import CLOCK, Port
+from ..model.schedule import Schedule
+from ..wire.cdr import Pick
+from .references import pick
+from .scenario import Scenario
+
+
+@dataclass(frozen=True)
+class Link:
+    """Where an input comes from: the publishing member, its port, and how to pick the values."""
+
+    source: Member
+    port: Port
+    pick: Pick | None
+
+
+@dataclass(eq=False)
+class Member:
+    """A node of the rig."""
+
+    name: str
+    package: str
+    executable: str
+    block_class: type[Block]
+    params: BlockParams
+    inputs: tuple[Port, ...]
+    outputs: tuple[Port, ...]
+    external: bool
+    remap: dict[str, str]
+    links: dict[str, Link]
+    schedule: Schedule
+    changes: tuple[Change, ...] = ()
+
+    @property
+    def is_plant(self) -> bool:
+        """Whether it owns time."""
+        return issubclass(self.block_class, Plant)
+
+    def block(self, seed: int) -> Block:
+        """Make the block at its initial state; a ScenarioError names a node that cannot be set up."""
+        try:
+            block = self.block_class(self.params, self.name)
+            block.reset(seed)
+        except ParameterError as error:
+            raise ScenarioError(f"node {self.name}: {error}") from error
+        return block
+
+
+@dataclass(frozen=True)
+class Members:
+    """All members: plants first, then the others in the order in which they can answer a tick."""
+
+    scenario: Scenario
+    members: tuple[Member, ...]
+    clock: Member
+
+    @property
+    def ticks(self) -> int:
+        """Number of the clock's last tick."""
+        assert self.clock.schedule.ticks is not None
+        return self.clock.schedule.ticks
+
+    @property
+    def end(self) -> int:
+        """Time of the clock's last tick, ns."""
+        assert self.clock.schedule.end is not None
+        return self.clock.schedule.end
+
+    @property
+    def topics(self) -> dict[str, Port]:
+        """Every published topic in the order in which one tick's messages follow from each other."""
+        found = {"/clock": CLOCK} | {port.topic: port for m in self.members for port in m.outputs}
+        for m in self.members:
+            found |= {p.topic: p for p in m.inputs if p.topic not in found}
+        return found
+
+    def readers(self, member: Member, port: Port) -> list[tuple[Member, Port]]:
+        """Give the members that read an output."""
+        return [
+            (m, p) for m in self.members for p in m.inputs if (k := m.links.get(p.name)) and k.source is member
+            and k.port.name == port.name
+        ]  # fmt: skip
+
+    def leaves(self) -> list[Member]:
+        """Members that nobody waits for at each of their ticks; they acknowledge, so that nobody runs ahead of them."""
+
+        def awaited(m: Member) -> bool:
+            # what an outside node reads and waits for is not known
+            readers = [r for p in m.outputs for r, _ in self.readers(m, p) if not r.external]
+            return any(r.schedule.every <= m.schedule.every for r in readers)
+
+        return [m for m in self.members if not m.is_plant and not awaited(m)]
+
+    def parameter(self, node: str, name: str) -> Any:
+        """Give what ``$node.parameter`` stands for.
+
+        Raises
+        ------
+        ScenarioError
+            No such node or parameter.
+        """
+        member = next((m for m in self.members if m.name == node), None)
+        if member is None:
+            raise ScenarioError(f"${node}.{name}: the nodes are {', '.join(m.name for m in self.members)}")
+        values = flatten(member.params)
+        try:
+            return pick(values, name)
+        except KeyError:
+            raise ScenarioError(f"${node}.{name}: {node} has {', '.join(values)}") from None
+
+
+def signal_units(rig: Members) -> dict[str, str]:
+    """Give the unit of every signal of a rig by its name ``topic/channel/field``; of a pure number none."""
+    units = {
+        f"{topic}/{label}": unit
+        for topic, port in rig.topics.items()
+        for label, unit in zip(port.labels, port.units, strict=True)
+    }
+    handed = {f"{p.topic}/{label}": unit_of(m, p, label) for m in rig.members for p in m.outputs for label in p.labels}
+    return {name: "" if unit == "1" else unit for name, unit in (units | handed).items()}
+
+
+def unit_of(source: Member, port: Port, label: str, seen: tuple[str, ...] = ()) -> str:
+    """Give the unit of an output's value; of a link, which hands on what it does not know, that of its sender."""
+    unit = port.units[port.labels.index(label)]
+    for inward in source.inputs:
+        link = source.links.get(inward.name)
+        if not unit and link and inward.labels == port.labels and source.name not in seen:
+            unit = unit_of(link.source, link.port, label, (*seen, source.name))
+    return unit

@@ -1,0 +1,61 @@
+"""Requirements as a scenario file has them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Any
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+
+from ..errors import ScenarioError
+from ..timebase import SECOND
+from .formula import horizon, read
+
+
+class Requirement(BaseModel):
+    """What must hold in a run.
+
+    Parameters
+    ----------
+    formula : str
+        Over the scenario's shared names, times in s: ``always[1.1, 3] abs(speed - set_point) <= 0.02 * set_point``.
+    where : str
+        Where the paper or sheet says so.
+    scale : dict of str to float
+        By unit, what counts as one: for formulas that compare several units. The margin is then a pure number.
+    live : bool
+        Whether a node ``requirement_NAME`` watches it while the rig runs.
+    ends : bool
+        Whether that node ends the run when it is violated; implies `live`.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    formula: str = Field(min_length=1, max_length=2000)
+    where: str = ""
+    scale: dict[str, Annotated[float, Field(gt=0.0)]] = {}
+    live: bool = False
+    ends: bool = False
+
+
+Required = Annotated[
+    Requirement, BeforeValidator(lambda given: {"formula": given} if isinstance(given, str) else given)
+]
+
+
+def check_lengths(duration: float, shared: Mapping[str, Any], requirements: Mapping[str, Requirement]) -> None:
+    """Refuse requirements that no run of a scenario's length can be judged by.
+
+    Raises
+    ------
+    ScenarioError
+        Names the requirement, its last window and the duration.
+    """
+    for name, requirement in requirements.items():
+        try:
+            reach = horizon(read(requirement.formula, dict.fromkeys(shared))[0]) / SECOND
+        except ScenarioError as error:
+            raise ScenarioError(f"requirement {name}: {error}") from None
+        if reach > duration * (1.0 + 1e-12):
+            raise ScenarioError(f"requirement {name}: its last window ends {reach:g} s after the start, the run ends "
+                                f"after {duration:g} s")  # fmt: skip
