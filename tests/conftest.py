@@ -2,6 +2,7 @@
 
 import json
 import os
+import signal
 import subprocess
 import time
 from contextlib import suppress
@@ -15,6 +16,8 @@ hypothesis.settings.register_profile("any_speed", deadline=None,
                                      suppress_health_check=[hypothesis.HealthCheck.too_slow])  # fmt: skip
 hypothesis.settings.load_profile("any_speed")
 os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"  # rclpy then refuses what it would send as garbage
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # begun in the background of a script: nodes would inherit it
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 PATIENCE = 300.0  # s: what has not come by then has failed; nine nodes took 70 s to start on a loaded machine
 PACKAGE = Path(__file__).parent / "rig_package"
 os.environ["AMENT_PREFIX_PATH"] = f"{PACKAGE}{os.pathsep}{os.environ.get('AMENT_PREFIX_PATH', '')}"

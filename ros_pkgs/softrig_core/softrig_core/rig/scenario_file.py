@@ -221,9 +221,12 @@ def parent_of(path: Path, parent: Any) -> Path:
 
 
 def _find(name: str, first: Path | None = None) -> Path | None:
-    """Find the file of a scenario, reading only those whose name could hold it."""
+    """Find the file of a scenario: that of its own name, else the longest beginning of it that has this variant."""
     for folder in ([first] if first else []) + scenario_folders():
-        for path in sorted(folder.glob("*.yaml"), key=lambda p: -len(p.stem)):
-            if name == path.stem or (name.startswith(f"{path.stem}_") and name in names(path)):
+        stem = "" if "/" in name else name
+        while stem:
+            path = folder / f"{stem}.yaml"
+            if isfile(path) and (stem == name or name in names(path)):
                 return path
+            stem = stem.rpartition("_")[0]
     return None
