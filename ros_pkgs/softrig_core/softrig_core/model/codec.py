@@ -166,10 +166,9 @@ def selection(source: Port, sink: Port) -> Pick | None:
     if missing:
         raise Refused(f"fields {list(source.fields)} lack {missing[0]}")
     if len(source.channels) < len(sink.channels):  # what this source never sends stays as it is
-        place = {label: i for i, label in enumerate(source.labels)}
-        some = getter([place.get(label, source.size + i) for i, label in enumerate(sink.labels)])
+        some = getter([source.places.get(label, source.size + i) for i, label in enumerate(sink.labels)])
         return lambda values: some(values + sink.safe)
-    order = tuple(source.labels.index(label) for label in sink.labels)
+    order = tuple(source.places[label] for label in sink.labels)
     return None if order == tuple(range(source.size)) else getter(order)
 
 

@@ -120,6 +120,11 @@ class Port:
         return self.type.labels(counts, self.channels if self.type.named else (), self.dims)
 
     @cached_property
+    def places(self) -> dict[str, int]:
+        """Which of the values each label is: what a tuple is searched for, label by label, takes a square of time."""
+        return {label: i for i, label in enumerate(self.labels)}
+
+    @cached_property
     def bound(self) -> float:
         """Values the sum of whose magnitudes is not above it are all within their limits."""
         return min(self.limits, default=0.0)

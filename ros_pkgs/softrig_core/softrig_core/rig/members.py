@@ -133,7 +133,7 @@ def signal_units(rig: Members) -> dict[str, str]:
 
 def unit_of(source: Member, port: Port, label: str, seen: tuple[str, ...] = ()) -> str:
     """Give the unit of an output's value; of a link, which hands on what it does not know, that of its sender."""
-    unit = port.units[port.labels.index(label)]
+    unit = port.units[port.places[label]]
     for inward in source.inputs:
         link = source.links.get(inward.name)
         if not unit and link and inward.labels == port.labels and source.name not in seen:

@@ -279,7 +279,7 @@ def _check_units(scenario: Scenario, members: list[Member]) -> None:
             link = member.links.get(port.name)
             for label, wanted in zip(port.labels, port.units, strict=True) if link else ():
                 assert link is not None
-                given = unit_of(link.source, link.port, label) if label in link.port.labels else ""
+                given = unit_of(link.source, link.port, label) if label in link.port.places else ""
                 if wrong := misfit(given, wanted):
                     raise ScenarioError(f"{scenario.name}: {port.topic} from {link.source.name} does not fit "
                                         f"{member.name}: {label} {wrong}")  # fmt: skip

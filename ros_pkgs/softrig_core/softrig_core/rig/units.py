@@ -83,6 +83,7 @@ def _base(name: str) -> tuple[float, str]:
     return 1.0, name
 
 
+@cache
 def misfit(given: str, wanted: str) -> str:
     """Say why values in one unit cannot be read as values in another; empty when they can.
 
