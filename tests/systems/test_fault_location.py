@@ -180,8 +180,9 @@ def test_published_table_agrees_with_itself():
 
 
 @pytest.mark.parametrize(
-    ("profile", "largest", "mean"), [("m20k", 11.11, 3.834), ("m100k", 2.259, 0.580), ("m10k", 69.47, 8.676),
-                                     ("m4k", 46.84, 12.60)]
+    ("profile", "largest", "mean"),
+    [("m20k", 11.11, 3.834), *(pytest.param(*row, marks=pytest.mark.long) for row in (
+        ("m100k", 2.259, 0.580), ("m10k", 69.47, 8.676), ("m4k", 46.84, 12.60)))],
 )  # fmt: skip
 def test_48_cases(profile, largest, mean):
     """At most 11.1, 2.3, 69 and 80 m; acceptance 36 m and 15 m, stretch 12 m and 4.8 m at m20k."""
@@ -343,9 +344,15 @@ REFERENCE = {  # metres, mode a - b: what a reference calculation gave, and how 
 }
 
 
-def test_sensitivity():
+@pytest.mark.parametrize("noise", [False, pytest.param(True, marks=pytest.mark.long)])
+def test_sensitivity(noise, monkeypatch):
+    if not noise:  # 120 of the 160 places
+        monkeypatch.setattr(study, "NOISE_SEEDS", 0)
     table = study.sensitivity(mode="1", processes=1)
+    assert any("SNR" in name for name in table) == noise
     for name, (reference, apart) in REFERENCE.items():
+        if "SNR" in name and not noise:
+            continue
         np.testing.assert_allclose(table[name], reference, atol=apart, err_msg=name)
     ours = {
         "none": [-10, 5, -1, 3],
@@ -361,7 +368,8 @@ def test_sensitivity():
         "R1 = 0": [308, 1003, 59, 265],
     }
     for name, values in ours.items():
-        np.testing.assert_allclose(table[name], values, atol=2.0, err_msg=name)
+        if name in table:
+            np.testing.assert_allclose(table[name], values, atol=2.0, err_msg=name)
 
 
 # records that are unfit ---------------------------------------------------------------------------------------------
@@ -460,7 +468,8 @@ WIRED = {  # what is wrong at an end, and what the locator says about it
 
 
 @pytest.mark.parametrize("name", WIRED)
-@pytest.mark.parametrize("case", [AG, Case("ABCG", 113.3, 15.0), Case("BC", 96.7, 5.0), Case("AG", 12.1, 0.0)])
+@pytest.mark.parametrize("case", [AG, *(pytest.param(c, marks=pytest.mark.long) for c in (
+    Case("ABCG", 113.3, 15.0), Case("BC", 96.7, 5.0), Case("AG", 12.1, 0.0)))])  # fmt: skip
 def test_ends_that_contradict_each_other(name, case):
     """Reversed transformers and exchanged phases gave no_fault, or with status ok a place up to 60 km away."""
     record = simulated(case)
