@@ -196,7 +196,7 @@ def test_misprinted_leader_only_goes_up(threshold, down):
     assert max(moves) > 0.0
 
 
-@pytest.mark.parametrize("variant", ["rand1", "best1"])
+@pytest.mark.parametrize("variant", ["rand1", pytest.param("best1", marks=pytest.mark.long)])
 def test_differential_evolution_against_scipy(variant):
     """Same distribution of the best value as scipy's from the same start, over 100 seeds each (Kolmogorov-Smirnov).
 

@@ -87,8 +87,8 @@ def recorded(scenario):
 
 @pytest.mark.parametrize(
     "name",
-    [  # of the runs of 10 s one with and one without the flux observer is enough every day
-        pytest.param(n, marks=pytest.mark.long) if n in ("induction_dtc_s5", "induction_dtc_e2_3_lsb") else n
+    [  # the runs of 10 s wait
+        pytest.param(n, marks=pytest.mark.long) if n[14:] in ("e2", "e2_3_lsb", "s4", "s5") else n
         for n in sorted(list_scenarios())
         if n.startswith("induction_dtc")
     ],

@@ -370,7 +370,9 @@ def test_scenario_meets_its_numbers(name):
     assert [f"{m.name} = {m.value}" for m in found if not m.passed] == []
 
 
-@pytest.mark.parametrize(("period", "substeps"), [(1e-4, 1), (5e-4, 1), (2e-3, 4), (4e-3, 8)])
+@pytest.mark.parametrize(
+    ("period", "substeps"), [pytest.param(1e-4, 1, marks=pytest.mark.long), (5e-4, 1), (2e-3, 4), (4e-3, 8)]
+)
 def test_control_period_hardly_matters(period, substeps):
     nodes = ("manipulator_plant", "trajectory_source", "vcs_controller")
     overrides = {f"{n}__period": period for n in nodes} | {"manipulator_plant__substeps": substeps}

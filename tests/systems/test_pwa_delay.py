@@ -217,7 +217,11 @@ def test_every_parameter_of_the_tank_is_held_against_its_certificate():
     assert fields == {*TANKS, *REFUSED_OF_THE_LEVEL, *FREE_OF_THE_LEVEL}
 
 
-@pytest.mark.parametrize(("parameter", "value"), TANKS.items())
+@pytest.mark.parametrize(
+    ("parameter", "value"),
+    [pytest.param(*row, marks=[pytest.mark.long] * (row[0] not in ("tank_controller.k_high", "tank_plant.x0")))
+     for row in TANKS.items()],
+)  # fmt: skip
 def test_level_certificate_is_of_the_tank_and_law_that_the_rig_has(parameter, value):
     """With each other value the certified delay keeps the tank from running empty, however it jumps below it."""
     rig = Rig.from_scenario(load_scenario("pwa_delay_p2", {parameter: value}))
