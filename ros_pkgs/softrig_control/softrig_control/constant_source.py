@@ -17,7 +17,7 @@ class ScalarSourceParams(ProfileParams):
 
     channels: tuple[str, ...] = param(("v_dc",), "names of the channels", min_length=1)
     units: tuple[str, ...] = param(("V",), "unit of each, or one of all", min_length=1)
-    values: tuple[float, ...] = param((400.0,), "value of every channel from each time on")
+    values: tuple[float, ...] = param((400.0,), "value of every channel from each time on", live=True)
 
     @model_validator(mode="after")
     def _sizes(self) -> Self:
@@ -31,7 +31,7 @@ class CommandSourceParams(ScalarSourceParams):
     """As `ScalarSourceParams`, of actuators."""
 
     channels: tuple[str, ...] = param(("armature",), "names of the actuators", min_length=1)
-    values: tuple[float, ...] = param((6.0,), "command of every actuator from each time on")
+    values: tuple[float, ...] = param((6.0,), "command of every actuator from each time on", live=True)
 
 
 P = TypeVar("P", bound=ScalarSourceParams, default=ScalarSourceParams)

@@ -16,12 +16,12 @@ from .unit_delay import LinkParams
 class FieldbusDelayParams(LinkParams):
     """Which messages the link carries and what it does to them."""
 
-    delay: float = param(0.08, "delay, rounded up to whole periods", "s", ge=0.0)
+    delay: float = param(0.08, "delay, rounded up to whole periods", "s", ge=0.0, live=True)
     jitter: float = param(0.0, "largest additional delay; whole periods from 0 up to it are equally likely", "s",
-                          ge=0.0)  # fmt: skip
-    loss: float = param(0.0, "probability that a message is lost", ge=0.0, lt=1.0)
+                          ge=0.0, live=True)  # fmt: skip
+    loss: float = param(0.0, "probability that a message is lost", ge=0.0, lt=1.0, live=True)
     quantum: tuple[float, ...] = param((), "step to which each value is rounded, 0 for none; empty: no rounding",
-                                       each=(0.0, 1e12))  # fmt: skip
+                                       each=(0.0, 1e12), live=True)  # fmt: skip
     restamp: bool = param(False, "stamp with the time of delivery, for a receiver that pairs messages by stamp")
 
     @model_validator(mode="after")

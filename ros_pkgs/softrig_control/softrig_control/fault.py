@@ -30,7 +30,7 @@ class FaultParams(LinkParams):
     )
     span: float = param(1.0, "time that the points cover, from `start` on; the last one stays", "s", gt=0.0, live=True)
     linear: bool = param(
-        False, "whether the points are joined by lines, the last one at the end of `span`, or are steps"
+        False, "whether the points are joined by lines, the last one at the end of `span`, or are steps", live=True
     )
     start: float = param(0.0, "time from which the fault is there", "s", ge=0.0, live=True)
     stop: float = param(0.0, "time from which it is gone; 0: it stays", "s", ge=0.0, live=True)
@@ -48,7 +48,9 @@ class FaultParams(LinkParams):
     delay: float = param(0.0, "of `delay`, rounded up to whole periods", "s", ge=0.0, le=1e4, live=True)
     jitter: float = param(0.0, "largest additional delay; whole periods from 0 up to it are equally likely", "s",
                           ge=0.0, le=1e4, live=True)  # fmt: skip
-    overtaking: bool = param(True, "whether a message may arrive before one sent earlier, which is then dropped")
+    overtaking: bool = param(
+        True, "whether a message may arrive before one sent earlier, which is then dropped", live=True
+    )
     holds: bool = param(False, "say the value held again in place of silence, for a reader that cannot be told of it; "
                         "at first `initial`")  # fmt: skip
     active: bool = param(True, "whether it is switched on at first; the button `toggle` switches", live=True)

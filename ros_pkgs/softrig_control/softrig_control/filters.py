@@ -30,6 +30,12 @@ class SecondOrderFilter(Generic[T]):
     """
 
     def __init__(self, omega: float, damping: float, period: float, start: T) -> None:
+        self.retune(omega, damping, period)
+        self.y: T = start
+        self._rate: T = start - start
+
+    def retune(self, omega: float, damping: float, period: float) -> None:
+        """Take another frequency and damping; the output and its rate stay."""
         step = omega * period
         if not (step > 0.0 and damping > 0.0 and step * step + 4.0 * damping * step < 4.0):
             raise ValueError(
@@ -38,8 +44,6 @@ class SecondOrderFilter(Generic[T]):
         self._stiffness = omega * omega * period
         self._decay = 2.0 * damping * omega * period
         self._period = period
-        self.y: T = start
-        self._rate: T = start - start
 
     def __call__(self, x: T) -> T:
         """Take the sample x in; gives y."""

@@ -11,9 +11,11 @@ from softrig_core import Params, param
 class PllParams(Params):
     """Gains of `PhaseLockedLoop`."""
 
-    kp: float = param(60.0, "proportional gain of the phase error", "1/s", ge=0.0, le=1e4)
-    ki: float = param(1400.0, "integral gain of the phase error", "1/s^2", ge=0.0, le=1e7)
-    least: float = param(0.1, "magnitude below which the frequency is frozen, same unit as the vector", ge=0.0, le=1e6)
+    kp: float = param(60.0, "proportional gain of the phase error", "1/s", ge=0.0, le=1e4, live=True)
+    ki: float = param(1400.0, "integral gain of the phase error", "1/s^2", ge=0.0, le=1e7, live=True)
+    least: float = param(
+        0.1, "magnitude below which the frequency is frozen, same unit as the vector", ge=0.0, le=1e6, live=True
+    )
 
 
 class PhaseLockedLoop:
@@ -43,6 +45,10 @@ class PhaseLockedLoop:
         self._sum = 0.0
         self._theta = self._next = theta
         self.omega = omega
+
+    def retune(self, gains: PllParams) -> None:
+        """Take other gains; the integral is kept in rad/s, so another Ki brings no jump of the frequency."""
+        self._gains = gains
 
     @property
     def theta(self) -> float:

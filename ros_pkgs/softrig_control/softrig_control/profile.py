@@ -53,7 +53,7 @@ class ProfileParams(BlockParams):
 
     channels: tuple[str, ...] = param(("shaft",), "names of the channels", min_length=1)
     times: tuple[float, ...] = param(
-        (0.0,), "times of the steps, increasing from 0", "s", min_length=1, each=(0.0, 1e9)
+        (0.0,), "times of the steps, increasing from 0", "s", min_length=1, each=(0.0, 1e9), live=True
     )
 
     @model_validator(mode="after")

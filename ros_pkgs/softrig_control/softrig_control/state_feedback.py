@@ -155,6 +155,15 @@ class StateFeedback:
         if self._ki:
             self.xi = -self._unlimited(r, x) / self._ki
 
+    def go_on(self, before: StateFeedback, x: Sequence[float], r: float = 0.0) -> None:
+        """Take the place of a law with other gains, without a bump: the command at state x and reference r stays.
+
+        The integrator takes the difference up; without one the command jumps with the gains.
+        """
+        self.xi = before.xi
+        if self._ki and (self._ki, self._k) != (before._ki, before._k):
+            self.xi = (before._unlimited(r, x) - (self._unlimited(r, x) - self._ki * self.xi)) / self._ki
+
     def step(self, r: float, x: Sequence[float], y: float) -> float:
         """Give the saturated command of this period and integrate.
 

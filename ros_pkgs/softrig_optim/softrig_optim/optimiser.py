@@ -33,12 +33,20 @@ class SearchParams(AlgorithmParams, BlockParams):
     """How a search is run against a plant."""
 
     period: float = param(0.001, "sampling period of the measurement", "s", gt=0.0, le=100.0)
-    hold_time: float = param(0.04, "how long a candidate is applied before its value counts", "s", gt=0.0)
+    hold_time: float = param(0.04, "how long a candidate is applied before its value counts", "s", gt=0.0, live=True)
     measure_window: float = param(0.002, "the value is the mean of the last samples in this time", "s", gt=0.0)
-    settle_time: float = param(0.12, "the value held is the reference for changes only after this time", "s", gt=0.0)
-    restart_threshold: float = param(0.05, "relative change of the value held that starts a search; 0 = none", ge=0.0)
-    rescan_period: float = param(60.0, "a new search starts this long after the last one did; 0 = never", "s", ge=0.0)
-    floor: float | None = param(None, "a value not above this is no signal: wait for it instead of searching")
+    settle_time: float = param(
+        0.12, "the value held is the reference for changes only after this time", "s", gt=0.0, live=True
+    )
+    restart_threshold: float = param(
+        0.05, "relative change of the value held that starts a search; 0 = none", ge=0.0, live=True
+    )
+    rescan_period: float = param(
+        60.0, "a new search starts this long after the last one did; 0 = never", "s", ge=0.0, live=True
+    )
+    floor: float | None = param(
+        None, "a value not above this is no signal: wait for it instead of searching", live=True
+    )
     autostart: bool = param(True, "search from the first tick instead of waiting for the start button")
 
     @model_validator(mode="after")
@@ -343,7 +351,7 @@ class OptimiserParams(SearchParams):
     lower: tuple[float, ...] = param((0.0,), "lower bound of each channel, in its unit")
     upper: tuple[float, ...] = param((1.0,), "upper bound of each channel, in its unit")
     unit: str = param("1", "unit of the command")
-    max_slew: float = param(0.0, "most change of each channel in a second; 0: no limit", "1/s", ge=0.0)
+    max_slew: float = param(0.0, "most change of each channel in a second; 0: no limit", "1/s", ge=0.0, live=True)
     objective: str = param("objective", "name of the measured objective")
     maximise: bool = param(True, "whether a larger objective is better")
 

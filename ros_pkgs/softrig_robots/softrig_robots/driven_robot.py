@@ -61,9 +61,9 @@ class DrivenRobotParams(BlockParams):
 
     period: float = param(0.001, "sampling period T", "s", gt=0.0, le=100.0)
     substeps: int = param(2, "Runge-Kutta steps a period", ge=1, le=100)
-    v_max: float = param(40.0, "voltage limit V_max of each motor", "V", gt=0.0)
-    payload: float = param(0.0, "point mass at the tool frame", "kg", ge=0.0)
-    speed_limit: float = param(100.0, "joint speed beyond which the run is broken off", "rad/s", gt=0.0)
+    v_max: float = param(40.0, "voltage limit V_max of each motor", "V", gt=0.0, live=True)
+    payload: float = param(0.0, "point mass at the tool frame", "kg", ge=0.0, live=True)
+    speed_limit: float = param(100.0, "joint speed beyond which the run is broken off", "rad/s", gt=0.0, live=True)
     motors: Motors = Motors()
 
 
@@ -88,6 +88,8 @@ class DrivenRobot(Plant[P]):
     """Rigid robot, gears and armature circuits, fourth-order Runge-Kutta with the inputs held.
 
     A subclass says which robot, from where and with which loads.
+
+    Payload, disturbances and limits may change while it runs: the state goes on. What it is built of may not.
     """
 
     STALE_PERIODS: ClassVar[int] = 20  # at 1 kHz a late wake-up of the controller's host is not yet a lost controller
@@ -144,9 +146,16 @@ class DrivenRobot(Plant[P]):
         self._begins = [k * period // self.p.substeps for k in range(self.p.substeps)]
         self.nowhere = (0.0, 0.0, 0.0)
 
+    def change(self, params: P) -> None:
+        """Take other loads and limits; motors that have drifted stay so."""
+        drifted = self._drifted
+        super().change(params)
+        self.set_motors(*drifted)
+
     def set_motors(self, resistance: float, constants: float) -> None:
         """Put R, and K_m and K_b, to these multiples of their parameters."""
         table = self._table
+        self._drifted = resistance, constants
         self.torque_per_ampere = tuple(constants * K for K in self.torque_constants(table))
         self._plant = (
             *(resistance * R for R in table["resistance"]),

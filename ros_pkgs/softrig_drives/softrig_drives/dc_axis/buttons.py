@@ -13,9 +13,13 @@ from .ports import FORWARD, REVERSE
 class StepButtonsParams(BlockParams):
     """When each button is pressed; times count from the first tick."""
 
-    forward: tuple[float, ...] = param((0.0,), "times at which the forward button goes down", "s", each=(0.0, 1e9))
-    reverse: tuple[float, ...] = param((), "times at which the reverse button goes down", "s", each=(0.0, 1e9))
-    hold: float = param(0.1, "how long a press lasts", "s", gt=0.0)
+    forward: tuple[float, ...] = param(
+        (0.0,), "times at which the forward button goes down", "s", each=(0.0, 1e9), live=True
+    )
+    reverse: tuple[float, ...] = param(
+        (), "times at which the reverse button goes down", "s", each=(0.0, 1e9), live=True
+    )
+    hold: float = param(0.1, "how long a press lasts", "s", gt=0.0, live=True)
 
 
 class StepButtons(Block[StepButtonsParams]):

@@ -25,18 +25,18 @@ LARGEST_GAP = 5  # periods without an answer after which the drive's watchdog ha
 class FsfbControllerParams(MotorParams):
     """Gains in the paper's unit (command in mm of set point), and the treatment of the delay."""
 
-    kv: float = param(5.810929, "gain of the velocity", "s")
-    kp: float = param(46.050266, "gain of the position, the unity position loop included")
-    ki: float = param(73.199977, "gain of the integrator", "1/s")
+    kv: float = param(5.810929, "gain of the velocity", "s", live=True)
+    kp: float = param(46.050266, "gain of the position, the unity position loop included", live=True)
+    ki: float = param(73.199977, "gain of the integrator", "1/s", live=True)
     integral: bool = param(True, "integrator on; off: u = r - kv v - kp y")
     compensation: Literal["none", "velocity", "predictor"] = param("predictor", "treatment of the feedback delay")
     delay_from: Literal["stamps", "fixed"] = param("stamps", "delay of a sample: its age, or the parameter delay")
     delay: float = param(0.08, "feedback delay where it is not taken from the stamps", "s", ge=0.0)
     max_age: float = param(0.5, "age from which feedback is refused", "s", gt=0.0)
     count_mm: float = param(0.0, "encoder count: half of it is added to a reading that is rounded down; 0: as read",
-                            "mm", ge=0.0)  # fmt: skip
-    aw: bool = param(False, "anti-windup: no integration further into saturation")
-    step_mm: float = param(10.0, "what a press of a button adds to the set point", "mm", gt=0.0)
+                            "mm", ge=0.0, live=True)  # fmt: skip
+    aw: bool = param(False, "anti-windup: no integration further into saturation", live=True)
+    step_mm: float = param(10.0, "what a press of a button adds to the set point", "mm", gt=0.0, live=True)
 
     @model_validator(mode="after")
     def _works(self) -> Self:
@@ -82,7 +82,9 @@ class FsfbController(Block[FsfbControllerParams]):
 
     Feedback from the future, older than `max_age` or not finite, or a prediction for which not all commands are
     known: 0 V, the integrator holds, and a report says so. The controller starts without a bump: set point and
-    integrator fit the first measured position.
+    integrator fit the first measured position. Other gains bring no bump either: the integrator takes up what they
+    would change of the command at the state of now (without an integrator it jumps). The motor that the predictor
+    knows, the delays and the largest age, which sizes its memory, are fixed at the start.
 
     Notes
     -----
@@ -107,6 +109,15 @@ class FsfbController(Block[FsfbControllerParams]):
         self._set_point = SetPoint(p.step_mm, self.report, math.inf if p.aw else LARGEST_STEP)
         self._half_count = 0.5 * p.count_mm
         self._fixed, self._rounded = whole_periods(p.delay, p.period)
+
+    def change(self, params: FsfbControllerParams) -> None:
+        """Take other gains without a bump; the known commands and the set point stay."""
+        law, nominal, replay, set_point = self._law, self._nominal, self._replay, self._set_point
+        super().change(params)
+        self._law.go_on(law, self._state, set_point.value)
+        nominal.take(self._make_law())
+        set_point.adjust(params.step_mm, math.inf if params.aw else LARGEST_STEP)
+        self._nominal, self._replay, self._set_point = nominal, replay, set_point
 
     def _make_law(self) -> StateFeedback:
         p, scale = self.p, self.p.mm_per_volt

@@ -34,6 +34,11 @@ class NominalAxis:
         self._law.settle((0.0, y), y)
         self.signals = (y, 0.0, 0.0, 0.0, 0.0)
 
+    def take(self, law: StateFeedback) -> None:
+        """Go on with another law, without a bump."""
+        law.go_on(self._law, (self._v, self._y))
+        self._law = law
+
     def step(self, r: float) -> None:
         """Compute the signals of this period, (position, velocity, acceleration, deceleration, jerk), and move on.
 

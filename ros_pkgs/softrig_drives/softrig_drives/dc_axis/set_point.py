@@ -22,10 +22,13 @@ class SetPoint:
     """
 
     def __init__(self, step: float, report: Callable[[Level, str, str], None], largest: float = math.inf) -> None:
-        self._step = step
         self._report = report
-        self._largest = largest
+        self.adjust(step, largest)
         self.start(0.0)
+
+    def adjust(self, step: float, largest: float) -> None:
+        """Take another size of a press and another limit; the set point stays."""
+        self._step, self._largest = step, largest
 
     def start(self, value: float) -> None:
         """Begin at a value, with the buttons up and no reference yet."""

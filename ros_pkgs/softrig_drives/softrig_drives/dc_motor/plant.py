@@ -18,12 +18,12 @@ from .ports import APPLIED, COMMAND, SENSORS, STATE, TRUE_STATE
 class DcMotorPlantParams(SensorConstants, MotorConstants, BlockParams):
     """Motor, supply, load, and the rig's encoder, INA219 current sensor, PWM and L298 bridge."""
 
-    vmax: float = param(12.0, "supply voltage; the command is clipped there", "V", gt=0.0)
+    vmax: float = param(12.0, "supply voltage; the command is clipped there", "V", gt=0.0, live=True)
     load_times: tuple[float, ...] = param(
-        (0.0,), "times at which the load torque changes, increasing", "s", each=(0.0, 1e9)
+        (0.0,), "times at which the load torque changes, increasing", "s", each=(0.0, 1e9), live=True
     )
     load_torques: tuple[float, ...] = param(
-        (0.0,), "load torque TL from each of these times on", "N m", each=(-1e6, 1e6)
+        (0.0,), "load torque TL from each of these times on", "N m", each=(-1e6, 1e6), live=True
     )
     rig: bool = param(False, "sensors and power stage of the digital rig instead of the ideal motor")
     bridge_drop: float = param(2.0, "rig: voltage lost in the L298 bridge (1.5 to 2.5 V)", "V", ge=0.0)
@@ -62,6 +62,9 @@ class DcMotorPlant(Plant[DcMotorPlantParams]):
 
     The rig publishes what its encoder and current sensor tell in ``motor/state``, and besides the true state and the
     voltage that the bridge applied over the period that ends at t.
+
+    Supply and load may change while it runs, what the motor is made of may not; another load profile counts as if it
+    had been there from the start.
     """
 
     INPUTS = (COMMAND,)
@@ -83,6 +86,11 @@ class DcMotorPlant(Plant[DcMotorPlantParams]):
         self._counts_per_rad = p.counts_per_rev / math.tau
         self._rad_per_count = math.tau / p.counts_per_rev
         self._speed_per_count = self._rad_per_count / p.period
+
+    def change(self, params: DcMotorPlantParams) -> None:
+        """Look up the load anew before the next move."""
+        super().change(params)
+        self._change = 0
 
     def _transition(self, ns: int) -> tuple[float, ...]:
         """The numbers of x+ = Ad x + Bd u over ns that are neither 0 nor 1, without the load's column, and that."""

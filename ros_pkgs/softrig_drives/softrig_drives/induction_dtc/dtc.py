@@ -21,14 +21,18 @@ class DtcControllerParams(EstimatorParams, BlockParams):
     """References, bands, table and start sequence."""
 
     period: float = param(5e-5, "control period T_s", "s", gt=0.0, le=100.0)
-    flux_ref: float = param(0.9, "flux reference", "Wb", gt=0.0)
-    flux_band: float = param(0.01, "half-band of the flux comparator h_psi", "Wb", ge=0.0)
-    torque_band: float = param(0.5, "half-band of the torque comparator h_T", "N m", ge=0.0)
-    table: TableName = param("printed", "printed: the paper's Table I; minimal_switching: V0 and V7 exchanged")
+    flux_ref: float = param(0.9, "flux reference", "Wb", gt=0.0, live=True)
+    flux_band: float = param(0.01, "half-band of the flux comparator h_psi", "Wb", ge=0.0, live=True)
+    torque_band: float = param(0.5, "half-band of the torque comparator h_T", "N m", ge=0.0, live=True)
+    table: TableName = param(
+        "printed", "printed: the paper's Table I; minimal_switching: V0 and V7 exchanged", live=True
+    )
     magnetising_time: float = param(0.2, "V1 and V0 only until then, to build up the flux", "s", ge=0.0)
     flux_ramp: float = param(0.1, "duration of the ramp of the flux reference while magnetising", "s", gt=0.0)
     delay_steps: int = param(0, "periods between a measurement and the switching that it leads to", ge=0, le=100)
-    current_correction: float = param(0.0, "added to both measured currents (extension: the ADC's +delta q)", "A")
+    current_correction: float = param(
+        0.0, "added to both measured currents (extension: the ADC's +delta q)", "A", live=True
+    )
 
     @model_validator(mode="after")
     def _ramp(self) -> Self:
@@ -47,6 +51,10 @@ class DtcController(Block[DtcControllerParams]):
 
     The table alone cannot start: with no torque asked for it names zero vectors only and the flux decays. So until
     `magnetising_time` V1 builds up the flux, in turn with V0.
+
+    Other references, bands, tables and constants of the estimator act from the next period on: the estimated flux and
+    the levels of the comparators stay. The start sequence is over when one would change it, `delay_steps` sizes a
+    memory, and `estimator` the ports.
     """
 
     INPUTS = (CURRENTS_MEAS, DC_LINK, TORQUE_REF)
@@ -64,6 +72,12 @@ class DtcController(Block[DtcControllerParams]):
         self._table = TABLES[p.table]
         self._magnetised = to_ns(p.magnetising_time)
         self._lost = LOST_FLUX * p.flux_ref
+
+    def change(self, params: DtcControllerParams) -> None:
+        """Tune estimator and comparators, which go on from where they are."""
+        super().change(params)
+        self._estimator.tune(params, params.period)
+        self._flux.band, self._torque.band = params.flux_band, params.torque_band
 
     def start(self) -> None:
         """No flux, no history."""

@@ -10,15 +10,15 @@ from softrig_core import Params, param
 class EstimatorParams(Params):
     """What the controller believes of the machine."""
 
-    R_s_hat: float = param(3.7, "stator resistance of the estimator", "ohm", gt=0.0)
+    R_s_hat: float = param(3.7, "stator resistance of the estimator", "ohm", gt=0.0, live=True)
     pole_pairs: int = param(2, "pole pairs p", ge=1, le=100)
     estimator: Literal["voltage_model", "observer"] = param(
         "voltage_model", "voltage_model: the paper's integrator; observer: corrected by the current model"
     )
-    observer_gain: float = param(10.0, "observer: gain g of the correction", "rad/s", gt=0.0)
-    R_R: float = param(2.1, "observer: rotor resistance R_R", "ohm", gt=0.0)
-    L_sigma: float = param(0.021, "observer: leakage inductance L_sigma", "H", gt=0.0)
-    L_M: float = param(0.224, "observer: magnetising inductance L_M", "H", gt=0.0)
+    observer_gain: float = param(10.0, "observer: gain g of the correction", "rad/s", gt=0.0, live=True)
+    R_R: float = param(2.1, "observer: rotor resistance R_R", "ohm", gt=0.0, live=True)
+    L_sigma: float = param(0.021, "observer: leakage inductance L_sigma", "H", gt=0.0, live=True)
+    L_M: float = param(0.224, "observer: magnetising inductance L_M", "H", gt=0.0, live=True)
 
 
 class VoltageModel:
@@ -43,11 +43,15 @@ class VoltageModel:
     """
 
     def __init__(self, p: EstimatorParams, T_s: float) -> None:
+        self.tune(p, T_s)
+        self.psi = 0j
+        self.i: complex | None = None
+
+    def tune(self, p: EstimatorParams, T_s: float) -> None:
+        """Take other constants of the machine for what comes; the flux found so far stays."""
         self._T_s = T_s
         self._half_R_s = 0.5 * p.R_s_hat
         self._factor = 1.5 * p.pole_pairs
-        self.psi = 0j
-        self.i: complex | None = None
 
     def update(self, u: complex, i: complex, omega: float) -> complex:
         """Give the flux now.
@@ -86,12 +90,16 @@ class FluxObserver(VoltageModel):
 
     def __init__(self, p: EstimatorParams, T_s: float) -> None:
         super().__init__(p, T_s)
+        self._psi_R = 0j
+
+    def tune(self, p: EstimatorParams, T_s: float) -> None:
+        """Take other constants of the machine; both fluxes stay."""
+        super().tune(p, T_s)
         self._g = p.observer_gain * T_s
         self._half_R_R = 0.5 * p.R_R * T_s
         self._L_sigma = p.L_sigma
         self._decay = 0.5 * T_s * p.R_R / p.L_M
         self._turn = 0.5j * T_s * p.pole_pairs
-        self._psi_R = 0j
 
     def update(self, u: complex, i: complex, omega: float) -> complex:
         """Give the flux now; see `VoltageModel.update`."""

@@ -21,8 +21,10 @@ class ImPlantParams(AdcParams, MachineConstants, BlockParams):
 
     period: float = param(5e-5, "control and sampling period T_s", "s", gt=0.0, le=100.0)
     substeps: int = param(1, "Runge-Kutta steps in one period; one is exact to 2e-10 Wb", ge=1, le=100)
-    U_dc: float = param(540.0, "DC-link voltage", "V", gt=0.0)
-    trip_current: float = param(28.0, "phase current at which the inverter trips, 4 times the rated peak", "A", gt=0.0)
+    U_dc: float = param(540.0, "DC-link voltage", "V", gt=0.0, live=True)
+    trip_current: float = param(
+        28.0, "phase current at which the inverter trips, 4 times the rated peak", "A", gt=0.0, live=True
+    )
 
 
 class ImPlant(Plant[ImPlantParams]):
@@ -34,6 +36,8 @@ class ImPlant(Plant[ImPlantParams]):
     The switches act at once and are held for one period. A command with a switch that is neither 0 nor 1 is refused
     and the previous state held for one period; a second one in a row, or a phase current beyond `trip_current`, is a
     fault: the inverter goes to V0 for good.
+
+    The DC-link voltage and the trip may change while it runs; the load comes by its topic.
     """
 
     INPUTS = (SWITCHES, LOAD_TORQUE)
@@ -48,6 +52,13 @@ class ImPlant(Plant[ImPlantParams]):
         self._voltages: dict[tuple[float, ...], tuple[float, float]] = {v: (u.real, u.imag) for v, u in vectors.items()}
         self._converters = Converter(p), Converter(p)
         self._dc_link = (p.U_dc,)
+
+    def change(self, params: ImPlantParams) -> None:
+        """Scale the voltages anew; the converters go on."""
+        converters = self._converters
+        super().change(params)
+        self._converters = converters
+        self._answer = {**self._answer, "dc_link": self._dc_link}
 
     def start(self) -> None:
         """Rest without flux; the inverter in V0."""

@@ -61,14 +61,14 @@ class FluxComparator:
     """Two-level hysteresis: 1 above +band, 0 below -band, else as before; starts at 1."""
 
     def __init__(self, band: float) -> None:
-        self._band = band
+        self.band = band
         self.level = 1
 
     def __call__(self, error: float) -> int:
         """Give 1 to increase the flux, 0 to decrease it."""
-        if error > self._band:
+        if error > self.band:
             self.level = 1
-        elif error < -self._band:
+        elif error < -self.band:
             self.level = 0
         return self.level
 
@@ -77,14 +77,14 @@ class TorqueComparator:
     """Three-level hysteresis: +-1 beyond +-band, back to 0 when the error has changed its sign; starts at 0."""
 
     def __init__(self, band: float) -> None:
-        self._band = band
+        self.band = band
         self.level = 0
 
     def __call__(self, error: float) -> int:
         """Give 1 for more torque, -1 for less, 0 for no change."""
-        if error > self._band:
+        if error > self.band:
             self.level = 1
-        elif error < -self._band:
+        elif error < -self.band:
             self.level = -1
         elif self.level * error <= 0.0:
             self.level = 0

@@ -16,15 +16,19 @@ class CurrentControllerParams(Geometry, BlockParams):
     """Gains, limits and the position sensor."""
 
     period: float = param(5e-5, "sampling period", "s", gt=0.0, le=0.01)
-    K_pc: float = param(0.05, "proportional gain; the error in A gives a duty cycle", "1/A", ge=0.0, le=100.0)
-    K_ic: float = param(2.2, "integral gain", "1/(A s)", ge=0.0, le=1e5)
-    U_dc: float = param(150.0, "supply voltage, at duty cycle 1", "V", gt=0.0, le=1e4)
-    I_max: float = param(10.0, "rated current, the largest reference", "A", gt=0.0, le=1e3)
-    threshold: float = param(0.02, "a phase is on where its slope is beyond this part of G", ge=0.0, lt=1.0)
-    zero_current: float = param(0.02, "current below which a phase that is off gets 0 V", "A", gt=0.0, le=10.0)
+    K_pc: float = param(
+        0.05, "proportional gain; the error in A gives a duty cycle", "1/A", ge=0.0, le=100.0, live=True
+    )
+    K_ic: float = param(2.2, "integral gain", "1/(A s)", ge=0.0, le=1e5, live=True)
+    U_dc: float = param(150.0, "supply voltage, at duty cycle 1", "V", gt=0.0, le=1e4, live=True)
+    I_max: float = param(10.0, "rated current, the largest reference", "A", gt=0.0, le=1e3, live=True)
+    threshold: float = param(0.02, "a phase is on where its slope is beyond this part of G", ge=0.0, lt=1.0, live=True)
+    zero_current: float = param(
+        0.02, "current below which a phase that is off gets 0 V", "A", gt=0.0, le=10.0, live=True
+    )
     resolution: float = param(1e-5, "step of the position sensor (magnetic strip)", "m", gt=0.0, le=1e-3)
-    feed_forward: bool = param(False, "add R i* + g v i* to the voltage, which takes the force ripple away")
-    R: float = param(2.5, "phase resistance that the feed-forward assumes", "ohm", gt=0.0, le=1e3)
+    feed_forward: bool = param(False, "add R i* + g v i* to the voltage, which takes the force ripple away", live=True)
+    R: float = param(2.5, "phase resistance that the feed-forward assumes", "ohm", gt=0.0, le=1e3, live=True)
 
 
 class CurrentController(Block[CurrentControllerParams]):
@@ -40,6 +44,9 @@ class CurrentController(Block[CurrentControllerParams]):
 
     x is the position rounded to the sensor's step. A measurement or command that is refused gives 0 V for one period:
     the phases freewheel.
+
+    Under another K_ic the integrals are rescaled so that K_ic z stays, and no voltage jumps (K_ic = 0 has no such z:
+    they begin anew). The rest acts at the next period.
     """
 
     INPUTS = (MOTION, PHASE_CURRENTS, FORCE_CMD)
@@ -51,6 +58,12 @@ class CurrentController(Block[CurrentControllerParams]):
         self._geometry = p.numbers()
         self._law = np.array([p.K_pc, p.K_ic, p.U_dc, p.I_max, p.threshold, p.zero_current, p.resolution, p.period,
                               float(p.feed_forward), p.R])  # fmt: skip
+
+    def change(self, params: CurrentControllerParams) -> None:
+        """Take other gains; what the integrals give stays."""
+        if params.K_ic != self.p.K_ic:
+            self._integral *= self.p.K_ic / params.K_ic if params.K_ic else 0.0
+        super().change(params)
 
     def start(self) -> None:
         """No integral."""

@@ -21,14 +21,14 @@ TABLE_II = tuple(index for row in sum_rules(TERMS) for index in row)
 class LsrmFuzzyParams(SpeedControlParams):
     """Scaling factors (set P, like the paper; set S is 0.05, 0.005, 2), terms and rules."""
 
-    K_e: float = param(1.0, "error that counts as 1", "m/s", gt=0.0, le=100.0)
-    K_de: float = param(0.01, "change of the error in one period that counts as 1", "m/s", gt=0.0, le=100.0)
-    K_u: float = param(2.0, "change of the force in one period for an output of 1", "N", gt=0.0, le=1e3)
+    K_e: float = param(1.0, "error that counts as 1", "m/s", gt=0.0, le=100.0, live=True)
+    K_de: float = param(0.01, "change of the error in one period that counts as 1", "m/s", gt=0.0, le=100.0, live=True)
+    K_u: float = param(2.0, "change of the force in one period for an output of 1", "N", gt=0.0, le=1e3, live=True)
     peaks: tuple[float, ...] = param(THIRDS, "where the terms NB, NM, NS, Z, PS, PM, PB of both inputs are 1",
-                                     each=(-100.0, 100.0))  # fmt: skip
+                                     each=(-100.0, 100.0), live=True)  # fmt: skip
     rules: tuple[int, ...] = param(TABLE_II, "Table II row by row (a row an error): the output's terms",
-                                   each=(-LARGEST, LARGEST))  # fmt: skip
-    conjunction: And = param("product", "AND of a rule's two premises")
+                                   each=(-LARGEST, LARGEST), live=True)  # fmt: skip
+    conjunction: And = param("product", "AND of a rule's two premises", live=True)
 
     @model_validator(mode="after")
     def _terms(self) -> Self:
@@ -49,6 +49,8 @@ class LsrmFuzzy(SpeedControl[LsrmFuzzyParams]):
 
     y is the surface of `softrig_control.fuzzy.TakagiSugeno`. Where the four active rules of Table II are not clipped, y
     is e/K_e + de/K_de exactly: there the law is the PI controller with K_p = K_u/K_de and K_i = K_u/(K_e Ts).
+
+    What it remembers is the force itself, so other factors, terms and rules bring no jump.
     """
 
     def setup(self) -> None:

@@ -19,10 +19,12 @@ class LsrmLoadParams(BlockParams):
 
     period: float = param(1e-3, "sampling period", "s", gt=0.0, le=1.0)
     times: tuple[float, ...] = param(
-        (0.0, 1.0), "times at which the mass changes, increasing from 0", "s", each=(0.0, 1e9)
+        (0.0, 1.0), "times at which the mass changes, increasing from 0", "s", each=(0.0, 1e9), live=True
     )
-    masses: tuple[float, ...] = param((0.0, 8.0), "added mass from each of these times on", "kg", each=(0.0, 1e5))
-    mu: float = param(0.05, "friction coefficient of the added mass", ge=0.0, le=10.0)
+    masses: tuple[float, ...] = param(
+        (0.0, 8.0), "added mass from each of these times on", "kg", each=(0.0, 1e5), live=True
+    )
+    mu: float = param(0.05, "friction coefficient of the added mass", ge=0.0, le=10.0, live=True)
 
     @model_validator(mode="after")
     def _masses(self) -> Self:

@@ -20,12 +20,12 @@ Triple = tuple[float, float, float]
 class LsrmMracParams(Mechanics, SpeedControlParams):
     """Riccati weights, adaptation gains, start and bounds of theta = (mass, damping, friction)."""
 
-    q: float = param(4e4, "weight of the speed error in the Riccati equation", gt=0.0, le=1e9)
-    r: float = param(1.0, "weight of the force in the Riccati equation", gt=0.0, le=1e9)
-    gains: Triple = param((200.0, 2000.0, 2000.0), "adaptation gains Gamma of mass, damping, friction")
+    q: float = param(4e4, "weight of the speed error in the Riccati equation", gt=0.0, le=1e9, live=True)
+    r: float = param(1.0, "weight of the force in the Riccati equation", gt=0.0, le=1e9, live=True)
+    gains: Triple = param((200.0, 2000.0, 2000.0), "adaptation gains Gamma of mass, damping, friction", live=True)
     theta_0: Triple = param((3.0, 10.0, 0.0), "initial mass (kg), damping (N s/m), friction (N)")
-    theta_min: Triple = param((1.0, 0.0, -20.0), "lower bounds of theta (kg, N s/m, N)")
-    theta_max: Triple = param((20.0, 60.0, 20.0), "upper bounds of theta (kg, N s/m, N)")
+    theta_min: Triple = param((1.0, 0.0, -20.0), "lower bounds of theta (kg, N s/m, N)", live=True)
+    theta_max: Triple = param((20.0, 60.0, 20.0), "upper bounds of theta (kg, N s/m, N)", live=True)
 
     @model_validator(mode="after")
     def _theta(self) -> Self:
@@ -47,6 +47,9 @@ class LsrmMrac(SpeedControl[LsrmMracParams]):
         phi = (a_ref - k eps, v, 1)
         theta <- theta - Gamma phi eps Ts, within its bounds
         F*  = theta phi, within plus and minus F_max
+
+    theta stays under other weights, rates and bounds (within these); the force then jumps by what k changes of it. The
+    model that k is solved for, (M, C, k_p), is fixed at the start, and theta_0 is where theta began.
 
     Lyapunov: V' = -M k eps^2. Chosen; the paper's own baseline (Rahideh, Ketabi, Halvaei Niasar 2020) is not available.
     """

@@ -32,8 +32,10 @@ class LsrmPlantParams(Geometry, Mechanics, BlockParams):
     period: float = param(5e-5, "time between two outputs, the period of the current controller", "s", gt=0.0, le=0.01)
     substeps: int = param(5, "Runge-Kutta steps in one period (10 us each)", ge=1, le=1000)
     R: float = param(2.5, "phase resistance R", "ohm", gt=0.0, le=1e3)
-    U_dc: float = param(150.0, "supply voltage; commands are clipped to plus and minus this", "V", gt=0.0, le=1e4)
-    trip_current: float = param(12.0, "phase current at which the half bridges trip", "A", gt=0.0, le=1e3)
+    U_dc: float = param(
+        150.0, "supply voltage; commands are clipped to plus and minus this", "V", gt=0.0, le=1e4, live=True
+    )
+    trip_current: float = param(12.0, "phase current at which the half bridges trip", "A", gt=0.0, le=1e3, live=True)
     x_0: float = param(0.0, "initial position; at 0 phase a is aligned", "m", ge=-100.0, le=100.0)
     locked: bool = param(False, "translator clamped at x_0, as in a test of the phase windings")
 

@@ -19,21 +19,24 @@ class ProfileGeneratorParams(Mechanics, BlockParams):
     """Shape and times; mass, friction and F_max only tell whether the motor can follow."""
 
     period: float = param(1e-3, "sampling period", "s", gt=0.0, le=0.1)
-    profile: Kind = param("jerk", "jerk: jerk-minimal polynomial; trapezoid: constant acceleration; step: at once")
-    v_d: float = param(0.5, "cruise speed v_d", "m/s", ge=-10.0, le=10.0)
-    t_d: float = param(0.4, "duration of the acceleration t_d", "s", gt=0.0, le=100.0)
+    profile: Kind = param(
+        "jerk", "jerk: jerk-minimal polynomial; trapezoid: constant acceleration; step: at once", live=True
+    )
+    v_d: float = param(0.5, "cruise speed v_d", "m/s", ge=-10.0, le=10.0, live=True)
+    t_d: float = param(0.4, "duration of the acceleration t_d", "s", gt=0.0, le=100.0, live=True)
     x_d: float | None = param(None, "distance of the acceleration (jerk); the jerk-minimal v_d t_d/2 when absent", "m",
-                              ge=-100.0, le=100.0)  # fmt: skip
-    t_b: float | None = param(None, "begin of the braking; none when absent", "s", ge=0.0, le=1e4)
-    t_db: float = param(0.4, "duration of the braking", "s", gt=0.0, le=100.0)
-    F_max: float = param(40.0, "largest force of the motor", "N", gt=0.0, le=1e4)
+                              ge=-100.0, le=100.0, live=True)  # fmt: skip
+    t_b: float | None = param(None, "begin of the braking; none when absent", "s", ge=0.0, le=1e4, live=True)
+    t_db: float = param(0.4, "duration of the braking", "s", gt=0.0, le=100.0, live=True)
+    F_max: float = param(40.0, "largest force of the motor", "N", gt=0.0, le=1e4, live=True)
 
 
 class ProfileGenerator(Block[ProfileGeneratorParams]):
     """Publishes a speed profile with its position and acceleration; see `profile.Profile`.
 
     Warns when the motor cannot follow (M a + (C + k_p) v beyond F_max somewhere) and when a given distance makes the
-    speed leave the range between 0 and v_d.
+    speed leave the range between 0 and v_d. With other parameters it goes on as if the profile had been that one from
+    the start: the reference steps, unless only what is still to come differs.
     """
 
     OUTPUTS = (REFERENCE,)
@@ -42,6 +45,11 @@ class ProfileGenerator(Block[ProfileGeneratorParams]):
         """Make the profile."""
         p = self.p
         self.profile = Profile(p.profile, p.v_d, p.t_d, p.x_d, inf if p.t_b is None else p.t_b, p.t_db)
+
+    def change(self, params: ProfileGeneratorParams) -> None:
+        """Follow another profile, and tell what is wrong with it."""
+        super().change(params)
+        self.start()
 
     def start(self) -> None:
         """Tell what is wrong with the profile."""

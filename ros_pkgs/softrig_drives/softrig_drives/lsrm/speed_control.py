@@ -15,7 +15,7 @@ class SpeedControlParams(BlockParams):
     """Rate and range of the force command."""
 
     period: float = param(1e-3, "sampling period Ts", "s", gt=0.0, le=0.1)
-    F_max: float = param(40.0, "largest force command, G I_max^2/2", "N", gt=0.0, le=1e4)
+    F_max: float = param(40.0, "largest force command, G I_max^2/2", "N", gt=0.0, le=1e4, live=True)
 
 
 P = TypeVar("P", bound=SpeedControlParams, default=SpeedControlParams)

@@ -17,7 +17,9 @@ class FleetParams(BlockParams):
 
     period: float = param(1.0, "sampling period", "s", gt=0.0, le=86400.0)
     unit_table: str = param("units_13", "table of the units: a name of this package's, a file or a package:// URI")
-    ramp: float = param(0.0, "fastest change of a unit's output; 0: none, as in the paper", "MW/s", ge=0.0, le=1e6)
+    ramp: float = param(
+        0.0, "fastest change of a unit's output; 0: none, as in the paper", "MW/s", ge=0.0, le=1e6, live=True
+    )
 
     @field_validator("unit_table")
     @classmethod

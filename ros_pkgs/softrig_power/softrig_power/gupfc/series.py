@@ -22,10 +22,12 @@ class SeriesControllerParams(DeviceParams):
 
     circuit: Literal[1, 2] = param(1, "circuit 1 (u2, i12) or 2 (u4, i34)", ge=1, le=2)
     law: Literal["integral", "printed"] = param("integral", "quadrature integral law, or PI axis by axis as printed")
-    kp: float = param(0.5, "proportional gain of the printed law", "pu/pu", ge=0.0, le=100.0)
-    ki: float = param(15.0, "integral gain", "1/s", ge=0.0, le=1e4)
-    filter_frequency: float = param(30.0, "natural frequency of the filters, integral law", "Hz", ge=1.0, le=500.0)
-    damping: float = param(0.7, "damping of the filters", ge=0.1, le=2.0)
+    kp: float = param(0.5, "proportional gain of the printed law", "pu/pu", ge=0.0, le=100.0, live=True)
+    ki: float = param(15.0, "integral gain", "1/s", ge=0.0, le=1e4, live=True)
+    filter_frequency: float = param(
+        30.0, "natural frequency of the filters, integral law", "Hz", ge=1.0, le=500.0, live=True
+    )
+    damping: float = param(0.7, "damping of the filters", ge=0.1, le=2.0, live=True)
     pll: PllParams = PllParams()
 
 
@@ -40,6 +42,9 @@ class SeriesController(Block[SeriesControllerParams]):
       the printed gains it excites the resonance of the half lines and ends in a limit cycle at the limiter.
 
     \|v\| is at most `network.series_limit`; what is cut off is taken back from the integrator.
+
+    Other gains bring no jump: the integral is kept in units of v, and takes up what another Kp would change. The steady
+    state of the start, which all nodes agree on, cannot change.
     """
 
     @classmethod
@@ -66,6 +71,18 @@ class SeriesController(Block[SeriesControllerParams]):
         self._turn = 1j if p.law == "integral" else 1.0
         self._kp = p.kp if p.law == "printed" else 0.0
 
+    def change(self, params: SeriesControllerParams) -> None:
+        """Take other gains without a bump; filters and loop go on."""
+        p, kp = params, self._kp
+        omega = 2.0 * math.pi * p.filter_frequency
+        self.p = p
+        self._kp = p.kp if p.law == "printed" else 0.0
+        if self._kp != kp and p.ki:
+            self._integral += (kp - self._kp) * self._error
+        self._pll.retune(p.pll)
+        self._u_filter.retune(omega, p.damping, p.period)
+        self._i_filter.retune(omega, p.damping, p.period)
+
     def start(self) -> None:
         """Integrator, filters and loop as in the steady state."""
         p = self.p
@@ -80,6 +97,7 @@ class SeriesController(Block[SeriesControllerParams]):
             self._u_filter(u * back)
             self._i_filter(i * back)
         self._integral = self._v * cmath.rect(1.0, -theta)
+        self._error = 0j
         self._answer = {self._name: (abs(self._v), cmath.phase(self._v), p.network.omega)}
 
     def update(self, t: int, reference: tuple[float, ...] | None, **inputs: Any) -> Mapping[str, tuple[float, ...]]:
@@ -94,7 +112,7 @@ class SeriesController(Block[SeriesControllerParams]):
             u, i = self._u_filter(u), self._i_filter(i)
         if abs(u) < LEAST_VOLTAGE:
             u = LEAST_VOLTAGE + 0j
-        error = self._turn * ((asked / u).conjugate() - i)
+        self._error = error = self._turn * ((asked / u).conjugate() - i)
         self._integral += p.ki * p.period * error
         v = self._kp * error + self._integral
         limit = p.network.series_limit

@@ -20,14 +20,14 @@ class ShuntControllerParams(DeviceParams):
     """Gains of Table 1."""
 
     pll: PllParams = PllParams()
-    filter_frequency: float = param(100.0, "natural frequency f_n of the filters", "Hz", ge=1.0, le=500.0)
-    damping: float = param(0.7, "damping of the filters", ge=0.1, le=2.0)
-    voltage_kp: float = param(12.0, "voltage regulator, pu of current a pu of voltage", ge=0.0, le=1e3)
-    voltage_ki: float = param(150.0, "voltage regulator, integral", "1/s", ge=0.0, le=1e5)
-    current_kp: float = param(5.0, "current regulator, deg a pu of current", "deg", ge=0.0, le=1e3)
-    current_ki: float = param(1.0, "current regulator, integral", "deg/s", ge=0.0, le=1e5)
-    current_limit: float = param(2.0, "limit of the reactive current", "pu", gt=0.0, le=100.0)
-    angle_limit: float = param(30.0, "limit of alpha", "deg", gt=0.0, le=90.0)
+    filter_frequency: float = param(100.0, "natural frequency f_n of the filters", "Hz", ge=1.0, le=500.0, live=True)
+    damping: float = param(0.7, "damping of the filters", ge=0.1, le=2.0, live=True)
+    voltage_kp: float = param(12.0, "voltage regulator, pu of current a pu of voltage", ge=0.0, le=1e3, live=True)
+    voltage_ki: float = param(150.0, "voltage regulator, integral", "1/s", ge=0.0, le=1e5, live=True)
+    current_kp: float = param(5.0, "current regulator, deg a pu of current", "deg", ge=0.0, le=1e3, live=True)
+    current_ki: float = param(1.0, "current regulator, integral", "deg/s", ge=0.0, le=1e5, live=True)
+    current_limit: float = param(2.0, "limit of the reactive current", "pu", gt=0.0, le=100.0, live=True)
+    angle_limit: float = param(30.0, "limit of alpha", "deg", gt=0.0, le=90.0, live=True)
 
 
 class ShuntController(Block[ShuntControllerParams]):
@@ -39,7 +39,8 @@ class ShuntController(Block[ShuntControllerParams]):
 
     An angle that lags draws active power and charges the DC link, which raises the converter voltage in proportion;
     sigma stays. Magnitude and current are filtered, theta is that of a phase-locked loop on u1. The integrators start
-    at the operating point of the parameters.
+    at the operating point of the parameters, which cannot change while it runs. Other gains bring no jump, see
+    `softrig_control.pid.Pid.retune`.
     """
 
     INPUTS = (measured("u1"), measured("i_sh"), SHUNT_REFERENCE)
@@ -54,6 +55,21 @@ class ShuntController(Block[ShuntControllerParams]):
         """Solve the power flow of the start."""
         self._point = operating_point(self.p)
 
+    def _gains(self, p: ShuntControllerParams) -> tuple[PidParams, PidParams]:
+        """Of the voltage and of the current regulator."""
+        return (PidParams(kp=p.voltage_kp, ki=p.voltage_ki, u_max=p.current_limit),
+                PidParams(kp=p.current_kp, ki=p.current_ki, u_max=p.angle_limit))  # fmt: skip
+
+    def change(self, params: ShuntControllerParams) -> None:
+        """Take other gains without a bump; filters and loop go on."""
+        self.p = p = params
+        omega = 2.0 * math.pi * p.filter_frequency
+        for law, gains in zip((self._voltage, self._current), self._gains(p), strict=True):
+            law.retune(gains, p.period)
+        self._pll.retune(p.pll)
+        for low_pass in (self._magnitude, self._reactive):
+            low_pass.retune(omega, p.damping, p.period)
+
     def start(self) -> None:
         """Integrators, filters and loop as in the steady state."""
         p = self.p
@@ -67,8 +83,7 @@ class ShuntController(Block[ShuntControllerParams]):
             theta = self._pll(u)
             self._magnitude(abs(u))
             self._reactive(-(i * cmath.rect(1.0, -theta)).imag)
-        self._voltage = Pid(PidParams(kp=p.voltage_kp, ki=p.voltage_ki, u_max=p.current_limit), p.period)
-        self._current = Pid(PidParams(kp=p.current_kp, ki=p.current_ki, u_max=p.angle_limit), p.period)
+        self._voltage, self._current = (Pid(gains, p.period) for gains in self._gains(p))
         self._voltage.preset(i_q)
         self._current.preset(-alpha)
         self._answer = {"shunt": (p.network.shunt_sigma, cmath.phase(self._point.v_sh), p.network.omega)}

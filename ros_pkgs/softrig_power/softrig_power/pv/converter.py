@@ -19,7 +19,7 @@ class ConverterParams(Params):
     C_i: float = param(470e-6, "input capacitance", "F", gt=0.0)
     C_o: float = param(220e-6, "output capacitance", "F", gt=0.0)
     f_sw: float = param(50e3, "switching frequency", "Hz", gt=0.0)
-    R_L: float = param(35.0, "load resistance", "ohm", gt=0.0)
+    R_L: float = param(35.0, "load resistance", "ohm", gt=0.0, live=True)
     r: float = param(0.25, "all losses, as a resistance in series with the inductor", "ohm", ge=0.0)
 
 

@@ -26,11 +26,11 @@ class MpptParams(SearchParams):
     algorithm: Algorithm | Tracker = param("issa", "name of the algorithm")
     d_min: float = param(0.1, "lower limit of the duty", gt=0.0, lt=1.0)
     d_max: float = param(0.9, "upper limit of the duty", gt=0.0, lt=1.0)
-    duty_slew: float = param(0.0, "most change of the duty in a second; 0: no limit", "1/s", ge=0.0)
+    duty_slew: float = param(0.0, "most change of the duty in a second; 0: no limit", "1/s", ge=0.0, live=True)
     eps: float = param(0.01, "certified: relative gap to prove", gt=0.0)
     ramp_time: float = param(0.12, "ramp: duration of the sweep", "s", gt=0.0)
     floor: float | None = param(0.1, "power not above this, at a current not above a tenth of it in A, is darkness: no "
-                                "search, another one in the light", "W")  # fmt: skip
+                                "search, another one in the light", "W", live=True)  # fmt: skip
 
     @model_validator(mode="after")
     def _tracker(self) -> Self:

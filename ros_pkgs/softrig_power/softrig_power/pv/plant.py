@@ -22,10 +22,10 @@ class PvPlantParams(ArrayParams, BlockParams):
     period: float = param(0.001, "sampling period of the voltage and current sensors", "s", gt=0.0, le=100.0)
     converter: ConverterParams = ConverterParams()
     d_min: float = param(0.1, "lower limit of the duty; the state starts steady there", gt=0.0, lt=1.0)
-    d_max: float = param(0.9, "upper limit of the duty", gt=0.0, lt=1.0)
+    d_max: float = param(0.9, "upper limit of the duty", gt=0.0, lt=1.0, live=True)
     model: Literal["averaged", "switched"] = param("averaged", "averaged over a switching period, or switch by switch")
     step: float = param(2e-5, "averaged: step of the integration", "s", gt=0.0)
-    noise: float = param(0.0, "standard deviation of the measured voltage and current, relative", ge=0.0)
+    noise: float = param(0.0, "standard deviation of the measured voltage and current, relative", ge=0.0, live=True)
 
     @model_validator(mode="after")
     def _plant(self) -> Self:

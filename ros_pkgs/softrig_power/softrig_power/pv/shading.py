@@ -19,15 +19,22 @@ class ShadingSourceParams(BlockParams):
     period: float = param(0.001, "sampling period", "s", gt=0.0, le=100.0)
     modules: int = param(4, "modules of the string", ge=1, le=1000)
     times: tuple[float, ...] = param((0.0,), "times at which a pattern begins, increasing", "s", min_length=1,
-                                     each=(0.0, 1e9))  # fmt: skip
+                                     each=(0.0, 1e9), live=True)  # fmt: skip
     irradiance: tuple[float, ...] = param(
-        (1000.0, 800.0, 600.0, 400.0), "irradiance of each module, pattern after pattern", "W/m^2"
+        (1000.0, 800.0, 600.0, 400.0), "irradiance of each module, pattern after pattern", "W/m^2", live=True
     )
     temperature: tuple[float, ...] = param(
-        (25.0, 25.0, 25.0, 25.0), "cell temperature of each module, one pattern for all times or one for each", "degC"
+        (25.0, 25.0, 25.0, 25.0),
+        "cell temperature of each module, one pattern for all times or one for each",
+        "degC",
+        live=True,
     )
     fluctuation: float = param(
-        0.0, "all values are multiplied by 1 + fluctuation u, u uniform in [-1, 1], drawn once for each", ge=0.0, lt=1.0
+        0.0,
+        "all values are multiplied by 1 + fluctuation u, u uniform in [-1, 1], drawn once for each",
+        ge=0.0,
+        lt=1.0,
+        live=True,
     )
 
     @model_validator(mode="after")
@@ -54,7 +61,10 @@ class ShadingSourceParams(BlockParams):
 
 
 class ShadingSource(Block[ShadingSourceParams]):
-    """Irradiance and cell temperature of every module, changing at given times."""
+    """Irradiance and cell temperature of every module, changing at given times.
+
+    What is drawn for the fluctuation stays for the whole run, whatever else changes while it runs.
+    """
 
     @classmethod
     def ports(cls, params: ShadingSourceParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
@@ -63,9 +73,18 @@ class ShadingSource(Block[ShadingSourceParams]):
 
     def start(self) -> None:
         """Draw the fluctuation of this run."""
+        self._drawn = self.rng.uniform(-1.0, 1.0, 2 * self.p.modules)
+        self._prepare()
+
+    def change(self, params: ShadingSourceParams) -> None:
+        """Follow other patterns."""
+        super().change(params)
+        self._prepare()
+
+    def _prepare(self) -> None:
         p = self.p
         n, patterns = p.modules, [p.pattern(k) for k in range(len(p.times))]
-        factors = (1.0 + p.fluctuation * self.rng.uniform(-1.0, 1.0, 2 * n)).tolist()
+        factors = (1.0 + p.fluctuation * self._drawn).tolist()
         limits = [IRRADIANCE] * n + [TEMPERATURE] * n
         values = [
             tuple(min(max(x * f, low), high) for x, f, (low, high) in zip(g + t, factors, limits, strict=True))

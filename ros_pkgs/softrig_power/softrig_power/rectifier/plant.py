@@ -34,7 +34,7 @@ class RectifierPlantParams(RectifierConstants, BlockParams):
     v_start: float = param(400.0, "DC voltage at the start", "V", gt=0.0, le=1e4)
     i_start: float | None = param(None, "current i_d at the start (peak), i_q is 0; that of the operating point when "
                                   "absent", "A", ge=-1e4, le=1e4)  # fmt: skip
-    v_least: float = param(1.0, "DC voltage at which the converter is given up", "V", gt=0.0, le=1e3)
+    v_least: float = param(1.0, "DC voltage at which the converter is given up", "V", gt=0.0, le=1e3, live=True)
     waveform: bool = param(False, "send the waveforms of each period")
 
     @model_validator(mode="after")

@@ -11,8 +11,8 @@ from .surfaces import Coefficients, SurfaceGains
 class AdsmcGains(SurfaceGains):
     """Published gains."""
 
-    gamma: PerJoint = param((3000.0,), "adaptation gain", "1/s^2")
-    k: PerJoint = param((10.0,), "gain of sigma", "1/s")
+    gamma: PerJoint = param((3000.0,), "adaptation gain", "1/s^2", live=True)
+    k: PerJoint = param((10.0,), "gain of sigma", "1/s", live=True)
 
 
 class Adsmc:
@@ -23,7 +23,8 @@ class Adsmc:
         \dot{\hat f} = \gamma \sigma, \quad \Upsilon = \ddot q_d - v
 
     Written with :math:`\Sigma = \int \sigma = s + b_1 \int s + b_2 \iint s` no acceleration is measured and no
-    velocity differentiated: :math:`k \sigma` and :math:`\gamma \sigma` are increments of Sigma.
+    velocity differentiated: :math:`k \sigma` and :math:`\gamma \sigma` are increments of Sigma. The voltage is what is
+    integrated, so other gains bring no jump: Sigma before them is what they would have made of the same errors.
 
     Parameters
     ----------
@@ -53,6 +54,16 @@ class Adsmc:
         self.v = self.s = self.sigma = self.f_hat = 0.0
         self._e_int = self._s_int = self._s_int2 = 0.0
         self._before: tuple[float, float] | None = None
+        self._last = (0.0,) * 5  # what Sigma of `_before` was made of
+
+    def go_on(self, before: Adsmc) -> None:
+        """Take the place of a law with other gains."""
+        self.v, self.s, self.sigma, self.f_hat = before.v, before.s, before.sigma, before.f_hat
+        self._e_int, self._s_int, self._s_int2 = before._e_int, before._s_int, before._s_int2
+        self._last = ed, e, e_int, s_int, s_int2 = before._last
+        if before._before is not None:
+            s = ed + self._a1 * e + self._a2 * e_int
+            self._before = before._before[0], s + self._b1 * s_int + self._b2 * s_int2
 
     def __call__(self, qdd_d: float, e: float, ed: float) -> float:
         """Give the voltage for the desired acceleration, the error and its rate (rad, s)."""
@@ -75,6 +86,7 @@ class Adsmc:
             self.v = min(max(v, -top), top)
             self.sigma = step / T
         self._before = (qdd_d, big_sigma)
+        self._last = (ed, e, e_int, self._s_int, self._s_int2)
         self._s_int2 += T * self._s_int
         self._s_int += T * s
         self._e_int = e_int + T * e

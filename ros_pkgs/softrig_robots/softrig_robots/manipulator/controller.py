@@ -27,6 +27,9 @@ class Law(Protocol):
     def start(self) -> None:
         """Forget everything."""
 
+    def go_on(self, before: Any) -> None:
+        """Take the place of the same law with other gains."""
+
     def __call__(self, qdd_d: float, e: float, ed: float) -> float:
         """Give the voltage for the desired acceleration, the error and its rate (rad, s)."""
 
@@ -37,12 +40,14 @@ class VcsControllerParams(BlockParams):
     period: float = param(0.001, "sampling period T", "s", gt=0.0, le=100.0)
     joints: tuple[str, ...] = param(JOINTS, "joint names", min_length=1)
     law: Literal["adsmc", "dsmc", "smc"] = param("adsmc", "control law: adsmc, dsmc or smc")
-    v_max: float = param(40.0, "voltage limit", "V", gt=0.0)
+    v_max: float = param(40.0, "voltage limit", "V", gt=0.0, live=True)
     adsmc: AdsmcGains = AdsmcGains()
     dsmc: DsmcGains = DsmcGains()
     smc: SmcGains = SmcGains()
     use_printed_mu1: bool = param(False, "mu_1 = a_1 + b_2 as printed, instead of a_1 + b_1")
-    adapt_at_limit: bool = param(False, "adsmc: let f-hat wind up while the voltage is limited, as published")
+    adapt_at_limit: bool = param(
+        False, "adsmc: let f-hat wind up while the voltage is limited, as published", live=True
+    )
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
@@ -63,7 +68,10 @@ class VcsControllerParams(BlockParams):
 
 
 class VcsController(Block[VcsControllerParams]):
-    """Joint states and reference in, motor voltages out."""
+    """Joint states and reference in, motor voltages out.
+
+    Gains and limits may change while it runs, the law itself may not: another one would begin from nothing.
+    """
 
     p: VcsControllerParams
 
@@ -85,6 +93,13 @@ class VcsController(Block[VcsControllerParams]):
         """Make the laws."""
         self.laws = self.p.laws()
         self._n = len(self.laws)
+
+    def change(self, params: VcsControllerParams) -> None:
+        """Take other gains; each law goes on, as its docstring says."""
+        before = self.laws
+        super().change(params)
+        for law, old in zip(self.laws, before, strict=True):
+            law.go_on(old)
 
     def start(self) -> None:
         """Start every law anew."""

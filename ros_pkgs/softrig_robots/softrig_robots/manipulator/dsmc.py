@@ -12,11 +12,11 @@ from .surfaces import Coefficients, SurfaceGains
 class DsmcGains(SurfaceGains):
     """The paper's second set of gains, with which the law tracks."""
 
-    a1: PerJoint = param((100.0,), "proportional gain of the first surface", "1/s")
-    a2: PerJoint = param((400.0,), "integral gain of the first surface", "1/s^2")
-    b1: PerJoint = param((200.0,), "proportional gain of the second surface", "1/s")
-    b2: PerJoint = param((600.0,), "integral gain of the second surface", "1/s^2")
-    rho: PerJoint = param((20.0,), "switching gain rho", "V/s")
+    a1: PerJoint = param((100.0,), "proportional gain of the first surface", "1/s", live=True)
+    a2: PerJoint = param((400.0,), "integral gain of the first surface", "1/s^2", live=True)
+    b1: PerJoint = param((200.0,), "proportional gain of the second surface", "1/s", live=True)
+    b2: PerJoint = param((600.0,), "integral gain of the second surface", "1/s^2", live=True)
+    rho: PerJoint = param((20.0,), "switching gain rho", "V/s", live=True)
 
 
 class Dsmc:
@@ -25,7 +25,8 @@ class Dsmc:
     .. math::
         \dot v = q_d^{(3)} + \mu_1 \Upsilon + \mu_2 \dot e + \mu_3 e + \mu_4 \int e + \rho\, \mathrm{sgn}\, \sigma
 
-    sigma needs the second derivative of the error: the backward difference of its rate.
+    sigma needs the second derivative of the error: the backward difference of its rate. The voltage is what is
+    integrated, so other gains bring no jump.
 
     Parameters
     ----------
@@ -53,6 +54,11 @@ class Dsmc:
         self.v = self.s = self.sigma = 0.0
         self._e_int = self._s_int = 0.0
         self._before: tuple[float, float] | None = None
+
+    def go_on(self, before: Dsmc) -> None:
+        """Take the place of a law with other gains."""
+        self.v, self.s, self.sigma = before.v, before.s, before.sigma
+        self._e_int, self._s_int, self._before = before._e_int, before._s_int, before._before
 
     def __call__(self, qdd_d: float, e: float, ed: float) -> float:
         """Give the voltage for the desired acceleration, the error and its rate (rad, s)."""

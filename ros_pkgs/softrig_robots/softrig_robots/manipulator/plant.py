@@ -21,8 +21,8 @@ JOINTS = ("joint1", "joint2", "joint3")
 class VoltageStep(Params):
     """A step of the disturbance voltage d, a drop in front of the armature."""
 
-    amplitude: PerJoint = param((2.0,), "size; one number for all joints or one a joint", "V")
-    time: float = param(6.0, "when it begins", "s", ge=0.0)
+    amplitude: PerJoint = param((2.0,), "size; one number for all joints or one a joint", "V", live=True)
+    time: float = param(6.0, "when it begins", "s", ge=0.0, live=True)
 
 
 class ManipulatorParams(DrivenRobotParams):

@@ -11,9 +11,9 @@ from ..joints import JointGains, PerJoint
 class SmcGains(JointGains):
     """Published gains."""
 
-    a1: PerJoint = param((100.0,), "proportional gain of the surface", "1/s")
-    a2: PerJoint = param((400.0,), "integral gain of the surface", "1/s^2")
-    rho: PerJoint = param((10.0,), "switching gain rho_1", "V")
+    a1: PerJoint = param((100.0,), "proportional gain of the surface", "1/s", live=True)
+    a2: PerJoint = param((400.0,), "integral gain of the surface", "1/s^2", live=True)
+    rho: PerJoint = param((10.0,), "switching gain rho_1", "V", live=True)
 
 
 class Smc:
@@ -44,6 +44,10 @@ class Smc:
         """Forget everything."""
         self.s = 0.0
         self._e_int = 0.0
+
+    def go_on(self, before: Smc) -> None:
+        """Take the place of a law with other gains: the voltage may jump, as it does at any switching."""
+        self.s, self._e_int = before.s, before._e_int
 
     def __call__(self, qdd_d: float, e: float, ed: float) -> float:
         """Give the voltage for the desired acceleration, the error and its rate (rad, s)."""

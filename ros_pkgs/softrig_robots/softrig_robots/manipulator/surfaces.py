@@ -19,10 +19,10 @@ from ..joints import JointGains, PerJoint
 class SurfaceGains(JointGains):
     """Gains of both surfaces."""
 
-    a1: PerJoint = param((10.0,), "proportional gain of the first surface", "1/s")
-    a2: PerJoint = param((0.1,), "integral gain of the first surface", "1/s^2")
-    b1: PerJoint = param((20.0,), "proportional gain of the second surface", "1/s")
-    b2: PerJoint = param((0.2,), "integral gain of the second surface", "1/s^2")
+    a1: PerJoint = param((10.0,), "proportional gain of the first surface", "1/s", live=True)
+    a2: PerJoint = param((0.1,), "integral gain of the first surface", "1/s^2", live=True)
+    b1: PerJoint = param((20.0,), "proportional gain of the second surface", "1/s", live=True)
+    b2: PerJoint = param((0.2,), "integral gain of the second surface", "1/s^2", live=True)
 
 
 class Coefficients(NamedTuple):

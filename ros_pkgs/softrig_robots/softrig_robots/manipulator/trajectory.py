@@ -18,8 +18,8 @@ class TrajectoryParams(BlockParams):
 
     period: float = param(0.001, "sampling period", "s", gt=0.0, le=100.0)
     joints: tuple[str, ...] = param(JOINTS, "joint names", min_length=1)
-    amplitude: PerJoint = param((1.0,), "half the swing A", "rad")
-    cycle: float = param(14.0, "duration of one swing T_cycle", "s", gt=0.0)
+    amplitude: PerJoint = param((1.0,), "half the swing A", "rad", live=True)
+    cycle: float = param(14.0, "duration of one swing T_cycle", "s", gt=0.0, live=True)
 
     @model_validator(mode="after")
     def _fits(self) -> Self:

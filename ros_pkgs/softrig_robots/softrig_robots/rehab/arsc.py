@@ -15,13 +15,13 @@ from ..joints import JointGains, PerJoint
 class ArscGains(JointGains):
     """Moderate preset; the stronger one is in the scenario files."""
 
-    k1: PerJoint = param((4.0,), "rate of the sliding variable", "1/s")
-    k2: PerJoint = param((5.0,), "gain of the sliding variable", "V s/rad")
-    h: PerJoint = param((0.2,), "size of the robust term", "V")
-    gamma1: PerJoint = param((0.4,), "adaptation gain of the inertia term")
-    gamma2: PerJoint = param((20.0,), "adaptation gain of the damping term")
-    gamma3: PerJoint = param((2.0,), "adaptation gain of the friction term")
-    gamma4: PerJoint = param((20.0,), "adaptation gain of the constant term")
+    k1: PerJoint = param((4.0,), "rate of the sliding variable", "1/s", live=True)
+    k2: PerJoint = param((5.0,), "gain of the sliding variable", "V s/rad", live=True)
+    h: PerJoint = param((0.2,), "size of the robust term", "V", live=True)
+    gamma1: PerJoint = param((0.4,), "adaptation gain of the inertia term", live=True)
+    gamma2: PerJoint = param((20.0,), "adaptation gain of the damping term", live=True)
+    gamma3: PerJoint = param((2.0,), "adaptation gain of the friction term", live=True)
+    gamma4: PerJoint = param((20.0,), "adaptation gain of the constant term", live=True)
 
 
 START = (0.1, 4.592, 0.0, 0.0)
@@ -38,6 +38,8 @@ class Arsc:
         \varphi = (\ddot q_r - k_1 (\dot q - \dot q_r), \dot q, \tanh(\dot q/0.05), 1), \\
         V = \varphi^T \hat\theta - k_2 z - h \tanh(z/0.05), \quad
         \dot{\hat\theta} = \mathrm{Proj}(-\Gamma \varphi z)
+
+    The estimates stay under other gains; what these multiply jumps.
 
     Parameters
     ----------
@@ -61,6 +63,10 @@ class Arsc:
     def start(self) -> None:
         """Begin with the first estimates."""
         self.state: tuple[float, ...] = START
+
+    def go_on(self, before: Arsc) -> None:
+        """Take the place of a law with other gains."""
+        self.state = before.state
 
     def __call__(self, q: float, qd: float, current: float, ref: float, ref_d: float, ref_dd: float, V: float) -> float:
         """Give the voltage for joint state and reference."""

@@ -41,6 +41,9 @@ class Law(Protocol):
     def start(self) -> None:
         """Forget everything."""
 
+    def go_on(self, before: Any) -> None:
+        """Take the place of the same law with other gains."""
+
     def __call__(self, q: float, qd: float, current: float, ref: float, ref_d: float, ref_dd: float, V: float) -> float:
         """Give the voltage for joint state, current and reference; V is the voltage of the last period."""
 
@@ -53,16 +56,18 @@ class VoltageControllerParams(BlockParams):
 
     period: float = param(0.001, "sampling period T", "s", gt=0.0, le=100.0)
     law: Literal["emvc", "tsarc", "arsc"] = param("emvc", "control law: emvc, tsarc or arsc")
-    v_max: float = param(24.0, "voltage limit", "V", gt=0.0)
+    v_max: float = param(24.0, "voltage limit", "V", gt=0.0, live=True)
     emvc: EmvcGains = EmvcGains()
     tsarc: TsarcGains = TsarcGains()
     arsc: ArscGains = ArscGains()
     use_applied: bool = param(True, "emvc goes on from the voltage that the plant says it applied, not from its own")
     loop_delay: bool = param(False, "emvc: warn as if voltages take effect one period late")
     robot: LinearRobot = LinearRobot()
-    stale_after: int = param(20, "periods without a new reference after which it counts as lost", ge=1, le=1000000)
+    stale_after: int = param(
+        20, "periods without a new reference after which it counts as lost", ge=1, le=1000000, live=True
+    )
     reference_lost: Literal["safe", "hold"] = param(
-        "safe", "then: safe, 0 V on both motors, or hold the last position with speed zero"
+        "safe", "then: safe, 0 V on both motors, or hold the last position with speed zero", live=True
     )
 
     @model_validator(mode="after")
@@ -86,6 +91,9 @@ class VoltageController(Block[VoltageControllerParams]):
     A reference older than `stale_after` periods is lost: 0 V (SAFE) or its last position with speed and acceleration
     zero, as `reference_lost` says, until it comes again. Joint or motor states as old give 0 V. Messages that are
     refused are answered by the last voltages, after as many ticks by 0 V: what is refused shows no position to hold.
+
+    Gains and limits may change while it runs, the law itself may not; `robot` is what a stability limit is told for,
+    on which the nodes of a rig agree.
     """
 
     p: VoltageControllerParams
@@ -115,6 +123,15 @@ class VoltageController(Block[VoltageControllerParams]):
         """Make the laws."""
         self._laws = self.p.laws()
         self._stale = self.p.stale_after * to_ns(self.p.period)
+
+    def change(self, params: VoltageControllerParams) -> None:
+        """Take other gains; each law goes on, as its docstring says. Warn as at the start."""
+        before = self._laws
+        super().change(params)
+        for law, old in zip(self._laws, before, strict=True):
+            law.go_on(old)
+        if params.law == "emvc":
+            self._check_stability()
 
     def start(self) -> None:
         """Start every law anew, and warn of an expected-model law that cannot be stable."""

@@ -13,9 +13,9 @@ from ..joints import JointGains, PerJoint, require_positive
 class EmvcGains(JointGains):
     """Case 1, the motor is known: alpha_hat = K_b/r, resistance = R. Case 2: any other values."""
 
-    alpha_hat: PerJoint = param((4.592,), "expected K_b/r", "V s/rad")
-    lam: PerJoint = param((4.0,), "rate lambda at which the error decays", "1/s")
-    resistance: PerJoint = param((4.0,), "expected armature resistance", "Ohm")
+    alpha_hat: PerJoint = param((4.592,), "expected K_b/r", "V s/rad", live=True)
+    lam: PerJoint = param((4.0,), "rate lambda at which the error decays", "1/s", live=True)
+    resistance: PerJoint = param((4.0,), "expected armature resistance", "Ohm", live=True)
 
     @model_validator(mode="after")
     def _positive(self) -> Self:
@@ -44,7 +44,7 @@ class Emvc:
     -----
     The current cancels: :math:`V_k = V_{k-1} + \hat\alpha (\dot e_k + \lambda e_k)`. The law is an integrator, a
     PI controller of the position with gain :math:`\hat\alpha/T`. V_{k-1} must be what the motor really got:
-    then nothing winds up when the voltage is limited.
+    then nothing winds up when the voltage is limited, and other gains bring no jump.
     """
 
     STATE = {"psi": "rad/s"}
@@ -56,6 +56,10 @@ class Emvc:
     def start(self) -> None:
         """No voltage yet."""
         self._psi = 0.0
+
+    def go_on(self, before: Emvc) -> None:
+        """Take the place of a law with other gains."""
+        self._psi = before._psi
 
     @property
     def state(self) -> tuple[float, ...]:

@@ -37,13 +37,13 @@ class ImpedanceParams(BlockParams):
     """Critically damped at 10 rad/s (the paper prints no values)."""
 
     period: float = param(0.001, "sampling period T", "s", gt=0.0, le=100.0)
-    inertia: PerJoint = param((1.0,), "desired inertia M_d", "kg m^2")
-    damping: PerJoint = param((20.0,), "desired damping B_d", "N m s/rad")
-    stiffness: PerJoint = param((100.0,), "desired stiffness K_d", "N m/rad")
+    inertia: PerJoint = param((1.0,), "desired inertia M_d", "kg m^2", live=True)
+    damping: PerJoint = param((20.0,), "desired damping B_d", "N m s/rad", live=True)
+    stiffness: PerJoint = param((100.0,), "desired stiffness K_d", "N m/rad", live=True)
     length: tuple[float, float] = param((0.5, 0.45), "lengths l_i of thigh and shank", "m")
-    force_limit: float = param(200.0, "a larger force at the foot is cut down to this", "N", gt=0.0)
+    force_limit: float = param(200.0, "a larger force at the foot is cut down to this", "N", gt=0.0, live=True)
     stale_after: int = param(20, "periods without a new force or reference after which it counts as lost", ge=1,
-                             le=1000000)  # fmt: skip
+                             le=1000000, live=True)  # fmt: skip
 
     @model_validator(mode="after")
     def _possible(self) -> Self:
@@ -60,8 +60,8 @@ class Impedance(Block[ImpedanceParams]):
 
     Starts on the reference. When the force or the reference stops coming, or something of every tick is refused for as
     long, the regenerated reference stays where it is with speed zero, and goes on from there when they come again.
-    Stiffness and damping of both joints can be changed while it runs: the regenerated reference and its rate go on
-    without a jump.
+    Stiffness, damping and inertia can be changed while it runs: the regenerated reference and its rate go on without a
+    jump. Who publishes stiffness or damping on its topic overrules the parameter.
     """
 
     p: ImpedanceParams
@@ -79,6 +79,15 @@ class Impedance(Block[ImpedanceParams]):
         n = len(JOINTS)
         self._M = spread("inertia", self.p.inertia, n)
         self._stale = self.p.stale_after * to_ns(self.p.period)
+
+    def change(self, params: ImpedanceParams) -> None:
+        """Take another impedance."""
+        n, before = len(JOINTS), self.p
+        super().change(params)
+        if params.damping != before.damping:
+            self._B = spread("damping", params.damping, n)
+        if params.stiffness != before.stiffness:
+            self._K = spread("stiffness", params.stiffness, n)
 
     def start(self) -> None:
         """Wait for the first reference."""

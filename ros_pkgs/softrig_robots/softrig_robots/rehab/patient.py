@@ -17,11 +17,11 @@ class PatientParams(BlockParams):
     """A push of 20 N forward for 2 s every 10 s (the paper's figure has no numbers)."""
 
     period: float = param(0.001, "sampling period", "s", gt=0.0, le=100.0)
-    force_x: float = param(20.0, "largest force, forward", "N")
-    force_z: float = param(0.0, "largest force, up", "N")
-    begin: float = param(5.0, "begin of the push in each cycle", "s", ge=0.0)
-    duration: float = param(2.0, "duration T_push of a push", "s", gt=0.0)
-    cycle: float = param(10.0, "time from push to push", "s", gt=0.0)
+    force_x: float = param(20.0, "largest force, forward", "N", live=True)
+    force_z: float = param(0.0, "largest force, up", "N", live=True)
+    begin: float = param(5.0, "begin of the push in each cycle", "s", ge=0.0, live=True)
+    duration: float = param(2.0, "duration T_push of a push", "s", gt=0.0, live=True)
+    cycle: float = param(10.0, "time from push to push", "s", gt=0.0, live=True)
 
     @model_validator(mode="after")
     def _fits(self) -> Self:

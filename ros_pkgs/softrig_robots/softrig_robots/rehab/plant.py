@@ -33,9 +33,9 @@ class JointFriction(Params):
 class TorqueWindow(Params):
     """A constant disturbance torque d for some time."""
 
-    torque: PerJoint = param((2.0,), "size", "N m")
-    begin: float = param(35.0, "first instant", "s", ge=0.0)
-    end: float = param(45.0, "first instant without it", "s", ge=0.0)
+    torque: PerJoint = param((2.0,), "size", "N m", live=True)
+    begin: float = param(35.0, "first instant", "s", ge=0.0, live=True)
+    end: float = param(45.0, "first instant without it", "s", ge=0.0, live=True)
 
     @model_validator(mode="after")
     def _in_order(self) -> Self:
@@ -56,7 +56,9 @@ class Drift(Params):
 class RehabParams(DrivenRobotParams):
     """Published robot in experiment R1; what the paper does not print is said in the README."""
 
-    v_max: float = param(24.0, "voltage limit V_max of each motor", "V", gt=0.0)
+    v_max: float = param(24.0, "voltage limit V_max of each motor", "V", gt=0.0, live=True)
+    # not live: what the stability of a law is told for, see `RehabPlant.agreed`
+    payload: float = param(0.0, "point mass at the foot", "kg", ge=0.0)
     segments: Segments = Segments()
     motors: RehabMotors = RehabMotors()
     friction: JointFriction = JointFriction()
@@ -70,11 +72,13 @@ class RehabParams(DrivenRobotParams):
     drift: Drift = Drift()
     lower: PerJoint = param(LOWER, "lower ends of the range of motion", "rad")
     upper: PerJoint = param(UPPER, "upper ends of the range of motion", "rad")
-    rom_margin: float = param(radians(5.0), "a joint further outside its range stops the robot", "rad", ge=0.0)
-    rom_speed: float = param(radians(60.0), "a joint faster than this stops the robot", "rad/s", gt=0.0)
+    rom_margin: float = param(
+        radians(5.0), "a joint further outside its range stops the robot", "rad", ge=0.0, live=True
+    )
+    rom_speed: float = param(radians(60.0), "a joint faster than this stops the robot", "rad/s", gt=0.0, live=True)
     startup: float = param(3.0, "the speed is not watched for so long after the first voltage", "s", ge=0.0)
     start_outside: bool = param(False, "allow q(0) outside the range of motion; a joint is watched once it is inside")
-    force_limit: float = param(200.0, "a larger force at the foot is cut down to this", "N", gt=0.0)
+    force_limit: float = param(200.0, "a larger force at the foot is cut down to this", "N", gt=0.0, live=True)
 
     @model_validator(mode="after")
     def _possible(self) -> Self:

@@ -17,12 +17,12 @@ class PromReferenceParams(BlockParams):
     """Published exercise; the centres of the sigmoids and the cycle are not printed in the paper."""
 
     period: float = param(0.001, "sampling period", "s", gt=0.0, le=100.0)
-    lower: PerJoint = param(LOWER, "lower ends of the range of motion", "rad")
-    upper: PerJoint = param(UPPER, "upper ends of the range of motion", "rad")
-    speed: PerJoint = param((radians(30.0),), "largest speed; fixes the width a = range/(4 speed)", "rad/s")
-    cycle: float = param(30.0, "duration of one repetition T_prd", "s", gt=0.0)
-    eta1: float = param(8.0, "centre of the way up", "s", gt=0.0)
-    eta2: float = param(22.0, "centre of the way down", "s", gt=0.0)
+    lower: PerJoint = param(LOWER, "lower ends of the range of motion", "rad", live=True)
+    upper: PerJoint = param(UPPER, "upper ends of the range of motion", "rad", live=True)
+    speed: PerJoint = param((radians(30.0),), "largest speed; fixes the width a = range/(4 speed)", "rad/s", live=True)
+    cycle: float = param(30.0, "duration of one repetition T_prd", "s", gt=0.0, live=True)
+    eta1: float = param(8.0, "centre of the way up", "s", gt=0.0, live=True)
+    eta2: float = param(22.0, "centre of the way down", "s", gt=0.0, live=True)
 
     @model_validator(mode="after")
     def _possible(self) -> Self:

@@ -18,13 +18,15 @@ from ..joints import JointGains, PerJoint, require_positive
 class TsarcGains(JointGains):
     """Moderate preset; the stronger one is in the scenario files."""
 
-    alpha_hat: PerJoint = param((4.592,), "K_b/r", "V s/rad")
-    lam: PerJoint = param((4.0,), "rate lambda of the error", "1/s")
-    resistance: PerJoint = param((3.2,), "compensated resistance: 80 % of R, more would cancel the damping", "Ohm")
-    gamma_a: PerJoint = param((20.0,), "adaptation gain of the constant coefficient", "V/(rad s)")
-    gamma_b: PerJoint = param((5.0,), "adaptation gain of the slope", "V/(rad s^3)")
-    rho: PerJoint = param((0.5,), "size of the robust term", "V")
-    phi: PerJoint = param((0.02,), "width of the robust term", "rad")
+    alpha_hat: PerJoint = param((4.592,), "K_b/r", "V s/rad", live=True)
+    lam: PerJoint = param((4.0,), "rate lambda of the error", "1/s", live=True)
+    resistance: PerJoint = param(
+        (3.2,), "compensated resistance: 80 % of R, more would cancel the damping", "Ohm", live=True
+    )
+    gamma_a: PerJoint = param((20.0,), "adaptation gain of the constant coefficient", "V/(rad s)", live=True)
+    gamma_b: PerJoint = param((5.0,), "adaptation gain of the slope", "V/(rad s^3)", live=True)
+    rho: PerJoint = param((0.5,), "size of the robust term", "V", live=True)
+    phi: PerJoint = param((0.02,), "width of the robust term", "rad", live=True)
     window: PerJoint = param((1.0,), "duration T_w of one series", "s")
 
     @model_validator(mode="after")
@@ -41,7 +43,8 @@ class Tsarc:
         V = \hat\alpha (\dot q_r + \lambda e) + \hat R I + a + b \tau + \rho \tanh(e/\varphi), \quad
         \dot a = \gamma_a e, \quad \dot b = \gamma_b e \tau, \quad \tau = t \bmod T_w
 
-    At the end of each window a becomes a + b T_w.
+    At the end of each window a becomes a + b T_w. Under other gains a and b, which are voltages, stay; what the error
+    and the current give directly jumps. The window is fixed: a series is under way.
 
     Parameters
     ----------
@@ -67,6 +70,10 @@ class Tsarc:
         """No series yet."""
         self._a = self._b = 0.0
         self._k = 0
+
+    def go_on(self, before: Tsarc) -> None:
+        """Take the place of a law with other gains."""
+        self._a, self._b, self._k = before._a, before._b, before._k
 
     @property
     def state(self) -> tuple[float, ...]:

@@ -19,8 +19,10 @@ class OcpPlantParams(ProblemParams):
     """Problem, disturbance and steps."""
 
     substeps: int = param(4, "Runge-Kutta steps in a period", ge=1, le=100)
-    bias: tuple[float, ...] = param((), "added to each command, in its unit; nothing when empty")
-    torque_limit: float | None = param(None, "largest absolute command; without limit when absent", gt=0.0, le=1e9)
+    bias: tuple[float, ...] = param((), "added to each command, in its unit; nothing when empty", live=True)
+    torque_limit: float | None = param(
+        None, "largest absolute command; without limit when absent", gt=0.0, le=1e9, live=True
+    )
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
@@ -67,9 +69,16 @@ class OcpPlant(Plant[P]):
         """Compile the step."""
         self._problem = self.p.statement()
         self._step = step_function("ocp_step", self._problem, self.p.substeps)
-        m = len(self._problem.controls)
-        self._bias = self.p.bias or (0.0,) * m
+        self._limits()
+
+    def _limits(self) -> None:
+        self._bias = self.p.bias or (0.0,) * len(self._problem.controls)
         self._limit = math.inf if self.p.torque_limit is None else self.p.torque_limit
+
+    def change(self, params: P) -> None:
+        """Take another disturbance or limit."""
+        self.p = params
+        self._limits()
 
     def start(self) -> None:
         """The problem's start."""

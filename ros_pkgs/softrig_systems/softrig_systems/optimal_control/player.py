@@ -24,9 +24,9 @@ class PlayerParams(ProblemParams):
     stages: int = param(1, "power: stages of the plan", ge=1, le=64)
     samples: int = param(101, "time: columns of the plan", ge=4, le=10_001)
     sampling: Literal["middle", "start"] = param(
-        "middle", "where in the period the control is taken; middle: 2nd order"
+        "middle", "where in the period the control is taken; middle: 2nd order", live=True
     )
-    allow_unconverged: bool = param(False, "also play plans whose residual is too large")
+    allow_unconverged: bool = param(False, "also play plans whose residual is too large", live=True)
 
     @property
     def columns(self) -> int:

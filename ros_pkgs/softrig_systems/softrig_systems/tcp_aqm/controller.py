@@ -8,7 +8,7 @@ from typing import Any, Literal, Self
 from pydantic import model_validator
 from softrig_core import Block, BlockParams, History, Level, executable, param, to_ns
 
-from .laws import LAWS, Gains, LawName, Measured
+from .laws import INTEGRAL, LAWS, Gains, LawName, Measured
 from .model import Bottleneck, phi, psi
 from .ports import COMMAND, HEALTH, REFERENCE, STATE
 
@@ -22,9 +22,11 @@ class AqmControllerParams(Gains, Bottleneck, BlockParams):
     period: float = param(0.001, "control period", "s", gt=0.0, le=1.0)
     law: LawName = param("sspd", "the law")
     set_point: float = param(120.0, "queue q_d wanted, until a reference comes", "packet", gt=0.0, le=1e6)
-    phi_form: Literal["corrected", "printed"] = param("corrected", "Phi as derived or as the paper prints it")
+    phi_form: Literal["corrected", "printed"] = param(
+        "corrected", "Phi as derived or as the paper prints it", live=True
+    )
     anti_windup: bool = param(
-        False, "freeze the integral while the command is clipped in the direction of e; robust always does"
+        False, "freeze the integral while the command is clipped in the direction of e; robust always does", live=True
     )
     history: float = param(0.5, "how far back the controller remembers the state", "s", gt=0.0, le=100.0)
 
@@ -47,6 +49,10 @@ class AqmController(Block[AqmControllerParams]):
 
     A state that is refused, negative or older than 5 periods is answered by the last command; after 50
     ticks without a valid one by 0, for then only a full queue may drop.
+
+    Under other gains the integral is rescaled so that its part of the command (of the surface) stays, where the law has
+    one after as before. The set point, on which figures agree, changes by its topic; the law and its idea of the
+    network are fixed at the start.
     """
 
     INPUTS = (STATE, REFERENCE)
@@ -67,6 +73,15 @@ class AqmController(Block[AqmControllerParams]):
         self._period = to_ns(p.period)
         self._stale = STALE * self._period
         self._history = History(p.period, p.history)
+
+    def change(self, params: AqmControllerParams) -> None:
+        """Take other gains; the record of the state goes on."""
+        history, share = self._history, INTEGRAL[params.law]
+        before, after = share(self.p), share(params)
+        if before != after and after:
+            self.integral *= before / after
+        super().change(params)
+        self._history = history
 
     def start(self) -> None:
         """Know nothing, drop nothing."""

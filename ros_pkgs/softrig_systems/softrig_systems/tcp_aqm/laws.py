@@ -6,6 +6,7 @@ q'' = Phi + Psi u.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Literal, NamedTuple, Protocol
 
 from softrig_control.sliding_mode import switching
@@ -15,21 +16,30 @@ from softrig_core import Params, param
 class Gains(Params):
     """Gains of every law; each uses its own."""
 
-    k1: float = param(15.0, "sspd: reaching gain k1", "1/s", ge=0.0, le=1e4)
-    k2: float = param(10.0, "sspd: switching gain k2", "packet/s^2", ge=0.0, le=1e7)
-    lam: float = param(20.0, "sspd: slope lambda of the surface", "1/s", ge=0.0, le=1e4)
-    l1: float = param(16.0, "sspid: gain of e in the surface", "1/s", ge=0.0, le=1e4)
-    l2: float = param(64.0, "sspid: gain of the integral in the surface", "1/s^2", ge=0.0, le=1e6)
-    k: float = param(5.0, "sspid: switching gain k", "packet/s^2", ge=0.0, le=1e7)
-    kp: float = param(4.2196e-5, "pi: proportional gain, the paper's 4.2196 times 1e-5", "1/packet", ge=0.0, le=100.0)
-    ki: float = param(3.7056e-5, "pi: integral gain, the paper's 3.7056 times 1e-5", "1/(packet s)", ge=0.0, le=100.0)
-    bias: float = param(0.0, "pi: drop probability around which it works", ge=0.0, le=1.0)
-    pid_gain: float = param(2.9067e-5, "pid: gain, eq. (34)", "1/packet", ge=0.0, le=100.0)
-    pid_ti: float = param(5.45, "pid: integral time", "s", gt=0.0, le=1e6)
-    pid_td: float = param(0.4157, "pid: derivative time", "s", ge=0.0, le=1e3)
-    a: float = param(2.5, "robust: triple pole of the closed loop", "1/s", gt=0.0, le=100.0)
+    k1: float = param(15.0, "sspd: reaching gain k1", "1/s", ge=0.0, le=1e4, live=True)
+    k2: float = param(10.0, "sspd: switching gain k2", "packet/s^2", ge=0.0, le=1e7, live=True)
+    lam: float = param(20.0, "sspd: slope lambda of the surface", "1/s", ge=0.0, le=1e4, live=True)
+    l1: float = param(16.0, "sspid: gain of e in the surface", "1/s", ge=0.0, le=1e4, live=True)
+    l2: float = param(64.0, "sspid: gain of the integral in the surface", "1/s^2", ge=0.0, le=1e6, live=True)
+    k: float = param(5.0, "sspid: switching gain k", "packet/s^2", ge=0.0, le=1e7, live=True)
+    kp: float = param(
+        4.2196e-5, "pi: proportional gain, the paper's 4.2196 times 1e-5", "1/packet", ge=0.0, le=100.0, live=True
+    )
+    ki: float = param(
+        3.7056e-5, "pi: integral gain, the paper's 3.7056 times 1e-5", "1/(packet s)", ge=0.0, le=100.0, live=True
+    )
+    bias: float = param(0.0, "pi: drop probability around which it works", ge=0.0, le=1.0, live=True)
+    pid_gain: float = param(2.9067e-5, "pid: gain, eq. (34)", "1/packet", ge=0.0, le=100.0, live=True)
+    pid_ti: float = param(5.45, "pid: integral time", "s", gt=0.0, le=1e6, live=True)
+    pid_td: float = param(0.4157, "pid: derivative time", "s", ge=0.0, le=1e3, live=True)
+    a: float = param(2.5, "robust: triple pole of the closed loop", "1/s", gt=0.0, le=100.0, live=True)
     boundary: float = param(
-        0.0, "sspd, sspid: half width of the boundary layer, in which sign(s) is s/boundary", "packet/s", ge=0.0, le=1e7
+        0.0,
+        "sspd, sspid: half width of the boundary layer, in which sign(s) is s/boundary",
+        "packet/s",
+        ge=0.0,
+        le=1e7,
+        live=True,
     )
 
 
@@ -123,4 +133,12 @@ def robust(m: Measured, g: Gains) -> Decision:
     return Decision((-m.phi - 3.0 * a * m.rate - 3.0 * a * a * m.e - a * a * a * m.integral) / m.psi, 0.0)
 
 
+#: What each law multiplies the integral of e by; sspd has none.
+INTEGRAL: dict[str, Callable[[Gains], float]] = {
+    "sspd": lambda g: 0.0,
+    "sspid": lambda g: g.l2,
+    "pi": lambda g: g.ki,
+    "pid": lambda g: g.pid_gain / g.pid_ti,
+    "robust": lambda g: g.a * g.a * g.a,
+}
 LAWS: dict[str, Law] = {"sspd": sspd, "sspid": sspid, "pi": pi, "pid": pid, "robust": robust}

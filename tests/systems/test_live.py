@@ -1,0 +1,191 @@
+"""Every parameter that may change while a block runs, changed: at its tick, alike everywhere, without a bump."""
+
+from __future__ import annotations
+
+import functools
+import math
+from typing import Literal, get_args, get_origin
+
+import pytest
+from conftest import differences, in_process
+from simulated import SimulatedRig, World
+from softrig_core import ParameterError, Rig, Signals, feed, load_scenario
+from softrig_core.model.change import Change, changeable, check
+from softrig_core.model.params import flatten
+from softrig_core.wire.parameter_event import recorded
+
+CASES = {  # scenario: duration, time of the change; what is there to change must have begun
+    "dc_motor_smc_c1": (0.3, 0.1), "dc_motor_smc_b5_pid": (0.3, 0.1), "dc_motor_smc_b2": (0.3, 0.1),
+    "dc_motor_smc_stretch_b_delta2": (0.3, 0.1), "dc_motor_smc_faults": (0.3, 0.1), "dc_motor_fsfb_s1": (1.2, 1.0),
+    "induction_dtc_e1": (0.012, 0.01), "lsrm_fuzzy_n2_mrac": (0.03, 0.02), "lsrm_fuzzy_n2": (0.03, 0.02),
+    "lsrm_fuzzy_n3_pi": (0.03, 0.02), "rectifier_mpc_decoupled": (0.03, 0.02), "rectifier_mpc_n1_qp1": (0.03, 0.02),
+    "rectifier_mpc_l2": (0.03, 0.02), "pv_mppt_de": (0.3, 0.2), "gupfc_s2": (0.03, 0.02),
+    "rehab_impedance_r6": (0.1, 0.05), "rehab_impedance_r2": (0.1, 0.05), "manipulator_adsmc_s2": (0.1, 0.05),
+    "tcp_aqm_smc_pi": (0.1, 0.05), "tcp_aqm_smc_s3": (0.1, 0.05), "optimal_control_mvim_a4": (5.0, 3.0),
+}  # fmt: skip
+SOLVING = {"economic_dispatch_case1": (3.0, 2.0), "optimal_control_mvim_n4": (5.0, 3.0)}  # seconds of work each
+EVERY = [*CASES, *(pytest.param(name, marks=pytest.mark.long) for name in SOLVING)]
+
+
+@functools.cache
+def run_of(name, **overrides):
+    """The rig of a case, and its run without a change."""
+    given = {key.replace("__", "."): value for key, value in overrides.items()}
+    rig = Rig.from_scenario(load_scenario(name, given).changed(duration=(CASES | SOLVING)[name][0]))
+    return rig, in_process(rig, rig.scenario.seed)
+
+
+def annotation(model, name):
+    """Type of a parameter with a dotted name."""
+    first, _, rest = name.partition(".")
+    found = model.model_fields[first].annotation
+    return annotation(found, rest) if rest else found
+
+
+def others(kind, value):
+    """Values to try in place of one."""
+    if get_origin(kind) is Literal:
+        return [v for v in get_args(kind) if v != value]
+    if isinstance(value, bool):
+        return [not value]
+    if value is None:
+        return [0.5, 0.2, 1.0]
+    if isinstance(value, int | float):
+        return [value * 1.25, value * 0.8, value + 0.125, value - 0.125, value + 1]
+    if isinstance(value, str):
+        return []
+    if all(isinstance(v, int) for v in value):
+        return [[-v for v in value]]
+    tries = [[v * 1.25 for v in value], [v * 0.8 for v in value], [v + 0.125 for v in value]]
+    return [t for t in tries if t != list(value)]
+
+
+def variations(member):
+    """Another value for each live parameter that the rig allows to change."""
+    found, known = {}, flatten(member.params)
+    for name in changeable(member.block_class.Params):
+        for value in others(annotation(type(member.params), name), known[name]):
+            try:
+                check(member.block_class, member.params, {name: value}, member.name)
+            except (ParameterError, ValueError):
+                continue
+            found[name] = value
+            break
+    return found
+
+
+def answers(rig, recording, member, at, values):
+    """What a member says in open loop under a change; its signals."""
+    member.changes = (Change(round(at * 1e9), values),) if values else ()
+    try:
+        return feed(member, rig.scenario.seed, recording)
+    finally:
+        member.changes = ()
+
+
+def cut(recording, t):
+    """All messages before t (s), by topic."""
+    topics = {n: topic for n, topic in recording.topics.items() if n != "parameter_events"}
+    return {n: [d for at, d in zip(x.times, x.data, strict=True) if at < t * 1e9] for n, x in topics.items()}
+
+
+@pytest.mark.parametrize("name", EVERY)
+def test_a_change_takes_effect_at_its_tick_and_never_before(name):
+    rig, recording = run_of(name)
+    at = (CASES | SOLVING)[name][1]
+    for member in rig.members:
+        values = variations(member)
+        base = answers(rig, recording, member, at, {})
+        tick = member.schedule.next(round(at * 1e9) - 1)
+        for one in values:
+            found = answers(rig, recording, member, at, {one: values[one]})
+            where = f"{member.name}.{one}"
+            assert cut(found, at) == cut(base, at), where
+            events = recorded(found)
+            assert [(t, n, list(v)) for t, n, v in events] == [(tick, member.name, [one])], where
+            assert all(math.isfinite(x) for label in Signals(found) for x in Signals(found)[label].x), where
+
+
+def test_every_live_parameter_may_change_in_some_rig():
+    """One that the others of its block, or the rig, would always refuse is not live."""
+    told, allowed = set(), set()
+    for name in CASES:
+        for member in run_of(name)[0].members:
+            key = f"{member.package}/{member.executable}"
+            told |= {f"{key}.{p}" for p in changeable(member.block_class.Params)}
+            allowed |= {f"{key}.{p}" for p in variations(member)}
+    assert told - allowed == set()
+
+
+@pytest.mark.parametrize("name", EVERY)
+def test_many_changes_at_once_give_the_same_bytes_in_every_placement(name):
+    rig, recording = run_of(name)
+    entries = {}
+    for member in rig.members:
+        now = member.params
+        for one, value in variations(member).items():
+            try:
+                now = check(member.block_class, now, {one: value}, member.name)
+            except (ParameterError, ValueError):
+                continue
+            entries[f"{member.name}.{one}"] = value
+    assert entries
+    scenario = rig.scenario
+    changed = type(scenario).model_validate(
+        {**dict(scenario), "changes": [{"at": (CASES | SOLVING)[name][1], "set": entries}]}
+    )
+    changed = Rig.from_scenario(changed)
+    here = in_process(changed, scenario.seed)
+    assert differences(recording, here), "nothing of what was changed has an effect"
+    names = [m.name for m in rig.members]
+    for groups in ((), [names]):
+        run = SimulatedRig(changed, World(), "lockstep", seed=scenario.seed, groups=groups)
+        assert set(run.run().values()) == {"done"}
+        assert not differences(here, run.recording), groups
+
+
+BUMPLESS = [  # scenario, member, what changes, what it commands, overrides
+    ("dc_motor_smc_b5_pid", "dc_motor_pid", {"ki": 40.0}, "motor/command", {}),
+    ("dc_motor_fsfb_s1", "fsfb_controller", {"ki": 60.0}, "axis/command", {}),
+    ("induction_dtc_e1", "speed_controller", {"ki": 90.0}, "torque_ref", {}),
+    ("lsrm_fuzzy_n3_pi", "speed_controller", {"K_i": 30.0}, "force_cmd", {}),
+    ("lsrm_fuzzy_n3_pi", "current_controller", {"K_ic": 900.0}, "phase_voltage", {}),
+    ("gupfc_s2", "series_controller_1", {"ki": 90.0, "pll.ki": 300.0}, "series1/command", {}),
+    ("gupfc_s2", "shunt_controller", {"voltage_ki": 9.0, "current_ki": 9.0}, "shunt/command", {}),
+    ("tcp_aqm_smc_pi", "aqm_controller", {"ki": 9e-5}, "aqm/command", {}),
+    ("tcp_aqm_smc_pi", "aqm_controller", {"pid_ti": 0.2}, "aqm/command", {"aqm_controller__law": "pid"}),
+    ("manipulator_adsmc_s2", "vcs_controller", {"adsmc.gamma": [9000.0], "adsmc.a2": [30.0]}, "motor_command", {}),
+    ("manipulator_adsmc_s2", "vcs_controller", {"dsmc.a2": [900.0]}, "motor_command", {"vcs_controller__law": "dsmc"}),
+    ("rehab_impedance_r2", "voltage_controller", {"tsarc.gamma_a": [90.0], "tsarc.gamma_b": [9.0]}, "motor_command",
+     {"voltage_controller__law": "tsarc"}),
+    ("rehab_impedance_r2", "voltage_controller", {"arsc.gamma1": [4.0]}, "motor_command",
+     {"voltage_controller__law": "arsc"}),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "node", "values", "topic", "overrides"), BUMPLESS)
+def test_the_command_is_continuous_when_integral_action_changes(name, node, values, topic, overrides):
+    rig, recording = run_of(name, **overrides)
+    member = next(m for m in rig.members if m.name == node)
+    tick = member.schedule.next(round(CASES[name][1] * 1e9) - 1)
+    base, found = (Signals(answers(rig, recording, member, CASES[name][1], v)) for v in ({}, values))
+    labels = [label for label in base if label.rpartition("/")[0].rpartition("/")[0] == topic]
+    moved = 0
+    for label in labels:
+        k = list(base[label].t).index(tick / 1e9)
+        before, a, b = base[label].x[k - 1], base[label].x[k], found[label].x[k]
+        assert b == pytest.approx(a, rel=1e-3, abs=1e-9 + 0.2 * abs(a - before)), label  # not a step of its own
+        moved += sum(base[label].x[k + 1 :] != found[label].x[k + 1 :])
+    assert labels
+    assert moved, "the change has no effect at all"
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_what_does_not_fit_is_refused_whole(name):
+    """One good value beside one that nobody takes."""
+    for member in run_of(name)[0].members:
+        good = variations(member)
+        for bad in good:
+            for wrong in (math.nan, "much", [1.0, "x"]):
+                with pytest.raises(ParameterError):
+                    check(member.block_class, member.params, {**good, bad: wrong}, member.name)
