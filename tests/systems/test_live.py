@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import json
 import math
 from typing import Literal, get_args, get_origin
 
@@ -12,14 +13,14 @@ from simulated import SimulatedRig, World
 from softrig_core import ParameterError, Rig, Signals, feed, load_scenario
 from softrig_core.model.change import Change, changeable, check
 from softrig_core.model.params import flatten
-from softrig_core.wire.parameter_event import recorded
+from softrig_core.model.step import Step
 
 CASES = {  # scenario: duration, time of the change; what is there to change must have begun
     "dc_motor_smc_c1": (0.3, 0.1), "dc_motor_smc_b5_pid": (0.3, 0.1), "dc_motor_smc_b2": (0.3, 0.1),
     "dc_motor_smc_stretch_b_delta2": (0.3, 0.1), "dc_motor_smc_faults": (0.3, 0.1), "dc_motor_fsfb_s1": (1.2, 1.0),
     "induction_dtc_e1": (0.012, 0.01), "lsrm_fuzzy_n2_mrac": (0.03, 0.02), "lsrm_fuzzy_n2": (0.03, 0.02),
     "lsrm_fuzzy_n3_pi": (0.03, 0.02), "rectifier_mpc_decoupled": (0.03, 0.02), "rectifier_mpc_n1_qp1": (0.03, 0.02),
-    "rectifier_mpc_l2": (0.03, 0.02), "pv_mppt_de": (0.3, 0.2), "gupfc_s2": (0.03, 0.02),
+    "rectifier_mpc_l2": (0.03, 0.02), "pv_mppt_de": (0.3, 0.2), "gupfc_s2_short": (0.03, 0.02),
     "rehab_impedance_r6": (0.1, 0.05), "rehab_impedance_r2": (0.1, 0.05), "manipulator_adsmc_s2": (0.1, 0.05),
     "tcp_aqm_smc_pi": (0.1, 0.05), "tcp_aqm_smc_s3": (0.1, 0.05), "optimal_control_mvim_a4": (5.0, 3.0),
 }  # fmt: skip
@@ -28,10 +29,9 @@ EVERY = [*CASES, *(pytest.param(name, marks=pytest.mark.long) for name in SOLVIN
 
 
 @functools.cache
-def run_of(name, **overrides):
+def run_of(name, overrides="{}"):
     """The rig of a case, and its run without a change."""
-    given = {key.replace("__", "."): value for key, value in overrides.items()}
-    rig = Rig.from_scenario(load_scenario(name, given).changed(duration=(CASES | SOLVING)[name][0]))
+    rig = Rig.from_scenario(load_scenario(name, json.loads(overrides)).changed(duration=(CASES | SOLVING)[name][0]))
     return rig, in_process(rig, rig.scenario.seed)
 
 
@@ -50,6 +50,8 @@ def others(kind, value):
         return [not value]
     if value is None:
         return [0.5, 0.2, 1.0]
+    if isinstance(value, list) and not value:
+        return [[1e-3] * n for n in (1, 2, 3)]
     if isinstance(value, int | float):
         return [value * 1.25, value * 0.8, value + 0.125, value - 0.125, value + 1]
     if isinstance(value, str):
@@ -90,7 +92,9 @@ def cut(recording, t):
 
 
 @pytest.mark.parametrize("name", EVERY)
-def test_a_change_takes_effect_at_its_tick_and_never_before(name):
+def test_a_change_takes_effect_at_its_tick_and_never_before(name, monkeypatch):
+    taken = []
+    monkeypatch.setattr(Step, "changed", staticmethod(lambda t, values: taken.append((t, list(values)))))
     rig, recording = run_of(name)
     at = (CASES | SOLVING)[name][1]
     for member in rig.members:
@@ -101,8 +105,9 @@ def test_a_change_takes_effect_at_its_tick_and_never_before(name):
             found = answers(rig, recording, member, at, {one: values[one]})
             where = f"{member.name}.{one}"
             assert cut(found, at) == cut(base, at), where
-            events = recorded(found)
-            assert [(t, n, list(v)) for t, n, v in events] == [(tick, member.name, [one])], where
+            last = member.schedule.last
+            assert taken == ([(tick, [one])] if last is None or tick <= last else []), where
+            taken.clear()
             assert all(math.isfinite(x) for label in Signals(found) for x in Signals(found)[label].x), where
 
 
@@ -112,9 +117,11 @@ def test_every_live_parameter_may_change_in_some_rig():
     for name in CASES:
         for member in run_of(name)[0].members:
             key = f"{member.package}/{member.executable}"
-            told |= {f"{key}.{p}" for p in changeable(member.block_class.Params)}
+            known = flatten(member.params)  # an empty list says that there is no such field
+            told |= {f"{key}.{p}" for p in changeable(member.block_class.Params) if known[p] != []}
             allowed |= {f"{key}.{p}" for p in variations(member)}
-    assert told - allowed == set()
+    # which needs a solver: softrig_power's, of the same class, has one in a scenario
+    assert told - allowed == {"softrig_control/gpc_controller.du_max"}
 
 
 @pytest.mark.parametrize("name", EVERY)
@@ -144,37 +151,37 @@ def test_many_changes_at_once_give_the_same_bytes_in_every_placement(name):
         assert not differences(here, run.recording), groups
 
 
-BUMPLESS = [  # scenario, member, what changes, what it commands, overrides
-    ("dc_motor_smc_b5_pid", "dc_motor_pid", {"ki": 40.0}, "motor/command", {}),
-    ("dc_motor_fsfb_s1", "fsfb_controller", {"ki": 60.0}, "axis/command", {}),
-    ("induction_dtc_e1", "speed_controller", {"ki": 90.0}, "torque_ref", {}),
-    ("lsrm_fuzzy_n3_pi", "speed_controller", {"K_i": 30.0}, "force_cmd", {}),
-    ("lsrm_fuzzy_n3_pi", "current_controller", {"K_ic": 900.0}, "phase_voltage", {}),
-    ("gupfc_s2", "series_controller_1", {"ki": 90.0, "pll.ki": 300.0}, "series1/command", {}),
-    ("gupfc_s2", "shunt_controller", {"voltage_ki": 9.0, "current_ki": 9.0}, "shunt/command", {}),
-    ("tcp_aqm_smc_pi", "aqm_controller", {"ki": 9e-5}, "aqm/command", {}),
-    ("tcp_aqm_smc_pi", "aqm_controller", {"pid_ti": 0.2}, "aqm/command", {"aqm_controller__law": "pid"}),
-    ("manipulator_adsmc_s2", "vcs_controller", {"adsmc.gamma": [9000.0], "adsmc.a2": [30.0]}, "motor_command", {}),
-    ("manipulator_adsmc_s2", "vcs_controller", {"dsmc.a2": [900.0]}, "motor_command", {"vcs_controller__law": "dsmc"}),
-    ("rehab_impedance_r2", "voltage_controller", {"tsarc.gamma_a": [90.0], "tsarc.gamma_b": [9.0]}, "motor_command",
-     {"voltage_controller__law": "tsarc"}),
-    ("rehab_impedance_r2", "voltage_controller", {"arsc.gamma1": [4.0]}, "motor_command",
-     {"voltage_controller__law": "arsc"}),
+BUMPLESS = [  # scenario, member, what changes, overrides
+    ("dc_motor_smc_b5_pid", "dc_motor_pid", {"ki": 40.0}, {"dc_motor_pid.anti_windup": False}),
+    ("dc_motor_fsfb_s1", "fsfb_controller", {"ki": 60.0}, {}),
+    ("induction_dtc_e1", "speed_controller", {"ki": 90.0},
+     {"speed_source.times": [0.0], "speed_source.velocities": [20.0]}),
+    ("lsrm_fuzzy_n3_pi", "speed_controller", {"K_i": 30.0}, {}),
+    ("lsrm_fuzzy_n3_pi", "current_controller", {"K_ic": 900.0}, {}),
+    ("gupfc_s2_short", "series_controller_1", {"ki": 16.0, "pll.ki": 300.0}, {}),
+    ("gupfc_s2_short", "shunt_controller", {"voltage_ki": 9.0, "current_ki": 9.0}, {}),
+    ("tcp_aqm_smc_pi", "aqm_controller", {"ki": 9e-5}, {"aqm_controller.bias": 0.05}),
+    ("manipulator_adsmc_s2", "vcs_controller", {"adsmc.gamma": [3300.0], "adsmc.b1": [20.5]}, {}),
+    ("manipulator_adsmc_s2", "vcs_controller", {"dsmc.b2": [601.0]}, {"vcs_controller.law": "dsmc"}),
+    ("rehab_impedance_r2", "voltage_controller", {"tsarc.gamma_a": [90.0], "tsarc.gamma_b": [9.0]},
+     {"voltage_controller.law": "tsarc"}),
+    ("rehab_impedance_r2", "voltage_controller", {"arsc.gamma1": [4.0]},
+     {"voltage_controller.law": "arsc"}),
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("name", "node", "values", "topic", "overrides"), BUMPLESS)
-def test_the_command_is_continuous_when_integral_action_changes(name, node, values, topic, overrides):
-    rig, recording = run_of(name, **overrides)
+@pytest.mark.parametrize(("name", "node", "values", "overrides"), BUMPLESS)
+def test_the_command_is_continuous_when_integral_action_changes(name, node, values, overrides):
+    rig, recording = run_of(name, json.dumps(overrides))
     member = next(m for m in rig.members if m.name == node)
     tick = member.schedule.next(round(CASES[name][1] * 1e9) - 1)
     base, found = (Signals(answers(rig, recording, member, CASES[name][1], v)) for v in ({}, values))
-    labels = [label for label in base if label.rpartition("/")[0].rpartition("/")[0] == topic]
+    labels = [label for label in base if label.startswith(f"{member.outputs[0].topic}/")]
     moved = 0
     for label in labels:
         k = list(base[label].t).index(tick / 1e9)
         before, a, b = base[label].x[k - 1], base[label].x[k], found[label].x[k]
-        assert b == pytest.approx(a, rel=1e-3, abs=1e-9 + 0.2 * abs(a - before)), label  # not a step of its own
+        assert b == pytest.approx(a, rel=1e-3, abs=0.2 * abs(a - before) + 1e-9), label
         moved += sum(base[label].x[k + 1 :] != found[label].x[k + 1 :])
     assert labels
     assert moved, "the change has no effect at all"

@@ -58,7 +58,7 @@ class ImPlant(Plant[ImPlantParams]):
         converters = self._converters
         super().change(params)
         self._converters = converters
-        self._answer = {**self._answer, "dc_link": self._dc_link}
+        self._answer["dc_link"] = self._dc_link
 
     def start(self) -> None:
         """Rest without flux; the inverter in V0."""
