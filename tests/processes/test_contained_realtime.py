@@ -119,7 +119,7 @@ def test_what_a_node_says_together_gives_the_numbers_of_lockstep(name, duration,
     for member in rig.members:
         adapter = run.adapters[member.name]
         assert adapter.drive.missed == adapter.drive.incomplete == 0, member.name
-        assert not adapter.drive.hearing.stale, member.name
+        assert not adapter.drive.senders.stale, member.name
         for port in member.outputs:
             for label in port.labels if not port.held else ():
                 a, b = expected[f"{port.topic}/{label}"], found[f"{port.topic}/{label}"]

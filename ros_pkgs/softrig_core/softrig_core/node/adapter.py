@@ -27,7 +27,7 @@ from ..wire.recording import ShardWriter, Sink, relative
 from .buttons import Buttons
 from .endpoint import Input, Output
 from .health import StatusFile, figures, peak_memory
-from .middleware import Middleware, Receive, other_types
+from .middleware import Middleware, other_types
 from .tick import TICK, TickWriter
 
 LOOK_EVERY = 4  # watches between two looks at the types of topics on which nothing comes
@@ -54,8 +54,8 @@ class Drive(Protocol):
     @property
     def t(self) -> int: ...  # noqa: D102
 
-    def receiver(self, item: Input) -> Receive:
-        """Give what takes the raw messages of an input."""
+    def row(self, port: Port) -> Input:
+        """Make the row of an input in the table of senders."""
 
     def on_matched(self, item: Input) -> None:
         """React to a change of the writers of an input."""
@@ -120,7 +120,7 @@ class Adapter:
         self._logged: set[str] = set()
         self._watches = 0
         self._status = StatusFile(options.status)
-        self.inputs = [Input(p) for p in inputs]
+        self.inputs: list[Input] = []  # what is read of other nodes, by the table of the drive
         self.paces: list[Input] = []  # /clock and the ticks of other nodes
         self.outputs = [Output(p, middleware.resolve(p.topic), i) for i, p in enumerate(outputs)]
         self.clock_output = Output(CLOCK, middleware.resolve(CLOCK.topic), -1)
@@ -138,8 +138,8 @@ class Adapter:
         middleware, lockstep = self.middleware, self.options.mode == "lockstep"
         if self.links.acknowledges and lockstep:  # nobody waits for ticks in real time
             self._acknowledge = self._acknowledging()
-        for item in self.inputs:
-            self._subscribe(item)
+        for port in self.step.inputs:
+            self._subscribe(drive.row(port))
         for output in self.outputs:
             output.send = middleware.sender(output.port.topic, output.layout, output.matched)
         if self._owns_clock:
@@ -156,10 +156,11 @@ class Adapter:
         recorded = [(relative(o.topic), o.port.msgtype) for o in self.outputs]
         records = self.links.records
         outside = [
-            i for i in self.inputs if (i.name not in self.links.inputs if records is None else i.name in records)
+            p for p in self.step.inputs
+            if (p.name not in self.links.inputs if records is None else p.name in records)
         ]  # fmt: skip
-        self.foreign = {item.name: len(recorded) + k for k, item in enumerate(outside)}
-        recorded += [(relative(self.middleware.resolve(i.port.topic)), i.port.msgtype) for i in outside]
+        self.foreign = {port.name: len(recorded) + k for k, port in enumerate(outside)}
+        recorded += [(relative(self.middleware.resolve(p.topic)), p.msgtype) for p in outside]
         self.extra_numbers = len(recorded)
         row = {o.number: o.layout for o in self.outputs} if self.step.plain else {}
         if self.links.owns_clock:
@@ -177,11 +178,12 @@ class Adapter:
             item.matched(count)
             self.drive.on_matched(item)
 
-        self.middleware.subscribe(item.port.topic, item.port.msgtype, self.drive.receiver(item), matched)
+        self.inputs.append(item)
+        self.middleware.subscribe(item.port.topic, item.port.msgtype, item.receive, matched)
 
-    def _record_press(self, item: Input, down: bool) -> None:
-        if self.sink is not None and item.name in self.foreign:
-            self.sink.add(self.foreign[item.name], self.drive.now(), item.port.layout().encode(0, (down,)))
+    def _record_press(self, port: Port, down: bool) -> None:
+        if self.sink is not None and port.name in self.foreign:
+            self.sink.add(self.foreign[port.name], self.drive.now(), port.layout().encode(0, (down,)))
 
     def _record_change(self, t: int, values: Mapping[str, Any]) -> None:
         stamp = self.epoch + t
@@ -241,39 +243,6 @@ class Adapter:
             item.last_refusal = reason
             kind = reason.split()[0]  # not the whole: a wrong stamp is another each time
             self.log_once(f"{item.port.topic}: {kind}", Level.ERROR, f"refused on {item.port.topic}: {reason}")
-
-    def in_order(self, item: Input, number: int) -> bool:
-        """Whether an array is new to an input that takes the newest; refuses one that is repeated, counts lost ones.
-
-        Number 0 may begin anew: a bag that is played in a loop.
-
-        Parameters
-        ----------
-        item : Input
-        number : int
-            What the array says of itself; -1 when it says nothing: then it is new.
-        """
-        expected = item.following
-        if number < 0 or expected is None:
-            pass
-        elif number < expected and (number or expected == 1):
-            self.repeated(item, number, expected)
-            return False
-        elif number > expected:
-            item.lost += number - expected
-            text = f"{item.lost} messages of {self.sender(item)} are lost"
-            self.block.report(Level.WARN, f"lost {item.port.topic}", text)
-        item.following = None if number < 0 else number + 1
-        return True
-
-    def repeated(self, item: Input, number: int, expected: int) -> None:
-        """Refuse an array that was there before."""
-        self.refuse(item, f"number {number} from {self.sender(item)}, expected {expected} (already there)")
-
-    def sender(self, item: Input) -> str:
-        """Name who publishes what an input reads, as far as the rig says."""
-        link = self.links.inputs.get(item.name)
-        return link.node if link else "another node"
 
     def log_once(self, key: str, level: Level, text: str) -> None:
         """Log a text the first time its key appears."""

@@ -6,10 +6,7 @@ from collections import deque
 from collections.abc import Callable
 
 from ..model.block import Level
-from ..timebase import to_ns
-from .adapter import Adapter
-from .feed import KEPT, Feed
-from .hearing import Hearing
+from .feed import KEPT, Feed, Feeds
 
 
 class Answering:
@@ -17,18 +14,14 @@ class Answering:
 
     Parameters
     ----------
-    node : Adapter
-    hearing : Hearing
-    clock : callable
-        Gives the wall-clock time, ns.
+    table : Feeds
     answer : callable
         Gets the time of the tick that is to be answered now, ns from t = 0.
     """
 
-    def __init__(
-        self, node: Adapter, hearing: Hearing, clock: Callable[[], int], answer: Callable[[int], object]
-    ) -> None:  # fmt: skip
-        self._node, self._hearing, self._clock, self._answer = node, hearing, clock, answer
+    def __init__(self, table: Feeds, answer: Callable[[int], object]) -> None:
+        self._node = node = table.node
+        self._table, self._answer = table, answer
         self.missed = 0
         self.incomplete = 0
         self.dropped = 0
@@ -40,10 +33,8 @@ class Answering:
         self._unarmed = False  # whether the oldest pending tick has no limit yet
         self._period = node.schedule.time(1)
         self._patience = round(node.options.patience * self._period)
-        self._window = to_ns(node.options.stamp_window)
-        feeds = hearing.feeds
-        self.awaited = [f for f in feeds.values() if f.awaited]
-        self._used = [(n, f) for n, f in feeds.items() if f.awaited or not f.item.port.held]
+        self.awaited = [f for f in table.rows if f.awaited]
+        self._used = [f for f in table.rows if f.awaited or not f.port.held]
         self._deadline = node.middleware.timer(1_000_000_000, self._give_up)
         self._deadline.cancel()
 
@@ -51,15 +42,15 @@ class Answering:
         """A good message of the tick that `due` belongs to has come."""
         if feed.awaited:
             self._begin(due, feed)
-        elif feed.item.port.held:
-            self._node.values[feed.item.name] = value
+        elif feed.port.held:
+            self._node.values[feed.name] = value
 
-    def refuse(self, feed: Feed, due: int, now: int) -> None:
+    def excuse(self, feed: Feed, due: int, now: int) -> None:
         """A bad one has."""
         if not self._node.epoch:
             return
-        feed.refuse(due, now)
-        if feed not in self._refusals and (feed.awaited or not feed.item.port.held):
+        feed.excuse(due, now)
+        if feed not in self._refusals and (feed.awaited or not feed.port.held):
             self._refusals.append(feed)
         if feed.awaited:
             self._begin(due, feed)
@@ -68,7 +59,7 @@ class Answering:
         """Answer what is complete, set the limit for the rest."""
         node = self._node
         if due >= self._following:
-            stamp = self._hearing.grid_time(due)
+            stamp = self._table.grid_time(due)
             if stamp >= node.epoch:
                 self._following = node.epoch + node.schedule.next(stamp - node.epoch)
                 self._unarmed = self._unarmed or not self._pending
@@ -88,7 +79,7 @@ class Answering:
                 feed = awaited[k]
                 if (feed.stamp == stamp and not feed.by_arrival) or stamp < feed.holds:
                     continue  # nearly always
-                if not (feed.complete(stamp - node.epoch, node.epoch, self._period) and feed.ready(stamp)):
+                if feed.lacks(stamp):
                     self._complete = k
                     if self._unarmed:
                         self._unarmed = False
@@ -104,7 +95,7 @@ class Answering:
     def _drop(self) -> None:
         """Forget ticks that are older than the window, or than what is kept: the law is far behind."""
         kept = [f.recent[0][0] for f in self.awaited if len(f.recent) == KEPT and not f.by_arrival]
-        oldest, before = max([self._clock() - self._window, *kept]), self.dropped
+        oldest, before = max([self._table.clock() - self._table.window, *kept]), self.dropped
         while len(self._pending) > 1 and self._pending[0] < oldest:
             self._pending.popleft()
             self._complete = 0
@@ -123,10 +114,7 @@ class Answering:
         self._complete = 0
         if all(f.ready(stamp) for f in self.awaited):  # else it lies before the first message
             self.incomplete += 1
-            lacking = [
-                f.item.port.topic for f in self.awaited
-                if not f.complete(stamp - node.epoch, node.epoch, self._period)
-            ]  # fmt: skip
+            lacking = [f.port.topic for f in self.awaited if not f.complete(stamp)]
             node.block.report(Level.WARN, "incomplete", f"answered without what was due on {', '.join(lacking)}")
             self._say(stamp)
         elif not self._pending:
@@ -137,15 +125,15 @@ class Answering:
 
     def _say(self, stamp: int) -> None:
         """Answer the tick of a stamp with the newest values up to it."""
-        node, now = self._node, self._clock()
+        node, now = self._node, self._table.clock()
         last, self._last_stamp = self._last_stamp, stamp
         if last is not None and stamp - last > self._period + 1:
             self.missed += node.schedule.tick(stamp - node.epoch) - node.schedule.tick(last - node.epoch) - 1
-        for name, feed in self._used:
+        for feed in self._used:
             if (value := feed.take(stamp)) is not None:
-                node.values[name] = value
-            if feed.awaited and feed.arrived is not None and now - feed.arrived > self._hearing.least:
-                self._hearing.silent(feed, now)
+                node.values[feed.name] = value
+            if feed.awaited:
+                feed.silent(now)
         if self._refusals:
             for feed in self._refusals:
                 if feed.bad is not None and feed.bad <= stamp:

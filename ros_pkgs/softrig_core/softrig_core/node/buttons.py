@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, MutableMapping
 from typing import Any
 
-from .endpoint import Input
+from ..model.port import Port
 
 
 class Buttons:
@@ -16,41 +16,41 @@ class Buttons:
     values : mutable mapping
         Values of the node's inputs, which a press changes.
     record : callable
-        Gets the input and whether it went down.
+        Gets the port and whether it went down.
 
     Attributes
     ----------
-    pressed : dict of Input to int
+    pressed : dict of Port to int
         Presses that the block has not seen go down and up again; nothing to `release` when it is empty.
     """
 
-    def __init__(self, values: MutableMapping[str, Any], record: Callable[[Input, bool], None]) -> None:
+    def __init__(self, values: MutableMapping[str, Any], record: Callable[[Port, bool], None]) -> None:
         self._values = values
         self._record = record
-        self.pressed: dict[Input, int] = {}
+        self.pressed: dict[Port, int] = {}
 
-    def press(self, item: Input) -> tuple[bool, str]:
+    def press(self, port: Port) -> tuple[bool, str]:
         """Press; gives whether that could be done, and what to say."""
-        if item not in self.pressed:
-            if self._values[item.name] == (1.0,):
-                return False, f"{item.name} is held down by its topic"
-            self.pressed[item] = 0
-            self._push(item, True)
-        self.pressed[item] += 1
-        return True, f"{item.name} pressed"
+        if port not in self.pressed:
+            if self._values[port.name] == (1.0,):
+                return False, f"{port.name} is held down by its topic"
+            self.pressed[port] = 0
+            self._push(port, True)
+        self.pressed[port] += 1
+        return True, f"{port.name} pressed"
 
     def release(self) -> None:
         """Move the buttons; called after each tick."""
-        for item in list(self.pressed):
-            if self._values[item.name] == (1.0,):
-                self._push(item, False)
+        for port in list(self.pressed):
+            if self._values[port.name] == (1.0,):
+                self._push(port, False)
                 continue
-            self.pressed[item] -= 1
-            if self.pressed[item]:
-                self._push(item, True)
+            self.pressed[port] -= 1
+            if self.pressed[port]:
+                self._push(port, True)
             else:
-                del self.pressed[item]
+                del self.pressed[port]
 
-    def _push(self, item: Input, down: bool) -> None:
-        self._values[item.name] = (float(down),)
-        self._record(item, down)
+    def _push(self, port: Port, down: bool) -> None:
+        self._values[port.name] = (float(down),)
+        self._record(port, down)

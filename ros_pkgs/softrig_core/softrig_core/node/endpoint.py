@@ -10,7 +10,7 @@ from .middleware import Send
 
 
 class Input:
-    """A subscribed port: decoder, writers and what was refused.
+    """A topic that is read: decoder, writers and what was refused.
 
     Attributes
     ----------
@@ -43,6 +43,10 @@ class Input:
         self.heard = False
         self.refused = 0
         self.last_refusal = ""
+
+    def receive(self, data: bytes) -> None:
+        """Take the bytes of a message."""
+        raise NotImplementedError
 
     @property
     def publishers(self) -> int:

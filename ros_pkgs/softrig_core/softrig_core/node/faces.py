@@ -9,8 +9,8 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from ..model.block import Block, Level, Observer
+from ..model.port import Port
 from .adapter import WATCH_PERIOD, Adapter
-from .endpoint import Input
 from .messages import diagnostic_array, marker_array, message_class
 from .ros import QOS
 
@@ -35,15 +35,15 @@ class Faces:
         markers = message_class("visualization_msgs/msg/MarkerArray") if shows else None
         self._markers = node.create_publisher(markers, "~/markers", QOS) if shows else None
         _publish_latched(node, block)
-        for item in adapter.inputs:
-            if item.port.msgtype == "std_msgs/msg/Bool" and item.name not in adapter.links.inputs:
-                node.create_service(message_class("std_srvs/srv/Trigger"), f"~/{item.name}", self._presser(item))
+        for port in adapter.step.inputs:
+            if port.msgtype == "std_msgs/msg/Bool" and port.name not in adapter.links.inputs:
+                node.create_service(message_class("std_srvs/srv/Trigger"), f"~/{port.name}", self._presser(port))
         self._looks = 0
         adapter.middleware.timer(WATCH_PERIOD, self._look)
 
-    def _presser(self, item: Input) -> Any:
+    def _presser(self, port: Port) -> Any:
         def press(request: Any, response: Any) -> Any:
-            response.success, response.message = self._adapter.buttons.press(item)
+            response.success, response.message = self._adapter.buttons.press(port)
             return response
 
         return press

@@ -13,6 +13,7 @@ from ..model.runner import Runner
 from ..wire.cdr import Pick
 from .adapter import Adapter
 from .endpoint import Input, Output
+from .feed import Feed
 from .lockstep import Lockstep
 from .realtime import Realtime
 
@@ -31,12 +32,10 @@ class Group:
     def __init__(self, nodes: Sequence[Adapter]) -> None:
         self.nodes = nodes
         names = {n.middleware.name for n in nodes}
-        links = list(_links(nodes))
-        for link in links:
-            link.item.local = True
         if {n.options.mode for n in nodes} == {"realtime"}:
             drives = {n: Realtime(n) for n in nodes}
-            for writer, output, reader, item, pick in links:
+            for writer, output, reader, item, pick in _links(nodes):
+                assert isinstance(item, Feed)
                 drives[writer].tell(output, drives[reader], item, pick)
             for node, drive in drives.items():
                 drive.join(names - {node.middleware.name})
@@ -45,6 +44,7 @@ class Group:
                 departure.neighbours = [d for d in waiting if d is not departure]
             return
         steps = [Lockstep(n, self.turn) for n in nodes]
+        links = _links(nodes)
         for writer, output, reader, item, pick in links:
             writer.step.feeds(output.name, reader.step, item.name, pick)
         self._steps = steps
@@ -111,6 +111,7 @@ def _links(nodes: Sequence[Adapter]) -> list[_Link]:
                 continue
             try:
                 found.append(_Link(*source, node, item, selection(source[1].port, item.port)))
+                item.local = True
             except Refused as error:
                 raise RunError(f"{source[1].topic} does not fit {node.middleware.name}: {error}") from None
     return found

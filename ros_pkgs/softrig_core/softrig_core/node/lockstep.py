@@ -11,17 +11,16 @@ from collections.abc import Callable, Set
 from typing import Any
 
 from ..model.block import Level
+from ..model.port import Port
 from ..model.solver import Solver
 from ..model.step import Rows
 from ..timebase import SECOND
 from .adapter import Adapter
-from .arrivals import Arrivals
 from .endpoint import Input
 from .first import repeat_first
 from .health import percentiles
-from .middleware import Receive
-from .pace import follow_clock, follow_ticks
-from .paired import paired
+from .paired import Senders
+from .senders import Sender
 from .solving import Solving, hear_busy
 from .stalls import Stalls
 from .start import CHECK, Handshake
@@ -46,8 +45,8 @@ class Lockstep:
         self.node = node
         self.ready = False  # whether all peers are there
         self._turn = turn
-        self.arrivals = Arrivals(node, turn)
-        self._stalls = Stalls(node, self.arrivals)
+        self.senders = Senders(node, turn)
+        self._stalls = Stalls(self.senders)
         self._checks = 0  # of the start
         self._over = False  # the last tick is answered
         self._awaited = 0  # tick whose wants are set
@@ -70,24 +69,24 @@ class Lockstep:
         begin : callable
             Called when all peers are there.
         """
-        node, arrivals, links = self.node, self.arrivals, self.node.links
-        arrivals.without(local)
+        node, senders, links = self.node, self.senders, self.node.links
+        senders.without(local)
         if links.clock is not None and links.clock.node not in local:
-            follow_clock(arrivals, links.clock)
+            senders.follow_clock(links.clock)
         if links.hears_clock:
             node.middleware.subscribe("/clock", "rosgraph_msgs/msg/Clock", lambda data: None, lambda count: None)
         if links.guests:
             stamped = [o for o in node.outputs if o.port.stamped and not o.port.delayed]
             first = 0 if node.is_plant else 1
             repeat_first([*stamped, node.clock_output], lambda: node.state == "running" and node.ticks == first)
-        follow_ticks(arrivals, {*local, node.middleware.name}, self._heard_of_tick)
-        arrivals.await_tick(0)
+        senders.follow_ticks({*local, node.middleware.name}, self._heard_of_tick)
+        senders.await_tick(0)
         wanted = [(o, list(links.readers.get(o.name, []))) for o in node.outputs]
         if links.owns_clock:
             wanted.append((node.clock_output, links.clock_readers))
         if links.acknowledges:
             wanted.append((node.tick_output, links.tick_readers))
-        awaited = [(p.item, p.sender) for p in [*arrivals.pairings, *arrivals.unpaced]]
+        awaited: list[tuple[Input, str]] = [(row, row.who) for row in [*senders.rows, *senders.unpaced]]
         # a node by itself hears itself, one in a container does not
         here = {*local, node.middleware.name} if local else set()
         solvers = [name for name in links.solvers if name not in here]
@@ -103,10 +102,9 @@ class Lockstep:
 
     # peers -----------------------------------------------------------------------------------------------------
 
-    def receiver(self, item: Input) -> Receive:
-        """Paired inputs wait for their stamp; other held inputs take the newest value."""
-        pairing = self.arrivals.pairing(item)
-        return self.arrivals.held(item) if pairing is None else paired(self.arrivals, pairing, item)
+    def row(self, port: Port) -> Sender:
+        """Make the row of an input."""
+        return self.senders.row(port)
 
     @property
     def t(self) -> int:
@@ -120,8 +118,7 @@ class Lockstep:
     def on_matched(self, item: Input) -> None:
         """A second publisher on a paired topic makes the run ambiguous: it ends, naming both."""
         node = self.node
-        paired = item.local or any(p.item is item for p in self.arrivals.pairings)
-        if item.publishers > 1 and node.state != "done" and paired:
+        if item.publishers > 1 and node.state != "done" and (item.local or item in self.senders.rows):
             self._stalls.rivals = item
             node.state = "failed"  # from here on no message counts; `progress` ends the run when the names are known
 
@@ -143,7 +140,7 @@ class Lockstep:
 
     def _patient(self) -> None:
         """A solver is at work somewhere in the rig: the time without progress begins anew."""
-        self.arrivals.heard += 1
+        self.senders.heard += 1
 
     def _heard_of_tick(self) -> None:
         if self._over and self.node.state == "running":
@@ -153,12 +150,12 @@ class Lockstep:
 
     def _lacks(self, t: int) -> bool:
         """Whether something that tick `t` needs has not come."""
-        arrivals = self.arrivals
+        senders = self.senders
         if t != self._awaited:
             self._awaited = t
-            arrivals.await_tick(t)
-        if arrivals.missing or self._solving is None:
-            return arrivals.missing > 0
+            senders.await_tick(t)
+        if senders.missing or self._solving is None:
+            return senders.missing > 0
         step = self.node.step
         return not self._solving.finished(t, None if step.bad else step.values)
 
@@ -187,7 +184,7 @@ class Lockstep:
     def _leave(self) -> None:
         """Finish when all who tell us of their ticks have begun: they may still wait for us to be there."""
         self._over = True
-        if all(p.item.heard for p in self.arrivals.pairings if p.earlier):
+        if all(row.heard for row in self.senders.rows if row.earlier):
             self.node.finish()
 
     def busy(self) -> bool:

@@ -14,6 +14,7 @@ from typing import Any
 from ..errors import RunError
 from ..model.answer import Row
 from ..model.block import Level
+from ..model.port import Port
 from ..model.step import Rows
 from ..timebase import SECOND
 from ..wire.cdr import Pick
@@ -21,10 +22,8 @@ from .adapter import Adapter
 from .answering import Answering
 from .departure import Departure
 from .endpoint import Input, Output
-from .feed import Feed
+from .feed import Feed, Feeds
 from .health import percentiles
-from .hearing import Hearing
-from .middleware import Receive
 from .start import Handshake
 
 AGAIN = 10.0  # s between two times that a silence which lasts is told
@@ -48,7 +47,8 @@ class Realtime:
         self._started = node.middleware.now()
         node.block.realtime = True
         self.clock = node.middleware.now
-        self.hearing = Hearing(node, self.now, self._take, self._refused)
+        self.senders = Feeds(node, self.now)
+        self.senders.take, self.senders.excuse = self._take, self._excuse
         self._sent_at: dict[int, int] = {}
         # the newest: they are sorted for each status file, between two ticks
         self._round_trip: deque[int] = deque(maxlen=5_000)
@@ -61,21 +61,19 @@ class Realtime:
         node.epoch = node.options.epoch
         node.step.send = self._send
         node.begin(self)
-        awaited = [f for f in self.hearing.feeds.values() if f.awaited]
+        awaited = [f for f in self.senders.rows if f.awaited]
         self._commands = awaited if node.is_plant else []
-        self._answering = (
-            Answering(node, self.hearing, self.now, self._answer) if awaited and not node.is_plant else None
-        )
+        self._answering = Answering(self.senders, self._answer) if awaited and not node.is_plant else None
         if self._answering is None:
             self._timer = node.middleware.timer(SECOND // 1000, self._tick)
             self._timer.cancel()
         self.departure: Departure | None = None
 
-    def tell(self, output: Output, reader: Realtime, item: Input, pick: Pick | None) -> None:
+    def tell(self, output: Output, reader: Realtime, row: Feed, pick: Pick | None) -> None:
         """Hand what an output says to a node of this process, too."""
         parts = self._told.setdefault(reader, [])
-        part = output.number, reader.hearing.teller(item, pick)
-        if reader.hearing.feeds[item.name].awaited:  # may make it answer: after what it does not wait for
+        part = output.number, row.teller(pick)
+        if row.awaited:  # may make it answer: after what it does not wait for
             parts.append(part)
         else:
             parts.insert(0, part)
@@ -113,11 +111,11 @@ class Realtime:
         node = self.node
         if self.departure is not None:
             node.lacking = self.departure.handshake.lacking
-        if self.hearing.stale and node.middleware.steady() > self._silence_told + AGAIN:
+        if self.senders.stale and node.middleware.steady() > self._silence_told + AGAIN:
             self._silence_told = node.middleware.steady()
-            for name in sorted(self.hearing.stale):
-                topic = self.hearing.feeds[name].item.port.topic
-                node.middleware.log(Level.ERROR, node.block.reports[f"stale {topic}"][1])
+            for row in sorted(self.senders.rows, key=lambda row: row.name):
+                if row.name in self.senders.stale:
+                    node.middleware.log(Level.ERROR, node.block.reports[f"stale {row.port.topic}"][1])
         end = node.schedule.end
         if end is not None and node.state == "running" and self.now() > (node.epoch or self._started) + end + END_GRACE:
             node.finish()
@@ -147,26 +145,27 @@ class Realtime:
 
     # messages --------------------------------------------------------------------------------------------------
 
-    def receiver(self, item: Input) -> Receive:
-        """Keep the good values by stamp; what is due makes a block answer."""
-        return self.hearing.receiver(item)
+    def row(self, port: Port) -> Feed:
+        """Make the row of an input: it keeps the good values by stamp; what is due makes a block answer."""
+        return self.senders.row(port)
 
     def on_matched(self, item: Input) -> None:
         """Two publishers on one input: neither is believed until one of them has gone."""
-        self.hearing.on_matched(item)
+        assert isinstance(item, Feed)
+        item.on_matched()
 
     def _take(self, feed: Feed, stamp: int, due: int, value: Any, now: int) -> None:
         if self._answering is not None:
             self._answering.take(feed, due, value)
             return
-        self.node.values[feed.item.name] = value
+        self.node.values[feed.name] = value
         sent = self._sent_at.get(stamp)
         if sent is not None:
             self._round_trip.append(now - sent)
 
-    def _refused(self, feed: Feed, due: int, now: int) -> None:
+    def _excuse(self, feed: Feed, due: int, now: int) -> None:
         if self._answering is not None:
-            self._answering.refuse(feed, due, now)
+            self._answering.excuse(feed, due, now)
         else:
             self.node.step.bad = True
 
@@ -226,8 +225,8 @@ class Realtime:
         """Newest commands; the safe value in place of a stale one."""
         inputs = self.node.values
         for feed in self._commands:
-            if self.hearing.silent(feed, now):
-                inputs = inputs | {feed.item.name: feed.item.port.safe}
+            if feed.silent(now):
+                inputs = inputs | {feed.name: feed.port.safe}
         return inputs
 
     def _answer(self, t: int) -> None:

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from ..timebase import SECOND
-from .adapter import Adapter
-from .arrivals import Arrivals
 from .endpoint import Input
+from .paired import Senders
 from .start import Handshake
 
 GONE_AFTER = 0.5  # s without the awaited message after its only sender has vanished
@@ -16,8 +15,7 @@ class Stalls:
 
     Parameters
     ----------
-    node : Adapter
-    arrivals : Arrivals
+    senders : Senders
 
     Attributes
     ----------
@@ -29,10 +27,10 @@ class Stalls:
 
     handshake: Handshake
 
-    def __init__(self, node: Adapter, arrivals: Arrivals) -> None:
-        self._node = node
-        self._arrivals = arrivals
-        self._middleware = node.middleware
+    def __init__(self, senders: Senders) -> None:
+        self._senders = senders
+        self._node = senders.node
+        self._middleware = senders.node.middleware
         self._progress = (-1, 0)
         self.rivals: Input | None = None
         self.restart()
@@ -43,7 +41,7 @@ class Stalls:
 
     def look(self) -> None:
         """End the run when a peer is gone, stalls or never came."""
-        node, arrivals = self._node, self._arrivals
+        node, senders = self._node, self._senders
         waited = self._middleware.steady() - self._since
         if self.rivals is not None:
             self._name(self.rivals, waited)
@@ -51,13 +49,13 @@ class Stalls:
             limit = node.options.start_timeout
             if limit and waited > limit:
                 absent = self.handshake.absent()
-                lacking = [p for p in arrivals.pairings if not p.have]
-                node.waits_for = self.handshake.silent if absent else [p.sender for p in lacking]
-                silent = [f"nothing on {p.topic} yet" for p in lacking]
+                lacking = [row for row in senders.rows if not row.have]
+                node.waits_for = self.handshake.silent if absent else [row.who for row in lacking]
+                silent = [f"nothing on {row.port.topic} yet" for row in lacking]
                 node.fail(f"not all peers after {limit:g} s: {'; '.join(absent or silent)}")
         elif node.state == "running":
-            if self._progress != (node.t, arrivals.heard):
-                self._progress = (node.t, arrivals.heard)
+            if self._progress != (node.t, senders.heard):
+                self._progress = (node.t, senders.heard)
                 self.restart()
             else:
                 self._judge(waited)
@@ -65,11 +63,11 @@ class Stalls:
     def _begun(self) -> bool:
         """Whether the rig has sent anything: before that, somebody still waits for an outside node."""
         node = self._node
-        if node.links.owns_clock or self._arrivals.heard:
+        if node.links.owns_clock or self._senders.heard:
             return True
         # a source of an outside plant says t = 0 unasked
-        others = [p for p in self._arrivals.pairings if not p.earlier]
-        return any(p.have for p in others) or (node.ticks > 0 and bool(others))
+        others = [row for row in self._senders.rows if not row.earlier]
+        return any(row.have for row in others) or (node.ticks > 0 and bool(others))
 
     def _name(self, item: Input, waited: float) -> None:
         """End the run with the names of all who publish a topic, when the graph knows them."""
@@ -81,18 +79,18 @@ class Stalls:
 
     def _judge(self, waited: float) -> None:
         node = self._node
-        lacking = [p for p in self._arrivals.pairings if not p.have]
-        gone = [p for p in lacking if not p.item.publishers]
+        lacking = [row for row in self._senders.rows if not row.have]
+        gone = [row for row in lacking if not row.publishers]
         limit = node.options.timeout
         if node.ticks <= 1:  # somebody in the rig may not have begun: as long as he may take for that
             limit = max(limit, node.options.start_timeout)
         if lacking and (waited > limit or (gone and waited > GONE_AFTER)):
             lacking = gone or lacking
             what = ", ".join(
-                f"{p.topic} from {p.sender}{' (gone)' if p in gone else ''}"
-                f"{'; last refused: ' + p.item.last_refusal if p.item.last_refusal else ''}"
-                f"{f'; it is ahead, at {max(p.said) / SECOND:.9g} s' if p.said else ''}"
-                for p in lacking
+                f"{row.port.topic} from {row.who}{' (gone)' if row in gone else ''}"
+                f"{'; last refused: ' + row.last_refusal if row.last_refusal else ''}"
+                f"{f'; it is ahead, at {max(row.said) / SECOND:.9g} s' if row.said else ''}"
+                for row in lacking
             )
-            node.waits_for = [p.sender for p in lacking]
+            node.waits_for = [row.who for row in lacking]
             node.fail(f"nothing stamped t = {node.t / SECOND:.9g} s within {waited:.1f} s on {what}")
