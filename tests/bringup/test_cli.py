@@ -18,7 +18,8 @@ from softrig_bags.reader import BagReader
 from softrig_bringup.cli import _parser, main
 from softrig_bringup.plots.figures import plot_run
 from softrig_bringup.run import checkout, gaps, summary
-from softrig_bringup.run_verb import _announce, _folder_name, repeat
+from softrig_bringup.run_options import folder_name, repeat
+from softrig_bringup.run_verb import _announce
 from softrig_core import Recording, Rig, Run, figure, load_scenario, run_inprocess, simulate
 from softrig_core.rig.scenario import PlotEntry
 from softrig_core.wire import signals
@@ -636,6 +637,6 @@ def test_what_a_run_waits_for_is_told_whole_and_in_lines(capsys):
 
 def test_a_results_folder_is_named_after_what_was_changed():
     parsed = _parser().parse_args(["run", "lag", "--external", "gain", "--duration", "0.5", "--set", "gain.k=[1, 2]"])
-    assert _folder_name("lag", parsed) == "lag-gain.k=_1_2_-external_gain-duration_0.5"
+    assert folder_name("lag", parsed) == "lag-gain.k=_1_2_-external_gain-duration_0.5"
     parsed = _parser().parse_args(["run", "lag", "--mode", "container", "--realtime"])
-    assert _folder_name("lag", parsed) == "lag-realtime"
+    assert folder_name("lag", parsed) == "lag-realtime"

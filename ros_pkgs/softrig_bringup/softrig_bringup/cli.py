@@ -15,7 +15,7 @@ from typing import Any
 from softrig_core.command_line import Number, Parser
 from softrig_core.guard import guarded
 
-from . import run_verb, set_verb
+from . import run_options, run_verb, set_verb
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # before numpy: sums must not depend on the number of cores
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -86,7 +86,7 @@ def _parser() -> argparse.ArgumentParser:
     verb("figures", _figures, "functions that figures of a scenario may name, or all about one").add_argument(
         "name", nargs="?", default="", help="of a function"
     )
-    run_verb.arguments(verb("run", run_verb.run, "run a scenario: metrics, bag, plots, report"))
+    run_options.arguments(verb("run", run_verb.run, "run a scenario: metrics, bag, plots, report"))
     set_verb.arguments(verb("set", set_verb.set_values, "change live parameters of running nodes: NODE.PARAM VALUE"))
     node = verb("node", _node, "start one executable, as `ros2 run` does")
     node.add_argument("package")

@@ -20,7 +20,7 @@ from softrig_core.rig.peers import starter
 from softrig_core.rig.processes import gathered
 from softrig_core.rig.starting import container_arguments, groups, node_parameters, parameter_file, placed
 
-from . import run_verb
+from . import run_options, run_verb
 from .run import checked, gaps, mode_name
 from .viewer import Process, viewers
 
@@ -62,7 +62,7 @@ class Launched:
         given = {name: values.get(name) or default or "" for name, (default, _, _) in ARGUMENTS.items()}
         self._options = options = _options(given)
         self._record, self._judge = given["record"] == "true", given["judge"] == "true"
-        self._rig = rig = checked(run_verb.scenario_of(options))
+        self._rig = rig = checked(run_options.scenario_of(options))
         self._seed, self._realtime = rig.scenario.seed, given["mode"] == "realtime"
         join_domain(int(os.environ.get("ROS_DOMAIN_ID") or 0))  # so that no run chooses it
         self._folder = run_verb.results_folder(options, rig.scenario.name) if self._record else None
@@ -157,7 +157,7 @@ def _options(given: Mapping[str, str]) -> argparse.Namespace:
     for node in given["external"].split():
         words += ["--external", node]
     parser = argparse.ArgumentParser(exit_on_error=False)
-    run_verb.arguments(parser)
+    run_options.arguments(parser)
     try:
         return parser.parse_args(words)
     except argparse.ArgumentError as error:

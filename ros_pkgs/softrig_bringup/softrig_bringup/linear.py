@@ -10,13 +10,13 @@ from typing import Any
 from softrig_core.rig.linear_view import LinearView, linear_view, steady
 
 from .listing import console
-from .run_verb import _assignment
+from .run_options import assignment
 
 DEGREES = 180.0 / math.pi
 
 
 def _overrides(options: argparse.Namespace) -> dict[str, Any]:
-    return dict(_assignment(text) for text in options.set)
+    return dict(assignment(text) for text in options.set)
 
 
 def numbers(view: LinearView) -> dict[str, Any]:

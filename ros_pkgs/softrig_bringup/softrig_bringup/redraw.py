@@ -52,7 +52,7 @@ def rig_of_run(directory: Path) -> tuple[Rig, BagSignals]:
 
 def _as_it_ran(command: str) -> Rig:
     """Build the rig that a run's command stands for."""
-    from .run_verb import arguments, scenario_of
+    from .run_options import arguments, scenario_of
 
     parser = Parser(prog="softrig run")
     arguments(parser)
