@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 from conftest import PATIENCE, make_scenario, no_process_left, processes_of, until
 from softrig_core import Rig, run_inprocess, run_processes
+from softrig_core.node import health
 from softrig_core.rig import starting
 from softrig_core.rig.children import read_status
 from softrig_core.rig.domain import free_domain
@@ -216,13 +217,19 @@ def test_ctrl_c_once_or_twice_is_a_clean_end_of_every_node(mode, tmp_path):
     assert not any(word in said for word in ("Traceback", "FATAL", "terminate called"))
 
 
-def test_a_status_that_is_read_while_it_is_written_is_read_again(tmp_path, monkeypatch):
-    path, texts = tmp_path / "plant.status", ['{"t": 1', "", '{"t": 17}']
-    path.touch()
-    monkeypatch.setattr(Path, "read_text", lambda _: texts.pop(0))
-    assert read_status(path) == {"t": 17}
-    monkeypatch.undo()
-    path.write_text('{"t": 1')  # its writer has been killed
+@pytest.mark.parametrize("exchanged", [True, False])
+def test_a_status_is_never_found_half_written(exchanged, tmp_path, monkeypatch):
+    """Who has opened the file before it is written anew reads what it said then, whole; also where names cannot be
+    exchanged."""
+    if not exchanged:
+        monkeypatch.setattr(health, "_renameat2", lambda *_: -1)
+    path = tmp_path / "plant.status"
     assert read_status(path) == {}
-    path.unlink()
-    assert read_status(path) == {}
+    status = health.StatusFile(str(path))
+    for t in range(3):
+        status.write({"t": t, "text": "x" * 9000 * t})
+        with path.open() as opened:
+            status.write({"t": -t})
+            assert json.load(opened) == {"t": t, "text": "x" * 9000 * t}
+        assert read_status(path) == {"t": -t}
+        assert [p.name for p in tmp_path.iterdir()] == ["plant.status"]

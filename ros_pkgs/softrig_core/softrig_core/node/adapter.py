@@ -297,7 +297,7 @@ class Adapter:
     def write_status(self) -> None:
         """Write the status file, if one is wanted."""
         if self.options.status:
-            self._status.write(self.status(), in_place=self.drive.open_ended and self.state == "running")
+            self._status.write(self.status())
 
     def status(self) -> dict[str, Any]:
         """Say how it is, what it refuses, and while an outside node lacks who publishes what."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import json
 import math
 import os
@@ -10,6 +11,9 @@ from pathlib import Path
 from typing import Any
 
 from ..model.block import Block, Observer
+
+AT_FDCWD, RENAME_EXCHANGE = -100, 2
+_renameat2 = getattr(ctypes.CDLL(None), "renameat2", None)  # glibc 2.28
 
 
 class StatusFile:
@@ -24,15 +28,11 @@ class StatusFile:
     def __init__(self, path: str) -> None:
         self._path = Path(path)
 
-    def write(self, status: Mapping[str, Any], in_place: bool) -> None:
-        """Replace what it says; `in_place` when that must not take longer than a tick."""
-        content = json.dumps(status).encode()
-        if in_place and self._path.exists():
-            _overwrite(self._path, content)
-            return
+    def write(self, status: Mapping[str, Any]) -> None:
+        """Replace what it says; nobody ever finds it half written."""
         new = self._path.with_suffix(".new")
-        new.write_bytes(content)
-        new.replace(self._path)
+        new.write_bytes(json.dumps(status).encode())
+        _exchange(new, self._path)
 
 
 def figures(block: Block) -> dict[str, Any]:
@@ -42,16 +42,16 @@ def figures(block: Block) -> dict[str, Any]:
     return {"figures": {k: v for k, v in block.status().items() if math.isfinite(v[0])}}
 
 
-def _overwrite(path: Path, content: bytes) -> None:
-    """Change a file in its place, padded to its length: 10 us between two ticks, while to replace it takes 0.4 to 4 ms.
+def _exchange(new: Path, path: Path) -> None:
+    """Put a file in the place of another at once: who has opened that one goes on reading it, whole.
 
-    Who reads it at that moment may find it half written: no JSON, and he looks again.
+    Over a file that exists a plain rename takes 0.2 to 8 ms on ext4, which then begins to write to the disk; to
+    exchange the names of the two takes 70 us with all that belongs to it. Not every system and file system can.
     """
-    file = os.open(path, os.O_WRONLY)
-    try:
-        os.pwrite(file, content.ljust(os.fstat(file).st_size), 0)
-    finally:
-        os.close(file)
+    if _renameat2 is None or _renameat2(AT_FDCWD, os.fsencode(new), AT_FDCWD, os.fsencode(path), RENAME_EXCHANGE):
+        new.replace(path)  # the first time there is nothing to exchange it with
+    else:
+        new.unlink()
 
 
 def percentiles(name: str, samples: Iterable[int]) -> dict[str, float]:

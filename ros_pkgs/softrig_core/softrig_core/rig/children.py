@@ -14,7 +14,6 @@ from typing import Any
 from .members import Member
 from .start_server import Forked
 
-READS = 20  # of a status file that is half written
 STOP_STEPS = ((signal.SIGINT, 3.0), (signal.SIGTERM, 3.0), (signal.SIGKILL, 3.0))
 
 
@@ -56,18 +55,10 @@ def stop(children: list[Child]) -> None:
 
 
 def read_status(path: Path) -> dict[str, Any]:
-    """Read what a node says of itself; empty before it has said anything.
-
-    In real time a node changes its file in its place, which takes some us: what is half written is read again.
-    """
-    for _ in range(READS):
-        try:
-            return json.loads(path.read_text())
-        except FileNotFoundError:
-            return {}
-        except json.JSONDecodeError:
-            time.sleep(0.001)
-    return {}  # killed while it wrote
+    """Read what a node says of itself; empty before it has said anything."""
+    with suppress(FileNotFoundError):
+        return json.loads(path.read_text())
+    return {}
 
 
 def last_line(log: Path) -> str:
