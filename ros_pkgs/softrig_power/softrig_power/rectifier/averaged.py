@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from softrig_core import jit, rk4_loop
@@ -79,51 +80,61 @@ def read(t: float, x: Array, circuit: Circuit) -> tuple[float, float, float, flo
     return x[0], x[1], x[2], x[3]
 
 
-@jit
-def advance(
-    x: Array, steps: int, window: float, p: tuple[Circuit, Period], sums: Array, complete: Array, trace: Array
-) -> float:
-    """Move a state over one period in `steps` Runge-Kutta steps.
+def walk(step: Callable[..., None]) -> Callable[..., float]:
+    """Make the native loop over one period from what moves a state over a piece of it.
 
     Parameters
     ----------
-    x : (3,) or (4,) ndarray
-        (i_d, i_q, v) or (i_a, i_b, i_c, v), changed in place.
-    steps : int
-    window : float
-        Length of a power-quality window, s; windows begin at multiples of it.
-    p : (Circuit, Period)
-    sums, complete : ndarray
-        See `quality`.
-    trace : (steps, 5) ndarray
-        Gets i_a, i_b, i_c, v_ga, v at the end of each step, when it has rows.
+    step : callable
+        `jit` function (t, stop, x, p): moves the state x in place from t to stop (s).
+
+    Returns
+    -------
+    callable
+        `jit` function (x, steps, window, p, sums, complete, trace), which gives the DC voltage at the end (V):
+
+        - x, (3,) or (4,) ndarray: (i_d, i_q, v) or (i_a, i_b, i_c, v), changed in place
+        - steps, int: of equal length
+        - window, float: length of a power-quality window, s; windows begin at multiples of it
+        - p: (Circuit, Period)
+        - sums, complete, ndarray: see `quality`; by the trapezoidal rule, exact for whole cycles of smooth signals
+        - trace, (steps, 5) ndarray: gets i_a, i_b, i_c, v_ga, v at the end of each step, when it has rows
     """
-    circuit, period = p
-    h = period.length / steps
-    for j in range(steps):
-        t, end = period.start + j * h, period.start + (j + 1) * h
-        while t < end:
-            border = (sums[PLAIN, WINDOWS] + 1.0) * window
-            stop = min(end, border)
-            piece(t, stop, x, p, sums)
-            if stop >= border:
-                turn_over(sums, complete)
-            t = stop
-        if trace.shape[0] > 0:
-            i_a, i_b, i_c, v = read(end, x, circuit)
-            trace[j, 0], trace[j, 1], trace[j, 2], trace[j, 4] = i_a, i_b, i_c, v
-            trace[j, 3] = grid(end, circuit, period)[0]
-    return x[x.size - 1]
+
+    @jit
+    def advance(
+        x: Array, steps: int, window: float, p: tuple[Circuit, Period], sums: Array, complete: Array, trace: Array
+    ) -> float:
+        circuit, period = p
+        h = period.length / steps
+        for j in range(steps):
+            t, end = period.start + j * h, period.start + (j + 1) * h
+            while t < end:
+                border = (sums[PLAIN, WINDOWS] + 1.0) * window
+                stop = min(end, border)
+                half = 0.5 * (stop - t)
+                sample(sums, t, half, read(t, x, circuit), grid(t, circuit, period), circuit.omega)
+                step(t, stop, x, p)
+                sample(sums, stop, half, read(stop, x, circuit), grid(stop, circuit, period), circuit.omega)
+                if stop >= border:
+                    turn_over(sums, complete)
+                t = stop
+            if trace.shape[0] > 0:
+                i_a, i_b, i_c, v = read(end, x, circuit)
+                trace[j, 0], trace[j, 1], trace[j, 2], trace[j, 4] = i_a, i_b, i_c, v
+                trace[j, 3] = grid(end, circuit, period)[0]
+        return x[x.size - 1]
+
+    return advance
 
 
 @jit
-def piece(t: float, stop: float, x: Array, p: tuple[Circuit, Period], sums: Array) -> None:
-    """One step, and what it adds to the sums by the trapezoidal rule: exact for whole cycles of smooth signals."""
-    circuit, period = p
-    h = stop - t
-    sample(sums, t, 0.5 * h, read(t, x, circuit), grid(t, circuit, period), circuit.omega)
+def switching(t: float, stop: float, x: Array, p: tuple[Circuit, Period]) -> None:
+    """One Runge-Kutta step of either averaged model."""
     if x.size == 3:
-        step_dq(t, x, h, 1, p)
+        step_dq(t, x, stop - t, 1, p)
     else:
-        step_abc(t, x, h, 1, p)
-    sample(sums, stop, 0.5 * h, read(stop, x, circuit), grid(stop, circuit, period), circuit.omega)
+        step_abc(t, x, stop - t, 1, p)
+
+
+advance = walk(switching)

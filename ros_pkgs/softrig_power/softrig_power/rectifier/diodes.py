@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 from softrig_core import jit
 
+from .averaged import walk
 from .circuit import Circuit, Period, grid
-from .quality import PLAIN, WINDOWS, sample, turn_over
 
 if TYPE_CHECKING:
     import numpy as np
@@ -17,32 +17,6 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 STEP = 1e-6  # s, longest step; half of it changes the voltage of a loaded link by less than 0.01 %
-
-
-@jit
-def advance(
-    x: Array, steps: int, window: float, p: tuple[Circuit, Period], sums: Array, complete: Array, trace: Array
-) -> float:
-    """Move (i_a, i_b, i_c, v) over one period; parameters as of `averaged.advance`."""
-    circuit, period = p
-    h = period.length / steps
-    for j in range(steps):
-        t, end = period.start + j * h, period.start + (j + 1) * h
-        while t < end:
-            border = (sums[PLAIN, WINDOWS] + 1.0) * window
-            stop = min(end, border)
-            sample(sums, t, 0.5 * (stop - t), (x[0], x[1], x[2], x[3]), grid(t, circuit, period), circuit.omega)
-            count = math.ceil((stop - t) / STEP - 1e-9)
-            for k in range(count):
-                conduct(t + (k + 0.5) * (stop - t) / count, (stop - t) / count, x, p)
-            sample(sums, stop, 0.5 * (stop - t), (x[0], x[1], x[2], x[3]), grid(stop, circuit, period), circuit.omega)
-            if stop >= border:
-                turn_over(sums, complete)
-            t = stop
-        if trace.shape[0] > 0:
-            trace[j, 0], trace[j, 1], trace[j, 2], trace[j, 4] = x[0], x[1], x[2], x[3]
-            trace[j, 3] = grid(end, circuit, period)[0]
-    return x[3]
 
 
 @jit
@@ -101,3 +75,14 @@ def carried(i: float, on: float, s: float, change: float) -> float:
     if on == 0.0 or (s == 1.0 and after < 0.0) or (s == 0.0 and after > 0.0):
         return 0.0
     return after
+
+
+@jit
+def bridge(t: float, stop: float, x: Array, p: tuple[Circuit, Period]) -> None:
+    """Steps of at most `STEP` from t to stop, x = (i_a, i_b, i_c, v)."""
+    count = math.ceil((stop - t) / STEP - 1e-9)
+    for k in range(count):
+        conduct(t + (k + 0.5) * (stop - t) / count, (stop - t) / count, x, p)
+
+
+advance = walk(bridge)
