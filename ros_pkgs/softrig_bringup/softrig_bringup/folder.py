@@ -163,12 +163,12 @@ class ResultsFolder:
             os.close(handle)
 
 
-def replace(path: Path, text: str) -> None:
+def replace(path: Path, text: str | bytes) -> None:
     """Write a file that appears whole or not at all; a link in its place is replaced, not followed."""
     temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         with naming(path):
-            temporary.write_text(text, encoding="utf-8")
+            temporary.write_bytes(text.encode() if isinstance(text, str) else text)
             temporary.replace(path)
     finally:
         temporary.unlink(missing_ok=True)

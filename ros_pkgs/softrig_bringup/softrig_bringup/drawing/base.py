@@ -1,0 +1,186 @@
+"""What every drawing has: the signals it needs, by the ports of its plant, and its frames."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from softrig_core import Port, Rig
+from softrig_core.rig.members import Member, signal_units
+
+from ..plots.style import pretty_unit
+from .shapes import Pen, Point, Shape
+
+Row = Mapping[str, float]
+
+NOTHING = "–"  # in place of a value that has not come
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A signal as a drawing reads it.
+
+    Parameters
+    ----------
+    name : str
+        Of the signal; empty for one that the rig does not have.
+    unit : str
+        As it is printed.
+    rest : float
+        Value in the absence of one.
+    """
+
+    name: str
+    unit: str = ""
+    rest: float = 0.0
+
+    def __call__(self, row: Row) -> float:
+        """Give the value, at rest where there is none."""
+        value = row.get(self.name, math.nan)
+        return value if math.isfinite(value) else self.rest
+
+    def said(self, row: Row, form: str = ".1f", scale: float = 1.0, unit: str | None = None) -> str:
+        """Write the value with its unit.
+
+        Parameters
+        ----------
+        row : mapping of str to float
+        form : str
+            Format of the number.
+        scale : float
+            Factor to another unit.
+        unit : str, optional
+            That unit.
+        """
+        value = row.get(self.name, math.nan)
+        number = f"{scale * value:{form}}" if math.isfinite(value) else NOTHING
+        if float(number.replace(",", "") if number != NOTHING else 1) == 0.0:
+            number = number.lstrip("-")  # no "-0.0"
+        return f"{number.replace('-', '−')} {self.unit if unit is None else unit}".rstrip()
+
+
+class Drawing:
+    """A plant as its rig shows it; a subclass draws one kind of plant.
+
+    Parameters
+    ----------
+    rig : Rig
+    plant : Member
+
+    Attributes
+    ----------
+    signals : tuple of str
+        Names of the signals that `frame` reads.
+    bounds : tuple of 4 floats
+        Left, top, width, height of what is drawn on.
+    trail : float
+        How long a past `frame` wants to see, s.
+    title : str
+        What is drawn.
+    """
+
+    title = ""
+    bounds: tuple[float, float, float, float] = (0.0, 0.0, 640.0, 360.0)
+    trail: float = 0.0
+
+    def __init__(self, rig: Rig, plant: Member) -> None:
+        self.rig, self.plant = rig, plant
+        self.p: Any = plant.params
+        self._units = signal_units(rig)
+        self._found: dict[str, None] = {}
+        self.setup()
+        self.signals = tuple(self._found)
+
+    def setup(self) -> None:
+        """Name the quantities and take what is needed of the parameters."""
+        raise NotImplementedError
+
+    def draw(self, pen: Pen, row: Row, past: Sequence[Row]) -> None:
+        """Draw one instant: always the same shapes in the same order, whose places, radii and texts alone differ."""
+        raise NotImplementedError
+
+    def frame(self, row: Row, past: Sequence[Row] = ()) -> list[Shape]:
+        """Give the shapes of one instant.
+
+        Parameters
+        ----------
+        row : mapping of str to float
+            The newest value of each signal; what is missing or not finite rests, and its label says so.
+        past : sequence of mappings
+            Earlier rows of the last `trail` s, oldest first.
+
+        Returns
+        -------
+        list of Shape
+            As many as in every other frame, of the same kinds and roles, with as many points.
+        """
+        pen = Pen()
+        self.draw(pen, row, past)
+        return pen.shapes
+
+    def quantity(self, port: str, label: str, rest: float = 0.0) -> Quantity:
+        """Give a signal of the plant's port, or of a port of this name elsewhere in the rig.
+
+        Parameters
+        ----------
+        port : str
+            Name of an output or input of the plant; else of an output of another node of the plant's namespace.
+        label : str
+            Below the topic: ``shaft/velocity``.
+        rest : float
+
+        Returns
+        -------
+        Quantity
+            Without a name where the rig has no such signal.
+        """
+        found = self._port(port, label)
+        if found is None:
+            return Quantity("", rest=rest)
+        name = f"{found.topic}/{label}"
+        self._found[name] = None
+        return Quantity(name, pretty_unit(self._units[name]), rest)
+
+    def _port(self, name: str, label: str) -> Port | None:
+        ports = [*self.plant.outputs, *self.plant.inputs]
+        near = sorted(self.rig.members, key=lambda m: not self._linked(m))
+        ports += [p for m in near if m is not self.plant and not m.is_plant for p in m.outputs]
+        return next((p for p in ports if p.name == name and label in p.labels), None)
+
+    def _linked(self, member: Member) -> bool:
+        """Whether a node reads the plant or is read by it."""
+        links = [*member.links.values()], [*self.plant.links.values()]
+        return any(k.source is self.plant for k in links[0]) or any(k.source is member for k in links[1])
+
+
+def readings(
+    pen: Pen, at: Point, rows: Sequence[tuple[str, str, str]], width: float = 190.0, step: float = 22.0
+) -> None:
+    """Write values below each other: name on the left, value on the right.
+
+    Parameters
+    ----------
+    pen : Pen
+    at : (float, float)
+        Left end of the first baseline.
+    rows : sequence of (name, value, role)
+    width, step : float
+    """
+    for k, (name, value, role) in enumerate(rows):
+        y = at[1] + step * k
+        pen.text((at[0], y), name, "muted")
+        pen.text((at[0] + width, y), value, role, anchor="end")
+
+
+def tail(past: Sequence[Row], row: Row, points: int) -> list[Row]:
+    """Pick so many rows of the past and now, evenly; the first is repeated while there are fewer."""
+    rows = [*past, row]
+    last = len(rows) - 1
+    return [rows[max(0, last - round((points - 1 - k) * max(last, 1) / (points - 1)))] for k in range(points)]
+
+
+def held(value: float, limit: float) -> float:
+    """Keep a value within plus and minus a limit: a drawing ends somewhere."""
+    return min(max(value, -limit), limit)

@@ -1,0 +1,168 @@
+"""The frames of a run's drawing, evenly spaced in simulated time."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from softrig_core import ScenarioError
+from softrig_core.wire.signals import Signal
+
+from .base import Drawing
+from .shapes import Pen, Shape
+
+FRAMES = 20  # a second of the film
+LONGEST = 600  # frames
+COMFORTABLE = 8.0  # s of film, of which a loop is not too long to be watched again
+PAST = 60  # rows of a trail
+STRIP = 30.0  # units below the drawing: time, and how fast it goes
+
+
+@dataclass(frozen=True)
+class Film:
+    """A drawing over a window of time.
+
+    Parameters
+    ----------
+    drawing : Drawing
+    times : float array of shape (n,)
+        Simulated time of each frame, s.
+    frames : list of lists of Shape
+        One a time.
+    speed : float
+        Simulated seconds in one second of film.
+    """
+
+    drawing: Drawing
+    times: NDArray[np.float64]
+    frames: list[list[Shape]]
+    speed: float
+
+    @property
+    def duration(self) -> float:
+        """How long it is, s."""
+        return len(self.frames) / FRAMES
+
+    @property
+    def bounds(self) -> tuple[float, float, float, float]:
+        """Left, top, width, height with the strip of the time."""
+        x, y, width, height = self.drawing.bounds
+        return x, y, width, height + STRIP
+
+
+def comfortable(span: float) -> float:
+    """Give the speed, of the series 1, 2, 5, at which so many simulated seconds fit into a loop to be watched.
+
+    Examples
+    --------
+    >>> comfortable(0.1), comfortable(2.0), comfortable(60.0)
+    (0.02, 0.5, 10.0)
+    """
+    least = span / COMFORTABLE
+    decade = 10.0 ** math.floor(math.log10(least))
+    return float(f"{decade * next(s for s in (1, 2, 5, 10) if s * decade >= least * (1 - 1e-9)):.6g}")
+
+
+def film(drawing: Drawing, signals: Mapping[str, Signal], start: float, end: float, speed: float | None = None) -> Film:
+    """Draw a run's frames.
+
+    Parameters
+    ----------
+    drawing : Drawing
+    signals : mapping of str to (t, x)
+        `Signals` of the run; one that the run has not is drawn at rest.
+    start, end : float
+        s, of the simulated time.
+    speed : float, optional
+        Simulated seconds in one of film; a `comfortable` one without it.
+
+    Raises
+    ------
+    ScenarioError
+        Nothing to draw from, or more than `LONGEST` frames.
+    """
+    speed = speed or comfortable(end - start)
+    count = 1 + round((end - start) / speed * FRAMES)
+    if count > LONGEST:
+        raise ScenarioError(
+            f"{count} frames at {FRAMES} a second: expected at most {LONGEST}; a speed of {comfortable(end - start):g} "
+            "or a shorter window does it"
+        )
+    if count < 2:
+        raise ScenarioError(f"{end - start:g} s at a speed of {speed:g} are less than two frames of 1/{FRAMES} s")
+    known = {name: signals[name] for name in drawing.signals if name in signals and signals[name].t.size}
+    if not known:
+        raise ScenarioError(f"nothing was recorded of what is drawn: {', '.join(drawing.signals)}")
+    times = start + (end - start) * np.arange(count) / (count - 1)
+    rows = _rows(known, times)
+    if not drawing.trail:
+        return Film(drawing, times, [_with_time(drawing, r, (), t, speed) for r, t in zip(rows, times)], speed)
+    # a grid that frames share: the trail of each is the stretch of it before the frame
+    step = max(drawing.trail / PAST, 1e-9)
+    first = max(start - drawing.trail, 0.0)
+    grid = np.asarray(first + step * np.arange(math.floor((end - first) / step) + 1), dtype=np.float64)
+    track = _rows(known, grid)
+    frames = []
+    for row, t in zip(rows, times):
+        a, b = np.searchsorted(grid, [t - drawing.trail, t])
+        frames.append(_with_time(drawing, row, track[a:b], t, speed))
+    return Film(drawing, times, frames, speed)
+
+
+def _rows(known: Mapping[str, Signal], times: NDArray[np.float64]) -> list[dict[str, float]]:
+    """The newest value of each signal at each time; none before its first."""
+    columns = {}
+    for name, (t, x) in known.items():
+        newest = np.searchsorted(t, times + 1e-9, side="right") - 1
+        columns[name] = np.where(newest >= 0, x[np.maximum(newest, 0)], math.nan).tolist()
+    return [dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=True)]
+
+
+def _with_time(drawing: Drawing, row: Mapping[str, float], past: Sequence[Mapping[str, float]], t: float,
+               speed: float) -> list[Shape]:  # fmt: skip
+    x, y, width, height = drawing.bounds
+    pen = Pen()
+    digits = max(0, min(6, 1 - math.floor(math.log10(speed)))) if speed < 10 else 0
+    pen.text((x + 20, y + height + 14), f"t = {t:.{digits}f} s", "muted")
+    pen.text((x + width - 20, y + height + 14), said(speed), "muted", 13.0, "end")
+    return [*drawing.frame(row, past), *pen.shapes]
+
+
+def said(speed: float) -> str:
+    """Say how fast a film goes.
+
+    Examples
+    --------
+    >>> said(0.02), said(1.0), said(5.0)
+    ('slowed down 50 times', 'as fast as it is', '5 times as fast as it is')
+    """
+    if speed == 1.0:
+        return "as fast as it is"
+    return f"slowed down {1 / speed:g} times" if speed < 1.0 else f"{speed:g} times as fast as it is"
+
+
+def check_alike(frames: Iterable[Sequence[Shape]]) -> None:
+    """Check what a drawing promises: frames of the same shapes, with different places, radii and texts alone.
+
+    Raises
+    ------
+    ValueError
+        Says which shape differs and how.
+    """
+    kinds: list[tuple[object, ...]] | None = None
+    for k, frame in enumerate(frames):
+        now = [_look(shape) for shape in frame]
+        kinds = kinds or now
+        if now != kinds:
+            at = next((i for i, (a, b) in enumerate(zip(kinds, now)) if a != b), min(len(kinds), len(now)))
+            was, found = (x[at] if at < len(x) else None for x in (kinds, now))
+            raise ValueError(f"frame {k}: shape {at} of {len(now)} is {found}, in the first frame it is {was}")
+
+
+def _look(shape: Shape) -> tuple[object, ...]:
+    look = {name: getattr(shape, name) for name in shape.__dataclass_fields__}
+    fixed = [value for name, value in look.items() if name not in ("points", "centre", "radius", "at", "text")]
+    return (type(shape).__name__, len(getattr(shape, "points", ())), *fixed)

@@ -1,0 +1,109 @@
+"""A film as one SVG file that moves by itself: SMIL, which every browser plays, inside an ``img`` as well."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+from xml.etree.ElementTree import Element, tostring
+
+from ..html import e
+from .film import FRAMES, Film
+from .shapes import Circle, Line, Point, Polygon, Shape, Text
+from .svg import element, number, points, root
+
+JUMP = 40.0  # units in one frame: what moves so far has not moved there, but begun anew
+SPOKEN = 4  # frames for which a text stays: five a second can be read
+
+
+def animated(film: Film) -> str:
+    """Write a film as SVG; shapes that stay stand once, those that are shifted as a whole are shifted.
+
+    Parameters
+    ----------
+    film : Film
+    """
+    clips: list[Element] = []
+    parts = [_moving(series, film, clips) for series in zip(*film.frames, strict=True)]
+    content = [e("defs", *clips), *parts] if clips else parts
+    return tostring(root(film.bounds, film.drawing.title, *content), "unicode")
+
+
+def _moving(series: Sequence[Shape], film: Film, clips: list[Element]) -> Element:
+    first = series[0]
+    if isinstance(first, Text):
+        return _text([s for s in series if isinstance(s, Text)], film, clips)
+    found = element(first)
+    if isinstance(first, Circle):
+        circles = [s for s in series if isinstance(s, Circle)]
+        numbers = {"cx": [c.centre[0] for c in circles], "cy": [c.centre[1] for c in circles],
+                   "r": [c.radius for c in circles]}  # fmt: skip
+        jump = _jumps([(c.centre,) for c in circles])
+        for name, values in numbers.items():
+            if len(set(values)) > 1:
+                found.append(_animate(name, [number(v) for v in values], film, jump))
+        return found
+    places = [s.points for s in series if isinstance(s, Line | Polygon)]
+    if len(set(places)) == 1:
+        return found
+    shifts = [(p[0][0] - places[0][0][0], p[0][1] - places[0][0][1]) for p in places]
+    if all(_shifted(places[0], p, s) for p, s in zip(places, shifts, strict=True)):
+        found.append(_shift(shifts, film))
+    else:
+        found.append(_animate("points", [points(p) for p in places], film, _jumps(places)))
+    return found
+
+
+def _shifted(first: Sequence[Point], now: Sequence[Point], by: Point) -> bool:
+    return all(abs(b[0] - a[0] - by[0]) < 0.15 and abs(b[1] - a[1] - by[1]) < 0.15 for a, b in zip(first, now))
+
+
+def _jumps(places: Sequence[Sequence[Point]]) -> bool:
+    """Whether a shape jumps somewhere: then it is not moved between frames."""
+    return any(
+        abs(a[0] - b[0]) > JUMP or abs(a[1] - b[1]) > JUMP
+        for before, now in pairwise(places) for a, b in zip(before, now)
+    )  # fmt: skip
+
+
+def _animate(name: str, values: Sequence[str], film: Film, jump: bool) -> Element:
+    discrete = {"calcMode": "discrete"} if jump else {}
+    return e("animate", attributeName=name, values=";".join(values), dur=_seconds(film), repeatCount="indefinite",
+             **discrete)  # fmt: skip
+
+
+def _shift(shifts: Sequence[Point], film: Film, discrete: bool = False) -> Element:
+    stepped = {"calcMode": "discrete"} if discrete or _jumps([(s,) for s in shifts]) else {}
+    values = ";".join(f"{number(x)} {number(y)}".removesuffix(" 0") for x, y in shifts)
+    return e("animateTransform", attributeName="transform", type="translate", values=values, dur=_seconds(film),
+             repeatCount="indefinite", **stepped)  # fmt: skip
+
+
+def _text(series: Sequence[Text], film: Film, clips: list[Element]) -> Element:
+    """A text that changes is a strip of all its texts behind a window of one line, and the strip is shifted."""
+    first = series[0]
+    places = [s.at for s in series]
+    texts = [s.text for s in series[::SPOKEN]]
+    found = element(first)
+    if len(set(texts)) > 1:
+        strip = list(dict.fromkeys(texts))
+        pitch = 2.0 * first.size
+        found.text = None
+        x, y = first.at
+        for k, text in enumerate(strip):
+            found.append(e("tspan", text, x=number(x), y=number(y + k * pitch)))
+        rows = [strip.index(text) for text in texts for _ in range(SPOKEN)][: len(series)]
+        found.append(_shift([(0.0, -pitch * row) for row in rows], film, discrete=True))
+        left, _, width, _ = film.bounds
+        name = f"c{len(clips)}"
+        window = e("rect", x=number(left - width), y=number(y - first.size), width=number(3 * width),
+                   height=number(1.4 * first.size))  # fmt: skip
+        clips.append(e("clipPath", window, id=name))
+        found = e("g", found, **{"clip-path": f"url(#{name})"})
+    if len(set(places)) > 1:
+        found = e("g", found)
+        found.append(_shift([(x - places[0][0], y - places[0][1]) for x, y in places], film))
+    return found
+
+
+def _seconds(film: Film) -> str:
+    return f"{len(film.frames) / FRAMES:g}s"

@@ -1,0 +1,88 @@
+"""Shapes as SVG, in the colours of light and dark ground."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from xml.etree.ElementTree import Element, tostring
+
+from ..html import e
+from .base import Drawing
+from .shapes import PALETTE, Circle, Line, Point, Shape, Text
+
+FONT = "system-ui, 'Segoe UI', Roboto, 'Helvetica Neue', 'DejaVu Sans', sans-serif"
+
+
+def sheet(dark: bool | None = None) -> str:
+    """Give the style sheet: a class a role for strokes, one for fills.
+
+    Parameters
+    ----------
+    dark : bool, optional
+        Colours for dark ground, or light; by what the reader's system prefers without it.
+    """
+
+    def rules(which: int) -> str:
+        return "".join(
+            f".s-{role}{{stroke:{pair[which]}}}.f-{role}{{fill:{pair[which]}}}" for role, pair in PALETTE.items()
+        )
+
+    text = f"text{{font-family:{FONT};font-variant-numeric:tabular-nums}}"
+    shapes = "polyline,polygon,circle{stroke-linejoin:round;stroke-linecap:round}.d{stroke-dasharray:5 4}"
+    if dark is not None:
+        return text + shapes + rules(int(dark))
+    return f"{text}{shapes}{rules(0)}@media (prefers-color-scheme:dark){{{rules(1)}}}"
+
+
+def element(shape: Shape) -> Element:
+    """Give a shape as an element of SVG."""
+    if isinstance(shape, Text):
+        x, y = shape.at
+        anchor = {} if shape.anchor == "start" else {"text-anchor": shape.anchor}
+        own = {"font-size": number(shape.size)} | anchor
+        return e("text", shape.text, x=number(x), y=number(y), class_=f"f-{shape.role}", **own)
+    look = [f"s-{shape.role}"] if shape.width else []
+    width = {"stroke-width": number(shape.width)} if shape.width else {}
+    if isinstance(shape, Line):
+        look += ["d"] if shape.dashed else []
+        return e("polyline", points=points(shape.points), fill="none", class_=" ".join(look), **width)
+    look += [f"f-{shape.fill}"] if shape.fill else []
+    filled = {} if shape.fill else {"fill": "none"}
+    own = {"class_": " ".join(look)} | filled | width
+    if isinstance(shape, Circle):
+        (x, y), r = shape.centre, shape.radius
+        return e("circle", cx=number(x), cy=number(y), r=number(r), **own)
+    return e("polygon", points=points(shape.points), **own)
+
+
+def root(bounds: tuple[float, float, float, float], title: str, *content: Element, dark: bool | None = None) -> Element:
+    """Give an SVG document with its own ground."""
+    x, y, width, height = bounds
+    ground = e("rect", x=number(x), y=number(y), width=number(width), height=number(height), class_="f-paper")
+    return e("svg", e("title", title), e("style", sheet(dark)), ground, *content, xmlns="http://www.w3.org/2000/svg",
+             viewBox=f"{x:g} {y:g} {width:g} {height:g}", width=number(width), height=number(height),
+             role="img")  # fmt: skip
+
+
+def points(of: tuple[Point, ...]) -> str:
+    """Write points as SVG has them."""
+    return " ".join(f"{number(x)},{number(y)}" for x, y in of)
+
+
+def number(value: float) -> str:
+    """Write a coordinate as briefly as its tenth of a unit allows."""
+    text = f"{value:.1f}".removesuffix(".0")
+    return "0" if text == "-0" else text
+
+
+def still(drawing: Drawing, shapes: Sequence[Shape], dark: bool | None = None) -> str:
+    """Write one frame as a file by itself.
+
+    Parameters
+    ----------
+    drawing : Drawing
+    shapes : sequence of Shape
+        From `Drawing.frame`.
+    dark : bool, optional
+        See `sheet`.
+    """
+    return tostring(root(drawing.bounds, drawing.title, *map(element, shapes), dark=dark), "unicode")

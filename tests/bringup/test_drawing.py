@@ -1,0 +1,163 @@
+"""Drawings of plants and the films made of them."""
+
+import math
+from random import Random
+from xml.etree import ElementTree
+
+import pytest
+from softrig_bringup.cli import main
+from softrig_bringup.drawing import PALETTE, as_dict, drawing_for
+from softrig_bringup.drawing.film import check_alike, comfortable, film
+from softrig_bringup.drawing.smil import animated
+from softrig_core import Signals, rig_of, simulate
+from softrig_core.rig.members import signal_units
+
+# one of each plant that is drawn
+DRAWN = ["induction_dtc", "lsrm_fuzzy", "manipulator_adsmc", "manipulator_adsmc_two_link", "rehab_impedance_r5"]
+
+
+@pytest.mark.parametrize("name", DRAWN)
+def test_frames_differ_in_places_radii_and_texts_alone(name):
+    drawing = drawing_for(name)
+    known = signal_units(rig_of(name))
+    assert drawing.signals
+    assert set(drawing.signals) <= known.keys()
+    draw = Random(1)
+    rows = [{s: draw.uniform(-1, 1) * 10.0 ** draw.randint(-3, 6) for s in drawing.signals} for _ in range(20)]
+    rows += [{}, dict.fromkeys(drawing.signals, math.nan), dict.fromkeys(drawing.signals, math.inf)]
+    frames = [drawing.frame(row, rows[:k]) for k, row in enumerate(rows)]
+    check_alike(frames)
+    assert frames[0] != frames[-1]
+    numbers = [x for f in frames for s in f for p in points(s) for x in p]
+    assert all(map(math.isfinite, numbers))
+    assert {as_dict(s)["role"] for f in frames for s in f} <= PALETTE.keys()
+    assert [drawing.frame(row, rows[:k]) for k, row in enumerate(rows)] == frames  # what was drawn before counts not
+
+
+def points(shape):
+    found = as_dict(shape)
+    yield from found.get("points") or [found.get("centre") or found.get("at")]
+    if "radius" in found:
+        assert found["radius"] >= 0.0
+
+
+def test_a_frame_that_differs_otherwise_is_named():
+    drawing = drawing_for("induction_dtc")
+    frame = drawing.frame({})
+    with pytest.raises(ValueError, match=r"frame 1: shape 104 of 104 is None, in the first frame it is \('Text'"):
+        check_alike([frame, frame[:-1]])
+
+
+def test_the_motor_turns_as_its_shaft_and_the_flux_points_as_it_does():
+    drawing = drawing_for("induction_dtc")
+    still = {"flux_true/x": 1.05, "flux_true/y": 0.0}
+    up = {"flux_true/x": 0.0, "flux_true/y": 1.05}
+    tips = [next(s for s in drawing.frame(r) if s.role == "alarm" and type(s).__name__ == "Polygon").points[0]
+            for r in (still, up)]  # fmt: skip
+    assert tips == [(298.0, 180.0), (190.0, 72.0)]
+    # a quarter turn of the picture with one pair of poles is an eighth of the shaft's, which has two
+    marks = [next(s for s in drawing.frame({"joint_states/shaft/position": q}) if as_dict(s).get("fill") == s.role
+                  == "muted").points[0] for q in (0.0, math.pi / 4)]  # fmt: skip
+    assert marks == [(278.0, 180.0), (190.0, 92.0)]
+
+
+def test_conductors_lie_so_that_their_currents_make_the_flux_along_the_axis():
+    """A current of phase a alone: out of the page above, into it below: its field points right."""
+    drawing = drawing_for("induction_dtc")
+    frame = drawing.frame({"currents_true/x": 5.0})
+    signs = {s.text: s.at[1] for s in frame if as_dict(s).get("text") in ("·", "×")}
+    assert signs["·"] < 180.0 < signs["×"]
+
+
+def test_the_translator_stands_where_its_poles_are_aligned():
+    """At a position of k times 13 mm pole k is below a tooth."""
+    drawing = drawing_for("lsrm_fuzzy")
+    for k, name in enumerate("abcd"):
+        frame = drawing.frame({"joint_states/translator/position": 0.013 * k})
+        letter = next(s for s in frame if as_dict(s).get("text") == name)
+        teeth = [sum(x for x, _ in s.points) / 4 for s in frame if as_dict(s).get("fill") == "faint"
+                 and s.role == "muted"]  # fmt: skip
+        assert min(abs(x - letter.at[0]) for x in teeth) < 0.2
+
+
+def test_a_robot_stands_as_its_joints_say():
+    """The leg hangs straight down at zero; bent at the hip its foot comes forward, to the right."""
+    drawing = drawing_for("rehab_impedance")
+    feet = [drawing.camera(drawing.scene.tip(q)) for q in ((0.0, 0.0), (0.5, 0.0))]
+    hip = drawing.camera((0.0, 0.0, 1.0))
+    assert feet[0][0] == pytest.approx(hip[0])
+    assert feet[0][1] > hip[1]
+    assert feet[1][0] > feet[0][0] + 20.0
+    foot = [s for s in drawing.frame({"joint_states/hip/position": 0.5}) if as_dict(s).get("fill") == "second"][-1]
+    assert foot.centre == pytest.approx(feet[1], abs=0.06)
+
+
+@pytest.mark.parametrize(("span", "speed"), [(0.1, 0.02), (2.0, 0.5), (8.0, 1.0), (9.0, 2.0), (100.0, 20.0)])
+def test_a_film_is_short_and_its_speed_a_round_number(span, speed):
+    assert comfortable(span) == speed
+    assert 3.0 < span / speed <= 8.0
+
+
+@pytest.fixture(scope="module")
+def shorted():
+    return simulate("induction_dtc_short")
+
+
+def test_a_film_shows_the_newest_value_of_each_time(shorted):
+    drawing = drawing_for(shorted.rig)
+    made = film(drawing, shorted.signals, 0.08, 0.1)
+    t, _ = shorted.signals["flux_true/x"]
+    row = {name: shorted.signals[name].x[-1] for name in drawing.signals}
+    assert made.times[-1] == t[-1] == 0.1
+    assert made.frames[-1][60:-2][-1] == drawing.frame(row)[-1]
+    assert made.speed == 0.005
+    check_alike(made.frames)
+
+
+def test_an_svg_moves_by_itself_and_says_everything_once(shorted):
+    made = film(drawing_for(shorted.rig), shorted.signals, 0.05, 0.1)
+    root = ElementTree.fromstring(animated(made))
+    space = "{http://www.w3.org/2000/svg}"
+    moving = [*root.iter(f"{space}animate"), *root.iter(f"{space}animateTransform")]
+    assert {m.get("dur") for m in moving} == {"5.05s"}
+    assert {len(m.get("values").split(";")) for m in moving} == {101}
+    assert len(list(root.iter(f"{space}polyline"))) == sum(type(s).__name__ == "Line" for s in made.frames[0])
+    assert "http" not in animated(made).replace("http://www.w3.org/2000/svg", "")  # nothing to fetch
+
+
+@pytest.mark.parametrize("form", ["svg", "gif", "webp", "png"])
+def test_the_verb_writes_every_form(form, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(["animate", "induction_dtc_short", "--from", "0.09", "--speed", "0.05", "-o", f"film.{form}"]) == 0
+    assert capsys.readouterr().out.startswith(f"film.{form}: 0.25 s, 5 frames, 0.")
+    assert [p.name for p in tmp_path.iterdir()] == [f"film.{form}"]
+    if form != "svg":
+        from PIL import Image
+
+        with Image.open(tmp_path / f"film.{form}") as image:
+            assert (image.n_frames, image.size) == (5, (640, 390))
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["induction_dtc_short", "-o", "film.mp4"], "expected a file that ends with .svg, .gif, .webp, .png"),
+        (["induction_dtc_short", "--from", "0.2"], "expected a stretch of the run, which is 0.1 s long"),
+        (["induction_dtc_short", "--speed", "1e-4"], "a speed of 0.02 or a shorter window does it"),
+        (["induction_dtc_short", "--speed", "10"], "less than two frames of 1/20 s"),
+        (["rectifier_mpc_certificate"], "no drawing of"),
+        (["induction_dtc_shor"], "did you mean"),
+    ],
+)
+def test_what_cannot_be_animated_is_said(words, said, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(["animate", *words]) == 2
+    assert said in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_run_without_what_is_drawn_is_said(shorted):
+    from softrig_core import Recording, ScenarioError
+
+    with pytest.raises(ScenarioError, match="nothing was recorded of what is drawn: joint_states/shaft/position"):
+        film(drawing_for(shorted.rig), Signals(Recording([])), 0.0, 0.1)
