@@ -1,7 +1,8 @@
-"""Pages of the packages as the site has them: links as they lie there, comments gone, long tables folded."""
+"""Pages of the packages as the site has them: links as they lie there, comments gone, what folds as it folds there."""
 
 from __future__ import annotations
 
+import html
 import os
 import re
 import shutil
@@ -9,11 +10,11 @@ from pathlib import Path
 
 from .outline import ROOT, places
 
-FOLDED = 16  # rows from which on a table is folded
 _COMMENT = re.compile(r"^<!--.*?-->\n|<!--.*?-->", re.S | re.M)
 _LINK = re.compile(r"(\]\()([^)\s]+)(\))")
 _FENCE = re.compile(r"(^```.*?^```$)", re.S | re.M)
-_TABLE = re.compile(r"(?:^\|.*\n)+", re.M)
+_SUMMARY = re.compile(r"<details>\n<summary>(.*?)</summary>")
+_FORMULA = re.compile(r"\$`([^`]+)`\$")
 _INDENTED = re.compile(r"(?<=\n\n)(?:    .*\n|\n+(?=    ))+")
 _COMMAND = re.compile(r"    ([\w./]*softrig|scripts/|ros2|eval|export|colcon|docker|pip|cd|git|ROS_|SOFTRIG_)\b")
 _HEADING = re.compile(r"^```.*?^```$|^(#+) ", re.S | re.M)
@@ -55,7 +56,9 @@ def moved(text: str, page: Path, place: str, site: Path) -> str:
 
     parts = _FENCE.split(_COMMENT.sub("", text))
     for k in range(0, len(parts), 2):  # what stands in fences stays
-        parts[k] = _INDENTED.sub(_fenced, _TABLE.sub(_folded, _LINK.sub(link, parts[k])))
+        text = _FORMULA.sub(r"{math}`\1`", _LINK.sub(link, parts[k]))
+        text = _SUMMARY.sub(_unfolding, text).replace("</details>", ":::")
+        parts[k] = _INDENTED.sub(_fenced, text)
     return promoted("".join(parts))
 
 
@@ -88,9 +91,6 @@ def _fenced(found: re.Match[str]) -> str:
     return "\n".join(["```bash", *(line[4:] for line in lines), "```", ""])
 
 
-def _folded(found: re.Match[str]) -> str:
-    rows = found[0].rstrip("\n").split("\n")
-    if len(rows) - 2 < FOLDED:
-        return found[0]
-    head = ", ".join(cell.strip() for cell in rows[0].strip("|").split("|") if cell.strip())
-    return f":::{{dropdown}} {len(rows) - 2} rows: {head}\n\n{found[0]}\n:::\n"
+def _unfolding(found: re.Match[str]) -> str:
+    """What folds in a repository's view, as the site's own."""
+    return ":::{dropdown} " + html.unescape(re.sub(r"</?code>", "`", found[1]))

@@ -13,7 +13,7 @@ from typing import get_args
 from unittest import mock
 
 import softrig_core
-from pages.generated import _parameter, nodes
+from pages.generated import _parameter, node
 from softrig_bringup import cli
 from softrig_control.fault import Fault, FaultParams, Kind
 from softrig_core import ScenarioError
@@ -117,7 +117,10 @@ def all_nodes() -> str:
                 continue  # a tool, no node
             shown.append(executable)
         if shown:
-            parts += [f"## {package}", "", nodes(package, shown).replace("#### ", "### "), ""]
+            parts += [f"## {package}", ""]
+            for executable in shown:
+                head, tables = node(package, executable)
+                parts += [f"### `{executable}`", "", head, "", tables, ""]
     return "\n".join(parts)
 
 

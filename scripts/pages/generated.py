@@ -12,6 +12,7 @@ A page holds pairs of markers; what stands between them is made from the code an
     <!-- end -->
 
 and, within a line, ``<!-- verdicts: dc_motor -->``, how many claims of a system have which verdict.
+Tables that are there to be looked up fold: a click on their summary opens them, in a repository's view and on the site.
 Numbers in the text that people write have their sources too, see `numbers`.
 """
 
@@ -40,6 +41,7 @@ from .plots import draw, picture
 
 _KINDS = "nodes|claims|scenarios|sources|picture|measured"
 _PART = re.compile(rf"(<!-- ({_KINDS}): ([^>]*?) -->\n).*?(<!-- end -->)", re.DOTALL)
+LONG = 6  # rows of measurements; more are folded
 _VERDICTS = re.compile(r"(<!-- verdicts: ([^>]*?) -->)[^\n]*?(<!-- end -->)")
 
 
@@ -60,19 +62,27 @@ def generate(page: str, runs: bool = False) -> str:
     return _VERDICTS.sub(lambda found: f"{found[1]}{verdicts(found[2])}{found[3]}", _PART.sub(part, page))
 
 
+def folded(summary: str, text: str) -> str:
+    """Fold a part of a page behind its summary (Markdown)."""
+    shown = re.sub(r"`([^`]*)`", r"<code>\1</code>", summary.replace("&", "&amp;").replace("<", "&lt;"))
+    return f"<details>\n<summary>{shown}</summary>\n\n{text}\n\n</details>"
+
+
 def nodes(package: str, executables: Sequence[str]) -> str:
-    """Topics and parameters of the executables of a package."""
-    parts = []
-    for executable in executables:
-        block = load_block(package, executable)
-        inputs, outputs = block.ports(block.Params())
-        text = [f"#### `{executable}`", "", (block.__doc__ or "").strip().splitlines()[0], ""]
-        text += ["| topic | | type | values |", "|---|---|---|---|"]
-        text += [_topic(port, "reads") for port in inputs] + [_topic(port, "publishes") for port in outputs]
-        text += ["", "| parameter | default | unit | bounds | |", "|---|---|---|---|---|"]
-        text += [_parameter(d) for d in declarations(block.Params)]
-        parts.append("\n".join(text))
-    return "\n\n".join(parts)
+    """Topics and parameters of the executables of a package, each folded behind its name and what it is."""
+    described = ((executable, *node(package, executable)) for executable in executables)
+    return "\n\n".join(folded(f"`{executable}`: {head}", text) for executable, head, text in described)
+
+
+def node(package: str, executable: str) -> tuple[str, str]:
+    """Say what an executable is, and give its topics and parameters as tables."""
+    block = load_block(package, executable)
+    inputs, outputs = block.ports(block.Params())
+    text = ["| topic | | type | values |", "|---|---|---|---|"]
+    text += [_topic(port, "reads") for port in inputs] + [_topic(port, "publishes") for port in outputs]
+    text += ["", "| parameter | default | unit | bounds | |", "|---|---|---|---|---|"]
+    text += [_parameter(d) for d in declarations(block.Params)]
+    return (block.__doc__ or "").strip().splitlines()[0], "\n".join(text)
 
 
 def _topic(port: Port, direction: str) -> str:
@@ -118,7 +128,9 @@ def claims(prefixes: Sequence[str], old: str | None) -> str:
                 scenario, _, figure = (claim.figure or key).rpartition(".")
                 found = next(_shown(r) for r in results(scenario or name) if r.name == figure)
             lines.append("| " + " | ".join([*cells[:3], found, *cells[3:]]) + " |")
-    return "\n".join(lines)
+    counts = Counter(v.replace("_", " ") for v in re.findall(r"\*\*(.*?)\*\*", "\n".join(lines)))
+    told = ", ".join(f"{n} {v}" for v, n in counts.most_common())
+    return folded(f"Claim by claim: {len(lines) - 2} of them, {told}", "\n".join(lines))
 
 
 def _shown(result: Result) -> str:
@@ -132,14 +144,15 @@ def scenarios(prefixes: Sequence[str]) -> str:
     for name in chosen(prefixes):
         scenario = load_scenario(name)
         lines.append(f"| `{name}` | {scenario.title} | {scenario.duration:g} |")
-    return "\n".join(lines)
+    return folded(f"All {len(lines) - 2} scenarios", "\n".join(lines))
 
 
 def sources(prefixes: Sequence[str]) -> str:
     """Papers that scenarios cite, each once, with their BibTeX entries."""
     keys = [key for name in chosen(prefixes) for key in load_scenario(name).cites]
     found = cited(list(dict.fromkeys(keys)))
-    return "\n".join([*listed(found), "", "```bibtex", "\n\n".join(c.bibtex for c in found), "```"])
+    bibtex = "\n\n".join(c.bibtex for c in found)
+    return "\n".join([*listed(found), "", folded("BibTeX", f"```bibtex\n{bibtex}\n```")])
 
 
 def verdicts(system: str) -> str:
@@ -173,7 +186,9 @@ def measured(what: str) -> str:
         found = {r.name: _shown(r) for r in results(name)}
         rows.append(" | ".join([f"| `{name}`", load_scenario(name).title, *(found.get(f, "") for f in figures)]) + " |")
     titles = " | ".join(f.replace("_", " ") for f in figures)
-    return "\n".join([f"| scenario | | {titles} |", "|---" * (len(figures) + 2) + "|", *rows])
+    table = "\n".join([f"| scenario | | {titles} |", "|---" * (len(figures) + 2) + "|", *rows])
+    summary = f"Measured in {len(rows)} scenarios: {titles.replace(' | ', ', ')}"
+    return table if len(rows) <= LONG else folded(summary, table)
 
 
 def untrue(page: str, path: Path, runs: bool = False) -> list[str]:

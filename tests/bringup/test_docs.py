@@ -45,9 +45,10 @@ def test_how_a_page_is_moved(tmp_path):
     assert moved("So:\n\n    scripts/softrig list  # all\n    scripts/softrig new a\n\n    x = 1\n\nText\n") == (
         "So:\n\n```bash\nscripts/softrig list  # all\nscripts/softrig new a\n\nx = 1\n```\n\nText\n"
     )
-    short, long = ("| a | b |\n|---|---|\n" + "| 1 | 2 |\n" * n for n in (collect.FOLDED - 1, collect.FOLDED))
-    assert moved(short) == short
-    assert moved(f"{long}\nText\n") == f":::{{dropdown}} {collect.FOLDED} rows: a, b\n\n{long}\n:::\n\nText\n"
+    assert moved("<details>\n<summary>Three &lt; <code>four</code></summary>\n\n| a |\n|---|\n\n</details>\n") == (
+        ":::{dropdown} Three < `four`\n\n| a |\n|---|\n\n:::\n"
+    )
+    assert moved("where $`x_1 < 2`$ is, for 3 $ and 4 $\n") == "where {math}`x_1 < 2` is, for 3 $ and 4 $\n"
 
 
 def test_the_gallery_has_a_card_of_every_system_with_a_picture_that_is_there(tmp_path):

@@ -108,11 +108,11 @@ def test_what_claims_measured_stays_until_runs_are_asked_for(monkeypatch):
     simulate_once = cache(simulate)
     page = "<!-- claims: dc_motor_smc_b1 -->\n<!-- end -->"
     without = pages.generate(page)
-    row = without.splitlines()[4]
+    row = without.splitlines()[7]
     assert row.split(" | ")[3] == "?"
     measured = pages.generate(page, runs=True)
     share = simulate_once("dc_motor_smc_b1").figures["overshoot"]
-    assert float(measured.splitlines()[4].split(" | ")[3].split()[0]) == pytest.approx(share, rel=1e-4)
+    assert float(measured.splitlines()[7].split(" | ")[3].split()[0]) == pytest.approx(share, rel=1e-4)
     assert pages.generate(measured) == measured
 
 

@@ -1,0 +1,73 @@
+"""The pages of the systems are read alike: one order of headings, three sentences and a picture first, formulas set."""
+
+import re
+
+import pytest
+from docs.outline import SYSTEMS, pages
+from docutils.utils.math.latex2mathml import tex2mathml
+from softrig_core import list_scenarios
+from softrig_core.rig.simulate import rig_of
+
+ORDER = [
+    "Try it", "The model", "Corrections of the paper", "Published and measured", "What you can change and see",
+    "Speed", "References",
+]  # fmt: skip
+LONG = 25  # rows of a table, from which on it folds
+_FENCED = re.compile(r"^```.*?^```$", re.S | re.M)
+_COMMENT = re.compile(r"<!--.*?-->", re.S)
+
+
+def _parsed(value):
+    return float(value) if re.fullmatch(r"[+-]?\d+(\.\d*)?", value) else value
+
+
+def parts(name):
+    """Text of a page by heading; what stands before the first one under an empty name."""
+    text = pages()[name].read_text()
+    bare = _FENCED.sub(lambda m: re.sub("^#", " ", m[0], flags=re.M), text)
+    found = re.split(r"^## (.+)\n", bare, flags=re.M)
+    return {"": found[0]} | dict(zip(found[1::2], found[2::2], strict=True))
+
+
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_a_page_has_its_parts_in_their_order(name):
+    found = parts(name)
+    assert list(found)[1:] == ORDER
+    lead, trying, model, corrected, measured, changing, speed, sources = found.values()
+    assert re.search(r"^!\[.+\]\(\w+\.(png|svg|gif|webp)\)$", lead, re.M)
+    prose = " ".join(_COMMENT.sub("", re.sub(r"^[#!].*$", "", lead, flags=re.M)).split())
+    assert len(re.findall(r"[.!?](?= [A-Z]|$)", prose)) == 3, prose
+    (command,) = re.findall(r"\A\n    (.+)\n\n", trying)
+    scenario = re.fullmatch(r"scripts/softrig run (\w+) --mode inprocess(?: +# .+)?", command)
+    assert scenario, command
+    assert scenario[1] in list_scenarios()
+    assert "```math" in model
+    assert re.search(r"^(- |\| )", corrected, re.M)
+    assert "<!-- claims: " in measured
+    assert "<!-- measured: " in measured
+    assert "<!-- scenarios: " in changing
+    assert "<!-- nodes: " in changing
+    assert re.search(r"\d (s|ms|us)\b", speed)
+    assert "<!-- sources: " in sources
+
+
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_what_a_page_says_to_set_can_be_set(name):
+    found = parts(name)
+    scenario = re.search(r"softrig run (\w+)", found["Try it"])[1]
+    for key, value in re.findall(r"`--set ([\w.]+)=([\w.+-]+)`", found["What you can change and see"]):
+        if value != "...":
+            rig_of(scenario, overrides={key: _parsed(value)})
+
+
+@pytest.mark.parametrize("name", sorted(pages()))
+def test_formulas_can_be_set_and_long_tables_fold(name):
+    text = _COMMENT.sub("", pages()[name].read_text())
+    for formula in re.findall(r"^```math\n(.*?)^```$", text, re.S | re.M):
+        tex2mathml(formula, as_block=True)
+    for formula in re.findall(r"\$`([^`]+)`\$", text):
+        tex2mathml(formula, as_block=False)
+    open_ = re.sub(r"^<details>.*?^</details>$", "", text, flags=re.S | re.M)
+    for table in re.findall(r"(?:^\|.*\n)+", open_, re.M):
+        assert table.count("\n") - 2 < LONG, table.splitlines()[0]
+    assert text.count("<details>\n<summary>") == text.count("</details>\n") == text.count("<details>")
