@@ -14,18 +14,18 @@ KINDS = {
     "tutorials": (
         "Tutorials",
         "From nothing to a result, a quarter of an hour each. A test types every command that ends by itself.",
-        ("first_run", "own_controller", "own_package", "test_bench"),
+        ("first_run", "own_controller", "own_package", "tune", "test_bench", "realtime", "question"),
     ),
     "how-to": (
         "How-to guides",
         "You know what you want to do; here is how.",
-        ("set_up", "workspace", "node", "continuous_integration", "python", "studies", "learning", "linear_view",
-         "bags", "bags_pandas", "reports", "paper_figures"),
+        ("set_up", "workspace", "node", "two_machines", "continuous_integration", "python", "studies", "learning",
+         "linear_view", "bags", "bags_pandas", "reports", "paper_figures"),
     ),
     "explanations": (
         "Explanations",
         "Why it is as it is, and what you can rely on.",
-        ("idea", "tick", "placements", "bits", "solver"),
+        ("idea", "lockstep", "tick", "placements", "bits", "verdicts", "solver"),
     ),
     "reference": ("Reference", "Everything by name; most of it is made from the code.", ("scenario_file", "model_kit")),
 }  # fmt: skip

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import pytest
 from docs.outline import KINDS, ROOT, pages
 from softrig_bringup.cli import _FOREIGN, _SCRIPT, _parser
+from softrig_core import simulate
 from softrig_core.rig.domain import free_domain
 
 TUTORIALS = (*KINDS["tutorials"][2], "bags_pandas", "paper_figures")  # and guides whose steps follow each other
@@ -107,7 +108,7 @@ def test_the_commands_of_a_tutorial_are_commands(name):
     for block in blocks(pages()[name].read_text()):
         if block.kind == "commands" and "<<" not in block.text:
             for line in re.sub(r"\\\n", " ", block.text).splitlines():
-                words = shlex.split(re.split(r" (?:\|\||&|2>|#)", line)[0], comments=True)
+                words = shlex.split(re.split(r" (?:\|\||&|2?>|#)", line)[0], comments=True)
                 if words[0] != "softrig":
                     continue
                 words = words[3:] if words[1] == "--workspace" else words[1:]
@@ -123,3 +124,10 @@ def test_what_an_example_shows_is_held_against_what_was_printed():
     assert blocks("Do:\n\n    softrig list\n\n```text\nx\n```\n```yaml\n# a.yaml\nb: 1\n```\n\n    always x > 1\n") == [
         ("commands", "softrig list\n"), ("output", "x\n"), ("file", "# a.yaml\nb: 1\n"),
     ]  # fmt: skip
+
+
+def test_rounded_gains_settle_late():
+    gains = {"dc_motor_pid.kp": 8.3, "dc_motor_pid.ki": 1.64, "dc_motor_pid.kd": 0.59}
+    found = simulate("dc_motor_smc_b4", overrides=gains).figures
+    assert found["settling_time"] == pytest.approx(0.835623, rel=1e-5)
+    assert found["overshoot"] == pytest.approx(2.45958, rel=1e-5)
