@@ -1,5 +1,6 @@
 """The step and the runner: what may leave a block, ages, ticks one by one; alike in every placement."""
 
+import math
 import subprocess
 import sys
 
@@ -7,8 +8,10 @@ import pytest
 from conftest import make_scenario
 from faultrig import Gain, Lag, Source
 from simulated import SimulatedRig, World
-from softrig_core import Block, Recording, Rig, RunError, Signals, run_inprocess
+from softrig_core import Block, Recording, Rig, RunError, Signals, run_inprocess, scalars
 from softrig_core.model.runner import Runner
+from softrig_core.model.schedule import Schedule
+from softrig_core.model.step import Step
 from softrig_core.rig.inprocess import wired
 
 
@@ -42,6 +45,46 @@ def test_in_real_time_a_law_beyond_its_range_gives_its_safe_value_and_says_so():
     command = run.recording.topics["command"].data
     layout = run.adapters["command_source"].outputs[0].layout
     assert {layout.decode(data)[1] for data in command} == {(0.0,)}
+
+
+@pytest.mark.parametrize("said", [(0.5, 2.0), [0.5, 2.0], (0.5, 2)])
+def test_what_is_almost_a_row_of_floats_becomes_one(said):
+    step, rows = _alone({"out": said})
+    step.say(0)
+    assert rows == [((0.5, 2.0),)]
+    assert step.numbers == (0.5, 2.0)
+
+
+@pytest.mark.parametrize(("said", "reason"), [
+    ((0.5,), "out has 1 values, expected 2"), ((0.5, math.nan), "out b/position became nan"),
+    ((0.5, -1e9), "out b/position became -1e"), (("x", 0.0), "out is no row of numbers"), (None, "gave no out"),
+    ((math.inf, -math.inf), "out a/position became inf"),
+])  # fmt: skip
+def test_what_may_not_leave_a_block_is_told(said, reason):
+    step, rows = _alone({"out": said} if said else {})
+    with pytest.raises(RunError, match=reason) as error:
+        step.say(0)
+    assert error.value.node == "odd"
+    assert rows == []
+
+
+def _alone(answer):
+    """A step whose input has a name that is no word of Python, and what it has sent."""
+
+    class Odd(Block):
+        """Says what it is told to."""
+
+        INPUTS = (scalars("for", "for", {"x": ""}), scalars("of-all", "all", {"x": ""}))
+        OUTPUTS = (scalars("out", "out", {"a": "V", "b": "V"}),)
+
+        def update(self, t, **inputs):
+            assert inputs == {"for": (0.0,), "of-all": (0.0,)}
+            return answer
+
+    block, rows = Odd(name="odd"), []
+    step = Step("odd", block, Schedule(0.1), *block.ports(block.p))
+    step.send = lambda t, said: rows.append(said)
+    return step, rows
 
 
 def test_a_rig_is_stepped_tick_by_tick_with_a_member_that_python_plays():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from operator import mul
 from typing import Any
 
 from ..errors import RunError
@@ -62,14 +63,22 @@ def check(found: Any, port: Port, node: str, t: int) -> Row | None:
     return Sample(given.stamp, values) if isinstance(given, Sample) else values
 
 
+def _squares(p: tuple[Any, ...], q: tuple[Any, ...]) -> Any:
+    return sum(map(mul, p, q))
+
+
+sum_of_products = getattr(math, "sumprod", _squares)  # from Python 3.12 on
+
+
 def flat(rows: Any) -> tuple[float, ...]:
     """Put the numbers of several tuples into one."""
     return rows[0] if len(rows) == 1 else sum(rows, ())
 
 
 def usual(values: tuple[Any, ...], bound: float) -> bool:
-    """Whether values are floats the sum of whose magnitudes is not above a bound; told fast."""
+    """Whether values are floats the sum of whose squares is not above a bound; told fast."""
     try:
-        return type(sum(values)) is float and sum(map(abs, values)) <= bound
+        size = sum_of_products(values, values)
+        return type(size) is float and size <= bound
     except (TypeError, OverflowError):
         return False

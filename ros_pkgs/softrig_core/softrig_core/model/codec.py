@@ -7,6 +7,7 @@ from itertools import count
 
 from ..timebase import SECOND
 from ..wire.cdr import CdrError, Layout, Message, Pick, getter, parse
+from .answer import usual
 from .port import Port, Refused
 
 
@@ -16,18 +17,12 @@ class Decoder:
     Parameters
     ----------
     port : Port
-
-    Attributes
-    ----------
-    bound : float
-        Values the sum of whose magnitudes is not above it need no closer look.
     """
 
     def __init__(self, port: Port) -> None:
         self._port = port
         self._layout = port.layout()
         self._pick: Pick | None = None
-        self.bound = min(port.limits, default=0.0)
         self.kept = port.safe  # of a partial port: what channels that a message leaves out keep; its reader updates it
 
     def __call__(self, data: bytes) -> tuple[int, tuple[float, ...]]:
@@ -47,7 +42,7 @@ class Decoder:
         stamp, values = found
         if self._pick is not None:
             values = self._pick(values + self.kept if self._port.partial else values)
-        if not sum(map(abs, values)) <= self.bound:  # one beyond its limit, NaN, infinity; or all are rather large
+        if not usual(values, self._port.bound):  # one beyond its limit, NaN, infinity; or all are rather large
             self._check(values)
         return stamp, values
 

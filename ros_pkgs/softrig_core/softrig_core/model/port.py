@@ -17,6 +17,7 @@ XYZ = ("x", "y", "z")
 # would overflow in a law. The last is that of any other unit.
 PLAUSIBLE = {"V": 1e7, "A": 1e7, "N": 1e8, "N m": 1e8, "rad": 1e9, "rad/s": 1e7, "m": 1e9, "m/s": 1e7, "s": 1e10}
 PLAUSIBLE_OTHER = 1e12
+LARGEST = 1e150  # whose square is a number
 
 
 class Refused(ValueError):
@@ -126,8 +127,9 @@ class Port:
 
     @cached_property
     def bound(self) -> float:
-        """Values the sum of whose magnitudes is not above it are all within their limits."""
-        return min(self.limits, default=0.0)
+        """Values the sum of whose squares is not above it are all within their limits."""
+        least = min(self.limits, default=0.0)
+        return least * least if least < LARGEST else 0.0
 
     def beyond(self, values: Sequence[float]) -> str:
         """Say which value is not finite or beyond its limit, and what was expected; empty when all may be taken."""

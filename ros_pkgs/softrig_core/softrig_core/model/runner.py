@@ -10,6 +10,8 @@ from .block import Plant
 from .schedule import Schedule
 from .step import Step
 
+KNOWN = 10_000  # ticks of which it is kept who is due
+
 
 class Runner:
     """The members of a rig that live in this process: all of them, some, or one.
@@ -26,9 +28,9 @@ class Runner:
         stride = math.gcd(*(s.schedule.every for s in steps))  # of the clock's ticks, those at which anybody is due
         self.ticks = None if schedule.ticks is None else schedule.ticks // stride
         self._time = Schedule(schedule.clock * stride).time
-        due = [(s, s.schedule.every // stride) for s in self.steps]
-        self._plants = [(s, every) for s, every in due if isinstance(s.block, Plant)]
-        self._others = [(s, every) for s, every in due if not isinstance(s.block, Plant)]
+        self._members = [(s, s.schedule.every // stride) for s in self.steps]
+        self._again = math.lcm(*(every for _, every in self._members))  # ticks after which the same are due
+        self._known: dict[int, tuple[list[tuple[Step, int]], list[Step]]] = {}
 
     def run(self) -> Iterator[int | None]:
         """Answer tick after tick.
@@ -43,29 +45,39 @@ class Runner:
         RunError
             A block failed, or gave what may not leave it.
         """
-        ticks, time = self.ticks, self._time
+        ticks, time, known, again = self.ticks, self._time, self._known, self._again
         for k in count() if ticks is None else range(ticks + 1):
             t = time(k)
-            for plant, every in self._plants:
-                if k % every == 0:
-                    plant.say(t)
-            waiting = [
-                step for step, every in self._others
-                if k % every == 0 and (ticks is None or k < ticks or t == step.schedule.last)
-            ]  # fmt: skip
-            while waiting:
-                lacking: list[Step] = []
-                for step in waiting:
-                    if step.lacks is not None and (any(s in lacking for s in step.sources) or step.lacks(t)):
-                        lacking.append(step)
-                    else:
-                        step.say(t)
-                if lacking:  # what it waits for may need what another one here has to say
-                    yield None
-                waiting = lacking
-            for plant, every in self._plants:
-                if k % every == 0 and (ticks is None or k + every <= ticks):
+            plants, others = known.get(k % again) or self._due(k)
+            for plant, _ in plants:
+                plant.say(t)
+            lacking = _say(others if k != ticks else [s for s in others if t == s.schedule.last], t)
+            while lacking:  # what it waits for may need what another one here has to say
+                yield None
+                lacking = _say(lacking, t)
+            for plant, every in plants:
+                if ticks is None or k + every <= ticks:
                     while plant.lacks is not None and plant.lacks(t):
                         yield None
                     plant.advance(t)
             yield t
+
+    def _due(self, k: int) -> tuple[list[tuple[Step, int]], list[Step]]:
+        """Give the plants that are due at a tick, with their ticks to the next one, and the others."""
+        due = [(s, every) for s, every in self._members if k % every == 0]
+        plants = [(s, every) for s, every in due if isinstance(s.block, Plant)]
+        found = plants, [s for s, _ in due if not isinstance(s.block, Plant)]
+        if self._again <= KNOWN:
+            self._known[k % self._again] = found
+        return found
+
+
+def _say(steps: Sequence[Step], t: int) -> list[Step]:
+    """Have those speak that lack nothing; gives the others."""
+    lacking: list[Step] = []
+    for step in steps:
+        if step.lacks is not None and (any(s in lacking for s in step.sources) or step.lacks(t)):
+            lacking.append(step)
+        else:
+            step.say(t)
+    return lacking

@@ -8,12 +8,12 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
-from operator import itemgetter
 from typing import Any
 
 from ..errors import RunError, describe
-from .answer import Row, check, flat, usual
+from .answer import Row, check, flat
 from .block import Block, Level, Plant
+from .bound import mover, sayer
 from .change import Change, check as check_change, revise
 from .params import flatten
 from .port import Port, Sample
@@ -49,6 +49,14 @@ class Step:
         Those of this process that it reads.
     plain : bool
         Whether every output says something at each tick, at its stamp.
+    numbers : tuple of float
+        Of one that is plain: all that the newest answer says.
+    say : callable
+        Gets t, ns: answers that tick, hands the answer to the readers here, and sends it. A RunError whose `node` is
+        the name of this step: the block failed, or gave what may not leave it. Made with the first tick (`bound.py`):
+        what is read and written must be wired by then, `send` and `respond` set.
+    advance : callable
+        Gets t, ns, and by choice the values of the inputs: moves a plant from t over one period, or a RunError.
     send : callable or None
         Gets (t, rows) of each answer: what carries it out of this process, or records it.
     lacks : callable or None
@@ -64,6 +72,9 @@ class Step:
     moved: Callable[[], object] | None = None
     changed: Callable[[int, Mapping[str, Any]], object] | None = None
 
+    say: Callable[[int], None]
+    advance: Callable[..., None]
+
     def __init__(
         self, name: str, block: Block, schedule: Schedule, inputs: tuple[Port, ...], outputs: tuple[Port, ...],
         changes: Iterable[Change] = (),
@@ -77,79 +88,58 @@ class Step:
         self.t = 0
         self.plain = not any(p.sporadic or p.delayed for p in outputs)
         self.spoken: list[int | None] = [None] * len(outputs)  # of one that is not plain: when each output spoke last
+        self.numbers: tuple[float, ...] = ()
         self.said: Any = {}  # the newest answer: what is held when an input is refused
-        self._doubters: list[tuple[int, Step, Port, Callable[[Any], Any] | None]] = []
-        self._readers: list[tuple[int, dict[str, Any], str, Callable[[Any], Any] | None]] = []
-        self._sizes = tuple(p.size for p in outputs)
-        self._bound = min((p.bound for p in outputs), default=0.0)
-        self._pick = itemgetter(*[p.name for p in outputs]) if self.plain and len(outputs) > 1 else None
-        self._asked = {} if isinstance(block, Plant) else self.values
+        self.doubters: list[tuple[int, Step, Port, Callable[[Any], Any] | None]] = []
+        self.readers: list[tuple[int, dict[str, Any], str, Callable[[Any], Any] | None]] = []
+        self.asked_for = () if isinstance(block, Plant) else tuple(self.values)
         self.respond = block.outputs if isinstance(block, Plant) else block.update
         if not isinstance(block, Plant) and block.finishes():
             self.respond = self._finish_or_update
         block.ages = self.age
+        self.say, self.advance = self._first_say, self._first_advance  # made when all is wired: with the first tick
         self._changes = deque(changes)
-        self._change_at = self._changes[0].at if self._changes else math.inf
+        self.change_at = self._changes[0].at if self._changes else math.inf
 
     # what a tick is -----------------------------------------------------------------------------------------------
 
-    def say(self, t: int) -> None:
-        """Answer tick `t`, hand the answer to the readers here, and send it.
+    def _first_say(self, t: int) -> None:
+        self.say = sayer(self)
+        self.say(t)
 
-        Raises
-        ------
-        RunError
-            The block failed, or gave what may not leave it; its `node` is the name of this step.
-        """
-        self.t = t
-        try:
-            if t >= self._change_at:
-                self._change(t)
-            self.said = found = self.refused(t) if self.bad else self.respond(t, **self._asked)
-            rows = self.checked(found)
-        except RunError as error:
-            error.node = self.name
-            raise
-        except Exception as error:
-            raise self.failure(error) from error
-        self.hand_on(t, rows)
+    def _first_advance(self, t: int, values: Mapping[str, Any] | None = None) -> None:
+        self.advance = mover(self)
+        self.advance(t) if values is None else self.advance(t, values)
+
+    def asked(self, t: int) -> Any:
+        """Ask the block for its answer, of a tick that is not as most are."""
+        if t >= self.change_at:
+            self._change(t)
+        return self.refused(t) if self.bad else self.respond(t, **{name: self.values[name] for name in self.asked_for})
 
     def hand_on(self, t: int, rows: Rows) -> None:
         """Let the readers here and those elsewhere have an answer."""
         if not self.plain:
             self.spoken = [s if row is None else t for s, row in zip(self.spoken, rows, strict=True)]
-        for k, values, name, take in self._readers:
+        for k, values, name, take in self.readers:
             row = rows[k]
             if row is not None:
                 values[name] = row if take is None else take(row)
-        for k, reader, port, take in self._doubters:
+        for k, reader, port, take in self.doubters:
             row = rows[k]
             if row is not None:
                 reader.doubt(t, port, row if take is None else take(row))
         if self.send is not None:
             self.send(t, rows)
 
-    def advance(self, t: int, values: Mapping[str, Any] | None = None) -> None:
-        """Move a plant from `t` over one period, with its inputs as they are or `values`; RunError when it fails."""
-        self.t = t
-        try:
-            self.block.advance(t, **(self.values if values is None else values))  # type: ignore[attr-defined]
-        except RunError as error:
-            error.node = self.name
-            raise
-        except Exception as error:
-            raise self.failure(error) from error
-        if self.moved is not None:
-            self.moved()
-
     def age(self, name: str) -> int | None:
         """Answer `Block.age`: from the stamp of what an input holds to the tick under way, ns; None: nothing came."""
         told = self.stamps.get(name)
-        stamp = None if told is None else told()
-        if stamp is None:
+        if told is None or (stamp := told()) is None:
             return None
         value = self.values[name]
-        return max(0, self.t - (value.stamp if isinstance(value, Sample) else stamp))
+        age = self.t - (value.stamp if type(value) is Sample else stamp)
+        return age if age > 0 else 0
 
     def held(self) -> Mapping[str, Any]:
         """Give what was said last, at first the safe values; silence on sporadic ports."""
@@ -177,7 +167,7 @@ class Step:
             now = revise(now, self._changes[k].values)
         known = flatten(check_change(type(self.block), now, values, self.name))
         self._changes.insert(due, Change(self.t, {name: known[name] for name in values}))
-        self._change_at = self._changes[0].at
+        self.change_at = self._changes[0].at
 
     def _change(self, t: int) -> None:
         """Take the changes that are due: those up to `t`."""
@@ -188,7 +178,7 @@ class Step:
             self.block.change(revised)
             known = flatten(revised)
             taken |= {name: known[name] for name in changes.popleft().values}
-        self._change_at = changes[0].at if changes else math.inf
+        self.change_at = changes[0].at if changes else math.inf
         if self.changed is not None:
             self.changed(t, taken)
 
@@ -200,14 +190,10 @@ class Step:
 
     def checked(self, found: Any) -> Rows:
         """Give what each output says, checked."""
-        if self._pick is not None:  # what nearly every block with several outputs gives, told all at once
-            try:
-                rows: Rows = self._pick(found)
-                if tuple(map(len, rows)) == self._sizes and usual(flat(rows), self._bound):  # type: ignore[arg-type]
-                    return rows
-            except (KeyError, TypeError):  # told by `check`
-                pass
-        return tuple([check(found, port, self.name, self.t) for port in self.outputs])
+        rows = tuple([check(found, port, self.name, self.t) for port in self.outputs])
+        if self.plain and rows:
+            self.numbers = flat(rows)
+        return rows
 
     def feeds(self, output: str, reader: Step, name: str, pick: Callable[[Any], Any] | None) -> None:
         """Have an output fill an input of another step of this process.
@@ -234,9 +220,9 @@ class Step:
                 return Sample(self.t, found if pick is None else pick(found))
 
         if self.outputs[k].unchecked:
-            self._doubters.append((k, reader, port, take))
+            self.doubters.append((k, reader, port, take))
         else:
-            self._readers.append((k, reader.values, name, take))
+            self.readers.append((k, reader.values, name, take))
         reader.sources.append(self)
         reader.stamps[name] = (lambda: self.t) if self.plain else (lambda: self.spoken[k])
 

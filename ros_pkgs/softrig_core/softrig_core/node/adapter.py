@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any, Literal, Protocol
 
 from ..errors import RunError
-from ..model.answer import flat
 from ..model.block import Block, Level, Plant
 from ..model.change import loads
 from ..model.port import CLOCK, Port, Sample
@@ -219,7 +218,7 @@ class Adapter:
         if self._owns_clock:
             self.clock_output.send(stamp, ())
         if self._add_row is not None:
-            self._add_row(stamp, flat(rows) if rows else ())
+            self._add_row(stamp, self.step.numbers)
         elif self.sink is not None:
             for output, mark, values in said:
                 self.sink.add(output.number, stamp, output.layout.encode(mark, values))

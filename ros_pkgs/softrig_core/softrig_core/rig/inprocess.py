@@ -6,7 +6,6 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from ..errors import ScenarioError
-from ..model.answer import flat
 from ..model.block import Block
 from ..model.codec import encoder
 from ..model.port import CLOCK, Port, Sample
@@ -112,7 +111,7 @@ def recorder(sink: Sink, step: Step, ports: Sequence[Port],
     layouts = [p.layout() for p in ports]
     if step.plain:
         add_row = sink.row(dict(zip(numbers, layouts, strict=True)))
-        return lambda t, rows: add_row(t, flat(rows))
+        return lambda t, rows: add_row(t, step.numbers)
     encoders, silent = [encoder(layout) for layout in layouts], ((),) * (len(ports) - len(step.outputs))
 
     def record(t: int, rows: Rows) -> None:

@@ -48,20 +48,21 @@ class Watch(Observer[W]):
         """Nothing seen yet."""
         inputs, _ = self.ports(self.p)
         self._ports = {port.name: port for port in inputs}
-        self._rows: dict[str, deque[tuple[int, tuple[float, ...]]]] = {port.name: deque() for port in inputs}
+        self._rows: dict[str, deque[tuple[int, Any]]] = {port.name: deque() for port in inputs}
         self._reach = round(self.p.window * SECOND)
         self.now = 0
 
     def update(self, t: int, **inputs: Any) -> Mapping[str, tuple[float, ...]]:
         """Keep what is new."""
         self.now = t
+        first, age, kept = t - self._reach, self.age, self._rows
         for name, values in inputs.items():
             if values is None:
                 continue
-            stamp, rows = t - (self.age(name) or 0), self._rows[name]
+            stamp, rows = t - (age(name) or 0), kept[name]
             if not rows or stamp > rows[-1][0]:
-                rows.append((stamp, getattr(values, "data", values)))
-            while rows and rows[0][0] < t - self._reach:
+                rows.append((stamp, values))
+            while rows and rows[0][0] < first:
                 rows.popleft()
         return {}
 
@@ -114,7 +115,7 @@ class Seen(Mapping[str, Signal]):
         if topic not in self._tables:
             kept = list(rows)
             times = np.array([t for t, _ in kept], dtype=np.int64) / SECOND
-            values = np.array([v for _, v in kept], dtype=np.float64).reshape(len(kept), port.size)
+            values = np.array([getattr(v, "data", v) for _, v in kept], dtype=np.float64).reshape(len(kept), port.size)
             self._tables[topic] = times, values
         times, values = self._tables[topic]
         return Signal(times, values[:, port.labels.index(name[len(topic) + 1 :])])
