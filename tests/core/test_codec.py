@@ -50,6 +50,16 @@ def test_what_a_port_writes_it_reads_back_bit_for_bit(port, data, stamp):
     assert found[0] == (-1 if port.msgtype == "std_msgs/msg/Float64" else stamp)
 
 
+def test_a_message_is_of_the_world_where_its_port_names_no_other_frame():
+    said = joint_state("a", "t", ("x",), position="m").layout().encode(5, (1.0,))
+    assert parse("sensor_msgs/msg/JointState", said).frame_id == "world"
+    for theirs in (said, joint_message(5, ["x"], (1.0,)), joint_message(5, ["x"], (1.0,), frame="map")):
+        assert Decoder(joint_state("b", "t", ("x",), position="m"))(theirs) == (5, (1.0,))
+    placed = wrench("a", "t", "foot").layout().encode(5, (0.0,) * 6)
+    assert parse("geometry_msgs/msg/WrenchStamped", placed).frame_id == "foot"
+    assert number("a", "t", "V").frame == ""
+
+
 @given(stamp=STAMPS, names=NAMES, frame=st.text(max_size=9).filter(lambda s: "\0" not in s), data=st.data())
 def test_joint_state_bytes_are_those_of_rosbags(stamp, names, frame, data):
     n = len(names)
@@ -84,7 +94,7 @@ def test_trajectory_point_bytes_are_those_of_rosbags():
         np.array([1.0, 2.0]), np.array([]), np.array([3.0, 4.0]), np.array([]),
         TYPES["builtin_interfaces/msg/Duration"](0, 0),
     )  # fmt: skip
-    message = TYPES["trajectory_msgs/msg/JointTrajectory"](header(7_000_000_001), ["x", "y"], [point])
+    message = TYPES["trajectory_msgs/msg/JointTrajectory"](header(7_000_000_001, "world"), ["x", "y"], [point])
     expected = bytes(STORE.serialize_cdr(message, "trajectory_msgs/msg/JointTrajectory"))
     port = reference("a", "t", ["x", "y"], position="m", acceleration="m/s^2")
     assert port.layout().encode(7_000_000_001, (1.0, 2.0, 3.0, 4.0)) == expected

@@ -149,8 +149,8 @@ def selection(source: Port, sink: Port) -> Pick | None:
     """
     if source.msgtype != sink.msgtype:
         raise Refused(f"type {source.msgtype}, expected {sink.msgtype}")
-    if sink.frame_id and source.frame_id != sink.frame_id:
-        raise Refused(f"frame_id {source.frame_id!r}, expected {sink.frame_id!r}")
+    if sink.frame_id and source.frame != sink.frame_id:
+        raise Refused(f"frame_id {source.frame!r}, expected {sink.frame_id!r}")
     if source.dims != sink.dims:
         raise Refused(f"shape {dict(source.dims)}, expected {dict(sink.dims)}")
     if sink.partial:

@@ -12,6 +12,7 @@ from ..wire.cdr import Layout
 from ..wire.types import TYPES, Dims, MessageType, element_labels
 
 XYZ = ("x", "y", "z")
+WORLD = "world"  # the frame of a rig that does not move: of every message that is of no other one
 
 # Magnitude up to which a value can be meant, by unit: what lies beyond is no measurement, and its square or exponential
 # would overflow in a law. The last is that of any other unit.
@@ -54,7 +55,7 @@ class Port:
         One unit a value, held against that of the other end where a rig is wired: "1" is a pure number, an empty one is
         not known and fits any (of a block that hands on whatever comes).
     frame_id : str
-        header.frame_id; an input with a frame refuses any other.
+        header.frame_id, ``world`` where none is given; an input with a frame refuses any other.
     held : bool
         Input only: optional, newest value, None until the first; for people and outside nodes.
     delayed : bool
@@ -157,12 +158,17 @@ class Port:
         """Whether its messages have a header with a stamp."""
         return self.type.stamped
 
+    @property
+    def frame(self) -> str:
+        """What its messages say as header.frame_id; empty of a type that has none."""
+        return (self.frame_id or WORLD) if self.type.framed else ""
+
     def layout(self) -> Layout:
         """Wire layout of what this port publishes."""
         names = self.channels if self.type.named else ()
         count = self.size if self.dims else len(self.channels)
         counts = dict.fromkeys(self.fields, count)
-        return Layout(self.msgtype, self.frame_id, names, counts, self.dims, numbered=self.type.shaped)
+        return Layout(self.msgtype, self.frame, names, counts, self.dims, numbered=self.type.shaped)
 
     def renamed(self, topic: str) -> Port:
         """Give the same port on another topic."""

@@ -53,6 +53,11 @@ class MessageType:
         return self._has("stamp")
 
     @cached_property
+    def framed(self) -> bool:
+        """Whether its header says in which frame its values are."""
+        return self._has("frame") and bool(self.sizes)
+
+    @cached_property
     def named(self) -> bool:
         """Whether its channels have names in the message."""
         return self._has("names")
