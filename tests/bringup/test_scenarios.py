@@ -6,6 +6,8 @@ import pytest
 from conftest import in_process, make_scenario
 from faultrig import Gain, Lag, Source
 from softrig_core import Rig, ScenarioError, Signals, evaluate, figures_of, list_scenarios, load_scenario, simulate
+from softrig_core.model.port import WORLD
+from softrig_core.model.scene import standing
 from softrig_core.rig import registry
 from softrig_core.rig.claims import Claim
 from softrig_core.rig.expectation import Expectation, parse
@@ -14,6 +16,7 @@ from softrig_core.rig.references import fill
 from softrig_core.rig.scenario_file import inherit
 from softrig_core.rig.units import compose, factor
 from softrig_core.rig.yaml_file import NODES, SIZE, read_yaml
+from softrig_core.wire.types import VECTOR
 
 BASE = """
 title: First-order lag
@@ -62,8 +65,22 @@ def change(folder, old, new):
 @pytest.mark.parametrize("name", sorted(list_scenarios()))
 def test_every_scenario_can_be_judged_before_its_run(name):
     scenario = load_scenario(name)
-    figures_of(Rig.from_scenario(scenario))
+    rig = Rig.from_scenario(scenario)
+    figures_of(rig)
     needed(scenario)
+    others = {p.frame for m in rig.members for p in m.outputs if p.type.framed and p.msgtype != VECTOR.name} - {WORLD}
+    if others:  # frames of bodies; those of vectors are told by whoever publishes them
+        assert others <= {frame for m in rig.members for frame in frames(m)}
+
+
+def frames(member):
+    """The frames that a node publishes on /tf and /tf_static."""
+    block = member.block(0)
+    scene = block.scene(member.params)
+    port = next((p for p in member.outputs if scene is not None and p.name == scene.port), None)
+    q = [0.0] * sum(label.endswith("/position") for label in port.labels) if port else []
+    moving = scene.moving(q) if scene is not None else []
+    return {pose.child for pose in (*standing(block, scene, member.outputs), *moving)}
 
 
 def test_figures_of_other_scenarios_that_claims_name_are_there():

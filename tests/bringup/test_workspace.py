@@ -8,8 +8,10 @@ from xml.etree import ElementTree
 import pytest
 import yaml
 from softrig_bringup.launched import ARGUMENTS
-from softrig_bringup.viewer import WORLD, viewers
+from softrig_bringup.viewer import viewer
 from softrig_core import Rig, list_scenarios, load_scenario
+from softrig_core.model.port import WORLD
+from softrig_core.model.scene import standing
 
 PACKAGES = Path(__file__).parents[2] / "ros_pkgs"
 
@@ -38,29 +40,35 @@ def test_the_page_of_the_workspace_has_every_argument_of_the_launch_file_and_no_
 @pytest.mark.parametrize(
     "name", ["manipulator_adsmc", "rehab_impedance", "lsrm_fuzzy", "fault_location", "dc_motor_smc"]
 )
-def test_rviz_shows_what_the_nodes_publish_in_frames_that_exist(name, tmp_path):
+def test_rviz_shows_what_the_nodes_publish_in_frames_that_they_publish(name, tmp_path):
     rig = Rig.from_scenario(load_scenario(first(name)))
-    *frames, rviz = viewers(rig, tmp_path, "a", simulated=True)
+    rviz = viewer(rig, tmp_path, "a", simulated=True)
     shown = yaml.safe_load(Path(rviz.arguments[1]).read_text())["Visualization Manager"]
-    fixed = shown["Global Options"]["Fixed Frame"]
-    there, publishers = {fixed, WORLD}, {p.executable: p for p in frames}
-    if "robot_state_publisher" in publishers:
-        publisher = publishers["robot_state_publisher"]
-        urdf = yaml.safe_load(Path(publisher.parameters[0]).read_text())["/**"]["ros__parameters"]["robot_description"]
-        robot = ElementTree.fromstring(urdf)
-        there |= {link.get("name") for link in robot.iter("link")}
-        topic = dict(publisher.remappings)["joint_states"]
-        port = next(p for m in rig.members for p in m.outputs if p.topic == topic)
-        moving = {j.get("name") for j in robot.iter("joint") if j.get("type") != "fixed"}
-        assert port.msgtype == "sensor_msgs/msg/JointState"
-        assert moving == {label.rpartition("/")[0] for label in port.labels}
-        assert "/a/robot_description" in [d.get("Description Topic", {}).get("Value") for d in shown["Displays"]]
-    there |= {p.arguments[3] for p in frames if p.executable == "static_transform_publisher"}
-    drawn = {m.name: {k.frame_id for k in m.block(0).markers()} for m in rig.members}
+    assert shown["Global Options"]["Fixed Frame"] == WORLD
+    there, drawn = {WORLD}, {}
+    for m in rig.members:
+        block, scene = m.block(0), m.block_class.scene(m.params)
+        still = standing(block, scene, m.outputs)
+        assert {pose.parent for pose in still} <= {WORLD, *(pose.child for pose in still)} | links(scene)
+        there |= {pose.child for pose in still}
+        drawn[m.name] = {k.frame_id for k in block.markers()}
+        if scene is not None:
+            robot = ElementTree.fromstring(scene.description)
+            port = next(p for p in m.outputs if p.name == scene.port)
+            moving = {j.get("name") for j in robot.iter("joint") if j.get("type") != "fixed"}
+            assert port.msgtype == "sensor_msgs/msg/JointState"
+            assert moving == {label.rpartition("/")[0] for label in port.labels}
+            poses = scene.moving([0.0] * len(moving))
+            assert links(scene) <= {WORLD, *(pose.child for pose in (*still, *poses))}
+            assert "/a/robot_description" in [d.get("Description Topic", {}).get("Value") for d in shown["Displays"]]
     assert {frame for found in drawn.values() for frame in found} <= there
     topics = {d["Topic"]["Value"] for d in shown["Displays"] if "Topic" in d}
     assert {f"/a/{node}/markers" for node, found in drawn.items() if found} <= topics
-    assert all(("/tf", "/a/tf") in p.remappings for p in (*frames, rviz))
+    assert ("/tf", "/a/tf") in rviz.remappings
+
+
+def links(scene):
+    return set() if scene is None else {x.get("name") for x in ElementTree.fromstring(scene.description).iter("link")}
 
 
 def test_the_tag_of_ros2_control_and_the_controllers_fit_the_plant():

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from softrig_core import SECOND, Pose, Recording, Scene, Signals
-from softrig_core.model.scene import Point
+from softrig_core.model.scene import Point, at_origin
 
 from .topics import typestore
 
@@ -53,7 +53,8 @@ def with_scenery(recording: Recording, scenes: Mapping[str, Scene]) -> Recording
     path = [scene.tip(q[i]) for i in rows[:: -(-len(rows) // PATH)]]
     first = times[0]
     _add(found, "robot_description", STRING, first, data=scene.description)
-    _add(found, "tf_static", TF, first, transforms=[_transform(first, pose) for pose in scene.fixed()])
+    still = [at_origin(scene.base), *scene.fixed()]
+    _add(found, "tf_static", TF, first, transforms=[_transform(first, pose) for pose in still])
     _add(found, "markers", MARKERS, first, markers=[_line(first, scene.base, path)])
     for i in rows:
         _add(found, "tf", TF, times[i], transforms=[_transform(times[i], pose) for pose in scene.moving(q[i])])
@@ -92,7 +93,7 @@ def _line(t: int, frame: str, points: Sequence[Point]) -> Any:
     kind: Any = typestore().types["visualization_msgs/msg/Marker"]
     origin, upright = _vector("Point", (0.0, 0.0, 0.0)), _vector("Quaternion", (0.0, 0.0, 0.0, 1.0))
     nothing = np.array([], dtype=np.uint8)
-    image = _make("sensor_msgs/msg/CompressedImage", header=_header(0, ""), format="", data=nothing)
+    image = _make("sensor_msgs/msg/CompressedImage", header=_header(t, frame), format="", data=nothing)
     return kind(
         header=_header(t, frame), ns="path", id=0, type=kind.LINE_STRIP, action=kind.ADD,
         pose=_make("geometry_msgs/msg/Pose", position=origin, orientation=upright),

@@ -30,7 +30,7 @@ def _ended(launched, event, context):
 
 def _nodes(context):
     launched = Launched({name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS})
-    at_end = {"rig": partial(_ended, launched), "frames": None, "viewer": Shutdown(reason="the viewer is closed")}
+    at_end = {"rig": partial(_ended, launched), "viewer": Shutdown(reason="the viewer is closed")}
     # launch_ros itself has no empty lists, and a container names its nodes in its arguments
     return [
         Node(package=p.package, executable=p.executable, name=p.name or None, namespace=p.namespace or None,

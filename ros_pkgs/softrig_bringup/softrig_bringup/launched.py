@@ -22,7 +22,7 @@ from softrig_core.rig.starting import container_arguments, groups, node_paramete
 
 from . import run_options, run_verb
 from .run import checked, gaps, mode_name
-from .viewer import Process, viewers
+from .viewer import ROOTED, Process, viewer
 
 # name: (default, choices, description); an empty default means: as the scenario says
 ARGUMENTS: dict[str, tuple[str | None, tuple[str, ...], str]] = {
@@ -35,6 +35,7 @@ ARGUMENTS: dict[str, tuple[str | None, tuple[str, ...], str]] = {
     "params_file": ("", (), "parameters in the form of ros2 param dump, instead of the scenario's"),
     "external": ("", (), "nodes that somebody else starts, names parted by spaces"),
     "wait_for": ("", (), "recorders that are to have all from t = 0 and do not ask for it, as rosbag2_recorder"),
+    "frames": ("true", ("true", "false"), "/tf and /tf_static from the rig's nodes; false for publishers of your own"),
     "record": ("false", ("true", "false"), "bag, metrics.json, plots and report at the end, as `softrig run` writes"),
     "out": ("", (), "folder for them (default: runs/SCENARIO and what was changed, below the working folder)"),
     "judge": ("false", ("true", "false"), "table of the figures at the end; status 1 of the launch where they miss"),
@@ -62,6 +63,7 @@ class Launched:
         given = {name: values.get(name) or default or "" for name, (default, _, _) in ARGUMENTS.items()}
         self._options = options = _options(given)
         self._record, self._judge = given["record"] == "true", given["judge"] == "true"
+        self._frames = given["frames"] == "true"
         self._rig = rig = checked(run_options.scenario_of(options))
         self._seed, self._realtime = rig.scenario.seed, given["mode"] == "realtime"
         join_domain(int(os.environ.get("ROS_DOMAIN_ID") or 0))  # so that no run chooses it
@@ -81,12 +83,13 @@ class Launched:
         ]
         self._running = len(self.processes)
         if given["use_rviz"] == "true":
-            self.processes += viewers(rig, self._log, self._namespace, not self._realtime)
+            self.processes.append(viewer(rig, self._log, self._namespace, not self._realtime))
 
     def _process(self, group: list[Member], namespace: str, recorders: list[str]) -> Process:
         rig, log = self._rig, self._log
         keep = self._record or self._judge
-        own = {"run.start_timeout": 0.0} if any(m.external for m in rig.members) else {}
+        own: dict[str, object] = {"run.start_timeout": 0.0} if any(m.external for m in rig.members) else {}
+        own |= {} if self._frames else {"run.frames": False}
         given = {
             m.name: node_parameters(rig, m, self._seed, "realtime" if self._realtime else "lockstep",
                                     recorders=recorders)
@@ -94,15 +97,15 @@ class Launched:
                      "run.shard": str(log / f"{m.name}.shard") if keep else ""}
             for m in group
         }  # fmt: skip
-        # the one topic of a rig that is not below its namespace: two rigs would drive each other
-        clock = {"/clock": f"/{namespace}/clock"} if namespace else {}
+        # topics that are nowhere below a namespace: two rigs would drive each other
+        moved = {f"/{name}": f"/{namespace}/{name}" for name in ROOTED} if namespace else {}
         if len(group) > 1:
-            shared = clock | ({"__ns": f"/{namespace}"} if namespace else {})
+            shared = moved | ({"__ns": f"/{namespace}"} if namespace else {})
             return Process("softrig_core", "container", arguments=container_arguments(group, given, log, shared))
         m = group[0]
         file = parameter_file(m, given[m.name], log)
         return Process(m.package, m.executable, m.name, namespace, parameters=[str(file)],
-                       remappings=[*(m.remap | clock).items()])  # fmt: skip
+                       remappings=[*(m.remap | moved).items()])  # fmt: skip
 
     def ended(self, name: str, status: int, interrupted: bool) -> str:
         """Note that a process has ended; when it was the last one, do what `softrig run` does at the end of a run.

@@ -1,4 +1,4 @@
-"""RViz beside a launched rig: its file, written for the rig, and those who give it frames."""
+"""RViz beside a launched rig, and its file, written for the rig."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from softrig_core import Block, Rig, Scene
-from softrig_core.rig.members import Member
+from softrig_core import Block, Rig
+from softrig_core.model.port import WORLD
 
-WORLD = "world"  # the frame that is fixed where no robot brings one
+ROOTED = ("clock", "tf", "tf_static")  # topics whose names are absolute
 
 
 @dataclass(frozen=True)
@@ -29,8 +29,8 @@ class Process:
     parameters : list of str
         Files.
     remappings : list of (str, str)
-    kind : {"rig", "frames", "viewer"}
-        A node of the rig, one that goes on beside it, or one whose end is the end of the launch.
+    kind : {"rig", "viewer"}
+        A node of the rig, or one whose end is the end of the launch.
     """
 
     package: str
@@ -43,8 +43,8 @@ class Process:
     kind: str = "rig"
 
 
-def viewers(rig: Rig, folder: Path, namespace: str, simulated: bool) -> list[Process]:
-    """Give RViz with its file, and what publishes the frames of the first robot and of what is drawn.
+def viewer(rig: Rig, folder: Path, namespace: str, simulated: bool) -> Process:
+    """Give RViz with its file: the first robot, and what blocks draw.
 
     Parameters
     ----------
@@ -57,41 +57,14 @@ def viewers(rig: Rig, folder: Path, namespace: str, simulated: bool) -> list[Pro
         Whether the stamps are those of /clock.
     """
     own = f"/{namespace}" if namespace else ""
-    moved = [(f"/{name}", f"{own}/{name}") for name in ("clock", "tf", "tf_static")] if namespace else []
-    robot, scene = next(((m, s) for m in rig.members if (s := m.block_class.scene(m.params))), (None, None))
-    drawn = {m.name: _frames(m, rig.scenario.seed) for m in rig.members if m.block_class.markers is not Block.markers}
-    fixed = scene.base if scene is not None else WORLD
-    given = {"use_sim_time": simulated}
-    found = []
-    known = {fixed}
-    if robot is not None and scene is not None:
-        known |= {pose.child for pose in (*scene.fixed(), *scene.moving([0.0] * len(_joints(robot, scene))))}
-        file = _parameters(folder / "robot_state_publisher.yaml", given | {"robot_description": scene.description})
-        joints = next(p.topic for p in robot.outputs if p.name == scene.port)
-        # the robot's node publishes the description already
-        remaps = [*moved, ("joint_states", joints), ("robot_description", "~/robot_description")]
-        found.append(Process("robot_state_publisher", "robot_state_publisher", namespace=namespace, parameters=[file],
-                             remappings=remaps, kind="frames"))  # fmt: skip
-    for frame in sorted({f for frames in drawn.values() for f in frames} - known):
-        found.append(Process("tf2_ros", "static_transform_publisher", f"frame_{frame}", namespace,
-                             ["--frame-id", fixed, "--child-frame-id", frame], remappings=moved,
-                             kind="frames"))  # fmt: skip
-    shown = _rviz(fixed, f"{own}/robot_description" if scene is not None else "", [f"{own}/{n}/markers" for n in drawn])
+    moved = [(f"/{name}", f"{own}/{name}") for name in ROOTED] if namespace else []
+    robot = any(m.block_class.scene(m.params) is not None for m in rig.members)
+    drawn = [m.name for m in rig.members if m.block_class.markers is not Block.markers]
+    shown = _rviz(f"{own}/robot_description" if robot else "", [f"{own}/{n}/markers" for n in drawn])
     (folder / "rig.rviz").write_text(json.dumps(shown, indent=1) + "\n")  # JSON is YAML
-    found.append(Process("rviz2", "rviz2", arguments=["-d", str(folder / "rig.rviz")],
-                         parameters=[_parameters(folder / "rviz2.yaml", given)], remappings=moved,
-                         kind="viewer"))  # fmt: skip
-    return found
-
-
-def _joints(robot: Member, scene: Scene) -> Sequence[str]:
-    port = next(p for p in robot.outputs if p.name == scene.port)
-    return list(dict.fromkeys(label.rpartition("/")[0] for label in port.labels if label.endswith("/position")))
-
-
-def _frames(member: Member, seed: int) -> set[str]:
-    """Name the frames in which a block draws at its start."""
-    return {marker.frame_id for marker in member.block(seed).markers()}
+    return Process("rviz2", "rviz2", arguments=["-d", str(folder / "rig.rviz")],
+                   parameters=[_parameters(folder / "rviz2.yaml", {"use_sim_time": simulated})], remappings=moved,
+                   kind="viewer")  # fmt: skip
 
 
 def _parameters(file: Path, values: Mapping[str, Any]) -> str:
@@ -99,7 +72,7 @@ def _parameters(file: Path, values: Mapping[str, Any]) -> str:
     return str(file)
 
 
-def _rviz(fixed: str, description: str, markers: Sequence[str]) -> dict[str, Any]:
+def _rviz(description: str, markers: Sequence[str]) -> dict[str, Any]:
     """Give a configuration of RViz 2."""
 
     def display(kind: str, name: str, **keys: Any) -> dict[str, Any]:
@@ -120,7 +93,7 @@ def _rviz(fixed: str, description: str, markers: Sequence[str]) -> dict[str, Any
             "Class": "",
             "Displays": displays,
             "Enabled": True,
-            "Global Options": {"Fixed Frame": fixed, "Frame Rate": 30},
+            "Global Options": {"Fixed Frame": WORLD, "Frame Rate": 30},
             "Name": "root",
             "Tools": [{"Class": f"rviz_default_plugins/{name}"} for name in ("Interact", "MoveCamera", "Select")],
             "Value": True,

@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import NamedTuple, Protocol
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING, NamedTuple, Protocol
+
+from ..wire.types import VECTOR
+from .port import WORLD, Port
+
+if TYPE_CHECKING:
+    from .block import Block
 
 Point = tuple[float, float, float]
 
@@ -42,3 +48,27 @@ class Scene(Protocol):
 
     def tip(self, q: Sequence[float]) -> Point:
         """Give the place in the base frame whose path is worth seeing, m."""
+
+
+def standing(block: Block, scene: Scene | None, outputs: Iterable[Port]) -> list[Pose]:
+    """Give the frames that do not move and that a block knows: of its bodies, its drawings, and what it says.
+
+    Those of drawings and of quantities without a place (abc, alpha_beta, dq) are the world's own. A force is told in
+    the frame of a body, which whoever moves that body knows.
+
+    Parameters
+    ----------
+    block : Block
+    scene : Scene or None
+        Its own.
+    outputs : iterable of Port
+    """
+    bodies = [] if scene is None else [at_origin(scene.base), *scene.fixed()]
+    known = {WORLD, *(pose.child for pose in bodies)}
+    own = {marker.frame_id for marker in block.markers()} | {p.frame for p in outputs if p.msgtype == VECTOR.name}
+    return [*bodies, *map(at_origin, sorted(own - known))]
+
+
+def at_origin(frame: str) -> Pose:
+    """Give a frame that is the world's under another name."""
+    return Pose(WORLD, frame, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))

@@ -11,6 +11,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from ..model.block import Block, Level, Observer
 from ..model.port import Port
 from .adapter import WATCH_PERIOD, Adapter
+from .frames import Frames
 from .messages import diagnostic_array, marker_array, message_class
 from .ros import QOS
 
@@ -35,6 +36,8 @@ class Faces:
         markers = message_class("visualization_msgs/msg/MarkerArray") if shows else None
         self._markers = node.create_publisher(markers, "~/markers", QOS) if shows else None
         _publish_latched(node, block)
+        if adapter.options.frames and (not adapter.options.links or adapter.links.public):  # else nobody else is there
+            Frames(node, adapter)
         for port in adapter.step.inputs:
             if port.msgtype == "std_msgs/msg/Bool" and port.name not in adapter.links.inputs:
                 node.create_service(message_class("std_srvs/srv/Trigger"), f"~/{port.name}", self._presser(port))

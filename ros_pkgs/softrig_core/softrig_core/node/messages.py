@@ -10,8 +10,10 @@ from typing import Any
 from ..model.block import Level
 from ..model.marker import Marker
 from ..model.params import Declaration
+from ..model.port import WORLD
 from ..model.resource import prefixes
 from ..timebase import SECOND
+from .tf_message import TF, tf_class
 
 
 @cache
@@ -26,6 +28,8 @@ def message_class(msgtype: str) -> Any:
     package, kind, name = (*msgtype.split("/"), "", "")[:3]
     index = "share/ament_index/resource_index/rosidl_interfaces"
     if kind not in ("msg", "srv") or not any((prefix / index / package).is_file() for prefix in prefixes()):
+        if msgtype == TF:
+            return tf_class()
         raise ImportError(f"{msgtype!r}: no installed interface package has this type")
     return getattr(importlib.import_module(f"{package}.{kind}"), name)
 
@@ -49,6 +53,7 @@ def diagnostic_array(stamp: int, name: str, level: Level, text: str, values: Map
     from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
     array = DiagnosticArray()
+    array.header.frame_id = WORLD
     array.header.stamp.sec, array.header.stamp.nanosec = stamp // SECOND, stamp % SECOND
     pairs = [KeyValue(key=key, value=value) for key, value in values.items()]
     array.status = [DiagnosticStatus(level=bytes([level]), name=name, message=text, values=pairs)]
