@@ -26,7 +26,8 @@ EXECUTABLE = """import sys
 
 from {module} import {function}
 
-sys.exit({function}())
+if __name__ == "__main__":  # processes that it starts import it
+    sys.exit({function}())
 """
 
 

@@ -85,7 +85,7 @@ def test_ctrl_c_cannot_be_swallowed_while_a_node_starts():
     """By a module that is being imported, say: the node would wait for its peers."""
     # a shell that starts the tests in the background has SIGINT ignored
     code = ("import os, signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
-            "from softrig_core.node.interrupt import interrupt; interrupt.install()\n"
+            "from softrig_core.interrupt import interrupt; interrupt.install()\n"
             "try: os.kill(os.getpid(), signal.SIGINT)\n"
             "except BaseException: pass\n"
             "print('alive')")  # fmt: skip
@@ -93,6 +93,32 @@ def test_ctrl_c_cannot_be_swallowed_while_a_node_starts():
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
     late = code.replace("interrupt.install()", "interrupt.install(); interrupt.early = False")
     assert subprocess.run([sys.executable, "-c", late], capture_output=True, text=True).stdout == "alive\n"
+
+
+SLOW = """
+import os, signal, sys
+signal.signal(signal.SIGINT, signal.default_int_handler)
+import softrig_core
+{import_}
+def main():
+    try: import slow
+    except KeyboardInterrupt: print("told")
+main()
+"""
+
+
+@pytest.mark.parametrize(("where", "told"), [("import slow", ""), ("", "told\n")])
+def test_ctrl_c_while_an_executable_imports_ends_it_without_a_word(where, told, tmp_path):
+    """A program that is under way, and imports something more, answers as Python does."""
+    (tmp_path / "slow.py").write_text("import os, signal; os.kill(os.getpid(), signal.SIGINT)")
+    (tmp_path / "share/ament_index/resource_index/packages").mkdir(parents=True)
+    (tmp_path / "share/ament_index/resource_index/packages/mine").touch()
+    script = tmp_path / "lib" / "mine" / "node"
+    script.parent.mkdir(parents=True)
+    script.write_text(SLOW.format(import_=where))
+    variables = os.environ | {"PYTHONPATH": f"{tmp_path}{os.pathsep}{os.environ['PYTHONPATH']}"}
+    done = subprocess.run([sys.executable, script], env=variables, capture_output=True, text=True)
+    assert (done.returncode, done.stdout, done.stderr) == (0, told, "")
 
 
 def test_nobody_takes_a_port_while_it_is_removed(tmp_path, monkeypatch):

@@ -6,6 +6,7 @@ import sys
 
 import pytest
 from conftest import Bench
+from rcl_interfaces.msg import ParameterType
 from softrig_core.rig.domain import free_domain
 
 pytestmark = pytest.mark.processes
@@ -65,3 +66,38 @@ def test_what_is_set_by_services_and_by_the_command_is_checked(tmp_path):
     assert [ok for ok, _ in said["both"]] == [False, False]
     assert "beyond reference_limit" in said["both"][0][1]
     assert [ok for ok, _ in said["in one"]] == [True, True]
+
+
+LISTER = """
+import json, rclpy
+from rclpy.node import Node
+from rclpy.parameter_client import AsyncParameterClient
+rclpy.init()
+node = Node("person")
+client = AsyncParameterClient(node, "steps")
+client.wait_for_services()
+
+def ask(future):
+    rclpy.spin_until_future_complete(node, future)
+    return future.result()
+
+names = ask(client.list_parameters([], 0)).result.names
+values = ask(client.get_parameters(names)).values
+print(json.dumps({name: [v.type, v.string_value, list(v.double_array_value)] for name, v in zip(names, values)}))
+"""
+
+
+def test_what_is_listed_and_dumped_fits_another_run(tmp_path):
+    """No path of this one, and lists without an element with the type of their elements."""
+    with free_domain() as domain:
+        bench = Bench(tmp_path, domain)
+        try:
+            bench.start("steps", "reference_source", package="softrig_control")
+            person = subprocess.run([sys.executable, "-c", LISTER], env=bench.environment, capture_output=True,
+                                    text=True, check=True, timeout=60)  # fmt: skip
+        finally:
+            bench.kill("steps")
+    said = json.loads(person.stdout)
+    assert said["accelerations"] == [ParameterType.PARAMETER_DOUBLE_ARRAY, "", []]
+    assert said["run.mode"][1] == "realtime"
+    assert not [name for name, (_, text, _) in said.items() if str(tmp_path) in text]

@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from softrig_core.command_line import Number, Parser
+from softrig_core.command_line import Number, Parser, without_ros
 from softrig_core.guard import guarded
 
 from . import animate, run_options, run_verb, set_verb
@@ -33,6 +33,8 @@ def _verb(arguments: list[str]) -> int:
 
         module, function, _ = _FOREIGN[arguments[0]]
         return int(getattr(importlib.import_module(module), function)(arguments[1:]))
+    if arguments[:1] != ["node"]:
+        arguments = without_ros(arguments)
     options = _parser().parse_args(arguments)
     return int(options.verb(options))
 

@@ -10,8 +10,10 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 from .bits import pin
+from .interrupt import quiet_imports
 from .needs import check, join_prefix
 
+quiet_imports()
 pin()  # before numpy is loaded
 check()
 join_prefix()

@@ -6,8 +6,8 @@ import sys
 from collections.abc import Sequence
 from typing import Any, NoReturn
 
+from ..interrupt import interrupt
 from ..model.block import Block
-from .interrupt import interrupt
 
 
 class _Main:

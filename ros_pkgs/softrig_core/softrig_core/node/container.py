@@ -19,6 +19,7 @@ from rclpy.node import Node
 
 from ..errors import RunError
 from ..guard import secure_streams, tell
+from ..interrupt import interrupt
 from ..rig.rig import load_block
 from ..timebase import SECOND
 from .adapter import Adapter
@@ -26,7 +27,6 @@ from .contained import ContainedMiddleware
 from .exchange import Exchange
 from .garbage import Garbage
 from .group import Group
-from .interrupt import interrupt
 from .leave import leave
 from .profile import exclusive
 from .ros import ServingNode
@@ -128,9 +128,9 @@ def main(args: Sequence[str] | None = None) -> NoReturn:
     secure_streams()
     arguments = list(sys.argv[1:] if args is None else args)
     groups = split(arguments)
-    if not groups or {"-h", "--help"} & set(arguments):
+    if not groups or groups[0][0].startswith("-") or {"-h", "--help"} & set(arguments):
         print(__doc__)
-        leave([], 0 if groups else 2)
+        leave([], 0 if {"-h", "--help"} & set(arguments) else 2)
     container = Container()
     where = "container"
     try:

@@ -13,6 +13,7 @@ from rclpy.parameter import Parameter
 from rclpy.utilities import remove_ros_args
 
 from ..guard import secure_streams, tell
+from ..interrupt import interrupt
 from ..model.block import Block, Plant
 from ..model.params import Declaration, build, declarations, flatten
 from ..model.rehearsal import rehearse
@@ -20,13 +21,17 @@ from ..rig.options import RunOptions
 from .adapter import Adapter
 from .faces import Faces
 from .group import Group
-from .interrupt import interrupt
 from .leave import leave
 from .messages import range_descriptor
 from .middleware import Middleware
 from .ros import RosMiddleware, ServingNode
 from .spin import spin
 from .tuning import Tuning
+
+# read by a node and no parameters of it afterwards: what `ros2 param dump` gives is to fit another run
+RUNNERS = ("run.shard", "run.status", "run.links", "run.changes")
+ARRAYS = {float: Parameter.Type.DOUBLE_ARRAY, int: Parameter.Type.INTEGER_ARRAY, bool: Parameter.Type.BOOL_ARRAY,
+          str: Parameter.Type.STRING_ARRAY}  # fmt: skip
 
 
 def run_node(block_class: type[Block], argv: Sequence[str]) -> NoReturn:
@@ -114,7 +119,7 @@ def usage(name: str, block_class: type[Block]) -> str:
 
 def _parameters(node: Node, block_class: type[Block]) -> tuple[Any, RunOptions]:
     """Declare all parameters with descriptions and ranges, and validate the values given."""
-    # rclpy cannot declare an empty list, which has no type, so that nothing may be declared from what is given as it is
+    # an empty list in a file has no type for rclpy, so that nothing may be declared from what is given as it is
     given = {
         name: [] if p.type_ == Parameter.Type.NOT_SET else p.value for name, p in node._parameter_overrides.items()
     }
@@ -126,7 +131,8 @@ def _parameters(node: Node, block_class: type[Block]) -> tuple[Any, RunOptions]:
     params: Any = build(block_class.Params, own)
     options = build(RunOptions, run)
     _declare(node, declarations(block_class.Params), flatten(params))
-    _declare(node, declarations(RunOptions, "run."), flatten(options, "run."))
+    ours = [d for d in declarations(RunOptions, "run.") if d.name not in RUNNERS]
+    _declare(node, ours, flatten(options, "run."))
     return params, options  # type: ignore[return-value]
 
 
@@ -135,6 +141,7 @@ def _declare(node: Node, wanted: list[Declaration], values: Mapping[str, Any]) -
         descriptor = range_descriptor(declaration)
         value = values.get(declaration.name)
         # a live one that has no value yet may get one
-        if (value is not None and value != []) or declaration.live:
-            value = None if value == [] else value
+        if value is not None or declaration.live:
             node.declare_parameter(declaration.name, value, descriptor, ignore_override=True)
+        if value == []:  # rclpy takes it for bytes
+            node._parameters[declaration.name] = Parameter(declaration.name, ARRAYS[declaration.type], [])

@@ -1,0 +1,73 @@
+"""Ctrl-C: at once while a node starts, orderly while it runs, and not twice while it leaves."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import threading
+from types import FrameType
+
+AT_ONCE = 3  # times that a person has to ask for the end of a node that does not hear: its code never returns
+
+
+class Interrupt:
+    """Handler of SIGINT in place of Python's own, which raises KeyboardInterrupt wherever the program stands.
+
+    Until rclpy listens to signals itself it ends the process: what is being imported could swallow an exception, and
+    the node would wait for its peers. From then on rclpy's handler, which is called first, shuts the context down, and
+    whoever spins sees that; raised in a callback, an exception would come out of the executor with its stack.
+    """
+
+    def __init__(self) -> None:
+        self.early = True
+        self._times = 0
+
+    def install(self) -> None:
+        """Take SIGINT from Python's own handler, and from no other."""
+        if _is_pythons_own():
+            signal.signal(signal.SIGINT, self)
+
+    def __call__(self, number: int, frame: FrameType | None) -> None:
+        """Nothing has been published, recorded or said yet when it is early."""
+        self._times += 1
+        if self.early:
+            os._exit(0)
+        if self._times >= AT_ONCE:
+            os._exit(128 + number)
+
+
+interrupt = Interrupt()
+
+
+def quiet_imports() -> None:
+    """End without a word when told to while an executable of a package imports what it needs: most of a node's start.
+
+    Nothing has been done yet, and launch calls the stack of an import that was interrupted a process that has died.
+    Afterwards, and in every other program, Python's own handler answers.
+    """
+    library, _, executable = os.path.abspath(sys.argv[0] if sys.argv else "").rpartition("/")
+    prefix, _, package = library.rpartition("/lib/")
+    index = f"{prefix}/share/ament_index/resource_index/packages/{package}"
+    if executable and "/" not in package and os.path.isfile(index) and _is_pythons_own():
+        signal.signal(signal.SIGINT, _while_importing)
+
+
+def _while_importing(number: int, frame: FrameType | None) -> None:
+    frames = []
+    at = frame
+    while at is not None:
+        frames.append(at)
+        at = at.f_back
+    # what the script itself imports, or setuptools for it; an import in a function means that the program is under way
+    first = frames[-2].f_code if len(frames) > 1 else None
+    if first is not None and (
+        first.co_filename.startswith("<frozen importlib") or first.co_name == "importlib_load_entry_point"
+    ):
+        os._exit(0)
+    signal.default_int_handler(number, frame)
+
+
+def _is_pythons_own() -> bool:
+    ours = threading.current_thread() is threading.main_thread()
+    return ours and signal.getsignal(signal.SIGINT) in (signal.default_int_handler, _while_importing)
