@@ -31,9 +31,8 @@ def test_the_changelog_has_the_form_that_bloom_reads(package):
 
 
 def test_the_page_of_the_workspace_has_every_argument_of_the_launch_file_and_no_other():
-    rows = re.findall(
-        r"^\| (`\w+`(?:, `\w+`)*) \| .* \|$", (PACKAGES / "softrig_bringup/doc/workspace.md").read_text(), re.M
-    )
+    page = (PACKAGES / "softrig_bringup/doc/workspace.md").read_text().partition("## ")[0]
+    rows = re.findall(r"^\| (`\w+`(?:, `\w+`)*) \| .* \|$", page, re.M)
     assert {name.strip(" `") for row in rows for name in row.split(",")} == set(ARGUMENTS)
 
 
@@ -71,28 +70,55 @@ def links(scene):
     return set() if scene is None else {x.get("name") for x in ElementTree.fromstring(scene.description).iter("link")}
 
 
-def test_the_tag_of_ros2_control_and_the_controllers_fit_the_plant():
-    rig = Rig.from_scenario(load_scenario("rehab_impedance"))
+@pytest.mark.parametrize(
+    ("scenario", "config"),
+    [
+        ("rehab_impedance", "softrig_robots/config/rehab_leg_controllers.yaml"),
+        ("manipulator_adsmc", "softrig_robots/config/manipulator_controllers.yaml"),
+        ("dc_motor_smc_b1", "softrig_drives/config/dc_motor_controllers.yaml"),
+        ("dc_motor_fsfb", "softrig_drives/config/dc_axis_controllers.yaml"),
+        ("lsrm_fuzzy", "softrig_drives/config/lsrm_controllers.yaml"),
+    ],
+)
+def test_the_tag_of_ros2_control_and_the_controllers_fit_the_plant(scenario, config):
+    rig = Rig.from_scenario(load_scenario(scenario))
     plant = next(m for m in rig.members if m.is_plant)
-    tag = ElementTree.fromstring(plant.block_class.scene(plant.params).description).find("ros2_control")
+    robot = ElementTree.fromstring(plant.block(0).latched()["robot_description"])
+    tag = robot.find("ros2_control")
+    moving = {j.get("name") for j in robot.findall("joint") if j.get("type") != "fixed"}
+    assert {j.get("name") for j in tag.findall("joint")} == moving
     system = {p.get("name"): p.text for p in tag.find("hardware").iter("param")}
     states = next(p for p in plant.outputs if f"/{p.topic}" == system["joint_states_topic"])
-    commands = next(p for p in plant.inputs if f"/{p.topic}" == system["joint_commands_topic"])
-    for port, kind in ((states, "state_interface"), (commands, "command_interface")):
-        told = {f"{j.get('name')}/{i.get('name')}" for j in tag.findall("joint") for i in j.findall(kind)}
-        assert told == set(port.labels)
+    commands = next(p for m in rig.members for p in m.inputs if f"/{p.topic}" == system["joint_commands_topic"])
+    known = set(commands.also or commands.channels)
+    told = {f"{j.get('name')}/{i.get('name')}" for j in tag.findall("joint") for i in j.findall("state_interface")}
+    assert told == set(states.labels)
+    wanted = {f"{j.get('name')}/{i.get('name')}" for j in tag.findall("joint") for i in j.findall("command_interface")}
+    assert wanted == {f"{name}/{field}" for name in known for field in commands.fields}
     assert float(system["trigger_joint_command_threshold"]) < 0  # or a command that does not change is not sent
-    content = yaml.safe_load((PACKAGES / "softrig_robots/config/rehab_leg_controllers.yaml").read_text())
+    content = yaml.safe_load((PACKAGES / config).read_text())
     manager = content.pop("controller_manager")["ros__parameters"]
-    assert manager.pop("update_rate") * plant.params.period == 1
+    law = next(m for m in rig.members for p in m.outputs if p.topic == commands.topic)
+    assert manager.pop("update_rate") * law.params.period == 1
     assert set(manager) == set(content)
     for entry in content.values():
         given = entry["ros__parameters"]
         kinds = given.get("command_interfaces") or [given.get("interface_name") or given["command_interface"]]
         joints = given.get("joints") or given["dof_names"]
-        assert {f"{j}/{k}" for j in joints for k in kinds} <= set(commands.labels)
+        assert {f"{j}/{k}" for j in joints for k in kinds} <= wanted
         kinds = given.get("state_interfaces", given.get("reference_and_state_interfaces", []))
-        assert {f"{j}/{k}" for j in joints for k in kinds} <= set(states.labels)
+        assert {f"{j}/{k}" for j in joints for k in kinds} <= told
+
+
+def test_the_scenario_of_the_page_takes_an_array_in_place_of_a_law(tmp_path):
+    page = (PACKAGES / "softrig_bringup/doc/workspace.md").read_text()
+    (block,) = re.findall(r"((?:^    .*\n)+)", page[page.index("forward_command_controller` speaks") :], re.M)[:1]
+    (tmp_path / "mine.yaml").write_text(re.sub("^    ", "", block, flags=re.M))
+    rig = Rig.from_scenario(load_scenario(str(tmp_path / "mine.yaml")))
+    forward = next(m for m in rig.members if m.name == "forward_command_controller")
+    assert [p.topic for p in forward.inputs] == ["forward_command_controller/commands"]
+    assert [(m.name, p.name) for m, p in rig.readers(forward, forward.outputs[0])] == [("dc_motor_plant", "command")]
+    assert "dc_motor_smc" not in [m.name for m in rig.members]
 
 
 def first(system):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 from rosbags.typesys import Stores, get_typestore
-from softrig_core import Refused, button, command, joint_state, number, reference, scalars, vector3, wrench
+from softrig_core import Refused, array, button, command, joint_state, number, reference, scalars, vector3, wrench
 from softrig_core.model.codec import Decoder, selection
 from softrig_core.wire.cdr import Layout, parse
 
@@ -58,6 +58,26 @@ def test_a_message_is_of_the_world_where_its_port_names_no_other_frame():
     placed = wrench("a", "t", "foot").layout().encode(5, (0.0,) * 6)
     assert parse("geometry_msgs/msg/WrenchStamped", placed).frame_id == "foot"
     assert number("a", "t", "V").frame == ""
+
+
+def test_an_array_without_a_layout_is_taken_from_people_only():
+    bare = Layout("std_msgs/msg/Float64MultiArray", counts={"data": 2}).encode(0, (1.0, 2.0))
+    assert Decoder(array("a", "t", {"joint": 2}, "V", held=True))(bare) == (-1, (1.0, 2.0))
+    with pytest.raises(Refused, match="data has 2 values, expected 3"):
+        Decoder(array("a", "t", {"joint": 3}, "V", held=True))(bare)
+    with pytest.raises(Refused, match="shape"):
+        Decoder(array("a", "t", {"joint": 2}, "V"))(bare)
+
+
+def test_channels_have_other_names_for_outside_nodes_all_or_none():
+    decode = Decoder(command("a", "t", ("motor1", "motor2"), "V", also=("joint1", "joint2")))
+    assert decode(joint_message(5, ["joint2", "joint1"], effort=(1.0, 2.0))) == (5, (2.0, 1.0))
+    assert decode(joint_message(6, ["motor1", "motor2"], effort=(1.0, 2.0))) == (6, (1.0, 2.0))
+    for names in (["joint1", "motor2"], ["joint1"], ["joint1", "joint1"]):
+        with pytest.raises(Refused, match="names"):
+            decode(joint_message(7, names, effort=(1.0,) * len(names)))
+    with pytest.raises(ValueError, match="1 other names for 2 channels"):
+        command("a", "t", ("motor1", "motor2"), "V", also=("joint1",))
 
 
 @given(stamp=STAMPS, names=NAMES, frame=st.text(max_size=9).filter(lambda s: "\0" not in s), data=st.data())

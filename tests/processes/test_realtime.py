@@ -206,30 +206,65 @@ import rclpy, sys
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, qos_profile_sensor_data
 from sensor_msgs.msg import JointState
-JOINTS = ["hip", "knee"]
+JOINTS, states, topic = {joints!r}, {states!r}, {commands!r}
 rclpy.init()
-node = Node("topic_based_ros2_control_rehab_leg")
+node = Node("topic_based_ros2_control_hardware")
 latest = []
-commands = node.create_publisher(JointState, "/motor_command", QoSProfile(depth=1))
-node.create_subscription(JointState, "/joint_states", lambda m: latest.append(m), qos_profile_sensor_data)
+commands = node.create_publisher(JointState, topic, QoSProfile(depth=1))
+node.create_subscription(JointState, states, lambda m: latest.append(m), qos_profile_sensor_data)
 def write():
-    message = JointState(name=JOINTS, effort=[20.0, 0.0])
+    message = JointState(name=JOINTS, effort=[20.0] + [0.0] * (len(JOINTS) - 1))
     message.header.stamp = node.get_clock().now().to_msg()
     commands.publish(message)
 node.create_timer(0.001, write)
 while not latest or latest[-1].position[0] < latest[0].position[0] + 0.05:
     rclpy.spin_once(node)
     for m in latest[-1:]:  # it indexes all three by the names, without a look at their lengths
-        if list(m.name) != JOINTS or not len(m.position) == len(m.velocity) == len(m.effort) == 2:
+        if list(m.name) != JOINTS or not len(m.position) == len(m.velocity) == len(m.effort) == len(JOINTS):
             sys.exit(4)
 """
 
 
-def test_a_plant_is_hardware_for_ros2_control_over_topics(bench):
+@pytest.mark.parametrize(
+    ("package", "plant", "joints", "states", "commands"),
+    [
+        ("softrig_robots", "rehab_plant", ["hip", "knee"], "/joint_states", "/motor_command"),
+        ("softrig_drives", "dc_motor_plant", ["shaft"], "/motor/state", "/motor/command"),
+    ],
+)
+def test_a_plant_is_hardware_for_ros2_control_over_topics(package, plant, joints, states, commands, bench):
     """An outside node speaks as TopicBasedSystem of topic_based_ros2_control: best effort in, depth 1 out, no frame."""
-    bench.start("rehab_plant", "rehab_plant", package="softrig_robots")
-    bench.python("hardware", HARDWARE)
+    bench.start(plant, plant, "-p", "period:=0.001", package=package)
+    bench.python("hardware", HARDWARE.format(joints=joints, states=states, commands=commands))
     assert bench.ends("hardware") == 0
-    bench.wait(lambda: sum(bench.signal("rehab_plant", "joint_states/hip/velocity").x) > 0)
-    bench.wait(lambda: bench.status("rehab_plant")["ticks"])
-    assert bench.status("rehab_plant")["refused"] == {}
+    bench.wait(lambda: sum(bench.signal(plant, f"{states[1:]}/{joints[0]}/velocity").x) > 0)
+    bench.wait(lambda: bench.status(plant)["ticks"])
+    assert bench.status(plant)["refused"] == {}
+
+
+COMMANDS = """
+import rclpy
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+rclpy.init()
+node = Node("person")
+commands = node.create_publisher(Float64MultiArray, "forward_command_controller/commands", 10)
+latest = []
+node.create_subscription(JointState, "motor/state", latest.append, 10)
+node.create_timer(0.1, lambda: [commands.publish(Float64MultiArray(data=x)) for x in ([-9.0, 0.0], [6.0])])
+while not latest or latest[-1].velocity[0] < 1.0:
+    rclpy.spin_once(node)
+"""
+
+
+def test_what_a_forward_command_controller_takes_drives_a_plant(bench):
+    """A bare array, as `ros2 topic pub` and ros2_controllers write it; one of another length is refused."""
+    bench.start("plant", "dc_motor_plant", package="softrig_drives")
+    bench.start("forward", "forward_command", "-r", "command:=motor/command", package="softrig_control")
+    bench.python("person", COMMANDS)
+    assert bench.ends("person") == 0
+    bench.wait(lambda: bench.status("forward")["refused"])
+    ((count, reason),) = bench.status("forward")["refused"].values()
+    assert (count > 0, reason) == (True, "data has 2 values, expected 1")
+    assert set(bench.signal("forward", "motor/command/armature/effort").x) == {0.0, 6.0}

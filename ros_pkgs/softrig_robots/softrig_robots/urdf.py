@@ -88,7 +88,7 @@ def robot_urdf(name: str, links: Sequence[Link], tip: str, origin: Vector, rotat
     origin, rotation : tuple of 3 floats
         That frame in the last link's frame: m, roll-pitch-yaw in rad.
     hardware : sequence of str
-        Lines for ros2_control, from `hardware_tag`.
+        Lines for ros2_control, from `softrig_control.hardware.hardware_tag`.
     """
     lines = ['<?xml version="1.0"?>', f'<robot name="{name}">', '  <link name="base_link"/>']
     parent = "base_link"
@@ -124,32 +124,6 @@ def robot_urdf(name: str, links: Sequence[Link], tip: str, origin: Vector, rotat
         "",
     ]
     return "\n".join(lines)
-
-
-def hardware_tag(name: str, joints: Sequence[str], states: str, commands: str) -> list[str]:
-    """Write the tag by which ros2_control drives a plant as hardware, over topics (topic_based_ros2_control).
-
-    A threshold below 0 has every command sent, not only those that differ from the state: a plant takes silence for a
-    law that has stopped.
-
-    Parameters
-    ----------
-    name : str
-    joints : sequence of str
-        With position, velocity and effort as state, effort as command; the same names in both messages.
-    states, commands : str
-        Topics of the plant's joint states and of its commands.
-    """
-    system = {"joint_states_topic": states, "joint_commands_topic": commands, "trigger_joint_command_threshold": "-1"}
-    lines = [f'  <ros2_control name="{name}" type="system">', "    <hardware>",
-             "      <plugin>topic_based_ros2_control/TopicBasedSystem</plugin>"]  # fmt: skip
-    lines += [f'      <param name="{key}">{value}</param>' for key, value in system.items()]
-    lines.append("    </hardware>")
-    for joint in joints:
-        lines += [f'    <joint name="{joint}">', '      <command_interface name="effort"/>']
-        lines += [f'      <state_interface name="{kind}"/>' for kind in ("position", "velocity", "effort")]
-        lines.append("    </joint>")
-    return [*lines, "  </ros2_control>"]
 
 
 def _bar(tip: Vector) -> list[str]:

@@ -94,13 +94,16 @@ class Decoder:
         port = self._port
         if port.frame_id and message.frame_id != port.frame_id:
             raise Refused(f"frame_id {message.frame_id!r}, expected {port.frame_id!r}")
-        if (message.dims or ()) != port.dims:
+        flat = port.held and message.dims == ()  # as people and ros2_controllers write it
+        if not flat and (message.dims or ()) != port.dims:
             raise Refused(f"shape {dict(message.dims or ())}, expected {dict(port.dims)}")
-        named = port.type.named
+        named, names = port.type.named, message.names
+        if port.also and sorted(names) == sorted(port.also):
+            names = tuple(port.channels[port.also.index(name)] for name in names)
         if port.partial:
-            _check_partial(message.names, port)
-        elif named and sorted(message.names) != sorted(port.channels):
-            raise Refused(f"names {list(message.names)}, expected {list(port.channels)}")
+            _check_partial(names, port)
+        elif named and sorted(names) != sorted(port.channels):
+            raise Refused(f"names {list(names)}, expected {list(port.channels)}")
         order: list[int] = []
         start = dict.fromkeys(message.fields, 0)
         at = 0
@@ -111,10 +114,12 @@ class Decoder:
             n = len(message.fields[name])
             if named and n != len(message.names):
                 raise Refused(f"{name} has {n} values, expected {len(message.names)} ({', '.join(message.names)})")
+            if flat and n != port.size:
+                raise Refused(f"{name} has {n} values, expected {port.size}")
             if not named:
                 order += [start[name] + i for i in range(n)]
                 continue
-            place = {c: start[name] + i for i, c in enumerate(message.names)}
+            place = {c: start[name] + i for i, c in enumerate(names)}
             order += [place.get(c, at + len(order) + i) for i, c in enumerate(port.channels)]
         return tuple(order)
 

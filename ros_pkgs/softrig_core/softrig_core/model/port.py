@@ -66,7 +66,10 @@ class Port:
     partial : bool
         Input only: a message may carry a subset of the channels; the others keep their value, at first `safe`.
     dims : Dims
-        Labels and sizes of the dimensions of a Float64MultiArray; the last one changes fastest.
+        Labels and sizes of the dimensions of a Float64MultiArray; the last one changes fastest. A held input also takes
+        one that says no dimensions and has as many values.
+    also : tuple of str
+        Input only: names of the channels, in their order, by which an outside node may call them all.
     unchecked : bool
         Output of a fault: may say what no reader takes, NaN or beyond limits; each refuses it for itself.
     safe : tuple of float
@@ -87,6 +90,7 @@ class Port:
     delayed: bool = False
     sporadic: bool = False
     partial: bool = False
+    also: tuple[str, ...] = ()
     unchecked: bool = False
     dims: Dims = ()
     safe: tuple[float, ...] = field(default=())
@@ -106,6 +110,8 @@ class Port:
             object.__setattr__(self, "limits", tuple(PLAUSIBLE.get(unit, PLAUSIBLE_OTHER) for unit in self.units))
         if len(self.limits) != self.size:
             raise ValueError(f"port {self.name}: {len(self.limits)} limits for {self.size} values")
+        if self.also and (not self.type.named or len(self.also) != len(self.channels)):
+            raise ValueError(f"port {self.name}: {len(self.also)} other names for {len(self.channels)} channels")
         if self.partial and not self.type.named:
             raise ValueError(f"port {self.name}: {self.msgtype} has no channel names, it cannot be partial")
 

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import NamedTuple, Self
 
 from pydantic import model_validator
+from softrig_control.hardware import axis_urdf, hardware_tag
 from softrig_core import Plant, executable, param
 
 from .motor import Motion, MotorParams
-from .ports import COMMAND, STATE, TRUE_STATE
+from .ports import AXIS, COMMAND, STATE, TRUE_STATE
 
 SUBSTEP = 1e-3  # s, with friction: the longest step between two looks at stick and slip
 
@@ -52,8 +54,13 @@ class DcAxisPlant(Plant[DcAxisParams]):
     loop G/(1 + G), G = 2.2862 / (s (s + 5.26)); G itself is the motor.
     """
 
-    INPUTS = (COMMAND,)
+    INPUTS = (replace(COMMAND, also=AXIS),)  # ros2_control knows one name for both ways
     OUTPUTS = (STATE, TRUE_STATE)
+
+    def latched(self) -> Mapping[str, str]:
+        """Give the URDF for ros2_control, whose command is the voltage of the armature."""
+        tag = hardware_tag("dc_axis", AXIS, "/axis/state", "/axis/command", ("position", "velocity"))
+        return {"robot_description": axis_urdf("dc_axis", *AXIS, "prismatic", (1e3, 1e4), tag)}
 
     def setup(self) -> None:
         """Prepare the exact steps."""

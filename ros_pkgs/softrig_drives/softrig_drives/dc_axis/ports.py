@@ -2,12 +2,12 @@
 
 from softrig_core import button, command, joint_state, reference, scalars
 
-_AXIS = ("axis",)
+AXIS = ("axis",)
 
-STATE = joint_state("state", "axis/state", _AXIS, position="mm", velocity="mm/s")
-TRUE_STATE = joint_state("true_state", "axis/true_state", _AXIS, position="mm", velocity="mm/s")
-FEEDBACK = joint_state("feedback", "axis/feedback", _AXIS, position="mm", velocity="mm/s", delayed=True)
-REFERENCE = reference("reference", "axis/reference", _AXIS, position="mm", held=True)
+STATE = joint_state("state", "axis/state", AXIS, position="mm", velocity="mm/s")
+TRUE_STATE = joint_state("true_state", "axis/true_state", AXIS, position="mm", velocity="mm/s")
+FEEDBACK = joint_state("feedback", "axis/feedback", AXIS, position="mm", velocity="mm/s", delayed=True)
+REFERENCE = reference("reference", "axis/reference", AXIS, position="mm", held=True)
 COMMAND = command("command", "axis/command", ("armature",), "V")
 MODEL = scalars(
     "model", "axis/model",

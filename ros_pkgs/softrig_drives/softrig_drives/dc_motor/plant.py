@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import NamedTuple, Self
 
 from pydantic import model_validator
 from softrig_control.discretise import zero_order_hold
+from softrig_control.hardware import axis_urdf, hardware_tag
 from softrig_control.profile import StepProfile
 from softrig_core import BlockParams, Level, Plant, Port, executable, param, to_ns
 
 from .model import MotorConstants, SensorConstants, state_space
-from .ports import APPLIED, COMMAND, SENSORS, STATE, TRUE_STATE
+from .ports import APPLIED, COMMAND, SENSORS, SHAFT, STATE, TRUE_STATE
 
 
 class DcMotorPlantParams(SensorConstants, MotorConstants, BlockParams):
@@ -67,13 +69,18 @@ class DcMotorPlant(Plant[DcMotorPlantParams]):
     had been there from the start.
     """
 
-    INPUTS = (COMMAND,)
+    INPUTS = (replace(COMMAND, also=SHAFT),)  # ros2_control knows one name for both ways
     OUTPUTS = (STATE, SENSORS)
 
     @classmethod
     def ports(cls, params: DcMotorPlantParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
         """The true state and the applied voltage are topics of their own only where they differ."""
         return cls.INPUTS, (*cls.OUTPUTS, TRUE_STATE, APPLIED) if params.rig else cls.OUTPUTS
+
+    def latched(self) -> Mapping[str, str]:
+        """Give the URDF for ros2_control, whose command is the voltage of the armature."""
+        tag = hardware_tag("dc_motor", SHAFT, "/motor/state", "/motor/command")
+        return {"robot_description": axis_urdf("dc_motor", *SHAFT, "continuous", (1e3, 1e4), tag)}
 
     def setup(self) -> None:
         """Sample the equations and scale the sensors."""

@@ -6,11 +6,12 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from softrig_control.hardware import axis_urdf, hardware_tag
 from softrig_core import BlockParams, Level, Marker, Plant, executable, jit, param
 
 from .drawing import stator, translator
 from .machine import N_PHASES, STATES, Array, Geometry, Mechanics, V, X, advance, current, force
-from .ports import FORCE_PHASES, JOINT_STATES, LOAD, PHASE_CURRENTS, PHASE_VOLTAGE
+from .ports import FORCE_PHASES, JOINT_STATES, LOAD, PHASE_CURRENTS, PHASE_VOLTAGE, TRANSLATOR
 
 Step = tuple[float, float, float, float, float, float, float, float, float, float, float]
 
@@ -50,6 +51,11 @@ class LsrmPlant(Plant[LsrmPlantParams]):
 
     INPUTS = (PHASE_VOLTAGE, LOAD)
     OUTPUTS = (JOINT_STATES, PHASE_CURRENTS, FORCE_PHASES)
+
+    def latched(self) -> Mapping[str, str]:
+        """Give the URDF for ros2_control: its command, a force, is that of the current controller."""
+        tag = hardware_tag("lsrm", TRANSLATOR, "/joint_states", "/force_cmd")
+        return {"robot_description": axis_urdf("lsrm", *TRANSLATOR, "prismatic", (1e4, 1e2), tag)}
 
     def setup(self) -> None:
         """Lay the constants out for the compiled step."""

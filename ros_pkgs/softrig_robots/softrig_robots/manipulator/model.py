@@ -9,6 +9,7 @@ from __future__ import annotations
 from math import cos, pi, sin
 
 from pydantic import model_validator
+from softrig_control.hardware import hardware_tag
 from softrig_core import Params, param
 
 from ..urdf import Link, Vector, check_inertia, robot_urdf
@@ -82,4 +83,5 @@ def manipulator_urdf(table: Links | None = None, joints: tuple[str, ...] = ("joi
             )
         )
         origin, twist = tip, alpha
-    return robot_urdf("manipulator", links, "tool", origin, (twist, 0.0, 0.0))
+    hardware = hardware_tag("manipulator", joints, "/joint_states", "/motor_command")
+    return robot_urdf("manipulator", links, "tool", origin, (twist, 0.0, 0.0), hardware)

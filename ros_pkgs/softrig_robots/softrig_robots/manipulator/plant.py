@@ -60,7 +60,7 @@ class ManipulatorPlant(DrivenRobot[ManipulatorParams]):
     def ports(cls, params: ManipulatorParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
         """One motor a joint."""
         motors = motor_names(params.joints)
-        return (command("motor_command", "motor_command", motors, "V"),), (
+        return (command("motor_command", "motor_command", motors, "V", also=params.joints),), (
             joint_state("joint_states", "joint_states", params.joints, position="rad", velocity="rad/s", effort="N m"),
             joint_state("motor_states", "motor_states", motors, position="rad", velocity="rad/s", effort="A"),
         )

@@ -9,11 +9,12 @@ from math import cos, radians, sin
 from typing import Self
 
 from pydantic import model_validator
+from softrig_control.hardware import hardware_tag
 from softrig_core import Params, param
 
 from ..driven_robot import Motors
 from ..joints import PerJoint, require_positive
-from ..urdf import Link, check_inertia, hardware_tag, robot_urdf
+from ..urdf import Link, check_inertia, robot_urdf
 
 JOINTS = ("hip", "knee")
 LOWER = (radians(-30.0), radians(-90.0))

@@ -1,0 +1,53 @@
+"""What forward_command_controller of ros2_controllers is to its hardware: an array goes on to the actuators."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Self
+
+from pydantic import model_validator
+from softrig_core import Block, BlockParams, Port, array, command, executable, param
+
+
+class ForwardCommandParams(BlockParams):
+    """Which actuators, and where their commands come from."""
+
+    joints: tuple[str, ...] = param(("armature",), "names of the actuators, in the order of the array", min_length=1)
+    units: tuple[str, ...] = param(("V",), "unit of each, or one of all", min_length=1)
+    commands: str = param("forward_command_controller/commands", "topic of the array", min_length=1)
+    initial: tuple[float, ...] = param((0.0,), "command before the first array; one of all or one each", min_length=1)
+
+    @model_validator(mode="after")
+    def _sizes(self) -> Self:
+        for name in ("units", "initial"):
+            n = len(getattr(self, name))
+            if n not in (1, len(self.joints)):
+                raise ValueError(f"{n} {name} for {len(self.joints)} joints, expected 1 or {len(self.joints)}")
+        return self
+
+
+class ForwardCommand(Block[ForwardCommandParams]):
+    """Hands a std_msgs/Float64MultiArray on to the actuators, at every tick, as it is.
+
+    The array needs no layout. One of another length, with NaN or beyond the limits is refused, the one before it holds.
+    """
+
+    @classmethod
+    def ports(cls, params: ForwardCommandParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
+        """One value an actuator."""
+        n = len(params.joints)
+        units = params.units * n if len(params.units) == 1 else params.units
+        given = array("commands", params.commands, {"joint": n}, units, held=True)
+        return (given,), (command("command", "command", params.joints, units),)
+
+    def setup(self) -> None:
+        """Prepare what is given before the first array."""
+        n = len(self.p.joints)
+        self._initial = self.p.initial * n if len(self.p.initial) == 1 else self.p.initial
+
+    def update(self, t: int, commands: tuple[float, ...] | None = None) -> Mapping[str, tuple[float, ...]]:
+        """Give the newest array."""
+        return {"command": self._initial if commands is None else commands}
+
+
+main = executable(ForwardCommand)
