@@ -289,8 +289,12 @@ def _scenes(rig: Rig) -> dict[str, Scene]:
 
 
 def _provenance(run: Run, content: Mapping[str, Any]) -> dict[str, str]:
-    keys = ("scenario", "mode", "seed", "versions")
+    keys = ("scenario", "mode", "seed", "versions", "command")
+    from .like import lateness
+
     epoch = {"epoch": str(run.epoch)} if run.epoch else {}  # of the stamps of a run in real time
+    late = lateness(run.status) if run.epoch else {}
+    epoch |= {"late": json.dumps(late)} if late else {}
     seen = {name: s["figures"] for name, s in run.status.items() if s.get("figures")}  # what observers said at the end
     observed = {"observed": json.dumps(seen)} if seen else {}
     return epoch | observed | {k: v if isinstance(v := content[k], str) else json.dumps(v) for k in keys}

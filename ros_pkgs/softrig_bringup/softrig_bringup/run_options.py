@@ -75,7 +75,7 @@ def _repeated(options: argparse.Namespace) -> Scenario:
     """Give the scenario of the run that --like names, with what was changed of it before and while it ran."""
     from softrig_core import ScenarioError
 
-    from .like import recall
+    from .like import recall, repeated
 
     for name in ("scenario", "set", "params_file", "duration", "seed", "external", "only"):
         if getattr(options, name) not in ("", None, []):
@@ -83,9 +83,8 @@ def _repeated(options: argparse.Namespace) -> Scenario:
             raise ScenarioError(f"--like repeats a run as it was: expected no {word} beside it")
     parser = argparse.ArgumentParser(exit_on_error=False)
     arguments(parser)
-    found, changes = recall(options.like, parser.parse_args)
-    scenario = scenario_of(found)
-    return type(scenario).model_validate({**dict(scenario), "changes": changes})
+    options.recalled = recall(options.like, parser.parse_args)
+    return repeated(scenario_of(options.recalled.options), options.recalled)
 
 
 def changed_words(options: argparse.Namespace) -> list[str]:

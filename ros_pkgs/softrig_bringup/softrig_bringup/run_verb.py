@@ -62,9 +62,15 @@ def _run_reserved(options: argparse.Namespace) -> int:
 
 def results_folder(options: argparse.Namespace, scenario: str) -> ResultsFolder:
     """Clear the folder for the results of a run, and say what it replaces."""
+    from softrig_core import ScenarioError
+
     from .folder import ResultsFolder
 
     out = (options.out or Path("runs") / folder_name(scenario, options)).absolute()
+    if options.like is not None and out in (options.like.absolute(), options.like.absolute().parent):
+        if options.out is not None:
+            raise ScenarioError(f"--out {options.out}: it holds the run that --like repeats, expected another folder")
+        out = out.with_name(f"{out.name}-again")
     folder = ResultsFolder(out)
     if folder.replaced:
         say(f"replacing {folder.replaced} in {_shown(out)}")
@@ -98,6 +104,13 @@ def conclude(options: argparse.Namespace, done: Run, folder: ResultsFolder | Non
     content = summary(done, figures, command, options.label) | {"changed": changed}
     if options.external:  # the title of the scenario is about what did not run
         content["title"] = f"{scenario.name} with {', '.join(options.external)} from outside"
+    same, told = True, list[str]()
+    if options.like is not None:
+        from .like import compared
+
+        same, told = compared(options.recalled, done)
+        content["repeats"] = told
+        same = same or bool(options.recalled.late) or bool(done.epoch)
     if folder is not None:
         save(done, content, folder, record=not options.no_record, plots=not options.no_plots, also=options.format)
     out = folder.path if folder is not None else None
@@ -115,6 +128,8 @@ def conclude(options: argparse.Namespace, done: Run, folder: ResultsFolder | Non
             say(f"what was recorded up to there is in {_shown(out)}, what the nodes said in its log/")
         return 3
     _print_figures(content, done, out)
+    for line in told:
+        say(line)
     if done.stopped:
         say(done.stopped_at)
         return 128 + done.stopped
@@ -124,6 +139,8 @@ def conclude(options: argparse.Namespace, done: Run, folder: ResultsFolder | Non
             say(f"{node} missed {share:.3g} % of its deadlines: this machine does not keep up, the figures are of a "
                 "slower loop; --mode container is faster")  # fmt: skip
     if options.max_missed is not None and any(share > options.max_missed for share in late.values()):
+        return 1
+    if not same:
         return 1
     if changed and not options.strict:  # the paper's numbers are for its own set-up: compared, not judged
         return 0

@@ -1,0 +1,106 @@
+"""What came from outside into a recorded run, once more: a node that says it at the ticks at which it counted."""
+
+from __future__ import annotations
+
+import json
+from bisect import bisect_right
+from collections.abc import Iterable, Mapping
+from dataclasses import fields, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, Self
+
+from pydantic import model_validator
+from softrig_core import Block, BlockParams, Port, Recording, Sample, executable, param
+from softrig_core.model.codec import Decoder
+from softrig_core.model.port import Refused
+
+from .read import read_bag
+
+
+def written(port: Port) -> str:
+    """Describe a port as JSON, what differs from a plain one."""
+    found = {f.name: getattr(port, f.name) for f in fields(Port)}
+    return json.dumps({name: value for name, value in found.items() if value not in ((), "", False)})
+
+
+def port_of(text: str) -> Port:
+    """Make the output that says what a port has read; `text` is from `written`."""
+    found = {name: _tuples(value) for name, value in json.loads(text).items()}
+    return replace(Port(**found), held=False, partial=False, sporadic=True)
+
+
+def _tuples(value: Any) -> Any:
+    return tuple(map(_tuples, value)) if isinstance(value, list) else value
+
+
+class TapeParams(BlockParams):
+    """Which bag, and what of it."""
+
+    bag: str = param("", "bag of a run")
+    epoch: int = param(0, "what its stamps count from, ns; 0 of a run in lockstep", ge=0, le=2**63 - 1)
+    inputs: tuple[str, ...] = param((), "ports of the nodes that read it, as JSON; see `written`")
+
+    @model_validator(mode="after")
+    def _ports(self) -> Self:
+        for text in self.inputs:
+            try:
+                port_of(text)
+            except (ValueError, TypeError, KeyError) as error:
+                raise ValueError(f"inputs: {text[:80]!r} is no port: {error}") from None
+        return self
+
+
+@lru_cache(maxsize=2)
+def _loaded(bag: str) -> Recording:
+    return read_bag(Path(bag))
+
+
+class Tape(Block[TapeParams]):
+    """Says of each topic, at a tick, the newest message that the bag has up to there and that has not been said.
+
+    A run records what comes from outside at the tick that uses it; said at that tick it is used again. What its reader
+    refuses was refused then, and is left out. Channels that a message does not name are what they were.
+    Nothing of it may change while it runs: it is a record.
+    """
+
+    @classmethod
+    def ports(cls, params: TapeParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
+        """One output for each port that reads the bag."""
+        return (), tuple(port_of(text) for text in params.inputs)
+
+    def setup(self) -> None:
+        """Read the bag."""
+        self._rows = {}
+        for text in self.p.inputs:
+            port = port_of(text)
+            self._rows[port.name] = list(self._read(Port(**{n: _tuples(v) for n, v in json.loads(text).items()})))
+
+    def _read(self, port: Port) -> Iterable[tuple[int, Any]]:
+        """Give (ns from t = 0, values) of each message that a port takes."""
+        topic = _loaded(self.p.bag).topics[port.topic]
+        decode = Decoder(port)
+        for t, data in zip(topic.times, topic.data, strict=True):
+            try:
+                stamp, values = decode(data)
+            except Refused:
+                continue
+            decode.kept = values
+            yield t - self.p.epoch, Sample(stamp - self.p.epoch, values) if port.delayed else values
+
+    def start(self) -> None:
+        """Nothing is said."""
+        self._said = dict.fromkeys(self._rows, 0)
+
+    def update(self, t: int, **inputs: Any) -> Mapping[str, Any]:
+        """Say what counts from this tick on."""
+        found = {}
+        for name, rows in self._rows.items():
+            k = bisect_right(rows, t, self._said[name], key=lambda row: row[0])
+            if k > self._said[name]:
+                self._said[name] = k
+                found[name] = rows[k - 1][1]
+        return found
+
+
+main = executable(Tape)

@@ -1,0 +1,107 @@
+"""`run --like`: a run once more from its bag, with what people did while it ran and what came from outside."""
+
+import shutil
+from functools import partial
+
+import pytest
+from conftest import differences
+from simulated import SimulatedRig, World
+from softrig_bags.read import read_bag
+from softrig_bags.tape import port_of, written
+from softrig_bringup.cli import main
+from softrig_bringup.folder import ResultsFolder
+from softrig_bringup.run import save, summary
+from softrig_core import Rig, Run, load_scenario
+
+MS = 1_000_000
+
+
+MINE = """
+extends: dc_motor_fsfb_s1
+title: The axis under buttons that people press
+nodes: {step_buttons: null}
+duration: 1.0
+"""
+
+
+def pressed(folder, mode="lockstep", delay=None):
+    """The folder of a run in which somebody presses a button, sends a reference and turns a gain."""
+    folder.mkdir()
+    name = folder.parent / "mine.yaml"
+    name.write_text(MINE)
+    rig = Rig.from_scenario(load_scenario(name))
+    world = World(delay) if delay else World()
+    run = SimulatedRig(rig, world, mode, seed=3)
+    law = run.adapters["fsfb_controller"]
+    button = next(i for i in law.inputs if i.name == "reverse")
+    reference = next(i for i in law.inputs if i.name == "reference")
+    start = run.epoch or world.now
+
+    def send(value):
+        data = reference.port.layout().encode(run.epoch and world.now, (value,))
+        for reader in world.readers:
+            if reader.topic == "/axis/reference":
+                reader.receive(data)
+
+    # the simulated lockstep begins after 20 ms and goes as fast as messages do
+    moments = (500 * MS, 503 * MS, 505 * MS) if mode == "realtime" else (20_030_000, 20_300_000, 20_500_000)
+    people = (partial(law.buttons.press, button), partial(send, 12.5), partial(law.step.set, {"kp": 50.0}))
+    for moment, act in zip(moments, people, strict=True):
+        world.at(start + moment, act)
+    assert set(run.run().values()) == {"done"}
+    done = Run(rig, 3, run.recording, mode="realtime" if run.epoch else "processes", epoch=run.epoch)
+    command = f"softrig run {name} --mode processes --seed 3"
+    save(done, summary(done, done.results, command), ResultsFolder(folder), plots=False)
+    return run.recording
+
+
+def repeat(tmp_path, capsys, *arguments):
+    """Exit status and what is said of a repetition."""
+    status = main(["run", *arguments, "--no-plots", "--out", str(tmp_path / "again")])
+    return status, capsys.readouterr().err
+
+
+@pytest.mark.parametrize("mode", ["inprocess", pytest.param("container", marks=pytest.mark.processes)])
+def test_buttons_and_messages_from_outside_are_there_again(mode, tmp_path, capsys):
+    """From the bag alone, moved to another place."""
+    first = pressed(tmp_path / "first")
+    assert len(first.topics["reverse"].times) == 2
+    assert len(first.topics["axis/reference"].times) == 1
+    shutil.move(tmp_path / "first" / "bag", tmp_path / "alone")
+    status, said = repeat(tmp_path, capsys, "--like", str(tmp_path / "alone"), "--mode", mode)
+    assert status == 0
+    assert "alone number for number: " in said
+    again = read_bag(tmp_path / "again" / "bag")
+    assert not differences(first, again)
+    assert again.topics["axis/controller_state"].data[-1] != again.topics["axis/controller_state"].data[0]
+    # the repetition of the repetition
+    capsys.readouterr()
+    assert main(["run", "--like", str(tmp_path / "again"), "--mode", "inprocess", "--no-plots", "--out",
+                 str(tmp_path / "third")]) == 0  # fmt: skip
+    assert not differences(first, read_bag(tmp_path / "third" / "bag"))
+
+
+def test_a_repetition_that_differs_says_where(tmp_path, capsys, monkeypatch):
+    pressed(tmp_path / "first")
+    monkeypatch.setattr("softrig_bringup.like._outside", lambda rig, recording: [])  # what was outside is forgotten
+    status, said = repeat(tmp_path, capsys, "--like", str(tmp_path / "first"), "--mode", "inprocess")
+    assert status == 1
+    assert "differs from" in said
+    assert "axis/command from t = 0." in said
+
+
+def test_a_run_is_not_replaced_by_its_own_repetition(tmp_path, capsys):
+    pressed(tmp_path / "first")
+    assert main(["run", "--like", str(tmp_path / "first" / "bag"), "--out", str(tmp_path / "first")]) == 2
+    assert "it holds the run that --like repeats" in capsys.readouterr().err
+
+
+def test_a_port_is_written_and_read():
+    rig = Rig.from_scenario(load_scenario("gupfc"))
+    for member in rig.members:
+        for port in member.inputs:
+            found = port_of(written(port))
+            for what in ("msgtype", "labels", "units", "safe", "limits", "frame_id", "dims"):
+                assert getattr(found, what) == getattr(port, what), what
+            assert found.sporadic
+            assert not found.held
