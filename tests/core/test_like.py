@@ -1,5 +1,7 @@
 """`run --like`: a run once more from its bag, with what people did while it ran and what came from outside."""
 
+import json
+import random
 import shutil
 from functools import partial
 
@@ -45,14 +47,19 @@ def pressed(folder, mode="lockstep", delay=None):
 
     # the simulated lockstep begins after 20 ms and goes as fast as messages do
     moments = (500 * MS, 503 * MS, 505 * MS) if mode == "realtime" else (20_030_000, 20_300_000, 20_500_000)
-    people = (partial(law.buttons.press, button), partial(send, 12.5), partial(law.step.set, {"kp": 50.0}))
+    people = (partial(law.buttons.press, button.port), partial(send, 12.5), partial(law.step.set, {"kp": 50.0}))
     for moment, act in zip(moments, people, strict=True):
         world.at(start + moment, act)
     assert set(run.run().values()) == {"done"}
-    done = Run(rig, 3, run.recording, mode="realtime" if run.epoch else "processes", epoch=run.epoch)
+    status = {name: {"missed_deadlines": 0, **_figures(a)} for name, a in run.adapters.items()}
+    done = Run(rig, 3, run.recording, status=status, mode="realtime" if run.epoch else "processes", epoch=run.epoch)
     command = f"softrig run {name} --mode processes --seed 3"
     save(done, summary(done, done.results, command), ResultsFolder(folder), plots=False)
     return run.recording
+
+
+def _figures(adapter):
+    return adapter.drive.statistics() if adapter.drive.open_ended else {}
 
 
 def repeat(tmp_path, capsys, *arguments):
@@ -72,13 +79,37 @@ def test_buttons_and_messages_from_outside_are_there_again(mode, tmp_path, capsy
     assert status == 0
     assert "alone number for number: " in said
     again = read_bag(tmp_path / "again" / "bag")
-    assert not differences(first, again)
+    assert differences(first, again) == ["axis/reference"]  # who sent it left the stamp out
     assert again.topics["axis/controller_state"].data[-1] != again.topics["axis/controller_state"].data[0]
     # the repetition of the repetition
     capsys.readouterr()
     assert main(["run", "--like", str(tmp_path / "again"), "--mode", "inprocess", "--no-plots", "--out",
                  str(tmp_path / "third")]) == 0  # fmt: skip
-    assert not differences(first, read_bag(tmp_path / "third" / "bag"))
+    assert not differences(again, read_bag(tmp_path / "third" / "bag"))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_run_in_real_time_that_was_never_late_is_repeated_in_lockstep(seed, tmp_path, capsys):
+    """Messages take up to a fifth of the law's period, in any order; a button, a message and a gain in between."""
+    rng = random.Random(seed)
+    pressed(tmp_path / "first", "realtime", lambda *_: rng.randrange(1_000, 2 * MS))
+    metrics = json.loads((tmp_path / "first" / "metrics.json").read_text())
+    assert [c["node"] for c in metrics["changes"]] == ["fsfb_controller"]
+    status, said = repeat(tmp_path, capsys, "--like", str(tmp_path / "first"), "--mode", "inprocess")
+    assert status == 0, said
+    assert "first number for number: " in said
+    assert "was late" not in said
+
+
+def test_a_run_in_real_time_that_was_late_says_so_and_what_differs(tmp_path, capsys):
+    rng = random.Random(0)  # one message in five comes after the next tick
+    pressed(tmp_path / "first", "realtime", lambda *_: rng.choice([MS, MS, MS, MS, 15 * MS]))
+    status, said = repeat(tmp_path, capsys, "--like", str(tmp_path / "first"), "--mode", "inprocess")
+    assert status == 0
+    assert "differs from" in said
+    assert "axis/command from t = 0." in said
+    assert "that run was late: " in said
+    assert "messages after their tick" in said
 
 
 def test_a_repetition_that_differs_says_where(tmp_path, capsys, monkeypatch):

@@ -291,7 +291,8 @@ def test_of_commands_that_come_in_another_order_the_newest_stamp_counts_and_the_
                 COMMAND.msgtype,
                 layout.encode(world.now - (2 - j) * MS, (float(10 * k + j) / 100,)),
             )
-        assert plant.values["command"] == (float(10 * k + 2) / 100,)
+        row = next(r for r in plant.drive.senders.rows if r.name == "command")
+        assert row.recent[-1][1] == (float(10 * k + 2) / 100,)
     assert plant.inputs[0].late == 3 * 39
     assert plant.drive.statistics()["late_messages"] == 3 * 39
 

@@ -60,7 +60,10 @@ class Drive(Protocol):
         """React to a change of the writers of an input."""
 
     def now(self) -> int:
-        """Time in ns under which what comes from outside is recorded."""
+        """Time of the rig, ns."""
+
+    def record(self, number: int, data: bytes) -> None:
+        """Record a message from outside, with the stamp of the tick that uses it."""
 
     def progress(self) -> None:
         """Check for stalls and missing peers; called every `WATCH_PERIOD`."""
@@ -182,7 +185,7 @@ class Adapter:
 
     def _record_press(self, port: Port, down: bool) -> None:
         if self.sink is not None and port.name in self.foreign:
-            self.sink.add(self.foreign[port.name], self.drive.now(), port.layout().encode(0, (down,)))
+            self.drive.record(self.foreign[port.name], port.layout().encode(0, (down,)))
 
     def _record_change(self, t: int, values: Mapping[str, Any]) -> None:
         stamp = self.epoch + t

@@ -33,8 +33,9 @@ class Answering:
         self._unarmed = False  # whether the oldest pending tick has no limit yet
         self._period = node.schedule.time(1)
         self._patience = round(node.options.patience * self._period)
-        self.awaited = [f for f in table.rows if f.awaited]
-        self._used = [f for f in table.rows if f.awaited or not f.port.held]
+        self._required = [f for f in table.rows if f.awaited]
+        self.awaited = [*self._required, *(f for f in table.rows if f.expected)]
+        self._used = [f for f in table.rows if f.awaited or f.paired or not f.port.held]
         self._deadline = node.middleware.timer(1_000_000_000, self._give_up)
         self._deadline.cancel()
 
@@ -42,6 +43,9 @@ class Answering:
         """A good message of the tick that `due` belongs to has come."""
         if feed.awaited:
             self._begin(due, feed)
+        elif feed.paired:
+            if self._pending and feed is self.awaited[self._complete]:
+                self._answer_complete()
         elif feed.port.held:
             self._node.values[feed.name] = value
 
@@ -94,7 +98,7 @@ class Answering:
 
     def _drop(self) -> None:
         """Forget ticks that are older than the window, or than what is kept: the law is far behind."""
-        kept = [f.recent[0][0] for f in self.awaited if len(f.recent) == KEPT and not f.by_arrival]
+        kept = [f.recent[0][0] for f in self._required if len(f.recent) == KEPT and not f.by_arrival]
         oldest, before = max([self._table.clock() - self._table.window, *kept]), self.dropped
         while len(self._pending) > 1 and self._pending[0] < oldest:
             self._pending.popleft()
@@ -112,10 +116,13 @@ class Answering:
             return
         stamp = self._pending.popleft()
         self._complete = 0
-        if all(f.ready(stamp) for f in self.awaited):  # else it lies before the first message
+        if all(f.ready(stamp) for f in self._required):  # else it lies before the first message
             self.incomplete += 1
-            lacking = [f.port.topic for f in self.awaited if not f.complete(stamp)]
-            node.block.report(Level.WARN, "incomplete", f"answered without what was due on {', '.join(lacking)}")
+            lacking = [f for f in self.awaited if not f.complete(stamp)]
+            for feed in lacking:
+                feed.expected = False
+            topics = ", ".join(f.port.topic for f in lacking)
+            node.block.report(Level.WARN, "incomplete", f"answered without what was due on {topics}")
             self._say(stamp)
         elif not self._pending:
             self._following = stamp  # it may begin again

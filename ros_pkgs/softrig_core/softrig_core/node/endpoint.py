@@ -24,6 +24,8 @@ class Input:
         Arrays that were sent, as the numbers of others say, and did not come.
     late : int
         Messages that came after a newer one, or twice, and were left out.
+    overdue : int
+        Messages of the rig that came after the tick that should have used them.
     heard : bool
         Whether a message has come.
     refused : int
@@ -40,6 +42,7 @@ class Input:
         self.following: int | None = None
         self.lost = 0
         self.late = 0
+        self.overdue = 0
         self.heard = False
         self.refused = 0
         self.last_refusal = ""

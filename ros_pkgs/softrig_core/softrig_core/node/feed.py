@@ -38,6 +38,8 @@ class Feeds:
         ns after which a sender may be stale.
     watchdog : int
         ns after which a command is; 0: so many intervals of its sender.
+    unrecorded : list of (due, number, message)
+        What has come from outside and no tick has used: it is recorded at the first one that is not before `due`, ns.
     take : callable
         Gets (row, stamp, time of the tick that it belongs to, value, now) of each good message.
     excuse : callable
@@ -52,6 +54,7 @@ class Feeds:
         self.clock = clock
         self.rows: list[Feed] = []
         self.stale: set[str] = set()
+        self.unrecorded: list[tuple[int, int, bytes]] = []
         self.window = to_ns(node.options.stamp_window)
         self.watchdog = to_ns(node.options.watchdog) if node.is_plant else 0
         self.least = self.watchdog or node.schedule.time(node.block.STALE_PERIODS)
@@ -62,6 +65,15 @@ class Feeds:
         self.rows.append(row)
         self.node.step.stamps[port.name] = row.held_stamp
         return row
+
+    def record(self, stamp: int) -> None:
+        """Record what the tick of a stamp uses, with that stamp: at it a repetition must bring the same."""
+        sink = self.node.sink
+        if self.unrecorded and sink is not None:
+            for due, number, data in self.unrecorded:
+                if due <= stamp:
+                    sink.add(number, stamp, data)
+            self.unrecorded = [entry for entry in self.unrecorded if entry[0] > stamp]
 
     def grid_time(self, now: int) -> int:
         """Give the newest tick of ours at a time, both in ns of the wall clock."""
@@ -85,6 +97,13 @@ class Feed(Sender):
         Whether a tick waits for it: required, and the sender is never silent.
     by_arrival : bool
         Whether its messages belong to the tick at which they come.
+    paired : bool
+        Whether a node of the rig sends it: its value at a tick is then the newest stamped up to there, as in lockstep.
+    expected : bool
+        Whether a law waits for it although it is optional: it is paired and its sender speaks at each of its ticks. One
+        that has been waited for in vain is expected again when it has come.
+    answered : int
+        Stamp of the newest tick that has used it, ns.
     stamp : int or None
         Of the newest message, ns since the Unix epoch.
     arrived : int or None
@@ -108,6 +127,9 @@ class Feed(Sender):
         silent = port.sporadic or (link is not None and link.sporadic) or port.name in node.links.free
         self.awaited = not port.held and not silent
         self.by_arrival = port.delayed or not port.stamped
+        self.paired = link is not None and not self.by_arrival
+        self._optional = self.expected = self.paired and not self.awaited and not silent
+        self.answered = -1
         self.arrived: int | None = None
         self.fresh = False
         self.bad: int | None = None
@@ -148,7 +170,9 @@ class Feed(Sender):
         # A delayed message tells when it was measured, one without a stamp nothing: the answer is due now.
         due = stamp if stamp and not self.by_arrival else self.table.grid_time(now)
         self._begin(due)
-        self.record(now, data)
+        if self._number is not None:
+            used_at_once = self.port.held and not self.paired
+            self.table.unrecorded.append((0 if used_at_once else due, self._number, data))
         self._keep(stamp, due, self.value(stamp, found), now)
 
     def teller(self, pick: Pick | None) -> Callable[[int, Row], None]:
@@ -186,7 +210,10 @@ class Feed(Sender):
             return
         self.arrived = now
         self.fresh = True
+        self.expected = self._optional
         self.recent.append((due, value))
+        if self.paired and due <= self.answered:
+            self.overdue += 1
         if self.table.stale:
             self._recovered()
         self.table.take(self, stamp, due, value, now)
@@ -202,12 +229,12 @@ class Feed(Sender):
 
     def lacks(self, stamp: int) -> bool:
         """Whether something that the tick of a stamp waits for is not there."""
-        return not (self.complete(stamp) and self.ready(stamp))
+        return not (self.complete(stamp) and (self.ready(stamp) or not self.awaited))
 
     def complete(self, stamp: int) -> bool:
         """Whether what is due at the tick of a stamp is there."""
         epoch, period = self.node.epoch, self.node.schedule.time(1)
-        if not self.awaited:
+        if not self.awaited and not self.expected:
             return True
         if self.stamp is None:
             return False
@@ -228,6 +255,7 @@ class Feed(Sender):
     def take(self, stamp: int) -> Any:
         """Give the value of the tick of a stamp: the newest one not after it; None when there is none."""
         self.fresh = False
+        self.answered = stamp
         recent = self.recent
         if self.by_arrival:
             stamp = max(stamp, self.stamp or 0)

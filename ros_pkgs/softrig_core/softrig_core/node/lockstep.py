@@ -115,6 +115,11 @@ class Lockstep:
         """Time of the tick under way."""
         return self.t
 
+    def record(self, number: int, data: bytes) -> None:
+        """Record a message from outside at the tick that uses it."""
+        if self.node.sink is not None:
+            self.node.sink.add(number, self.t, data)
+
     def on_matched(self, item: Input) -> None:
         """A second publisher on a paired topic makes the run ambiguous: it ends, naming both."""
         node = self.node

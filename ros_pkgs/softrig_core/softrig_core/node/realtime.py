@@ -64,6 +64,8 @@ class Realtime:
         awaited = [f for f in self.senders.rows if f.awaited]
         self._commands = awaited if node.is_plant else []
         self._answering = Answering(self.senders, self._answer) if awaited and not node.is_plant else None
+        # a law takes what it uses when it answers
+        self._paired = [f for f in self.senders.rows if f.paired and self._answering is None]
         if self._answering is None:
             self._timer = node.middleware.timer(SECOND // 1000, self._tick)
             self._timer.cancel()
@@ -124,6 +126,10 @@ class Realtime:
         """Wall-clock time."""
         return self.clock()
 
+    def record(self, number: int, data: bytes) -> None:
+        """Record a message from outside at the tick that uses it."""
+        self.senders.unrecorded.append((0, number, data))
+
     @property
     def t(self) -> int:
         """Time of the newest tick."""
@@ -158,7 +164,8 @@ class Realtime:
         if self._answering is not None:
             self._answering.take(feed, due, value)
             return
-        self.node.values[feed.name] = value
+        if not feed.paired:
+            self.node.values[feed.name] = value
         sent = self._sent_at.get(stamp)
         if sent is not None:
             self._round_trip.append(now - sent)
@@ -209,9 +216,10 @@ class Realtime:
             self._answer(due)
             return
         try:
-            inputs = self._fresh_inputs(now)
             for k in range(first, number):
-                node.step.advance(schedule.time(k), inputs)
+                t = schedule.time(k)
+                self._use(node.epoch + t)
+                node.step.advance(t, self._fresh_inputs(now))
             node.step.say(due)
         except RunError as error:
             node.broke(error)
@@ -220,6 +228,13 @@ class Realtime:
         if len(self._sent_at) > 2 * node.block.STALE_PERIODS:
             del self._sent_at[next(iter(self._sent_at))]
         self._ticked(due)
+
+    def _use(self, stamp: int) -> None:
+        """Have the values of the tick of a stamp, and record those from outside."""
+        for feed in self._paired:
+            if (value := feed.take(stamp)) is not None:
+                self.node.values[feed.name] = value
+        self.senders.record(stamp)
 
     def _fresh_inputs(self, now: int) -> dict[str, Any]:
         """Newest commands; the safe value in place of a stale one."""
@@ -232,6 +247,7 @@ class Realtime:
     def _answer(self, t: int) -> None:
         """Publish the answer of tick `t`; the safe values when the law overflows or gives what nobody may send."""
         node, step = self.node, self.node.step
+        self._use(node.epoch + t)
         try:
             step.say(t)
         except RunError as error:
@@ -261,7 +277,7 @@ class Realtime:
                 figures["dropped_ticks"] = self._answering.dropped
         if self.skipped:
             figures["skipped_periods"] = self.skipped
-        for key, count in (("lost_arrays", "lost"), ("late_messages", "late")):
+        for key, count in (("lost_arrays", "lost"), ("late_messages", "late"), ("overdue_messages", "overdue")):
             if number := sum(getattr(item, count) for item in self.node.inputs):
                 figures[key] = number
         figures |= percentiles("lateness", self._lateness) | percentiles("round_trip", self._round_trip)
