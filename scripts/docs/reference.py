@@ -13,11 +13,10 @@ from typing import get_args
 from unittest import mock
 
 import softrig_core
-from pages.generated import _parameter, node
+from pages.generated import node, parameters
 from softrig_bringup import cli
 from softrig_control.fault import Fault, FaultParams, Kind
 from softrig_core import ScenarioError
-from softrig_core.model.params import declarations
 from softrig_core.rig.registry import find, registered
 from softrig_core.rig.rig import load_block
 from softrig_core.wire.types import TYPES
@@ -142,8 +141,7 @@ def faults() -> str:
     parts = ["# Faults", "", doc, "", "Kinds: " + ", ".join(f"`{kind}`" for kind in get_args(Kind)) + ".", "",
              "What each does and how a scenario names them: [the test bench](../tutorials/test_bench.md#a-fault). All "
              "parameters of the node `softrig_control fault`:", "",
-             "| parameter | default | unit | bounds | |", "|---|---|---|---|---|",
-             *(_parameter(d) for d in declarations(FaultParams)), ""]  # fmt: skip
+             *parameters(FaultParams), ""]  # fmt: skip
     return "\n".join(parts)
 
 

@@ -30,7 +30,7 @@ from pathlib import Path
 from softrig_bringup.citations import cited, listed
 from softrig_bringup.study.definition import list_studies, load_study
 from softrig_core import Port, list_scenarios, load_scenario, simulate
-from softrig_core.model.params import Declaration, declarations
+from softrig_core.model.params import Declaration, Params, declarations
 from softrig_core.rig.claims import VERDICTS
 from softrig_core.rig.figures import Result
 from softrig_core.rig.findings import hold
@@ -80,8 +80,7 @@ def node(package: str, executable: str) -> tuple[str, str]:
     inputs, outputs = block.ports(block.Params())
     text = ["| topic | | type | values |", "|---|---|---|---|"]
     text += [_topic(port, "reads") for port in inputs] + [_topic(port, "publishes") for port in outputs]
-    text += ["", "| parameter | default | unit | bounds | |", "|---|---|---|---|---|"]
-    text += [_parameter(d) for d in declarations(block.Params)]
+    text += ["", *parameters(block.Params)]
     return (block.__doc__ or "").strip().splitlines()[0], "\n".join(text)
 
 
@@ -94,11 +93,18 @@ def _topic(port: Port, direction: str) -> str:
     return f"| `{port.topic}` | {', '.join([direction, *marks])} | {kind} | {shown} |"
 
 
+def parameters(model: type[Params]) -> list[str]:
+    """Give the lines of a table of parameters."""
+    head = "| parameter | default | unit | bounds | live: may change while running |"
+    return [head, "|---|---|---|---|---|", *(_parameter(d) for d in declarations(model))]
+
+
 def _parameter(d: Declaration) -> str:
     bounds = " to ".join(("" if x is None else f"{x:g}") for x in (d.lower, d.upper)).strip()
     bounds = {"to": ""}.get(bounds, bounds)
+    doc = d.doc.replace("|", "\\|") + (" (live)" if d.live else "")
     default = str(list(d.default) if isinstance(d.default, tuple) else d.default)
-    return " | ".join(("| `" + d.name + "`", default or " ", d.unit, bounds, d.doc.replace("|", "\\|"))) + " |"
+    return " | ".join(("| `" + d.name + "`", default or " ", d.unit, bounds, doc)) + " |"
 
 
 def chosen(prefixes: Sequence[str]) -> list[str]:
