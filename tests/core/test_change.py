@@ -277,3 +277,34 @@ def test_a_recorded_change_that_is_cut_off_is_told():
     for n in range(len(data)):
         with suppress(ValueError):  # never another error
             decode(data[:n])
+
+
+def test_a_fault_that_is_set_off_is_off_whoever_switched_it_on():
+    params = {"topic_in": "axis/state", "fields": ("position",), "kind": "offset", "value": (2.0,), "active": False}
+    fault = load_block("softrig_control", "fault")(**params)
+
+    def said(t, pressed=False):
+        return fault.update(t, sent=(1.0,), toggle=(float(pressed),))["arrived"][0]
+
+    assert said(0) == 1.0
+    assert said(1, pressed=True) == 3.0
+    assert fault.p.active
+    assert said(2) == 3.0
+    fault.change(check(type(fault), fault.p, {"active": False}))  # as it was given at the start
+    assert said(3) == 1.0
+    fault.change(check(type(fault), fault.p, {"active": True}))
+    assert [said(4), said(5, pressed=True)] == [3.0, 1.0]
+    fault.reset(0)
+    assert said(6) == 3.0  # the parameters of now, without the button
+
+
+def test_references_in_changes_stand_for_what_parameters_are_at_the_start(tmp_path):
+    file = tmp_path / "mine.yaml"
+    file.write_text("extends: dc_motor_smc_b2\ntitle: t\nduration: 0.1\nshared: {gain: 60.0}\nchanges:\n"
+                    "  - {at: 0.02, set: {dc_motor_smc.k: $gain, dc_motor_smc.delta: 1.0}}\n"
+                    "  - {at: 0.05, set: {dc_motor_smc.delta: $dc_motor_smc.delta}}\n")  # fmt: skip
+    law = next(m for m in Rig.from_scenario(load_scenario(file)).members if m.name == "dc_motor_smc")
+    file.write_text(file.read_text().replace("$dc_motor_smc.delta", "$dc_motor_smc.deltaa"))
+    with pytest.raises(ScenarioError, match=r"change at 0\.05 s: \$dc_motor_smc\.deltaa: dc_motor_smc has period"):
+        Rig.from_scenario(load_scenario(file))
+    assert [dict(c.values) for c in law.changes] == [{"k": 60.0, "delta": 1.0}, {"delta": law.params.delta}]

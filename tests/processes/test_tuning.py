@@ -5,9 +5,15 @@ import subprocess
 import sys
 
 import pytest
-from conftest import Bench
+import yaml
+from conftest import Bench, in_process
 from rcl_interfaces.msg import ParameterType
+from softrig_bags.read import read_bag
+from softrig_bags.write import write_bag
+from softrig_core import Rig, load_scenario
+from softrig_core.model.params import flatten
 from softrig_core.rig.domain import free_domain
+from softrig_core.rig.executables import find_executable
 
 pytestmark = pytest.mark.processes
 
@@ -101,3 +107,31 @@ def test_what_is_listed_and_dumped_fits_another_run(tmp_path):
     assert said["accelerations"] == [ParameterType.PARAMETER_DOUBLE_ARRAY, "", []]
     assert said["run.mode"][1] == "realtime"
     assert not [name for name, (_, text, _) in said.items() if str(tmp_path) in text]
+
+
+def test_a_replay_into_one_node_sets_what_the_bag_has_changed(tmp_path):
+    """Scripted for the record, set by services in the replay: the same messages."""
+    entries = [{"at": 0.05, "set": {"dc_motor_smc.k": 60.0}},
+               {"at": 0.1011, "set": {"dc_motor_smc.delta": 0.5, "dc_motor_smc.c": 6.0}}]  # fmt: skip
+    scenario = load_scenario("dc_motor_smc_b2").changed(duration=0.3)
+    rig = Rig.from_scenario(type(scenario).model_validate({**dict(scenario), "changes": entries}))
+    recording = in_process(rig)
+    write_bag(tmp_path / "bag", recording)
+    law = next(m for m in rig.members if m.name == "dc_motor_smc")
+    (tmp_path / "law.yaml").write_text(yaml.safe_dump({"dc_motor_smc": {"ros__parameters": {
+        name: value for name, value in flatten(law.params).items() if value is not None}}}))  # fmt: skip
+    with free_domain() as domain:
+        bench = Bench(tmp_path, domain)
+        try:
+            bench.start("dc_motor_smc", "dc_motor_smc", "--params-file", str(tmp_path / "law.yaml"), "-p",
+                        "run.mode:=lockstep", "-p", "run.paired:=[reference]", package="softrig_drives")  # fmt: skip
+            command = [str(find_executable("softrig_bags", "player")), "bag", "--lockstep", "motor/command",
+                       "--exclude", "motor/surface", "--answers", "answers"]  # fmt: skip
+            played = subprocess.run(command, cwd=tmp_path, env=bench.environment, timeout=100, capture_output=True,
+                                    text=True)  # fmt: skip
+        finally:
+            for name in list(bench.nodes):
+                bench.kill(name)
+    assert played.returncode == 0, played.stdout + played.stderr
+    answers = read_bag(tmp_path / "answers")
+    assert answers.topics["motor/command"].data == recording.topics["motor/command"].data

@@ -11,7 +11,7 @@ from softrig_core.model.params import Declaration
 from softrig_core.node.messages import message_class
 
 from .errors import BagError
-from .player import CLOCK, LockstepPlayer, Player, Sender, span
+from .player import CHANGES, CLOCK, LockstepPlayer, Player, Sender, span
 from .reader import BagReader
 from .ros import Session
 from .selection import Selection
@@ -38,6 +38,8 @@ def play(
         part = span(bag, options.start_offset, options.duration)
         chosen = [t for t in bag.topics if t.name in selection and t.name not in answers]
         chosen = [t for t in chosen if not (options.clock and t.name == CLOCK)]
+        if answers:  # set, not said
+            chosen = [t for t in chosen if t.name != CHANGES or CHANGES in selection.names]
         for name in [*selection.names, *remap]:
             if name not in [t.name for t in bag.topics]:
                 raise BagError(f"no topic {name} in {options.bag}; it has {', '.join(t.name for t in bag.topics)}")

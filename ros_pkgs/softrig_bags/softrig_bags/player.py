@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import math
 import time
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import chain, groupby, islice
@@ -15,11 +16,15 @@ from rclpy._rclpy_pybind11 import RCLError
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.node import NodeNameNonExistentError
+from rclpy.parameter import Parameter
+from rclpy.parameter_client import AsyncParameterClient
 from rclpy.qos import HistoryPolicy, QoSProfile
 from rclpy.subscription import Subscription
 from softrig_core import SECOND, Recording, RunError
 from softrig_core.node.messages import message_class
+from softrig_core.wire import parameter_event
 from softrig_core.wire.cdr import Layout
+from softrig_core.wire.parameter_event import decode
 from softrig_core.wire.recording import relative
 from std_srvs.srv import Trigger
 
@@ -30,6 +35,8 @@ from .stamps import is_stamped, stamp
 from .topics import BagTopic
 
 CLOCK = "/clock"
+CHANGES = f"/{parameter_event.TOPIC}"
+OVER = 2**63 - 1, None  # no tick follows
 CLOCK_STEP = 0.025  # s: longest wall-clock time between two /clock messages
 WATCH_PERIOD = 0.25  # s
 
@@ -263,6 +270,14 @@ class Answers:
         return f"{self.name}: answer stamped {found / SECOND:.9g} s, expected {self.stamps[i] / SECOND:.9g} s"
 
 
+def _changes(bag: BagReader) -> Iterator[tuple[int, str, dict[str, Any]]]:
+    """Give the changes of parameters in a bag: tick (ns), node, new values."""
+    if any(topic.name == CHANGES for topic in bag.topics):
+        for _, _, data in bag.messages([CHANGES], 0):
+            t, node, values = decode(data)
+            yield t, node.rpartition("/")[2], values
+
+
 class LockstepPlayer:
     """Plays tick by tick: the next tick is sent when the node under test has answered the last one.
 
@@ -270,6 +285,7 @@ class LockstepPlayer:
     ``--use-sim-time``: some message has its stamp as bag time), else its header stamp; a message without header belongs
     to the tick before it. The ticks to be answered are those of the answers in the bag, or every tick if it has none. A
     node that says its ticks on ``<node>/tick`` (one that may be silent on all topics) is waited for at each of them.
+    What the bag has on ``/parameter_events`` of a node with the name of the one under test is set before its tick.
 
     Parameters
     ----------
@@ -297,7 +313,11 @@ class LockstepPlayer:
         self._answers: dict[str, Answers] = {}
         self._heard: list[Subscription] = []
         self._paces: set[str] = set()
+        self._changes = deque(_changes(bag))
+        self._tuned: dict[str, AsyncParameterClient] = {}
+        self._setting = False
         self._groups = self._ticks()
+        self._following: tuple[int, Sequence[tuple[int, bytes]] | None] = next(self._groups, OVER)
         self._ready = self._finished = False
         self._tick = part.start
         self._progress = (-1, time.monotonic())
@@ -368,10 +388,19 @@ class LockstepPlayer:
                 absent.append(f"the node behind {topic} is not known yet")
                 continue
             wanted |= played.intersection(name for name, _ in inputs)
+            absent += self._untuned(there.node_name, there.node_namespace)
             absent += self._paced(f"{there.node_namespace.rstrip('/')}/{there.node_name}")
         if not absent and not wanted:
             absent.append(f"the node subscribes none of {', '.join(sorted(played))}")
         return absent + [f"{name} is not matched" for name in self._sender.unheard(sorted(wanted))]
+
+    def _untuned(self, name: str, namespace: str) -> list[str]:
+        """Make ready to set parameters of a node of which the bag has changes; describe what is not matched yet."""
+        if not any(node == name for _, node, _ in self._changes):
+            return []
+        full = f"{namespace.rstrip('/')}/{name}"
+        client = self._tuned.setdefault(name, AsyncParameterClient(self._session.node, full))
+        return [] if client.services_are_ready() else [f"the parameter services of {full} are not matched"]
 
     def _paced(self, name: str) -> list[str]:
         """Hear the ticks of a node that says them; describe what is not matched yet."""
@@ -403,17 +432,42 @@ class LockstepPlayer:
     def _step(self) -> None:
         """Send ticks until one is to be answered."""
         pauser = self._pauser
-        while self._ready and not self._finished and not any(a.missing for a in self._answers.values()):
+        while self._may_step():
+            if self._changes and self._changes[0][0] <= self._following[0] and self._set():
+                return
             if pauser.paused:
                 if not pauser.steps:
                     return
                 pauser.steps -= 1
-            group = next(self._groups, None)
-            if group is None:
+            tick, messages = self._following
+            if messages is None:
                 self._finished = True
                 self._session.stop()
                 return
-            self._send(*group)
+            self._following = next(self._groups, OVER)
+            self._send(tick, messages)
+
+    def _may_step(self) -> bool:
+        waiting = self._setting or any(a.missing for a in self._answers.values())
+        return self._ready and not self._finished and not waiting
+
+    def _set(self) -> bool:
+        """Set what the bag changes before the next tick; whether an answer is to be waited for."""
+        _, node, values = self._changes.popleft()
+        client = self._tuned.get(node)
+        if client is None:  # another node's
+            return False
+        self._setting = True
+        asked = client.set_parameters_atomically([Parameter(name, value=v) for name, v in values.items()])
+        asked.add_done_callback(lambda answer: self._was_set(node, values, answer.result()))
+        return True
+
+    def _was_set(self, node: str, values: Mapping[str, Any], answer: Any) -> None:
+        if not answer.result.successful:
+            raise RunError(f"{node} refuses {', '.join(values)} at t = {self._following[0] / SECOND:.9g} s: "
+                           f"{answer.result.reason}")  # fmt: skip
+        self._setting = False
+        self._step()
 
     def _send(self, tick: int, messages: Sequence[tuple[int, bytes]]) -> None:
         self._tick = tick

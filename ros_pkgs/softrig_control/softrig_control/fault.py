@@ -115,7 +115,8 @@ class Fault(Block[FaultParams]):
     `toggle` shifts them.
 
     What may change while it runs (when, how much, how often, `active`) acts on the messages from then on: what is under
-    way arrives when it was to, and what has begun keeps its beginning. A changed `active` switches as `toggle` does.
+    way arrives when it was to, and what has begun keeps its beginning. A changed `active` switches as `toggle` does,
+    and the button moves `active`: who sets it to false after somebody has pressed finds the fault off.
 
     A lost message is drawn independently, or in bursts after Gilbert and Elliott [1]_ where
     `burst_begins` > 0.
@@ -149,12 +150,13 @@ class Fault(Block[FaultParams]):
     def change(self, params: FaultParams) -> None:
         """Be there at other times, by another amount, or be switched on or off."""
         if params.active != self.p.active:
-            self._on = params.active
+            self._on = self._first = params.active
         super().change(params)
 
     def start(self) -> None:
         """Switched as the parameters say, nothing under way."""
-        self._on = self.p.active
+        self._first = getattr(self, "_first", self.p.active)
+        self._switch(self._first)
         self._down = False
         self._burst = False
         self._began: tuple[int, tuple[float, ...]] | None = None  # when it came, and what was sent then
@@ -170,7 +172,7 @@ class Fault(Block[FaultParams]):
         """Hand on what has come at this tick, as the fault leaves it."""
         down = toggle is not None and toggle[0] > 0.5
         if down and not self._down:
-            self._on = not self._on
+            self._switch(not self._on)
         self._down = down
         fresh = self.age("sent") == 0
         found = self._hand_on(t, sent) if fresh else None
@@ -182,6 +184,12 @@ class Fault(Block[FaultParams]):
             return {"arrived": self._said} if self.p.holds else {}
         self._said = found
         return {"arrived": found}
+
+    def _switch(self, on: bool) -> None:
+        """Be there or not; `active` says so as well, so that a button and a parameter set after it agree."""
+        self._on = on
+        if on != self.p.active:
+            self.p = self.p.model_copy(update={"active": on})
 
     def _there(self, t: int, sent: tuple[float, ...]) -> bool:
         """Whether the fault is there; notes when it came."""

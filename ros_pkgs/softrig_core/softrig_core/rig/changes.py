@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from functools import partial
 from typing import Any, Protocol
 
 from pydantic import BaseModel, ConfigDict, Field
@@ -10,9 +11,10 @@ from pydantic import BaseModel, ConfigDict, Field
 from ..errors import ScenarioError, closest
 from ..model.block import Block
 from ..model.change import Change, check
-from ..model.params import ParameterError
+from ..model.params import ParameterError, flatten
 from ..timebase import to_ns
 from .faults import EXECUTABLE, PACKAGE, WORDS
+from .references import fill_parameters, pick
 
 
 class ChangeEntry(BaseModel):
@@ -23,7 +25,7 @@ class ChangeEntry(BaseModel):
     at : float
         In s. Each node takes its own at its first tick that is not earlier.
     set : dict
-        ``node.parameter`` to value; of a fault, ``fault.active``.
+        ``node.parameter`` to value; of a fault, ``fault.active``. ``$node.parameter`` is what a parameter is at first.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
@@ -61,6 +63,16 @@ def script(where: str, entries: Sequence[ChangeEntry], members: Iterable[Changin
         No such node, a node of somebody else, or values that `softrig_core.model.change.check` refuses.
     """
     known = {m.name: m for m in members}
+
+    def at_start(at: str, node: str, parameter: str) -> Any:
+        if node not in known:
+            raise ScenarioError(f"{at}: ${node}.{parameter}: the nodes are {', '.join(known)}")
+        values = flatten(known[node].params)
+        try:
+            return pick(values, parameter)
+        except KeyError:
+            raise ScenarioError(f"{at}: ${node}.{parameter}: {node} has {', '.join(values)}") from None
+
     now = {m.name: m.params for m in known.values()}
     for entry in sorted(entries, key=lambda e: e.at):
         at = f"{where}: change at {entry.at:g} s"
@@ -72,7 +84,7 @@ def script(where: str, entries: Sequence[ChangeEntry], members: Iterable[Changin
                                     f"{', '.join(known)}")  # fmt: skip
             if (known[node].package, known[node].executable) == (PACKAGE, EXECUTABLE):
                 parameter = WORDS.get(parameter, parameter)
-            by_node.setdefault(node, {})[parameter] = value
+            by_node.setdefault(node, {})[parameter] = fill_parameters(value, partial(at_start, at))
         for node, values in by_node.items():
             member = known[node]
             if member.external:
