@@ -76,7 +76,8 @@ def _say(steps: Sequence[Step], t: int) -> list[Step]:
     """Have those speak that lack nothing; gives the others."""
     lacking: list[Step] = []
     for step in steps:
-        if step.lacks is not None and (any(s in lacking for s in step.sources) or step.lacks(t)):
+        waits = lacking and any(s in lacking for s in step.sources)
+        if waits or (step.lacks is not None and step.lacks(t)):
             lacking.append(step)
         else:
             step.say(t)

@@ -174,6 +174,8 @@ class Adapter:
         self.shard = ShardWriter(Path(self.options.shard), recorded, row) if wanted else None
         self.sink = self.shard if sink is None else sink
         self._add_row = self.shard.add_row if self.shard is not None and row else None
+        numbered = any(o.numbered for o in self.outputs)
+        self._plain = self.step.plain and not numbered and (self._add_row is not None or self.sink is None)
 
     def _subscribe(self, item: Input) -> None:
         def matched(count: int) -> None:
@@ -205,17 +207,11 @@ class Adapter:
         recording takes place while it works. (Each wake-up between two messages costs as much as the law.)
         """
         stamp = self.epoch + t
-        said: list[tuple[Output, int, tuple[float, ...]]] = []
-        for output, row in zip(self.outputs, rows, strict=True):
-            if row is None:
-                continue
-            mark, values = (row.stamp + self.epoch, row.data) if type(row) is Sample else (stamp, row)
-            if output.numbered:
-                mark = output.said
-                output.said += 1
-            output.send(mark, values)  # type: ignore[arg-type]
-            if self._add_row is None or self._silent:
-                said.append((output, mark, values))  # type: ignore[arg-type]
+        if self._plain:  # nearly always
+            for output, row in zip(self.outputs, rows, strict=True):
+                output.send(stamp, row)  # type: ignore[arg-type]
+        else:
+            said = self._send_each(stamp, rows)
         if self._acknowledge is not None:
             self._acknowledge(stamp, [o.name for o, _, _ in said if o.port.sporadic] if self._silent else ())
         if self._owns_clock:
@@ -227,6 +223,20 @@ class Adapter:
                 self.sink.add(output.number, stamp, output.layout.encode(mark, values))
             if self._owns_clock:
                 self.sink.add(self.extra_numbers, stamp, CLOCK_LAYOUT.encode(stamp, ()))
+
+    def _send_each(self, stamp: int, rows: Rows) -> list[tuple[Output, int, tuple[float, ...]]]:
+        """Publish what is said; gives output, stamp or number, and values of each message."""
+        said = []
+        for output, row in zip(self.outputs, rows, strict=True):
+            if row is None:
+                continue
+            mark, values = (row.stamp + self.epoch, row.data) if isinstance(row, Sample) else (stamp, row)
+            if output.numbered:
+                mark = output.said
+                output.said += 1
+            output.send(mark, values)
+            said.append((output, mark, values))
+        return said
 
     def _acknowledging(self) -> Callable[[int, Iterable[str]], None]:
         """Give what says that a tick is answered, and which sporadic ports have spoken at it."""

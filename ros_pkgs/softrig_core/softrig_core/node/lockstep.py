@@ -5,6 +5,7 @@ Nothing here looks at a clock to decide a number; wall-clock time only ends a ru
 
 from __future__ import annotations
 
+import math
 import time
 from collections import deque
 from collections.abc import Callable, Set
@@ -50,6 +51,7 @@ class Lockstep:
         self._checks = 0  # of the start
         self._over = False  # the last tick is answered
         self._awaited = 0  # tick whose wants are set
+        self._last = math.inf if node.schedule.last is None else node.schedule.last
         self._durations: deque[int] = deque(maxlen=100_000)
         self._sent = self._first = 0
         self._solving: Solving | None = None
@@ -95,6 +97,8 @@ class Lockstep:
         if isinstance(node.block, Solver):
             self._solving = Solving(node.middleware, node.block, self._turn)
             node.step.respond = lambda t, **inputs: node.block.end(t)  # type: ignore[attr-defined]
+        if not senders.rows and self._solving is None:
+            node.step.lacks = None  # all that it needs is said in this process
         self.handshake = Handshake(node, awaited, wanted, local)
         self._stalls.handshake = self.handshake
         self._begin = begin
@@ -177,8 +181,7 @@ class Lockstep:
             self._sent = now
         else:
             self._ticked()
-        last = node.schedule.last
-        if last is not None and t >= last:
+        if t >= self._last:
             self._leave()
 
     def _ticked(self) -> None:
