@@ -40,8 +40,6 @@ class RobotDynamics(Block[RobotDynamicsParams]):
     was refused gets no answer.
     """
 
-    p: RobotDynamicsParams
-
     @classmethod
     def ports(cls, params: RobotDynamicsParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
         """Vectors and matrices of the number of joints."""

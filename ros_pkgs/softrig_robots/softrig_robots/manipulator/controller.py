@@ -73,8 +73,6 @@ class VcsController(Block[VcsControllerParams]):
     Gains and limits may change while it runs, the law itself may not: another one would begin from nothing.
     """
 
-    p: VcsControllerParams
-
     @classmethod
     def ports(cls, params: VcsControllerParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
         """One motor a joint."""

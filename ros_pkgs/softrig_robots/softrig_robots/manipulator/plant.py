@@ -54,8 +54,6 @@ class ManipulatorParams(DrivenRobotParams):
 class ManipulatorPlant(DrivenRobot[ManipulatorParams]):
     """Motor voltages in, joint and motor states out."""
 
-    p: ManipulatorParams
-
     @classmethod
     def ports(cls, params: ManipulatorParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
         """One motor a joint."""

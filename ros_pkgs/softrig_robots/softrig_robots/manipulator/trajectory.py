@@ -30,8 +30,6 @@ class TrajectoryParams(BlockParams):
 class TrajectorySource(Block[TrajectoryParams]):
     """Publishes positions, velocities and accelerations at every tick."""
 
-    p: TrajectoryParams
-
     @classmethod
     def ports(cls, params: TrajectoryParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
         """One output, no input."""

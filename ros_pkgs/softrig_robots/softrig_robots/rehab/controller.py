@@ -96,8 +96,6 @@ class VoltageController(Block[VoltageControllerParams]):
     on which the nodes of a rig agree.
     """
 
-    p: VoltageControllerParams
-
     @classmethod
     def ports(cls, params: VoltageControllerParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
         """The state has what the law remembers."""

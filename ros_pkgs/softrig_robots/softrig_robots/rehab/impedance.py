@@ -64,7 +64,6 @@ class Impedance(Block[ImpedanceParams]):
     jump. Who publishes stiffness or damping on its topic overrules the parameter.
     """
 
-    p: ImpedanceParams
     INPUTS = (
         reference("reference", "reference", JOINTS, **UNITS),
         wrench(PATIENT_FORCE, PATIENT_FORCE, FOOT, held=True, delayed=True),

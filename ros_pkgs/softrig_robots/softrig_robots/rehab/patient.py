@@ -34,7 +34,6 @@ class PatientParams(BlockParams):
 class Patient(Block[PatientParams]):
     """Publishes the force at the foot at every tick, in axes of the base."""
 
-    p: PatientParams
     OUTPUTS = (wrench(PATIENT_FORCE, PATIENT_FORCE, FOOT),)
 
     def setup(self) -> None:

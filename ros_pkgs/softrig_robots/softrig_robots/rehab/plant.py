@@ -107,7 +107,6 @@ class RehabPlant(DrivenRobot[RehabParams]):
     A joint outside its range of motion or too fast stops the robot: 0 V until the next start.
     """
 
-    p: RehabParams
     TIP = FOOT
     INPUTS = (
         command("motor_command", "motor_command", JOINTS, "V"),

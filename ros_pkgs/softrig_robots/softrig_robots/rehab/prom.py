@@ -40,7 +40,6 @@ class PromReferenceParams(BlockParams):
 class PromReference(Block[PromReferenceParams]):
     """Publishes positions, velocities and accelerations at every tick."""
 
-    p: PromReferenceParams
     OUTPUTS = (
         reference("reference", "reference", JOINTS, position="rad", velocity="rad/s", acceleration="rad/s^2"),
     )  # fmt: skip
