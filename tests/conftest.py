@@ -7,6 +7,7 @@ import subprocess
 import time
 from contextlib import suppress
 from pathlib import Path
+from tempfile import TemporaryFile
 
 import hypothesis
 import pytest
@@ -142,6 +143,30 @@ def bench(tmp_path):
         finally:
             for name in list(bench.nodes):
                 bench.kill(name)
+
+
+def replay(folder, bag, answered, node, *options):
+    """Play a bag in lockstep into one real node (package, executable, arguments); gives the player's status and words.
+
+    Both come from the start server.
+    """
+    with free_domain() as domain, TemporaryFile("w+") as said:
+        variables = environment(domain, folder)
+
+        def start(output, package, executable, *arguments):
+            command = [str(find_executable(package, executable)), *map(str, arguments)]
+            return start_node(package, executable, command, variables, output)
+
+        process = start(2, *node)
+        try:
+            player = start(said.fileno(), "softrig_bags", "player", bag, "--lockstep", *answered, *options,
+                           "--answers", folder / "answers")  # fmt: skip
+            status = player.wait(PATIENCE)
+        finally:
+            process.kill()
+            process.wait()
+        said.seek(0)
+        return status, said.read()
 
 
 def processes_of(directory):

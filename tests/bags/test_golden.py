@@ -15,14 +15,12 @@ from functools import cache
 from pathlib import Path
 
 import pytest
-from conftest import PATIENCE
+from conftest import replay
 from softrig_bags.compare import compare
 from softrig_bags.read import read_bag
 from softrig_bringup.golden import create, load, main
 from softrig_bringup.run import versions
 from softrig_core import Rig, RunError, ScenarioError, Signals, bits, load_scenario, run_processes
-from softrig_core.rig.domain import free_domain
-from softrig_core.rig.executables import environment, find_executable
 from softrig_core.rig.starting import node_parameters
 
 BAGS = Path(__file__).parents[2] / "bags"
@@ -196,23 +194,11 @@ def test_a_replay_in_lockstep_into_one_real_node_agrees(name, node, tmp_path):
     file = tmp_path / "parameters.yaml"
     lines = [f"    {key}: {json.dumps(value)}" for key, value in parameters.items()]
     file.write_text("/**:\n  ros__parameters:\n" + "\n".join(lines) + "\n")
-    with free_domain() as domain:
-        variables = environment(domain, tmp_path)
-        command = [str(find_executable(member.package, member.executable)), "--ros-args", "-r", f"__node:={node}",
-                   "--params-file", str(file)]  # fmt: skip
-        process = subprocess.Popen(command, env=variables)
-        try:
-            topics = [p.topic for p in member.outputs]
-            player = subprocess.run(
-                [str(find_executable("softrig_bags", "player")), str(golden.bag), "--lockstep", *topics,
-                 "--topics", *[p.topic for p in member.inputs if p.name in member.links],
-                 "--answers", str(tmp_path / "answers")],
-                env=variables, capture_output=True, text=True, timeout=PATIENCE,
-            )  # fmt: skip
-        finally:
-            process.kill()
-            process.wait()
-    assert player.returncode == 0, player.stderr
+    topics = [p.topic for p in member.outputs]
+    read = [p.topic for p in member.inputs if p.name in member.links]
+    started = (member.package, member.executable, "--ros-args", "-r", f"__node:={node}", "--params-file", file)
+    status, said = replay(tmp_path, golden.bag, topics, started, "--topics", *read)
+    assert status == 0, said
     result = golden.compare(read_bag(tmp_path / "answers"), topics)
     assert result.equal, str(result)
 

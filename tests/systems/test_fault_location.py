@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import math
-import subprocess
 import tracemalloc
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import replay
 from softrig_bags.read import read_bag
 from softrig_bags.write import write_bag
 from softrig_bringup.cli import main
 from softrig_core import Level, ParameterError, Recording, feed, run_processes, simulate
 from softrig_core.model.params import build
-from softrig_core.rig.domain import free_domain
-from softrig_core.rig.executables import environment, find_executable
 from softrig_power.fault_location import pictures, study, study_tool
 from softrig_power.fault_location.cases import PUBLISHED, RESISTANCES, Case
 from softrig_power.fault_location.comtrade_file import ComtradeFileError, read_comtrade, write_comtrade
@@ -678,21 +676,10 @@ def test_a_bag_is_played_in_lockstep_into_the_locator(tmp_path):
     """It says nothing until its last tick: the player waits for its ticks, and nothing is lost."""
     bag = BAGS / "fault_location_m4k" / "bag"
     recorded = read_bag(bag)
-    with free_domain() as domain:
-        variables = environment(domain, tmp_path)
-        command = [str(find_executable("softrig_power", "fault_locator")), "--ros-args", "-p", "run.mode:=lockstep",
-                   "-p", "run.duration:=0.05975", "-p", "period:=0.00025", "-p", "samples:=240"]  # fmt: skip
-        process = subprocess.Popen(command, env=variables)
-        try:
-            player = subprocess.run(
-                [str(find_executable("softrig_bags", "player")), str(bag), "--lockstep", "verdict", "location",
-                 "objective", "--answers", str(tmp_path / "answers")],
-                env=variables, capture_output=True, text=True, timeout=120,
-            )  # fmt: skip
-        finally:
-            process.kill()
-            process.wait()
-    assert player.returncode == 0, player.stderr
+    node = ("softrig_power", "fault_locator", "--ros-args", "-p", "run.mode:=lockstep", "-p", "run.duration:=0.05975",
+            "-p", "period:=0.00025", "-p", "samples:=240")  # fmt: skip
+    status, said = replay(tmp_path, bag, ["verdict", "location", "objective"], node)
+    assert status == 0, said
     answers = read_bag(tmp_path / "answers")
     assert set(answers.topics) == {"verdict", "location", "objective"}
     assert position(answers) == position(recorded)

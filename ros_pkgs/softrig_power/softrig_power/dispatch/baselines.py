@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Literal, get_args
 
 import numpy as np
-from scipy.optimize import brentq
 from softrig_optim.algorithms import AlgorithmParams, make
 from softrig_optim.search import run
 
@@ -40,6 +39,8 @@ def lambda_iteration(units: Units, demand: float) -> Array:
     low, high = float(np.min(b + 2.0 * a * p_min)) - 1.0, float(np.max(b + 2.0 * a * p_max)) + 1.0
     if p_max.sum() - p_min.sum() <= 0.0:
         return p_min.copy()
+    from scipy.optimize import brentq  # here: the dispatch's process, which starts with each run, has no need of it
+
     price = brentq(lambda x: float(outputs(x).sum()) - demand, low, high, xtol=1e-13)
     return balanced(units, outputs(price), demand)
 
