@@ -5,7 +5,7 @@ import os
 import signal
 import subprocess
 import time
-from contextlib import suppress
+from contextlib import ExitStack, chdir, suppress
 from pathlib import Path
 from tempfile import TemporaryFile
 
@@ -145,28 +145,40 @@ def bench(tmp_path):
                 bench.kill(name)
 
 
+def fork(stack, package, executable, command, variables, folder="."):
+    """Start a process of the start server, which spares its imports; `communicate` is as subprocess.Popen has it."""
+    output = stack.enter_context(TemporaryFile("w+"))  # noqa: SIM115
+    with chdir(folder):
+        process = start_node(package, executable, list(map(str, command)), variables, output.fileno())
+
+    def communicate(timeout=None):
+        process.wait(timeout)
+        output.seek(0)
+        return output.read(), None
+
+    process.communicate = communicate
+    return process
+
+
 def replay(folder, bag, answered, node, *options):
     """Play a bag in lockstep into one real node (package, executable, arguments); gives the player's status and words.
 
     Both come from the start server.
     """
-    with free_domain() as domain, TemporaryFile("w+") as said:
+    with free_domain() as domain, ExitStack() as stack:
         variables = environment(domain, folder)
 
-        def start(output, package, executable, *arguments):
-            command = [str(find_executable(package, executable)), *map(str, arguments)]
-            return start_node(package, executable, command, variables, output)
+        def start(package, executable, *arguments):
+            return fork(stack, package, executable, [find_executable(package, executable), *arguments], variables)
 
-        process = start(2, *node)
+        process = start(*node)
         try:
-            player = start(said.fileno(), "softrig_bags", "player", bag, "--lockstep", *answered, *options,
+            player = start("softrig_bags", "player", bag, "--lockstep", *answered, *options,
                            "--answers", folder / "answers")  # fmt: skip
-            status = player.wait(PATIENCE)
+            return player.wait(PATIENCE), player.communicate()[0]
         finally:
             process.kill()
             process.wait()
-        said.seek(0)
-        return status, said.read()
 
 
 def processes_of(directory):

@@ -5,13 +5,14 @@ it raises shuts the launch down with status 1, and a shutdown interrupts what st
 """
 
 import signal
-import subprocess
 import sys
 import time
 import types
+from contextlib import ExitStack
 from pathlib import Path
 from types import SimpleNamespace
 
+from conftest import fork
 from softrig_core.rig.executables import find_executable
 
 FILE = Path(__file__).parents[1] / "ros_pkgs" / "softrig_bringup" / "launch" / "rig.launch.py"
@@ -98,10 +99,11 @@ def launch(values, variables, meddle=lambda processes: None):
     Several launches on one domain: `values` is a list.
     """
     nodes = [node for given in (values if isinstance(values, list) else [values]) for node in nodes_of(given)]
-    output = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
-    running = {node: subprocess.Popen(node.command(), env=variables, **output) for node in nodes}
     context, status, said = SimpleNamespace(is_shutdown=False), 0, []
+    stack, running = ExitStack(), {}
     try:
+        for node in nodes:
+            running[node] = fork(stack, node.package, node.executable, node.command(), variables)
         while running:
             meddle({n.name: p for n, p in running.items()})
             for node, process in [(n, p) for n, p in running.items() if p.poll() is not None]:
@@ -120,4 +122,5 @@ def launch(values, variables, meddle=lambda processes: None):
         for process in running.values():
             process.kill()
             process.wait()
+        stack.close()
     return status, "".join(said)

@@ -648,7 +648,7 @@ def test_any_damage_gives_a_readable_bag_or_a_plain_refusal(tmp_path, make):
     make(tmp_path / "whole", recording(ticks=500), **options)
     file = next(p for p in (tmp_path / "whole").iterdir() if p.suffix in (".mcap", ".db3"))
     repaired = 0
-    for seed in range(40):
+    for seed in range(20):
         bag = tmp_path / f"bag{seed}"
         shutil.copytree(tmp_path / "whole", bag)
         (bag / file.name).write_bytes(damaged(file.read_bytes(), random.Random(seed)))
@@ -659,7 +659,7 @@ def test_any_damage_gives_a_readable_bag_or_a_plain_refusal(tmp_path, make):
         kept = sum(f.kept for f in done.files)
         repaired += kept > 0
         assert done.bag is None or len(expected(read_bag(bag))) == kept
-    assert repaired > 15
+    assert repaired > 7
 
 
 def test_a_damaged_page_of_a_database_costs_its_rows_and_few_more(tmp_path):

@@ -11,7 +11,7 @@ import struct
 import subprocess
 import sys
 import xml.etree.ElementTree as ET
-from functools import cache
+from functools import cache, lru_cache
 from pathlib import Path
 
 import pytest
@@ -27,6 +27,17 @@ BAGS = Path(__file__).parents[2] / "bags"
 GOLDEN = sorted(p.parent.name for p in BAGS.glob("*/golden.yaml"))
 THROUGH_PROCESSES = ("dc_motor_smc_b1", *(pytest.param(n, marks=pytest.mark.long) for n in (  # as their systems' tests
     "dc_motor_smc_b4", "dc_motor_fsfb", "pv_mppt")))  # fmt: skip
+
+
+@pytest.fixture(autouse=True)
+def kept(monkeypatch):
+    """A golden bag is read once for all of its nodes."""
+    monkeypatch.setattr(
+        "softrig_bringup.golden.read_bag", lambda bag: read_golden(bag) if BAGS in bag.parents else read_bag(bag)
+    )
+
+
+read_golden = lru_cache(1)(read_bag)
 
 
 def nodes():

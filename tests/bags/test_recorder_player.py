@@ -7,14 +7,13 @@ import resource
 import signal
 import subprocess
 import sys
-from contextlib import ExitStack, chdir, suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
-from tempfile import TemporaryFile
 from types import SimpleNamespace
 
 import pytest
 import rclpy
-from conftest import PATIENCE, differences, until
+from conftest import PATIENCE, differences, fork, until
 from rcl_interfaces.msg import Parameter, ParameterValue
 from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParameters
 from rclpy.duration import Duration
@@ -38,7 +37,6 @@ from softrig_core import Recording
 from softrig_core.node.messages import message_class
 from softrig_core.rig.domain import free_domain
 from softrig_core.rig.executables import PROFILE, environment, find_executable
-from softrig_core.rig.start_server import start_node
 from softrig_core.wire.cdr import Layout, parse
 from std_srvs.srv import Trigger
 
@@ -71,17 +69,8 @@ class Rig:
 
     def fork(self, name: str, arguments):
         """Start a node of the suite by the start server, which spares its imports."""
-        output = self.stack.enter_context(TemporaryFile("w+"))  # noqa: SIM115
-        command = [str(find_executable("softrig_bags", name)), *map(str, arguments)]
-        with chdir(self.folder):
-            process = start_node("softrig_bags", name, command, self.environment, output.fileno())
-
-        def communicate(timeout=None):
-            process.wait(timeout)
-            output.seek(0)
-            return output.read(), None
-
-        process.communicate = communicate
+        command = [find_executable("softrig_bags", name), *arguments]
+        process = fork(self.stack, "softrig_bags", name, command, self.environment, self.folder)
         self.stack.callback(end, process)
         return process
 

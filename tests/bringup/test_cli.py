@@ -117,7 +117,7 @@ def test_a_run_whose_outside_node_never_comes_scores_nothing(folder, capsys):
 
 
 def test_exit_status_tells_a_miss_from_a_mistake_from_a_break(folder, capsys):
-    assert run("lag_misses", "--mode", "inprocess", "--no-record") == 1
+    assert run("lag_misses", "--mode", "inprocess", "--no-record", "--no-plots") == 1
     assert not (folder / "runs" / "lag_misses" / "bag").exists()
     assert run("nothing", "--mode", "inprocess") == 2
     assert run("lag_typo", "--mode", "inprocess") == 2
@@ -125,7 +125,7 @@ def test_exit_status_tells_a_miss_from_a_mistake_from_a_break(folder, capsys):
     assert run("lag", "--mode", "inprocess", "--set", "k=1") == 2
     assert run("lag", "--mode", "inprocess", "--duration", "-1") == 2
     capsys.readouterr()
-    assert run("lag_breaks", "--mode", "inprocess") == 3
+    assert run("lag_breaks", "--mode", "inprocess", "--no-plots") == 3
     error = capsys.readouterr().err
     assert "the run broke: gain: command u/effort became nan at t = 0.5 s" in error
     assert json.loads((folder / "runs" / "lag_breaks" / "metrics.json").read_text())["error"]
@@ -219,8 +219,8 @@ def test_a_second_run_replaces_the_first(folder):
 def test_list_and_report(folder, capsys):
     assert main(["list"]) == 0
     assert "lag_misses" in capsys.readouterr().out
-    run("lag", "--mode", "inprocess", "--no-record")
-    run("lag_misses", "--mode", "inprocess", "--no-record")
+    run("lag", "--mode", "inprocess", "--no-record", "--no-plots")
+    run("lag_misses", "--mode", "inprocess", "--no-record", "--no-plots")
     assert main(["report", "runs/lag", "runs/lag_misses", "--out", "all.html"]) == 0
     assert (folder / "all.html").read_text().count("First-order lag") >= 2
     assert main(["report", "runs/none"]) == 2

@@ -39,6 +39,7 @@ def measure_of(space, name):
     ]  # fmt: skip
 
 
+@pytest.mark.long
 def test_the_worst_deviation_of_a_linear_loop_is_the_l1_norm_of_its_impulse_response():
     response = simulate(loop([LOAD, 0.0], [0.0, PERIOD])).signals["motor/state/shaft/velocity"].x
     bound = np.abs(response).sum()  # of a load torque of LOAD at most, whatever its course
@@ -176,7 +177,7 @@ def test_what_it_finds_is_a_scenario_file_that_gives_the_same_bits_again(file, t
 
 def test_where_nothing_violates_it_says_what_came_nearest(file, tmp_path, capsys):
     assert main(["falsify", str(file), "--over", "dc_motor_plant.R=0.6..0.7", "--budget", "8", "--workers", "1",
-                 "--out", str(tmp_path / "a")]) == 0  # fmt: skip
+                 "--no-plots", "--out", str(tmp_path / "a")]) == 0  # fmt: skip
     found = outcome(tmp_path / "a")
     assert found["violated"] == []
     said = " ".join(capsys.readouterr().out.split())

@@ -175,6 +175,7 @@ def test_a_workspace_is_remembered_follows_what_comes_and_is_forgotten(user, pac
         assert error.startswith("softrig: --workspace 'nowhere': no ROS package there")
 
 
+@pytest.mark.long
 @pytest.mark.processes
 def test_an_overlay_sourced_before_is_honoured(user, package):
     user(f"cd heater && '{SOFTRIG}' colcon build --symlink-install")
@@ -183,6 +184,7 @@ def test_an_overlay_sourced_before_is_honoured(user, package):
     assert "An inverted pendulum under linear-quadratic control" in " ".join(out.split())
 
 
+@pytest.mark.long
 @pytest.mark.processes
 def test_an_own_law_stands_beside_the_papers(user, package):
     (user.folder / "beside.yaml").write_text(BESIDE)

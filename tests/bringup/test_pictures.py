@@ -131,7 +131,7 @@ def test_a_rise_is_marked_from_where_it_began():
     assert (mark.axis, mark.low, mark.high) == ("time", pytest.approx(began + 0.4), pytest.approx(began + 0.6))
 
 
-@pytest.mark.parametrize(("kind", "begin"), [("svg", b"<?xml"), ("pdf", b"%PDF")])
+@pytest.mark.parametrize(("kind", "begin"), [pytest.param("svg", b"<?xml", marks=pytest.mark.long), ("pdf", b"%PDF")])
 def test_a_vector_format_stands_beside_each_picture(drawn, tmp_path, kind, begin):
     drawn(scenario(), kind)
     pictures = sorted(tmp_path.glob("*.png"))

@@ -297,7 +297,8 @@ def session(pid):
     return found
 
 
-@pytest.mark.parametrize(("number", "status"), [(signal.SIGTERM, 143), (signal.SIGHUP, 129), (signal.SIGKILL, -9)])
+@pytest.mark.parametrize(("number", "status"), [
+    (signal.SIGTERM, 143), pytest.param(signal.SIGHUP, 129, marks=pytest.mark.long), (signal.SIGKILL, -9)])  # fmt: skip
 def test_a_study_that_is_killed_leaves_no_process(folder, number, status):
     command = [sys.executable, "-m", "softrig_bringup", "study", "lag", "--duration", "20", "--seeds", "1000",
                "--workers", "2", "--out", "out"]  # fmt: skip

@@ -1,6 +1,5 @@
 """Linear-quadratic laws against python-control, and by what they mean."""
 
-import control
 import numpy as np
 import pytest
 from softrig_control.riccati import lqr
@@ -10,6 +9,8 @@ from softrig_drives.dc_motor.plant import DcMotorPlant
 
 @pytest.mark.parametrize("inputs", [1, 2])
 def test_lqr_is_that_of_the_control_library(inputs):
+    import control  # a second of each worker, were it above
+
     rng = np.random.default_rng(3)
     for n in (1, 2, 4):
         a, b = 1.2 * rng.normal(size=(n, n)), rng.normal(size=(n, inputs))

@@ -100,9 +100,9 @@ def test_bits_of_a_branching_delay_loop_are_those_of_plain_python(folder):
 
 
 def test_processes_that_compile_at_the_same_time(folder):
-    with ThreadPoolExecutor(3) as pool:
-        first, *others = list(pool.map(lambda _: relay(folder).tobytes(), range(3)))
-    assert all(other == first for other in others)
+    with ThreadPoolExecutor(2) as pool:
+        first, other = pool.map(lambda _: relay(folder).tobytes(), range(2))
+    assert other == first
     assert len(cached(folder)) == 3
 
 

@@ -82,6 +82,7 @@ def grows(scenario, signal, begin):
     return late > 0.5 * early
 
 
+@pytest.mark.long
 def test_the_delay_margin_of_the_axis_over_its_fieldbus_is_the_true_one():
     """What is left of one and the same margin at two delays of the fieldbus, and where runs begin to swing."""
     name, y = "dc_motor_fsfb_s1_none", "axis/true_state/axis/position"

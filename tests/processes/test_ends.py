@@ -193,8 +193,8 @@ def test_nodes_whose_processes_are_held_end_the_run_by_name(containers, tmp_path
 
 @pytest.mark.processes
 @pytest.mark.parametrize(("number", "status"), [
-    (signal.SIGINT, 130), (signal.SIGHUP, 129), (signal.SIGQUIT, 131),
-    pytest.param(signal.SIGTERM, 143, marks=pytest.mark.long),
+    (signal.SIGINT, 130), *(pytest.param(*row, marks=pytest.mark.long) for row in (
+        (signal.SIGHUP, 129), (signal.SIGQUIT, 131), (signal.SIGTERM, 143))),
 ])  # fmt: skip
 def test_a_stopped_run_has_bag_and_metrics_and_its_status(number, status, tmp_path):
     out = tmp_path / "run"

@@ -167,7 +167,9 @@ def test_what_is_external_is_not_launched_and_waited_for_without_limit(lag):
 
 
 @pytest.mark.processes
-@pytest.mark.parametrize("topics", [(), ("/lag/state", "/clock")], ids=["all", "some"])
+@pytest.mark.parametrize(
+    "topics", [(), pytest.param(("/lag/state", "/clock"), marks=pytest.mark.long)], ids=["all", "some"]
+)
 def test_a_launched_rig_waits_for_a_recorder_that_asks_for_it(topics, lag, tmp_path):
     """What was recorded is what the same run in process gives, from t = 0 on, whatever the recorder leaves out."""
     with free_domain() as domain:

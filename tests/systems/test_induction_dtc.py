@@ -85,10 +85,14 @@ def recorded(scenario):
     return Signals(in_process(Rig.from_scenario(scenario), scenario.seed))
 
 
+# runs of 10 s, and those that differ from others in a number
+LATER = ("e2", "e2_3_lsb", "s4", "s5", "s6_offset", "s8_half", "s8_matched", "ts_25")
+
+
 @pytest.mark.parametrize(
     "name",
-    [  # the runs of 10 s wait
-        pytest.param(n, marks=pytest.mark.long) if n[14:] in ("e2", "e2_3_lsb", "s4", "s5") else n
+    [
+        pytest.param(n, marks=pytest.mark.long) if n[14:] in LATER else n
         for n in sorted(list_scenarios())
         if n.startswith("induction_dtc")
     ],

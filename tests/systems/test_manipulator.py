@@ -388,7 +388,7 @@ def test_order_of_the_laws():
         assert measures.total_variation(smc, v, start=2.5) > 500 * measures.total_variation(adsmc, v, start=2.5)
 
 
-@pytest.mark.parametrize("position", [-0.1, 0.1])
+@pytest.mark.parametrize("position", [-0.1, pytest.param(0.1, marks=pytest.mark.long)])
 def test_high_gains_run_away_only_if_the_estimate_may_wind_up(position):
     options = {f"vcs_controller__adsmc__{k}": v for k, v in HIGH.items()} | {"manipulator_plant__position": position}
     guarded = run("manipulator_adsmc", **options)

@@ -247,8 +247,11 @@ def test_the_boundary_value_solver_agrees_with_the_exact_answers(problem):
     assert exact.tpbvp(problem).cost == pytest.approx(exact.least_cost(problem), rel=1e-8)
 
 
-@pytest.mark.parametrize(("problem", "off"), [(SCALAR, 1e-9), (SPACECRAFT, 1e-9), (TWO_STATE, 2e-10)],
-                         ids=["scalar", "spacecraft", "two_state"])  # fmt: skip
+@pytest.mark.parametrize(
+    ("problem", "off"),
+    [(SCALAR, 1e-9), pytest.param(SPACECRAFT, 1e-9, marks=pytest.mark.long), (TWO_STATE, 2e-10)],
+    ids=["scalar", "spacecraft", "two_state"],
+)
 def test_collocation(problem, off):
     found = collocation.solve(problem)
     least = exact.tpbvp(problem).cost if problem is TWO_STATE else exact.least_cost(problem)

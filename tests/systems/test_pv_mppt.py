@@ -446,7 +446,7 @@ def short(name, **changes):
     return {r.name: r for r in results(study, rows)}
 
 
-@pytest.mark.parametrize("name", ["pv_mppt_draws", "pv_mppt_draws_random"])
+@pytest.mark.parametrize("name", ["pv_mppt_draws", pytest.param("pv_mppt_draws_random", marks=pytest.mark.long)])
 def test_stretch(name):
     """Short form of the target beyond the paper: 3 of the 60 draws of conditions and unknown load."""
     draws = load_study(name).draws.model_dump() | {"count": 3, "seed": 5}

@@ -266,6 +266,7 @@ def seeds(name):
     return dict(zip(figures(name), np.mean(found, axis=0), strict=True))
 
 
+@pytest.mark.long
 def test_packets_under_pi():
     found = seeds("tcp_aqm_smc_s4")
     assert found["mean_queue"] == pytest.approx(120.0, abs=8.0)
@@ -283,6 +284,7 @@ def test_packets_under_sspd_with_the_gains_of_the_paper():
     assert found["utilisation"] == pytest.approx(0.893, abs=0.015)
 
 
+@pytest.mark.long
 def test_packets_under_sspd_with_gains_for_the_delay():
     found = seeds("tcp_aqm_smc_s4_detuned")
     assert found["mean_queue"] == pytest.approx(102.0, abs=12.0)
