@@ -20,7 +20,7 @@ claims:
 """
 STUDY = "{title: TITLE, scenario: lag, seeds: 2, summaries: {s: {figure: last}}, expect: {s: at least 100}}"
 TEXTS = {
-    '"Speed [rad/s] [bold red]loud[/bold red] x [/b] y"': "Speed [rad/s] [bold red]loud[/bold red] x [/b] y",
+    '"[bold red]loud[/bold red] x [/b] [rad/s]"': "[bold red]loud[/bold red] x [/b] [rad/s]",
     '"\\e[31mred\\e]0;title\\a \\x9b2J"': r"\x1b[31mred\x1b]0;title\x07 \x9b2J",
     '"cost in $ and {braces} $x^$"': "cost in $ and {braces} $x^$",
 }
