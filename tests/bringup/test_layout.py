@@ -141,3 +141,9 @@ owners = packages_distributions()
 found = {name: owners[name][0] for name in list(sys.modules) if name in owners}
 print(*{d.replace("_", "-").lower() for name, d in found.items() if name not in ("charset_normalizer", "lark")})
 """
+
+
+def test_every_folder_of_tests_is_run():
+    """They are named one by one, for their order."""
+    there = {str(file.parent.relative_to(ROOT)) for file in (ROOT / "tests").rglob("test_*.py")}
+    assert sorted(PROJECT["tool"]["pytest"]["ini_options"]["testpaths"]) == sorted(there)
