@@ -34,7 +34,8 @@ PR_SET_PDEATHSIG, PR_SET_NAME = 1, 15
 LARGEST = 100_000  # bytes of a request
 ROOM = 8_000  # bytes for the command line of a node, as /proc shows it
 # what a node reads when it starts; everything else in the environment has been read by then
-OWN = ("ROS_DOMAIN_ID", "ROS_LOG_DIR", "ROS_AUTOMATIC_DISCOVERY_RANGE", "PYTEST_CURRENT_TEST", "COLUMNS", "LINES")
+OWN = ("ROS_DOMAIN_ID", "ROS_LOG_DIR", "ROS_AUTOMATIC_DISCOVERY_RANGE", "FASTRTPS_DEFAULT_PROFILES_FILE",
+       "NUMBA_DISABLE_INTEL_SVML", "SOFTRIG_SCENARIOS", "PYTEST_CURRENT_TEST", "COLUMNS", "LINES")  # fmt: skip
 _LIBRARIES = tuple({sysconfig.get_path(name) for name in ("stdlib", "platstdlib", "purelib", "platlib")})
 
 
