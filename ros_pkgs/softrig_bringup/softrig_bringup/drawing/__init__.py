@@ -18,8 +18,21 @@ __all__ = ["PALETTE", "Circle", "Drawing", "Line", "Point", "Polygon", "Shape", 
 
 # by the class of the plant; what inherits from it is drawn as it
 _DRAWN = {
+    "softrig_drives.dc_axis.plant.DcAxisPlant": "dc_drives.DcAxis",
+    "softrig_drives.dc_motor.plant.DcMotorPlant": "dc_drives.DcMotor",
     "softrig_drives.induction_dtc.plant.ImPlant": "induction.InductionMotor",
     "softrig_drives.lsrm.plant.LsrmPlant": "lsrm.ReluctanceMotor",
+    "softrig_power.dispatch.fleet.UnitFleet": "network.Fleet",
+    "softrig_power.fault_location.plant.LinePlant": "network.FaultedLine",
+    "softrig_power.gupfc.plant.GupfcPlant": "network.Gupfc",
+    "softrig_power.pv.plant.PvPlant": "pv.PvString",
+    "softrig_power.rectifier.plant.RectifierPlant": "rectifier.Rectifier",
+    "softrig_systems.optimal_control.plants.OcpPlant": "optimal.OptimalControl",
+    "softrig_systems.optimal_control.plants.SpacecraftPlant": "optimal.Spacecraft",
+    "softrig_systems.pwa_delay.plants.PendulumPlant": "delay.Pendulum",
+    "softrig_systems.pwa_delay.plants.SwitchedDelayPlant": "delay.StatePlane",
+    "softrig_systems.pwa_delay.plants.TankPlant": "delay.Tank",
+    "softrig_systems.tcp_aqm.network.Network": "queue.Bottleneck",
 }
 
 

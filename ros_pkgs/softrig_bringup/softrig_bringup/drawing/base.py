@@ -126,7 +126,8 @@ class Drawing:
         Parameters
         ----------
         port : str
-            Name of an output or input of the plant; else of an output of another node of the plant's namespace.
+            Name of an output or input of the plant, else of an output of another node, first of those linked to it; or
+            the last part of its topic.
         label : str
             Below the topic: ``shaft/velocity``.
         rest : float
@@ -137,9 +138,13 @@ class Drawing:
             Without a name where the rig has no such signal.
         """
         found = self._port(port, label)
-        if found is None:
+        return self.signal(found.topic if found else "", label, rest)
+
+    def signal(self, topic: str, label: str, rest: float = 0.0) -> Quantity:
+        """Give a signal by its topic, as `quantity` does."""
+        name = f"{topic}/{label}"
+        if name not in self._units:
             return Quantity("", rest=rest)
-        name = f"{found.topic}/{label}"
         self._found[name] = None
         return Quantity(name, pretty_unit(self._units[name]), rest)
 
@@ -147,7 +152,8 @@ class Drawing:
         ports = [*self.plant.outputs, *self.plant.inputs]
         near = sorted(self.rig.members, key=lambda m: not self._linked(m))
         ports += [p for m in near if m is not self.plant and not m.is_plant for p in m.outputs]
-        return next((p for p in ports if p.name == name and label in p.labels), None)
+        fitting = [p for p in ports if label in p.labels and name in (p.name, p.topic.rpartition("/")[2])]
+        return next(iter(fitting), None)
 
     def _linked(self, member: Member) -> bool:
         """Whether a node reads the plant or is read by it."""

@@ -1,0 +1,151 @@
+"""Drives with a DC motor: the motor with its armature circuit, and the axis that it moves."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from .base import Drawing, Row, held, readings
+from .shapes import Pen, Point, polar
+from .symbols import inductor, resistor, source
+
+CENTRE = (470.0, 150.0)
+DISC = 100.0
+
+
+class DcMotor(Drawing):
+    """Armature circuit, motor and a disc on its shaft that turns as the shaft does; a dashed hand for the encoder."""
+
+    title = "DC motor: armature circuit and shaft"
+
+    def setup(self) -> None:
+        """Shaft, true where it is told apart, voltage, current and reference."""
+        true = any(p.name == "true_state" for p in self.plant.outputs)
+        port = "true_state" if true else "state"
+        self.angle = self.quantity(port, "shaft/position")
+        self.speed = self.quantity(port, "shaft/velocity")
+        self.torque = self.quantity(port, "shaft/effort")
+        self.told = self.quantity("state", "shaft/velocity") if true else None
+        self.voltage = self.quantity("applied" if true else "command", "armature/effort")
+        self.current = self.quantity("sensors", "current_a/position")
+        self.reference = self.quantity("reference", "shaft/velocity")
+        self.full = self.p.vmax
+
+    def draw(self, pen: Pen, row: Row, past: Sequence[Row]) -> None:
+        """Circuit, disc, values."""
+        top, bottom = 70.0, 230.0
+        # source, resistance, inductance, motor
+        pen.line([(60, 120), (60, top), (110, top)])
+        resistor(pen, (110, top), (170, top))
+        pen.line([(170, top), (200, top)])
+        inductor(pen, (200, top), (270, top))
+        pen.line([(270, top), (310, top), (310, 116)])
+        pen.line([(310, 184), (310, bottom), (60, bottom), (60, 180)])
+        source(pen, (60, 150), 30.0, dc=True)
+        pen.circle((310, 150), 34.0, "line", "faint", 2.0)
+        pen.text((310, 156), "M", "line", 18.0, "middle")
+        share = held(self.current(row) / 2.0, 1.0)
+        pen.arrow((185 - 22 * share, 45), (185 + 22 * share, 45), "accent", 2.5)
+        pen.text((185, 32), self.current.said(row, ".3f"), "accent", anchor="middle")
+        pen.text((140, 98), "R", "muted", anchor="middle")
+        pen.text((235, 98), "L", "muted", anchor="middle")
+        pen.text((104, 155), self.voltage.said(row, ".2f"), "second")
+        level = held(self.voltage(row) / self.full, 1.0)
+        pen.box(10, 110, 10, 80, "muted", "", 1.0)
+        pen.box(10, 150, 10, -40 * level, "second", "second", 0)
+        pen.line([(344, 150), CENTRE], "line", 5.0)
+        turning_disc(pen, CENTRE, DISC, self.angle(row))
+        speed_arc(pen, CENTRE, DISC + 14, held(self.speed(row) / 60.0, 1.0))
+        rows = [("Speed", self.speed.said(row, ".2f"), "line")]
+        if self.told is not None:
+            rows += [("as the encoder tells it", self.told.said(row, ".2f"), "muted")]
+        rows += [("Reference", self.reference.said(row, ".2f"), "reference")] if self.reference.name else []
+        rows += [("Angle", self.angle.said(row, ".2f"), "line"), ("Torque", self.torque.said(row, ".4f"), "line")]
+        readings(pen, (40.0, 268.0), rows, 250.0)
+
+
+def turning_disc(pen: Pen, centre: Point, radius: float, angle: float) -> None:
+    """Draw a disc whose spokes show how far it has turned, rad."""
+    pen.circle(centre, radius, "line", "faint", 2.0)
+    for k in range(3):
+        pen.line([polar(centre, 14.0, angle + 2 * math.pi * k / 3), polar(centre, radius, angle + 2 * math.pi * k / 3)],
+                 "accent" if k == 0 else "muted", 4.0 if k == 0 else 2.0)  # fmt: skip
+    pen.circle(polar(centre, radius - 12.0, angle), 6.0, "accent", "accent")
+    pen.circle(centre, 12.0, "line", "paper", 2.0)
+
+
+def speed_arc(pen: Pen, centre: Point, radius: float, share: float) -> None:
+    """Draw an arc from the top as long as the speed is of what is full, with a head; to the left when it is positive."""
+    end = math.pi / 2 + share * 0.75 * math.pi
+    pen.arc(centre, radius, math.pi / 2, end, "second", 3.0)
+    tip = polar(centre, radius, end)
+    turn = math.copysign(math.pi / 2, share) if share else 0.0
+    size = min(10.0, abs(share) * 60.0)
+    ahead = polar(tip, size, end + turn)
+    pen.polygon([ahead, polar(tip, 0.5 * size, end), polar(tip, -0.5 * size, end)], "second", "second", 0)
+
+
+class DcAxis(Drawing):
+    """A carriage on a spindle over its scale, with the place where it shall be and where the controller thinks it is."""
+
+    title = "DC axis: carriage, spindle and motor"
+    LEFT, RIGHT, RAIL = 120.0, 610.0, 200.0
+
+    def setup(self) -> None:
+        """True and fed back position, set position, voltage; the scale reaches twice as far as the largest set point."""
+        self.position, self.speed = (self.quantity("true_state", f"axis/{f}") for f in ("position", "velocity"))
+        self.fed = self.quantity("feedback", "axis/position")
+        self.wanted = self.quantity("model", "position_set/position")
+        self.target = self.quantity("controller_state", "set_point/position")
+        self.voltage = self.quantity("command", "armature/effort")
+        self.limit = self.p.u_limit_v
+        self.reach = self._reach()
+        self.per_turn = self.p.mm_per_rev
+
+    def _reach(self) -> float:
+        """Half the scale: what the presses of the buttons may add up to and half of it again, mm."""
+        params = [m.params for m in self.rig.members]
+        step = max((p.step_mm for p in params if hasattr(p, "step_mm")), default=10.0)
+        presses = [len(getattr(p, name, ())) for p in params for name in ("forward", "reverse")]
+        return 1.5 * step * max([*presses, 1])
+
+    def draw(self, pen: Pen, row: Row, past: Sequence[Row]) -> None:
+        """Rail with its scale, motor, spindle, carriage, marks."""
+        y = self.RAIL
+        pen.box(30.0, y - 30.0, 70.0, 52.0, "line", "faint", 2.0)
+        pen.text((65.0, y + 2.0), "M", "line", 18.0, "middle")
+        level = held(self.voltage(row) / self.limit, 1.0)
+        pen.box(36.0, y - 48.0, 58.0, 9.0, "muted", "", 1.0)
+        pen.box(65.0, y - 48.0, 29.0 * level, 9.0, "second", "second", 0)
+        pen.text((65.0, y - 56.0), self.voltage.said(row, ".2f"), "second", anchor="middle")
+        pen.line([(100.0, y - 4.0), (self.RIGHT, y - 4.0)], "muted", 7.0)
+        turn = 2 * math.pi * self.position(row) / self.per_turn
+        for k in range(24):  # the thread runs along the spindle as it turns
+            x = 112.0 + (self.RIGHT - 112.0) * ((k + turn / (2 * math.pi)) % 24) / 24
+            pen.line([(x - 3, y - 8), (min(x + 3, self.RIGHT), y)], "paper", 1.2)
+        pen.line([(self.LEFT, y + 24.0), (self.RIGHT, y + 24.0)], "line", 2.0)
+        for k in range(9):
+            at = self.reach * (k / 4 - 1)
+            pen.line([(self.at(at), y + 24.0), (self.at(at), y + 32.0)], "line", 1.2)
+            pen.text((self.at(at), y + 47.0), f"{at:g}".replace("-", "−"), "muted", 11.0, "middle")
+        pen.text((self.RIGHT, y + 64.0), self.position.unit, "muted", 11.0, "end")
+        x = self.at(self.position(row))
+        if self.fed.name:
+            pen.box(self.at(self.fed(row)) - 34.0, y - 40.0, 68.0, 58.0, "reference", "", 1.0)
+        pen.box(x - 34.0, y - 40.0, 68.0, 58.0, "line", "accent", 2.0)
+        pen.polygon([(x, y + 24.0), (x - 6.0, y + 14.0), (x + 6.0, y + 14.0)], "line", "paper", 1.5)
+        for quantity, role, height in ((self.target, "alarm", 96.0), (self.wanted, "reference", 76.0)):
+            if quantity.name:
+                place = self.at(quantity(row))
+                pen.line([(place, y + 24.0), (place, y - height)], role, 1.6, dashed=True)
+        rows = [("Position", self.position.said(row, ".2f"), "accent"), ("Speed", self.speed.said(row, ".2f"), "line")]
+        rows += [("Fed back (outline)", self.fed.said(row, ".2f"), "line")] if self.fed.name else []
+        readings(pen, (40.0, 292.0), rows, 230.0)
+        rows = [("Set point (dashed)", self.target.said(row, ".1f"), "alarm")] if self.target.name else []
+        rows += [("Set position", self.wanted.said(row, ".2f"), "reference")] if self.wanted.name else []
+        readings(pen, (360.0, 292.0), rows, 240.0)
+
+    def at(self, position: float) -> float:
+        """Give the x of a position, mm, on the scale."""
+        middle = (self.LEFT + self.RIGHT) / 2
+        return middle + held(position / self.reach, 1.0) * (self.RIGHT - self.LEFT) / 2

@@ -1,0 +1,127 @@
+"""Systems with delay: the plane of a piecewise affine one, the tank at the end of a pipe, the pendulum."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from .base import Drawing, Row, held, readings
+from .scope import plane, scope
+from .shapes import Pen, Point
+
+
+class StatePlane(Drawing):
+    """Where the first two states come from and are; a state alone over time."""
+
+    title = "State of a piecewise affine system with delay"
+    trail = 3.0
+
+    def setup(self) -> None:
+        """States, cell, delay."""
+        port = next(p for p in self.plant.outputs if p.name == "state")
+        self.names = [label.rpartition("/")[0] or label for label in port.labels if not label.endswith("/effort")]
+        self.states = [self.quantity("state", label) for label in port.labels if not label.endswith("/effort")]
+        self.cell, self.delay = (self.quantity("mode", f"{name}/position") for name in ("cell", "delay"))
+        self.reach = 1.4 * max([*map(abs, self._start()), 1e-6])
+
+    def _start(self) -> Sequence[float]:
+        return tuple(self.p.x0)
+
+    def draw(self, pen: Pen, row: Row, past: Sequence[Row]) -> None:
+        """Plane or time on the left, values on the right."""
+        r = self.reach
+        if len(self.states) > 1:
+            x, y = self.states[:2]
+            plane(pen, (50.0, 24.0, 300.0, 300.0), past, row, x, y, (-r, r, -r, r), 120)
+            pen.text((200.0, 344.0), self.names[0], "muted", anchor="middle")
+            pen.text((40.0, 178.0), self.names[1], "muted", anchor="end")
+        else:
+            scope(pen, (50.0, 60.0, 330.0, 230.0), past, row, [(self.states[0], "accent")], r, 150)
+            pen.text((50.0, 310.0), f"the last {self.trail:g} s", "muted")
+        pen.text((54.0, 38.0), f"±{r:.3g} {self.states[0].unit}".rstrip(), "muted", 11.0)
+        self.values(pen, row)
+
+    def values(self, pen: Pen, row: Row) -> None:
+        """Write states, cell and delay."""
+        rows = [(n, q.said(row, ".4f"), "accent") for n, q in zip(self.names, self.states, strict=True)]
+        rows += [("Cell", self.cell.said(row, ".0f"), "line")] if self.cell.name else []
+        rows += [("Delay", self.delay.said(row, ".4f"), "line")] if self.delay.name else []
+        readings(pen, (410.0, 120.0), rows, 200.0)
+
+
+class Tank(Drawing):
+    """A pipe with what is on its way in it, a tank with its level, a drain."""
+
+    title = "Water tank at the end of a pipe"
+    CELLS = 30
+
+    def setup(self) -> None:
+        """Level, inflow commanded, cell and delay of the pipe."""
+        self.level = self.quantity("level", "level/position", self.p.x0)
+        self.inflow = self.quantity("inflow", "inflow/effort")
+        self.cell, self.delay = (self.quantity("mode", f"{name}/position") for name in ("cell", "delay"))
+        self.switch = self.p.switch
+        self.full = 2.0 * max(self.switch, self.p.x0)
+        self.flow = self.p.A * self.p.phi * max(self.p.k_low * self.switch, 1e-9)  # below the switch at its most
+        self.trail = max(self.p.delay, 0.1)
+
+    def draw(self, pen: Pen, row: Row, past: Sequence[Row]) -> None:
+        """Pipe above, tank below, values on the right."""
+        pen.box(30.0, 50.0, 330.0, 26.0, "line", "paper", 1.5)
+        rows = [*past, row]
+        for k in range(self.CELLS):  # what was commanded a delay ago comes out at the right
+            then = rows[max(0, len(rows) - 1 - round(k / (self.CELLS - 1) * (len(rows) - 1)))]
+            share = held(self.inflow(then) / self.flow, 1.0)
+            pen.box(31.0 + 328.0 * k / self.CELLS, 75.0, 328.0 / self.CELLS - 1.0, -24.0 * abs(share), "accent",
+                    "accent", 0)  # fmt: skip
+        pen.text((30.0, 40.0), f"pipe, {self.delay.said(row, '.2f')} long", "muted")
+        filled = min(max(self.level(row) / self.full, 0.0), 1.05)
+        pen.box(360.0, 63.0, 8.0, 0.85 * (320.0 - 200.0 * filled - 63.0), "accent", "accent", 0)
+        pen.box(240.0, 318.0, 170.0, -200.0 * filled, "accent", "accent", 0)
+        pen.line([(240.0, 100.0), (240.0, 320.0), (410.0, 320.0), (410.0, 100.0)], "line", 3.0)
+        y = 318.0 - 200.0 * self.switch / self.full
+        pen.line([(232.0, y), (418.0, y)], "reference", 1.5, dashed=True)
+        pen.text((226.0, y + 4), f"{self.switch:g}", "muted", anchor="end")
+        pen.line([(410.0, 312.0), (440.0, 312.0)], "line", 6.0)
+        pen.box(440.0, 312.0, 8.0, 26.0 * math.sqrt(filled), "accent", "accent", 0)
+        values = [("Level", self.level.said(row, ".4f"), "accent"), ("Inflow", self.inflow.said(row), "line")]
+        values += [("Delay", self.delay.said(row, ".2f"), "line"), ("Cell", self.cell.said(row, ".0f"), "line")]
+        readings(pen, (450.0, 130.0), values, 165.0)
+
+
+class Pendulum(Drawing):
+    """The pendulum, as it is and as its controller sees it, with the torque at its joint."""
+
+    title = "Pendulum whose controller sees it late"
+    trail = 1.5
+    JOINT = (210.0, 150.0)
+    LENGTH = 130.0
+
+    def setup(self) -> None:
+        """Angle and speed, the late angle, the torque; at rest it hangs."""
+        self.angle, self.speed = (self.quantity("state", f"joint/{name}") for name in ("position", "velocity"))
+        self.late = self.quantity("delayed_state", "joint/position")
+        self.torque = self.quantity("torque", "joint/effort")
+
+    def draw(self, pen: Pen, row: Row, past: Sequence[Row]) -> None:
+        """Late pendulum dashed behind the true one."""
+        pen.line([(self.JOINT[0] - 70, self.JOINT[1]), (self.JOINT[0] + 70, self.JOINT[1])], "muted", 4.0)
+        rows = [*past, row]
+        path = [self._tip(self.angle(rows[max(0, len(rows) - 1 - round(k / 39 * (len(rows) - 1)))])) for k in range(40)]
+        pen.line(path, "second", 1.4)
+        pen.line([self.JOINT, (self.JOINT[0], self.JOINT[1] + 1.2 * self.LENGTH)], "faint", 1.5)
+        if self.late.name:
+            pen.line([self.JOINT, self._tip(self.late(row))], "reference", 2.0, dashed=True)
+            pen.circle(self._tip(self.late(row)), 16.0, "reference", "", 1.2)
+        pen.line([self.JOINT, self._tip(self.angle(row))], "line", 5.0)
+        pen.circle(self._tip(self.angle(row)), 18.0, "line", "accent", 2.0)
+        share = held(self.torque(row) / 1.0, 1.0)
+        pen.arc(self.JOINT, 34.0, -math.pi / 2, -math.pi / 2 + share * 0.8 * math.pi, "alarm", 4.0)
+        pen.circle(self.JOINT, 7.0, "line", "paper", 2.0)
+        rows_ = [("Angle", self.angle.said(row, ".4f"), "accent")]
+        rows_ += [("as the controller sees it", self.late.said(row, ".4f"), "reference")] if self.late.name else []
+        rows_ += [("Speed", self.speed.said(row, ".4f"), "line"), ("Torque", self.torque.said(row, ".4f"), "alarm")]
+        readings(pen, (370.0, 130.0), rows_, 245.0)
+
+    def _tip(self, angle: float) -> Point:
+        return (self.JOINT[0] + self.LENGTH * math.sin(angle), self.JOINT[1] + self.LENGTH * math.cos(angle))
