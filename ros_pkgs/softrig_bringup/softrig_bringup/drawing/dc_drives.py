@@ -61,7 +61,7 @@ class DcMotor(Drawing):
             rows += [("as the encoder tells it", self.told.said(row, ".2f"), "muted")]
         rows += [("Reference", self.reference.said(row, ".2f"), "reference")] if self.reference.name else []
         rows += [("Angle", self.angle.said(row, ".2f"), "line"), ("Torque", self.torque.said(row, ".4f"), "line")]
-        readings(pen, (40.0, 268.0), rows, 250.0)
+        readings(pen, (40.0, 264.0), rows, 250.0, 21.0)
 
 
 def turning_disc(pen: Pen, centre: Point, radius: float, angle: float) -> None:
@@ -75,7 +75,7 @@ def turning_disc(pen: Pen, centre: Point, radius: float, angle: float) -> None:
 
 
 def speed_arc(pen: Pen, centre: Point, radius: float, share: float) -> None:
-    """Draw an arc from the top as long as the speed is of what is full, with a head; to the left when it is positive."""
+    """Draw an arc from the top as long as the speed is of what is full, to the left when it is positive."""
     end = math.pi / 2 + share * 0.75 * math.pi
     pen.arc(centre, radius, math.pi / 2, end, "second", 3.0)
     tip = polar(centre, radius, end)
@@ -86,13 +86,13 @@ def speed_arc(pen: Pen, centre: Point, radius: float, share: float) -> None:
 
 
 class DcAxis(Drawing):
-    """A carriage on a spindle over its scale, with the place where it shall be and where the controller thinks it is."""
+    """A carriage on a spindle over its scale, where it shall be and where the controller thinks it is."""
 
     title = "DC axis: carriage, spindle and motor"
     LEFT, RIGHT, RAIL = 120.0, 610.0, 200.0
 
     def setup(self) -> None:
-        """True and fed back position, set position, voltage; the scale reaches twice as far as the largest set point."""
+        """True and fed back position, set position, voltage."""
         self.position, self.speed = (self.quantity("true_state", f"axis/{f}") for f in ("position", "velocity"))
         self.fed = self.quantity("feedback", "axis/position")
         self.wanted = self.quantity("model", "position_set/position")

@@ -59,8 +59,8 @@ class Gupfc(Drawing):
         pen.text((342, middle + 22), s["v_dc"].said(row, ".4f"), "second", 11.0)
         pen.text((262, upper + 50), s["v1"].said(row, ".4f"), "accent", anchor="end")
         for y, k, voltage in ((upper, 1, "v12"), (lower, 2, "v34")):
-            below = 44 if y == upper else -34
-            pen.text((352, y + below), s[voltage].said(row, ".3f"), "muted", 11.0)
+            below = -32 if y == upper else 42
+            pen.text((330, y + below), s[voltage].said(row, ".3f"), "muted", 11.0, "middle")
             p, q = s[f"p{k}"], s[f"q{k}"]
             side = -1 if y == upper else 1
             share = held(p(row) / 1.5, 1.0) * 62.0
@@ -70,13 +70,13 @@ class Gupfc(Drawing):
         share = held(s["p_sh"](row) / 0.5, 1.0) * 26.0
         pen.arrow((236, middle), (236, middle - share), "second", 3.0, 11.0)
         pen.text((228, middle + 5), s["p_sh"].said(row, ".3f"), "second", anchor="end")
-        for y, name in ((upper + 60, "p12"), (lower - 52, "p34")):
-            pen.text((322, y), s[name].said(row, ".3f"), "second", 11.0, "end")
+        for y, name in ((upper + 60, "p12"), (lower - 48, "p34")):
+            pen.text((338, y), s[name].said(row, ".3f"), "second", 11.0)
         for x, k in ((60, 1), (390, 2)):
             rows = []
             for name, role, text in (("p", "accent", "P"), ("q", "third", "Q")):
                 wanted = self.wanted[f"{name}{k}"]
-                shall = f"  ({wanted.said(row, '.2f', unit='')} wanted)" if wanted.name else ""
+                shall = f" of {wanted.said(row, '.2f', unit='')}" if wanted.name else ""
                 rows.append((f"{text} of circuit {k}", f"{s[f'{name}{k}'].said(row, '.3f')}{shall}", role))
             readings(pen, (float(x), 350.0), rows, 250.0)
 
@@ -128,7 +128,7 @@ class FaultedLine(Drawing):
                     "third", "third", 0)  # fmt: skip
         pen.text((320, 28), f"located at {self.place.said(row, '.3f')}" if found else "", "third", 14.0, "middle")
         for left, end in ((30.0, "s"), (340.0, "r")):
-            for top, which, name, full in ((196.0, 0, "Voltages", self.volts), (286.0, 1, "Currents", 4000.0)):
+            for top, which, name, full in ((196.0, 0, "Voltages", self.volts), (286.0, 1, "Currents", 8000.0)):
                 values = self.ends[end][which]
                 pen.text(
                     (left, top - 5), f"{name} at {end.upper()}, ±{full / 1e3:.0f} k{values[0].unit}", "muted", 12.0

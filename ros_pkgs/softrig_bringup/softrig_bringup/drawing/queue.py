@@ -64,7 +64,7 @@ class Bottleneck(Drawing):
         half = self.full / 2
         curves = [(lambda r: self.wanted(r) - half, "reference")] if self.wanted.name else []
         scope(pen, (30, 254, 340, 90), past, row, [*curves, (lambda r: self.queue(r) - half, "accent")], half, 120)
-        rows = [("Window of a sender", self.window.said(row, ".2f"), "third")]
+        rows = [("Window of each", self.window.said(row, ".2f"), "third")]
         rows += [("Round trip", self.rtt.said(row, ".3f"), "line")]
         rows += [("Set point", self.wanted.said(row), "reference")] if self.wanted.name else []
         readings(pen, (400.0, 276.0), rows, 210.0)
