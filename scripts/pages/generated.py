@@ -8,6 +8,7 @@ A page holds pairs of markers; what stands between them is made from the code an
     <!-- scenarios: dc_motor_smc -->                                scenarios, by beginning of their names
     <!-- sources: dc_motor_smc -->                                  papers that these scenarios cite, with BibTeX
     <!-- picture: dc_motor_smc_b2 1 -->                             plot entry of a scenario; anew only with --runs
+    <!-- animation: lsrm_fuzzy 0.8 0.9 -->                          its plant from 0.8 s to 0.9 s; anew only with --runs
     <!-- measured: v_min v_max of rectifier_mpc rectifier_mpc_n2 --> figures of these scenarios; anew only with --runs
     <!-- end -->
 
@@ -37,11 +38,12 @@ from softrig_core.rig.findings import hold
 from softrig_core.rig.rig import load_block
 
 from . import drawn, numbers
-from .plots import draw, picture
+from .plots import animate, animation, draw, picture
 
-_KINDS = "nodes|claims|scenarios|sources|picture|measured"
+_KINDS = "nodes|claims|scenarios|sources|picture|animation|measured"
 _PART = re.compile(rf"(<!-- ({_KINDS}): ([^>]*?) -->\n).*?(<!-- end -->)", re.DOTALL)
 LONG = 6  # rows of measurements; more are folded
+ANIMATION = re.compile(r"<!-- animation: (\S+) (\S+) (\S+) -->")
 _VERDICTS = re.compile(r"(<!-- verdicts: ([^>]*?) -->)[^\n]*?(<!-- end -->)")
 
 
@@ -55,7 +57,8 @@ def generate(page: str, runs: bool = False) -> str:
         made: dict[str, Callable[[], str]] = {
             "nodes": lambda: nodes(first, words), "claims": lambda: claims([first, *words], None if runs else found[0]),
             "scenarios": lambda: scenarios([first, *words]), "sources": lambda: sources([first, *words]),
-            "picture": lambda: picture(first, int(words[0])), "measured": lambda: measured(found[3]),
+            "picture": lambda: picture(first, int(words[0])), "animation": lambda: animation(first),
+            "measured": lambda: measured(found[3]),
         }  # fmt: skip
         return f"{found[1]}\n{made[found[2]]()}\n\n{found[4]}"
 
@@ -219,6 +222,8 @@ def main(args: Sequence[str] | None = None) -> int:
         new = generate(old, given.runs)
         for name, number in re.findall(r"<!-- picture: (\S+) (\d+) -->", old) if given.runs and not given.check else ():
             draw(name, int(number), path.parent)
+        for words in ANIMATION.findall(old) if given.runs and not given.check else ():
+            animate(words[0], float(words[1]), float(words[2]), path.parent)
         if given.pictures and path.stem in drawn.PAGES:
             import_module(f"{drawn.__name__}.{path.stem}").draw(path.parent)
         if new != old:

@@ -1,4 +1,4 @@
-"""Pictures on doc pages: a plot entry of a scenario, drawn from a run in process beside the page."""
+"""Pictures on doc pages: a plot entry of a scenario, or its plant in motion, from a run in process beside the page."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ import shutil
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from softrig_bringup.animate import film_of, write
+from softrig_bringup.drawing import drawing_for
 from softrig_bringup.plots.figures import plot_name, plot_run
 from softrig_core import ScenarioError, load_scenario, simulate
 from softrig_core.rig.scenario import PlotEntry
@@ -35,6 +37,25 @@ def draw(scenario: str, number: int, directory: Path) -> None:
     with TemporaryDirectory() as drawn:
         plot_run(run.signals, run.rig, Path(drawn))
         shutil.copyfile(Path(drawn) / plot_name(number, title), directory / _file(scenario, number))
+
+
+def animation(scenario: str) -> str:
+    """Give the Markdown of a scenario's plant in motion.
+
+    Raises
+    ------
+    ScenarioError
+        There is no drawing of it.
+    """
+    drawing = drawing_for(scenario)
+    if drawing is None:
+        raise ScenarioError(f"animation of {scenario}: there is no drawing of its plant")
+    return f"![{drawing.title}]({scenario}.svg)"
+
+
+def animate(scenario: str, start: float, end: float, directory: Path) -> None:
+    """Run a scenario in process and draw its plant from one time to another, s."""
+    write(film_of(scenario, start, end), directory / f"{scenario}.svg")
 
 
 def _entry(scenario: str, number: int) -> PlotEntry:

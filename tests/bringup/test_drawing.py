@@ -9,11 +9,20 @@ from softrig_bringup.cli import main
 from softrig_bringup.drawing import PALETTE, as_dict, drawing_for
 from softrig_bringup.drawing.film import check_alike, comfortable, film
 from softrig_bringup.drawing.smil import animated
-from softrig_core import Signals, rig_of, simulate
+from softrig_core import Signals, list_scenarios, load_scenario, rig_of, simulate
 from softrig_core.rig.members import signal_units
 
-# one of each plant that is drawn
-DRAWN = ["induction_dtc", "lsrm_fuzzy", "manipulator_adsmc", "manipulator_adsmc_two_link", "rehab_impedance_r5"]
+# one of each plant that is drawn, and of each of its ways to be wired
+DRAWN = [
+    "dc_motor_smc", "dc_motor_smc_b2", "dc_motor_fsfb", "economic_dispatch", "fault_location", "gupfc", "induction_dtc",
+    "lsrm_fuzzy", "manipulator_adsmc", "manipulator_adsmc_two_link", "optimal_control_mvim", "optimal_control_mvim_s1",
+    "optimal_control_mvim_s3", "pv_mppt", "pwa_delay", "pwa_delay_p2", "pwa_delay_p2c", "pwa_delay_p3", "rectifier_mpc",
+    "rectifier_mpc_decoupled", "rehab_impedance", "rehab_impedance_r5", "tcp_aqm_smc", "tcp_aqm_smc_s4",
+]  # fmt: skip
+
+
+def test_every_system_is_drawn():
+    assert {load_scenario(name).system for name in DRAWN} == {load_scenario(name).system for name in list_scenarios()}
 
 
 @pytest.mark.parametrize("name", DRAWN)

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from pages import drawn, generated as pages, numbers
 from pages.drawn import rectifier_mpc
+from pages.plots import animate
 from ruamel.yaml import YAML
 from softrig_bringup.cli import _FOREIGN, _parser, main
 from softrig_bringup.study.definition import list_studies, make_study
@@ -74,6 +75,24 @@ def test_pictures_are_plot_entries_drawn_from_a_run(tmp_path):
     assert (tmp_path / "dc_motor_smc_b2_2.png").read_bytes().startswith(b"\x89PNG")
     with pytest.raises(ScenarioError, match="picture 9 of dc_motor_smc_b2: expected a plot entry from 1 to 5"):
         pages.generate("<!-- picture: dc_motor_smc_b2 9 -->\n<!-- end -->")
+
+
+ANIMATIONS = {found[0]: (p, float(found[1]), float(found[2])) for p in PAGES
+              for found in pages.ANIMATION.findall((ROOT / p).read_text())}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ANIMATIONS)
+def test_animations_of_pages_are_as_the_code_draws_them(name, tmp_path):
+    page, start, end = ANIMATIONS[name]
+    animate(name, start, end, tmp_path)
+    held = ROOT / page.parent / f"{name}.svg"
+    assert (tmp_path / held.name).read_text() == held.read_text(), WRITE.format(f"--runs {page}")
+    assert held.stat().st_size < 2e6
+
+
+def test_both_robots_the_lsrm_and_the_flux_move_on_their_pages():
+    moving = {"manipulator_adsmc", "rehab_impedance", "lsrm_fuzzy", "induction_dtc"}
+    assert {page.stem for page, *_ in ANIMATIONS.values()} >= moving
 
 
 def test_pictures_without_a_plot_entry_are_drawn_beside_their_page(tmp_path, monkeypatch):
