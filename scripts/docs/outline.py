@@ -20,7 +20,7 @@ KINDS = {
         "How-to guides",
         "You know what you want to do; here is how.",
         ("set_up", "workspace", "node", "two_machines", "continuous_integration", "python", "studies", "learning",
-         "linear_view", "bags", "bags_pandas", "reports", "paper_figures"),
+         "linear_view", "bags", "bags_pandas", "reports", "paper_figures", "outside_tools"),
     ),
     "explanations": (
         "Explanations",

@@ -15,7 +15,7 @@ from typing import Any
 from softrig_core.command_line import Number, Parser, without_ros
 from softrig_core.guard import guarded
 
-from . import animate, run_options, run_verb, set_verb
+from . import animate, layouts, run_options, run_verb, set_verb
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # before numpy: sums must not depend on the number of cores
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -112,6 +112,7 @@ def _parser() -> argparse.ArgumentParser:
     plot.add_argument("--window", type=float, nargs=2, metavar=("FROM", "TO"), help="s")
     plot.add_argument("--csv", action="store_true", help="the data beside each picture, units in the head")
     animate.arguments(verb("animate", animate.animate, "a run's plant in motion: a short SVG, GIF, WebP or PNG"))
+    layouts.arguments(verb("layouts", layouts.layouts, "a scenario's plots as layouts for PlotJuggler, Foxglove, RViz"))
     results = verb("results", _results, "hold every claim of the papers against what is measured now")
     results.add_argument("systems", nargs="*", metavar="SYSTEM", help="default: all")
     results.add_argument("--out", type=Path, default=Path("runs/results"), metavar="DIR",

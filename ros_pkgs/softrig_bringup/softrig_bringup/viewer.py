@@ -58,13 +58,30 @@ def viewer(rig: Rig, folder: Path, namespace: str, simulated: bool) -> Process:
     """
     own = f"/{namespace}" if namespace else ""
     moved = [(f"/{name}", f"{own}/{name}") for name in ROOTED] if namespace else []
-    robot = any(m.block_class.scene(m.params) is not None for m in rig.members)
-    drawn = [m.name for m in rig.members if m.block_class.markers is not Block.markers]
-    shown = _rviz(f"{own}/robot_description" if robot else "", [f"{own}/{n}/markers" for n in drawn])
-    (folder / "rig.rviz").write_text(json.dumps(shown, indent=1) + "\n")  # JSON is YAML
+    (folder / "rig.rviz").write_text(rviz_file(rig, own))
     return Process("rviz2", "rviz2", arguments=["-d", str(folder / "rig.rviz")],
                    parameters=[_parameters(folder / "rviz2.yaml", {"use_sim_time": simulated})], remappings=moved,
                    kind="viewer")  # fmt: skip
+
+
+def rviz_file(rig: Rig, namespace: str = "") -> str:
+    """Give the text of a configuration of RViz for a rig.
+
+    Parameters
+    ----------
+    rig : Rig
+    namespace : str
+        That its nodes are in, with a leading slash.
+    """
+    robot, drawn = seen(rig)
+    shown = _rviz(f"{namespace}/robot_description" if robot else "", [f"{namespace}/{n}/markers" for n in drawn])
+    return json.dumps(shown, indent=1) + "\n"  # JSON is YAML
+
+
+def seen(rig: Rig) -> tuple[bool, list[str]]:
+    """Tell whether a rig has a robot, and name its nodes that draw markers."""
+    robot = any(m.block_class.scene(m.params) is not None for m in rig.members)
+    return robot, [m.name for m in rig.members if m.block_class.markers is not Block.markers]
 
 
 def _parameters(file: Path, values: Mapping[str, Any]) -> str:

@@ -58,7 +58,7 @@ def check_plots(rig: Rig) -> None:
     for entry in rig.scenario.plots:
         if entry.x:
             names = list(entry.signals)
-            names += [f"{_topic(name, rig.topics)}/{entry.x}" for name in names if name in known]
+            names += [f"{topic_of(name, rig.topics)}/{entry.x}" for name in names if name in known]
         else:
             names = [part for name in entry.signals for part in name.split(" - ", 1)]
         wrong = next((name for name in names if name not in known), None)
@@ -69,7 +69,7 @@ def check_plots(rig: Rig) -> None:
             )
 
 
-def _topic(name: str, topics: Iterable[str]) -> str:
+def topic_of(name: str, topics: Iterable[str]) -> str:
     """Give the topic of a signal."""
     return max((t for t in topics if name.startswith(f"{t}/")), key=len)
 
@@ -181,7 +181,7 @@ class Source:
 
     def topic(self, name: str) -> str:
         """Give the topic of a signal."""
-        return _topic(name, self.topics)
+        return topic_of(name, self.topics)
 
     def names(self, topic: str) -> list[str]:
         """Give the signals of a topic."""
@@ -240,7 +240,7 @@ def shown(rig: Rig) -> dict[str, Shown]:
     for entry in rig.scenario.plots:
         for name, label in entry.signals.items():
             if name in known and not entry.x:
-                topic = _topic(name, rig.topics)
+                topic = topic_of(name, rig.topics)
                 reference = _reference(rig.topics[topic], label)
                 found[name] = Shown(unit=entry.unit or known[name], held=topic in held, reference=reference)
     return found

@@ -1,0 +1,98 @@
+"""Layouts for people's own tools: those of the packages are as the plots say, and name what messages hold."""
+
+import json
+import re
+from functools import cache
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+from docs.gallery import sentences
+from docs.outline import pages
+from softrig_bags.topics import typestore
+from softrig_bringup.cli import main
+from softrig_bringup.layouts import files
+from softrig_core import ScenarioError, load_scenario, rig_of, simulate
+
+ROOT = Path(__file__).parents[2]
+# of each system the scenario that the README names; where that one has no plots, the one called as the system
+SHOWN = {name: scenario if load_scenario(scenario).plots else name for name, (scenario, _) in sentences().items()}
+
+
+def folder(name):
+    return pages()[name].parent.parent / "layouts"
+
+
+@pytest.mark.parametrize("name", SHOWN)
+def test_layouts_of_a_package_are_as_the_plots_of_its_scenarios_say(name):
+    made = files(rig_of(SHOWN[name]))
+    held = {p.name: p.read_text() for p in folder(name).glob(f"{SHOWN[name]}.*")}
+    write = f"scripts/softrig layouts --out {folder(name).relative_to(ROOT)} {SHOWN[name]}"
+    assert held == made, f"out of date: run {write}"
+
+
+def test_no_layout_is_left_of_what_is_gone():
+    held = {(p.parent, p.name.partition(".")[0]) for p in ROOT.glob("ros_pkgs/*/layouts/*")}
+    assert held == {(folder(name), scenario) for name, scenario in SHOWN.items()}
+    for package in {folder(name).parent for name in SHOWN}:
+        assert f"share/{package.name}/layouts = layouts/*" in (package / "setup.cfg").read_text()
+
+
+@cache
+def run(name):
+    return simulate(name)
+
+
+def value(message, path):
+    """Follow a message path as Foxglove does: fields by dots, elements by their place."""
+    for part in re.findall(r"\w+", path):
+        message = message[int(part)] if part.isdigit() else getattr(message, part)
+    return float(message)
+
+
+# JointState and trajectory; wrench; vector; array
+@pytest.mark.parametrize("name", ["induction_dtc_short", "rehab_impedance_r5", "fault_location_m4k"])
+def test_the_paths_lead_to_the_values_of_the_signals(name):
+    recording, signals = run(name).recording, run(name).signals
+    rig = run(name).rig
+    panels = json.loads(files(rig)[f"{name}.foxglove.json"])["configById"]
+    paths = {path["value"] for panel in panels.values() for path in panel.get("paths", ())}
+    wanted = {part for entry in rig.scenario.plots for s in entry.signals for part in s.split(" - ")}
+    tree = ElementTree.fromstring(files(rig)[f"{name}.plotjuggler.xml"])
+    series = {c.get("curve_y") or c.get("name") for c in tree.iter("curve")}
+    assert len(paths) == len(wanted) == len(series)
+    found = set()
+    for path in sorted(paths):
+        topic, _, place = path[1:].partition(".")
+        heard = recording.topics[topic]
+        if not heard.times:
+            continue
+        message = typestore().deserialize_cdr(heard.data[-1], heard.msgtype)
+        matching = {s for s in wanted if s.startswith(f"{topic}/") and signals[s].x[-1] == value(message, place)}
+        assert matching, path
+        found |= matching
+    silent = {s for s in wanted if not recording.topics[next(t for t in rig.topics if s.startswith(f"{t}/"))].times}
+    assert found == wanted - silent
+
+
+def test_plotjuggler_reads_a_joint_state_by_its_channels_and_a_trajectory_by_its_place():
+    tree = ElementTree.fromstring(files(rig_of("induction_dtc"))["induction_dtc.plotjuggler.xml"])
+    series = {c.get("curve_y") or c.get("name") for c in tree.iter("curve")}
+    assert {"/joint_states/shaft/effort", "/speed_ref/points[0]/velocities[0]", "/flux_true/vector/y"} <= series
+    selected = tree.find("Plugins/plugin/selected_topics").get("value").split(";")
+    assert "/speed_ref" in selected
+    assert all(any(name.startswith(f"{topic}/") for topic in selected) for name in series)
+
+
+def test_the_verb_writes_layouts_and_says_what_it_cannot(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(["layouts", "lsrm_fuzzy"]) == 0
+    names = ["lsrm_fuzzy.foxglove.json", "lsrm_fuzzy.plotjuggler.xml", "lsrm_fuzzy.rviz"]
+    assert sorted(p.name for p in (tmp_path / "layouts").iterdir()) == names
+    rviz = json.loads((tmp_path / "layouts" / "lsrm_fuzzy.rviz").read_text())["Visualization Manager"]
+    assert rviz["Global Options"]["Fixed Frame"] == "stator"
+    assert "/lsrm_plant/markers" in [d["Name"] for d in rviz["Displays"]]
+    assert main(["layouts", "pwa_delay_margin"]) == 2
+    assert "pwa_delay_margin has no plots, from which layouts are made" in capsys.readouterr().err
+    with pytest.raises(ScenarioError, match="no plots"):
+        files(rig_of("pwa_delay_margin"))
