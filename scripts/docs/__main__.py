@@ -44,7 +44,7 @@ def build(out: Path, sources_only: bool = False) -> int:
     if sources_only:
         print(source)
         return 0
-    need("sphinx", "the site")
+    need("myst_nb", "the site")  # and Sphinx with it
     from sphinx.cmd.build import main as sphinx
 
     shutil.rmtree(out / "html", ignore_errors=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+import json
 import os
 import re
 import shutil
@@ -23,9 +24,22 @@ _HEADING = re.compile(r"^```.*?^```$|^(#+) ", re.S | re.M)
 def collect(site: Path) -> None:
     """Write every page of the packages to its place in a folder, with the pictures that it shows."""
     for page, place in places().items():
-        target = site / f"{place}.md"
+        target = site / f"{place}{page.suffix}"
         target.parent.mkdir(parents=True, exist_ok=True)
-        target.write_text(moved(page.read_text(encoding="utf-8"), page, place, site), encoding="utf-8")
+        text = page.read_text(encoding="utf-8")
+        made = notebook(text, page, place, site) if page.suffix == ".ipynb" else moved(text, page, place, site)
+        target.write_text(made, encoding="utf-8")
+
+
+def notebook(text: str, page: Path, place: str, site: Path) -> str:
+    """Give a notebook for its place on the site: the text of its cells moved, the file as it is to be had."""
+    found = json.loads(text)
+    shutil.copyfile(page, _folder(site / "pictures") / page.name)
+    for cell in found["cells"]:
+        if cell["cell_type"] == "markdown":
+            cell["source"] = moved("".join(cell["source"]), page, place, site)
+    found["cells"][0]["source"] += f"\n\n{{download}}`The notebook as a file <../pictures/{page.name}>`"
+    return json.dumps(found)
 
 
 def moved(text: str, page: Path, place: str, site: Path) -> str:
@@ -44,10 +58,10 @@ def moved(text: str, page: Path, place: str, site: Path) -> str:
             return found[0]
         there = (page.parent / target).resolve()
         if there in places():
-            target = os.path.relpath(f"{places()[there]}.md", here)
+            target = os.path.relpath(f"{places()[there]}{there.suffix}", here)
         elif there == ROOT / "README.md":
             target, hash_, anchor = os.path.relpath("index.md", here), "", ""
-        elif there.suffix in (".png", ".svg") and there.is_file():
+        elif there.suffix in (".png", ".svg", ".gif", ".webp") and there.is_file():
             shutil.copyfile(there, _folder(site / "pictures") / there.name)
             target = os.path.relpath(f"pictures/{there.name}", here)
         else:

@@ -86,7 +86,7 @@ def write_indices(site: Path) -> None:
     index += ["::::", "", "```{toctree}", ":hidden:", "", *(f"{folder}/index" for folder, _, _ in entries), "```", ""]
     (site / "index.md").write_text("\n".join(index), encoding="utf-8")
     for kind, (head, text, names) in KINDS.items():
-        made = sorted(p.stem for p in (site / kind).glob("*.md") if p.stem not in names)
+        made = sorted(p.stem for p in (site / kind).glob("*.*") if p.stem not in names)
         made.sort(key=lambda name: (name.startswith("softrig_"), name != "softrig_core", name != "verbs"))
         lines = [f"# {head}", "", text, "", "```{toctree}", ":maxdepth: 1", "", *names, *made, "```", ""]
         (site / kind / "index.md").write_text("\n".join(lines), encoding="utf-8")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from functools import cache
 from pathlib import Path
@@ -19,8 +20,14 @@ KINDS = {
     "how-to": (
         "How-to guides",
         "You know what you want to do; here is how.",
-        ("set_up", "workspace", "node", "two_machines", "continuous_integration", "python", "studies", "learning",
-         "linear_view", "bags", "bags_pandas", "reports", "paper_figures", "outside_tools"),
+        ("set_up", "workspace", "node", "two_machines", "continuous_integration", "python", "notebooks", "studies",
+         "learning", "linear_view", "bags", "bags_pandas", "reports", "paper_figures",
+         "outside_tools"),
+    ),
+    "notebooks": (
+        "Notebooks",
+        "For teaching, half an hour each, with exercises: a motor, a solar string, a robot, a network.",
+        ("notebook_drive", "notebook_power", "notebook_robot", "notebook_network"),
     ),
     "explanations": (
         "Explanations",
@@ -59,8 +66,8 @@ SYSTEMS = {
 
 @cache
 def pages() -> dict[str, Path]:
-    """Find the pages of the packages by file name."""
-    return {page.stem: page for page in sorted(ROOT.glob("ros_pkgs/*/doc/*.md"))}
+    """Find the pages and notebooks of the packages by file name."""
+    return {page.stem: page for page in sorted(ROOT.glob("ros_pkgs/*/doc/*.*")) if page.suffix in (".md", ".ipynb")}
 
 
 @cache
@@ -82,6 +89,9 @@ def places() -> dict[Path, str]:
 
 def title(page: Path) -> str:
     """Give the title of a page."""
-    found = re.search(r"^# (.+)$", page.read_text(encoding="utf-8"), re.M)
+    text = page.read_text(encoding="utf-8")
+    if page.suffix == ".ipynb":
+        text = "".join(json.loads(text)["cells"][0]["source"])
+    found = re.search(r"^# (.+)$", text, re.M)
     assert found, f"{page} has no title"
     return found[1]

@@ -15,9 +15,10 @@ from softrig_core.wire.types import TYPES
 
 def test_every_page_of_the_packages_has_a_place_and_leads_to_pages_of_the_site(tmp_path):
     collect.collect(tmp_path)
-    written = {p.relative_to(tmp_path).with_suffix("").as_posix() for p in tmp_path.rglob("*.md")}
+    made = [p for p in tmp_path.rglob("*.*") if p.suffix in (".md", ".ipynb") and p.parent.name != "pictures"]
+    written = {p.relative_to(tmp_path).with_suffix("").as_posix() for p in made}
     assert written == set(outline.places().values())
-    for page in tmp_path.rglob("*.md"):
+    for page in made:
         text = page.read_text()
         assert "<!--" not in text, page
         for target in re.findall(r"\]\(([^)\s#:]+)(?:#[^)\s]*)?\)", re.sub(r"```.*?```", "", text, flags=re.S)):

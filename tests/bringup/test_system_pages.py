@@ -60,7 +60,7 @@ def test_what_a_page_says_to_set_can_be_set(name):
             rig_of(scenario, overrides={key: _parsed(value)})
 
 
-@pytest.mark.parametrize("name", sorted(pages()))
+@pytest.mark.parametrize("name", sorted(name for name, page in pages().items() if page.suffix == ".md"))
 def test_formulas_can_be_set_and_long_tables_fold(name):
     text = _COMMENT.sub("", pages()[name].read_text())
     for formula in re.findall(r"^```math\n(.*?)^```$", text, re.S | re.M):

@@ -18,6 +18,7 @@ EXTRAS = {
     "osqp": "osqp",
     "gymnasium": "learning",
     "sphinx": "docs",
+    "myst_nb": "docs",
     "fmpy": "fmu",
     "pythonfmu": "fmu",
 }

@@ -1,0 +1,58 @@
+"""Notebooks for teaching: kept without results, their links lead somewhere, what they show is what the verbs give."""
+
+import contextlib
+import io
+import json
+import re
+
+import matplotlib
+import pytest
+from docs.outline import KINDS, pages
+from softrig_bringup.cli import main
+from softrig_core import Run, list_scenarios
+
+NOTEBOOKS = KINDS["notebooks"][2]
+
+
+def cells(name, kind):
+    found = json.loads(pages()[name].read_text())["cells"]
+    return ["".join(cell["source"]) for cell in found if cell["cell_type"] == kind]
+
+
+@pytest.mark.parametrize("name", NOTEBOOKS)
+def test_a_notebook_is_kept_without_results_and_speaks_of_what_there_is(name):
+    assert pages()[name].suffix == ".ipynb"
+    for cell in json.loads(pages()[name].read_text())["cells"]:
+        assert cell["cell_type"] == "markdown" or (cell["outputs"], cell["execution_count"]) == ([], None)
+    code = "\n".join(cells(name, "code"))
+    compile(code, name, "exec")
+    systems = {scenario.split("_")[0] for scenario in list_scenarios()}
+    named = [word for word in re.findall(r'"(\w+)"', code) if "_" in word and word.split("_")[0] in systems]
+    assert named
+    assert set(named) <= set(list_scenarios())
+    text = "\n".join(cells(name, "markdown"))
+    for target in re.findall(r"\]\(([^)#]+)", text):
+        assert (pages()[name].parent / target).exists(), target
+    assert "## Exercises" in text
+
+
+@pytest.mark.long
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize("name", NOTEBOOKS)
+def test_a_notebook_shows_the_numbers_of_the_verbs(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    matplotlib.use("Agg")
+    there = {}
+    with contextlib.redirect_stdout(io.StringIO()):
+        for cell in cells(name, "code"):
+            exec(compile(cell, name, "exec"), there)
+    runs = [run for run in there.values() if isinstance(run, Run) and run.rig.scenario.name in list_scenarios()]
+    assert runs
+    for run in runs:
+        scenario = run.rig.scenario.name
+        main(["run", scenario, "--mode", "inprocess", "--no-plots", "--no-record", "--out", scenario])
+        said = json.loads((tmp_path / scenario / "metrics.json").read_text())["metrics"]
+        measured = {figure["name"]: figure["value"] for figure in said}
+        shown = {r.name: r.value for r in run.results if r.value is not None}
+        assert shown
+        assert {figure: measured[figure] for figure in shown} == shown
