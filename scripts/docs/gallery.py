@@ -8,7 +8,7 @@ from pathlib import Path
 from pages.generated import verdicts
 from softrig_core import list_scenarios, load_scenario
 
-from .outline import KINDS, ROOT, SYSTEMS, pages, title
+from .outline import KINDS, ROOT, SYSTEMS, opening, pages, title
 
 _ROW = re.compile(r"\]\(ros_pkgs/[^)]*/doc/(\w+)\.md\)[^`|]*`(\w+)`\s*\|\s*([^|]*?)\s*\|")
 
@@ -88,5 +88,9 @@ def write_indices(site: Path) -> None:
     for kind, (head, text, names) in KINDS.items():
         made = sorted(p.stem for p in (site / kind).glob("*.*") if p.stem not in names)
         made.sort(key=lambda name: (name.startswith("softrig_"), name != "softrig_core", name != "verbs"))
-        lines = [f"# {head}", "", text, "", "```{toctree}", ":maxdepth: 1", "", *names, *made, "```", ""]
+        lines = [f"# {head}", "", text, ""]
+        for name in (*names, *made):
+            (page,) = (site / kind).glob(f"{name}.*")
+            lines += [f"- [{title(page)}]({page.name})  ", f"  {opening(page)}"]
+        lines += ["", "```{toctree}", ":hidden:", "", *names, *made, "```", ""]
         (site / kind / "index.md").write_text("\n".join(lines), encoding="utf-8")

@@ -88,10 +88,19 @@ def places() -> dict[Path, str]:
 
 
 def title(page: Path) -> str:
-    """Give the title of a page."""
-    text = page.read_text(encoding="utf-8")
-    if page.suffix == ".ipynb":
-        text = "".join(json.loads(text)["cells"][0]["source"])
-    found = re.search(r"^# (.+)$", text, re.M)
+    """Give the title of a page or notebook."""
+    found = re.search(r"^# (.+)$", _beginning(page), re.M)
     assert found, f"{page} has no title"
     return found[1]
+
+
+def opening(page: Path) -> str:
+    """Give the first sentence of a page or notebook; empty when it begins with none."""
+    paragraphs = re.split(r"\n\s*\n", _beginning(page).partition("\n")[2].partition("\n## ")[0])
+    texts = (" ".join(p.split()) for p in paragraphs if re.match(r"\s*(?!```)[A-Z`*]", p))
+    return next((re.split(r"(?<=[.:!?]) (?=[A-Z(`*]|softrig)", text)[0].rstrip(":") for text in texts), "")
+
+
+def _beginning(page: Path) -> str:
+    text = page.read_text(encoding="utf-8")
+    return "".join(json.loads(text)["cells"][0]["source"]) if page.suffix == ".ipynb" else text

@@ -44,7 +44,8 @@ def _cell(text: object) -> str:
 def verbs() -> str:
     """Every verb with what it takes, from its parser."""
     parser = cli._parser()
-    parts = ["# Commands", "", parser.description or "", "", parser.epilog or "", ""]
+    head = "Every command of `softrig` with all that it takes; `softrig COMMAND --help` prints the same."
+    parts = ["# Commands", "", head, "", parser.epilog or "", ""]
     (subparsers,) = (a for a in parser._actions if isinstance(a, argparse._SubParsersAction))
     helps = {a.dest: a.help or "" for a in subparsers._choices_actions}
     parts += ["| command | |", "|---|---|"]
@@ -176,7 +177,9 @@ def front_door() -> str:
 
 def api(package: str) -> str:
     """What the modules of a package say of themselves: the first line of each, of its classes and functions."""
-    parts = [f"# Python: {package}", ""]
+    described = re.search("<description>(.*)</description>", (ROOT / "ros_pkgs" / package / "package.xml").read_text())
+    assert described, f"{package}: package.xml without a description"
+    parts = [f"# Python: {package}", "", f"{described[1]}. By module: what each holds, from its docstrings.", ""]
     for path in sorted((ROOT / "ros_pkgs" / package / package).rglob("*.py")):
         dotted = ".".join(path.relative_to(ROOT / "ros_pkgs" / package).with_suffix("").parts).removesuffix(".__init__")
         if re.search(r"\.template|__main__", dotted):

@@ -119,3 +119,10 @@ def test_the_site_is_built_without_a_warning_and_needs_no_network(tmp_path):
                 assert urllib.parse.unquote(anchor) in found[there].names, (page, target)
     words = Path(html / "searchindex.js").read_text()
     assert "lockstep" in words
+
+
+@pytest.mark.parametrize("name", sorted(outline.pages()))
+def test_every_page_opens_with_a_sentence_that_lists_show(name):
+    sentence = outline.opening(outline.pages()[name])
+    assert 20 < len(sentence) < 330, sentence
+    assert "```" not in sentence
