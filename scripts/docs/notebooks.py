@@ -1,0 +1,47 @@
+"""Notebooks of the site are run when it is built: each in a kernel of its own, which opens no port."""
+
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import nbformat
+from jupyter_client.manager import AsyncKernelManager
+from nbclient import NotebookClient
+
+PATIENCE = 120  # s a cell, or the start of a kernel, may take on a busy machine
+
+
+class _Local(AsyncKernelManager):
+    """Speaks to its kernel over sockets of the file system, in a folder that is the user's own."""
+
+    def __init__(self, **given: Any) -> None:
+        self.folder = TemporaryDirectory(prefix="softrig-")
+        super().__init__(transport="ipc", ip=f"{self.folder.name}/kernel", **given)
+
+
+def execute(site: Path) -> None:
+    """Run all notebooks below a folder, side by side, and keep what came out in their files.
+
+    Raises
+    ------
+    nbclient.exceptions.CellExecutionError
+        A cell failed.
+    """
+    asyncio.run(_all([path for path in sorted(site.glob("*/*.ipynb")) if path.parent.name != "pictures"]))
+
+
+async def _all(paths: list[Path]) -> None:
+    await asyncio.gather(*map(_one, paths))
+
+
+async def _one(path: Path) -> None:
+    notebook = nbformat.read(path, as_version=4)  # type: ignore[no-untyped-call]
+    client = NotebookClient(
+        notebook, kernel_manager_class=_Local, timeout=PATIENCE, startup_timeout=PATIENCE,
+        resources={"metadata": {"path": str(path.parent)}},
+    )  # fmt: skip
+    await client.async_execute()
+    nbformat.write(notebook, path)  # type: ignore[no-untyped-call]
