@@ -10,6 +10,8 @@ from typing import Any
 import nbformat
 from jupyter_client.manager import AsyncKernelManager
 from nbclient import NotebookClient
+from nbclient.exceptions import CellExecutionError, CellTimeoutError
+from softrig_core import ScenarioError
 
 PATIENCE = 120  # s a cell, or the start of a kernel, may take on a busy machine
 
@@ -27,8 +29,8 @@ def execute(site: Path) -> None:
 
     Raises
     ------
-    nbclient.exceptions.CellExecutionError
-        A cell failed.
+    ScenarioError
+        A cell failed, or took too long.
     """
     asyncio.run(_all([path for path in sorted(site.glob("*/*.ipynb")) if path.parent.name != "pictures"]))
 
@@ -43,5 +45,8 @@ async def _one(path: Path) -> None:
         notebook, kernel_manager_class=_Local, timeout=PATIENCE, startup_timeout=PATIENCE,
         resources={"metadata": {"path": str(path.parent)}},
     )  # fmt: skip
-    await client.async_execute()
+    try:
+        await client.async_execute()
+    except (CellExecutionError, CellTimeoutError) as error:
+        raise ScenarioError(f"{path.name}: {error}") from None
     nbformat.write(notebook, path)  # type: ignore[no-untyped-call]

@@ -1,5 +1,6 @@
 """The site: every page has its place, everything is in the reference, nothing leads nowhere."""
 
+import json
 import re
 import urllib.parse
 from html.parser import HTMLParser
@@ -9,6 +10,7 @@ import pytest
 from docs import collect, gallery, outline, reference
 from docs.__main__ import build
 from softrig_bringup import cli
+from softrig_core import ScenarioError
 from softrig_core.rig.registry import registered
 from softrig_core.wire.types import TYPES
 
@@ -126,3 +128,15 @@ def test_every_page_opens_with_a_sentence_that_lists_show(name):
     sentence = outline.opening(outline.pages()[name])
     assert 20 < len(sentence) < 330, sentence
     assert "```" not in sentence
+
+
+@pytest.mark.long
+def test_a_notebook_whose_cell_fails_is_told(tmp_path):
+    from docs.notebooks import execute
+
+    (tmp_path / "notebooks").mkdir()
+    cell = {"cell_type": "code", "execution_count": None, "id": "a", "metadata": {}, "outputs": [], "source": "1 / 0"}
+    text = json.dumps({"cells": [cell], "metadata": {}, "nbformat": 4, "nbformat_minor": 5})
+    (tmp_path / "notebooks" / "bad.ipynb").write_text(text)
+    with pytest.raises(ScenarioError, match=r"bad.ipynb: [\s\S]*ZeroDivisionError"):
+        execute(tmp_path)
