@@ -131,6 +131,11 @@ def test_exit_status_tells_a_miss_from_a_mistake_from_a_break(folder, capsys):
     assert json.loads((folder / "runs" / "lag_breaks" / "metrics.json").read_text())["error"]
 
 
+def test_the_command_takes_what_launch_gives_to_every_executable(folder, capsys):
+    assert main(["signals", "lag", "--ros-args", "--log-level", "info", "-r", "__node:=softrig"]) == 0
+    assert "lag/state/x/position" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

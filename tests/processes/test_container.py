@@ -388,3 +388,11 @@ def test_a_profile_keeps_what_it_says_and_gets_the_property(tmp_path, monkeypatc
 def test_a_profile_without_a_participant_is_refused(text, why):
     with pytest.raises(ValueError, match=why):
         with_property(text)
+
+
+def test_a_container_without_nodes_says_how_it_is_used(tmp_path):
+    executable = find_executable("softrig_core", "container")
+    for arguments in ([], ["--ros-args"], ["--ros-args", "-r", "__node:=container"]):
+        done = subprocess.run([executable, *arguments], capture_output=True, text=True)
+        assert (done.returncode, done.stderr) == (2, "")
+        assert "PACKAGE EXECUTABLE" in done.stdout
