@@ -1,5 +1,6 @@
 """Builds the FMUs of the tests from the C sources in fmu_sources, against the headers that FMPy ships."""
 
+import math
 import subprocess
 import sys
 import zipfile
@@ -34,8 +35,10 @@ VARIABLES = {
     "law": [("setpoint", "input", "rpm", 0.0), ("speed", "input", "rpm", 0.0), ("command", "output", "V"),
             ("kp", "parameter", "", 2.0), ("ki", "parameter", "", 10.0), ("limit", "parameter", "V", 12.0),
             ("z", "local", ""), ("enabled", "input", "", "true", "Boolean")],
+    "mix": [("u", "input", "V", "0 0 0", None, (3,)), ("gain", "parameter", "", "1 2 3 4 5 6", None, (2, 3)),
+            ("y", "output", "V", None, None, (2,)), ("bias", "tunable", "V", 0.0)],
 }  # fmt: skip
-STATES = {"motor": ("theta", "w", "i"), "ball": ("height", "v"), "law": ()}
+STATES = {"motor": ("theta", "w", "i"), "ball": ("height", "v"), "law": (), "mix": ()}
 RPM = '<BaseUnit rad="1" s="-1" factor="0.10471975511965977"/>'
 
 
@@ -57,19 +60,23 @@ def build_fmu(folder, model, version=2, platform=None, exchange=True):
 
 def describe(model, version, exchange):
     units, variables = {}, []
-    listed = [(*v, None, None)[:5] for v in VARIABLES[model]]
-    for k, (name, causality, unit, start, kind) in enumerate(listed):
+    listed = [(*v, *(None,) * (6 - len(v))) for v in VARIABLES[model]]
+    for n, (name, causality, unit, start, kind, dims) in enumerate(listed):
+        k = sum(math.prod(v[5] or ()) for v in listed[:n])
         units[unit] = RPM if unit == "rpm" else ""
         own = f" unit={quoteattr(unit)}" if unit else ""
         own += "" if start is None else f' start="{start}"'
-        fixed = {"parameter": ' variability="fixed"'}.get(causality, "")
+        fixed = {"parameter": ' variability="fixed"', "tunable": ' variability="tunable"'}.get(causality, "")
+        causality = "parameter" if causality == "tunable" else causality
+        size = "".join(f'<Dimension start="{d}"/>' for d in dims or ())
         if kind == "Integer" or kind == "Boolean":
             fixed = ' variability="discrete"'
         head = f'name="{name}" valueReference="{k}" causality="{causality}"{fixed}'
         if version == 2:
             variables.append(f"<ScalarVariable {head}><{kind or 'Real'}{own}/></ScalarVariable>")
         else:
-            variables.append(f"<{({'Integer': 'Int32', None: 'Float64'}).get(kind, kind)} {head}{own}/>")
+            tag = {"Integer": "Int32", None: "Float64"}.get(kind, kind)
+            variables.append(f"<{tag} {head}{own}>{size}</{tag}>")
     index = {v[0]: k for k, v in enumerate(listed)}
     if version == 2:  # a state is told by its derivative
         for k, state in enumerate(STATES[model]):
@@ -82,7 +89,7 @@ def describe(model, version, exchange):
     interfaces = f'<CoSimulation canHandleVariableCommunicationStepSize="true" {flags}/>'
     if exchange:
         interfaces = f"<ModelExchange {flags}/>" + interfaces
-    outputs = [k for k, v in enumerate(listed) if v[1] == "output"]
+    outputs = [sum(math.prod(v[5] or ()) for v in listed[:n]) for n, v in enumerate(listed) if v[1] == "output"]
     tag, token = ("guid", "2.0") if version == 2 else ("instantiationToken", "3.0")
     count = {"ball": 1}.get(model, 0)
     indicators = f' numberOfEventIndicators="{count}"' if version == 2 else ""

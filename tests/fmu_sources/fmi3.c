@@ -3,6 +3,9 @@
 #include "fmi3Functions.h"
 #include MODEL
 typedef struct { double r[N]; fmi3LogMessageCallback log; } Unit;
+#ifndef WIDTH
+#define WIDTH(v) 1 /* values of a variable: those of an array stand one after the other */
+#endif
 #define EACH for (size_t k = 0; k < n; k++)
 #define REFS fmi3Instance c, const fmi3ValueReference vr[], size_t n
 
@@ -25,8 +28,9 @@ fmi3Status fmi3EnterEventMode(fmi3Instance c) { return fmi3OK; }
 fmi3Status fmi3Terminate(fmi3Instance c) { return fmi3OK; }
 fmi3Status fmi3Reset(fmi3Instance c) { return fmi3OK; }
 #define GET(NAME, TYPE) fmi3Status fmi3Get##NAME(REFS, TYPE x[], size_t m) \
-    { outputs(((Unit *)c)->r); EACH x[k] = ((Unit *)c)->r[vr[k]]; return fmi3OK; }
-#define SET(NAME, TYPE) fmi3Status fmi3Set##NAME(REFS, const TYPE x[], size_t m) { EACH ((Unit *)c)->r[vr[k]] = x[k]; return fmi3OK; }
+    { size_t j = 0; outputs(((Unit *)c)->r); EACH for (int q = 0; q < WIDTH(vr[k]); q++) x[j++] = ((Unit *)c)->r[vr[k] + q]; return fmi3OK; }
+#define SET(NAME, TYPE) fmi3Status fmi3Set##NAME(REFS, const TYPE x[], size_t m) \
+    { size_t j = 0; EACH for (int q = 0; q < WIDTH(vr[k]); q++) ((Unit *)c)->r[vr[k] + q] = x[j++]; return fmi3OK; }
 #define BOTH(NAME) GET(NAME, fmi3##NAME) SET(NAME, fmi3##NAME)
 BOTH(Float64) BOTH(Float32) BOTH(Int32) BOTH(Int64) BOTH(UInt8) BOTH(Boolean)
 fmi3Status fmi3GetFMUState(fmi3Instance c, fmi3FMUState *s) { *s = malloc(sizeof(Unit)); *(Unit *)*s = *(Unit *)c; return fmi3OK; }

@@ -1,12 +1,17 @@
 """FMUs as plants and laws: built here from C, run by every interface, and wrong in every way they can be."""
 
+import hashlib
+import json
 import math
+import random
 import re
 from pathlib import Path
 
 import pytest
 from conftest import differences, in_process, make_scenario, no_process_left
+from simulated import SimulatedRig, World
 from softrig_core import ParameterError, Rig, RunError, ScenarioError, Signals, load_scenario, run_processes, simulate
+from softrig_core.model.change import check
 from softrig_drives.dc_motor.plant import DcMotorPlant
 
 pytest.importorskip("fmpy")
@@ -28,6 +33,7 @@ def fmus(tmp_path_factory):
     for model in ("motor", "ball", "law"):
         for version in (2, 3):
             build_fmu(folder, model, version)
+    build_fmu(folder, "mix", 3)
     return folder
 
 
@@ -264,6 +270,56 @@ def test_the_law_of_the_page_holds_the_speed_of_our_motor(page, tmp_path):
     run = simulate(load_scenario(str(page / "law.yaml")))
     assert 0.01 < run.figures["rise_time"] < 2.0
     assert run.signals["motor/state/shaft/velocity"].x[-1] == pytest.approx(1.0, abs=0.05)
+
+
+MIX = {"inputs": ("mix/in/a/effort = u[1]", "mix/in/c/effort = u[3]"),
+       "outputs": ("mix/out/first/effort = y[1]", "mix/out/second/effort [mV] = y[2]")}  # fmt: skip
+
+
+@pytest.mark.parametrize("isolated", [False, True])
+def test_arrays_by_their_elements(fmus, isolated):
+    def mix(**given):
+        return FmuLaw(name="mix", **{"fmu": str(fmus / "mix3.fmu"), "isolated": isolated, **MIX} | given)
+
+    def said(law, a, c):
+        return law.update(0, mix_in=(a, c))["to_mix_out"]
+
+    assert said(mix(), 2.0, 3.0) == (1.0 * 2.0 + 3.0 * 3.0, 1e3 * (4.0 * 2.0 + 6.0 * 3.0))
+    law = mix(values=("gain[2,3] = 60", "u[2] = 10", "bias = 1"))  # u[2] is nobody's: it keeps its start
+    assert said(law, 2.0, 3.0) == (1 + 2.0 + 20.0 + 9.0, 1e3 * (1 + 8.0 + 50.0 + 180.0))
+    law.change(check(type(law), law.p, {"values": ("gain[2,3] = 60", "u[2] = 10", "bias = 5")}))
+    assert said(law, 2.0, 3.0)[0] == 5 + 2.0 + 20.0 + 9.0
+    for values in (("gain[2,3] = 61", "u[2] = 10", "bias = 5"), ("bias = 5",)):
+        with pytest.raises(ParameterError, match="values: that part of it may not change while running"):
+            check(type(law), law.p, {"values": values})
+    for name, says in (("u", r"expected u\[1..3\]"), ("u[4]", r"u is an array of 3 values, expected u\[1..3\]"),
+                       ("gain[1]", r"expected gain\[1..2,1..3\]"), ("bias[1]", "bias")):  # fmt: skip
+        with pytest.raises(ParameterError, match=says):
+            mix(inputs=(f"mix/in/a/effort = {name}",), values=())
+
+
+def test_a_run_says_which_fmu_it_had(page, tmp_path):
+    from softrig_bringup.cli import main
+
+    assert main(["run", "plant.yaml", "--mode", "inprocess", "--duration", "0.1", "--no-plots", "--out", "out"]) == 0
+    told = json.loads(Path("out/metrics.json").read_text())["contents"]
+    digest = hashlib.sha256(Path("motor2.fmu").read_bytes()).hexdigest()
+    assert told == {"motor_plant": {"motor2.fmu": f"sha256:{digest}"}}
+
+
+@pytest.mark.parametrize("name", ["plant", "law"])
+def test_real_time_gives_the_numbers_of_lockstep(page, name):
+    wired = Rig.from_scenario(load_scenario(str(page / f"{name}.yaml"))).changed(duration=0.2)
+    rng = random.Random(1)
+    run = SimulatedRig(wired, World(lambda *_: rng.randrange(1_000, 200_000)), "realtime")
+    assert set(run.run().values()) == {"done"}
+    assert not any(a.drive.missed or a.drive.incomplete for a in run.adapters.values())
+    expected, found = Signals(in_process(wired)), Signals(run.recording, run.epoch)
+    for label in ("motor/state/shaft/velocity", "motor/command/armature/effort"):
+        a, b = expected[label].x, found[label].x
+        n = min(len(a), len(b))  # whether the last tick is answered is a matter of luck
+        assert n >= len(a) - 1
+        assert a[:n].tolist() == b[:n].tolist()
 
 
 @pytest.mark.processes

@@ -162,6 +162,7 @@ def summary(run: Run, figures: Sequence[Result], command: str, label: str = "") 
         "command": command,
         "versions": versions() | checkout(),
         "code": fingerprints(m.block_class for m in own),
+        "contents": {m.name: dict(found) for m in own if (found := m.block_class.contents(m.params))},
         "parameters": {m.name: flatten(m.params) for m in own},
         "changes": _changes(run),
         "units": {m.name: {d.name: d.unit for d in declarations(type(m.params)) if d.unit} for m in own},
@@ -295,6 +296,7 @@ def _provenance(run: Run, content: Mapping[str, Any]) -> dict[str, str]:
     epoch = {"epoch": str(run.epoch)} if run.epoch else {}  # of the stamps of a run in real time
     late = lateness(run.status) if run.epoch else {}
     epoch |= {"late": json.dumps(late)} if late else {}
+    epoch |= {"contents": json.dumps(content["contents"])} if content["contents"] else {}
     seen = {name: s["figures"] for name, s in run.status.items() if s.get("figures")}  # what observers said at the end
     observed = {"observed": json.dumps(seen)} if seen else {}
     return epoch | observed | {k: v if isinstance(v := content[k], str) else json.dumps(v) for k in keys}

@@ -59,6 +59,10 @@ class Isolated:
         """As of `Instance`."""
         return self._call("advance", start, end, values)
 
+    def tune(self, values: Any) -> None:
+        """As of `Instance`."""
+        self._call("tune", values)
+
     def keep(self) -> bytes:
         """As of `Instance`."""
         return self._call("keep")

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import math
+import re
 import tempfile
 import zipfile
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 from softrig_core import ParameterError, resource
 from softrig_core.errors import closest
@@ -16,6 +20,7 @@ from softrig_core.extras import need
 from softrig_core.model.compiled import cache_folder
 from softrig_core.rig.units import base, powers, text
 
+_INDEXED = re.compile(r"(?P<name>.+)\[(?P<at>\d+(,\d+)*)\]")
 BASES = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")  # of the FMI's base units
 # how FMPy's methods call the types: of FMI 2.0, of FMI 3.0
 KINDS = {"Real": "Real", "Integer": "Integer", "Boolean": "Boolean", "Enumeration": "Integer", "String": "String"}
@@ -41,7 +46,21 @@ class Unit:
 
 @dataclass(frozen=True)
 class Variable:
-    """A scalar variable; `kind` is the type as FMPy's ``get...`` and ``set...`` call it, `unit` None where unstated."""
+    """A scalar variable, or an array; `kind` is the type as FMPy's ``get...`` and ``set...`` call it.
+
+    Attributes
+    ----------
+    start : str or None
+        Of an array all values, separated by spaces.
+    unit : Unit or None
+        None where unstated.
+    tunable : bool
+        Whether a parameter may change while it runs.
+    dims : tuple of int
+        Size of an array.
+    element : int or None
+        Which of its values, row after row, counted from 0; None of a scalar.
+    """
 
     name: str
     reference: int
@@ -51,6 +70,46 @@ class Variable:
     least: float | None
     largest: float | None
     unit: Unit | None
+    tunable: bool = False
+    dims: tuple[int, ...] = ()
+    element: int | None = None
+
+    @property
+    def count(self) -> int:
+        """Number of values."""
+        return math.prod(self.dims)
+
+    def at(self, indices: Sequence[int]) -> Variable:
+        """Give one value of an array, by its indices, counted from 1 as in Modelica.
+
+        Raises
+        ------
+        ValueError
+            There is none.
+        """
+        inside = len(indices) == len(self.dims) and all(1 <= i <= n for i, n in zip(indices, self.dims, strict=True))
+        if not inside:
+            sizes = " x ".join(map(str, self.dims))
+            raise ValueError(f"{self.name} is an array of {sizes} values, expected {self.name}[{_example(self.dims)}]")
+        element = 0
+        for i, n in zip(indices, self.dims, strict=True):
+            element = element * n + i - 1
+        return replace(self, name=f"{self.name}[{','.join(map(str, indices))}]", element=element)
+
+    def starts(self) -> list[Any]:
+        """Give the start values of all elements."""
+        given: list[Any] = [_number(self.kind, text) for text in (self.start or "0").split()]
+        return given if len(given) == self.count else given[:1] * self.count
+
+
+def _number(kind: str, text: str) -> Any:
+    if kind == "Boolean":
+        return text in ("true", "1")
+    return float(text) if kind in ("Real", "Float64", "Float32") else int(text)
+
+
+def _example(dims: Sequence[int]) -> str:
+    return ",".join(f"1..{n}" for n in dims)
 
 
 @dataclass(frozen=True)
@@ -67,6 +126,8 @@ class Description:
     serialises : bool
         Whether its state can be kept as bytes.
     variables : dict of str to Variable
+    digest : str
+        SHA-256 of its file.
     """
 
     path: Path
@@ -75,22 +136,26 @@ class Description:
     model_exchange: bool
     serialises: bool
     variables: dict[str, Variable]
+    digest: str
 
-    def variable(self, name: str) -> Variable:
-        """Find a variable.
+    def variable(self, name: str, indices: Sequence[int] | None = None) -> Variable:
+        """Find a variable; an element of an array by its indices, counted from 1: ``x[2]``, ``A[1,3]``.
 
         Raises
         ------
         ValueError
             There is none, or it is of a type that no channel carries.
         """
+        indexed = _INDEXED.fullmatch(name)
+        if name not in self.variables and indexed and indexed["name"] in self.variables:
+            return self.variable(indexed["name"], [int(i) for i in indexed["at"].split(",")])
         if name not in self.variables:
             raise ValueError(f"{self.path.name} has no variable {name!r}{closest(name, self.variables)}; it has "
                              f"{_listed(list(self.variables))}")  # fmt: skip
         found = self.variables[name]
         if not found.kind:
-            raise ValueError(f"{name} of {self.path.name} is an array, clock or binary, expected a scalar")
-        return found
+            raise ValueError(f"{name} of {self.path.name} is a clock or binary, expected a number or text")
+        return found if indices is None and not found.dims else found.at(indices or ())
 
 
 def describe(source: str) -> Description:
@@ -121,7 +186,7 @@ def unpacked(path: Path) -> Path:
     """
     from fmpy import extract
 
-    folder = cache_folder() / "fmu" / hashlib.sha256(path.read_bytes()).hexdigest()[:32]
+    folder = cache_folder() / "fmu" / _digest(path)[:32]
     if folder.is_dir():
         return folder
     folder.parent.mkdir(parents=True, exist_ok=True)
@@ -133,6 +198,10 @@ def unpacked(path: Path) -> Path:
         with contextlib.suppress(OSError):  # another node was first
             Path(place, "fmu").rename(folder)
     return folder
+
+
+def _digest(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 @cache
@@ -158,19 +227,20 @@ def _describe(path: Path, _changed: int, _size: int) -> Description:
     for v in model.modelVariables:
         unit = v.unit or (v.declaredType.unit if v.declaredType is not None else None)
         known = None if not unit else units.get(unit) or Unit.of(_ours(unit))
-        kind = "" if v.dimensions else kinds.get(v.type, "")
+        kind = kinds.get(v.type, "")
+        dims = tuple(int(d.start if d.start is not None else d.variable.start) for d in v.dimensions or ())
+        start = " ".join(map(str, v.start)) if isinstance(v.start, list | tuple) else v.start
         least, largest = (None if x is None or kind == "String" else float(x) for x in (v.min, v.max))
-        variables[v.name] = Variable(v.name, v.valueReference, kind, v.causality, v.start, least, largest, known)
+        variables[v.name] = Variable(v.name, v.valueReference, kind, v.causality, start, least, largest, known,
+                                     v.variability == "tunable", dims)  # fmt: skip
     either = model.coSimulation or model.modelExchange
     return Description(path, model.fmiVersion, model.coSimulation is not None, model.modelExchange is not None,
                        bool(either and either.canGetAndSetFMUstate and either.canSerializeFMUstate),
-                       variables)  # fmt: skip
+                       variables, _digest(path))  # fmt: skip
 
 
 def _ours(name: str) -> str:
     """Write a unit as ours are: ``N.m/rad2`` of Modelica is ``N m/rad^2``."""
-    import re
-
     plain = name.replace(".", " ").replace("Ohm", "ohm")
     return re.sub(r"(?<=[A-Za-z])(-?\d)", r"^\1", plain)
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Sequence
+from itertools import accumulate
 from typing import Any, NamedTuple
 
-Cell = tuple[str, int]  # type as FMPy calls it, value reference
+Cell = tuple[str, int, int, int]  # type as FMPy calls it, value reference, which of how many values
 Numbers = tuple[float, ...]
 REAL = ("Real", "Float64", "Float32")
 EVENTS = 1000  # iterations of one event
@@ -22,7 +23,7 @@ class Plan(NamedTuple):
     exchange : bool
         Model exchange in place of co-simulation.
     inputs, outputs : tuple of Cell
-    start : tuple of (Cell, value)
+    start : tuple of (type, value reference, values)
         Parameters and start values, set before the initialisation.
     steps : int
         Communication steps, or steps of the integrator, in one period.
@@ -34,7 +35,7 @@ class Plan(NamedTuple):
     exchange: bool
     inputs: tuple[Cell, ...]
     outputs: tuple[Cell, ...]
-    start: tuple[tuple[Cell, Any], ...]
+    start: tuple[tuple[str, int, tuple[Any, ...]], ...]
     steps: int
     log: bool
 
@@ -74,6 +75,10 @@ class Instance:
         """Set the inputs, go from `start` to `end` (s) with them held, and give the outputs."""
         return self._told(self._advance, start, end, values)
 
+    def tune(self, values: Sequence[tuple[str, int, tuple[Any, ...]]]) -> None:
+        """Set parameters that may change while it runs, each as in `Plan.start`."""
+        self._told(self._tune, values)
+
     def keep(self) -> bytes:
         """Give the whole state as bytes; of the same FMU in another process, too."""
         return self._told(self._keep)
@@ -106,8 +111,7 @@ class Instance:
         self._fmu = fmu
         if not self._three:
             fmu.setupExperiment(startTime=0.0)
-        for (name, reference), value in self.plan.start:
-            getattr(fmu, f"set{name}")([reference], [value])
+        self._tune(self.plan.start)
         if self._three:
             fmu.enterInitializationMode(startTime=0.0)
         else:
@@ -117,22 +121,28 @@ class Instance:
             self._begin_exchange()
         return self._outputs()
 
+    def _tune(self, values: Sequence[tuple[str, int, tuple[Any, ...]]]) -> None:
+        for name, reference, given in values:
+            getattr(self._fmu, f"set{name}")([reference], list(given))
+
     def _put(self, values: Sequence[float]) -> None:
-        for name, (references, places) in self._set.items():
-            given: list[Any] = [values[k] for k in places]
-            if name == "Boolean":
-                given = [x != 0.0 for x in given]
-            elif name not in REAL:
-                if wrong := [x for x in given if x != int(x)]:
-                    raise Refusal(f"an input is a whole number, got {wrong[0]!r}")
-                given = [int(x) for x in given]
-            getattr(self._fmu, f"set{name}")(references, given)
+        for name, cells in self._set.items():
+            given = self._read(name, cells) if cells.arrays else [0.0] * cells.total  # what nobody maps stays
+            for k, at in cells.where:
+                given[at] = _typed(name, values[k])
+            getattr(self._fmu, f"set{name}")(cells.references, given)
+
+    def _read(self, name: str, cells: Cells) -> list[Any]:
+        get = getattr(self._fmu, f"get{name}")
+        found: list[Any] = get(cells.references, cells.total) if cells.arrays else get(cells.references)
+        return found
 
     def _outputs(self) -> Numbers:
         found = [0.0] * len(self.plan.outputs)
-        for name, (references, places) in self._get.items():
-            for k, x in zip(places, getattr(self._fmu, f"get{name}")(references), strict=True):
-                found[k] = float(x)
+        for name, cells in self._get.items():
+            values = self._read(name, cells)
+            for k, at in cells.where:
+                found[k] = float(values[at])
         return tuple(found)
 
     def _advance(self, start: float, end: float, values: Numbers) -> Numbers:
@@ -255,11 +265,46 @@ class Instance:
         fmu.setContinuousStates(self._x, n)
 
 
-def _grouped(cells: Sequence[Cell]) -> dict[str, tuple[list[int], list[int]]]:
-    """Sort by type: the value references, and their places among all."""
-    found: dict[str, tuple[list[int], list[int]]] = {}
-    for k, (name, reference) in enumerate(cells):
-        references, places = found.setdefault(name, ([], []))
-        references.append(reference)
-        places.append(k)
+class Cells(NamedTuple):
+    """Variables of one type that are read or set in one call.
+
+    Attributes
+    ----------
+    references : list of int
+    total : int
+        Number of their values, those of arrays one after the other.
+    where : list of (int, int)
+        Of each cell: its place among all, and that of its value.
+    arrays : bool
+        Whether one of them is an array.
+    """
+
+    references: list[int]
+    total: int
+    where: list[tuple[int, int]]
+    arrays: bool
+
+
+def _grouped(cells: Sequence[Cell]) -> dict[str, Cells]:
+    """Sort by type."""
+    found: dict[str, Cells] = {}
+    for name in dict.fromkeys(cell[0] for cell in cells):
+        counts: dict[int, int] = {}
+        for kind, reference, _, count in cells:
+            if kind == name:
+                counts.setdefault(reference, count)
+        begins = dict(zip(counts, accumulate(counts.values(), initial=0), strict=False))
+        where = [(k, begins[r] + element) for k, (kind, r, element, _) in enumerate(cells) if kind == name]
+        found[name] = Cells(list(counts), sum(counts.values()), where, any(n > 1 for n in counts.values()))
     return found
+
+
+def _typed(name: str, x: float) -> Any:
+    """Give a number as the type of a variable has it."""
+    if name == "Boolean":
+        return x != 0.0
+    if name in REAL:
+        return x
+    if x != int(x):
+        raise Refusal(f"an input is a whole number, got {x!r}")
+    return int(x)

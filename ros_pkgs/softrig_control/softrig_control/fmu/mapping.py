@@ -138,8 +138,7 @@ def _safe(cell: tuple[str, Variable, tuple[float, float]]) -> float:
     _, variable, (scale, offset) = cell
     if variable.start is None:
         return 0.0
-    start = {"true": 1.0, "false": 0.0}.get(variable.start)
-    return scale * (float(variable.start) if start is None else start) + offset
+    return scale * float(variable.starts()[variable.element or 0]) + offset
 
 
 def _names(unit: Description, causality: str) -> str:

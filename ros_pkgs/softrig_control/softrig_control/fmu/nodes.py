@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence, Set
 from functools import cached_property
+from pathlib import Path
 from typing import Any, Literal, Self
 
 from pydantic import model_validator
 from softrig_core import Block, BlockParams, ParameterError, Plant, Port, RunError, executable, param
 from softrig_core.model.schedule import Schedule, rational
 
-from .description import Description, describe, unpacked
-from .instance import Instance, Plan, Refusal
+from .description import Description, Variable, describe, unpacked
+from .instance import Cell, Instance, Plan, Refusal
 from .mapping import Mapped, mapped, start_values
 
 Method = Literal["co_simulation", "model_exchange"]
@@ -25,7 +26,8 @@ class FmuParams(BlockParams):
     inputs: tuple[str, ...] = param((), "what it reads, each TOPIC/CHANNEL/FIELD [UNIT] = VARIABLE; without a unit "
                                     "that of the variable holds")  # fmt: skip
     outputs: tuple[str, ...] = param((), "what it says, likewise")
-    values: tuple[str, ...] = param((), "its parameters and start values, each VARIABLE = VALUE in the FMU's units")
+    values: tuple[str, ...] = param((), "its parameters and start values, each VARIABLE = VALUE in the FMU's units; "
+                                    "those that it calls tunable may change", live=True)  # fmt: skip
     trajectories: tuple[str, ...] = param((), "topics above that carry JointTrajectory messages (references)")
     vectors: tuple[str, ...] = param((), "topics above that carry Vector3Stamped messages, each TOPIC = FRAME")
     method: Method = param("co_simulation", "interface that is used; model_exchange: with the Runge-Kutta method of "
@@ -73,6 +75,24 @@ class FmuParams(BlockParams):
         return mapped(self.unit, entries, outward, self.trajectories, frames)
 
 
+def _cell(variable: Variable) -> Cell:
+    return variable.kind, variable.reference, variable.element or 0, variable.count
+
+
+def _values(
+    given: Sequence[tuple[Variable, Any]], only: Set[int] | None = None
+) -> tuple[tuple[str, int, tuple[Any, ...]], ...]:
+    """Give type, reference and values of what is set; of an array also those that keep their start."""
+    found: dict[int, tuple[Variable, list[Any]]] = {}
+    for variable, value in given:
+        if variable.element is None:
+            found[variable.reference] = variable, [value]
+            continue
+        _, values = found.setdefault(variable.reference, (variable, variable.starts()))
+        values[variable.element] = value
+    return tuple((v.kind, r, tuple(values)) for r, (v, values) in found.items() if only is None or r in only)
+
+
 class _Fmu(Block[FmuParams]):
     """What both have: the FMU, its time, and the way from ports to variables."""
 
@@ -80,6 +100,25 @@ class _Fmu(Block[FmuParams]):
     def ports(cls, params: FmuParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
         """Give the ports that the parameters name."""
         return (params.reads.ports, params.says.ports) if params.fmu else ((), ())
+
+    @classmethod
+    def fixed(cls, params: FmuParams) -> Any:
+        """What the FMU does not call tunable stays as it is."""
+        given = start_values(params.unit, params.values) if params.fmu else ()
+        return {v.name: value for v, value in given if not v.tunable}, {v.name for v, _ in given}
+
+    @classmethod
+    def contents(cls, params: FmuParams) -> Mapping[str, str]:
+        """The FMU, by the hash of its file."""
+        return {Path(params.fmu).name: f"sha256:{params.unit.digest}"} if params.fmu else {}
+
+    def change(self, params: FmuParams) -> None:
+        """Set the parameters that differ between two steps; the state of the FMU goes on."""
+        before = dict(start_values(self.p.unit, self.p.values))
+        given = dict(start_values(params.unit, params.values))
+        if other := {v.reference for v, value in given.items() if value != before[v]}:
+            self._asked(self._fmu.tune, _values(tuple(given.items()), other))
+        self.p = params
 
     def setup(self) -> None:
         """Unpack the FMU and load it."""
@@ -90,9 +129,9 @@ class _Fmu(Block[FmuParams]):
         plan = Plan(
             str(unpacked(p.unit.path)),
             p.method == "model_exchange",
-            tuple((x.variable.kind, x.variable.reference) for x in p.reads.places),
-            tuple((x.variable.kind, x.variable.reference) for x in p.says.places),
-            tuple(((v.kind, v.reference), value) for v, value in start_values(p.unit, p.values)),
+            tuple(_cell(x.variable) for x in p.reads.places),
+            tuple(_cell(x.variable) for x in p.says.places),
+            _values(start_values(p.unit, p.values)),
             p.steps,
             p.log,
         )

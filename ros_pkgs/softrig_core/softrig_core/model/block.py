@@ -97,6 +97,16 @@ class Block(Generic[P]):
         """
         return {}
 
+    @classmethod
+    def fixed(cls, params: Any) -> Any:
+        """Give what of its live parameters may not change all the same, to be compared."""
+        return None
+
+    @classmethod
+    def contents(cls, params: Any) -> Mapping[str, str]:
+        """Give name to hash of files that decide what it does beside its code, for the record of a run."""
+        return {}
+
     def setup(self) -> None:
         """Compute what depends on the parameters only; called once. Import heavy libraries here."""
 

@@ -98,6 +98,8 @@ def check(block_class: type[Block], params: BlockParams, values: Mapping[str, An
     what = ", ".join(values)
     if block_class.ports(revised) != block_class.ports(params):
         raise ParameterError(f"{what}: the ports would be others, which may not change while running")
+    if block_class.fixed(revised) != block_class.fixed(params):
+        raise ParameterError(f"{what}: that part of it may not change while running")
     before, after = block_class.agreed(params), block_class.agreed(revised)
     if changed := [key for key in after if before.get(key) != after[key]]:
         raise ParameterError(f"{what}: {changed[0]} would change, on which the nodes of a rig must agree")
