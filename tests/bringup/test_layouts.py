@@ -90,7 +90,7 @@ def test_the_verb_writes_layouts_and_says_what_it_cannot(tmp_path, capsys, monke
     names = ["lsrm_fuzzy.foxglove.json", "lsrm_fuzzy.plotjuggler.xml", "lsrm_fuzzy.rviz"]
     assert sorted(p.name for p in (tmp_path / "layouts").iterdir()) == names
     rviz = json.loads((tmp_path / "layouts" / "lsrm_fuzzy.rviz").read_text())["Visualization Manager"]
-    assert rviz["Global Options"]["Fixed Frame"] == "stator"
+    assert rviz["Global Options"]["Fixed Frame"] == "world"
     assert "/lsrm_plant/markers" in [d["Name"] for d in rviz["Displays"]]
     assert main(["layouts", "pwa_delay_margin"]) == 2
     assert "pwa_delay_margin has no plots, from which layouts are made" in capsys.readouterr().err

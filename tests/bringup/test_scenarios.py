@@ -80,7 +80,7 @@ def frames(member):
     port = next((p for p in member.outputs if scene is not None and p.name == scene.port), None)
     q = [0.0] * sum(label.endswith("/position") for label in port.labels) if port else []
     moving = scene.moving(q) if scene is not None else []
-    return {pose.child for pose in (*standing(block, scene, member.outputs), *moving)}
+    return {pose.child for pose in (*standing(block.markers(), scene, member.outputs), *moving)}
 
 
 def test_figures_of_other_scenarios_that_claims_name_are_there():

@@ -47,7 +47,7 @@ def test_rviz_shows_what_the_nodes_publish_in_frames_that_they_publish(name, tmp
     there, drawn = {WORLD}, {}
     for m in rig.members:
         block, scene = m.block(0), m.block_class.scene(m.params)
-        still = standing(block, scene, m.outputs)
+        still = standing(block.markers(), scene, m.outputs)
         assert {pose.parent for pose in still} <= {WORLD, *(pose.child for pose in still)} | links(scene)
         there |= {pose.child for pose in still}
         drawn[m.name] = {k.frame_id for k in block.markers()}

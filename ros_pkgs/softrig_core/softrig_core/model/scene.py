@@ -9,7 +9,7 @@ from ..wire.types import VECTOR
 from .port import WORLD, Port
 
 if TYPE_CHECKING:
-    from .block import Block
+    from .marker import Marker
 
 Point = tuple[float, float, float]
 
@@ -50,7 +50,7 @@ class Scene(Protocol):
         """Give the place in the base frame whose path is worth seeing, m."""
 
 
-def standing(block: Block, scene: Scene | None, outputs: Iterable[Port]) -> list[Pose]:
+def standing(markers: Iterable[Marker], scene: Scene | None, outputs: Iterable[Port]) -> list[Pose]:
     """Give the frames that do not move and that a block knows: of its bodies, its drawings, and what it says.
 
     Those of drawings and of quantities without a place (abc, alpha_beta, dq) are the world's own. A force is told in
@@ -58,14 +58,13 @@ def standing(block: Block, scene: Scene | None, outputs: Iterable[Port]) -> list
 
     Parameters
     ----------
-    block : Block
+    markers, outputs : iterable of Marker, of Port
+        Its own; as is `scene`.
     scene : Scene or None
-        Its own.
-    outputs : iterable of Port
     """
     bodies = [] if scene is None else [at_origin(scene.base), *scene.fixed()]
     known = {WORLD, *(pose.child for pose in bodies)}
-    own = {marker.frame_id for marker in block.markers()} | {p.frame for p in outputs if p.msgtype == VECTOR.name}
+    own = {marker.frame_id for marker in markers} | {p.frame for p in outputs if p.msgtype == VECTOR.name}
     return [*bodies, *map(at_origin, sorted(own - known))]
 
 
