@@ -4,6 +4,7 @@ import re
 import sys
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 from docutils.nodes import SkipNode
 from docutils.utils.math.latex2mathml import tex2mathml
@@ -51,15 +52,28 @@ def plain_bars(app: object, what: str, name: str, obj: object, options: object, 
     lines[:] = re.sub(r"^( *)(?:\.\. )?(\[\d+\] )", r"\n\1\2", text, flags=re.M).split("\n")
 
 
+def mathml(formula: str, as_block: bool) -> str:
+    """Set a formula; an index of what has a dot or hat stands beside it, where docutils sets it below."""
+    made = tex2mathml(formula, as_block=as_block).replace(' xmlns="http://www.w3.org/1998/Math/MathML"', "")
+    root = ElementTree.fromstring(made)
+    for node in root.iter("munderover"):
+        base, below, above = node
+        if above.tag == "mo" and above.get("stretchy") == "false":
+            accented = ElementTree.Element("mover", accent="true")
+            accented.extend((base, above))
+            node.tag, node[:] = "msub", (accented, below)
+    return ElementTree.tostring(root, encoding="unicode")
+
+
 def inline(translator: Any, node: Any) -> None:
     """Write a formula as MathML, which browsers set by themselves: no script, no network."""
-    translator.body.append(tex2mathml(node.astext(), as_block=False))
+    translator.body.append(mathml(node.astext(), as_block=False))
     raise SkipNode
 
 
 def block(translator: Any, node: Any) -> None:
     """Write a formula in lines of its own."""
-    translator.body.append(f'<div class="math">{tex2mathml(node.astext(), as_block=True)}</div>')
+    translator.body.append(f'<div class="math">{mathml(node.astext(), as_block=True)}</div>')
     raise SkipNode
 
 

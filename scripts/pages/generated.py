@@ -84,7 +84,8 @@ def node(package: str, executable: str) -> tuple[str, str]:
     text = ["| topic | | type | values |", "|---|---|---|---|"]
     text += [_topic(port, "reads") for port in inputs] + [_topic(port, "publishes") for port in outputs]
     text += ["", *parameters(block.Params)]
-    return (block.__doc__ or "").strip().splitlines()[0], "\n".join(text)
+    head = (block.__doc__ or "").strip().splitlines()[0]
+    return head.replace(":math:`", "`"), "\n".join(text)
 
 
 def _topic(port: Port, direction: str) -> str:

@@ -7,7 +7,7 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
-from docs import collect, gallery, outline, reference
+from docs import collect, conf, gallery, outline, reference
 from docs.__main__ import build
 from softrig_bringup import cli
 from softrig_core import ScenarioError
@@ -140,3 +140,9 @@ def test_a_notebook_whose_cell_fails_is_told(tmp_path):
     (tmp_path / "notebooks" / "bad.ipynb").write_text(text)
     with pytest.raises(ScenarioError, match=r"bad.ipynb: [\s\S]*ZeroDivisionError"):
         execute(tmp_path)
+
+
+def test_an_index_stands_beside_what_has_a_dot():
+    assert "<msub><mover" in re.sub(r"\s+(?=<)", "", conf.mathml(r"\dot x_k", as_block=True))
+    assert "munderover" in conf.mathml(r"\sum_{k=1}^{n} x_k", as_block=True)
+    assert "munderover" not in conf.mathml(r"\ddot q_r - \dot{\imath}_L + \hat\psi_s", as_block=False)
