@@ -98,7 +98,8 @@ def opening(page: Path) -> str:
     """Give the first sentence of a page or notebook; empty when it begins with none."""
     paragraphs = re.split(r"\n\s*\n", _beginning(page).partition("\n")[2].partition("\n## ")[0])
     texts = (" ".join(p.split()) for p in paragraphs if re.match(r"\s*(?!```)[A-Z`*]", p))
-    return next((re.split(r"(?<=[.:!?]) (?=[A-Z(`*]|softrig)", text)[0].rstrip(":") for text in texts), "")
+    first = next((re.split(r"(?<=[.:!?]) (?=[A-Z(`*]|softrig)", text)[0] for text in texts), "")
+    return re.sub(r":$", ".", first)
 
 
 def _beginning(page: Path) -> str:

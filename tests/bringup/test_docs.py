@@ -128,6 +128,7 @@ def test_every_page_opens_with_a_sentence_that_lists_show(name):
     sentence = outline.opening(outline.pages()[name])
     assert 20 < len(sentence) < 330, sentence
     assert "```" not in sentence
+    assert sentence[-1] in ".!?"
 
 
 @pytest.mark.long
