@@ -53,7 +53,10 @@ def points(shape):
 def test_a_frame_that_differs_otherwise_is_named():
     drawing = drawing_for("induction_dtc")
     frame = drawing.frame({})
-    with pytest.raises(ValueError, match=r"frame 1: shape 104 of 104 is None, in the first frame it is \('Text'"):
+    last = len(frame) - 1
+    with pytest.raises(
+        ValueError, match=rf"frame 1: shape {last} of {last} is None, in the first frame it is \('Text'"
+    ):
         check_alike([frame, frame[:-1]])
 
 
