@@ -20,7 +20,8 @@ FROM_PIP = {re.match(r"[\w.-]+", word).group() for word in LINE.replace("'", "")
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 SOURCES = {  # modules that another name brings
     "yaml": "python3-yaml", "ruamel": "python3-ruamel.yaml", "typing_extensions": "python3-typing-extensions",
-    "pinocchio": "pin", "llvmlite": "numba", "backports": "backports.zstd", "compression": "backports.zstd",
+    "pinocchio": "pin", "PIL": "pillow", "llvmlite": "numba", "backports": "backports.zstd",
+    "compression": "backports.zstd",
 }  # fmt: skip
 OTHERS = {"motulator", "gym_electric_motor"}  # compared with where somebody has installed them
 
