@@ -28,8 +28,7 @@ from softrig_core import (
     param,
     simulate,
 )
-from softrig_core.model.change import changeable, check
-from softrig_core.model.params import flatten
+from softrig_core.model.change import check
 from softrig_core.rig.rig import load_block
 from softrig_core.wire.parameter_event import decode, encode, recorded
 
@@ -88,21 +87,6 @@ def test_replay_into_one_node_takes_the_changes():
     law = next(m for m in rig.members if m.name == "dc_motor_smc")
     answers = feed(law, 0, recording)
     assert answers.topics["motor/command"].data == recording.topics["motor/command"].data
-
-
-STATEFUL = {"dc_motor_smc_b2": 0.1, "dc_motor_smc_b5_pid": 0.1, "dc_motor_smc_b4": 0.1, "rectifier_mpc_n4": 0.03,
-            "lsrm_fuzzy_pi": 0.05, "induction_dtc_short": 0.1, "rectifier_mpc_n1_qp1": 0.03}  # fmt: skip
-
-
-@pytest.mark.parametrize("name", STATEFUL)
-def test_a_change_to_the_same_values_changes_no_byte(name):
-    """What a law remembers is kept: its `change` makes nothing anew that holds state."""
-    plain = rig_of(name, STATEFUL[name], {})
-    same = {f"{m.name}.{k}": v for m in plain.members for k, v in flatten(m.params).items()
-            if k in changeable(m.block_class.Params)}  # fmt: skip
-    assert same, name
-    times = [STATEFUL[name] * part for part in (0.31, 0.7)]
-    assert not differences(in_process(plain), in_process(rig_of(name, STATEFUL[name], dict.fromkeys(times, same))))
 
 
 def test_other_gains_of_a_pid_do_not_move_its_output():

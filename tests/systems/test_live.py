@@ -125,6 +125,18 @@ def test_every_live_parameter_may_change_in_some_rig():
 
 
 @pytest.mark.parametrize("name", EVERY)
+def test_a_change_to_the_same_values_changes_no_byte(name):
+    """What a block remembers is kept: its `change` makes nothing anew that holds state."""
+    rig, recording = run_of(name)
+    same = {f"{m.name}.{k}": v for m in rig.members for k, v in flatten(m.params).items()
+            if k in changeable(m.block_class.Params)}  # fmt: skip
+    scenario = rig.scenario
+    entries = [{"at": part * scenario.duration, "set": same} for part in (0.31, 0.7)]
+    again = Rig.from_scenario(type(scenario).model_validate({**dict(scenario), "changes": entries}))
+    assert not differences(recording, in_process(again, scenario.seed))
+
+
+@pytest.mark.parametrize("name", EVERY)
 def test_many_changes_at_once_give_the_same_bytes_in_every_placement(name):
     rig, recording = run_of(name)
     entries = {}
