@@ -91,7 +91,7 @@ class CommandSearch(Block[P], ABC):
     the signal is back; a shorter gap has the candidate measured again. That needs no `restart_threshold`.
 
     Until the first start without `autostart` the command is the lower bounds. A candidate with a bad measurement
-    among its samples is measured again.
+    among its samples is measured again. Bounds and algorithm are those of the search under way: fixed at the start.
 
     The state output has the phase (0 stopped, 1 search, 2 hold), the iteration and evaluations of the newest search,
     the number of new searches after the first, the best value and command so far, and the proven bound (0: none; also

@@ -66,7 +66,8 @@ class Solver(Block[S]):
     """A block that answers requests by slow work; a subclass gives `request`, `solve` and `answer`.
 
     `solve` is a static method: it sees nothing but its request, and anything it keeps for the next one could be lost
-    with its process. What a warm start needs belongs into the request.
+    with its process. What a warm start needs belongs into the request. Parameters are those of the start: a request
+    under way was made with them.
 
     Examples
     --------

@@ -78,7 +78,7 @@ class RectifierPlant(Plant[RectifierPlantParams]):
 
     The equations are in `averaged` and `switched`, the modulator's in `circuit`. The command of t_k acts from t_k on
     for one period. Events (load resistance, grid amplitude, amplitude of the fifth harmonic) are taken with the
-    command: the first period that begins at or after an event sees the new value.
+    command: the first period that begins at or after an event sees the new value; the parameters are the start.
 
     In realtime a command older than 5 periods is held with a warning; one older than 20 is replaced by V' = 0.
 

@@ -24,7 +24,10 @@ class TankControllerParams(BlockParams):
 
 
 class TankController(Block[TankControllerParams]):
-    """u = k_low A phi x below the switching level, -k_high A phi x from there on, as the paper's law."""
+    """u = k_low A phi x below the switching level, -k_high A phi x from there on, as the paper's law.
+
+    Its gains are what certificates and monitors speak of, too: fixed at the start.
+    """
 
     INPUTS = (LEVEL,)
     OUTPUTS = (INFLOW,)
@@ -59,7 +62,7 @@ class PendulumControllerParams(BlockParams):
 
 
 class PendulumController(Block[PendulumControllerParams]):
-    """u = -k (theta + omega) of the state that it sees, k by the sign of theta."""
+    """u = -k (theta + omega) of the state that it sees, k by the sign of theta; fixed, certificates speak of it."""
 
     INPUTS = (SEEN,)
     OUTPUTS = (TORQUE,)
@@ -97,7 +100,10 @@ class DelayLineParams(DelayParams, BlockParams):
 
 
 class DelayLine(Block[DelayLineParams]):
-    """Any JointState, a delay d(t) later, linear between its samples; before there is one, the first."""
+    """Any JointState, a delay d(t) later, linear between its samples; before there is one, the first.
+
+    The delay sizes its memory and is what certificates speak of: fixed at the start.
+    """
 
     @classmethod
     def ports(cls, params: DelayLineParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:

@@ -60,7 +60,7 @@ class Network(Plant[P]):
     """A queue whose drop or mark probability is the command; what is behind it is the subclass's.
 
     The command is held for one period; outside [0, 1] it is clipped. Disturbances and events act at the internal step
-    nearest to their time.
+    nearest to their time. What the network is made of changes by events on its topic; the parameters are the start.
     """
 
     OUTPUTS = (STATE, TRUTH)
