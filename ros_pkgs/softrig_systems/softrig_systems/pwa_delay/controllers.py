@@ -62,7 +62,10 @@ class PendulumControllerParams(BlockParams):
 
 
 class PendulumController(Block[PendulumControllerParams]):
-    """u = -k (theta + omega) of the state that it sees, k by the sign of theta; fixed, certificates speak of it."""
+    """u = -k (theta + omega) of the state that it sees, k by the sign of theta.
+
+    Its gains are what certificates speak of, too: fixed at the start.
+    """
 
     INPUTS = (SEEN,)
     OUTPUTS = (TORQUE,)
