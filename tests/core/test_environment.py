@@ -1,12 +1,15 @@
 """A rig as a Gymnasium environment: the numbers of the rig, ends of episodes, a policy put back as a node."""
 
 import importlib.metadata
+import json
+import os
 import re
 import warnings
 from pathlib import Path
 
 import numpy as np
 import pytest
+from softrig_bringup.cli import main
 from softrig_control.policy import Policy, linear
 from softrig_core import (
     Block,
@@ -99,6 +102,17 @@ def test_side_by_side_they_are_what_each_is_alone():
     many.reset(seed=[5, 6, 7])
     found = [many.step(np.full((3, 1), 3.0))[0] for _ in range(5)]
     assert [f[0].tolist() for f in found] == alone
+    apart = gymnasium.vector.AsyncVectorEnv([motor] * 3)
+    try:
+        apart.reset(seed=[5, 6, 7])
+        assert [apart.step(np.full((3, 1), 3.0))[0].tolist() for _ in range(5)] == [f.tolist() for f in found]
+        for _ in range(25):  # each ends its episode
+            _, _, terminated, truncated, _ = apart.step(np.full((3, 1), 3.0))
+        assert (terminated.tolist(), truncated.tolist()) == ([False] * 3, [True] * 3)
+        again = apart.step(np.full((3, 1), 3.0))[0]  # and begins the next, from rest
+        assert again.tolist() == [[0.0]] * 3
+    finally:
+        apart.close()
     registered = gymnasium.make("softrig/Rig-v0", **MOTOR, observe=["speed"], act=["voltage"], reward=lambda now: 0.0)
     registered.reset(seed=5)
     assert [registered.step(np.array([3.0]))[0].tolist() for _ in range(5)] == alone
@@ -235,6 +249,47 @@ def test_only_registered_policies_are_found(monkeypatch):
         Policy(policy="number")
     with pytest.raises(ParameterError, match=r"1 observations and 1 actions has 2 weights.*got 3"):
         Policy(weights=(1.0, 2.0, 3.0))
+
+
+SHAKY = """
+def made(weights, observations, actions):
+    last = [0.0] * actions
+
+    def act(observed):
+        last[:] = [weights[0] * u + weights[1] * (1.0 - observed[0]) for u in last]
+        return list(last)
+
+    return act
+"""
+
+
+def test_a_policy_of_an_installed_package_runs_as_a_node_and_is_judged_as_the_law(tmp_path, monkeypatch, capsys):
+    about = tmp_path / "shaky_policies-1.0.dist-info"
+    about.mkdir()
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: shaky-policies\nVersion: 1.0\n")
+    (about / "entry_points.txt").write_text("[softrig_policies]\nshaky = shaky_policies:made\n")
+    (tmp_path / "shaky_policies.py").write_text(SHAKY)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setenv("PYTHONPATH", f"{tmp_path}:{os.environ.get('PYTHONPATH', '')}")
+    trained = motor(duration=1.2).scenario("shaky", [0.9, 2.0], name="shaky_motor")
+    run = simulate(trained)
+    assert run.figures["rise_time"] > 0.0
+    assert set(run.figures) == set(simulate("dc_motor_smc", overrides={"period": 0.01}).figures)
+    act, speed, last = (
+        run.signals["motor/command/armature/effort"][1],
+        run.signals["motor/state/shaft/velocity"][1],
+        0.0,
+    )
+    for u, w in zip(act.tolist(), speed.tolist(), strict=False):  # it remembers, and begins anew in each run
+        last = 0.9 * last + 2.0 * (1.0 - w)
+        assert u == min(max(last, -12.0), 12.0)
+    file = tmp_path / "shaky_motor.yaml"
+    file.write_text(json.dumps(trained.model_dump(mode="json", exclude={"name"})))
+    main(["run", str(file), "--mode", "container", "--out", str(tmp_path / "out"), "--no-plots"])
+    capsys.readouterr()
+    told = json.loads((tmp_path / "out" / "metrics.json").read_text())
+    assert {m["name"]: m["value"] for m in told["metrics"]} == {r.name: r.value for r in run.results}
+    assert told["mode"] == "container"
 
 
 def test_the_page_trains_a_policy_and_says_what_it_does(tmp_path, monkeypatch, capsys):

@@ -2,13 +2,28 @@
 
 import json
 import re
+from collections import deque
 from pathlib import Path
+from typing import ClassVar
 
 import control
 import numpy as np
 import pytest
 from softrig_bringup.cli import main
-from softrig_core import RunError, Scenario, ScenarioError, linear_view, load_scenario, simulate, steady
+from softrig_core import (
+    Block,
+    NoOperatingPoint,
+    Plant,
+    Rig,
+    RunError,
+    Scenario,
+    ScenarioError,
+    linear_view,
+    load_scenario,
+    number,
+    simulate,
+    steady,
+)
 from softrig_drives.dc_motor.model import state_space
 from softrig_drives.dc_motor.pid import DcMotorPid
 from softrig_drives.dc_motor.plant import DcMotorPlant
@@ -31,49 +46,139 @@ def off(view, L):
     return np.abs(view.at_frequencies(w) / exact - 1.0).max()
 
 
-@pytest.fixture(scope="module")
-def pid():
+def motor_under_pid(**pid):
     nodes = load_scenario("dc_motor_smc_b4").model_dump()["nodes"]
     del nodes["dc_motor_metrics"]
     nodes["dc_motor_plant"]["parameters"] = {"vmax": 1e5}
-    nodes["dc_motor_pid"]["parameters"] = {"u_max": 1e5}
+    nodes["dc_motor_pid"]["parameters"] = {"u_max": 1e5, **pid}
     about = {"name": "pid", "title": "", "system": "", "source": "", "duration": 1.0, "nodes": nodes}
-    return linear_view(Scenario.model_validate(about), window=40.0)
+    return Scenario.model_validate(about)
 
 
-def test_the_loop_of_the_motor_under_pid_is_the_analytic_one(pid):
-    c, z = DcMotorPid().p, control.tf([1, 0], [1], T)
+def pid_loop(**pid):
+    """The analytic loop, the integral of a PID law with positive gains."""
+    c, z = DcMotorPid(**pid).p, control.tf([1, 0], [1], T)
     C = c.kp + c.ki * T / (z - 1) + c.kd * c.n_filter * (z - 1) / ((1 + c.n_filter * T) * z - 1)
     speed = sampled_motor()
     P = control.ss(speed.A, speed.B, [[1, 0]], [[0]], T)
-    L = control.ss(control.tf(P) * C)
-    assert off(pid, L) < 1e-6
-    assert sorted(abs(pid.closed.poles())) == pytest.approx(sorted(abs(control.feedback(L).poles())), rel=1e-6)
-    gain, phase, _, _, crossing, _ = control.stability_margins(control.frd(L, pid.omega, smooth=True))
-    m = pid.margins
-    assert (m.gain, m.phase, m.crossover) == pytest.approx((gain, np.radians(phase), crossing), rel=1e-6)
-    assert m.delay == pytest.approx(np.radians(phase) / crossing, rel=1e-6)
-    assert m.disk == pytest.approx(control.disk_margins(L, pid.omega, 0.0)[0], rel=1e-6)
+    return control.ss(P * control.ss(C))
+
+
+LARGE = {name: 60.0 * getattr(DcMotorPid().p, name) for name in ("kp", "ki", "kd")}  # beyond the gain margin of 53.7
+
+
+def slow(poles):
+    return sorted(abs(p) for p in poles if abs(p) > 1e-3)
+
+
+@pytest.mark.parametrize("kp", [None, LARGE["kp"]])
+def test_the_loop_of_the_motor_under_pid_is_the_analytic_one(kp):
+    gains = {} if kp is None else LARGE
+    view, L = linear_view(motor_under_pid(**gains), at=0.5), pid_loop(**gains)
+    assert off(view, L) < 1e-8
+    assert slow(view.loop_poles) == pytest.approx(slow(control.feedback(L).poles()), rel=1e-8)
+    assert view.stable == (kp is None)
+    assert [m for m in view.modes if abs(m.pole) > 1.0 + 1e-9] == ([] if kp is None else view.modes[:1])
+    gain, phase, _, _, crossing, _ = control.stability_margins(control.frd(L, view.omega, smooth=True))
+    m = view.margins
+    assert (m.phase, m.crossover) == pytest.approx((np.radians(phase) % (2.0 * np.pi), crossing), rel=1e-6)
+    assert (m.gain if kp is None else m.gain_down) == pytest.approx(gain, rel=1e-6)
+    if kp is None:
+        assert m.delay == pytest.approx(np.radians(phase) / crossing, rel=1e-6)
+        assert m.disk == pytest.approx(control.disk_margins(L, view.omega, 0.0)[0], rel=1e-6)
+    else:  # at the lower gain that the margin names it is just stable
+        assert abs(control.feedback(pid_loop(**gains) * m.gain_down * 0.999).poles()).max() < 1.0
     w = np.array([1.0, 5.0, 20.0])
-    opened = pid.opened(np.exp(1j * w * T)).ravel()
-    assert np.abs(opened / pid.at_frequencies(w) - 1.0).max() < 1e-6
-    assert pid.error < 1e-9
-    assert pid.misfit < 1e-8
+    assert np.abs(view.opened(np.exp(1j * w * T)).ravel() / view.at_frequencies(w) - 1.0).max() < 1e-9
+    assert max(view.error, view.variation) < 1e-10
+
+
+def test_states_are_named_and_the_whole_is_the_motors_own(capsys):
+    view = linear_view(motor_under_pid(), at=0.5)
+    assert {"dc_motor_plant.w", "dc_motor_plant.i", "dc_motor_pid.pid.integral"} <= set(view.states)
+    at = [view.states.index(f"dc_motor_plant.{x}") for x in ("w", "i")]
+    assert view.a[np.ix_(at, at)] == pytest.approx(sampled_motor().A, rel=1e-9)  # of the rig opened: the plant alone
+    assert view.b[at] == pytest.approx(sampled_motor().B[:, 0], rel=1e-9)
+    assert view.closed.state_labels == list(view.states)
+    assert view.closed.output_labels == list(view.outputs)
+    turning = next(m for m in view.modes if m.pole == 1.0)
+    assert turning.shares["dc_motor_plant.theta"] == pytest.approx(1.0)
+    oscillating = next(m for m in view.modes if m.pole.imag)
+    assert next(iter(oscillating.shares)) == "dc_motor_plant.w"
+    assert sum(oscillating.shares.values()) == pytest.approx(1.0, abs=0.05)
+
+
+class Shift(Block):
+    """Says what it heard three ticks ago, kept as a block's author pleases."""
+
+    INPUTS = (number("u", "plant/y", "1"),)
+    OUTPUTS = (number("v", "late/v", "1"),)
+
+    def start(self):
+        self._line = deque([0.0] * 3)
+        self._kept = {"count": 0}
+
+    def update(self, t, u):
+        self._kept["count"] += 1
+        self._line.append(u[0])
+        return {"v": (self._line.popleft(),)}
+
+
+class Unstable(Plant):
+    """x+ = 1.1 x + u."""
+
+    INPUTS = (number("u", "law/u", "1"),)
+    OUTPUTS = (number("y", "plant/y", "1"),)
+
+    def start(self):
+        self._x = [0.25]
+
+    def outputs(self, t):
+        return {"y": (self._x[0],)}
+
+    def advance(self, t, u):
+        self._x[0] = 1.1 * self._x[0] + u[0]
+
+
+class Gain(Block):
+    INPUTS = (number("v", "late/v", "1"),)
+    OUTPUTS = (number("u", "law/u", "1"),)
+    gain = -0.11
+
+    def update(self, t, v):
+        return {"u": (self.gain * v[0],)}
+
+
+def test_a_loop_unstable_opened_and_a_delay_are_met_to_rounding():
+    rig = Rig.from_blocks({"plant": Unstable(), "shift": Shift(), "law": Gain()}, duration=5.0)
+    view = linear_view(rig, "law/u", at=3.0)
+    z = control.tf([1, 0], [1], rig.clock.params.period)
+    L = control.ss(0.11 / (z**3 * (z - 1.1)))
+    assert off_at(view, L) < 1e-12
+    assert max(abs(view.opened.poles())) == pytest.approx(1.1, rel=1e-14)
+    assert slow(view.loop_poles) == pytest.approx(slow(control.feedback(L).poles()), rel=1e-9)
+    line = [n for n in view.states if ".line[" in n]
+    at = [view.states.index(n) for n in line]
+    assert view.a[np.ix_(at, at)].tolist() == np.eye(3, k=1).tolist()  # copies are copies
+
+
+def off_at(view, L):
+    w = view.omega[view.omega < 0.5 * np.pi / view.period]
+    return np.abs(view.at_frequencies(w) / L(np.exp(1j * w * view.period)).ravel() - 1.0).max()
 
 
 def test_the_loop_of_the_motor_under_softened_sliding_mode_is_the_analytic_one():
     overrides = {"period": T, "dc_motor_smc.delta": 5.0}
-    view = linear_view("dc_motor_smc", "voltage", overrides=overrides, at=14.0, window=12.0)
-    rest = steady("dc_motor_smc", at=14.0, window=0.05, overrides=overrides)
-    w, i = rest["motor/state/shaft/velocity"].mean, rest["motor/sensors/current_a/position"].mean
+    view = linear_view("dc_motor_smc", "voltage", overrides=overrides, at=14.0)
+    w, i = view.values["dc_motor_plant.w"], view.values["dc_motor_plant.i"]
     c = DcMotorSmc(period=T).p
     s = c.c * (1.0 - w) - (c.wd_i * i - c.wd_w * w)
     slope = c.k_per_ref * 5.0 / (abs(s) + 5.0) ** 2  # of K s/(|s| + delta)
     of_w, of_wd = (c.model_a0 - slope * c.c) / c.model_gain, (c.model_a1 - c.c - slope) / c.model_gain
     motor = sampled_motor()
     gains = np.array([[of_w - of_wd * c.wd_w, of_wd * c.wd_i]])
-    assert off(view, control.ss(motor.A, motor.B, -gains, 0.0, T)) < 1e-5
-    assert view.closed.nstates == 2
+    assert off(view, control.ss(motor.A, motor.B, -gains, 0.0, T)) < 1e-8
+    assert len(slow(view.loop_poles)) == 2
 
 
 def grows(scenario, signal, begin):
@@ -89,9 +194,13 @@ def test_the_delay_margin_of_the_axis_over_its_fieldbus_is_the_true_one():
     fine = {"dc_axis_plant.counts_per_rev": 4e10}
     left = []
     for delay in (0.02, 0.06):
-        overrides = fine | {"fieldbus_delay.delay": delay}
-        left.append(linear_view(name, overrides=overrides, at=8.0, window=12.0).margins.delay + delay)
-    assert left[0] == pytest.approx(left[1], rel=1e-4)
+        view = linear_view(name, overrides=fine | {"fieldbus_delay.delay": delay}, at=8.0)
+        left.append(view.margins.delay + delay)
+    assert left[0] == pytest.approx(left[1], rel=1e-6)
+    assert sum("under_way" in name for name in view.states) == 12  # two values of six messages
+    late = linear_view(name, overrides=fine | {"fieldbus_delay.delay": 0.09}, at=1.0)  # it swings already
+    assert not late.stable
+    assert max(abs(late.loop_poles)) > 1.001
     periods = int(left[0] / 0.01)
     for n, swings in ((periods, False), (periods + 1, True)):
         run = simulate(name, duration=60.0, overrides=fine | {"fieldbus_delay.delay": n * 0.01})
@@ -100,9 +209,9 @@ def test_the_delay_margin_of_the_axis_over_its_fieldbus_is_the_true_one():
 
 def test_the_delay_margin_of_the_rectifier_is_the_true_one():
     scenario = load_scenario("rectifier_mpc", {"event_source.times": [0.0, 5.0]})
-    view = linear_view(scenario, at=0.1, window=0.4)
-    assert view.closed.nstates == 6
-    assert view.misfit < 1e-6
+    view = linear_view(scenario, at=0.1)
+    assert max(abs(view.loop_poles)) == pytest.approx(0.9559, abs=1e-4)
+    assert view.variation < 1e-7
     for n, swings in (
         (int(view.margins.delay / view.period), False),
         (int(view.margins.delay / view.period) + 1, True),
@@ -114,55 +223,108 @@ def test_the_delay_margin_of_the_rectifier_is_the_true_one():
         assert grows(run, "dc_link/voltage/position", 0.5) == swings, n
 
 
-@pytest.mark.long
 def test_the_speed_loop_of_the_lsrm_is_near_that_of_a_rigid_mass():
     """Near only: a force that ripples along the track makes a loop that changes with the position."""
-    view = linear_view(
-        "lsrm_fuzzy_pi_fast", "force_cmd/translator", at=1.0, window=4.0, overrides={"current_period": 1e-4}
-    )
+    view = linear_view("lsrm_fuzzy_pi_fast", "force_cmd/translator", at=1.0, overrides={"current_period": 1e-4})
+    assert view.period == pytest.approx(1e-3)  # of the speed law; plant and current law are faster
     P = control.sample_system(control.tf([1], [5.0, 10.0 + 14.0]), 1e-3, "zoh")  # M, C + k_p
     C = 80.0 * (1.3 + 3.2 * 1e-3 / (control.tf([1, 0], [1], 1e-3) - 1))
     rigid = control.frd((P * C)(np.exp(1j * view.omega * 1e-3)), view.omega, smooth=True)
     _, phase, _, crossing = control.margin(rigid)
-    assert view.margins.crossover == pytest.approx(crossing, rel=0.02)
-    assert np.degrees(view.margins.phase) == pytest.approx(phase, abs=1.0)
-    assert 1e-3 < view.variation < 0.1
+    assert view.margins.crossover == pytest.approx(crossing, rel=0.03)
+    assert np.degrees(view.margins.phase) == pytest.approx(phase, abs=2.0)
+    assert 1e-3 < view.variation < 0.2
 
 
-def test_a_loop_that_cannot_be_seen_is_told(pid):
-    with pytest.raises(RunError, match=r"left, expected 0.0001: the loop is unstable, or a longer window"):
-        linear_view("dc_motor_smc", "voltage", overrides={"period": T, "dc_motor_smc.delta": 5.0}, window=0.3)
+def test_a_loop_that_cannot_be_seen_is_told():
+    motor = {"overrides": {"period": T}, "at": 1.0}
     with pytest.raises(RunError, match="does not come back there: no loop"):
-        linear_view("dc_motor_smc", "motor/reference/shaft", overrides={"period": T}, window=3.0)
+        linear_view("dc_motor_smc", "motor/reference/shaft", **motor)
     with pytest.raises(ScenarioError, match="no signal 'volt'"):
-        linear_view("dc_motor_smc", "volt")
-    with pytest.raises(ScenarioError, match=r"open which link.*phase_voltage/a/effort"):
-        linear_view("lsrm_fuzzy")
-    with pytest.raises(ScenarioError, match="has 5 ticks in the window"):
-        linear_view("dc_motor_smc", "voltage", overrides={"period": T}, window=0.05)
+        linear_view("dc_motor_smc", "volt", **motor)
+    with pytest.raises(ScenarioError, match=r"said every 0.0001 s, the rig repeats itself every 0.001 s only; open the "
+                                            r"loop where it is slow: .*force_cmd"):  # fmt: skip
+        linear_view("lsrm_fuzzy_pi_fast", "phase_voltage/a", at=0.1, overrides={"current_period": 1e-4})
+    with pytest.raises(ScenarioError, match=r"due together every .* choose periods that divide each other with --set"):
+        linear_view("dc_motor_smc", overrides={"dc_motor_smc.period": 0.0123457, "dc_motor_plant.period": 1e-7}, at=0.0)
+    with pytest.raises(ScenarioError, match="at = -1 s: expected 0 or more"):
+        linear_view("dc_motor_smc", at=-1.0)
 
 
-def test_what_rests_and_what_moves():
-    rest = steady("dc_motor_smc", at=14.0, overrides={"period": T, "dc_motor_smc.delta": 5.0})
-    assert rest["motor/command/armature/effort"].rests(1e-3)
-    assert rest["motor/state/shaft/velocity"].mean == pytest.approx(1.0, abs=1e-3)
-    assert rest["motor/state/shaft/position"].swing == pytest.approx(1.4, abs=0.02)  # it turns
-    assert not rest["motor/state/shaft/position"].rests(1e-3)
-    with pytest.raises(ScenarioError, match="window = 9 s: expected more than 0, at most the run's 1 s"):
-        steady("dc_motor_smc", at=1.0, window=9.0, overrides={"period": T})
+class Outside(Shift):
+    """Keeps part of what it remembers where nobody sees it."""
+
+    elsewhere: ClassVar[list] = [0.0]
+
+    def update(self, t, u):
+        self.elsewhere[0] += 1.0
+        return {"v": (u[0] + self.elsewhere[0],)}
+
+
+def test_what_cannot_be_put_back_is_told_by_name():
+    rig = Rig.from_blocks({"plant": Unstable(), "shift": Outside(), "law": Gain()}, duration=1.0)
+    with pytest.raises(RunError, match=r"cannot be put back"):
+        linear_view(rig, "law/u", at=0.5)
+
+
+# operating points
+
+
+def test_the_operating_point_of_the_motor_is_the_analytic_one():
+    scenario = motor_under_pid()
+    point = steady(scenario, at=0.5)  # far from there yet
+    p = DcMotorPlant().p
+    assert point.states["dc_motor_plant.w"] == pytest.approx(10.0, rel=1e-12)
+    assert point.states["dc_motor_plant.i"] == pytest.approx(p.b * 10.0 / p.Kt, rel=1e-9)
+    assert point.signals["motor/state/shaft/velocity"] == pytest.approx(10.0, rel=1e-12)
+    assert point.drifting["dc_motor_plant.theta"] == pytest.approx(10.0, rel=1e-9)
+    assert point.stable
+    end = simulate(scenario, duration=40.0).signals["motor/state/shaft/velocity"][1][-1]
+    assert end == pytest.approx(point.signals["motor/state/shaft/velocity"], rel=1e-6)
+    assert not steady(motor_under_pid(**LARGE), at=0.02).stable
+
+
+class Integrator(Unstable):
+    """X+ = x + 1 + u: rests where the law wants -1."""
+
+    def advance(self, t, u):
+        self._x[0] += 1.0 + max(u[0], self.least)
+
+    least = -2.0
+
+
+@pytest.mark.parametrize("least", [-2.0, -0.5])
+def test_where_there_is_no_operating_point_it_is_told(least):
+    class Plain(Integrator):
+        pass
+
+    Plain.least = least
+    rig = Rig.from_blocks({"plant": Plain(), "shift": Shift(), "law": Gain()}, duration=5.0)
+    if least < -1.0:
+        assert steady(rig, at=1.0).states["plant.x[0]"] == pytest.approx(1.0 / 0.11, rel=1e-9)
+        return
+    with pytest.raises(
+        NoOperatingPoint, match=r"no operating point near t = 1 s: .* does not last; .* moves by \d+ within 2 s"
+    ):
+        steady(rig, at=1.0)
 
 
 def test_the_verbs(tmp_path, capsys):
     common = ["dc_motor_smc", "--set", "period=0.01", "--set", "dc_motor_smc.delta=5"]
-    assert main(["linearise", *common, "--at", "8", "--window", "12", "--out", str(tmp_path)]) == 0
+    assert main(["linearise", *common, "--at", "8", "--out", str(tmp_path)]) == 0
     out = capsys.readouterr().out
-    assert "delay margin" in out
+    assert re.search(r"delay margin +1\.1\d+ s", out)
+    assert "dc_motor_plant.i 87%" in out
     found = json.loads((tmp_path / "linear.json").read_text())
     assert found["link"] == "motor/command/armature/effort"
-    assert len(found["closed"]["poles"]) == len(found["closed"]["A"])
+    assert len(found["closed"]["A"]) == len(found["closed"]["states"])
     assert (tmp_path / "linear.png").read_bytes().startswith(b"\x89PNG")
-    assert main(["steady", *common, "--at", "14"]) == 1
-    assert re.search(r"shaft/position\t.*rad\tmoves: swing", capsys.readouterr().out)
+    assert main(["steady", *common, "--at", "14"]) == 0
+    out = capsys.readouterr().out
+    assert re.search(r"shaft/velocity\t0.99996\d* rad/s", out)
+    assert re.search(r"dc_motor_plant.theta\t.*drifts by 0.99996\d* a second", out)
+    assert main(["steady", "dc_motor_smc", "--set", "period=0.01", "--at", "2"]) == 1  # it chatters
+    assert "no operating point near t = 2 s" in capsys.readouterr().err
 
 
 def test_the_page_says_what_is(capsys):

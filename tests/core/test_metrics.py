@@ -137,3 +137,18 @@ def test_bad_arguments(function, arguments, message):
 def test_nothing_recorded():
     with pytest.raises(ValueError, match="nothing is recorded"):
         measures.peak({"y": (np.empty(0), np.empty(0))}, "y")
+
+
+@pytest.mark.parametrize("sigma", [-0.3, 0.0, 0.2])
+def test_the_growth_rate_of_an_oscillation_is_its_exponent(sigma):
+    t = np.arange(0.0, 20.0, 0.01)
+    x = 2.0 + np.exp(sigma * t) * np.cos(5.0 * t)
+    offset = np.where(t < 10.0, 1e3, x)  # before the window it may be anything
+    for values in (x, offset):
+        found = measures.growth_rate({"x": (t, values)}, "x", reference=2.0, start=10.0)
+        assert found == pytest.approx(sigma, abs=2e-6)
+    assert measures.growth_rate({"x": (t, x), "r": (t, 0.0 * t + 2.0)}, "x", reference="r") == pytest.approx(
+        sigma, abs=2e-6
+    )
+    with pytest.raises(ValueError, match=r"x has 2 peaks between 17.5 and 19.99 s, needed 3"):
+        measures.growth_rate({"x": (t, x)}, "x", reference=2.0, start=17.5)

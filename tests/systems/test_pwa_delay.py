@@ -323,6 +323,12 @@ def test_margin_of_the_pendulum(sine):
     assert found.h == pytest.approx(0.4192, abs=0.001)
 
 
+@pytest.mark.long
+def test_margin_of_the_pendulum_by_growth():
+    found = pwa_margin(pendulum(), 0.417, 0.421, (1.0, 0.0), 3200.0, width=1e-7)
+    assert found.h == pytest.approx(0.4192648, abs=1e-6)  # towards 0.4192653 as runs get longer
+
+
 def test_margins_of_linear_systems_are_exact():
     found = pwa_margin(linear(*BENCHMARK), 6.0, 6.4, (1.0, 1.0), 1500.0, width=1e-4)
     assert found.h == pytest.approx(EXACT, abs=2e-4)

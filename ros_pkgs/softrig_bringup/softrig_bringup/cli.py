@@ -161,18 +161,17 @@ def _parser() -> argparse.ArgumentParser:
     falsify.add_argument("--out", type=Path, metavar="DIR", help="results go here (default runs/falsify_NAME)")
     falsify.add_argument("--workers", type=Number(int, 1), metavar="N", help="processes (default: all cores)")
     falsify.add_argument("--scheduler", default="", metavar="ADDRESS", help="a Dask cluster instead (tcp://host:8786)")
-    linear = verb("linearise", _linearise, "margins, poles and state space of a loop, where a run of a scenario is")
+    linear = verb("linearise", _linearise, "state space, poles and margins, where a run of a scenario is")
+    linear.add_argument("--open", metavar="LINK", help="signal at which to open a loop (the only command of a plant)")
     linear.add_argument(
-        "--open", default="", metavar="LINK", help="signal at which to open the loop (a plant's command)"
+        "--input", action="append", metavar="SIGNAL", help="input of the state space (what sources say)"
     )
     linear.add_argument("--out", type=Path, metavar="DIR", help="numbers and pictures go here")
-    rest = verb("steady", _steady, "where each signal is at the end of a run; status 1 when one does not rest")
-    rest.add_argument("--tolerance", type=Number(float, 0), default=1e-6, metavar="X",
-                      help="share of its size that a signal at rest may move (1e-6)")  # fmt: skip
+    rest = verb("steady", _steady, "the operating point of a scenario; status 1 when there is none")
     for sub in (linear, rest):
         sub.add_argument("scenario", help="name or YAML file")
         sub.add_argument("--at", type=Number(float, 0), metavar="S", help="when (the scenario's end)")
-        sub.add_argument("--window", type=Number(float, 0), metavar="S", help="how long it is looked at")
+        sub.add_argument("--output", action="append", metavar="SIGNAL", help="signal that counts (what plants say)")
         sub.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="as in run")
     golden = verb("golden", _golden, "make golden bags anew and show the difference to the old, or check them")
     golden.add_argument("names", nargs="*", metavar="SCENARIO", help="default: all that are there")

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import heapq
 import math
+from bisect import insort
 from collections.abc import Mapping
 from typing import Self
 
@@ -115,13 +115,13 @@ class Line:
 
     def send(self, due: int, sample: Sample) -> None:
         """Put a message on the line that arrives at `due`, ns."""
-        heapq.heappush(self._under_way, (due, *sample))
+        insort(self._under_way, (due, *sample))
 
     def arrived(self, t: int, since: int) -> Sample | None:
         """Take off what has arrived at `t`; give the newest if it is as new as `since`, ns. Older ones are dropped."""
         found = None
         while self._under_way and self._under_way[0][0] <= t:
-            _, stamp, data = heapq.heappop(self._under_way)
+            _, stamp, data = self._under_way.pop(0)
             if stamp >= since:
                 found, since = Sample(stamp, data), stamp
         return found

@@ -58,7 +58,7 @@ if TYPE_CHECKING:
     from .rig.environment import RigEnv as RigEnv
     from .rig.figures import evaluate as evaluate, figures_of as figures_of
     from .rig.inprocess import run_inprocess as run_inprocess
-    from .rig.linear_view import LinearView as LinearView, linear_view as linear_view, steady as steady
+    from .rig.linear_view import LinearView as LinearView, linear_view as linear_view
     from .rig.measures import SignalMap as SignalMap, figure as figure, window as window
     from .rig.processes import run_processes as run_processes
     from .rig.replay import feed as feed
@@ -66,6 +66,7 @@ if TYPE_CHECKING:
     from .rig.scenario import Scenario as Scenario, load_scenario as load_scenario
     from .rig.scenario_file import list_scenarios as list_scenarios
     from .rig.simulate import Run as Run, rig_of as rig_of, simulate as simulate
+    from .rig.steady import NoOperatingPoint as NoOperatingPoint, OperatingPoint as OperatingPoint, steady as steady
     from .rig.watch import Measure as Measure, Watch as Watch, WatchParams as WatchParams
     from .timebase import SECOND as SECOND, to_ns as to_ns, to_s as to_s
     from .wire.recording import Recording as Recording
@@ -93,7 +94,7 @@ else:
         "rig.environment": "RigEnv",
         "rig.figures": "evaluate figures_of",
         "rig.inprocess": "run_inprocess",
-        "rig.linear_view": "LinearView linear_view steady",
+        "rig.linear_view": "LinearView linear_view",
         "rig.measures": "SignalMap figure window",
         "rig.processes": "run_processes",
         "rig.replay": "feed",
@@ -101,6 +102,7 @@ else:
         "rig.scenario": "Scenario load_scenario",
         "rig.scenario_file": "list_scenarios",
         "rig.simulate": "Run rig_of simulate",
+        "rig.steady": "NoOperatingPoint OperatingPoint steady",
         "rig.watch": "Measure Watch WatchParams",
         "wire.recording": "Recording",
         "wire.signals": "Signals",

@@ -127,14 +127,16 @@ def falsify(
 
 
 def _requirements(scenario: Scenario, wanted: Sequence[str]) -> tuple[str, ...]:
-    known = scenario.requirements
-    if not known:
-        raise ScenarioError(f"{scenario.name} has no requirements; it needs an entry requirements: NAME: FORMULA")
+    bounded = [n for n, e in scenario.expect.items() if e.at_most is not None or e.at_least is not None]
+    known = list(dict.fromkeys([*scenario.requirements, *bounded]))
+    if not scenario.requirements and not wanted:
+        raise ScenarioError(f"{scenario.name} has no requirements; it needs an entry requirements: NAME: FORMULA, or "
+                            "--requirement FIGURE of which a bound is expected")  # fmt: skip
     for name in wanted:
         if name not in known:
             raise ScenarioError(f"{scenario.name} has no requirement {name!r}{closest(name, known)}; it has "
-                                f"{', '.join(known)}")  # fmt: skip
-    return tuple(wanted) or tuple(known)
+                                f"{', '.join(known) or 'none'}")  # fmt: skip
+    return tuple(wanted) or tuple(scenario.requirements)
 
 
 def _sizes(nominal: Mapping[str, float | None]) -> dict[str, float]:

@@ -102,7 +102,10 @@ def scenario_file(task: Falsification, kind: str, case: Case, outcome: Outcome) 
         content: dict[str, Any] = {"extends": task.scenario, "title": title, "seed": changed.seed}
         content |= {"duration": changed.duration} | ({"nodes": nodes} if nodes else {})
         content |= {"faults": faults} if faults else {}
-        content["requirements"] = {n: changed.requirements[n].model_dump(exclude_defaults=True) for n in outcome.names}
+        asked = {n: changed.requirements[n].model_dump(exclude_defaults=True) for n in outcome.names
+                 if n in changed.requirements}  # fmt: skip
+        bounds = {n: changed.expect[n].model_dump(exclude_defaults=True) for n in outcome.names if n not in asked}
+        content |= ({"requirements": asked} if asked else {}) | ({"expect": bounds} if bounds else {})
     else:
         content = changed.model_dump(mode="json", exclude_defaults=True, exclude={"name", "expect", "claims"})
         content["title"] = title

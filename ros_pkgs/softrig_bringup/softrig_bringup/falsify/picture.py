@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 from softrig_core import Run, figures_of
+from softrig_core.rig.figures import SIGNALS
 from softrig_core.rig.members import signal_units
 from softrig_core.rig.requirements import Judge
 
@@ -34,14 +35,19 @@ def draw_worst(runs: Mapping[str, Run], requirement: str, path: Path, title: str
     from matplotlib.figure import Figure
 
     *_, last = runs.values()
-    judge = next(f.function for f in figures_of(last.rig) if f.name == requirement)
-    assert isinstance(judge, Judge)
+    figure_of = next(f for f in figures_of(last.rig) if f.name == requirement)
+    judge = figure_of.function
+    if isinstance(judge, Judge):
+        signals = judge.signals
+    else:
+        named = (figure_of.arguments.get(k) for k in SIGNALS)
+        signals = {name: name for name in named if isinstance(name, str)}
     units = signal_units(last.rig)
     held = {f"{t}/{label}" for m in last.rig.members if not m.is_plant for p in m.outputs
             for t, label in ((p.topic, x) for x in p.labels)}  # fmt: skip
     rows = {
         name: [Curve(label, units[signal], *run.signals[signal], signal in held) for label, run in runs.items()]
-        for name, signal in judge.signals.items()
+        for name, signal in signals.items()
     }  # fmt: skip
     different = {n: c for n, c in rows.items() if any(not np.array_equal(c[0].y, other.y) for other in c[1:])}
     rows = different or rows  # a reference that is the same in all says nothing
@@ -55,7 +61,7 @@ def draw_worst(runs: Mapping[str, Run], requirement: str, path: Path, title: str
             entries = draw_marks(ax, marks, scale)
             if k == 0:
                 legend(ax, curves, "", 110, entries)
-            unit = units[judge.signals[name]]
+            unit = units[signals[name]]
             ax.set_ylabel(axis_title((quantity(unit) if len(rows) == 1 else "") or name, unit))
         axes[-1].set_xlabel(axis_title("Time", time))
         figure.align_ylabels()

@@ -22,7 +22,7 @@ class Trial(NamedTuple):
     scenario : Scenario
     overrides : dict
     requirements : tuple of str
-        Whose margins are wanted.
+        Whose margins are wanted: requirements, and figures of which a bound is expected.
     """
 
     number: int
@@ -49,9 +49,11 @@ def run(trial: Trial) -> dict[str, Any]:
         return row | {"error": str(error), "wall_s": time.perf_counter() - started}
     found = {r.name: r for r in done.results}
     for name in trial.requirements:
-        result = found[name]
-        row["figures"][name] = None if math.isnan(result.number) else max(-LARGE, min(LARGE, result.number))
-        if math.isnan(result.number):
+        result, bounds = found[name], trial.scenario.expect.get(name)
+        formula = name in trial.scenario.requirements
+        margin = result.number if bounds is None or formula else bounds.margin(result.number)
+        row["figures"][name] = None if math.isnan(margin) else max(-LARGE, min(LARGE, margin))
+        if math.isnan(margin):
             row["error"] = f"{name}: {result.error}"
     row["passed"] = all(m is not None and m >= 0.0 for m in row["figures"].values())
     return row | {"wall_s": time.perf_counter() - started}

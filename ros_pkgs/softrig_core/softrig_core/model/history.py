@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Sequence
 
 
@@ -46,8 +47,7 @@ class History:
 
     def reset(self, past: Sequence[float]) -> None:
         """Fill in the past again; the sample at age 0 is the past at time 0."""
-        self._samples = [tuple(past)] * self._size  # sample k at k modulo the size
-        self._count = self._size
+        self._samples = deque([tuple(past)] * self._size, self._size)  # the newest last
 
     def put(self, values: Sequence[float]) -> None:
         """Add the next sample, one value a channel.
@@ -59,8 +59,7 @@ class History:
         """
         if len(values) != len(self._samples[0]):
             raise ValueError(f"{len(values)} values, expected {len(self._samples[0])}")
-        self._samples[self._count % self._size] = tuple(values)
-        self._count += 1
+        self._samples.append(tuple(values))
 
     def at(self, delay: float) -> tuple[float, ...]:
         """Read all channels a delay before the newest sample.
@@ -88,8 +87,8 @@ class History:
         """Read all channels at an age in samples: 0 is the newest, 1 the one before; beyond the oldest, that one."""
         back = min(int(age), self._size - 2)
         part = min(age, self._size - 1.0) - back
-        newer = self._samples[(self._count - 1 - back) % self._size]
+        newer = self._samples[-1 - back]
         if part == 0.0:
             return newer
-        older = self._samples[(self._count - 2 - back) % self._size]
+        older = self._samples[-2 - back]
         return tuple([new + part * (old - new) for new, old in zip(newer, older, strict=True)])

@@ -32,8 +32,13 @@ class Runner:
         self._again = math.lcm(*(every for _, every in self._members))  # ticks after which the same are due
         self._known: dict[int, tuple[list[tuple[Step, int]], list[Step]]] = {}
 
-    def run(self) -> Iterator[int | None]:
+    def run(self, first: int = 0) -> Iterator[int | None]:
         """Answer tick after tick.
+
+        Parameters
+        ----------
+        first : int
+            Tick to begin with, where the members are in the state of then.
 
         Yields
         ------
@@ -46,7 +51,7 @@ class Runner:
             A block failed, or gave what may not leave it.
         """
         ticks, time, known, again = self.ticks, self._time, self._known, self._again
-        for k in count() if ticks is None else range(ticks + 1):
+        for k in count(first) if ticks is None else range(first, ticks + 1):
             t = time(k)
             plants, others = known.get(k % again) or self._due(k)
             for plant, _ in plants:

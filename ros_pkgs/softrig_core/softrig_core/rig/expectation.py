@@ -43,6 +43,17 @@ class Expectation(BaseModel):
             and (self.at_least is None or value >= self.at_least)
         )
 
+    def margin(self, value: float) -> float:
+        """How far a value is within its bounds, negative beyond one; NaN without a bound.
+
+        It is a margin as requirements have it: two-sided expectations, of a value known beforehand, have none.
+        """
+        rooms = [
+            *(() if self.at_most is None else (self.at_most - value,)),
+            *(() if self.at_least is None else (value - self.at_least,)),
+        ]
+        return min(rooms, default=math.nan)
+
 
 def parse(given: Any) -> Any:
     """Read an expectation as scenario files write it.

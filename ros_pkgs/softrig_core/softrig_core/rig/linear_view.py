@@ -1,49 +1,49 @@
-r"""The linear view of any loop of a rig: what comes back to a link when a pulse is added there.
+r"""The linear view of a rig: its state space with named states where a run is, and any loop opened at a link.
 
-A rig is a deterministic map: two runs that differ by a small pulse on one signal differ by the loop's response to it,
-whatever the blocks keep as state (histories, messages under way, filters). With :math:`G` the response of what is said
-to what is added,
+The columns are two-sided differences of the rig as a map (`state_map`), each with a step of its own: where two
+neighbouring steps agree best. A map that is linear in a state (a linear block, a delay) is met to rounding by the
+largest step, and copies exactly. With the loop opened at a link, what its readers get is held:
 
-.. math:: S = 1 + G, \quad L = -G / (1 + G)
+.. math:: x_{k+1} = A x_k + b v_k, \quad s_k = c x_k + d v_k, \quad L(z) = -c (z - A)^{-1} b - d
 
-are the sensitivity and the loop opened there, of negative feedback.
+is the opened loop of negative feedback, and the rig is it with :math:`v = s`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import RunError, ScenarioError, closest
-from ..model.port import Port, Sample
-from ..model.runner import Runner
-from ..model.step import Step
-from ..timebase import SECOND
-from ..wire.signals import full_name
-from .inprocess import wired
-from .members import Member, signal_units
-from .requirements import names_of
+from ..errors import RunError, ScenarioError
+from .members import signal_units
 from .rig import Rig
 from .scenario import Scenario
-from .simulate import rig_of, simulate
+from .simulate import rig_of
+from .state_map import StateMap, is_source, place_of, signal_of, upstream
 
 if TYPE_CHECKING:
     import control
 
 Array = NDArray[np.float64]
-STEPS = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6)  # heights of the pulse tried, relative to the signal
-TAIL = 1e-4  # of the largest answer: what may be left of it at the end of the window
+STEPS = tuple(2.0**-n for n in range(4, 33, 4))  # of the size of what is moved
+AGREED = 1e-11  # neighbouring steps that agree so well need no smaller one
+CHECKED = 10  # periods of the whole over which the linear rig is held against the rig
+NEARER = 2.0**-8  # of the steps of the columns, how far all states together are moved off there
+ROUNDS = 5  # in which sizes of states are found that are at zero in the run
 POINTS = 1000  # frequencies
-LARGEST_ORDER = 40
+MOST = 800  # states
+TRIED = 5000  # numbers that may be moved to see whether they are states
+DEAD = 1e-4  # magnitude of a pole below which it is gone within a period
 
 
 class Margins(NamedTuple):
-    """How far a loop is from instability; infinite where nothing crosses."""
+    """How far a loop is from a change of its stability; infinite where nothing crosses."""
 
     gain: float
     """Factor by which the loop's gain may grow, 1."""
@@ -64,63 +64,159 @@ class Margins(NamedTuple):
     """Highest frequency at which the gain is one, rad/s; NaN where it never is."""
 
 
+class Mode(NamedTuple):
+    """A pole and the states that take part in it."""
+
+    pole: complex
+    """In z."""
+
+    rate: complex
+    """log(pole) / period, rad/s: the pole in s that it stands for."""
+
+    shares: dict[str, float]
+    """Participation of each state (left times right eigenvector, magnitudes that add up to 1), the largest first."""
+
+
 @dataclass(frozen=True)
 class LinearView:
-    """A loop of a rig, linear around where a run is.
+    """A rig, linear around where a run is.
 
     Parameters
     ----------
     rig : str
         Name of the scenario.
-    signal : str
-        Where the loop is opened.
-    unit : str
     at : float
-        When the pulse came, s.
+        When, s.
     period : float
-        Of who says the signal, s.
-    value : float
-        Of the signal there.
-    response : array, shape (samples,)
-        G: what is said after a pulse of one unit at sample 0.
-    step : float
-        Height of the pulse, in `unit`.
+        Of the whole rig: the sample time of the state space, s.
+    states, inputs, outputs : tuple of str
+        States are ``member.attribute``, the others signals.
+    units : dict of str to str
+        Of each signal.
+    values : dict of str to float
+        Of states and signals there.
+    A, B, C, D : array
+        Of the whole rig, shapes (n, n), (n, inputs), (outputs, n), (outputs, inputs).
+    link : str
+        Where the loop is opened; empty: nowhere.
+    a, b, c, d : array
+        Of the rig opened there: shapes (n, n), (n,), (n,), ().
     error : float
-        Largest difference between the responses to this pulse and to the neighbouring height, of the largest answer.
+        Largest difference of a column between its step and the neighbouring one, of its largest entry.
+    worst : str
+        Of which state or input.
     variation : float
-        Largest difference between the responses to a pulse here and one period later, of the largest answer: a loop
-        that is no other each tick has none.
+        Largest difference between the linear rig and the rig after each of ten periods, both moved a little off; of the
+        largest difference to the run that is not moved. A rig that is another one each period has it large.
     """
 
     rig: str
-    signal: str
-    unit: str
     at: float
     period: float
-    value: float
-    response: Array
-    step: float
+    states: tuple[str, ...]
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    units: Mapping[str, str]
+    values: Mapping[str, float]
+    A: Array
+    B: Array
+    C: Array
+    D: Array
+    link: str
+    a: Array
+    b: Array
+    c: Array
+    d: float
     error: float
+    worst: str
     variation: float
 
     @cached_property
+    def closed(self) -> control.StateSpace:
+        """The whole rig, of the python-control library, with the names of its states and signals."""
+        import control
+
+        return control.ss(self.A, self.B, self.C, self.D, self.period, states=list(self.states),
+                          inputs=list(self.inputs), outputs=list(self.outputs))  # fmt: skip
+
+    @cached_property
+    def opened(self) -> control.StateSpace:
+        """The loop L opened at the link, with the states that hear of the link and that it hears of."""
+        import control
+
+        A, b, c, d, names = self._loop
+        return control.ss(A, b[:, None], -c[None, :], -d, self.period, states=names, inputs=["in"], outputs=["out"])
+
+    @cached_property
+    def _loop(self) -> tuple[Array, Array, Array, float, list[str]]:
+        if not self.link:
+            raise ScenarioError(f"{self.rig}: no link is opened")
+        on = _reach(self.a, self.b != 0.0) & _reach(self.a.T, self.c != 0.0)
+        names = [name for name, there in zip(self.states, on, strict=True) if there]
+        return self.a[np.ix_(on, on)], self.b[on], self.c[on], self.d, names
+
+    @cached_property
+    def loop_poles(self) -> NDArray[np.complex128]:
+        """Poles of the loop closed at the link."""
+        A, b, c, d, _ = self._loop
+        found: NDArray[np.complex128] = np.linalg.eigvals(A + np.outer(b, c) / (1.0 - d)).astype(complex)
+        return found
+
+    @property
+    def stable(self) -> bool:
+        """Whether the loop at the link is stable; without a link, whether the rig is."""
+        poles = self.loop_poles if self.link else np.linalg.eigvals(self.A)
+        return bool(np.abs(poles).max(initial=0.0) < 1.0)
+
+    @cached_property
+    def modes(self) -> list[Mode]:
+        """Poles of the whole rig with the states that take part, the slowest first; those gone in a period left out."""
+        poles, right = np.linalg.eig(self.A) if self.states else (np.empty(0), np.empty((0, 0)))
+        left = np.linalg.pinv(right)
+        found = []
+        for k in np.argsort(-np.abs(poles)):
+            if abs(poles[k]) < DEAD or poles[k].imag < 0.0:
+                continue
+            shares = np.abs(left[k] * right[:, k])
+            shares /= shares.sum()
+            order = [i for i in np.argsort(-shares) if shares[i] > 0.01]
+            found.append(Mode(complex(poles[k]), complex(np.log(complex(poles[k]))) / self.period,
+                              {self.states[i]: float(shares[i]) for i in order}))  # fmt: skip
+        return found
+
+    @cached_property
     def omega(self) -> Array:
-        """Frequencies up to that of Nyquist, rad/s."""
-        top = np.pi / self.period
-        return np.geomspace(np.pi / (len(self.response) * self.period), top * (1.0 - 1e-9), POINTS)
+        """Frequencies up to that of Nyquist, rad/s, dense where poles of the opened or closed loop are near."""
+        top = np.pi / self.period * (1.0 - 1e-9)
+        poles = np.concatenate([np.linalg.eigvals(self._loop[0]).astype(complex), self.loop_poles])
+        rates = np.log(poles[np.abs(poles) > DEAD]) / self.period
+        slow = np.abs(rates[np.abs(rates) > 1e-9 * top])
+        low = max(1e-7 * top, min(0.01 * slow.min(initial=top), 1e-2 * top))
+        found = [np.geomspace(low, top, POINTS)]
+        for rate in rates:
+            width = max(abs(rate.real), 1e-6 * abs(rate.imag))
+            if 0.0 < width < 0.1 * abs(rate.imag):
+                found.append(abs(rate.imag) + width * np.linspace(-5.0, 5.0, 41))
+        whole = np.unique(np.concatenate(found))
+        return whole[(whole >= low) & (whole <= top)]
 
     def at_frequencies(self, omega: Array) -> NDArray[np.complex128]:
-        """Give the opened loop L(exp(j omega T)) by the sum of the response.
+        """Give the opened loop L(exp(j omega T)).
 
         Parameters
         ----------
         omega : array, shape (n,)
             rad/s.
         """
-        samples = np.arange(len(self.response))
-        G: Any = np.array([np.dot(self.response, np.exp(-1j * w * self.period * samples)) for w in omega])
-        L: NDArray[np.complex128] = -G / (1.0 + G)
-        return L
+        A, b, c, d, _ = self._loop
+        if not len(b):
+            return np.full(len(omega), -d, dtype=complex)
+        import scipy.linalg
+
+        T, Z = scipy.linalg.schur(A, "complex")
+        right, left, one = Z.conj().T @ b, c @ Z, np.eye(len(b))
+        points = np.exp(1j * np.asarray(omega) * self.period)
+        return np.array([-left @ scipy.linalg.solve_triangular(z * one - T, right) - d for z in points])
 
     @cached_property
     def loop(self) -> control.FrequencyResponseData:
@@ -145,60 +241,8 @@ class LinearView:
             float(1.0 / np.abs(S - 0.5).max()), float(crossings.max()) if crossings.size else np.nan,
         )  # fmt: skip
 
-    @cached_property
-    def closed(self) -> control.StateSpace:
-        """Realise the response from what is added at the link to what is said there: the rig's discrete state space.
-
-        Its states are those that the link moves and hears of, in coordinates of their own (Ho and Kalman 1966, by
-        singular values of a Hankel matrix of samples), at the least order
-        that gives the response as well as it is known.
-        """
-        import control
-
-        g, count = self.response[1:], len(self.response) - 1
-        half = count // 2 - 1
-        index = np.unique(np.concatenate([np.arange(min(60, half)), np.geomspace(1, half, 100).astype(int)]))
-        sums = index[:, None] + index[None, :]
-        H0, H1 = g[sums], g[sums + 1]
-        U, s, Vt = np.linalg.svd(H0)
-        most = int(min(LARGEST_ORDER, (s > 1e-13 * s[0]).sum()))
-        aim = max(1e-9, self.error) * np.abs(g).max()
-        best: tuple[float, Any] = (np.inf, None)
-        for n in range(1, most + 1):
-            root = np.sqrt(s[:n])
-            A = (U[:, :n] / root).T @ H1 @ (Vt[:n].T / root)
-            B, C = root * Vt[:n, 0], U[0, :n] * root
-            x, worst = B, 0.0
-            for value in g[: min(count, 2000)]:
-                worst = max(worst, abs(float(C @ x) - value))
-                x = A @ x
-                if not worst < 10.0 * best[0] or not np.isfinite(worst):
-                    break
-            else:
-                if worst < best[0]:
-                    best = worst, (A, B, C)
-                if worst <= aim:
-                    break
-        A, B, C = best[1]
-        return control.ss(A, B[:, None], C[None, :], 0.0, self.period)
-
-    @cached_property
-    def opened(self) -> control.StateSpace:
-        """Give the loop opened at the link as a state space, by closing `closed` once more: -G / (1 + G)."""
-        import control
-
-        return -control.feedback(self.closed, 1.0)
-
-    @property
-    def misfit(self) -> float:
-        """How far the response of `closed` is from that of the rig, of the largest answer."""
-        import control
-
-        _, y = control.impulse_response(self.closed, np.arange(len(self.response)) * self.period)
-        return float(np.abs(y * self.period - self.response).max() / np.abs(self.response).max())
-
     def plot(self) -> Any:
-        """Draw Bode and Nyquist diagrams.
+        """Draw Bode and Nyquist diagrams of the opened loop.
 
         Returns
         -------
@@ -217,211 +261,287 @@ class LinearView:
         panes["nyquist"].plot(L.real, L.imag, L.real, -L.imag, "C0:")
         panes["nyquist"].plot(-1.0, 0.0, "k+")
         panes["nyquist"].set(xlim=(-3, 1), ylim=(-2, 2), aspect="equal", xlabel="Re L", ylabel="Im L")
-        figure.suptitle(f"{self.rig}, opened at {self.signal}, t = {self.at:g} s")
+        state = "" if self.stable else ", unstable when closed"
+        figure.suptitle(f"{self.rig}, opened at {self.link}, t = {self.at:g} s{state}")
         return figure
 
 
 def linear_view(
-    what: str | Scenario | Rig, link: str = "", *, at: float | None = None, window: float | None = None,
-    duration: float | None = None, overrides: Mapping[str, Any] | None = None, seed: int | None = None,
+    what: str | Scenario | Rig, link: str | None = None, *, at: float | None = None,
+    inputs: Sequence[str] | None = None, outputs: Sequence[str] | None = None, duration: float | None = None,
+    overrides: Mapping[str, Any] | None = None, seed: int | None = None,
 ) -> LinearView:  # fmt: skip
-    """Linearise a rig where a run of it is, with the loop opened at a link.
+    """Linearise a rig where a run of it is.
 
     Parameters
     ----------
     what, duration, overrides
         See `rig_of`.
-    link : str
-        Signal by its own or a shared name; default: the only value that a plant is commanded.
+    link : str, optional
+        Signal at which a loop is opened, by its own or a shared name; default: the only value that a plant is
+        commanded; with several of them, and with ``""``, none.
     at : float, optional
         When, s; default: the end of the scenario.
-    window : float, optional
-        How long the answer is listened to, s; it must have died away. Default: the scenario's duration.
+    inputs : sequence of str, optional
+        Signals to which something is added; default: what sources (references, disturbances) say at each period.
+    outputs : sequence of str, optional
+        Default: what the plants say.
     seed : int, optional
         Of the rig.
 
     Raises
     ------
     ScenarioError
-        No such link, or several without a name.
+        No such signal; the rig's periods do not fit each other, or that of the link is not that of the whole.
     RunError
-        Nothing comes back, the answer does not die away, or the rig broke.
+        There is no loop at the link, the rig broke, what it remembers cannot be put back, or there are too many states.
     """
     rig = rig_of(what, duration=duration, overrides=overrides)
     at = rig.scenario.duration if at is None else at
-    window = rig.scenario.duration if window is None else window
-    if not (at >= 0.0 and window > 0.0):
-        raise ScenarioError(f"at = {at:g} s, window = {window:g} s: expected 0 or more, and more than 0")
-    rig = rig.changed(duration=at + window)
-    signal = _signal(rig, link)
-    member, port, k = _place(rig, signal)
+    if not (math.isfinite(at) and at >= 0.0):
+        raise ScenarioError(f"at = {at:g} s: expected 0 or more")
+    opened = _command(rig) if link is None else signal_of(rig, link) if link else ""
+    told = [signal_of(rig, name) for name in outputs or ()]
+    if opened and outputs is None:
+        whole = upstream(place_of(rig, opened).member)
+        told = [s for s in plants_say(rig) if place_of(rig, s).member.name in whole]
+    elif outputs is None:
+        told = plants_say(rig)
+    said = list(dict.fromkeys([*told, *([opened] if opened else [])]))
+    if not said:
+        raise ScenarioError(f"{rig.scenario.name}: no plant says anything at each of its ticks; name outputs")
     number = rig.scenario.seed if seed is None else seed
-    blocks = {m.name: m.block(number) for m in rig.members}
-
-    def said(pulse: float, late: int = 0) -> Array:
-        for block in blocks.values():
-            block.reset(number)
-        steps = wired(rig, blocks)
-        probe = _Probe(steps[member.name], port, k, tick + late, pulse)
-        for _ in Runner(list(steps.values())).run():
-            pass
-        return np.array(probe.said)
-
-    tick = _tick(member, at)
-    nominal = said(0.0)
-    size = float(np.abs(nominal).max()) or 1.0  # in the whole run: where it rests it may be next to nothing
-    nominal = nominal[tick:]
-    if len(nominal) < 20:
-        raise ScenarioError(
-            f"{member.name} has {len(nominal)} ticks in the window of {window:g} s, expected 20 or more"
-        )
-
-    def response(height: float, late: int = 0) -> Array:
-        return (said(height, late) - said(-height, late))[tick + late :] / (2.0 * height)
-
-    found = [response(size * step) for step in STEPS]
-    largest = [float(np.abs(g).max()) for g in found]
-    apart = [_apart(a, b, max(m, n)) for a, b, m, n in zip(found, found[1:], largest, largest[1:])]
-    best = int(np.argmin(apart))
-    g, step = found[best + 1], size * STEPS[best + 1]
-    if largest[best + 1] == 0.0:
-        raise RunError(f"{rig.scenario.name}: what is added to {signal} at {at:g} s does not come back there: no loop")
-    tail = float(np.abs(g[-max(2, len(g) // 20) :]).max()) / largest[best + 1]
-    if not tail <= TAIL:
-        raise RunError(f"{rig.scenario.name}: {window:g} s after a pulse on {signal} {tail:.2g} of the largest answer "
-                       f"is left, expected {TAIL:g}: the loop is unstable, or a longer window is needed")  # fmt: skip
-    later = response(step, 1)
-    varies = _apart(g[: len(later)], later, largest[best + 1])
-    unit = signal_units(rig).get(signal, "")
-    return LinearView(rig.scenario.name, signal, unit, tick * member.schedule.every * rig.clock.params.period,
-                      float(member.params.period), float(nominal[0]), g, step, apart[best], varies)  # fmt: skip
+    given = [signal_of(rig, name) for name in inputs] if inputs is not None else _sources_say(rig, said)
+    found = StateMap(rig, at, number, said, [*given, *([opened] if opened else [])], CHECKED)
+    if opened:
+        _check_link(found, opened)
+    return Differences(found, told, given, opened).view()
 
 
-def _apart(a: Array, b: Array, size: float) -> float:
-    return float(np.abs(a - b).max() / size) if size else np.inf
-
-
-def _tick(member: Member, at: float) -> int:
-    """Number of a member's first tick not before a time."""
-    tick = max(0, int(at / member.params.period) - 1)
-    while member.schedule.time(tick) < round(at * SECOND):
-        tick += 1
-    return tick
-
-
-class _Probe:
-    """Listens to a value of an output, and adds a pulse to what others get of it at one tick."""
-
-    def __init__(self, step: Step, port: Port, k: int, tick: int, pulse: float) -> None:
-        self.said: list[float] = []
-        respond = step.respond
-
-        def probed(t: int, **inputs: Any) -> Any:
-            found = respond(t, **inputs)
-            row: Any = found[port.name]
-            data = tuple(row.data if isinstance(row, Sample) else row)
-            here = len(self.said) == tick
-            self.said.append(data[k])
-            if not (here and pulse):
-                return found
-            data = (*data[:k], data[k] + pulse, *data[k + 1 :])
-            return {**found, port.name: Sample(row.stamp, data) if isinstance(row, Sample) else data}
-
-        step.respond = probed
-
-
-def _signal(rig: Rig, link: str) -> str:
-    """Give the whole name of the signal at which the loop is opened."""
-    known = {f"{p.topic}/{label}" for m in rig.members for p in m.outputs for label in p.labels}
-    if link:
-        shared = names_of(rig, signal_units(rig))[1]
-        found = full_name(shared.get(link, link), known)
-        if found not in known:
-            raise ScenarioError(f"{rig.scenario.name}: no signal {link!r}{closest(link, [*known, *shared])}")
-        return found
+def _command(rig: Rig) -> str:
+    """Give the only value that a plant is commanded; empty when there are several."""
     commands = {
-        f"{link_.port.topic}/{label}": None
+        f"{link.port.topic}/{label}": None
         for m in rig.members if m.is_plant
-        for link_ in m.links.values() if link_.source.links and not link_.source.is_plant
-        for label in link_.port.labels
+        for link in m.links.values() if link.source.links and not link.source.is_plant and not link.port.sporadic
+        for label in link.port.labels
     }  # fmt: skip
-    if len(commands) != 1:
+    return next(iter(commands)) if len(commands) == 1 else ""
+
+
+def plants_say(rig: Rig) -> list[str]:
+    """Give the signals that plants say at each of their ticks."""
+    return [f"{p.topic}/{x}" for m in rig.members if m.is_plant for p in m.outputs if not p.sporadic for x in p.labels]
+
+
+def _sources_say(rig: Rig, said: Sequence[str]) -> list[str]:
+    """Give what sources say to those that count, and not more seldom than those are due."""
+    whole: dict[str, Any] = {}
+    for name in said:
+        upstream(place_of(rig, name).member, whole)
+    every = math.lcm(*(m.schedule.every for m in whole.values() if not is_source(m)))
+    return [
+        f"{p.topic}/{x}" for m in rig.members if m.name in whole and is_source(m) and every % m.schedule.every == 0
+        for p in m.outputs if not p.sporadic for x in p.labels
+    ]  # fmt: skip
+
+
+def _check_link(found: StateMap, link: str) -> None:
+    member, port, _ = found.places[link]
+    if port.sporadic:
+        raise ScenarioError(f"{found.rig.scenario.name}: {link} is not said at each tick: it cannot be opened")
+    if member.params.period < found.period * (1.0 - 1e-9):
+        slow = [
+            f"{p.topic}/{x}" for name in found.step_names() for m in found.rig.members
+            if m.name == name and not is_source(m) and m.params.period > found.period * (1.0 - 1e-9)
+            for p in m.outputs if not p.sporadic for x in p.labels
+        ]  # fmt: skip
         raise ScenarioError(
-            f"{rig.scenario.name}: open which link? The plants are commanded {', '.join(commands) or 'nothing'}"
+            f"{found.rig.scenario.name}: {link} is said every {member.params.period:g} s, the rig repeats itself every "
+            f"{found.period:g} s only; open the loop where it is slow: {', '.join(slow) or 'no such link'}, or "
+            "give all the same period by --set"
         )
-    return next(iter(commands))
 
 
-def _place(rig: Rig, signal: str) -> tuple[Member, Port, int]:
-    for member in rig.members:
-        for port in member.outputs:
-            for k, label in enumerate(port.labels):
-                if f"{port.topic}/{label}" == signal:
-                    if port.sporadic:
-                        raise ScenarioError(
-                            f"{rig.scenario.name}: {signal} is not said at each tick: it cannot be opened"
-                        )
-                    return member, port, k
-    raise AssertionError(signal)
+class Differences:
+    """The columns of a rig's map, found from what moves: a state is what moves, or is moved by what does."""
+
+    def __init__(self, found: StateMap, outputs: Sequence[str], inputs: Sequence[str], link: str) -> None:
+        self.map, self.outputs, self.inputs, self.link = found, list(outputs), list(inputs), link
+        _, self.said = found(found.start, {})
+        self.fixed = {link: self.said[link]} if link else {}
+        self.heard = [*outputs, *([link] if link else [])]
+        self.finite = np.isfinite(found.start)  # a limit may be without one
+        self.columns: dict[int | str, tuple[Array, Array]] = {}  # of numbers by place and signals by name
+        self.errors: dict[int | str, float] = {}
+        self.steps: dict[int, float] = {}
+
+    def states(self) -> tuple[list[int], Array, Array]:
+        """Give the places of the states, A, and the rows of what is heard: those that what is heard depends on."""
+        m, rounds = self.map, 0
+        for name in [*self.inputs, *([self.link] if self.link else [])]:
+            self._signal(name)
+        waiting = {int(i) for i in np.flatnonzero(m.moved & self.finite & ~m.whole)}  # stamps move as well
+        waiting |= {int(i) for column, _ in self.columns.values() for i in np.flatnonzero(column)}
+        while waiting:
+            if len(waiting) + len(self.columns) > TRIED:
+                self._too_many(len(waiting) + len(self.columns))
+            i = waiting.pop()
+            self._number(i)
+            waiting |= {int(j) for j in np.flatnonzero(self.columns[i][0])} - self.columns.keys()
+            if not waiting and rounds < ROUNDS:
+                waiting, rounds = self._dwarfed(), rounds + 1
+        on = sorted(i for i in self.columns if isinstance(i, int))
+        whole = self._square(on)
+        heard = np.array([self.columns[i][1] for i in on]).T.reshape(len(self.heard), len(on))
+        counts = _reach(whole.T, (heard != 0.0).any(axis=0))
+        held = (whole == np.eye(len(on))).all(axis=1)  # nothing moves them here: as good as parameters
+        for key, (column, _) in self.columns.items():
+            if isinstance(key, str):
+                held &= column[on] == 0.0
+        counts &= ~held
+        kept = [i for i, there in zip(on, counts, strict=True) if there]
+        if len(kept) > MOST:
+            self._too_many(len(kept))
+        return kept, whole[np.ix_(counts, counts)], heard[:, counts]
+
+    def _dwarfed(self) -> set[int]:
+        """Which have been moved by far less than others move them: what rests at zero tells no size of its own."""
+        sizes = self.map.sizes
+        natural = np.zeros(len(sizes))
+        for key, (column, _) in self.columns.items():
+            natural = np.maximum(natural, np.abs(column) * (sizes[key] if isinstance(key, int) else 1.0))
+        found = {i for i in self.columns if isinstance(i, int) and sizes[i] < natural[i] / 64.0}
+        for i in found:
+            sizes[i] = natural[i]
+        return found
+
+    def again(self, kept: list[int]) -> Array:
+        """Give A where the map's `start` is now."""
+        for i in kept:
+            self._number(i)
+        return self._square(kept)
+
+    def _square(self, on: list[int]) -> Array:
+        return np.array([self.columns[i][0][on] for i in on]).T.reshape(len(on), len(on))
+
+    def _too_many(self, count: int) -> NoReturn:
+        raise RunError(f"{self.map.rig.scenario.name}: {count} states, expected at most {MOST}: a long delay has "
+                       "one or more for each of its steps; take longer steps by --set")  # fmt: skip
+
+    def view(self) -> LinearView:
+        """Put it together."""
+        m = self.map
+        kept, A, C = self.states()
+        B = np.array([self.columns[n][0][kept] for n in self.inputs]).T.reshape(len(kept), len(self.inputs))
+        D = np.array([self.columns[n][1] for n in self.inputs]).T.reshape(len(self.heard), len(self.inputs))
+        a, b, c, d = A, np.zeros(len(kept)), np.zeros(len(kept)), 0.0
+        if self.link:
+            column, direct = self.columns[self.link]
+            b, c, d = column[kept], C[-1], float(direct[-1])
+            if not c.any() or not b.any():
+                raise RunError(f"{m.rig.scenario.name}: what is added to {self.link} at {m.t:g} s does not come back "
+                               "there: no loop")  # fmt: skip
+            A = a + np.outer(b, c) / (1.0 - d)
+            B = B + np.outer(b, D[-1]) / (1.0 - d)
+            C, D = C + np.outer(direct, c) / (1.0 - d), D + np.outer(direct, D[-1]) / (1.0 - d)
+        names = [m.names[i] for i in kept]
+        used: list[int | str] = [*kept, *self.inputs, *([self.link] if self.link else [])]
+        worst = max(used, key=lambda key: self.errors[key], default="")
+        units = signal_units(m.rig)
+        rows = len(self.outputs)
+        values = dict(zip(names, m.start[kept].tolist(), strict=True)) | self.said
+        return LinearView(
+            m.rig.scenario.name, m.t, m.period, tuple(names), tuple(self.inputs), tuple(self.outputs),
+            {s: units.get(s, "") for s in m.places}, values, A, B, C[:rows], D[:rows], self.link, a, b, c, d,
+            self.errors.get(worst, 0.0), m.names[worst] if isinstance(worst, int) else worst,
+            self._variation(kept, A),
+        )  # fmt: skip
+
+    def _signal(self, name: str) -> None:
+        size = _power(abs(self.said[name]) or 1.0)
+
+        def at(height: float) -> tuple[Array, Array, float]:
+            x, said = self.map(self.map.start, {name: height}, self.fixed)
+            return x, np.array([said[s] for s in self.heard]), height
+
+        self.columns[name], _ = self._column(name, at, size)
+
+    def _number(self, i: int) -> None:
+        begin = self.map.start
+        size = _power(float(self.map.sizes[i]) or 1.0)
+
+        def at(height: float) -> tuple[Array, Array, float]:
+            moved = begin.copy()
+            moved[i] += round(height) if self.map.whole[i] else height
+            x, said = self.map(moved, {}, self.fixed)
+            return x, np.array([said[s] for s in self.heard]), float(moved[i] - begin[i])
+
+        self.columns[i], self.steps[i] = self._column(i, at, size)
+
+    def _column(self, key: int | str, at: Any, size: float) -> tuple[tuple[Array, Array], float]:
+        best: tuple[float, tuple[Array, Array], float] | None = None
+        before: tuple[Array, Array] | None = None
+        for share in STEPS:
+            try:
+                up, down = at(size * share), at(-size * share)
+            except RunError:  # too far: a limit, a domain
+                before = None
+                continue
+            width = up[2] - down[2]
+            if not width:  # a whole number that is moved by less than one
+                break
+            now = np.where(self.finite, up[0] - down[0], 0.0) / width, (up[1] - down[1]) / width
+            if before is not None:
+                largest = max(np.abs(now[0]).max(initial=0.0), np.abs(now[1]).max(initial=0.0))
+                apart = max(np.abs(now[0] - before[0]).max(initial=0.0), np.abs(now[1] - before[1]).max(initial=0.0))
+                error = float(apart / largest) if largest else float(apart)
+                if best is None or error < best[0]:
+                    best = error, before if error <= AGREED else now, size * share
+                if error <= AGREED:
+                    break
+            before = now
+        if best is None and isinstance(key, int) and self.map.whole[key]:  # a switch
+            best = 0.0, (np.zeros(len(self.map.start)), np.zeros(len(self.heard))), 0.0
+        if best is None:
+            name = self.map.names[key] if isinstance(key, int) else key
+            raise RunError(f"{self.map.rig.scenario.name}: {name} cannot be moved at {self.map.t:g} s, however little")
+        self.errors[key] = best[0]
+        return best[1], best[2]
+
+    def _variation(self, kept: list[int], A: Array) -> float:
+        """Hold the linear rig against the rig, moved off both ways in all states at once."""
+        if not kept:
+            return 0.0
+        m = self.map
+        signs = np.where(np.arange(len(kept)) % 3 == 1, -1.0, 1.0)
+        off = signs * np.array([self.steps[i] for i in kept]) * NEARER
+        sizes = np.maximum(m.sizes[kept], 1e-300)
+        sizes[m.sizes[kept] == 0.0] = 1.0
+        ups, downs = ([], [])  # type: tuple[list[Array], list[Array]]
+        for found, sign in ((ups, 1.0), (downs, -1.0)):
+            start = m.start.copy()
+            start[kept] += sign * off
+            found.extend(x[kept] for x, _ in m.go_on(start, CHECKED))
+        worst = largest = 0.0
+        for up, down in zip(ups, downs, strict=True):
+            off = A @ off
+            seen = 0.5 * (up - down)
+            worst = max(worst, float(np.abs((seen - off) / sizes).max()))
+            largest = max(largest, float(np.abs(seen / sizes).max()))
+        return worst / largest if largest else 0.0
 
 
-@dataclass(frozen=True)
-class Rest:
-    """Where a signal is at the end of a run.
-
-    Parameters
-    ----------
-    mean : float
-        Over the window.
-    swing : float
-        Largest less smallest value over the window.
-    drift : float
-        Mean of the window's second half less that of the first.
-    unit : str
-    """
-
-    mean: float
-    swing: float
-    drift: float
-    unit: str
-
-    def rests(self, tolerance: float) -> bool:
-        """Whether it moves no more than a share of its size, or of one unit where it is smaller."""
-        return self.swing <= tolerance * max(1.0, abs(self.mean))
+def _power(size: float) -> float:
+    """Give the power of two next to a size: a step of it is added without rounding where it can be."""
+    return float(2.0 ** round(math.log2(size)))
 
 
-def steady(
-    what: str | Scenario | Rig, *, at: float | None = None, window: float | None = None,
-    overrides: Mapping[str, Any] | None = None,
-) -> dict[str, Rest]:  # fmt: skip
-    """Say where each signal of a rig is at the end of a run: its operating point.
-
-    Parameters
-    ----------
-    what, overrides
-        See `rig_of`.
-    at : float, optional
-        End of the run, s; default: the scenario's.
-    window : float, optional
-        Over which it is looked at, s; default: the last tenth.
-
-    Raises
-    ------
-    ScenarioError
-        The window is not within the run.
-    """
-    run = simulate(what, duration=at, overrides=overrides)
-    end = run.rig.scenario.duration
-    window = 0.1 * end if window is None else window
-    if not 0.0 < window <= end:
-        raise ScenarioError(f"window = {window:g} s: expected more than 0, at most the run's {end:g} s")
-    units, found = signal_units(run.rig), {}
-    for name, (t, x) in run.signals.items():
-        if not len(x):
-            continue
-        begin = max(int(np.searchsorted(t, end - window)) - 1, 0)  # also the value that holds as it begins
-        part = x[begin:]
-        half = max(1, len(part) // 2)
-        drift = float(part[-half:].mean() - part[:half].mean())
-        found[name] = Rest(float(part.mean()), float(np.ptp(part)), drift, units.get(name, ""))
-    return found
+def _reach(A: Array, start: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Which states can be reached from some, x_k to x_{k+1} by the entries of A that are not zero."""
+    reached, links = start.copy(), A != 0.0
+    while True:
+        wider = reached | links[:, reached].any(axis=1)
+        if (wider == reached).all():
+            return reached
+        reached = wider

@@ -33,9 +33,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 __all__ = [
-    "error_overshoot", "error_settling_time", "final_value", "integral_absolute", "maximum", "mean", "mean_absolute",
-    "mean_error", "mean_square", "minimum", "overshoot", "peak", "peak_to_peak", "reach_time", "rise_time", "rms",
-    "settling_time", "sum_absolute", "total_variation",
+    "error_overshoot", "error_settling_time", "final_value", "growth_rate", "integral_absolute", "maximum", "mean",
+    "mean_absolute", "mean_error", "mean_square", "minimum", "overshoot", "peak", "peak_to_peak", "reach_time",
+    "rise_time", "rms", "settling_time", "sum_absolute", "total_variation",
 ]  # fmt: skip
 
 HALF_NS = 5e-10  # s; times are whole ns: what is nearer to an end of a window than this is inside
@@ -270,6 +270,32 @@ def error_overshoot(
     """Largest error of the sign opposite to that of the first error; 0 without one."""
     _, e = _error(signals, signal, reference, start, end)
     return max(0.0, float(-(e * np.sign(e[0])).min()))
+
+
+@figure("1/s")
+def growth_rate(
+    signals: SignalMap, signal: str, *, reference: float | str = 0.0, start: float | None = None,
+    end: float | None = None,
+) -> float:  # fmt: skip
+    """Slope of the straight line of least squares through the logarithm of the peaks of signal - reference over time.
+
+    A peak is a positive sample not below the one before and above the one after; its height and time are those of the
+    parabola through the three. Of an oscillation of a linear system, exp(sigma t) cos(omega t), it is sigma, once other
+    modes are gone: negative is damped, positive grows; at the margin of stability it is zero, whatever the amplitude.
+
+    Raises
+    ------
+    ValueError
+        Fewer than three peaks.
+    """
+    t, x = _error(signals, signal, reference, start, end)
+    k = np.flatnonzero((x[1:-1] >= x[:-2]) & (x[1:-1] > x[2:]) & (x[1:-1] > 0.0)) + 1
+    if k.size < 3:
+        raise ValueError(f"{signal} has {k.size} peaks between {t[0]:g} and {t[-1]:g} s, needed 3 for a growth rate")
+    before, here, after = x[k - 1], x[k], x[k + 1]
+    shift = 0.5 * (before - after) / (before - 2.0 * here + after)  # of the top, in samples
+    heights, times = here - 0.25 * (before - after) * shift, t[k] + shift * (t[k + 1] - t[k])
+    return float(np.polyfit(times, np.log(heights), 1)[0])
 
 
 @figure("{signal}")
