@@ -26,6 +26,7 @@ from ..wire.recording import ShardWriter, Sink, relative
 from .buttons import Buttons
 from .endpoint import Input, Output
 from .health import StatusFile, figures, peak_memory
+from .hold import Hold
 from .middleware import Middleware, other_types
 from .tick import TICK, TickWriter
 
@@ -71,8 +72,11 @@ class Drive(Protocol):
     def busy(self) -> bool:
         """Whether peers that wait for this node are to be patient."""
 
+    def counts(self) -> dict[str, int]:
+        """Give what is counted while it runs: cheap enough for every status file."""
+
     def statistics(self) -> dict[str, Any]:
-        """Figures of the run for the status file."""
+        """Figures of the run for the last status file."""
 
 
 def _by_hand(block: Block, options: RunOptions) -> Links:
@@ -132,6 +136,7 @@ class Adapter:
         self._owns_clock = self.links.owns_clock and options.mode == "lockstep"
         self._open_record(sink)
         self.buttons = Buttons(self.values, self._record_press)
+        self.hold = Hold(options.paused and options.mode == "lockstep" and self.links.owns_clock)
         self.step.changed = self._record_change
 
     def begin(self, drive: Drive) -> None:
@@ -318,8 +323,9 @@ class Adapter:
             "state": self.state, "t": self.t, "ticks": self.ticks, "error": str(self.error) if self.error else "",
             "waits_for": self.waits_for, "lacking": self.lacking, "epoch": self.epoch, "refused": refused,
             "reports": {key: [int(level), text, n] for key, (level, text, n) in self.block.reports.items()},
-            "busy": self.drive.busy(), "cpu_s": round(time.process_time(), 3),
+            "busy": self.drive.busy(), "held": self.hold.held, "cpu_s": round(time.process_time(), 3),
         }  # fmt: skip
+        status |= self.drive.counts()
         if self.lacking:
             status["published"] = {t: [[p.msgtype, p.full_name] for p in self.middleware.publishers(t)]
                                    for t in self.middleware.topics()}  # fmt: skip

@@ -12,6 +12,7 @@ from ..model.block import Block, Level, Observer
 from ..model.port import Port
 from .adapter import WATCH_PERIOD, Adapter
 from .frames import Frames
+from .hold import offer
 from .messages import diagnostic_array, marker_array, message_class
 from .ros import QOS
 
@@ -41,6 +42,8 @@ class Faces:
         for port in adapter.step.inputs:
             if port.msgtype == "std_msgs/msg/Bool" and port.name not in adapter.links.inputs:
                 node.create_service(message_class("std_srvs/srv/Trigger"), f"~/{port.name}", self._presser(port))
+        if adapter.links.owns_clock and adapter.options.mode == "lockstep":
+            offer(node, adapter.hold, message_class("std_srvs/srv/Trigger"))
         self._looks = 0
         adapter.middleware.timer(WATCH_PERIOD, self._look)
 

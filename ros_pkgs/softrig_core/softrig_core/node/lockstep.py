@@ -86,6 +86,7 @@ class Lockstep:
         wanted = [(o, list(links.readers.get(o.name, []))) for o in node.outputs]
         if links.owns_clock:
             wanted.append((node.clock_output, links.clock_readers))
+            node.hold.begin(node.middleware, self._turn)
         if links.acknowledges:
             wanted.append((node.tick_output, links.tick_readers))
         awaited: list[tuple[Input, str]] = [(row, row.who) for row in [*senders.rows, *senders.unpaced]]
@@ -164,7 +165,7 @@ class Lockstep:
             self._awaited = t
             senders.await_tick(t)
         if senders.missing or self._solving is None:
-            return senders.missing > 0
+            return senders.missing > 0 or (self.node.hold.held and self.node.hold.holds(t))
         step = self.node.step
         return not self._solving.finished(t, None if step.bad else step.values)
 
@@ -196,8 +197,12 @@ class Lockstep:
             self.node.finish()
 
     def busy(self) -> bool:
-        """Whether a solver is at work."""
-        return self._solving is not None and self._solving.block.working
+        """Whether a solver is at work, or somebody holds the run."""
+        return self.node.hold.held or (self._solving is not None and self._solving.block.working)
+
+    def counts(self) -> dict[str, int]:
+        """Nothing is ever late."""
+        return {}
 
     def statistics(self) -> dict[str, Any]:
         """Wall-clock time of a plant's ticks: all in s, each in ms; once they are over, for sorting them takes time."""

@@ -268,8 +268,8 @@ class Realtime:
         if node.schedule.end is not None and t >= node.schedule.end:
             node.finish()
 
-    def statistics(self) -> dict[str, Any]:
-        """Missed deadlines, incomplete ticks, lateness of the timer and round trip from output to command, in ms."""
+    def counts(self) -> dict[str, int]:
+        """Missed deadlines, incomplete and dropped ticks, lost and late messages so far."""
         figures: dict[str, Any] = {"missed_deadlines": self.missed}
         if self._answering is not None:
             figures["incomplete_ticks"] = self._answering.incomplete
@@ -280,6 +280,11 @@ class Realtime:
         for key, count in (("lost_arrays", "lost"), ("late_messages", "late"), ("overdue_messages", "overdue")):
             if number := sum(getattr(item, count) for item in self.node.inputs):
                 figures[key] = number
+        return figures
+
+    def statistics(self) -> dict[str, Any]:
+        """Give the counts, lateness of the timer and round trip from output to command, in ms."""
+        figures: dict[str, Any] = {**self.counts()}
         figures |= percentiles("lateness", self._lateness) | percentiles("round_trip", self._round_trip)
         if self._lateness:
             figures["jitter_ms"] = figures["lateness_p99_ms"] - figures["lateness_p50_ms"]

@@ -35,6 +35,7 @@ class RunOptions(Params):
         0, "realtime: wall-clock time in ns that is t = 0, 0 = when all nodes of the rig are up", ge=0, le=2**63 - 1
     )
     links: str = param("", "JSON of `Links`, written by the runner", max_length=1 << 20)
+    paused: bool = param(False, "lockstep, the node of the clock: holds the run at t = 0 until it is resumed")
     changes: str = param("", "JSON of changes of parameters while it runs, written by the runner", max_length=1 << 20)
 
 

@@ -262,9 +262,28 @@ class Recording:
         head, start = _read_head(content)
         if head is None:
             return len(content)
+        return len(content) - start - self.take(head, content[start:], namespace)
+
+    def take(self, head: Mapping[str, Any], content: memoryview, namespace: str = "") -> int:
+        """Add the messages of a part of a shard.
+
+        Parameters
+        ----------
+        head : mapping
+            What the shard says of itself.
+        content : memoryview
+            From the beginning of a message on.
+        namespace : str
+            See `read_shard`.
+
+        Returns
+        -------
+        int
+            Bytes of the messages that are there as a whole.
+        """
         topics = [self.topics[name.removeprefix(namespace)] for name, _ in head["topics"] if name != EVENTS]
         row = [(topics[number], Layout(*form)) for number, form in head["row"]]
-        at, size = start, _RECORD.size
+        at, size = 0, _RECORD.size
         while at + _ROW_HEAD.size <= len(content):
             if _ROW_HEAD.unpack_from(content, at)[1] == _ROW:
                 taken = _read_rows(content[at:], row)
@@ -284,7 +303,45 @@ class Recording:
                 topics[topic].times.append(t)
                 topics[topic].data.append(data)
             at += size + length
-        return len(content) - at
+        return at
+
+
+class ShardTail:
+    """A shard that is still being written: what has come since the last look.
+
+    Parameters
+    ----------
+    path : Path
+        It need not be there yet.
+    """
+
+    LIMIT = 1 << 22  # bytes of one look
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._head: dict[str, Any] | None = None
+        self._at = 0
+
+    def read(self, recording: Recording) -> bool:
+        """Add what is new to a recording; whether there may be more than one look takes.
+
+        Parameters
+        ----------
+        recording : Recording
+            Of the shard's topics.
+        """
+        try:
+            with self._path.open("rb") as file:
+                file.seek(self._at)
+                content = memoryview(file.read(self.LIMIT))
+        except FileNotFoundError:
+            return False
+        start = 0
+        if self._head is None:
+            self._head, start = _read_head(content)
+        if self._head is not None:
+            self._at += start + recording.take(self._head, content[start:])
+        return len(content) == self.LIMIT
 
 
 def _ranked(rank: int, topic: Topic) -> Iterator[tuple[int, int, bytes]]:

@@ -1,0 +1,169 @@
+"""What people do to a running rig from a page: knobs, buttons, pause and step; all pages share one of these."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+from softrig_core import Rig
+from softrig_core.model.change import changeable
+from softrig_core.model.params import LARGEST, declarations, flatten
+from softrig_core.rig.faults import EXECUTABLE, PACKAGE
+
+KEPT = 100  # lines of what was said
+
+Answer = Callable[[bool, str], object]
+Ask = Callable[[Mapping[str, Any], Answer], object]
+
+
+@dataclass
+class Knob:
+    """A parameter that may change now.
+
+    Parameters
+    ----------
+    node, name, unit, doc : str
+    value : Any
+        The newest that the node has taken.
+    kind : type
+    bounds : (float, float)
+        As declared; infinite where nothing was.
+    fault : bool
+        Whether it belongs to a fault of the scenario.
+    """
+
+    node: str
+    name: str
+    unit: str
+    doc: str
+    value: Any
+    kind: type
+    bounds: tuple[float, float]
+    fault: bool
+
+    @property
+    def key(self) -> str:
+        """Its name as scenarios write it."""
+        return f"{self.node}.{self.name}"
+
+
+class Said(NamedTuple):
+    """A line for the page: when in the run (s), who, what, and whether it was refused."""
+
+    t: float
+    who: str
+    text: str
+    wrong: bool
+
+
+class Control:
+    """The knobs and buttons of a rig.
+
+    Parameters
+    ----------
+    rig : Rig
+    ask : callable
+        Gets a request (`softrig_core.node.remote`) and who wants its answer; None where nothing can be asked.
+    now : callable
+        Gives the time of the run, s.
+    over : callable
+        Says how the run ended; empty while it goes on.
+    held : bool or None
+        Whether the run is paused; None where it cannot be.
+
+    Attributes
+    ----------
+    knobs : dict of str to Knob
+        By `Knob.key`.
+    buttons : list of (node, name)
+    said : deque of Said
+    lines : int
+        How many there have been.
+    """
+
+    def __init__(self, rig: Rig, ask: Ask | None, now: Callable[[], float], over: Callable[[], str],
+                 held: bool | None = None) -> None:  # fmt: skip
+        self._ask, self._now, self._over = ask, now, over
+        self.held = held
+        self.clock = rig.clock.name
+        own = [m for m in rig.members if not m.external] if ask is not None else []
+        self.knobs = {k.key: k for m in own for k in _knobs(m)}
+        self.buttons = [
+            (m.name, p.name) for m in own for p in m.inputs if p.msgtype == "std_msgs/msg/Bool" and p.name not in m.links
+        ]  # fmt: skip
+        self.said: deque[Said] = deque(maxlen=KEPT)
+        self.lines = 0
+
+    def say(self, who: str, text: str, wrong: bool = False) -> None:
+        """Add a line to what all pages show."""
+        self.said.append(Said(self._now(), who, text, wrong))
+        self.lines += 1
+
+    def turn(self, who: str, key: str, value: Any) -> None:
+        """Turn a knob; what becomes of it is said on all pages."""
+        knob = self.knobs[key]
+        value = float(value) if knob.kind is float and isinstance(value, int) and not isinstance(value, bool) else value
+
+        def answered(done: bool, reason: str) -> None:
+            if done:
+                knob.value = value
+            self.say(who, f"{key} = {_shown(value)} {knob.unit}".rstrip() + ("" if done else f" refused: {reason}"),
+                     not done)  # fmt: skip
+
+        self._send(who, f"{key} = {_shown(value)}", {"node": knob.node, "set": {knob.name: value}}, answered)
+
+    def press(self, who: str, node: str, name: str) -> None:
+        """Press a button of the rig."""
+        self._call(who, node, name, f"{node}/{name}")
+
+    def pace(self, who: str, what: str) -> None:
+        """Pause, resume or step the run."""
+
+        def after() -> None:
+            if what != "step":
+                self.held = what == "pause"
+
+        self._call(who, self.clock, what, what, after)
+
+    def _call(self, who: str, node: str, name: str, text: str, after: Callable[[], object] = lambda: None) -> None:
+        def answered(done: bool, reason: str) -> None:
+            if done:
+                after()
+            self.say(who, f"{text}: {reason}" if done else f"{text} refused: {reason}", not done)
+
+        self._send(who, text, {"node": node, "call": name}, answered)
+
+    def _send(self, who: str, text: str, request: Mapping[str, Any], answered: Answer) -> None:
+        if over := self._over():
+            self.say(who, f"{text} refused: the run is over ({over})", True)
+        elif self._ask is None:
+            self.say(who, f"{text} refused: this is a recording", True)
+        else:
+            self._ask(request, answered)
+
+    def took_effect(self, t: float, node: str, values: Mapping[str, Any]) -> None:
+        """Note a change that a node has recorded, whoever made it."""
+        for name, value in values.items():
+            if (knob := self.knobs.get(f"{node}.{name}")) is not None:
+                knob.value = value
+            self.said.append(Said(t, node, f"{name} = {_shown(value)} from this tick on", False))
+            self.lines += 1
+
+
+def _knobs(member: Any) -> list[Knob]:
+    fault = (member.package, member.executable) == (PACKAGE, EXECUTABLE)
+    live, values = changeable(type(member.params)), flatten(member.params)
+    found = []
+    for d in declarations(type(member.params)):
+        if d.name in live:
+            low = -math.inf if d.lower is None or d.lower <= -LARGEST else float(d.lower)
+            high = math.inf if d.upper is None or d.upper >= LARGEST else float(d.upper)
+            found.append(Knob(member.name, d.name, d.unit, d.doc, values[d.name], d.type, (low, high), fault))
+    return found
+
+
+def _shown(value: Any) -> str:
+    return f"{value:.6g}" if isinstance(value, float) else str(value)

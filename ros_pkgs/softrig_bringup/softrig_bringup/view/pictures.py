@@ -1,0 +1,126 @@
+"""The scenario's pictures as they move: one set of axes for each unit of a plot, curves of at most some thousand points."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from bokeh.models import ColumnDataSource, CrosshairTool, DataRange1d, HoverTool, Range1d, Span
+from bokeh.plotting import figure
+from softrig_core import Rig
+from softrig_core.rig.members import signal_units
+from softrig_core.rig.scenario import PlotEntry
+
+from ..plots.curves import Curve, Source as Curves, envelope
+from ..plots.style import MANY, axis_title, pretty_unit, quantity
+from .look import CHANGED, COLOURS, INK, SOFT
+from .tracks import Pane
+
+COLUMNS = 500  # pixel columns of a picture: a curve has at most four points in each
+TOOLS = "xpan,box_zoom,xwheel_zoom,save"
+
+
+class Picture:
+    """One plot of a scenario over time, or one signal over another.
+
+    Parameters
+    ----------
+    entry : PlotEntry
+    rig : Rig
+    time : Range1d
+        Shared by all pictures over time.
+    cursor : Span
+        Shared line at one time.
+    changes : ColumnDataSource
+        Column ``t``: when parameters changed.
+    look : {"light", "dark"}
+
+    Attributes
+    ----------
+    figures : list
+        Bokeh's, one for each unit.
+    """
+
+    def __init__(self, entry: PlotEntry, rig: Rig, time: Range1d, cursor: Span, changes: ColumnDataSource,
+                 look: str) -> None:  # fmt: skip
+        self._entry = entry.model_copy(update={"window": None})  # the reader chooses
+        self._curves = Curves(Pane({}), rig)
+        self._look = look
+        self.sources: dict[str, ColumnDataSource] = {}
+        named = {name: self._curves.shown(self._entry, name) for name in entry.signals}  # without points yet
+        if entry.x:
+            self.figures = [self._plane(named)]
+            return
+        units: dict[str, list[str]] = {}
+        for name, curve in named.items():
+            units.setdefault(curve.unit, []).append(name)
+        self.figures = [
+            self._over_time(unit, names, named, time, cursor, changes, first=k == 0)
+            for k, (unit, names) in enumerate(units.items())
+        ]
+
+    def _over_time(self, unit: str, names: Sequence[str], named: dict[str, Curve], time: Range1d, cursor: Span,
+                   changes: ColumnDataSource, *, first: bool) -> Any:  # fmt: skip
+        title = axis_title(self._entry.quantity or quantity(unit), unit) or "value"
+        found = figure(x_range=time, y_range=DataRange1d(only_visible=True), height=230, tools=TOOLS,
+                       active_drag="box_zoom", sizing_mode="stretch_width", title=self._entry.title if first else None,
+                       x_axis_label="t, s", y_axis_label=title)  # fmt: skip
+        found.vspan(x="t", source=changes, line_color=CHANGED[self._look], line_dash="dotted", line_width=1)
+        lines = self._lines(found, names, named)
+        found.add_layout(cursor)
+        said = f"$name: @y{{%.6g}} {pretty_unit(unit)} at @x{{%.6g}} s"
+        found.add_tools(HoverTool(renderers=lines, mode="vline", line_policy="prev", tooltips=said,
+                                  formatters={"@y": "printf", "@x": "printf"}),
+                        CrosshairTool(dimensions="height", line_color=SOFT[self._look], line_alpha=0.6))  # fmt: skip
+        return found
+
+    def _plane(self, named: dict[str, Curve]) -> Any:
+        over = self._curves.axis(f"{self._curves.topic(next(iter(named)))}/{self._entry.x}")
+        unit = next(iter(named.values())).unit
+        found = figure(height=380, tools="pan,box_zoom,wheel_zoom,reset,save", active_drag="box_zoom", match_aspect=True,
+                       sizing_mode="stretch_width", title=self._entry.title, x_axis_label=axis_title(over, unit),
+                       y_axis_label=axis_title(self._entry.quantity or quantity(unit), unit))  # fmt: skip
+        lines = self._lines(found, list(named), named)
+        found.add_tools(HoverTool(renderers=lines, tooltips="$name: @x{%.6g}, @y{%.6g}", line_policy="nearest",
+                                  formatters={"@y": "printf", "@x": "printf"}))  # fmt: skip
+        return found
+
+    def _lines(self, found: Any, names: Sequence[str], named: dict[str, Curve]) -> list[Any]:
+        lines, colours = [], iter(COLOURS[self._look] * len(names))
+        for name in sorted(names, key=lambda n: named[n].reference):  # references on top
+            curve = named[name]
+            style: dict[str, Any] = {"line_color": next(colours), "line_width": 1.4}
+            if curve.reference:
+                style = {"line_color": INK[self._look], "line_dash": [6, 4], "line_width": 1.2}
+            source = self.sources[name] = ColumnDataSource({"x": [], "y": []}, name=f"{self._entry.title}: {name}")
+            lines.append(found.line("x", "y", source=source, legend_label=curve.label, name=curve.label, **style))
+        found.legend.location, found.legend.orientation = "top_left", "horizontal"
+        found.legend.click_policy = "hide"
+        return lines
+
+    def show(self, pane: Pane, end: float) -> None:
+        """Draw what is in a window of time; `end` is up to where held values are drawn, s."""
+        self._curves.signals, self._curves.end = pane, end  # type: ignore[assignment]
+        for name, source in self.sources.items():
+            if self._entry.x:
+                curve = self._curves.against(self._entry, name)[1]
+                step = max(1, len(curve.x) // (4 * COLUMNS))
+                x, y = curve.x[::step], curve.y[::step]
+            else:
+                curve = self._curves.shown(self._entry, name)
+                x, y = envelope(curve.x, curve.y, COLUMNS)
+                if curve.held and len(x):
+                    x, y = np.repeat(x, 2)[1:], np.repeat(y, 2)[:-1]
+            source.data = {"x": x, "y": y}
+
+
+def plots_of(rig: Rig) -> tuple[PlotEntry, ...]:
+    """Give the plots of a rig's scenario; where it names none, one of each topic."""
+    if rig.scenario.plots:
+        return rig.scenario.plots
+    units = signal_units(rig)
+    return tuple(
+        PlotEntry(title=topic, signals={f"{topic}/{label}": "" for label in port.labels[:MANY]})
+        for topic, port in rig.topics.items() if port.labels and f"{topic}/{port.labels[0]}" in units
+    )  # fmt: skip

@@ -1,0 +1,71 @@
+"""The process that turns knobs and presses buttons for the pages: `softrig_core.node.remote`, which alone knows ROS."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+from softrig_core.rig.executables import environment
+
+from .control import Answer
+
+
+class Remote:
+    """Asks the nodes of a rig, and gives their answers to whoever asked.
+
+    Parameters
+    ----------
+    domain : int
+        ROS_DOMAIN_ID.
+    directory : Path
+        For logs.
+    call : callable
+        Gets a function to be called in the thread of the pages.
+    """
+
+    def __init__(self, domain: int, directory: Path, call: Callable[[Callable[[], object]], object]) -> None:
+        self._process = subprocess.Popen(
+            [sys.executable, "-P", "-m", "softrig_core.node.remote"], env=environment(domain, directory), text=True,
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, process_group=0,
+        )  # fmt: skip
+        self._asked: dict[int, Answer] = {}
+        self._numbers = count()
+        self._call = call
+        threading.Thread(target=self._listen, daemon=True).start()
+
+    def ask(self, request: Mapping[str, Any], answered: Answer) -> None:
+        """Send a request; `answered` gets whether it was done, and what was said."""
+        number = next(self._numbers)
+        self._asked[number] = answered
+        assert self._process.stdin is not None
+        try:
+            self._process.stdin.write(json.dumps({"id": number, **request}) + "\n")
+            self._process.stdin.flush()
+        except OSError:
+            del self._asked[number]
+            answered(False, "what asks the nodes has ended")
+
+    def _listen(self) -> None:
+        assert self._process.stdout is not None
+        for line in self._process.stdout:
+            with suppress(ValueError):  # no line of ours: what a library prints
+                said = json.loads(line)
+                self._call(lambda said=said: self._asked.pop(said["id"])(said["ok"], said["reason"]))  # type: ignore[misc]
+
+    def close(self) -> None:
+        """End the process."""
+        assert self._process.stdin is not None
+        with suppress(OSError):
+            self._process.stdin.close()
+        try:
+            self._process.wait(2.0)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()

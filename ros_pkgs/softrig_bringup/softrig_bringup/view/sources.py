@@ -1,0 +1,170 @@
+"""Where a page gets its numbers from: the files that the nodes of a run write while it goes on, or a bag."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Protocol
+
+from softrig_core import Recording, Rig
+from softrig_core.rig.children import read_status
+from softrig_core.rig.peers import starter
+from softrig_core.timebase import SECOND
+from softrig_core.wire.parameter_event import recorded
+from softrig_core.wire.recording import ShardTail
+from softrig_core.wire.signals import Signals, Table
+
+from .tracks import Pane, Track
+
+Turned = tuple[float, str, Mapping[str, Any]]  # s, node, new values
+
+
+class Source(Protocol):
+    """What a page shows.
+
+    Attributes
+    ----------
+    rig : Rig
+    live : bool
+        Whether more may come.
+    end : float
+        Time of the newest message, s.
+    version : int
+        Another one when there is something new.
+    status : mapping
+        What each node says of itself.
+    changes : list
+        Of parameters: the tick in s from which they hold, the node, its new values.
+    results : list
+        Figures as metrics.json has them; empty before the end.
+    outcome : str
+        How it ended; empty while it goes on.
+    thinned : bool
+        Whether only extremes are left of what is old.
+    """
+
+    rig: Rig
+    live: bool
+    end: float
+    version: int
+    status: Mapping[str, Mapping[str, Any]]
+    changes: list[Turned]
+    results: list[Mapping[str, Any]]
+    outcome: str
+    thinned: bool
+
+    def pane(self, first: float, last: float) -> Pane:
+        """Give the signals within a window of time, s."""
+
+
+class Live:
+    """A run under way, as its nodes record it; see `Source`.
+
+    The loop knows nothing of it: no topic is read, nothing is waited for.
+
+    Parameters
+    ----------
+    rig : Rig
+    directory : Path
+        Where the nodes write their files.
+    realtime : bool
+    """
+
+    def __init__(self, rig: Rig, directory: Path, realtime: bool) -> None:
+        self.rig, self.live, self.outcome = rig, True, ""
+        self._directory, self._realtime = directory, realtime
+        self._names = [m.name for m in rig.members if not m.external]
+        self._tails = [ShardTail(directory / f"{name}.shard") for name in self._names]
+        self._tracks = {topic: Track() for topic in rig.topics}
+        self.status: dict[str, dict[str, Any]] = {name: {} for name in self._names}
+        self.changes: list[Turned] = []
+        self.results: list[Mapping[str, Any]] = []
+        self.end, self.version = 0.0, 0
+
+    @property
+    def thinned(self) -> bool:
+        """Whether only extremes are left of what is old."""
+        return any(track.thinned for track in self._tracks.values())
+
+    def look(self) -> None:
+        """Read what has come."""
+        if self.outcome:
+            return
+        self.read()
+        for name in self._names:
+            # half written, or being replaced: what it said before stands
+            self.status[name] = read_status(self._directory / f"{name}.status") or self.status[name]
+
+    def read(self) -> bool:
+        """Read a part of what the nodes have recorded; whether there is more."""
+        epoch = int(self.status.get(starter(self.rig).name, {}).get("epoch", 0))
+        if self._realtime and not epoch:
+            return False
+        recording = Recording((t, p.msgtype) for t, p in self.rig.topics.items())
+        more = [tail.read(recording) for tail in self._tails]
+        found = Signals(recording, epoch)
+        for name, topic in recording.topics.items():
+            if name in self._tracks and topic.times:
+                table = found.table(name)
+                if table.columns:
+                    self._tracks[name].append(table.t, table.columns)
+                    self.version += 1
+                self.end = max(self.end, float(table.t[-1]))
+        for t, node, values in recorded(recording, epoch):
+            self.changes.append((t / SECOND, node, values))
+            self.version += 1
+        return any(more)
+
+    def finish(self, outcome: str, folder: Path | None) -> None:
+        """Note that the run is over, and what it has brought."""
+        while self.read():
+            pass
+        self.look()
+        if folder is not None:
+            content = json.loads((folder / "metrics.json").read_text())
+            self.results, self.status = content["metrics"], content["nodes"]
+        self.outcome = outcome
+        self.version += 1
+
+    def pane(self, first: float, last: float) -> Pane:
+        """Give the signals within a window of time, s."""
+        return Pane({topic: track.table(first, last) for topic, track in self._tracks.items() if len(track)})
+
+
+class Recorded:
+    """A run that is over; see `Source`.
+
+    Parameters
+    ----------
+    rig : Rig
+    signals : Signals
+        Of its bag.
+    content : mapping
+        Of its metrics.json; empty where there is none.
+    """
+
+    live = thinned = False
+
+    def __init__(self, rig: Rig, signals: Signals, content: Mapping[str, Any]) -> None:
+        self.rig = rig
+        topics = [t for t in rig.topics if t in signals.recording.topics and signals.recording.topics[t].times]
+        self._tables = {t: signals.table(t) for t in topics}
+        self.end = max((float(t.t[-1]) for t in self._tables.values()), default=0.0)
+        self.status, self.results = content.get("nodes", {}), content.get("metrics", [])
+        self.changes = [(c["at_s"], c["node"], c["set"]) for c in content.get("changes", [])]
+        self.outcome = content.get("error", "") or content.get("stopped", "") or "recorded"
+        self.version = 1
+
+    def pane(self, first: float, last: float) -> Pane:
+        """Give the signals within a window of time, s."""
+        return Pane({topic: _cut(table, first, last) for topic, table in self._tables.items()})
+
+
+def _cut(table: Table, first: float, last: float) -> Table:
+    if first <= 0.0 and last == math.inf:
+        return table
+    i = max(0, int(table.t.searchsorted(first, "right")) - 1)
+    j = int(table.t.searchsorted(last, "right"))
+    return Table(table.t[i:j], table.stamp[i:j], {label: x[i:j] for label, x in table.columns.items()})

@@ -1,0 +1,124 @@
+"""What a page keeps of a run that goes on: all of it while it is short, the extremes of what is old when it is long."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from types import SimpleNamespace
+
+import numpy as np
+from numpy.typing import NDArray
+from softrig_core.wire.signals import Signal, Table, full_name
+
+Array = NDArray[np.float64]
+
+ROWS = 200_000  # messages of a topic that are kept
+_BUCKET = 4  # old messages of which the lowest and the highest value stay
+
+
+class Track:
+    """The messages of one topic as numbers.
+
+    Parameters
+    ----------
+    limit : int
+        Messages that are kept at most. When they are more, the older half is thinned: of four messages two stay, with
+        the lowest and the highest value of each channel, so that no peak is ever lost.
+
+    Attributes
+    ----------
+    thinned : bool
+    """
+
+    def __init__(self, limit: int = ROWS) -> None:
+        self._limit = limit
+        self._t = np.empty(0)
+        self._x = np.empty((0, 0))
+        self._n = 0
+        self.labels: list[str] = []
+        self.thinned = False
+
+    def __len__(self) -> int:
+        return self._n
+
+    def append(self, t: Array, columns: Mapping[str, Array]) -> None:
+        """Add messages; a channel that is new or missing is NaN where it is not."""
+        for first in range(0, len(t), self._limit // 4):
+            part = slice(first, first + self._limit // 4)
+            self._append(t[part], {label: x[part] for label, x in columns.items()})
+
+    def _append(self, t: Array, columns: Mapping[str, Array]) -> None:
+        new = [label for label in columns if label not in self.labels]
+        if new:
+            self.labels += new
+            self._x = np.vstack([self._x, np.full((len(new), self._t.size), np.nan)])
+        if self._n + len(t) > self._limit:
+            self._thin()
+        if (needed := self._n + len(t)) > self._t.size:
+            size = min(self._limit, max(1024, 2 * needed))
+            self._t = np.resize(self._t, size)
+            self._x = np.hstack([self._x, np.full((len(self.labels), size - self._x.shape[1]), np.nan)])
+        self._t[self._n : needed] = t
+        for k, label in enumerate(self.labels):
+            self._x[k, self._n : needed] = columns.get(label, np.nan)
+        self._n = needed
+
+    def _thin(self) -> None:
+        self.thinned = True
+        old = self._n // 2 // _BUCKET * _BUCKET
+        x = self._x[:, :old].reshape(len(self.labels), -1, _BUCKET)
+        low, high = np.fmin.reduce(x, axis=2), np.fmax.reduce(x, axis=2)
+        falls = np.argmax(x, axis=2) < np.argmin(x, axis=2)
+        pairs = np.stack([np.where(falls, high, low), np.where(falls, low, high)], axis=2)
+        kept = old // _BUCKET * 2
+        self._t[:kept] = self._t[:old].reshape(-1, _BUCKET)[:, ::2].ravel()
+        self._x[:, :kept] = pairs.reshape(len(self.labels), -1)
+        rest = self._n - old
+        self._t[kept : kept + rest] = self._t[old : self._n].copy()
+        self._x[:, kept : kept + rest] = self._x[:, old : self._n].copy()
+        self._n = kept + rest
+
+    def table(self, first: float, last: float) -> Table:
+        """Give what came from `first` to `last` (s), and the message before it, which holds until then."""
+        t = self._t[: self._n]
+        i = max(0, int(np.searchsorted(t, first, "right")) - 1)
+        j = int(np.searchsorted(t, last, "right"))
+        return Table(t[i:j], t[i:j], {label: self._x[k, i:j] for k, label in enumerate(self.labels)})
+
+
+_EMPTY = Table(np.empty(0), np.empty(0), {})
+
+
+class Pane(Mapping[str, Signal]):
+    """Signals within a window of time, as pictures and figures take them.
+
+    Parameters
+    ----------
+    tables : mapping of str to Table
+        By topic.
+    """
+
+    def __init__(self, tables: Mapping[str, Table]) -> None:
+        self._tables = tables
+        self.recording = self
+        self.topics = {topic: SimpleNamespace(times=range(len(table.t))) for topic, table in tables.items()}
+
+    def table(self, topic: str) -> Table:
+        """Give all columns of a topic; none where nothing has come."""
+        return self._tables.get(topic, _EMPTY)
+
+    def __getitem__(self, name: str) -> Signal:
+        topic = max((t for t in self._tables if name.startswith(f"{t}/")), key=len, default=None)
+        if topic is None:
+            raise KeyError(f"no topic for signal {name!r}")
+        table = self._tables[topic]
+        label = full_name(name[len(topic) + 1 :], table.columns)
+        if label not in table.columns:
+            raise KeyError(f"nothing has come of {name}")
+        return Signal(table.t, table.columns[label])
+
+    def __iter__(self) -> Iterator[str]:
+        for topic, table in self._tables.items():
+            yield from (f"{topic}/{label}" for label in table.columns)
+
+    def __len__(self) -> int:
+        return sum(1 for _ in self)

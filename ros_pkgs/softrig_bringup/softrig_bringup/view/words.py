@@ -1,0 +1,82 @@
+"""What a page says in words and tables: HTML of figures, health and of what was done."""
+
+from __future__ import annotations
+
+import html
+import math
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from softrig_core.rig.figures import Result
+
+from ..plots.style import pretty_unit
+from ..wording import accepted, in_words
+from .control import Said
+from .sources import Source
+
+COUNTS = {
+    "missed_deadlines": "missed", "incomplete_ticks": "incomplete", "dropped_ticks": "dropped",
+    "late_messages": "late", "lost_arrays": "lost", "skipped_periods": "skipped",
+}  # fmt: skip
+
+
+def head(source: Source, how: str, held: bool | None) -> str:
+    """Say what is shown and how far it is."""
+    scenario = source.rig.scenario
+    if source.outcome:
+        state = f"{source.end:.6g} s, {source.outcome}"
+    else:
+        state = f"{source.end:.6g} of {scenario.duration:g} s, {'paused' if held else 'running'}"
+    note = "; of what is old only the extremes are kept" if source.thinned else ""
+    return (f"<h1>{html.escape(scenario.name)}</h1><p>{html.escape(scenario.title)}</p>"
+            f'<p class="soft">{html.escape(how)}: {html.escape(state + note)}</p>')  # fmt: skip
+
+
+def figures(results: Iterable[Result], so_far: bool) -> str:
+    """Give the table of figures and of the margins of requirements."""
+    rows = []
+    for f in results:
+        mark = '<span class="good">pass</span>' if f.judged and f.passed else ""
+        if f.judged and not f.passed:
+            mark = '<span class="wrong">not yet</span>' if so_far else '<span class="wrong">miss</span>'
+        value = "" if f.value is None else f"{f.value:.6g}"
+        said = in_words(f) if f.value is None else pretty_unit(f.unit)
+        rows.append(f'<tr><td>{html.escape(f.name)}</td><td class="n">{value}</td><td>{html.escape(said or f.error)}</td>'
+                    f"<td>{html.escape(accepted(f))}</td><td>{mark}</td></tr>")  # fmt: skip
+    return _section("Figures and margins" + (", so far" if so_far else ""),
+                    "<tr><th>name</th><th>value</th><th></th><th>expected</th><th></th></tr>", rows)  # fmt: skip
+
+
+def health(status: Mapping[str, Mapping[str, Any]]) -> str:
+    """Give the table of the nodes: state, what was missed, refused or reported."""
+    rows = []
+    for name, s in status.items():
+        counts = [f"{s[key]} {word}" for key, word in COUNTS.items() if s.get(key)]
+        counts += [f"{n} refused on {topic}: {text}" for topic, (n, text) in s.get("refused", {}).items()]
+        counts += [f"{text} ({n} x)" for level, text, n in s.get("reports", {}).values() if level]
+        counts += [s["error"]] if s.get("error") else []
+        counts += [f"waits: {text}" for text in s.get("lacking", [])]
+        said = f'<span class="wrong">{html.escape("; ".join(counts))}</span>' if counts else "well"
+        state = "starting" if not s else str(s.get("state", ""))
+        rows.append(f"<tr><td>{html.escape(name)}</td><td>{html.escape(state)}</td>"
+                    f'<td class="n">{s.get("ticks", "")}</td><td>{said}</td></tr>')  # fmt: skip
+    return _section("Nodes", "<tr><th>node</th><th>state</th><th>ticks</th><th>health</th></tr>", rows)
+
+
+def log(lines: Iterable[Said]) -> str:
+    """Give what was done and said, newest first."""
+    rows = [f'<tr><td class="n">{s.t:.6g} s</td><td>{html.escape(s.who)}</td>'
+            f'<td class="{"wrong" if s.wrong else ""}">{html.escape(s.text)}</td></tr>'
+            for s in reversed(list(lines))]  # fmt: skip
+    return _section("What was done", "", rows) if rows else _section("What was done", "", ["<tr><td>nothing</td></tr>"])
+
+
+def values(names: Mapping[str, tuple[float | None, str]], t: float) -> str:
+    """Give the table of the values at a time (s): value and unit by label."""
+    rows = [f'<tr><td>{html.escape(label)}</td><td class="n">{"-" if v is None or math.isnan(v) else f"{v:.6g}"}</td>'
+            f"<td>{html.escape(pretty_unit(unit))}</td></tr>" for label, (v, unit) in names.items()]  # fmt: skip
+    return _section(f"At {t:.6g} s", "", rows)
+
+
+def _section(title: str, first: str, rows: Iterable[str]) -> str:
+    return f"<h2>{html.escape(title)}</h2><table>{first}{''.join(rows)}</table>"

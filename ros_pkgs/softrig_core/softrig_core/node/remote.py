@@ -1,0 +1,121 @@
+"""Turns knobs and presses buttons of a running rig for a process that speaks JSON lines: what a page in a browser asks.
+
+    in     {"id": 7, "node": "law", "set": {"k": 3.0}}        parameters of one node, all or none
+           {"id": 8, "node": "plant", "call": "kick"}         a std_srvs/Trigger below the node
+    out    {"id": 7, "ok": true, "reason": ""}                of each, in the order in which the nodes answer
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import threading
+from collections.abc import Callable
+from typing import Any
+
+import rclpy
+from rclpy.executors import ExternalShutdownException
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.parameter_client import AsyncParameterClient
+
+from ..guard import secure_streams
+from .messages import message_class
+
+PATIENCE = 10.0  # s: for a node to be there and to answer
+
+
+class Remote:
+    """Clients of the services that have been asked for.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+    answer : callable
+        Gets the id of a request, whether it was done, and the reason if it was not.
+    """
+
+    def __init__(self, node: Node, answer: Callable[[Any, bool, str], object]) -> None:
+        self._node = node
+        self._answer = answer
+        self._parameters: dict[str, AsyncParameterClient] = {}
+        self._triggers: dict[str, Any] = {}
+
+    def ask(self, request: dict[str, Any]) -> None:
+        """Have a node do something; what is wrong with the request itself is answered at once."""
+        try:
+            name = str(request["node"])
+            if "set" in request:
+                self._set(request["id"], name, request["set"])
+            else:
+                self._call(request["id"], name, f"{name}/{request['call']}")
+        except Exception as error:  # whatever a page may ask must not end the others' pages
+            self._answer(request.get("id"), False, str(error) or type(error).__name__)
+
+    def _set(self, number: Any, node: str, values: dict[str, Any]) -> None:
+        client = self._parameters.get(node)
+        if client is None:
+            client = self._parameters[node] = AsyncParameterClient(self._node, node)
+        parameters = [Parameter(name, value=value) for name, value in values.items()]
+        self._when(client.services_are_ready, number, node,
+                   lambda: client.set_parameters_atomically(parameters),
+                   lambda found: (found.result.successful, found.result.reason))  # fmt: skip
+
+    def _call(self, number: Any, node: str, service: str) -> None:
+        trigger = message_class("std_srvs/srv/Trigger")
+        client = self._triggers.get(service)
+        if client is None:
+            client = self._triggers[service] = self._node.create_client(trigger, service)
+        self._when(client.service_is_ready, number, node, lambda: client.call_async(trigger.Request()),
+                   lambda found: (found.success, found.message))  # fmt: skip
+
+    def _when(self, ready: Callable[[], bool], number: Any, node: str, send: Callable[[], Any],
+              read: Callable[[Any], tuple[bool, str]]) -> None:  # fmt: skip
+        """Send when the node is there, answer when it has; a node that does neither in time is named."""
+        begun = self._node.get_clock().now()
+        sent: list[Any] = []
+
+        def look() -> None:
+            if not sent and ready():
+                sent.append(send())
+            if sent and sent[0].done():
+                self._node.destroy_timer(timer)
+                self._answer(number, *read(sent[0].result()))
+            elif (self._node.get_clock().now() - begun).nanoseconds > PATIENCE * 1e9:
+                self._node.destroy_timer(timer)
+                self._answer(number, False, f"{node} does not answer" if sent else f"no node {node}")
+
+        timer = self._node.create_timer(0.01, look)
+
+
+def main() -> None:
+    """Serve the lines of the standard input until it ends."""
+    secure_streams()
+    rclpy.init(args=[])
+    node = Node(f"softrig_view_{os.getpid()}")
+    executor = rclpy.get_global_executor()
+    executor.add_node(node)
+
+    def answer(number: Any, ok: bool, reason: str) -> None:
+        print(json.dumps({"id": number, "ok": ok, "reason": reason}), flush=True)
+
+    remote = Remote(node, answer)
+
+    def listen() -> None:
+        for line in sys.stdin:
+            request = json.loads(line)
+            executor.create_task(lambda request=request: remote.ask(request))
+        rclpy.try_shutdown()
+
+    threading.Thread(target=listen, daemon=True).start()
+    try:
+        executor.spin()
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    finally:
+        rclpy.try_shutdown()
+
+
+if __name__ == "__main__":
+    main()
