@@ -55,7 +55,7 @@ _FOREIGN = {
 # verbs of scripts/softrig itself, which never get here
 _SCRIPT = {
     "setup": "only set up what is missing: .venv from the lock files, .ws from ros_pkgs",
-    "add": "add sets of scripts/locks to .venv (tables, frames, search, learning, dask, fmu, osqp, docs, colcon, test)",
+    "add": "add sets of scripts/locks to .venv (tables, frames, search, learning, dask, fmu, view, osqp, docs, colcon, test)",
     "fetch": "fetch DIR: download all packages; SOFTRIG_WHEELS=DIR then sets up without a network",
     "colcon": "colcon of the set-up, for packages of your own: scripts/softrig colcon build",
     "env": 'print the environment, for a shell of your own: eval "$(scripts/softrig env)"',
@@ -89,6 +89,9 @@ def _parser() -> argparse.ArgumentParser:
         "name", nargs="?", default="", help="of a function"
     )
     run_options.arguments(verb("run", run_verb.run, "run a scenario: metrics, bag, plots, report"))
+    look = verb("view", _view, "look at a run or a bag in the browser, or run a scenario that begins paused there")
+    run_options.arguments(look)
+    look.set_defaults(mode="container")
     set_verb.arguments(verb("set", set_verb.set_values, "change live parameters of running nodes: NODE.PARAM VALUE"))
     node = verb("node", _node, "start one executable, as `ros2 run` does")
     node.add_argument("package")
@@ -206,6 +209,12 @@ def _script(options: argparse.Namespace) -> int:
     from softrig_core import ScenarioError
 
     raise ScenarioError(f"{', '.join(_SCRIPT)} are verbs of scripts/softrig, which has not been used here")
+
+
+def _view(options: argparse.Namespace) -> int:
+    from .view.verb import view
+
+    return view(options)
 
 
 def _new(options: argparse.Namespace) -> int:

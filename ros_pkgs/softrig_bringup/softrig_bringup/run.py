@@ -46,6 +46,8 @@ def execute(
     progress: Callable[[int], object] | None = None,
     announce: Callable[[str], object] | None = None,
     wait: float | None = None,
+    opened: Callable[[int], object] | None = None,
+    paused: bool = False,
 ) -> Run:
     """Run a rig; one that broke or was stopped says so in `error` or `stopped` and has what was recorded.
 
@@ -61,8 +63,9 @@ def execute(
         Against the wall clock.
     domain : int, optional
         ROS_DOMAIN_ID instead of a free one.
-    progress, announce : callable, optional
+    progress, announce, opened : callable, optional
     wait : float, optional
+    paused : bool
         See `softrig_core.rig.processes.run_processes`.
     """
     started = time.perf_counter()
@@ -85,7 +88,7 @@ def execute(
         realtime = realtime or mode == "realtime"
         outcome = run_processes(rig, seed, directory, mode="realtime" if realtime else "lockstep",
                                 domain=domain, progress=progress, announce=announce, wait=wait,
-                                containers=placed(rig, mode))  # fmt: skip
+                                containers=placed(rig, mode), opened=opened, paused=paused)  # fmt: skip
         run = Run(rig, seed, outcome.recording, time.perf_counter() - started, mode_name(mode, realtime),
                   outcome.epoch, outcome.status, outcome.error, outcome.stopped)  # fmt: skip
     if not run.error and not run.stopped and not realtime:

@@ -40,10 +40,13 @@ def _run_reserved(options: argparse.Namespace) -> int:
     from softrig_core.rig.start_server import prepare
 
     from .progress import progress
-    from .run import checked, execute
+    from .run import checked, execute, mode_name
+    from .view.beside import page
 
     if options.realtime and options.mode == "inprocess":
         raise ScenarioError("--realtime: blocks in process know no wall clock; expected --mode processes or container")
+    if options.view:
+        _check_view(options)
     if options.mode != "inprocess":
         prepare(environment(0, Path()))  # on another core, while this one reads and checks the scenario
     scenario = scenario_of(options)
@@ -53,11 +56,43 @@ def _run_reserved(options: argparse.Namespace) -> int:
 
         return run_part(rig, options)
     folder = results_folder(options, scenario.name)
-    with folder.keeping():
+    realtime, log = options.realtime or options.mode == "realtime", folder.path / "log"
+    with folder.keeping(), page(scenario, log, realtime=realtime, paused=options.paused,
+                                how=mode_name(options.mode, options.realtime), address=options.view_address) as shown:  # fmt: skip
+
+        def opened(domain: int) -> None:
+            if options.connect:
+                _announce(_how_to_connect(domain, log))
+            if options.view:
+                shown.open(domain)
+
         with progress(scenario.name, scenario.duration) as tell:
-            done = execute(rig, options.mode, folder.path / "log", realtime=options.realtime, domain=options.domain,
-                           progress=tell, wait=options.wait, announce=_announce)  # fmt: skip
-        return conclude(options, done, folder)
+            done = execute(rig, options.mode, log, realtime=options.realtime, domain=options.domain, progress=tell,
+                           wait=options.wait, announce=_announce, opened=opened, paused=options.paused)  # fmt: skip
+        status = conclude(options, done, folder)
+        shown.over(done, folder.path)
+        return status
+
+
+def _check_view(options: argparse.Namespace) -> None:
+    """Refuse what has no page; bring the library."""
+    from softrig_core import ScenarioError
+    from softrig_core.extras import need
+
+    if options.mode == "inprocess" or options.only:
+        what = "--mode inprocess" if options.mode == "inprocess" else "--only"
+        raise ScenarioError(f"--view shows a whole rig of nodes, which {what} is not; expected --mode container or "
+                            "processes")  # fmt: skip
+    need("bokeh", "--view")
+
+
+def _how_to_connect(domain: int, directory: Path) -> str:
+    """Say what nodes outside need in their environment."""
+    from softrig_core.rig.executables import environment
+
+    found = environment(domain, directory)
+    names = ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE", "RMW_IMPLEMENTATION")
+    return "to connect: export " + " ".join(f"{name}={found[name]}" for name in names)
 
 
 def results_folder(options: argparse.Namespace, scenario: str) -> ResultsFolder:

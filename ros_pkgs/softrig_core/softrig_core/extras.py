@@ -16,6 +16,7 @@ EXTRAS = {
     "cmaes": "search",
     "distributed": "dask",
     "osqp": "osqp",
+    "bokeh": "view",
     "gymnasium": "learning",
     "sphinx": "docs",
     "myst_nb": "docs",

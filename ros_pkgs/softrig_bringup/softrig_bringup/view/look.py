@@ -57,7 +57,7 @@ p { margin: 2px 0; }
 table { border-collapse: collapse; width: 100%; font-variant-numeric: tabular-nums; font-size: 13px; }
 td, th { padding: 1px 8px 1px 0; text-align: left; vertical-align: top; border-bottom: 1px solid var(--line);
   overflow-wrap: anywhere; }
-td.n { text-align: right; white-space: nowrap; }
+td.n, th.n { text-align: right; white-space: nowrap; }
 th { color: var(--soft); font-weight: normal; }
 .soft { color: var(--soft); } .wrong { color: var(--wrong); } .good { color: var(--good); }
 svg { width: 100%; height: auto; max-height: 420px; }

@@ -95,8 +95,9 @@ class Picture:
                 style = {"line_color": INK[self._look], "line_dash": [6, 4], "line_width": 1.2}
             source = self.sources[name] = ColumnDataSource({"x": [], "y": []}, name=f"{self._entry.title}: {name}")
             lines.append(found.line("x", "y", source=source, legend_label=curve.label, name=curve.label, **style))
-        found.legend.location, found.legend.orientation = "top_left", "horizontal"
-        found.legend.click_policy = "hide"
+        found.legend.orientation, found.legend.click_policy, found.legend.ncols = "horizontal", "hide", "auto"
+        found.add_layout(found.legend[0], "above")
+        found.toolbar.autohide = True
         return lines
 
     def show(self, pane: Pane, end: float) -> None:
@@ -113,6 +114,15 @@ class Picture:
                 if curve.held and len(x):
                     x, y = np.repeat(x, 2)[1:], np.repeat(y, 2)[:-1]
             source.data = {"x": x, "y": y}
+
+    def values(self, pane: Pane) -> dict[str, tuple[float | None, str]]:
+        """Give the newest value and the unit of each signal, by its label; nothing of what is over another signal."""
+        self._curves.signals, self._curves.end = pane, 0.0  # type: ignore[assignment]
+        found: dict[str, tuple[float | None, str]] = {}
+        for name in () if self._entry.x else self.sources:
+            curve = self._curves.shown(self._entry, name)
+            found[f"{self._entry.title}: {curve.label}"] = float(curve.y[-1]) if len(curve.y) else None, curve.unit
+        return found
 
 
 def plots_of(rig: Rig) -> tuple[PlotEntry, ...]:

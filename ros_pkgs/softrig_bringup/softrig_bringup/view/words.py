@@ -10,7 +10,7 @@ from typing import Any
 from softrig_core.rig.figures import Result
 
 from ..plots.style import pretty_unit
-from ..wording import accepted, in_words
+from ..wording import accepted, in_words, measured_here
 from .control import Said
 from .sources import Source
 
@@ -38,13 +38,15 @@ def figures(results: Iterable[Result], so_far: bool) -> str:
     for f in results:
         mark = '<span class="good">pass</span>' if f.judged and f.passed else ""
         if f.judged and not f.passed:
-            mark = '<span class="wrong">not yet</span>' if so_far else '<span class="wrong">miss</span>'
-        value = "" if f.value is None else f"{f.value:.6g}"
-        said = in_words(f) if f.value is None else pretty_unit(f.unit)
-        rows.append(f'<tr><td>{html.escape(f.name)}</td><td class="n">{value}</td><td>{html.escape(said or f.error)}</td>'
+            there = measured_here(f)
+            mark = "" if so_far and not there else f'<span class="wrong">{"not yet" if so_far else "miss"}</span>'
+        value = "-" if f.value is None else f"{f.value:.5g}"
+        unit = pretty_unit(f.unit)
+        said = unit if f.value is not None or (so_far and not measured_here(f)) else in_words(f)
+        rows.append(f'<tr><td>{html.escape(f.name)}</td><td class="n">{value}</td><td>{html.escape(said)}</td>'
                     f"<td>{html.escape(accepted(f))}</td><td>{mark}</td></tr>")  # fmt: skip
     return _section("Figures and margins" + (", so far" if so_far else ""),
-                    "<tr><th>name</th><th>value</th><th></th><th>expected</th><th></th></tr>", rows)  # fmt: skip
+                    '<tr><th>name</th><th class="n">value</th><th></th><th>expected</th><th></th></tr>', rows)  # fmt: skip
 
 
 def health(status: Mapping[str, Mapping[str, Any]]) -> str:

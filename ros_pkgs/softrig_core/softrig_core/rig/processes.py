@@ -63,6 +63,8 @@ def run_processes(
     wait: float | None = None,
     containers: Iterable[Sequence[str]] = (),
     only: Sequence[str] = (),
+    opened: Callable[[int], object] | None = None,
+    paused: bool = False,
 ) -> Outcome:
     """Start all nodes of a rig, wait for them, gather what they recorded.
 
@@ -87,6 +89,10 @@ def run_processes(
         Names of nodes that share a process; every other node has one of its own.
     only : sequence of str
         Names of the nodes that are started here, when the others run on another machine; all when empty.
+    opened : callable, optional
+        Gets the domain before the first node is started.
+    paused : bool
+        In lockstep: the run is held at t = 0 until its clock is told to resume.
 
     Returns
     -------
@@ -113,11 +119,13 @@ def run_processes(
         remove_leftovers()
         variables = environment(domain, directory, discovery="SUBNET" if only else "LOCALHOST")
         guests = Guests(rig, announce)
+        if opened is not None:
+            opened(domain)
         try:
             with stoppable() as stopping:
                 try:
                     guests.invite(domain)
-                    options = {"run.mode": mode, "run.start_timeout": wait}
+                    options = {"run.mode": mode, "run.start_timeout": wait, "run.paused": paused}
                     for group in groups(rig, containers, only):
                         # A signal waits until it is known who has been started; what Python does at a fork would
                         # swallow it with a traceback, besides.

@@ -1,0 +1,288 @@
+"""One page: a document of Bokeh for one browser, made of pictures, tables, knobs and buttons."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from bokeh.document import Document
+from bokeh.layouts import column, row
+from bokeh.models import (
+    Button,
+    ColumnDataSource,
+    CustomJS,
+    Div,
+    InlineStyleSheet,
+    NumericInput,
+    Range1d,
+    Select,
+    Slider,
+    Span,
+    TextInput,
+    Toggle,
+)
+from bokeh.themes import Theme
+from softrig_core import ScenarioError
+from softrig_core.rig.figures import Result
+from softrig_core.rig.yaml_file import read_yaml
+
+from . import words
+from .control import Control, Knob
+from .look import CHANGED, TEMPLATE, WIDGETS, theme
+from .pictures import Picture, plots_of
+from .sources import Source
+
+EVERY = 250  # ms between two states of a page: nodes hand over what they record four times a second
+WINDOWS = ("0.1", "0.5", "2", "10", "60", "all")  # s
+SLOW = 4  # states of the pictures between two of the tables
+
+
+class Page:
+    """What one browser sees.
+
+    Parameters
+    ----------
+    document : Document
+    source : Source
+    control : Control
+    figures : callable
+        Gives the newest figures, and whether they are those so far.
+    who : str
+        What this browser is called on all pages.
+    how : str
+        Mode and place of the run.
+    look : {"light", "dark"}
+    """
+
+    def __init__(self, document: Document, source: Source, control: Control,
+                 figures: Callable[[], tuple[Sequence[Result], bool]], who: str, how: str, look: str) -> None:  # fmt: skip
+        self._source, self._control, self._figures = source, control, figures
+        self._who, self._how = who, how
+        self._sheet = InlineStyleSheet(css=WIDGETS)
+        self._calm = False  # what changes is changed by us
+        self._shown: tuple[Any, ...] = ()
+        self._texts: tuple[Any, ...] = ()
+        self._count = 0
+        self.time = Range1d(0.0, max(source.end, 1e-3))
+        self._cursor = Span(dimension="height", location=math.nan, line_color=CHANGED[look], line_width=1.5)
+        self._changes = ColumnDataSource({"t": []}, name="changes")
+        rig = source.rig
+        self._pictures = [Picture(e, rig, self.time, self._cursor, self._changes, look) for e in plots_of(rig)]
+        self._head = self._div("state")
+        self._tables = {name: self._div(name) for name in ("figures", "health", "log")}
+        self._knobs = {key: self._knob(knob) for key, knob in control.knobs.items()}
+        # a browser that has not shown the last state gets no further one: it loses pictures, and nothing piles up
+        self._beat, self._echo = self._div("beat", visible=False), self._div("echo", visible=False)
+        self._beat.js_on_change("text", CustomJS(args={"beat": self._beat, "echo": self._echo},
+                                                 code="echo.text = beat.text"))  # fmt: skip
+        self.time.on_change("start", self._moved)
+        self.time.on_change("end", self._moved)
+        top = [self._head, row(*self._bar(), sizing_mode="stretch_width", styles={"flex-wrap": "wrap"})]
+        if not source.live:
+            top.append(self._recorded())
+        found = [f for p in self._pictures for f in p.figures]
+        grid = {"display": "grid", "grid-template-columns": "repeat(auto-fit, minmax(min(100%, 460px), 1fr))"}
+        roots = {
+            "head": column(*top, self._beat, self._echo, sizing_mode="stretch_width"),
+            "pictures": column(*found, sizing_mode="stretch_width", styles=grid),
+            "side": column(*self._side(), sizing_mode="stretch_width"),
+        }
+        for name, root in roots.items():
+            root.name = name
+            document.add_root(root)
+        document.theme = Theme(json=theme(look))
+        document.template = TEMPLATE
+        document.template_variables["look"] = look
+        document.title = f"{rig.scenario.name} - softrig"
+        document.add_periodic_callback(self.update, EVERY)
+
+    # what it is made of --------------------------------------------------------------------------------------------
+
+    def _div(self, name: str, visible: bool = True) -> Div:
+        return Div(name=name, visible=visible, sizing_mode="stretch_width", stylesheets=[self._sheet])
+
+    def _button(self, label: str, call: Callable[[], object], name: str = "") -> Button:
+        found = Button(label=label, name=name or label, stylesheets=[self._sheet], width=90)
+        found.on_click(call)
+        return found
+
+    def _bar(self) -> list[Any]:
+        """Window of time, follow; pause and step where the run can be held."""
+        sheet = [self._sheet]
+        self._window = Select(title="window, s", value="all", options=list(WINDOWS), width=90, stylesheets=sheet,
+                              name="window")  # fmt: skip
+        self._follow = Toggle(label="follow", active=True, width=90, stylesheets=sheet, name="follow", align="end")
+        self._window.on_change("value", self._again)
+        self._follow.on_change("active", self._again)
+        found: list[Any] = [self._window, self._follow]
+        if self._control.held is not None and self._source.live:
+            self._pace = self._button("pause", self._pause, "pace")
+            step = self._button("step", lambda: self._control.pace(self._who, "step"))
+            found += [self._pace, step]
+            for button in (self._pace, step):
+                button.align = "end"
+        return found
+
+    def _recorded(self) -> Any:
+        """A time cursor, and what moves it."""
+        end = max(self._source.end, 1e-9)
+        self._slider = Slider(start=0.0, end=end, value=0.0, step=end / 1000, title="t, s", stylesheets=[self._sheet],
+                              name="cursor", format="0.000000", sizing_mode="stretch_width")  # fmt: skip
+        self._slider.on_change("value", lambda attr, old, new: self._point())
+        self._play = Toggle(label="play", width=90, stylesheets=[self._sheet], name="play", align="end")
+        return row(self._slider, self._play, sizing_mode="stretch_width")
+
+    def _side(self) -> list[Any]:
+        found: list[Any] = []
+        control = self._control
+        if not self._source.live:
+            self._values = self._div("values")
+            found.append(self._values)
+        if control.buttons:
+            found += [Div(text="<h2>Buttons</h2>", stylesheets=[self._sheet]),
+                      row(*(self._button(f"{node}: {name}", lambda n=node, b=name: control.press(self._who, n, b),
+                                         f"{node}/{name}") for node, name in control.buttons),
+                          styles={"flex-wrap": "wrap"})]  # fmt: skip
+        for fault, title in ((True, "Faults"), (False, "Knobs")):
+            keys = [key for key, knob in control.knobs.items() if knob.fault is fault]
+            if keys:
+                found.append(Div(text=f"<h2>{title}</h2>", stylesheets=[self._sheet]))
+                found += [self._knobs[key] for key in keys]
+        return [self._tables["figures"], *found, self._tables["health"], self._tables["log"]]
+
+    def _knob(self, knob: Knob) -> Any:
+        """Give the widget of a parameter; what is no number, switch or text is written as YAML."""
+        title = f"{knob.key}{f', {knob.unit}' if knob.unit else ''}"
+        about: dict[str, Any] = {"name": knob.key, "stylesheets": [self._sheet], "sizing_mode": "stretch_width"}
+        if knob.kind is bool:
+            found: Any = Toggle(label=title, active=bool(knob.value), **about)
+            found.on_change("active", lambda attr, old, new: self._turned(knob, new))
+            return found
+        if knob.kind in (int, float) and isinstance(knob.value, int | float):
+            found = NumericInput(title=f"{title}{_range(knob)}", value=knob.value,
+                                 mode="int" if knob.kind is int else "float", description=knob.doc or None, **about)  # fmt: skip
+        else:
+            found = TextInput(title=title, value=_text(knob.value), description=knob.doc or None, **about)
+        found.on_change("value", lambda attr, old, new: self._turned(knob, new))
+        return found
+
+    # what people do ------------------------------------------------------------------------------------------------
+
+    def _turned(self, knob: Knob, value: Any) -> None:
+        if self._calm:
+            return
+        if isinstance(value, str):
+            try:
+                value = read_yaml(value, knob.key) if knob.kind is not str else value
+            except ScenarioError as error:
+                self._control.say(self._who, str(error), True)
+                value = None
+        if value is None:
+            self._control.say(self._who, f"{knob.key}: expected a value", True)
+        elif value != knob.value:
+            self._control.turn(self._who, knob.key, value)
+        self._texts = ()
+
+    def _pause(self) -> None:
+        self._control.pace(self._who, "resume" if self._control.held else "pause")
+
+    def _moved(self, attr: str, old: Any, new: Any) -> None:
+        """A browser has zoomed or moved: it looks at what it has chosen until it follows again."""
+        if not self._calm:
+            self._calm = True
+            self._follow.active = False
+            self._calm = False
+            self._shown = ()
+
+    def _again(self, attr: str, old: Any, new: Any) -> None:
+        if not self._calm:
+            self._calm = True
+            self._follow.active = True
+            self._calm = False
+            self._shown = ()
+            self.update()
+
+    def _point(self) -> None:
+        """Show the values at the cursor."""
+        t = float(self._slider.value)
+        self._cursor.location = t
+        pane = self._source.pane(t, t)
+        named: dict[str, tuple[float | None, str]] = {}
+        for picture in self._pictures:
+            named |= picture.values(pane)
+        self._values.text = words.values(named, t)
+
+    # what is shown -------------------------------------------------------------------------------------------------
+
+    def update(self) -> None:
+        """Show what is new, if the browser has shown the last state."""
+        source = self._source
+        if not source.live and self._play.active:
+            following = self._slider.value + self._slider.end / 100
+            self._slider.value = 0.0 if following > self._slider.end else following
+        if self._beat.text != self._echo.text:
+            return
+        self._calm = True
+        try:
+            changed = self._draw()
+            self._count += 1
+            if self._count % SLOW == 1 or source.outcome:
+                changed = self._write() or changed
+        finally:
+            self._calm = False
+        if changed:
+            self._beat.text = str(self._count)
+
+    def _draw(self) -> bool:
+        source = self._source
+        if self._follow.active:
+            first, last = 0.0, max(source.end, 1e-3)
+            if self._window.value != "all":
+                first = max(0.0, last - float(self._window.value))
+            self.time.update(start=first, end=last)
+        first, last = float(self.time.start), float(self.time.end)
+        now = (source.version, first, last)
+        if now == self._shown:
+            return False
+        self._shown = now
+        pane = source.pane(first, last)
+        for picture in self._pictures:
+            picture.show(pane, min(last, source.end))
+        if len(source.changes) != len(self._changes.data["t"]):
+            self._changes.data = {"t": [t for t, _, _ in source.changes]}
+        self._head.text = words.head(source, self._how, self._control.held)
+        return True
+
+    def _write(self) -> bool:
+        source, control = self._source, self._control
+        results, so_far = self._figures()
+        texts = (words.figures(results, so_far), words.health(source.status), words.log(control.said),
+                 tuple(repr(k.value) for k in control.knobs.values()), control.held, source.outcome)  # fmt: skip
+        if texts == self._texts:
+            return False
+        self._texts = texts
+        for div, text in zip(self._tables.values(), texts, strict=False):
+            if div.text != text:
+                div.text = text  # type: ignore[assignment]
+        for key, knob in control.knobs.items():
+            widget = self._knobs[key]
+            if knob.kind is bool:
+                widget.active = bool(knob.value)
+            else:
+                widget.value = _text(knob.value) if isinstance(widget, TextInput) else knob.value
+        if control.held is not None and source.live:
+            self._pace.label = "resume" if control.held else "pause"
+        self._head.text = words.head(source, self._how, control.held)
+        return True
+
+
+def _range(knob: Knob) -> str:
+    low, high = knob.bounds
+    if math.isinf(low) and math.isinf(high):
+        return ""
+    return f" (at least {low:g})" if math.isinf(high) else f" ({low:g} to {high:g})" if low > -math.inf else f" (to {high:g})"
+
+
+def _text(value: Any) -> str:
+    return "" if value is None else str(value)

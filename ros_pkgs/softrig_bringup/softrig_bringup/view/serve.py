@@ -1,0 +1,268 @@
+"""The server of the pages: on one address, for as long as somebody looks; beside a run it is a process of its own.
+
+    in     {"over": "ended", "folder": ".../runs/x"}      a line from the run, when it is over; the end of the input ends it
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import secrets
+import signal
+import sys
+import threading
+import time
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+from bokeh.application import Application
+from bokeh.application.handlers.function import FunctionHandler
+from bokeh.document import Document
+from bokeh.server.auth_provider import AuthProvider, NullAuth
+from bokeh.server.server import Server
+from bokeh.server.util import bind_sockets
+from pydantic import BaseModel, ConfigDict
+from softrig_core import Rig, Scenario, ScenarioError
+from softrig_core.guard import say
+from softrig_core.rig.figures import Result, evaluate
+from tornado.ioloop import IOLoop
+from tornado.web import HTTPError, RequestHandler
+
+from .control import Control
+from .page import EVERY, Page
+from .remote import Remote
+from .sources import Live, Source
+
+LOOPBACK = ("127.0.0.1", "::1", "localhost")
+PAGE = "/view"
+SHARE = 10.0  # figures take at most one part in so many of the time
+
+
+class Watched(BaseModel):
+    """What the process of a page must know of the run beside it.
+
+    Parameters
+    ----------
+    scenario : dict
+    domain : int
+        ROS_DOMAIN_ID.
+    directory : str
+        Where the nodes write their files.
+    realtime, paused : bool
+    how : str
+        Mode and place, in words.
+    address : str
+        ``host:port``; port 0: a free one.
+    """
+
+    model_config = ConfigDict(extra="forbid")
+    scenario: dict[str, Any]
+    domain: int
+    directory: str
+    realtime: bool
+    paused: bool
+    how: str
+    address: str
+
+
+class _Token(AuthProvider):
+    """Lets in who says the token in the address of the page; a cookie says it from then on."""
+
+    def __init__(self, token: str) -> None:
+        self._token = token
+        super().__init__()
+
+    @property
+    def get_user(self) -> Any:
+        def user(handler: RequestHandler) -> str | None:
+            said = handler.get_argument("token", "") or handler.get_cookie("softrig_token", "") or ""
+            if not secrets.compare_digest(said, self._token):
+                return None
+            if handler.get_argument("token", ""):
+                handler.set_cookie("softrig_token", self._token, httponly=True, samesite="Strict")
+            return "token"
+
+        return user
+
+    @property
+    def login_url(self) -> str:
+        return "/refused"
+
+    @property
+    def login_handler(self) -> type[RequestHandler]:
+        return _Refused
+
+
+class _Refused(RequestHandler):
+    def get(self) -> None:
+        raise HTTPError(403, reason="the address of the page with its token is wanted")
+
+
+class _ToPage(RequestHandler):
+    def get(self) -> None:
+        query = f"?{self.request.query}" if self.request.query else ""
+        self.redirect(PAGE + query)
+
+
+class Pages:
+    """The pages of one source.
+
+    Parameters
+    ----------
+    source : Source
+    control : Control
+    how : str
+        Mode and place of the run.
+    address : str
+        ``host:port``.
+
+    Raises
+    ------
+    ScenarioError
+        Nothing can be served there.
+    """
+
+    def __init__(self, source: Source, control: Control, how: str, address: str, loop: IOLoop) -> None:
+        self._source, self._control, self._how = source, control, how
+        self._numbers = count(1)
+        self._results: Sequence[Result] = ()
+        self._worker = ThreadPoolExecutor(1)
+        self._next, self._busy = 0.0, False
+        self.came = False
+        host, _, port = address.rpartition(":")
+        host = host.strip("[]") or "127.0.0.1"
+        if not port.isdecimal() or int(port) > 65535:
+            raise ScenarioError(f"--view-address {address!r}: expected HOST:PORT, port 0 for a free one")
+        try:
+            sockets, chosen = bind_sockets(host, int(port))  # the port is part of what the browser's pages may come from
+            for one in sockets:
+                one.close()
+        except OSError as error:
+            raise ScenarioError(f"--view-address {address}: {error.strerror}") from None
+        token = "" if host in LOOPBACK else secrets.token_urlsafe(16)
+        try:
+            self.server = Server(
+                {PAGE: Application(FunctionHandler(self._page))}, io_loop=loop, address=host, port=chosen,
+                extra_patterns=[("/", _ToPage)], check_unused_sessions_milliseconds=1000,
+                unused_session_lifetime_milliseconds=5000, allow_websocket_origin=["*"] if token else [f"{name}:{chosen}" for name in ("localhost", host)],
+                auth_provider=_Token(token) if token else NullAuth(),
+            )  # fmt: skip
+        except OSError as error:
+            raise ScenarioError(f"--view-address {address}: {error.strerror}") from None
+        shown = f"[{host}]" if ":" in host else host
+        self.url = f"http://{shown}:{self.server.port}/" + (f"?token={token}" if token else "")
+        self.server.start()
+
+    def _page(self, document: Document) -> None:
+        self.came = True
+        arguments = document.session_context.request.arguments if document.session_context else {}
+        look = "dark" if arguments.get("look", [b""])[0] == b"dark" else "light"
+        number = next(self._numbers)
+        Page(document, self._source, self._control, self._figures, f"browser {number}", self._how, look)
+
+    @property
+    def watched(self) -> bool:
+        """Whether a browser shows a page."""
+        return bool(self.server.get_sessions(PAGE))
+
+    def _figures(self) -> tuple[Sequence[Result], bool]:
+        if self._source.results:
+            return [Result.model_validate(r) for r in self._source.results], False
+        return self._results, True
+
+    def measure(self) -> None:
+        """Measure the figures of what has come, now and then, beside the pages."""
+        source = self._source
+        if self._busy or source.results or source.thinned or not source.live or time.monotonic() < self._next:
+            return
+        self._busy = True
+        pane = source.pane(0.0, source.end)
+        started = time.monotonic()
+
+        def done(found: Any) -> None:
+            self._busy = False
+            self._next = time.monotonic() + max(1.0, SHARE * (time.monotonic() - started))
+            self._results = found.result()
+
+        future = self._worker.submit(evaluate, source.rig, pane)
+        future.add_done_callback(lambda found: self.server.io_loop.add_callback(done, found))
+
+    def close(self) -> None:
+        """Serve no more."""
+        self._worker.shutdown(cancel_futures=True)
+        self.server.unlisten()  # its sessions end with the process
+
+
+def serve(source: Source, how: str, address: str) -> None:
+    """Show a recording until it is interrupted."""
+    loop = IOLoop.current()
+    pages = Pages(source, Control(source.rig, None, lambda: source.end, lambda: source.outcome), how, address, loop)
+    say(f"the page is {pages.url}; Ctrl-C ends it")
+    try:
+        loop.start()
+    finally:
+        pages.close()
+
+
+def beside(watched: Watched, lines: Any) -> None:
+    """Show a run under way until it is over and nobody looks any more, or `lines` ends."""
+    os.nice(10)  # the loop comes first
+    rig = Rig.from_scenario(Scenario.model_validate(watched.scenario))
+    loop = IOLoop.current()
+    directory = Path(watched.directory)
+    source = Live(rig, directory, watched.realtime)
+    remote = Remote(watched.domain, directory, loop.add_callback)
+    held = None if watched.realtime or rig.clock.external else watched.paused
+    control = Control(rig, remote.ask, lambda: source.end, lambda: source.outcome, held)
+    pages = Pages(source, control, watched.how, watched.address, loop)
+    say(f"the page is {pages.url}")
+    told = 0
+
+    def look() -> None:
+        nonlocal told
+        source.look()
+        for change in source.changes[told:]:
+            control.took_effect(*change)
+        told = len(source.changes)
+        pages.measure()
+        if source.outcome and pages.came and not pages.watched:
+            loop.stop()
+
+    def over(said: dict[str, Any]) -> None:
+        source.finish(said["over"], Path(said["folder"]) if said.get("folder") else None)
+        control.say("the run", said["over"], said.get("wrong", False))
+
+    def listen() -> None:
+        for line in lines:
+            loop.add_callback(over, json.loads(line))
+        loop.add_callback(loop.stop)
+
+    from tornado.ioloop import PeriodicCallback
+
+    PeriodicCallback(look, EVERY).start()
+    threading.Thread(target=listen, daemon=True).start()
+    try:
+        loop.start()
+    finally:
+        pages.close()
+        remote.close()
+
+
+def main() -> int:
+    """Serve beside a run: one argument, a file with `Watched` as JSON."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the run decides when it ends
+    asyncio.set_event_loop(asyncio.new_event_loop())
+    try:
+        beside(Watched.model_validate_json(Path(sys.argv[1]).read_text()), sys.stdin)
+    except ScenarioError as error:
+        say(str(error))
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

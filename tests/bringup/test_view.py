@@ -1,0 +1,135 @@
+"""The page beside a run, over its websocket as a browser has it; knobs, pause and step; nothing of it in the numbers."""
+
+import os
+import re
+import signal
+import subprocess
+import sys
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+from conftest import PATIENCE
+from softrig_bags.compare import compare
+from softrig_bags.read import signals
+from softrig_bringup.view.control import Control
+from softrig_bringup.view.tracks import Track
+from softrig_core import rig_of
+
+
+@contextmanager
+def running(*words):
+    """A command of ours; gives its process and the lines that it has printed so far."""
+    process = subprocess.Popen([sys.executable, "-m", "softrig_bringup", *map(str, words)], text=True,
+                               stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)  # fmt: skip
+    try:
+        yield process
+    finally:
+        if process.poll() is None:
+            process.send_signal(signal.SIGINT)
+        process.communicate(timeout=PATIENCE)
+
+
+def address(process):
+    """Where the page is."""
+    for line in process.stderr:
+        if found := re.search(r"the page is (http\S+)", line):
+            return found[1]
+    raise AssertionError("it ended without a page")
+
+
+class Browser:
+    """A page as a browser sees it: what it shows, what somebody does with it."""
+
+    def __init__(self, url):
+        from bokeh.client import pull_session
+
+        self.session = pull_session(url=f"{url.rstrip('/')}/view")
+        self.document = self.session.document
+
+    def __getitem__(self, name):
+        return self.document.select_one({"name": name})
+
+    def press(self, name):
+        from bokeh.document.events import MessageSentEvent
+        from bokeh.events import ButtonClick
+
+        # what a client of Python has no call for: the event of a click, as the browser sends it
+        self.session._document_patched(MessageSentEvent(self.document, "bokeh_event", ButtonClick(self[name])))
+
+    def until(self, condition):
+        """Take what the server sends until the page shows something; what never comes ends by the time limit of tests."""
+
+        def seen():
+            if self["echo"].text != (beat := self["beat"].text):
+                self["echo"].text = beat  # as the script of the page does: the state is shown
+            return condition()
+
+        self.session._connection._loop_until(seen)
+        assert self.session.connected, self["log"].text
+
+    def says(self, text):
+        self.until(lambda: text in self["log"].text)
+
+    def close(self):
+        self.session.close()
+
+
+@pytest.mark.processes
+def test_a_run_is_held_stepped_and_turned_from_its_page_and_its_bag_is_that_of_the_same_run_without(tmp_path):
+    words = ("dc_motor_smc", "--duration", "0.3", "--no-plots")
+    with running("view", *words, "--out", tmp_path / "seen") as process:
+        url = address(process)
+        first, second = Browser(url), Browser(url)
+        first.until(lambda: "paused" in first["state"].text and first["pace"].label == "resume")
+        first.press("step")
+        first.says("step: one step")
+        first["dc_motor_smc.c"].value = -1.0
+        first.says("c out of range")
+        second.says("c out of range")  # what one is refused, all can read
+        assert first["dc_motor_smc.c"].value == second["dc_motor_smc.c"].value
+        second.close()  # in the middle
+        first.press("pace")
+        first.until(lambda: "ended" in first["state"].text)
+        first["dc_motor_smc.k"].value = 70.0
+        first.says("refused: the run is over")
+        speed = first["Speed follows its reference: motor/state/shaft/velocity"].data
+        first.close()
+        assert process.wait(PATIENCE) in (0, 1)
+    plain = [sys.executable, "-m", "softrig_bringup", "run", *words, "--mode", "container", "--out", tmp_path / "plain"]
+    subprocess.run(plain, capture_output=True, timeout=PATIENCE, env=os.environ)
+    assert compare(tmp_path / "seen/bag", tmp_path / "plain/bag").equal
+    t, recorded = signals(tmp_path / "seen/bag")["motor/state/shaft/velocity"]
+    assert (speed["x"][-1], speed["y"][-1]) == (t[-1], recorded[-1])  # the page ends where the bag does
+
+
+def test_a_track_keeps_extremes_and_stays_small():
+    track = Track(limit=1000)
+    x = np.random.default_rng(1).normal(size=50_000)
+    x[123], x[40_000] = 50.0, -60.0
+    for first in range(0, 50_000, 700):
+        part = slice(first, first + 700)
+        track.append(np.arange(50_000.0)[part], {"x": x[part]})
+    table = track.table(0.0, 1e9)
+    assert len(table.t) <= 1000
+    assert track.thinned
+    assert (table.columns["x"].max(), table.columns["x"].min()) == (50.0, -60.0)
+    assert np.all(np.diff(table.t) >= 0)
+    assert np.array_equal(table.columns["x"][-300:], x[-300:])  # the newest are whole
+
+
+def test_what_is_asked_of_a_run_that_is_over_or_of_a_recording_is_refused_in_words():
+    asked, over = [], ["ended"]
+    control = Control(rig_of("dc_motor_smc"), lambda *words: asked.append(words), lambda: 1.0, lambda: over[0])
+    control.turn("me", "dc_motor_smc.k", 3.0)
+    assert control.said[-1].wrong
+    assert "the run is over" in control.said[-1].text
+    over[0] = ""
+    control.turn("me", "dc_motor_smc.k", 3)
+    (request, answered), = asked
+    assert request == {"node": "dc_motor_smc", "set": {"k": 3.0}}
+    answered(False, "no")
+    assert control.said[-1].text == "dc_motor_smc.k = 3 rad/s^2 refused: no" or "refused: no" in control.said[-1].text
+    assert control.knobs["dc_motor_smc.k"].value != 3.0
+    answered(True, "")
+    assert control.knobs["dc_motor_smc.k"].value == 3.0
