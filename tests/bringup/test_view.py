@@ -1,4 +1,4 @@
-"""The page beside a run, over its websocket as a browser has it; knobs, pause and step; nothing of it in the numbers."""
+"""The page beside a run, over its websocket as a browser has it: knobs, pause, step; nothing of it in the numbers."""
 
 import os
 import re
@@ -58,7 +58,7 @@ class Browser:
         self.session._document_patched(MessageSentEvent(self.document, "bokeh_event", ButtonClick(self[name])))
 
     def until(self, condition):
-        """Take what the server sends until the page shows something; what never comes ends by the time limit of tests."""
+        """Take what the server sends until the page shows something; the time limit of tests ends what never comes."""
 
         def seen():
             if self["echo"].text != (beat := self["beat"].text):
@@ -126,7 +126,7 @@ def test_what_is_asked_of_a_run_that_is_over_or_of_a_recording_is_refused_in_wor
     assert "the run is over" in control.said[-1].text
     over[0] = ""
     control.turn("me", "dc_motor_smc.k", 3)
-    (request, answered), = asked
+    ((request, answered),) = asked
     assert request == {"node": "dc_motor_smc", "set": {"k": 3.0}}
     answered(False, "no")
     assert control.said[-1].text == "dc_motor_smc.k = 3 rad/s^2 refused: no" or "refused: no" in control.said[-1].text

@@ -55,7 +55,7 @@ _FOREIGN = {
 # verbs of scripts/softrig itself, which never get here
 _SCRIPT = {
     "setup": "only set up what is missing: .venv from the lock files, .ws from ros_pkgs",
-    "add": "add sets of scripts/locks to .venv (tables, frames, search, learning, dask, fmu, view, osqp, docs, colcon, test)",
+    "add": "add sets to .venv (tables, frames, search, learning, dask, fmu, view, osqp, docs, colcon, test)",
     "fetch": "fetch DIR: download all packages; SOFTRIG_WHEELS=DIR then sets up without a network",
     "colcon": "colcon of the set-up, for packages of your own: scripts/softrig colcon build",
     "env": 'print the environment, for a shell of your own: eval "$(scripts/softrig env)"',

@@ -43,7 +43,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--format", choices=("svg", "pdf"), default="", help="pictures of this kind beside the PNG")
     parser.add_argument("--junit", type=Path, metavar="FILE", help="what was judged, as JUnit XML")
     parser.add_argument("--no-plots", action="store_true", help="only metrics.json and the bag")
-    parser.add_argument("--view", action="store_true", help="a page in the browser beside it, to watch and to turn knobs")
+    parser.add_argument("--view", action="store_true", help="a page in the browser beside it, with knobs")
     parser.add_argument("--view-address", default="127.0.0.1:0", metavar="HOST:PORT", help="of the page (this host, a "
                         "free port); from other hosts it is seen with the token in its address only")  # fmt: skip
     parser.add_argument("--paused", action="store_true", help="with --view, in lockstep: begins paused")

@@ -56,9 +56,10 @@ def _run_reserved(options: argparse.Namespace) -> int:
 
         return run_part(rig, options)
     folder = results_folder(options, scenario.name)
-    realtime, log = options.realtime or options.mode == "realtime", folder.path / "log"
-    with folder.keeping(), page(scenario, log, realtime=realtime, paused=options.paused,
-                                how=mode_name(options.mode, options.realtime), address=options.view_address) as shown:  # fmt: skip
+    log = folder.path / "log"
+    beside = page(scenario, log, realtime=options.realtime or options.mode == "realtime", paused=options.paused,
+                  how=mode_name(options.mode, options.realtime), address=options.view_address)  # fmt: skip
+    with folder.keeping(), beside as shown:
 
         def opened(domain: int) -> None:
             if options.connect:

@@ -74,7 +74,9 @@ class Beside:
 
 
 @contextmanager
-def page(scenario: Scenario, directory: Path, *, realtime: bool, paused: bool, how: str, address: str) -> Iterator[Beside]:
+def page(
+    scenario: Scenario, directory: Path, *, realtime: bool, paused: bool, how: str, address: str
+) -> Iterator[Beside]:
     """Give a page that can be opened beside a run; see `Beside`."""
     found = Beside(scenario, directory, realtime=realtime, paused=paused, how=how, address=address)
     try:

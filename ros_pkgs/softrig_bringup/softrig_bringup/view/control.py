@@ -92,7 +92,8 @@ class Control:
         own = [m for m in rig.members if not m.external] if ask is not None else []
         self.knobs = {k.key: k for m in own for k in _knobs(m)}
         self.buttons = [
-            (m.name, p.name) for m in own for p in m.inputs if p.msgtype == "std_msgs/msg/Bool" and p.name not in m.links
+            (m.name, p.name) for m in own for p in m.inputs
+            if p.msgtype == "std_msgs/msg/Bool" and p.name not in m.links
         ]  # fmt: skip
         self.said: deque[Said] = deque(maxlen=KEPT)
         self.lines = 0

@@ -63,8 +63,11 @@ th { color: var(--soft); font-weight: normal; }
 svg { width: 100%; height: auto; max-height: 420px; }
 """
 
-TEMPLATE = """{% block preamble %}<meta name="viewport" content="width=device-width, initial-scale=1">
-<style>""" + VARIABLES + """</style>
+TEMPLATE = (
+    """{% block preamble %}<meta name="viewport" content="width=device-width, initial-scale=1">
+<style>"""
+    + VARIABLES
+    + """</style>
 <script>
 const dark = matchMedia('(prefers-color-scheme: dark)'), now = '{{ look }}'
 document.documentElement.classList.toggle('dark', now === 'dark')
@@ -79,3 +82,4 @@ go(false); dark.addEventListener('change', () => go(true))
 <aside>{{ embed(roots.side) }}</aside>
 </div>{% endblock %}
 """
+)

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import numpy as np
 from bokeh.document import Document
 from bokeh.layouts import column, row
 from bokeh.models import (
@@ -27,6 +28,9 @@ from softrig_core import ScenarioError
 from softrig_core.rig.figures import Result
 from softrig_core.rig.yaml_file import read_yaml
 
+from ..drawing import drawing_for
+from ..drawing.film import PAST, rows
+from ..drawing.svg import still
 from . import words
 from .control import Control, Knob
 from .look import CHANGED, TEMPLATE, WIDGETS, theme
@@ -55,8 +59,10 @@ class Page:
     look : {"light", "dark"}
     """
 
-    def __init__(self, document: Document, source: Source, control: Control,
-                 figures: Callable[[], tuple[Sequence[Result], bool]], who: str, how: str, look: str) -> None:  # fmt: skip
+    def __init__(
+        self, document: Document, source: Source, control: Control,
+        figures: Callable[[], tuple[Sequence[Result], bool]], who: str, how: str, look: str,
+    ) -> None:  # fmt: skip
         self._source, self._control, self._figures = source, control, figures
         self._who, self._how = who, how
         self._sheet = InlineStyleSheet(css=WIDGETS)
@@ -70,6 +76,8 @@ class Page:
         rig = source.rig
         self._pictures = [Picture(e, rig, self.time, self._cursor, self._changes, look) for e in plots_of(rig)]
         self._head = self._div("state")
+        self._look = look
+        self._drawing, self._drawn = drawing_for(rig), self._div("drawing")
         self._tables = {name: self._div(name) for name in ("figures", "health", "log")}
         self._knobs = {key: self._knob(knob) for key, knob in control.knobs.items()}
         # a browser that has not shown the last state gets no further one: it loses pictures, and nothing piles up
@@ -85,7 +93,9 @@ class Page:
         grid = {"display": "grid", "grid-template-columns": "repeat(auto-fit, minmax(min(100%, 460px), 1fr))"}
         roots = {
             "head": column(*top, self._beat, self._echo, sizing_mode="stretch_width"),
-            "pictures": column(*found, sizing_mode="stretch_width", styles=grid),
+            "pictures": column(
+                *([self._drawn] if self._drawing else []), *found, sizing_mode="stretch_width", styles=grid
+            ),
             "side": column(*self._side(), sizing_mode="stretch_width"),
         }
         for name, root in roots.items():
@@ -106,6 +116,9 @@ class Page:
         found = Button(label=label, name=name or label, stylesheets=[self._sheet], width=90)
         found.on_click(call)
         return found
+
+    def _press(self, node: str, name: str) -> Button:
+        return self._button(f"{node}: {name}", lambda: self._control.press(self._who, node, name), f"{node}/{name}")
 
     def _bar(self) -> list[Any]:
         """Window of time, follow; pause and step where the run can be held."""
@@ -140,10 +153,8 @@ class Page:
             self._values = self._div("values")
             found.append(self._values)
         if control.buttons:
-            found += [Div(text="<h2>Buttons</h2>", stylesheets=[self._sheet]),
-                      row(*(self._button(f"{node}: {name}", lambda n=node, b=name: control.press(self._who, n, b),
-                                         f"{node}/{name}") for node, name in control.buttons),
-                          styles={"flex-wrap": "wrap"})]  # fmt: skip
+            found.append(Div(text="<h2>Buttons</h2>", stylesheets=[self._sheet]))
+            found.append(row(*(self._press(*b) for b in control.buttons), styles={"flex-wrap": "wrap"}))
         for fault, title in ((True, "Faults"), (False, "Knobs")):
             keys = [key for key, knob in control.knobs.items() if knob.fault is fault]
             if keys:
@@ -160,8 +171,9 @@ class Page:
             found.on_change("active", lambda attr, old, new: self._turned(knob, new))
             return found
         if knob.kind in (int, float) and isinstance(knob.value, int | float):
-            found = NumericInput(title=f"{title}{_range(knob)}", value=knob.value,
-                                 mode="int" if knob.kind is int else "float", description=knob.doc or None, **about)  # fmt: skip
+            mode = "int" if knob.kind is int else "float"
+            found = NumericInput(title=f"{title}{_range(knob)}", value=knob.value, mode=mode,
+                                 description=knob.doc or None, **about)  # fmt: skip
         else:
             found = TextInput(title=title, value=_text(knob.value), description=knob.doc or None, **about)
         found.on_change("value", lambda attr, old, new: self._turned(knob, new))
@@ -212,6 +224,17 @@ class Page:
         for picture in self._pictures:
             named |= picture.values(pane)
         self._values.text = words.values(named, t)
+        self._draw_plant(t)
+
+    def _draw_plant(self, t: float) -> None:
+        """Draw the plant as it is at a time, s."""
+        drawing = self._drawing
+        if drawing is None:
+            return
+        pane = self._source.pane(t - drawing.trail, t)
+        known = {name: pane[name] for name in drawing.signals if name in pane}
+        past = rows(known, np.linspace(max(0.0, t - drawing.trail), t, PAST)) if drawing.trail else ()
+        self._drawn.text = still(drawing, drawing.frame(rows(known, np.array([t]))[0], past), self._look == "dark")
 
     # what is shown -------------------------------------------------------------------------------------------------
 
@@ -249,6 +272,7 @@ class Page:
         pane = source.pane(first, last)
         for picture in self._pictures:
             picture.show(pane, min(last, source.end))
+        self._draw_plant(min(last, source.end) if source.live else float(self._slider.value))
         if len(source.changes) != len(self._changes.data["t"]):
             self._changes.data = {"t": [t for t, _, _ in source.changes]}
         self._head.text = words.head(source, self._how, self._control.held)
@@ -281,7 +305,9 @@ def _range(knob: Knob) -> str:
     low, high = knob.bounds
     if math.isinf(low) and math.isinf(high):
         return ""
-    return f" (at least {low:g})" if math.isinf(high) else f" ({low:g} to {high:g})" if low > -math.inf else f" (to {high:g})"
+    if math.isinf(high):
+        return f" (at least {low:g})"
+    return f" (to {high:g})" if math.isinf(low) else f" ({low:g} to {high:g})"
 
 
 def _text(value: Any) -> str:

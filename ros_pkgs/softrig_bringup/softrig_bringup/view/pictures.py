@@ -1,4 +1,4 @@
-"""The scenario's pictures as they move: one set of axes for each unit of a plot, curves of at most some thousand points."""
+"""The scenario's pictures as they move: axes for each unit of a plot, curves of some thousand points at most."""
 
 from __future__ import annotations
 
@@ -45,10 +45,10 @@ class Picture:
     def __init__(self, entry: PlotEntry, rig: Rig, time: Range1d, cursor: Span, changes: ColumnDataSource,
                  look: str) -> None:  # fmt: skip
         self._entry = entry.model_copy(update={"window": None})  # the reader chooses
-        self._curves = Curves(Pane({}), rig)
+        self._curves = Curves(Pane({}), rig)  # type: ignore[arg-type]
         self._look = look
         self.sources: dict[str, ColumnDataSource] = {}
-        named = {name: self._curves.shown(self._entry, name) for name in entry.signals}  # without points yet
+        named = {name: self._curves.shown(self._entry, name) for name in entry.signals}
         if entry.x:
             self.figures = [self._plane(named)]
             return
@@ -78,8 +78,9 @@ class Picture:
     def _plane(self, named: dict[str, Curve]) -> Any:
         over = self._curves.axis(f"{self._curves.topic(next(iter(named)))}/{self._entry.x}")
         unit = next(iter(named.values())).unit
-        found = figure(height=380, tools="pan,box_zoom,wheel_zoom,reset,save", active_drag="box_zoom", match_aspect=True,
-                       sizing_mode="stretch_width", title=self._entry.title, x_axis_label=axis_title(over, unit),
+        found = figure(height=380, tools="pan,box_zoom,wheel_zoom,reset,save", active_drag="box_zoom",
+                       match_aspect=True, sizing_mode="stretch_width", title=self._entry.title,
+                       x_axis_label=axis_title(over, unit),
                        y_axis_label=axis_title(self._entry.quantity or quantity(unit), unit))  # fmt: skip
         lines = self._lines(found, list(named), named)
         found.add_tools(HoverTool(renderers=lines, tooltips="$name: @x{%.6g}, @y{%.6g}", line_policy="nearest",

@@ -1,6 +1,6 @@
 """The server of the pages: on one address, for as long as somebody looks; beside a run it is a process of its own.
 
-    in     {"over": "ended", "folder": ".../runs/x"}      a line from the run, when it is over; the end of the input ends it
+in     {"over": "ended", "folder": ".../runs/x"}      a line from the run, when it is over; the end of the input ends it
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ class Watched(BaseModel):
     address: str
 
 
-class _Token(AuthProvider):
+class _Token(AuthProvider):  # type: ignore[misc]
     """Lets in who says the token in the address of the page; a cookie says it from then on."""
 
     def __init__(self, token: str) -> None:
@@ -138,17 +138,20 @@ class Pages:
         if not port.isdecimal() or int(port) > 65535:
             raise ScenarioError(f"--view-address {address!r}: expected HOST:PORT, port 0 for a free one")
         try:
-            sockets, chosen = bind_sockets(host, int(port))  # the port is part of what the browser's pages may come from
+            sockets, chosen = bind_sockets(
+                host, int(port)
+            )  # the port is part of what the browser's pages may come from
             for one in sockets:
                 one.close()
         except OSError as error:
             raise ScenarioError(f"--view-address {address}: {error.strerror}") from None
         token = "" if host in LOOPBACK else secrets.token_urlsafe(16)
+        origins = ["*"] if token else [f"{name}:{chosen}" for name in ("localhost", host)]
         try:
             self.server = Server(
                 {PAGE: Application(FunctionHandler(self._page))}, io_loop=loop, address=host, port=chosen,
                 extra_patterns=[("/", _ToPage)], check_unused_sessions_milliseconds=1000,
-                unused_session_lifetime_milliseconds=5000, allow_websocket_origin=["*"] if token else [f"{name}:{chosen}" for name in ("localhost", host)],
+                unused_session_lifetime_milliseconds=5000, allow_websocket_origin=origins,
                 auth_provider=_Token(token) if token else NullAuth(),
             )  # fmt: skip
         except OSError as error:

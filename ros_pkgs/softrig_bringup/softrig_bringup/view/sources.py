@@ -6,7 +6,7 @@ import json
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from softrig_core import Recording, Rig
 from softrig_core.rig.children import read_status
@@ -21,46 +21,8 @@ from .tracks import Pane, Track
 Turned = tuple[float, str, Mapping[str, Any]]  # s, node, new values
 
 
-class Source(Protocol):
-    """What a page shows.
-
-    Attributes
-    ----------
-    rig : Rig
-    live : bool
-        Whether more may come.
-    end : float
-        Time of the newest message, s.
-    version : int
-        Another one when there is something new.
-    status : mapping
-        What each node says of itself.
-    changes : list
-        Of parameters: the tick in s from which they hold, the node, its new values.
-    results : list
-        Figures as metrics.json has them; empty before the end.
-    outcome : str
-        How it ended; empty while it goes on.
-    thinned : bool
-        Whether only extremes are left of what is old.
-    """
-
-    rig: Rig
-    live: bool
-    end: float
-    version: int
-    status: Mapping[str, Mapping[str, Any]]
-    changes: list[Turned]
-    results: list[Mapping[str, Any]]
-    outcome: str
-    thinned: bool
-
-    def pane(self, first: float, last: float) -> Pane:
-        """Give the signals within a window of time, s."""
-
-
 class Live:
-    """A run under way, as its nodes record it; see `Source`.
+    """A run under way, as its nodes record it.
 
     The loop knows nothing of it: no topic is read, nothing is waited for.
 
@@ -70,6 +32,23 @@ class Live:
     directory : Path
         Where the nodes write their files.
     realtime : bool
+
+    Attributes
+    ----------
+    live : bool
+        Whether more may come.
+    end : float
+        Time of the newest message, s.
+    version : int
+        Another one when there is something new.
+    status : dict
+        What each node says of itself.
+    changes : list
+        Of parameters: the tick in s from which they hold, the node, its new values.
+    results : list
+        Figures as metrics.json has them; empty before the end.
+    outcome : str
+        How it ended; empty while it goes on.
     """
 
     def __init__(self, rig: Rig, directory: Path, realtime: bool) -> None:
@@ -134,7 +113,7 @@ class Live:
 
 
 class Recorded:
-    """A run that is over; see `Source`.
+    """A run that is over; attributes as those of `Live`.
 
     Parameters
     ----------
@@ -168,3 +147,6 @@ def _cut(table: Table, first: float, last: float) -> Table:
     i = max(0, int(table.t.searchsorted(first, "right")) - 1)
     j = int(table.t.searchsorted(last, "right"))
     return Table(table.t[i:j], table.stamp[i:j], {label: x[i:j] for label, x in table.columns.items()})
+
+
+Source = Live | Recorded

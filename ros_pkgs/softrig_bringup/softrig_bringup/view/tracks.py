@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,7 +66,7 @@ class Track:
     def _thin(self) -> None:
         self.thinned = True
         old = self._n // 2 // _BUCKET * _BUCKET
-        x = self._x[:, :old].reshape(len(self.labels), -1, _BUCKET)
+        x: Any = self._x[:, :old].reshape(len(self.labels), -1, _BUCKET)
         low, high = np.fmin.reduce(x, axis=2), np.fmax.reduce(x, axis=2)
         falls = np.argmax(x, axis=2) < np.argmin(x, axis=2)
         pairs = np.stack([np.where(falls, high, low), np.where(falls, low, high)], axis=2)

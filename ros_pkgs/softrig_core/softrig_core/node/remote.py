@@ -1,8 +1,8 @@
 """Turns knobs and presses buttons of a running rig for a process that speaks JSON lines: what a page in a browser asks.
 
-    in     {"id": 7, "node": "law", "set": {"k": 3.0}}        parameters of one node, all or none
-           {"id": 8, "node": "plant", "call": "kick"}         a std_srvs/Trigger below the node
-    out    {"id": 7, "ok": true, "reason": ""}                of each, in the order in which the nodes answer
+in     {"id": 7, "node": "law", "set": {"k": 3.0}}        parameters of one node, all or none
+{"id": 8, "node": "plant", "call": "kick"}         a std_srvs/Trigger below the node
+out    {"id": 7, "ok": true, "reason": ""}                of each, in the order in which the nodes answer
 """
 
 from __future__ import annotations
