@@ -66,8 +66,10 @@ class Track:
     def _thin(self) -> None:
         self.thinned = True
         old = self._n // 2 // _BUCKET * _BUCKET
-        x: Any = self._x[:, :old].reshape(len(self.labels), -1, _BUCKET)
-        low, high = np.fmin.reduce(x, axis=2), np.fmax.reduce(x, axis=2)
+        fmin: Any = np.fmin  # its types know no axis
+        fmax: Any = np.fmax
+        x = self._x[:, :old].reshape(len(self.labels), -1, _BUCKET)
+        low, high = fmin.reduce(x, axis=2), fmax.reduce(x, axis=2)
         falls = np.argmax(x, axis=2) < np.argmin(x, axis=2)
         pairs = np.stack([np.where(falls, high, low), np.where(falls, low, high)], axis=2)
         kept = old // _BUCKET * 2
