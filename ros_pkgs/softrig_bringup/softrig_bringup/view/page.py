@@ -170,7 +170,7 @@ class Page:
             found: Any = Toggle(label=title, active=bool(knob.value), **about)
             found.on_change("active", lambda attr, old, new: self._turned(knob, new))
             return found
-        if knob.kind in (int, float) and isinstance(knob.value, int | float):
+        if knob.kind in (int, float) and isinstance(knob.value, int | float | None):
             mode = "int" if knob.kind is int else "float"
             found = NumericInput(title=f"{title}{_range(knob)}", value=knob.value, mode=mode,
                                  description=knob.doc or None, **about)  # fmt: skip
