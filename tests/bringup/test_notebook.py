@@ -78,6 +78,7 @@ def test_signals_are_plotted_by_name_in_their_units(run):
     volts, speed = figure.axes
     assert (volts.get_ylabel(), speed.get_ylabel()) == ("Voltage, V", "Speed, rad/s")
     assert volts.get_xlim() == (0.1, 0.2)
+    assert figure._repr_png_().startswith(b"\x89PNG")  # a cell shows it, with or without pyplot
     assert len(run.plot().axes) >= 1
     with pytest.raises(ScenarioError, match="no signal 'motor/speed'"):
         run.plot("motor/speed")

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
+from io import BytesIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
@@ -45,4 +47,12 @@ def plot(run: Run, names: Sequence[str], window: tuple[float, float] | None = No
         raise ScenarioError(f"{scenario.name} has no plots of its own; which signals? It has {', '.join(run.signals)}")
     rig = run.rig.with_plots((entry,))
     check_plots(rig)
-    return plot_entry(run.signals, rig, rig.scenario.plots[0])
+    figure = plot_entry(run.signals, rig, rig.scenario.plots[0])
+    figure._repr_png_ = partial(_png, figure)  # type: ignore[attr-defined]  # for a cell, without pyplot too
+    return figure
+
+
+def _png(figure: Figure) -> bytes:
+    buffer = BytesIO()
+    figure.savefig(buffer, format="png")
+    return buffer.getvalue()
