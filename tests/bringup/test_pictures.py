@@ -2,6 +2,7 @@
 
 import base64
 import importlib
+import json
 import re
 import struct
 from pathlib import Path
@@ -423,8 +424,16 @@ def test_a_curve_is_cut_at_the_edges_of_its_window(held, values):
 
 
 def test_runs_of_very_different_length_have_no_axis_in_common(tmp_path):
+    (plot,) = (p for p in load_scenario("dc_motor_smc_c1").plots if p.title == "Armature voltage and current")
+    scenario = {
+        "title": "One picture",
+        "extends": "dc_motor_smc_c1",
+        "plots": [plot.model_dump(mode="json", exclude_defaults=True)],
+    }
+    one = tmp_path / "one.yaml"
+    one.write_text(json.dumps(scenario))
     for name, seconds in (("a", "1"), ("b", "1"), ("c", "0.02"), ("d", "0.02"), ("e", "0.1")):
-        main(["run", "dc_motor_smc_c1", "--mode", "inprocess", "--duration", seconds, "--no-plots", "--label", name,
+        main(["run", str(one), "--mode", "inprocess", "--duration", seconds, "--no-plots", "--label", name,
               "--out", str(tmp_path / name)])  # fmt: skip
     main(["report", *(str(tmp_path / n) for n in "abcde"), "--out", str(tmp_path / "all.html")])
     page = (tmp_path / "all.html").read_text()

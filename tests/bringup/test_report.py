@@ -107,10 +107,9 @@ PLOTS = [
 BLOCKS = {"drive": Drive, "law": Law, "steps": Steps}
 
 
-@pytest.fixture
-def make_rig(monkeypatch):
-    """A rig of the blocks above, with changes to the scenario's keys."""
-    monkeypatch.setattr("softrig_core.rig.rig.load_block", lambda package, executable: BLOCKS[executable])
+def rigs(patch):
+    """What makes a rig of the blocks above, with changes to the scenario's keys."""
+    patch.setattr("softrig_core.rig.rig.load_block", lambda package, executable: BLOCKS[executable])
 
     def make(**keys):
         nodes = {name: {"package": "here", "executable": name} for name in BLOCKS}
@@ -118,6 +117,11 @@ def make_rig(monkeypatch):
         return Rig.from_scenario(Scenario(**{**about, "duration": 2.0, "nodes": nodes, "plots": PLOTS, **keys}))
 
     return make
+
+
+@pytest.fixture
+def make_rig(monkeypatch):
+    return rigs(monkeypatch)
 
 
 def record(rig):
@@ -130,9 +134,8 @@ def nothing(rig):
     return Recording((topic, port.msgtype) for topic, port in rig.topics.items())
 
 
-@pytest.fixture
-def draw(monkeypatch, tmp_path):
-    """Draw the plots of a rig; gives title to figure, laid out as it was saved."""
+def drawing(patch, folder):
+    """What draws the plots of a rig; gives title to figure, laid out as it was saved."""
 
     def draw(rig, recording):
         figures, save = {}, plots.save_figure
@@ -141,8 +144,8 @@ def draw(monkeypatch, tmp_path):
             figures[title] = figure
             save(figure, path, title, run, also)
 
-        monkeypatch.setattr(plots, "save_figure", keep)
-        paths = plot_run(Signals(recording), rig, tmp_path)
+        patch.setattr(plots, "save_figure", keep)
+        paths = plot_run(Signals(recording), rig, folder)
         assert [p.name for p in paths] == [
             *(plot_name(i, p.title) for i, p in enumerate(rig.scenario.plots, 1)),
             OVERVIEW,
@@ -151,6 +154,19 @@ def draw(monkeypatch, tmp_path):
         return figures
 
     return draw
+
+
+@pytest.fixture
+def draw(monkeypatch, tmp_path):
+    return drawing(monkeypatch, tmp_path)
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """The rig with all of its plots, and their figures, drawn once."""
+    with pytest.MonkeyPatch.context() as patch:
+        rig = rigs(patch)()
+        return rig, drawing(patch, tmp_path_factory.mktemp("whole"))(rig, record(rig))
 
 
 def lines(axes):
@@ -173,9 +189,8 @@ def test_units_are_set_as_printed(unit, printed):
     assert pretty_unit(unit) == printed
 
 
-def test_commands_are_steps_and_states_are_lines(make_rig, draw):
-    rig = make_rig()
-    speed, volts = draw(rig, record(rig))["Speed and command"].axes
+def test_commands_are_steps_and_states_are_lines(whole):
+    speed, volts = whole[1]["Speed and command"].axes
     found = lines(speed)
     assert found["speed"].get_drawstyle() == "default"
     assert found["reference"].get_drawstyle() == "steps-post"
@@ -194,26 +209,23 @@ def test_quantised_measurement_of_a_plant_is_drawn_as_steps(make_rig, draw):
     assert count.get_drawstyle() == "steps-post"
 
 
-def test_legends_cover_no_data(make_rig, draw):
-    rig = make_rig()
-    for figure in draw(rig, record(rig)).values():
+def test_legends_cover_no_data(whole):
+    for figure in whole[1].values():
         for ax in figure.axes:
             if (legend := ax.get_legend()) is not None:
                 assert legend.get_window_extent().y0 >= ax.get_window_extent().y1 - 1
 
 
-def test_flux_circle_is_round_and_names_its_axes(make_rig, draw):
-    rig = make_rig()
-    (ax,) = draw(rig, record(rig))["Flux circle"].axes
+def test_flux_circle_is_round_and_names_its_axes(whole):
+    (ax,) = whole[1]["Flux circle"].axes
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("α, Wb", "β, Wb")
     assert ax.get_aspect() == 1.0
     machine = lines(ax)["machine"]
     assert np.hypot(machine.get_xdata(), machine.get_ydata()) == pytest.approx(0.9)
 
 
-def test_window_shows_only_its_time(make_rig, draw):
-    rig = make_rig()
-    (ax,) = draw(rig, record(rig))["Command, held 10 ms"].axes
+def test_window_shows_only_its_time(whole):
+    (ax,) = whole[1]["Command, held 10 ms"].axes
     assert ax.get_xlim() == (0.9, 1.2)
     t = ax.lines[0].get_xdata()
     assert t[0] <= 0.9
@@ -241,9 +253,9 @@ def test_constant_signal_with_rounding_noise_stays_a_line(make_rig, draw):
     assert high - low > 0.01
 
 
-def test_overview_shows_every_signal_with_its_unit(make_rig, draw):
-    rig = make_rig()
-    figure = draw(rig, record(rig))["Every recorded signal"]
+def test_overview_shows_every_signal_with_its_unit(whole):
+    rig, figures = whole
+    figure = figures["Every recorded signal"]
     panels = [ax for ax in figure.axes if ax.get_visible()]
     assert sum(len(ax.lines) for ax in panels) == len(signal_units(rig)) - 1  # drive/load: nobody publishes it
     assert {ax.get_ylabel() for ax in panels} == {"rad", "rad/s", "N m", "Wb", "A", "", "V"}
