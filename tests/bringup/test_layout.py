@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 import tomllib
+import xml.etree.ElementTree as ET
 from importlib.metadata import distributions
 from pathlib import Path
 
@@ -63,6 +64,22 @@ def test_the_layout_is_what_colcon_builds(tmp_path):
     subprocess.run(command, cwd=tmp_path, check=True, capture_output=True)
     assert visible(tmp_path / "ours") == visible(theirs)
     assert entry_points(ours) == entry_points(*tmp_path.glob("build/*"))
+
+
+@pytest.mark.long
+def test_colcon_test_runs_the_own_tests_of_each_package(tmp_path):
+    def colcon(verb, *options):
+        command = ["colcon", "--log-base", tmp_path / "log", verb, "--base-paths", ROOT / "ros_pkgs", "--build-base",
+                   tmp_path / "build", "--install-base", tmp_path / "install", *options]  # fmt: skip
+        subprocess.run(command, cwd=tmp_path, check=True, capture_output=True)
+
+    colcon("build")
+    colcon("test", "--return-code-on-test-failure")
+    results = {f.parent.name: ET.parse(f).find("testsuite").attrib for f in tmp_path.glob("build/*/pytest.xml")}
+    assert set(results) == {p.parent.name for p in ROOT.glob("ros_pkgs/*/package.xml")}
+    for package, found in results.items():
+        assert (found["failures"], found["errors"]) == ("0", "0"), package
+        assert int(found["tests"]) > 0, package
 
 
 @pytest.mark.long
