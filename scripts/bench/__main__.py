@@ -22,13 +22,14 @@ from . import (
     rectifier,
     rigs,
     systems,
+    view,
 )
 from .console import console
 
 PARTS: dict[str, Callable[[], None]] = {
     "loop": loop.loop, "tick": loop.tick, "recording": loop.recording, "inprocess": rigs.inprocess,
     "processes": loop.processes, "bags": recorder.recorder_rate, "rigs": rigs.rigs, "containers": rigs.containers,
-    "realtime": realtime.realtime,
+    "realtime": realtime.realtime, "view": view.view,
     "systems": systems.print_table, "induction": induction.print_table, "fault_location": fault_location.print_table,
     "gupfc": gupfc.print_table, "rectifier": rectifier.print_table, "optimal_control": optimal_control.print_table,
     "falsify": falsify.print_table, "environment": environment.print_table,

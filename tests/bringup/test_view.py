@@ -99,7 +99,7 @@ def test_a_run_is_held_stepped_and_turned_from_its_page_and_its_bag_is_that_of_t
     plain = [sys.executable, "-m", "softrig_bringup", "run", *words, "--mode", "container", "--out", tmp_path / "plain"]
     subprocess.run(plain, capture_output=True, timeout=PATIENCE, env=os.environ)
     seen, unseen = signals(tmp_path / "seen/bag"), signals(tmp_path / "plain/bag")
-    assert compare(seen, unseen).equal
+    assert compare(seen, unseen, bitwise=True).equal
     t, recorded = seen["motor/state/shaft/velocity"]
     assert (speed["x"][-1], speed["y"][-1]) == (t[-1], recorded[-1])  # the page ends where the bag does
 

@@ -8,6 +8,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 from softrig_core import Run, Scenario
 from softrig_core.guard import say
@@ -36,13 +37,14 @@ class Beside:
             "realtime": realtime, "paused": paused, "how": how, "address": address,
         }  # fmt: skip
         self._process: subprocess.Popen[str] | None = None
+        self.said: Any = None  # where it says its address; this process's own error stream if that is nowhere
 
     def open(self, domain: int) -> None:
         """Serve the page of a rig in this domain."""
         file = self._directory / "view.json"
         file.write_text(json.dumps(self._told | {"domain": domain}))
-        self._process = subprocess.Popen([sys.executable, "-P", "-m", "softrig_bringup.view.serve", str(file)],
-                                         stdin=subprocess.PIPE, text=True, process_group=0)  # fmt: skip
+        command = [sys.executable, "-P", "-m", "softrig_bringup.view.serve", str(file)]
+        self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=self.said, text=True, process_group=0)
 
     def over(self, run: Run, folder: Path) -> None:
         """Tell the pages that the run is over, and wait until nobody looks any more; Ctrl-C ends the wait."""

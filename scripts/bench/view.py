@@ -1,0 +1,74 @@
+"""What a page beside a run costs it: lockstep in ticks/s, in real time at 5 kHz in missed deadlines."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tempfile
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any, Literal
+
+from rich.table import Table
+from softrig_bringup.view.beside import Beside, page
+from softrig_core import Rig, ScenarioError, load_scenario, run_processes
+from softrig_core.rig.starting import placed
+
+from .console import console
+
+ROUNDS = 3
+LENGTH: dict[Literal["lockstep", "realtime"], float] = {"lockstep": 6.0, "realtime": 10.0}  # s, of the induction drive
+PERIOD = 0.0002  # s, of plant, law and monitor in real time
+# a browser that shows each state at once
+READER = """
+import re, sys
+from bokeh.client import pull_session
+url = next(m[1] for line in sys.stdin if (m := re.search(r"the page is (http\\S+)", line)))
+session = pull_session(url=url + "view")
+find = lambda name: session.document.select_one({"name": name})
+def shown():
+    if find("echo").text != find("beat").text:
+        find("echo").text = find("beat").text
+    return False
+session._connection._loop_until(shown)
+"""
+
+
+def view() -> None:
+    """Ticks/s in lockstep and missed deadlines at 5 kHz, with and without a page that a browser shows."""
+    table = Table("run", "page", "ticks/s, or missed", box=None, pad_edge=False)
+    found: dict[tuple[str, bool], list[float]] = {}
+    for _ in range(ROUNDS):
+        for mode in LENGTH:
+            for shown in (False, True):
+                found.setdefault((mode, shown), []).append(_measure(mode, shown))
+    for (mode, shown), values in found.items():
+        middle = sorted(values)[ROUNDS // 2]
+        text = f"{middle:,.0f} ticks/s" if mode == "lockstep" else f"{middle:.2%}"
+        table.add_row(mode, "shown" if shown else "none", text)
+    ratio = sorted(b / a for a, b in zip(found["lockstep", False], found["lockstep", True], strict=True))[ROUNDS // 2]
+    console.print(table)
+    console.print(f"lockstep with a page: {ratio:.2f} of the speed without")
+
+
+def _measure(mode: Literal["lockstep", "realtime"], shown: bool) -> float:
+    rig = Rig.from_scenario(load_scenario("induction_dtc")).changed(duration=LENGTH[mode])
+    if mode == "realtime":
+        rig = rig.changed(overrides={f"{n}.period": PERIOD for n in ("im_plant", "dtc_controller", "flux_monitor")})
+    with tempfile.TemporaryDirectory() as name, ExitStack() as stack:
+        folder = Path(name)
+        beside: Beside | None = None
+        if shown:
+            beside = stack.enter_context(page(rig.scenario, folder, realtime=mode == "realtime", paused=False,
+                                              how="bench", address="127.0.0.1:0"))  # fmt: skip
+            reader: Any = subprocess.Popen([sys.executable, "-c", READER], stdin=subprocess.PIPE)
+            stack.callback(reader.kill)
+            beside.said = reader.stdin
+        outcome = run_processes(rig, rig.scenario.seed, folder, mode=mode, containers=placed(rig, "container"),
+                                opened=beside.open if beside else None)  # fmt: skip
+    if outcome.error:
+        raise ScenarioError(outcome.error)
+    status = outcome.status["im_plant"]
+    if mode == "lockstep":
+        return float(status["ticks"] / status["running_s"])
+    return float(status["missed_deadlines"] / (status["ticks"] + status["missed_deadlines"]))

@@ -1,0 +1,102 @@
+"""The page in a real browser: values are read off it, a gain turned, a fault switched, a button pressed."""
+
+import json
+import shutil
+
+import pytest
+from conftest import PATIENCE
+from softrig_bags.read import signals
+from test_view import address, running
+
+CHROMIUM, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
+pytestmark = [
+    pytest.mark.processes,
+    pytest.mark.skipif(not (CHROMIUM and DRIVER), reason="no chromium with its chromedriver on this machine"),
+]
+FLAGS = (
+    "--headless=new", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-sync",
+    "--disable-background-networking", "--disable-component-update", "--window-size=1400,1600",
+)  # fmt: skip
+SCENARIO = """
+extends: induction_dtc
+title: The drive under the hands of a person
+duration: 0.3
+faults:
+  offset: {link: joint_states -> speed_controller, kind: offset, value: [5.0], active: false}
+"""
+# what the page's own script knows of a widget, by name
+MODEL = "Bokeh.documents[0].get_model_by_name(arguments[0])"
+
+
+class Chromium:
+    def __init__(self, url):
+        from selenium import webdriver
+        from selenium.webdriver.support.ui import WebDriverWait
+
+        options = webdriver.ChromeOptions()
+        options.binary_location = CHROMIUM
+        for flag in FLAGS:
+            options.add_argument(flag)
+        self.driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(DRIVER))
+        self.wait = WebDriverWait(self.driver, PATIENCE)
+        self.driver.get(url)
+        self.until(
+            "return window.Bokeh !== undefined && Bokeh.documents.length > 0 && "
+            "Bokeh.documents[0].get_model_by_name('state') !== null"
+        )
+
+    def until(self, script, *arguments):
+        return self.wait.until(lambda driver: driver.execute_script(script, *arguments))
+
+    def text(self, name):
+        return self.driver.execute_script(f"return {MODEL}.text", name)
+
+    def says(self, text):
+        self.until(f"return {MODEL}.text.includes(arguments[1])", "log", text)
+
+    def click(self, name):
+        """Press what a person would: the button in the shadow of its widget."""
+        self.driver.execute_script(
+            f"const m = {MODEL}; const v = Bokeh.index.find_one(m); v.shadow_el.querySelector('button').click()", name
+        )
+
+    def turn(self, name, attribute, value):
+        self.driver.execute_script(f"{MODEL}[arguments[1]] = arguments[2]", name, attribute, value)
+
+
+@pytest.mark.long
+def test_a_person_at_the_page_of_the_induction_motor(tmp_path):
+    file, out = tmp_path / "drive.yaml", tmp_path / "run"
+    file.write_text(SCENARIO)
+    with running("view", file, "--no-plots", "--out", out) as process:
+        browser = Chromium(address(process))
+        try:
+            browser.until(f"return {MODEL}.label === 'resume'", "pace")
+            browser.click("step")
+            browser.says("step: one step")
+            browser.turn("speed_controller.kp", "value", 2.5)
+            browser.says("speed_controller.kp = 2.5")
+            browser.turn("offset.active", "active", True)
+            browser.says("offset.active = True")
+            browser.click("offset/toggle")
+            browser.says("offset/toggle: toggle pressed")
+            browser.click("pace")
+            browser.until(f"return {MODEL}.text.includes('ended')", "state")
+            browser.says("kp = 2.5 from this tick on")
+            speed = browser.driver.execute_script(
+                f"const d = {MODEL}.data; return [d.x[d.x.length - 1], d.y[d.y.length - 1]]",
+                "Speed: joint_states/shaft/velocity",
+            )
+            marks = browser.driver.execute_script(f"return Array.from({MODEL}.data.t)", "changes")
+        finally:
+            browser.driver.quit()
+        process.wait(PATIENCE)
+    changes = json.loads((out / "metrics.json").read_text())["changes"]
+    turned = {(c["node"], k): v for c in changes for k, v in c["set"].items()}
+    assert turned["speed_controller", "kp"] == 2.5
+    assert ("offset", "active") in turned
+    assert marks == sorted(c["at_s"] for c in changes)
+    found = signals(out / "bag")
+    t, velocity = found["joint_states/shaft/velocity"]
+    assert speed == [t[-1], velocity[-1]]
+    assert found["joint_states/offset/toggle/data"].x.max() == 1.0
