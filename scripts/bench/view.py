@@ -17,7 +17,8 @@ from softrig_core.rig.starting import placed
 from .console import console
 
 ROUNDS = 3
-LENGTH: dict[Literal["lockstep", "realtime"], float] = {"lockstep": 6.0, "realtime": 10.0}  # s, of the induction drive
+Mode = Literal["lockstep", "realtime"]
+LENGTH: dict[Mode, float] = {"lockstep": 6.0, "realtime": 10.0}  # s, of the induction drive
 PERIOD = 0.0002  # s, of plant, law and monitor in real time
 # a browser that shows each state at once
 READER = """
@@ -37,7 +38,7 @@ session._connection._loop_until(shown)
 def view() -> None:
     """Ticks/s in lockstep and missed deadlines at 5 kHz, with and without a page that a browser shows."""
     table = Table("run", "page", "ticks/s, or missed", box=None, pad_edge=False)
-    found: dict[tuple[str, bool], list[float]] = {}
+    found: dict[tuple[Mode, bool], list[float]] = {}
     for _ in range(ROUNDS):
         for mode in LENGTH:
             for shown in (False, True):
@@ -51,7 +52,7 @@ def view() -> None:
     console.print(f"lockstep with a page: {ratio:.2f} of the speed without")
 
 
-def _measure(mode: Literal["lockstep", "realtime"], shown: bool) -> float:
+def _measure(mode: Mode, shown: bool) -> float:
     rig = Rig.from_scenario(load_scenario("induction_dtc")).changed(duration=LENGTH[mode])
     if mode == "realtime":
         rig = rig.changed(overrides={f"{n}.period": PERIOD for n in ("im_plant", "dtc_controller", "flux_monitor")})
