@@ -491,7 +491,8 @@ class Differences:
             width = up[2] - down[2]
             if not width:  # a whole number that is moved by less than one
                 break
-            now = np.where(self.finite, up[0] - down[0], 0.0) / width, (up[1] - down[1]) / width
+            apart_by = np.subtract(up[0], down[0], out=np.zeros(len(up[0])), where=self.finite)
+            now = apart_by / width, (up[1] - down[1]) / width
             if before is not None:
                 largest = max(np.abs(now[0]).max(initial=0.0), np.abs(now[1]).max(initial=0.0))
                 apart = max(np.abs(now[0] - before[0]).max(initial=0.0), np.abs(now[1] - before[1]).max(initial=0.0))
