@@ -82,8 +82,9 @@ class Page:
         self._knobs = {key: self._knob(knob) for key, knob in control.knobs.items()}
         # a browser that has not shown the last state gets no further one: it loses pictures, and nothing piles up
         self._beat, self._echo = self._div("beat", visible=False), self._div("echo", visible=False)
-        self._beat.js_on_change("text", CustomJS(args={"beat": self._beat, "echo": self._echo},
-                                                 code="echo.text = beat.text"))  # fmt: skip
+        shown = CustomJS(args={"beat": self._beat, "echo": self._echo}, code="echo.text = beat.text")
+        self._beat.js_on_change("text", shown)
+        document.js_on_event("document_ready", shown)  # the first state has come with the page itself
         self.time.on_change("start", self._moved)
         self.time.on_change("end", self._moved)
         top = [self._head, row(*self._bar(), sizing_mode="stretch_width", styles={"flex-wrap": "wrap"})]
