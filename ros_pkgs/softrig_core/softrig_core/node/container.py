@@ -149,7 +149,7 @@ def main(args: Sequence[str] | None = None) -> NoReturn:
     except KeyboardInterrupt:
         leave(container.nodes, 0)
     except Exception as error:  # every start-up error ends in one line: what was wrong and where
-        if container.nodes and not rclpy.ok():  # a signal has shut the context down under them
+        if not interrupt.early and not rclpy.ok():  # a signal has shut the context down under them
             leave(container.nodes, 0)
         name = container.nodes[-1].get_name() if len(container.nodes) > len(container.adapters) else where
         tell(name, error)
