@@ -150,8 +150,8 @@ import softrig_core, softrig_control, softrig_optim, softrig_drives, softrig_pow
 import softrig_bags, softrig_bringup
 for package in [m for n, m in list(sys.modules.items()) if n.startswith("softrig_") and "." not in n]:
     for module in pkgutil.walk_packages(package.__path__, package.__name__ + "."):
-        # the environment asks for its extra when it is imported, which nothing of a run does
-        if not module.name.endswith("__main__") and module.name != "softrig_core.rig.environment":
+        # the environment and the page ask for their extras when they are imported, which nothing of a run does
+        if not module.name.endswith("__main__") and module.name != "softrig_core.rig.environment" and ".view." not in module.name:
             importlib.import_module(module.name)
 owners = packages_distributions()
 # two packages bring lark; numpy.f2py takes charset_normalizer where it is there

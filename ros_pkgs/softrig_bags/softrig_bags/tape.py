@@ -16,6 +16,7 @@ from softrig_core.model.codec import Decoder
 from softrig_core.model.port import Refused
 
 from .read import read_bag
+from .reader import BagReader
 
 
 def written(port: Port) -> str:
@@ -38,7 +39,6 @@ class TapeParams(BlockParams):
     """Which bag, and what of it."""
 
     bag: str = param("", "bag of a run")
-    epoch: int = param(0, "what its stamps count from, ns; 0 of a run in lockstep", ge=0, le=2**63 - 1)
     inputs: tuple[str, ...] = param((), "ports of the nodes that read it, as JSON; see `written`")
 
     @model_validator(mode="after")
@@ -52,8 +52,11 @@ class TapeParams(BlockParams):
 
 
 @lru_cache(maxsize=2)
-def _loaded(bag: str) -> Recording:
-    return read_bag(Path(bag))
+def _loaded(bag: str) -> tuple[Recording, int]:
+    """Give the record, and what its stamps count from, ns."""
+    with BagReader(Path(bag)) as reader:
+        epoch = int(reader.custom_data.get("epoch", "0"))
+    return read_bag(Path(bag)), epoch
 
 
 class Tape(Block[TapeParams]):
@@ -78,7 +81,8 @@ class Tape(Block[TapeParams]):
 
     def _read(self, port: Port) -> Iterable[tuple[int, Any]]:
         """Give (ns from t = 0, values) of each message that a port takes."""
-        topic = _loaded(self.p.bag).topics[port.topic]
+        recording, epoch = _loaded(self.p.bag)
+        topic = recording.topics[port.topic]
         decode = Decoder(port)
         for t, data in zip(topic.times, topic.data, strict=True):
             try:
@@ -86,7 +90,7 @@ class Tape(Block[TapeParams]):
             except Refused:
                 continue
             decode.kept = values
-            yield t - self.p.epoch, Sample(stamp - self.p.epoch, values) if port.delayed else values
+            yield t - epoch, Sample(stamp - epoch, values) if port.delayed else values
 
     def start(self) -> None:
         """Nothing is said."""

@@ -123,7 +123,7 @@ def repeated(scenario: Scenario, run: Recalled) -> Scenario:
     inputs = _outside(rig, run.recording)
     nodes: dict[str, Any] = {name: entry for name, entry in scenario.nodes.items() if not entry.external}
     if inputs:
-        parameters = {"period": str(rig.clock.schedule.period), "bag": str(run.bag), "epoch": run.epoch,
+        parameters = {"period": str(rig.clock.schedule.period), "bag": str(run.bag),
                       "inputs": [_text(port) for port in inputs]}  # fmt: skip
         nodes |= {TAPE: {"package": "softrig_bags", "executable": "tape", "parameters": parameters}}
     return type(scenario).model_validate({**keys, "nodes": nodes})

@@ -161,16 +161,18 @@ class Pages:
         self.server.start()
 
     def _page(self, document: Document) -> None:
-        self.came = True
         arguments = document.session_context.request.arguments if document.session_context else {}
         look = "dark" if arguments.get("look", [b""])[0] == b"dark" else "light"
         number = next(self._numbers)
         Page(document, self._source, self._control, self._figures, f"browser {number}", self._how, look)
 
     @property
-    def watched(self) -> bool:
-        """Whether a browser shows a page."""
-        return bool(self.server.get_sessions(PAGE))
+    def left(self) -> bool:
+        """Whether a browser has shown a page, and none does any more, nor may come back by loading it again."""
+        sessions = self.server.get_sessions(PAGE)
+        # what was only asked for, without its websocket, may be a slow machine's
+        self.came = self.came or any(session.connection_count > 0 for session in sessions)
+        return self.came and not sessions
 
     def _figures(self) -> tuple[Sequence[Result], bool]:
         if self._source.results:
@@ -233,7 +235,7 @@ def beside(watched: Watched, lines: Any) -> None:
             control.took_effect(*change)
         told = len(source.changes)
         pages.measure()
-        if source.outcome and pages.came and not pages.watched:
+        if pages.left and source.outcome:
             loop.stop()
 
     def over(said: dict[str, Any]) -> None:

@@ -99,7 +99,8 @@ class Lockstep:
             self._solving = Solving(node.middleware, node.block, self._turn)
             node.step.respond = lambda t, **inputs: node.block.end(t)  # type: ignore[attr-defined]
         if not senders.rows and self._solving is None:
-            node.step.lacks = None  # all that it needs is said in this process
+            # all that it needs is said in this process
+            node.step.lacks = node.hold.holds if links.owns_clock else None  # type: ignore[attr-defined]
         self.handshake = Handshake(node, awaited, wanted, local)
         self._stalls.handshake = self.handshake
         self._begin = begin
@@ -165,7 +166,7 @@ class Lockstep:
             self._awaited = t
             senders.await_tick(t)
         if senders.missing or self._solving is None:
-            return senders.missing > 0 or (self.node.hold.held and self.node.hold.holds(t))
+            return senders.missing > 0 or self.node.hold.holds(t)
         step = self.node.step
         return not self._solving.finished(t, None if step.bad else step.values)
 
