@@ -151,7 +151,7 @@ import softrig_bags, softrig_bringup
 for package in [m for n, m in list(sys.modules.items()) if n.startswith("softrig_") and "." not in n]:
     for module in pkgutil.walk_packages(package.__path__, package.__name__ + "."):
         # the environment and the page ask for their extras when they are imported, which nothing of a run does
-        if not module.name.endswith("__main__") and module.name != "softrig_core.rig.environment" and ".view." not in module.name:
+        if not module.name.endswith(("__main__", "rig.environment")) and ".view." not in module.name:
             importlib.import_module(module.name)
 owners = packages_distributions()
 # two packages bring lark; numpy.f2py takes charset_normalizer where it is there

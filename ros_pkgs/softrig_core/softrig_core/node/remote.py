@@ -92,7 +92,7 @@ class Remote:
 def main() -> None:
     """Serve the lines of the standard input until it ends."""
     secure_streams()
-    rclpy.init(args=[])
+    rclpy.init(args=["--ros-args", "--disable-external-lib-logs"])  # no files beside those of the run
     node = Node(f"softrig_view_{os.getpid()}")
     executor = rclpy.get_global_executor()
     executor.add_node(node)
