@@ -52,7 +52,7 @@ def spectrum(t: Array, x: Array, cycles: int, f: float) -> tuple[Array, Array]:
     """Give frequencies (Hz) and amplitudes (peak) over the last whole cycles."""
     h = float(t[1] - t[0])
     n = round(cycles / f / h)
-    return np.fft.rfftfreq(n, h), np.abs(np.fft.rfft(x[-n:])) * 2.0 / n
+    return np.asarray(np.fft.rfftfreq(n, h), dtype=np.float64), np.abs(np.fft.rfft(x[-n:])) * 2.0 / n
 
 
 def family(axes: Axes, runs: Mapping[str, str], signal: str, band: float = 8.0, scale: float = 1.0) -> None:

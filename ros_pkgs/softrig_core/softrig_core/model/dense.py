@@ -98,7 +98,7 @@ def product(a: ArrayLike, b: ArrayLike) -> Any:
         parts = np.empty((2 * n, 2 * m))
         _run(_product, 4 * left.size * m, _matrix(np.vstack([left.real, left.imag])),
              _matrix(np.hstack([right.real, right.imag])), parts)  # fmt: skip
-        out = np.empty((n, m), dtype=np.complex128)
+        out: NDArray[Any] = np.empty((n, m), dtype=np.complex128)
         out.real, out.imag = parts[:n, :m] - parts[n:, m:], parts[:n, m:] + parts[n:, :m]
     else:
         out = np.empty((n, m))

@@ -144,7 +144,7 @@ def milp(
         raise NoDispatch(f"the MILP ended without a dispatch: {solver.modelStatusToString(status)}")
     columns = np.array(solver.getSolution().col_value)
     chosen = np.round(columns[z])
-    P = np.bincount(owner, left * chosen + np.minimum(columns[w], width * chosen), n)
+    P = np.bincount(owner, left * chosen + np.minimum(columns[w], width * chosen), n).astype(np.float64)
     return MilpResult(P, info.objective_function_value, info.mip_dual_bound, segments, max(0, info.mip_node_count),
                       status == highspy.HighsModelStatus.kOptimal)  # fmt: skip
 

@@ -39,7 +39,8 @@ class Weights:
         """Give what is measured at the last sample of a period; samples of shape (steps + 1, ...)."""
         real, imag = dense.product(self._w, samples.view(np.float64).reshape(len(samples), -1))
         found = np.empty(samples.shape[1:], dtype=np.complex128)
-        found.real.flat, found.imag.flat = real[0::2] - imag[1::2], real[1::2] + imag[0::2]
+        found.real = (real[0::2] - imag[1::2]).reshape(found.shape)
+        found.imag = (real[1::2] + imag[0::2]).reshape(found.shape)
         return found
 
     def record(self, samples: NDArray[np.complex128]) -> NDArray[np.complex128]:
