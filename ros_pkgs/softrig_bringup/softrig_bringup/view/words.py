@@ -44,7 +44,7 @@ def figures(results: Iterable[Result], so_far: bool) -> str:
         unit = pretty_unit(f.unit)
         said = unit if f.value is not None or (so_far and not measured_here(f)) else in_words(f)
         rows.append(f'<tr><td>{html.escape(f.name)}</td><td class="n">{value}</td><td>{html.escape(said)}</td>'
-                    f"<td>{html.escape(accepted(f))}</td><td>{mark}</td></tr>")  # fmt: skip
+                    f'<td>{html.escape(accepted(f))}</td><td class="n">{mark}</td></tr>')  # fmt: skip
     first = '<tr><th>name</th><th class="n">value</th><th></th><th>expected</th><th></th></tr>'
     return _section("Figures and margins" + (", so far" if so_far else ""), first, rows)
 
