@@ -147,3 +147,12 @@ def test_an_index_stands_beside_what_has_a_dot():
     assert "<msub><mover" in re.sub(r"\s+(?=<)", "", conf.mathml(r"\dot x_k", as_block=True))
     assert "munderover" in conf.mathml(r"\sum_{k=1}^{n} x_k", as_block=True)
     assert "munderover" not in conf.mathml(r"\ddot q_r - \dot{\imath}_L + \hat\psi_s", as_block=False)
+
+
+def test_every_formula_of_the_pages_can_be_set():
+    """What ends the build of the site is seen daily."""
+    pages = "".join(page.read_text() for page in collect.ROOT.glob("ros_pkgs/*/doc/*.md"))
+    fences = re.findall(r"```math\n(.*?)```", pages, re.S)
+    assert len(fences) >= 14  # each system has one at least
+    for formula in fences:
+        assert conf.mathml(formula, as_block=True).startswith("<math"), formula
