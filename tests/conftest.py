@@ -63,6 +63,19 @@ def lag_rig():
     return Rig.from_scenario(make_scenario({"plant": "plant", "source": "source", "gain": "gain"}))
 
 
+# induction_dtc at 250 Hz against the wall clock: two cores keep up, also beside a browser; nothing of it is judged.
+SLOW_DRIVE = """nodes:
+  im_plant: {parameters: {period: 0.004, substeps: 80, U_dc: 20.0}}
+  dtc_controller: {parameters: {period: 0.004}}
+  flux_monitor: {parameters: {period: 0.004}}
+  speed_controller: {parameters: {period: 0.008}}
+  speed_source: {parameters: {period: 0.008, times: [0.0, 2.9], velocities: [5.0, 5.0]}}
+  load_source: {parameters: {period: 0.008}}
+figures: {}
+expect: {}
+claims: {}
+"""
+
 # A person who presses the plant's button by its service.
 PRESS = """
 import rclpy

@@ -4,7 +4,7 @@ import json
 import shutil
 
 import pytest
-from conftest import PATIENCE
+from conftest import PATIENCE, SLOW_DRIVE
 from softrig_bags.read import signals
 from softrig_bringup.cli import main
 from test_view import address, running
@@ -24,18 +24,6 @@ title: The drive under the hands of a person
 duration: 0.3
 {slow}faults:
   offset: {{link: joint_states -> speed_controller, kind: offset, value: [5.0], active: false}}
-"""
-# at 250 Hz, so that two cores keep up beside a browser
-SLOW = """nodes:
-  im_plant: {parameters: {period: 0.004, substeps: 80, U_dc: 20.0}}
-  dtc_controller: {parameters: {period: 0.004}}
-  flux_monitor: {parameters: {period: 0.004}}
-  speed_controller: {parameters: {period: 0.008}}
-  speed_source: {parameters: {period: 0.008, times: [0.0, 2.9], velocities: [5.0, 5.0]}}
-  load_source: {parameters: {period: 0.008}}
-figures: {}
-expect: {}
-claims: {}
 """
 # what the page's own script knows of a widget, by name
 MODEL = "Bokeh.documents[0].get_model_by_name(arguments[0])"
@@ -81,7 +69,7 @@ class Chromium:
 @pytest.mark.parametrize("pace", ["lockstep", "real time"])
 def test_a_person_at_the_page_of_the_induction_motor(tmp_path, capsys, pace):
     file, out = tmp_path / "drive.yaml", tmp_path / "run"
-    file.write_text(SCENARIO.format(slow=SLOW if pace == "real time" else ""))
+    file.write_text(SCENARIO.format(slow=SLOW_DRIVE if pace == "real time" else ""))
     live = ("run", file, "--mode", "container", "--realtime", "--view", "--duration", 30)
     with running(*(live if pace == "real time" else ("view", file)), "--no-plots", "--out", out) as process:
         browser = Chromium(address(process))

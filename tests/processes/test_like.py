@@ -5,6 +5,7 @@ import subprocess
 import sys
 
 import pytest
+from conftest import SLOW_DRIVE
 from softrig_bags.read import read_bag
 from softrig_bringup.cli import main
 from softrig_core.rig.domain import free_domain
@@ -12,24 +13,18 @@ from softrig_core.rig.executables import environment
 
 pytestmark = pytest.mark.processes
 
-DRIVE = """
+DRIVE = (
+    """
 extends: induction_dtc
 title: The drive at 250 Hz, with a fault to switch
 duration: 3.0
-nodes:
-  im_plant: {parameters: {period: 0.004, substeps: 80, U_dc: 20.0}}
-  dtc_controller: {parameters: {period: 0.004}}
-  flux_monitor: {parameters: {period: 0.004}}
-  speed_controller: {parameters: {period: 0.008}}
-  speed_source: {parameters: {period: 0.008, times: [0.0, 2.9], velocities: [5.0, 5.0]}}
-  load_source: {parameters: {period: 0.008}}
-figures: {}
-expect: {}
-claims: {}
-plots: []
+"""
+    + SLOW_DRIVE
+    + """plots: []
 faults:
   offset: {link: joint_states -> speed_controller, kind: offset, value: [3.0], affects: [shaft/velocity], active: false}
 """
+)
 
 PERSON = """
 import rclpy

@@ -17,20 +17,24 @@ from softrig_core.rig.executables import find_executable
 
 pytestmark = pytest.mark.processes
 
-PERSON = """
-import json, rclpy
+ASKING = """
+import json, sys, rclpy
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.parameter_client import AsyncParameterClient
 rclpy.init()
 node = Node("person")
-client = AsyncParameterClient(node, "law")
+client = AsyncParameterClient(node, sys.argv[1])
 client.wait_for_services()
 
 def ask(future):
     rclpy.spin_until_future_complete(node, future)
     return future.result()
+"""
 
+PERSON = (
+    ASKING
+    + """
 def setting(**values):
     results = ask(client.set_parameters([Parameter(k, value=v) for k, v in values.items()])).results
     return [(r.successful, r.reason) for r in results]
@@ -43,6 +47,7 @@ print(json.dumps({
     "both": setting(delta=3.0, set_point=30.0), "in one": setting(set_point=30.0, reference_limit=40.0),
 }))
 """
+)
 
 
 def test_what_is_set_by_services_and_by_the_command_is_checked(tmp_path):
@@ -50,7 +55,7 @@ def test_what_is_set_by_services_and_by_the_command_is_checked(tmp_path):
         bench = Bench(tmp_path, domain)
         try:
             bench.start("law", "dc_motor_smc", package="softrig_drives")
-            person = subprocess.run([sys.executable, "-c", PERSON], env=bench.environment, capture_output=True,
+            person = subprocess.run([sys.executable, "-c", PERSON, "law"], env=bench.environment, capture_output=True,
                                     text=True, check=True, timeout=60)  # fmt: skip
             said = json.loads(person.stdout)
             command = [sys.executable, "-m", "softrig_bringup", "set", "law.delta", "0.5"]
@@ -74,23 +79,14 @@ def test_what_is_set_by_services_and_by_the_command_is_checked(tmp_path):
     assert [ok for ok, _ in said["in one"]] == [True, True]
 
 
-LISTER = """
-import json, rclpy
-from rclpy.node import Node
-from rclpy.parameter_client import AsyncParameterClient
-rclpy.init()
-node = Node("person")
-client = AsyncParameterClient(node, "steps")
-client.wait_for_services()
-
-def ask(future):
-    rclpy.spin_until_future_complete(node, future)
-    return future.result()
-
+LISTER = (
+    ASKING
+    + """
 names = ask(client.list_parameters([], 0)).result.names
 values = ask(client.get_parameters(names)).values
 print(json.dumps({name: [v.type, v.string_value, list(v.double_array_value)] for name, v in zip(names, values)}))
 """
+)
 
 
 def test_what_is_listed_and_dumped_fits_another_run(tmp_path):
@@ -99,7 +95,7 @@ def test_what_is_listed_and_dumped_fits_another_run(tmp_path):
         bench = Bench(tmp_path, domain)
         try:
             bench.start("steps", "reference_source", package="softrig_control")
-            person = subprocess.run([sys.executable, "-c", LISTER], env=bench.environment, capture_output=True,
+            person = subprocess.run([sys.executable, "-c", LISTER, "steps"], env=bench.environment, capture_output=True,
                                     text=True, check=True, timeout=60)  # fmt: skip
         finally:
             bench.kill("steps")

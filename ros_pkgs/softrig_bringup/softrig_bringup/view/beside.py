@@ -13,6 +13,8 @@ from typing import Any
 from softrig_core import Run, Scenario
 from softrig_core.guard import say
 
+from .remote import let_go
+
 
 class Beside:
     """The process of the pages of one run (`view.serve`); it only reads what the nodes write.
@@ -63,16 +65,8 @@ class Beside:
 
     def close(self) -> None:
         """End the process."""
-        if self._process is None:
-            return
-        assert self._process.stdin is not None
-        with suppress(OSError):
-            self._process.stdin.close()
-        try:
-            self._process.wait(5.0)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
+        if self._process is not None:
+            let_go(self._process, 5.0)
 
 
 @contextmanager

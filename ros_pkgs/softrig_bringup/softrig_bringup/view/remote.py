@@ -61,11 +61,16 @@ class Remote:
 
     def close(self) -> None:
         """End the process."""
-        assert self._process.stdin is not None
-        with suppress(OSError):
-            self._process.stdin.close()
-        try:
-            self._process.wait(2.0)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
+        let_go(self._process, 2.0)
+
+
+def let_go(process: subprocess.Popen[str], patience: float) -> None:
+    """End a process that reads its standard input until it ends: by that, or after `patience` (s) by force."""
+    assert process.stdin is not None
+    with suppress(OSError):
+        process.stdin.close()
+    try:
+        process.wait(patience)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()

@@ -166,9 +166,8 @@ class Pages:
         number = next(self._numbers)
         Page(document, self._source, self._control, self._figures, f"browser {number}", self._how, look)
 
-    @property
     def left(self) -> bool:
-        """Whether a browser has shown a page, and none does any more, nor may come back by loading it again."""
+        """Note who is there; whether a browser has shown a page, none does, and none may come back by reloading."""
         sessions = self.server.get_sessions(PAGE)
         # what was only asked for, without its websocket, may be a slow machine's
         self.came = self.came or any(session.connection_count > 0 for session in sessions)
@@ -235,7 +234,7 @@ def beside(watched: Watched, lines: Any) -> None:
             control.took_effect(*change)
         told = len(source.changes)
         pages.measure()
-        if pages.left and source.outcome:
+        if pages.left() and source.outcome:
             loop.stop()
 
     def over(said: dict[str, Any]) -> None:
