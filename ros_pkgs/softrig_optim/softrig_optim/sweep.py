@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import asyncio
 import multiprocessing
 import os
 import signal
 import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, ThreadPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from itertools import islice
@@ -169,13 +170,21 @@ def _end_with_parent() -> None:
 def _on_cluster(function: Callable[[C], R], cases: Iterator[tuple[int, C]], scheduler: str) -> Iterator[tuple[int, R]]:
     need("distributed", f"scheduler {scheduler}")
     import distributed
+    from distributed.comm import connect
 
+    async def knock() -> None:
+        comm = await connect(scheduler)
+        await comm.close()
+
+    # Not a Client at once: one that never came up is closed when it is collected as garbage, which, in the thread that
+    # starts the next one's loop, waits for a lock that this start holds.
     try:
-        client = distributed.Client(scheduler)
+        with ThreadPoolExecutor(1) as thread:  # where a loop runs here already (a notebook), asyncio.run refuses
+            thread.submit(lambda: asyncio.run(knock())).result()
     except (OSError, ValueError, TypeError) as error:  # TypeError: its own, of an address that is a word
         raise ScenarioError(f"--scheduler {scheduler}: no Dask scheduler there, expected an address as "
                             f"tcp://127.0.0.1:8786: {error}") from None  # fmt: skip
-    with client:
+    with distributed.Client(scheduler) as client:
         numbers: dict[Any, int] = {}
         size = max(1, sum(client.nthreads().values())) * AHEAD
         done = distributed.as_completed()
