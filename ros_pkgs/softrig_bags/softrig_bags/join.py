@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from softrig_core import SECOND
-from softrig_core.wire.cdr import CdrError, parse
+from softrig_core.wire.cdr import parse
+from softrig_core.wire.stream import CdrError
 from softrig_core.wire.types import ARRAY
 
 from .stamps import is_stamped, stamp

@@ -21,7 +21,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 def set_values(options: argparse.Namespace) -> int:
     """Set parameters of running nodes, node by node; gives the exit status: 1 when a node refuses."""
     from softrig_core.guard import say
-    from softrig_core.node.parameter_client import set_parameters
+    from softrig_core.node.remote import set_parameters
 
     wanted = _by_node(options.values)
     if options.domain is not None:

@@ -6,7 +6,8 @@ from collections.abc import Callable, Sequence
 from itertools import count
 
 from ..timebase import SECOND
-from ..wire.cdr import CdrError, Layout, Message, Pick, getter, parse
+from ..wire.cdr import Layout, Message, Pick, getter, parse
+from ..wire.stream import CdrError
 from .answer import usual
 from .port import Port, Refused
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Iterable
 
 from rclpy.node import Node
@@ -10,6 +9,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from ..model.scene import Pose, standing
 from ..timebase import SECOND
+from ..wire.stream import Writer
 from .adapter import Adapter
 from .messages import message_class
 from .ros import QOS
@@ -63,19 +63,12 @@ def encode(stamp: int, poses: Iterable[Pose]) -> bytes:
         ns.
     poses : iterable of Pose
     """
-    out = bytearray(b"\x00\x01\x00\x00")  # little endian; alignment counts after these four bytes
-
-    def pack(code: str, *values: float) -> None:
-        out.extend(bytes(-(len(out) - 4) % struct.calcsize(code[-1])))
-        out.extend(struct.pack(f"<{code}", *values))
-
     poses = list(poses)
-    pack("I", len(poses))
+    out = Writer()
+    out.add("I", len(poses))
     for pose in poses:
-        pack("iI", stamp // SECOND, stamp % SECOND)
-        for name in (pose.parent, pose.child):
-            text = name.encode() + b"\0"
-            pack("I", len(text))
-            out.extend(text)
-        pack("7d", *pose.position, *pose.rotation)
-    return bytes(out)
+        out.add("I", stamp // SECOND, stamp % SECOND)
+        out.text(pose.parent)
+        out.text(pose.child)
+        out.add("d", *pose.position, *pose.rotation)
+    return bytes(out.data)

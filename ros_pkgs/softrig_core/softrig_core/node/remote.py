@@ -1,4 +1,6 @@
-"""Turns knobs and presses buttons of a running rig for a process that speaks JSON lines: what a page in a browser asks.
+"""Turns knobs and presses buttons of a running rig from outside: for `softrig set`, and for a page in a browser.
+
+The page's process speaks JSON lines:
 
 in     {"id": 7, "node": "law", "set": {"k": 3.0}}        parameters of one node, all or none
 {"id": 8, "node": "plant", "call": "kick"}         a std_srvs/Trigger below the node
@@ -11,7 +13,8 @@ import json
 import os
 import sys
 import threading
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import rclpy
@@ -23,7 +26,7 @@ from rclpy.parameter_client import AsyncParameterClient
 from ..guard import secure_streams
 from .messages import message_class
 
-PATIENCE = 10.0  # s: for a node to be there and to answer
+PATIENCE = 10.0  # s: for a node to be there, and again for it to answer
 
 
 class Remote:
@@ -33,12 +36,17 @@ class Remote:
     ----------
     node : rclpy.node.Node
     answer : callable
-        Gets the id of a request, whether it was done, and the reason if it was not.
+        Gets the id of a request, whether it was done (None: nobody answered), and the reason if it was not.
+    patience : float
+        How long to wait for a node, s.
     """
 
-    def __init__(self, node: Node, answer: Callable[[Any, bool, str], object]) -> None:
+    def __init__(
+        self, node: Node, answer: Callable[[Any, bool | None, str], object], patience: float = PATIENCE
+    ) -> None:
         self._node = node
         self._answer = answer
+        self._patience = patience
         self._parameters: dict[str, AsyncParameterClient] = {}
         self._triggers: dict[str, Any] = {}
 
@@ -73,20 +81,59 @@ class Remote:
     def _when(self, ready: Callable[[], bool], number: Any, node: str, send: Callable[[], Any],
               read: Callable[[Any], tuple[bool, str]]) -> None:  # fmt: skip
         """Send when the node is there, answer when it has; a node that does neither in time is named."""
-        begun = self._node.get_clock().now()
+        limit = time.monotonic() + self._patience
         sent: list[Any] = []
 
         def look() -> None:
+            nonlocal limit
             if not sent and ready():
                 sent.append(send())
+                limit = time.monotonic() + PATIENCE
             if sent and sent[0].done():
                 self._node.destroy_timer(timer)
                 self._answer(number, *read(sent[0].result()))
-            elif (self._node.get_clock().now() - begun).nanoseconds > PATIENCE * 1e9:
+            elif time.monotonic() > limit:
                 self._node.destroy_timer(timer)
-                self._answer(number, False, f"{node} does not answer" if sent else f"no node {node}")
+                silent = f"{node} does not answer" if sent else f"no node {node} within {self._patience:g} s"
+                self._answer(number, None, silent)
 
         timer = self._node.create_timer(0.01, look)
+
+
+def set_parameters(wanted: Mapping[str, Mapping[str, Any]], patience: float) -> list[str]:
+    """Set parameters of running nodes, those of one node all or none.
+
+    Parameters
+    ----------
+    wanted : mapping
+        Values by node and name.
+    patience : float
+        How long to wait for each node, s.
+
+    Returns
+    -------
+    list of str
+        What went wrong, a line a node.
+    """
+    refusals: list[str] = []
+    waiting = set(wanted)
+
+    def answer(node: str, done: bool | None, reason: str) -> None:
+        waiting.remove(node)
+        if not done:
+            refusals.append(reason if done is None else f"{node} refuses {', '.join(wanted[node])}: {reason}")
+
+    rclpy.init(args=[])
+    try:
+        person = Node(f"softrig_set_{os.getpid()}")
+        remote = Remote(person, answer, patience)
+        for node, values in wanted.items():
+            remote.ask({"id": node, "node": node, "set": values})
+        while waiting and rclpy.ok():
+            rclpy.spin_once(person)
+    finally:
+        rclpy.try_shutdown()
+    return refusals
 
 
 def main() -> None:
@@ -97,7 +144,7 @@ def main() -> None:
     executor = rclpy.get_global_executor()
     executor.add_node(node)
 
-    def answer(number: Any, ok: bool, reason: str) -> None:
+    def answer(number: Any, ok: bool | None, reason: str) -> None:
         print(json.dumps({"id": number, "ok": ok, "reason": reason}), flush=True)
 
     remote = Remote(node, answer)

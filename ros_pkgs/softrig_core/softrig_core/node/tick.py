@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from ..model.port import Refused
-from ..wire.cdr import CdrError, Layout, parse
+from ..wire.cdr import Layout, parse
+from ..wire.stream import CdrError
 
 TICK = "std_msgs/msg/Header"
 

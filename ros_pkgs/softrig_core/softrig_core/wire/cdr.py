@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..timebase import SECOND
+from .stream import CdrError, Reader, Writer
 from .types import TYPES, Dims
 
 Pick = Callable[[tuple[Any, ...]], tuple[Any, ...]]  # takes some items
@@ -32,10 +33,6 @@ NUMBER = "; sequence "  # between the label of an array's first dimension and th
 DIGITS = 12
 _NUMBERS = 10**DIGITS
 _NUMBERED = re.compile(rf"(.*){NUMBER}([0-9]{{1,18}})", re.DOTALL)  # others need not fill up with zeros
-
-
-class CdrError(ValueError):
-    """Bytes are not a well-formed message of the expected type."""
 
 
 @dataclass(frozen=True)
@@ -90,79 +87,52 @@ class Layout:
         # what makes an equal layout
         self.form = (msgtype, frame_id, tuple(names), dict(counts), tuple(dims), numbered)
         self.numbered = numbered
-        out = bytearray(b"\x00\x01\x00\x00")  # little endian
-        fixed: list[tuple[int, int]] = []
+        out = Writer()
         slots: list[tuple[int, str]] = []
         self.stamp_offset: int | None = None
         number_offset = -1
         self.fields: list[tuple[str, int]] = []
 
-        def align(size: int) -> None:
-            out.extend(bytes(-(len(out) - 4) % size))  # alignment counts after the encapsulation header
-
-        def const(data: bytes) -> None:
-            fixed.append((len(out), len(out) + len(data)))
-            out.extend(data)
-
-        def length(n: int) -> None:
-            align(4)
-            const(struct.pack("<I", n))
-
-        def string(text: str) -> None:
-            data = text.encode() + b"\0"
-            length(len(data))
-            const(data)
-
         def numbers(name: str, n: int, code: str = "d") -> None:
             self.fields.append((name, n))
             if n:
-                align(struct.calcsize(code))
-                slots.append((len(out), f"{n}{code}"))
-                out.extend(bytes(n * struct.calcsize(code)))
+                slots.append((out.room(code, n), f"{n}{code}"))
 
         for kind, name, size in TYPES[msgtype].schema:
             if kind == "stamp":
-                self.stamp_offset = len(out)
-                out.extend(bytes(8))
+                self.stamp_offset = out.room("I", 2)
             elif kind == "frame":
-                string(frame_id)
+                out.text(frame_id)
             elif kind == "names":
-                length(len(names))
+                out.add("I", len(names))
                 for text in names:
-                    string(text)
+                    out.text(text)
             elif kind == "one":
-                length(1)
+                out.add("I", 1)
             elif kind == "sequence":
-                length(counts.get(name, 0))
+                out.add("I", counts.get(name, 0))
                 numbers(name, counts.get(name, 0))
             elif kind == "numbers":
                 numbers(name, size)
             elif kind == "dims":
-                length(len(dims))
+                out.add("I", len(dims))
                 for i, (label, extent) in enumerate(dims):
                     if numbered and i == 0:
-                        text = label + NUMBER
-                        length(len(text.encode()) + DIGITS + 1)
-                        const(text.encode())
-                        number_offset = len(out)
-                        out.extend(bytes(DIGITS))
-                        const(b"\0")
+                        number_offset = out.text(label + NUMBER, DIGITS)
                     else:
-                        string(label)
-                    length(extent)
-                    length(math.prod(size for _, size in dims[i:]))  # the stride
-                length(0)  # the offset of the data
+                        out.text(label)
+                    out.add("I", extent, math.prod(size for _, size in dims[i:]))  # with the stride
+                out.add("I", 0)  # the offset of the data
             elif kind == "flag":
                 numbers(name, 1, "?")
             elif kind == "duration":
-                align(4)
-                out.extend(bytes(8))
+                out.room("I", 2)
 
         self.msgtype = msgtype
-        self.length = len(out)
+        self.length = len(out.data)
         self.size = sum(n for _, n in self.fields)
         self.slots = slots
-        self._fixed = [(a, b, bytes(out[a:b])) for a, b in [(0, 2), *_merge(fixed)]]
+        self._fixed = [(a, b, bytes(out.data[a:b])) for a, b in [(0, 2), *_merge(out.written)]]
         # One struct for the whole message. Its items in wire order are picked from (s, ns, *values, *constants);
         # of an array the first one is the text of its number.
         spans = [(a, f"{b - a}s") for a, b, _ in self._fixed]
@@ -181,7 +151,7 @@ class Layout:
                 wire.append(next(constants))
             else:
                 wire += [0, 1] if code == "iI" else islice(values, int(code[:-1]))
-        whole = struct.Struct(f"{form}{len(out) - at}x")
+        whole = struct.Struct(f"{form}{self.length - at}x")
         self._pack, self._unpack = whole.pack, whole.unpack
         self._wire = getter(wire)
         self._constants = tuple(data for _, _, data in self._fixed)
@@ -301,34 +271,7 @@ def parse(msgtype: str, data: bytes) -> Message:
     CdrError
         The bytes are truncated or malformed; says where.
     """
-    order = ">" if len(data) > 1 and data[1] == 0 else "<"
-    at = 4
-
-    def take(code: str, n: int = 1) -> tuple[float, ...]:
-        nonlocal at
-        size = struct.calcsize(code)
-        at += -(at - 4) % size
-        if at + n * size > len(data):
-            raise CdrError(f"{msgtype}: {len(data)} bytes end inside a field at byte {at}")
-        values = struct.unpack_from(f"{order}{n}{code}", data, at)
-        at += n * size
-        return values
-
-    def string() -> str:
-        nonlocal at
-        n = int(take("I")[0])
-        if n == 0 or at + n > len(data):
-            raise CdrError(f"{msgtype}: a string of {n} bytes at byte {at} does not fit in {len(data)}")
-        text = bytes(data[at : at + n - 1]).decode(errors="replace")
-        at += n
-        return text
-
-    def sequence(name: str) -> tuple[float, ...]:
-        n = int(take("I")[0])
-        if n * 8 > len(data):
-            raise CdrError(f"{msgtype}: {name} claims {n} values in {len(data)} bytes")
-        return take("d", n) if n else ()
-
+    reader = Reader(msgtype, data)
     stamp: int | None = None
     frame_id = ""
     names: tuple[str, ...] = ()
@@ -337,40 +280,31 @@ def parse(msgtype: str, data: bytes) -> Message:
     number: int | None = None
     for kind, name, size in TYPES[msgtype].schema:
         if kind == "stamp":
-            stamp = int(take("i")[0]) * SECOND + int(take("I")[0])
+            stamp = reader.one("i") * SECOND + reader.one("I")
         elif kind == "frame":
-            frame_id = string()
+            frame_id = reader.text()
         elif kind == "names":
-            count = int(take("I")[0])
-            if count * 5 > len(data):
-                raise CdrError(f"{msgtype}: claims {count} names in {len(data)} bytes")
-            names = tuple(string() for _ in range(count))
+            names = tuple(reader.text() for _ in range(reader.count("names", 5)))
         elif kind == "one":
-            count = int(take("I")[0])
-            if count != 1:
+            if (count := reader.one("I")) != 1:
                 raise CdrError(f"{msgtype}: {count} points, expected exactly one")
         elif kind == "sequence":
-            fields[name] = sequence(name)
+            fields[name] = reader.take("d", reader.count(f"values of {name}", 8))
         elif kind == "numbers":
-            fields[name] = take("d", size)
+            fields[name] = reader.take("d", size)
         elif kind == "dims":
-            count = int(take("I")[0])
-            if count * 13 > len(data):
-                raise CdrError(f"{msgtype}: claims {count} dimensions in {len(data)} bytes")
             shape = []
-            for i in range(count):
-                label = string()
+            for i in range(reader.count("dimensions", 13)):
+                label = reader.text()
                 if i == 0 and (found := _NUMBERED.fullmatch(label)):
                     label, number = found[1], int(found[2])
-                shape.append((label, int(take("I")[0])))
-                take("I")
+                shape.append((label, reader.take("I", 2)[0]))  # without the stride
             dims = tuple(shape)
-            take("I")
+            reader.one("I")
         elif kind == "flag":
-            fields[name] = take("B")
+            fields[name] = reader.take("B")
         elif kind == "duration":
-            take("i")
-            take("I")
+            reader.take("I", 2)
     if dims and math.prod(size for _, size in dims) != len(fields["data"]):
         raise CdrError(f"{msgtype}: {len(fields['data'])} values for the shape {dict(dims)}")
     return Message(stamp, frame_id, names, fields, dims, number)

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Mapping
 from typing import Any, Protocol
+
+from ..timebase import SECOND
+from .stream import Reader, Writer
 
 TOPIC, TYPE = "parameter_events", "rcl_interfaces/msg/ParameterEvent"
 _ONE = {1: "?", 2: "q", 3: "d"}  # of a value's field: bool, int64, float64; a string is the fourth
 _BOOL, _INTEGER, _DOUBLE, _STRING, _BOOLS, _INTEGERS, _DOUBLES, _STRINGS = 1, 2, 3, 4, 6, 7, 8, 9
+_MANY = ((_BOOLS, "?"), (_INTEGERS, "q"), (_DOUBLES, "d"))
 _KINDS = {bool: (_BOOL, _BOOLS), int: (_INTEGER, _INTEGERS), float: (_DOUBLE, _DOUBLES), str: (_STRING, _STRINGS)}
 
 
@@ -18,40 +21,6 @@ class Recorded(Protocol):
     @property
     def topics(self) -> Mapping[str, Any]:
         """By name."""
-
-
-class _Writer:
-    def __init__(self) -> None:
-        self.data = bytearray(b"\x00\x01\x00\x00")
-
-    def add(self, code: str, *values: Any) -> None:
-        for value in values:
-            size = struct.calcsize(code)
-            self.data += bytes(-(len(self.data) - 4) % size) + struct.pack(f"<{code}", value)
-
-    def text(self, text: str) -> None:
-        raw = text.encode() + b"\x00"
-        self.add("I", len(raw))
-        self.data += raw
-
-
-class _Reader:
-    def __init__(self, data: bytes) -> None:
-        if bytes(data[:2]) != b"\x00\x01":
-            raise ValueError("expected little-endian CDR")
-        self.data, self.at = bytes(data), 4
-
-    def take(self, code: str) -> Any:
-        size = struct.calcsize(code)
-        self.at += -(self.at - 4) % size
-        (value,) = struct.unpack_from(f"<{code}", self.data, self.at)
-        self.at += size
-        return value
-
-    def text(self) -> str:
-        n = self.take("I")
-        self.at += n
-        return self.data[self.at - n : self.at - 1].decode()
 
 
 def encode(t: int, node: str, values: Mapping[str, Any]) -> bytes:
@@ -66,9 +35,8 @@ def encode(t: int, node: str, values: Mapping[str, Any]) -> bytes:
     values : mapping
         Value by name: numbers, texts, flags or lists of one of these; None: not set.
     """
-    out = _Writer()
-    out.add("i", t // 1_000_000_000)
-    out.add("I", t % 1_000_000_000)
+    out = Writer()
+    out.add("I", t // SECOND, t % SECOND)
     out.text(node)
     out.add("I", 0, len(values))  # none is new
     for name, value in values.items():
@@ -78,7 +46,7 @@ def encode(t: int, node: str, values: Mapping[str, Any]) -> bytes:
     return bytes(out.data)
 
 
-def _write(out: _Writer, value: Any) -> None:
+def _write(out: Writer, value: Any) -> None:
     several = list(value) if isinstance(value, list | tuple) else []
     kind = 0
     if isinstance(value, list | tuple):
@@ -90,7 +58,7 @@ def _write(out: _Writer, value: Any) -> None:
         out.add(code, value if kind == one else 0)
     out.text(value if kind == _STRING else "")
     out.add("I", 0)  # bytes
-    for many, code in ((_BOOLS, "?"), (_INTEGERS, "q"), (_DOUBLES, "d")):
+    for many, code in _MANY:
         found = several if kind == many else []
         out.add("I", len(found))
         out.add(code, *found)
@@ -105,21 +73,13 @@ def decode(data: bytes) -> tuple[int, str, dict[str, Any]]:
 
     Raises
     ------
-    ValueError
+    CdrError
         Malformed bytes.
     """
-    try:
-        reader = _Reader(data)
-        t = reader.take("i") * 1_000_000_000 + reader.take("I")
-        node = reader.text()
-        found: dict[str, Any] = {}
-        for name, value in (_read(reader) for _ in range(reader.take("I"))):
-            found[name] = value
-        for name, value in (_read(reader) for _ in range(reader.take("I"))):
-            found[name] = value
-        return t, node, found
-    except (struct.error, UnicodeDecodeError) as error:
-        raise ValueError(f"malformed {TYPE}: {error}") from None
+    reader = Reader(TYPE, data)
+    t = reader.one("i") * SECOND + reader.one("I")
+    node = reader.text()
+    return t, node, dict(_read(reader) for _ in range(2) for _ in range(reader.one("I")))
 
 
 def recorded(recording: Recorded, epoch: int = 0) -> list[tuple[int, str, dict[str, Any]]]:
@@ -135,12 +95,11 @@ def recorded(recording: Recorded, epoch: int = 0) -> list[tuple[int, str, dict[s
     return [(t - epoch, node.rpartition("/")[2], values) for t, node, values in found]
 
 
-def _read(reader: _Reader) -> tuple[str, Any]:
-    name, kind = reader.text(), reader.take("B")
-    values: dict[int, Any] = {k: reader.take(code) for k, code in _ONE.items()}
+def _read(reader: Reader) -> tuple[str, Any]:
+    name, kind = reader.text(), reader.one("B")
+    values: dict[int, Any] = {k: reader.one(code) for k, code in _ONE.items()}
     values[_STRING] = reader.text()
-    values[5] = [reader.take("B") for _ in range(reader.take("I"))]
-    for many, code in ((_BOOLS, "?"), (_INTEGERS, "q"), (_DOUBLES, "d")):
-        values[many] = [reader.take(code) for _ in range(reader.take("I"))]
-    values[_STRINGS] = [reader.text() for _ in range(reader.take("I"))]
+    for many, code in ((5, "B"), *_MANY):
+        values[many] = list(reader.take(code, reader.one("I")))
+    values[_STRINGS] = [reader.text() for _ in range(reader.one("I"))]
     return name, values.get(kind)

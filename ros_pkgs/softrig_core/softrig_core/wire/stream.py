@@ -1,0 +1,120 @@
+"""The parts of CDR, one after the other: numbers aligned to their size, texts, lengths."""
+
+from __future__ import annotations
+
+import struct
+from typing import Any
+
+
+class CdrError(ValueError):
+    """Bytes are not a well-formed message of the expected type."""
+
+
+class Writer:
+    """Puts the parts of a message behind each other, little endian.
+
+    Attributes
+    ----------
+    data : bytearray
+        The message so far, the four bytes of the encapsulation included; alignment counts after these.
+    written : list of (int, int)
+        Start and end of what has been written: not of padding, nor of what was left open.
+    """
+
+    def __init__(self) -> None:
+        self.data = bytearray(b"\x00\x01\x00\x00")
+        self.written: list[tuple[int, int]] = []
+
+    def room(self, code: str, n: int = 1) -> int:
+        """Leave room for `n` values of a struct's code; gives where."""
+        size = struct.calcsize(code)
+        if n:
+            self.data += bytes(-(len(self.data) - 4) % size)
+        at = len(self.data)
+        self.data += bytes(n * size)
+        return at
+
+    def add(self, code: str, *values: Any) -> None:
+        """Write values of a struct's code."""
+        at = self.room(code, len(values))
+        struct.pack_into(f"<{len(values)}{code}", self.data, at, *values)
+        self.written.append((at, len(self.data)))
+
+    def text(self, text: str, room: int = 0) -> int:
+        """Write a string, with room for so many characters at its end; gives where."""
+        raw = text.encode()
+        self.add("I", len(raw) + room + 1)
+        at = self._put(raw)
+        self.data += bytes(room)
+        self._put(b"\0")
+        return at
+
+    def _put(self, raw: bytes) -> int:
+        at = len(self.data)
+        self.data += raw
+        self.written.append((at, at + len(raw)))
+        return at + len(raw)
+
+
+class Reader:
+    """Takes the parts of a message one after the other, in either byte order.
+
+    Parameters
+    ----------
+    msgtype : str
+        Named in errors.
+    data : bytes
+        The four bytes of the encapsulation included.
+    """
+
+    def __init__(self, msgtype: str, data: bytes) -> None:
+        self._type, self._data, self._at = msgtype, data, 4
+        self._order = ">" if len(data) > 1 and data[1] == 0 else "<"
+
+    def take(self, code: str, n: int = 1) -> tuple[Any, ...]:
+        """Read `n` values of a struct's code.
+
+        Raises
+        ------
+        CdrError
+            The bytes end before.
+        """
+        if not n:
+            return ()
+        size = struct.calcsize(code)
+        at = self._at + -(self._at - 4) % size
+        if at + n * size > len(self._data):
+            raise CdrError(f"{self._type}: {len(self._data)} bytes end inside a field at byte {at}")
+        self._at = at + n * size
+        return struct.unpack_from(f"{self._order}{n}{code}", self._data, at)
+
+    def one(self, code: str) -> Any:
+        """Read one value of a struct's code."""
+        return self.take(code)[0]
+
+    def count(self, what: str, size: int) -> int:
+        """Read how many items follow, of at least so many bytes each.
+
+        Raises
+        ------
+        CdrError
+            More than fit.
+        """
+        n: int = self.one("I")
+        if n * size > len(self._data):
+            raise CdrError(f"{self._type}: claims {n} {what} in {len(self._data)} bytes")
+        return n
+
+    def text(self) -> str:
+        """Read a string.
+
+        Raises
+        ------
+        CdrError
+            It does not fit.
+        """
+        n: int = self.one("I")
+        if n == 0 or self._at + n > len(self._data):
+            raise CdrError(f"{self._type}: a string of {n} bytes at byte {self._at} does not fit in {len(self._data)}")
+        self._at += n
+        return bytes(self._data[self._at - n : self._at - 1]).decode(errors="replace")
