@@ -9,6 +9,7 @@ from conftest import differences, in_process, make_scenario
 from faultrig import COMMAND, STATE, Lag
 from simulated import SimulatedNode, SimulatedRig, World, some
 from softrig_core import Block, Rig, Signals, array, load_scenario
+from softrig_core.node.tick import TickWriter
 from test_ports import RIGS
 
 BASIC = {"plant": "plant", "source": "source", "gain": "gain"}
@@ -51,6 +52,60 @@ def test_a_law_uses_the_inputs_of_its_tick(name, seed, shared):
                 n = min(len(a.x), len(b.x))
                 assert n >= len(a.x) - 1
                 assert np.array_equal(a.x[:n], b.x[:n]), f"{port.topic}/{label}"
+
+
+FAULTS = {
+    "offset": {"value": [0.25]}, "loss": {"probability": 0.3}, "silence": {"every": 0.05, "lasts": 0.02},
+    "delay": {"delay": 0.02, "jitter": 0.03}, "repeat": {"probability": 0.5}, "invalid": {"probability": 0.3},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("places", ["alone", "some together", "all together"])
+@pytest.mark.parametrize("kind", FAULTS)
+def test_a_law_waits_for_a_fault_also_at_a_tick_at_which_that_is_silent(kind, places):
+    """One fault behind another before a law, one before its reference: ticks and numbers are those of lockstep."""
+    faults = {"a": {"link": "lag/state -> gain", "kind": kind, **FAULTS[kind]},
+              "b": {"link": "lag/state -> gain", "kind": "noise", "value": [0.1]},
+              "c": {"link": "lag/reference", "kind": "loss", "probability": 0.2}}  # fmt: skip
+    rig = Rig.from_scenario(make_scenario(BASIC | {"watcher": "watcher"}, 0.4, faults=faults))
+    names, rng = [m.name for m in rig.members], random.Random(kind)
+    groups = {"alone": (), "some together": (rng.sample(names, 3),), "all together": (names,)}[places]
+    run = SimulatedRig(rig, World(lambda *_: rng.randrange(1_000, MS)), "realtime", groups=groups, departs=True)
+    assert set(run.run().values()) == {"done"}
+    for name, adapter in run.adapters.items():
+        assert not any(adapter.drive.counts().values()), name
+    epoch, expected = run.adapters["gain"].epoch, in_process(rig)
+    for name in {p.topic for m in rig.members for p in m.outputs}:
+        ticks, found = expected.topics[name].times, [t - epoch for t in run.recording.topics[name].times]
+        common = min(len(ticks), len(found))
+        assert ticks[:common] == found[:common], name
+        assert common >= len(ticks) - 1, name
+    found = Signals(run.recording, epoch)
+    for label, (_, x) in Signals(expected).items():
+        common = min(len(x), len(found[label].x))
+        assert np.array_equal(x[:common], found[label].x[:common], equal_nan=True), label
+
+
+def test_what_a_delay_gets_of_a_plant_counts_by_its_stamp():
+    """Its port takes other times as well, but this sender stamps with the tick, which is answered however late."""
+    rng = random.Random(0)
+    late = {"/axis/state": [MS, MS, MS, 12 * MS]}
+    rig = shortened("dc_motor_fsfb_s1", 0.5)
+    run = SimulatedRig(rig, World(lambda t, *_: rng.choice(late.get(t, [MS]))), "realtime")
+    run.run()
+    assert run.adapters["fieldbus_delay"].drive.counts() == {"missed_deadlines": 0, "incomplete_ticks": 0}
+
+
+def test_what_nobody_can_have_said_of_its_ticks_is_refused():
+    rig = Rig.from_scenario(make_scenario(BASIC, 0.3, faults={"gone": {"link": "lag/state", "kind": "silence"}}))
+    run = SimulatedRig(rig, World(), "realtime")
+    run.world.match()
+    run.world.run(run.epoch + 95 * MS)
+    for data in (TickWriter()(run.epoch + 3600 * SECOND, ()), b"\0\1\0\0\1\2\3"):
+        send(run, "/gone/tick", "std_msgs/msg/Header", data)
+    run.run()
+    gain = run.adapters["gain"]
+    assert (gain.paces[0].refused, gain.drive.incomplete, gain.ticks) == (2, 0, 31)
 
 
 def test_a_tick_without_all_its_inputs_is_answered_after_a_part_of_the_period_and_counted():

@@ -24,13 +24,18 @@ title: The axis under buttons that people press
 nodes: {step_buttons: null}
 duration: 1.0
 """
+FAULTS = """
+faults:
+  offset: {link: axis/state -> fieldbus_delay, kind: offset, value: [0.05], active: false}
+  loss: {link: axis/state -> fieldbus_delay, kind: loss, probability: 0.2}
+"""
 
 
-def pressed(folder, mode="lockstep", delay=None):
-    """The folder of a run in which somebody presses a button, sends a reference and turns a gain."""
+def pressed(folder, mode="lockstep", delay=None, faults=""):
+    """The folder of a run in which somebody presses a button, sends a reference, turns a gain, switches a fault."""
     folder.mkdir()
     name = folder.parent / "mine.yaml"
-    name.write_text(MINE)
+    name.write_text(MINE + faults)
     rig = Rig.from_scenario(load_scenario(name))
     world = World(delay) if delay else World()
     run = SimulatedRig(rig, world, mode, seed=3)
@@ -50,6 +55,10 @@ def pressed(folder, mode="lockstep", delay=None):
     people = (partial(law.buttons.press, button.port), partial(send, 12.5), partial(law.step.set, {"kp": 50.0}))
     for moment, act in zip(moments, people, strict=True):
         world.at(start + moment, act)
+    if faults:
+        switch = next(i for i in run.adapters["offset"].inputs if i.name == "toggle")
+        world.at(start + 601 * MS, partial(run.adapters["offset"].buttons.press, switch.port))
+        world.at(start + 703 * MS, partial(run.adapters["offset"].step.set, {"value": [0.1]}))
     assert set(run.run().values()) == {"done"}
     status = {name: {"missed_deadlines": 0, **_figures(a)} for name, a in run.adapters.items()}
     done = Run(rig, 3, run.recording, status=status, mode="realtime" if run.epoch else "processes", epoch=run.epoch)
@@ -88,13 +97,18 @@ def test_buttons_and_messages_from_outside_are_there_again(mode, tmp_path, capsy
     assert not differences(again, read_bag(tmp_path / "third" / "bag"))
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_a_run_in_real_time_that_was_never_late_is_repeated_in_lockstep(seed, tmp_path, capsys):
-    """Messages take up to a fifth of the law's period, in any order; a button, a message and a gain in between."""
+@pytest.mark.parametrize(("seed", "faults"), [(0, ""), (1, ""), (2, FAULTS)], ids=["0", "1", "faults"])
+def test_a_run_in_real_time_that_was_never_late_is_repeated_in_lockstep(seed, faults, tmp_path, capsys):
+    """Messages take up to a fifth of the law's period, in any order; a button, a message and a gain in between, and
+    faults on what the law measures, one of which is switched on by its button.
+    """
     rng = random.Random(seed)
-    pressed(tmp_path / "first", "realtime", lambda *_: rng.randrange(1_000, 2 * MS))
+    first = pressed(tmp_path / "first", "realtime", lambda *_: rng.randrange(1_000, 2 * MS), faults)
     metrics = json.loads((tmp_path / "first" / "metrics.json").read_text())
-    assert [c["node"] for c in metrics["changes"]] == ["fsfb_controller"]
+    assert [c["node"] for c in metrics["changes"]] == ["fsfb_controller", *(["offset"] if faults else [])]
+    if faults:
+        assert len(first.topics["axis/state/offset/toggle"].times) == 2
+        assert 60 < len(first.topics["axis/state/loss"].times) < 95
     status, said = repeat(tmp_path, capsys, "--like", str(tmp_path / "first"), "--mode", "inprocess")
     assert status == 0, said
     assert "first number for number: " in said

@@ -143,7 +143,7 @@ class Adapter:
         """Offer and read the topics, driven by `drive`."""
         self.drive = drive
         middleware, lockstep = self.middleware, self.options.mode == "lockstep"
-        if self.links.acknowledges and lockstep:  # nobody waits for ticks in real time
+        if self.links.acknowledges if lockstep else self.links.tells:
             self._acknowledge = self._acknowledging()
         for port in self.step.inputs:
             self._subscribe(drive.row(port))

@@ -59,9 +59,9 @@ class Feeds:
         self.watchdog = to_ns(node.options.watchdog) if node.is_plant else 0
         self.least = self.watchdog or node.schedule.time(node.block.STALE_PERIODS)
 
-    def row(self, port: Port) -> Feed:
+    def row(self, port: Port, kind: type[Feed]) -> Feed:
         """Make the row of an input."""
-        row = Feed(self, port)
+        row = kind(self, port)
         self.rows.append(row)
         self.node.step.stamps[port.name] = row.held_stamp
         return row
@@ -74,6 +74,19 @@ class Feeds:
                 if due <= stamp:
                     sink.add(number, stamp, data)
             self.unrecorded = [entry for entry in self.unrecorded if entry[0] > stamp]
+
+    def believe(self, stamp: int, delayed: bool = False) -> None:
+        """Make sure that a stamp is near enough to now.
+
+        Raises
+        ------
+        Refused
+            It is not.
+        """
+        off = stamp - self.clock()
+        if off > self.window or (-off > self.window and not delayed):
+            most = f"expected at most {self.window / SECOND:g} s"
+            raise Refused(f"stamp is {off / SECOND:+.3g} s from now, {most}")
 
     def grid_time(self, now: int) -> int:
         """Give the newest tick of ours at a time, both in ns of the wall clock."""
@@ -94,9 +107,9 @@ class Feed(Sender):
     schedule : Schedule or None
         Of the sender, when the rig says who it is; otherwise its interval is learned from its stamps.
     awaited : bool
-        Whether a tick waits for it: required, and the sender is never silent.
+        Whether a tick waits for it: required, and the sender is never silent or says when it was.
     by_arrival : bool
-        Whether its messages belong to the tick at which they come.
+        Whether its messages belong to the tick at which they come: they do not say of which they are.
     paired : bool
         Whether a node of the rig sends it: its value at a tick is then the newest stamped up to there, as in lockstep.
     expected : bool
@@ -124,9 +137,11 @@ class Feed(Sender):
         super().__init__(node, port, link.node if link else "another node")
         self.table = table
         self.schedule = node.peer(link) if link else None
-        silent = port.sporadic or (link is not None and link.sporadic) or port.name in node.links.free
+        untold = link is None or not link.told
+        silent = untold and (port.sporadic or (link is not None and link.sporadic) or port.name in node.links.free)
         self.awaited = not port.held and not silent
-        self.by_arrival = port.delayed or not port.stamped
+        at_tick = link is not None and not link.delayed
+        self.by_arrival = not port.stamped or (port.delayed and not at_tick)
         self.paired = link is not None and not self.by_arrival
         self._optional = self.expected = self.paired and not self.awaited and not silent
         self.answered = -1
@@ -148,9 +163,7 @@ class Feed(Sender):
         """Give stamp and values; a stamp of 0 means: no stamp, now."""
         stamp, values = self.decode(data)
         if self.port.stamped and stamp:
-            window, off = self.table.window, stamp - self.table.clock()
-            if off > window or (-off > window and not self.port.delayed):
-                raise Refused(f"stamp is {off / SECOND:+.3g} s from now, expected at most {window / SECOND:g} s")
+            self.table.believe(stamp, self.port.delayed)
         return stamp, values
 
     def spoilt(self, data: bytes) -> None:
@@ -175,11 +188,14 @@ class Feed(Sender):
             self.table.unrecorded.append((0 if used_at_once else due, self._number, data))
         self._keep(stamp, due, self.value(stamp, found), now)
 
-    def teller(self, pick: Pick | None) -> Callable[[int, Row], None]:
-        """Give what takes the rows of a node of this process, checked by who says them, with their stamp (ns)."""
+    def teller(self, pick: Pick | None, unchecked: bool) -> Callable[[int, Row | None], None]:
+        """Give what takes the rows of a node of this process, checked by who says them or not, with their stamp."""
         delayed = self.port.delayed
 
-        def tell(stamp: int, row: Row) -> None:
+        def tell(stamp: int, row: Row | None) -> None:
+            if row is None:
+                self.told(stamp, False)
+                return
             if self.deaf():
                 return
             now = self.table.clock()
@@ -187,9 +203,17 @@ class Feed(Sender):
             values = values if pick is None else pick(values)
             self._begin(stamp)
             due = self.table.grid_time(now) if self.by_arrival else stamp
+            if unchecked and (reason := self.port.beyond(values)):
+                self.node.refuse(self, reason)
+                if not self.node.is_plant:
+                    self.table.excuse(self, due, now)
+                return
             self._keep(stamp, due, Sample(sampled, values) if delayed else values, now)
 
         return tell
+
+    def told(self, stamp: int, spoke: bool) -> None:
+        """The sender has answered a tick, and spoken or not: nobody waits for that here."""
 
     def _begin(self, stamp: int) -> None:
         """By hand a law's t = 0 is the tick of the first message."""

@@ -24,6 +24,7 @@ from .departure import Departure
 from .endpoint import Input, Output
 from .feed import Feed, Feeds
 from .health import percentiles
+from .sporadic import Sporadic, listen
 from .start import Handshake
 
 AGAIN = 10.0  # s between two times that a silence which lasts is told
@@ -57,7 +58,7 @@ class Realtime:
         self.skipped = 0
         self._silence_told = 0.0
         self._missed = 0
-        self._told: dict[Realtime, list[tuple[int, Callable[[int, Row], None]]]] = {}
+        self._told: dict[Realtime, list[tuple[int, Callable[[int, Row | None], None]]]] = {}
         node.epoch = node.options.epoch
         node.step.send = self._send
         node.begin(self)
@@ -74,7 +75,7 @@ class Realtime:
     def tell(self, output: Output, reader: Realtime, row: Feed, pick: Pick | None) -> None:
         """Hand what an output says to a node of this process, too."""
         parts = self._told.setdefault(reader, [])
-        part = output.number, row.teller(pick)
+        part = output.number, row.teller(pick, output.port.unchecked)
         if row.awaited:  # may make it answer: after what it does not wait for
             parts.append(part)
         else:
@@ -83,10 +84,13 @@ class Realtime:
     def join(self, local: Set[str]) -> None:
         """Begin, or wait for the others if t = 0 is to be said; `local` are the other nodes of this process."""
         node = self.node
+        told = listen(self.senders, [r for r in self.senders.rows if isinstance(r, Sporadic) and r.who not in local])
         if node.links.starter and not node.epoch:
             readers, inputs = node.links.readers, node.links.inputs
             wanted = [(o, list(readers.get(o.name, []))) for o in node.outputs]
             awaited = [(i, inputs[i.name].node) for i in node.inputs if i.name in inputs]
+            awaited += [(i, i.who) for i in told]
+            wanted.append((node.tick_output, node.links.tells))
             self.departure = Departure(node, Handshake(node, awaited, wanted, local), local, self._begin_at)
         else:
             self._begin_at(node.epoch)
@@ -153,7 +157,8 @@ class Realtime:
 
     def row(self, port: Port) -> Feed:
         """Make the row of an input: it keeps the good values by stamp; what is due makes a block answer."""
-        return self.senders.row(port)
+        link = self.node.links.inputs.get(port.name)
+        return self.senders.row(port, Sporadic if link is not None and link.told else Feed)
 
     def on_matched(self, item: Input) -> None:
         """Two publishers on one input: neither is believed until one of them has gone."""
@@ -291,8 +296,6 @@ class Realtime:
         return figures
 
 
-def _hand_over(parts: list[tuple[int, Callable[[int, Row], None]]], stamp: int, rows: Rows) -> None:
+def _hand_over(parts: list[tuple[int, Callable[[int, Row | None], None]]], stamp: int, rows: Rows) -> None:
     for k, tell in parts:
-        row = rows[k]
-        if row is not None:
-            tell(stamp, row)
+        tell(stamp, rows[k])

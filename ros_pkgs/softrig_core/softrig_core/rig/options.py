@@ -53,6 +53,10 @@ class InputLink(BaseModel):
         Name of the sender's port.
     sporadic : bool
         Whether that port may be silent, which the sender's acknowledgements tell.
+    delayed : bool
+        Whether what comes from it bears another time than that of its tick.
+    told : bool
+        Realtime: whether a law is told of it, too, and waits.
     """
 
     model_config = ConfigDict(extra="forbid")
@@ -61,6 +65,8 @@ class InputLink(BaseModel):
     at_end: bool = True
     port: str = ""
     sporadic: bool = False
+    delayed: bool = False
+    told: bool = False
 
 
 class Links(BaseModel):
@@ -93,6 +99,8 @@ class Links(BaseModel):
         ports have spoken.
     tick_readers : list of str
         Nodes that read these acknowledgements.
+    tells : list of str
+        Realtime: nodes that read which sporadic ports have spoken at each tick.
     acks : by node name
         Nodes whose ticks the owner of the clock waits for, with their period in s. With an external plant, which waits
         for nobody but who commands it, that node waits for their ticks before its own, and a source for its readers'.
@@ -125,6 +133,7 @@ class Links(BaseModel):
     owns_clock: bool = False
     acknowledges: bool = False
     tick_readers: list[str] = []
+    tells: list[str] = []
     acks: dict[str, str] = {}
     clock_readers: list[str] = []
     solvers: list[str] = []

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from ..model.port import Port
 from ..model.solver import Solver
-from .members import Member
+from .members import Link, Member
 from .options import InputLink, Links
 from .rig import Rig
 
@@ -13,7 +13,8 @@ def links(rig: Rig, member: Member) -> Links:
     """Work out what a node must know of its peers."""
     paired = {
         port: InputLink(period=_seconds(link.source), node=link.source.name, at_end=link.source.schedule.at_end,
-                        port=link.port.name, sporadic=link.port.sporadic)
+                        port=link.port.name, sporadic=link.port.sporadic, delayed=link.port.delayed,
+                        told=_told(member, link))
         for port, link in member.links.items() if not (link.source.external and link.port.sporadic)
     }  # fmt: skip
     tick_readers = _tick_readers(rig, member)
@@ -36,6 +37,7 @@ def links(rig: Rig, member: Member) -> Links:
         owns_clock=member is rig.clock,
         acknowledges=bool(tick_readers) or unheard,
         tick_readers=tick_readers,
+        tells=_tells(rig, member),
         acks={m.name: _seconds(m) for m in [*acknowledging, *pacers]},
         clock_readers=[m.name for m in _clocked(rig) if not m.external] if member is rig.clock else [],
         solvers=[m.name for m in rig.members if issubclass(m.block_class, Solver) and not m.external],
@@ -77,6 +79,21 @@ def _tick_readers(rig: Rig, member: Member) -> list[str]:
     found += [m for m in rig.members if member in _pacers(rig, m)]
     found += [m for p in member.outputs if p.sporadic for m, _ in rig.readers(member, p)]
     return list(dict.fromkeys(m.name for m in found if not m.external))
+
+
+def _told(reader: Member, link: Link) -> bool:
+    """Whether a law in real time waits for what a sender that may be silent says of its ticks.
+
+    A plant waits for nobody; what pairs by order belongs to the tick at which it comes.
+    """
+    port = link.port
+    return port.sporadic and port.stamped and not port.delayed and not reader.is_plant and not reader.external
+
+
+def _tells(rig: Rig, member: Member) -> list[str]:
+    """Name the nodes that are told in real time at which ticks a member was silent."""
+    found = [m.name for m in rig.members for k in m.links.values() if k.source is member and _told(m, k)]
+    return [] if member.external else list(dict.fromkeys(found))
 
 
 def _clocked(rig: Rig) -> list[Member]:
