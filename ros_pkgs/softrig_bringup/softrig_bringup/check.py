@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import json
+import argparse
 import time
-from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 from softrig_core import Run, RunError, ScenarioError, figures_of, load_scenario, rig_of, simulate
@@ -14,31 +12,21 @@ from softrig_core.rig.figures import Result
 from softrig_core.rig.findings import Finding
 from softrig_optim.sweep import progress, stream
 
-from .folder import replace
-from .junit import Case, Suite, write_junit
+from .junit import Case, Suite, write_reports
 from .wording import NEVER, accepted, spans
 
 
-def main(names: Sequence[str], *, junit: Path | None, as_json: Path | None, workers: int | None) -> int:
-    """Run scenarios in process and judge them; 1 when something does not hold, 3 when a run broke.
-
-    Parameters
-    ----------
-    names : sequence of str
-        Names or files of scenarios.
-    junit, as_json : Path, optional
-        Reports.
-    workers : int, optional
-        Processes; all cores when absent.
-    """
+def main(options: argparse.Namespace) -> int:
+    """Run scenarios in process and judge them; 1 when something does not hold, 3 when a run broke."""
+    names = options.scenarios
     for name in names:  # bad input of any of them is said before the first run
         figures_of(rig_of(load_scenario(name)))
-    for path in (junit, as_json):
+    for path in (options.junit, options.json):
         if path is not None and not path.absolute().parent.is_dir():
             raise ScenarioError(f"{path}: there is no folder {path.absolute().parent}")
     found: dict[int, dict[str, Any]] = {}
     with progress("check", len(names)) as advance:
-        for k, outcome in stream(judge, list(names), workers=workers):
+        for k, outcome in stream(judge, names, workers=options.workers):
             found[k] = outcome
             advance()
     outcomes = [found[k] for k in range(len(names))]
@@ -49,10 +37,7 @@ def main(names: Sequence[str], *, junit: Path | None, as_json: Path | None, work
         print(f"{suite.name}: {verdict}")
         for case in suite.failures:
             print(f"  {case.name}: {case.failure}")
-    if junit is not None:
-        write_junit(junit, suites)
-    if as_json is not None:
-        replace(as_json, json.dumps(outcomes, indent=1) + "\n")
+    write_reports(options.junit, suites, options.json, outcomes)
     if any(suite.error for suite in suites):
         say("a run broke")
         return 3
@@ -65,13 +50,8 @@ def judge(name: str) -> dict[str, Any]:
     try:
         return outcome_of(simulate(name), time.perf_counter() - started)
     except RunError as error:
-        return {
-            "scenario": load_scenario(name).name,
-            "wall_s": time.perf_counter() - started,
-            "metrics": [],
-            "claims": [],
-            "error": str(error),
-        }
+        return {"scenario": load_scenario(name).name, "wall_s": time.perf_counter() - started, "metrics": [],
+                "claims": [], "error": str(error)}  # fmt: skip
 
 
 def outcome_of(run: Run, wall_s: float) -> dict[str, Any]:

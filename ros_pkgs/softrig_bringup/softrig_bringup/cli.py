@@ -9,6 +9,7 @@ import argparse
 import os
 import sys
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -52,6 +53,7 @@ _FOREIGN = {
         "locate the fault in a record of a transmission line",
     ),
 }
+_STOPPABLE = ("results", "study.page", "check", "falsify.outcome")  # others listen to signals where they run a rig
 # verbs of scripts/softrig itself, which never get here
 _SCRIPT = {
     "setup": "only set up what is missing: .venv from the lock files, .ws from ros_pkgs",
@@ -74,22 +76,24 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action=_Version, nargs=0, help="print version and commit")
     verbs = parser.add_subparsers(required=True, metavar="VERB")
 
-    def verb(name: str, function: Callable[[argparse.Namespace], int], text: str) -> argparse.ArgumentParser:
+    def verb(name: str, function: Callable[[argparse.Namespace], int] | str, text: str) -> argparse.ArgumentParser:
         sub = verbs.add_parser(name, help=text, description=text)
-        sub.set_defaults(verb=function)
+        sub.set_defaults(verb=partial(_late, function) if isinstance(function, str) else function)
         return sub
 
-    verb("list", _list, "list scenarios by system, with duration and title").add_argument(
+    verb("list", "listing:main", "list scenarios by system, with duration and title").add_argument(
         "filter", nargs="?", default="", help="only scenarios or systems with this in their name"
     )
     verb(
-        "signals", _signals, "signals of a scenario: unit, message type, who publishes and who reads them"
+        "signals", "listing:list_signals", "signals of a scenario: unit, message type, who publishes and who reads them"
     ).add_argument("scenario", help="name or YAML file")
-    verb("figures", _figures, "functions that figures of a scenario may name, or all about one").add_argument(
-        "name", nargs="?", default="", help="of a function"
-    )
+    verb(
+        "figures", "listing:list_figures", "functions that figures of a scenario may name, or all about one"
+    ).add_argument("name", nargs="?", default="", help="of a function")
     run_options.arguments(verb("run", run_verb.run, "run a scenario: metrics, bag, plots, report"))
-    look = verb("view", _view, "look at a run or a bag in the browser, or run a scenario that begins paused there")
+    look = verb(
+        "view", "view.verb:view", "look at a run or a bag in the browser, or run a scenario that begins paused there"
+    )
     run_options.arguments(look)
     look.set_defaults(mode="container")
     set_verb.arguments(verb("set", set_verb.set_values, "change live parameters of running nodes: NODE.PARAM VALUE"))
@@ -97,12 +101,12 @@ def _parser() -> argparse.ArgumentParser:
     node.add_argument("package")
     node.add_argument("executable")
     node.add_argument("arguments", nargs=argparse.REMAINDER, help="--ros-args ...")
-    report = verb("report", _report, "one self-contained HTML page from one or more runs")
+    report = verb("report", "report:main", "one self-contained HTML page from one or more runs")
     report.add_argument("runs", nargs="+", type=Path, metavar="DIR")
     report.add_argument("--out", type=Path, default=Path("report.html"))
     report.add_argument("--label", action="append", default=[], metavar="TEXT",
                         help="name of a run, in their order (default: its own, or its folder)")  # fmt: skip
-    plot = verb("plot", _plot, "pictures of a run that is over, for a paper: size, letters, data")
+    plot = verb("plot", "redraw:main", "pictures of a run that is over, for a paper: size, letters, data")
     plot.add_argument("run", type=Path, metavar="DIR", help="of a run, or a bag that a run has written")
     plot.add_argument(
         "signals", nargs="*", metavar="SIGNAL", help="one picture of these (default: the scenario's plots)"
@@ -116,7 +120,7 @@ def _parser() -> argparse.ArgumentParser:
     plot.add_argument("--csv", action="store_true", help="the data beside each picture, units in the head")
     animate.arguments(verb("animate", animate.animate, "a run's plant in motion: a short SVG, GIF, WebP or PNG"))
     layouts.arguments(verb("layouts", layouts.layouts, "a scenario's plots as layouts for PlotJuggler, Foxglove, RViz"))
-    results = verb("results", _results, "hold every claim of the papers against what is measured now")
+    results = verb("results", "results:main", "hold every claim of the papers against what is measured now")
     results.add_argument("systems", nargs="*", metavar="SYSTEM", help="default: all")
     results.add_argument("--out", type=Path, default=Path("runs/results"), metavar="DIR",
                          help="results.html and results.md go here (default runs/results)")  # fmt: skip
@@ -124,7 +128,11 @@ def _parser() -> argparse.ArgumentParser:
     results.add_argument("--workers", type=Number(int, 1), metavar="N", help="processes (default: all cores)")
     results.add_argument("--junit", type=Path, metavar="FILE", help="report as JUnit XML")
     results.add_argument("--json", type=Path, metavar="FILE", help="report as JSON")
-    study = verb("study", _study, "a scenario over grids, draws, seeds or a search; interrupted, the next call goes on")
+    study = verb(
+        "study",
+        "study.page:main",
+        "a scenario over grids, draws, seeds or a search; interrupted, the next call goes on",
+    )
     study.add_argument("study", help="name or file of a study, or a scenario; `study list` shows the studies")
     study.add_argument("--grid", action="extend", nargs="+", default=[], metavar="NODE.PARAM=A,B,C",
                        help="every combination; also LOW:HIGH:STEP with both ends")  # fmt: skip
@@ -144,12 +152,16 @@ def _parser() -> argparse.ArgumentParser:
     study.add_argument("--out", type=Path, metavar="DIR", help="results go here (default runs/study_NAME)")
     study.add_argument("--workers", type=Number(int, 1), metavar="N", help="processes (default: all cores)")
     study.add_argument("--scheduler", default="", metavar="ADDRESS", help="a Dask cluster instead (tcp://host:8786)")
-    check = verb("check", _check, "figures, requirements and claims of many scenarios, for continuous integration")
+    check = verb(
+        "check", "check:main", "figures, requirements and claims of many scenarios, for continuous integration"
+    )
     check.add_argument("scenarios", nargs="+", metavar="SCENARIO", help="names or files")
     check.add_argument("--junit", type=Path, metavar="FILE", help="report as JUnit XML")
     check.add_argument("--json", type=Path, metavar="FILE", help="report as JSON")
     check.add_argument("--workers", type=Number(int, 1), metavar="N", help="processes (default: all cores)")
-    falsify = verb("falsify", _falsify, "look for the run that violates a requirement, made small and kept")
+    falsify = verb(
+        "falsify", "falsify.outcome:main", "look for the run that violates a requirement, made small and kept"
+    )
     falsify.add_argument("what", metavar="SCENARIO", help="or the name of a falsification in config/studies; `list`")
     falsify.add_argument("--requirement", action="append", default=[], metavar="NAME", help="default: all")
     falsify.add_argument("--over", action="append", default=[], metavar="KEY=A..B",
@@ -164,13 +176,13 @@ def _parser() -> argparse.ArgumentParser:
     falsify.add_argument("--out", type=Path, metavar="DIR", help="results go here (default runs/falsify_NAME)")
     falsify.add_argument("--workers", type=Number(int, 1), metavar="N", help="processes (default: all cores)")
     falsify.add_argument("--scheduler", default="", metavar="ADDRESS", help="a Dask cluster instead (tcp://host:8786)")
-    linear = verb("linearise", _linearise, "state space, poles and margins, where a run of a scenario is")
+    linear = verb("linearise", "linear:linearise", "state space, poles and margins, where a run of a scenario is")
     linear.add_argument("--open", metavar="LINK", help="signal at which to open a loop (the only command of a plant)")
     linear.add_argument(
         "--input", action="append", metavar="SIGNAL", help="input of the state space (what sources say)"
     )
     linear.add_argument("--out", type=Path, metavar="DIR", help="numbers and pictures go here")
-    rest = verb("steady", _steady, "the operating point of a scenario; status 1 when there is none")
+    rest = verb("steady", "linear:print_steady", "the operating point of a scenario; status 1 when there is none")
     for sub in (linear, rest):
         sub.add_argument("scenario", help="name or YAML file")
         sub.add_argument("--at", type=Number(float, 0), metavar="S", help="when (the scenario's end)")
@@ -184,7 +196,7 @@ def _parser() -> argparse.ArgumentParser:
     golden.add_argument("--bags", type=Path, default=Path("bags"), metavar="DIR", help="where they are")
     golden.add_argument("--junit", type=Path, metavar="FILE", help="with --check: report as JUnit XML")
     golden.add_argument("--json", type=Path, metavar="FILE", help="with --check: report as JSON")
-    new = verb("new", _new, "write a package with a plant, a law, a scenario and tests, to begin with")
+    new = verb("new", "new:main", "write a package with a plant, a law, a scenario and tests, to begin with")
     new.add_argument("name", metavar="NAME", help="of the package: lower-case letters, digits and _")
     new.add_argument("--into", type=Path, default=Path(), metavar="DIR", help="where its folder is made (here)")
     completion = verb("completion", _completion, 'completion for bash: eval "$(scripts/softrig completion)"')
@@ -205,40 +217,24 @@ class _Version(argparse.Action):
         parser.exit()
 
 
+def _late(target: str, options: argparse.Namespace) -> int:
+    """Call a verb's function, ``module:function``, imported no sooner."""
+    from importlib import import_module
+
+    module, _, name = target.partition(":")
+    function = getattr(import_module(f"{__package__}.{module}"), name)
+    if module not in _STOPPABLE:
+        return int(function(options))
+    from softrig_core.rig.stopping import stoppable
+
+    with stoppable():
+        return int(function(options))
+
+
 def _script(options: argparse.Namespace) -> int:
     from softrig_core import ScenarioError
 
     raise ScenarioError(f"{', '.join(_SCRIPT)} are verbs of scripts/softrig, which has not been used here")
-
-
-def _view(options: argparse.Namespace) -> int:
-    from .view.verb import view
-
-    return view(options)
-
-
-def _new(options: argparse.Namespace) -> int:
-    from .new import main as new
-
-    return new(options.name, options.into)
-
-
-def _list(options: argparse.Namespace) -> int:
-    from .listing import main as listing
-
-    return listing(options.filter)
-
-
-def _signals(options: argparse.Namespace) -> int:
-    from .listing import list_signals
-
-    return list_signals(options.scenario)
-
-
-def _figures(options: argparse.Namespace) -> int:
-    from .listing import list_figures
-
-    return list_figures(options.name)
 
 
 def _completion(options: argparse.Namespace) -> int:
@@ -252,92 +248,6 @@ def _node(options: argparse.Namespace) -> int:
     from softrig_core.rig.executables import node_main
 
     return node_main(options.package, options.executable, options.arguments)
-
-
-def _report(options: argparse.Namespace) -> int:
-    from .report import write_report
-
-    write_report(options.runs, options.out, options.label)
-    print(f"wrote {options.out}")
-    return 0
-
-
-def _plot(options: argparse.Namespace) -> int:
-    from .redraw import redraw
-
-    for path in redraw(options.run, options.signals, options.out, form=options.format, width=options.width,
-                       font=options.font, title=not options.no_title, data=options.csv,
-                       window=tuple(options.window) if options.window else None):  # fmt: skip
-        print(path)
-    return 0
-
-
-def _results(options: argparse.Namespace) -> int:
-    from softrig_core.rig.stopping import stoppable
-
-    from .results import main as results
-
-    with stoppable():
-        return results(options.systems, options.out, options.workers, studies=options.studies, junit=options.junit,
-                   as_json=options.json)  # fmt: skip
-
-
-def _study(options: argparse.Namespace) -> int:
-    from softrig_core.rig.stopping import stoppable
-
-    from .study.definition import list_studies
-    from .study.options import study_of
-    from .study.page import main as study
-
-    if options.study == "list":
-        print("\n".join(sorted(list_studies())))
-        return 0
-    chosen = study_of(options)
-    out = options.out or Path("runs") / f"study_{chosen.name}"
-    with stoppable():
-        return study(chosen, out, workers=options.workers, scheduler=options.scheduler)
-
-
-def _check(options: argparse.Namespace) -> int:
-    from softrig_core.rig.stopping import stoppable
-
-    from .check import main as check
-
-    with stoppable():
-        return check(options.scenarios, junit=options.junit, as_json=options.json, workers=options.workers)
-
-
-def _falsify(options: argparse.Namespace) -> int:
-    from softrig_core.rig.stopping import stoppable
-
-    from .falsify.definition import falsification_of, list_falsifications
-    from .falsify.outcome import main as falsify
-    from .study.options import pair
-
-    if options.what == "list":
-        print("\n".join(sorted(list_falsifications())))
-        return 0
-    keys = ("budget", "seed", "sampler", "duration", "first")
-    changes = {k: v for k in keys if (v := getattr(options, k)) is not None}
-    changes |= {"requirements": options.requirement} if options.requirement else {}
-    changes["over"] = dict(pair(text, "--over", "NODE.PARAM=a..b or SIGNAL=a..b*6") for text in options.over)
-    task = falsification_of(options.what, changes)
-    out = options.out or Path("runs") / f"falsify_{task.name}"
-    with stoppable():
-        plots = not options.no_plots
-        return falsify(task, out, workers=options.workers, scheduler=options.scheduler, plots=plots)
-
-
-def _linearise(options: argparse.Namespace) -> int:
-    from .linear import linearise
-
-    return linearise(options)
-
-
-def _steady(options: argparse.Namespace) -> int:
-    from .linear import print_steady
-
-    return print_steady(options)
 
 
 def _golden(options: argparse.Namespace) -> int:

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -24,7 +23,7 @@ from softrig_core.model.params import flatten
 from softrig_core.rig.yaml_file import read_yaml
 
 from .folder import replace
-from .junit import Case, Suite, write_junit
+from .junit import Case, Suite, write_reports
 from .run import versions
 
 DECIDE = ("machine", "math", "numpy", "scipy", "casadi", "pin")  # of the versions: the bits of a run
@@ -313,8 +312,5 @@ def main(names: Sequence[str], folder: Path, *, duration: float | None, seed: in
         content.append({"bag": name, "scenario": golden.recipe.scenario, "duration_s": golden.recipe.duration,
                         "seed": golden.recipe.seed, "pass": not differs, "compared": how,
                         "differs": differs})  # fmt: skip
-    if junit is not None:
-        write_junit(junit, suites)
-    if as_json is not None:
-        replace(as_json, json.dumps(content, indent=1) + "\n")
+    write_reports(junit, suites, as_json, content)
     return status

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 from .folder import replace
@@ -51,6 +53,14 @@ class Suite:
     def failures(self) -> list[Case]:
         """The cases that do not hold."""
         return [case for case in self.cases if case.failure]
+
+
+def write_reports(junit: Path | None, suites: Sequence[Suite], as_json: Path | None, content: Any) -> None:
+    """Write the reports for machines that are asked for: JUnit XML, and the content as JSON."""
+    if junit is not None:
+        write_junit(junit, suites)
+    if as_json is not None:
+        replace(as_json, json.dumps(content, indent=1) + "\n")
 
 
 def write_junit(path: Path, suites: Sequence[Suite]) -> None:

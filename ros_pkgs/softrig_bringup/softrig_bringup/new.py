@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import importlib.metadata
 import keyword
 import os
@@ -77,10 +78,10 @@ def _write(path: Path, text: str) -> None:
     path.write_text(text, encoding="utf-8")
 
 
-def main(name: str, parent: Path) -> int:
+def main(options: argparse.Namespace) -> int:
     """Write a package and say what to do with it."""
-    folder = new_package(name, parent)
+    folder = new_package(options.name, options.into)
     shown = shlex.quote(os.path.relpath(folder))
     print(f"wrote {shown}: a plant, a law, their scenario, tests, README.md; now:")
-    print(f"  {command()} --workspace {shown} run {name}")
+    print(f"  {command()} --workspace {shown} run {options.name}")
     return 0

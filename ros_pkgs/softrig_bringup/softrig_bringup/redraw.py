@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import csv
 import os
 import shlex
@@ -66,64 +67,37 @@ def draw_missing(directory: Path, into: Path) -> list[Path]:
     return plot_run(found, rig, into)
 
 
-def redraw(
-    directory: Path, names: Sequence[str], out: Path, *, form: str = "pdf", width: float | None = None,
-    font: float | None = None, title: bool = True, window: tuple[float, float] | None = None, data: bool = False,
-) -> list[Path]:  # fmt: skip
-    """Draw pictures of a run anew.
-
-    Parameters
-    ----------
-    directory : Path
-        See `rig_of_run`.
-    names : sequence of str
-        Signals for one picture; the plots of the scenario when there are none.
-    out : Path
-        Folder of the pictures; made when it is not there.
-    form : {"pdf", "svg", "png", "pgf"}
-        PGF needs LaTeX.
-    width : float, optional
-        mm; the height follows, letters stay as large as `font` says.
-    font : float, optional
-        Size of the letters, points.
-    title : bool
-        Whether titles are drawn.
-    window : (float, float), optional
-        First and last time, s.
-    data : bool
-        A CSV file beside each picture: time and the signals, units in the head.
-
-    Returns
-    -------
-    list of Path
-    """
-    rig, found = rig_of_run(directory)
+def main(options: argparse.Namespace) -> int:
+    """Draw pictures of a run anew: of some signals, or the plots of its scenario; print their files."""
+    names, out, form = options.signals, options.out, options.format
+    rig, found = rig_of_run(options.run)
     entries = rig.scenario.plots
     if names:
         entries = (PlotEntry(title="_".join(n.replace("/", " ") for n in names), signals=dict.fromkeys(names, "")),)
-    if window is not None:
-        entries = tuple(entry.model_copy(update={"window": window}) for entry in entries)
+    if options.window:
+        entries = tuple(entry.model_copy(update={"window": tuple(options.window)}) for entry in entries)
     rig = rig.with_plots(entries)
     check_plots(rig)
     if not entries:
         raise ScenarioError(f"{rig.scenario.name} has no plots of its own; which signals? It has {', '.join(found)}")
     out.mkdir(parents=True, exist_ok=True)
     source = Source(found, rig)
-    paths = []
     for number, entry in enumerate(rig.scenario.plots, 1):
-        figure = plot_entry(found, rig, entry, title=title and not names, font=font, inches=width and width / MM)
-        paths.append(out / Path(plot_name(number, entry.title)).with_suffix(f".{form}"))
+        figure = plot_entry(found, rig, entry, title=not (options.no_title or names), font=options.font,
+                            inches=options.width and options.width / MM)  # fmt: skip
+        path = out / Path(plot_name(number, entry.title)).with_suffix(f".{form}")
         undated: dict[str, Any] = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}  # equal runs, equal files
         try:
-            figure.savefig(paths[-1], dpi=300, metadata=undated.get(form))
+            figure.savefig(path, dpi=300, metadata=undated.get(form))
         except RuntimeError as error:  # of the PGF backend
             raise ScenarioError(
                 f"{form}: {str(error).splitlines()[0]}; it needs LaTeX (xelatex), pdf does not"
             ) from None
-        if data:
-            replace(paths[-1].with_suffix(".csv"), _table([source.shown(entry, n) for n in entry.signals], source))
-            paths.append(paths[-1].with_suffix(".csv"))
-    return paths
+        print(path)
+        if options.csv:
+            replace(path.with_suffix(".csv"), _table([source.shown(entry, n) for n in entry.signals], source))
+            print(path.with_suffix(".csv"))
+    return 0
 
 
 def _table(curves: Sequence[Curve], source: Source) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -11,6 +12,13 @@ from .html import e, write_page
 from .run_page import run_section
 from .run_record import read_run
 from .several import differences, index, names, overlaid, side_by_side
+
+
+def main(options: argparse.Namespace) -> int:
+    """Write the page that is asked for."""
+    write_report(options.runs, options.out, options.label)
+    print(f"wrote {options.out}")
+    return 0
 
 
 def write_report(directories: Sequence[Path], output: Path, labels: Sequence[str] = ()) -> None:

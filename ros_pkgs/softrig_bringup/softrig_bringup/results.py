@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import hashlib
 import json
 import os
@@ -26,7 +27,7 @@ from softrig_core.rig.findings import Finding, findings, needed, values
 from softrig_optim.sweep import progress, stream
 
 from .folder import ResultsFolder, replace
-from .junit import Case, Suite, write_junit
+from .junit import Case, Suite, write_reports
 from .run import save, summary, versions
 
 
@@ -206,42 +207,25 @@ def left_out(systems: Sequence[str]) -> str:
     return f"{more} more claims are of studies ({names}): hundreds of runs, with --studies" if more else ""
 
 
-def main(
-    systems: Sequence[str], out: Path, workers: int | None = None, *, studies: bool = False, junit: Path | None = None,
-    as_json: Path | None = None,
-) -> int:  # fmt: skip
-    """Write results.html and results.md into a directory; 1 when a verdict is false or cannot be checked.
-
-    Parameters
-    ----------
-    systems : sequence of str
-        See `claiming`.
-    out : Path
-    workers : int, optional
-    studies : bool
-        The claims of studies too.
-    junit, as_json : Path, optional
-        Reports for machines: a suite a scenario with a case a claim; the findings.
-    """
+def main(options: argparse.Namespace) -> int:
+    """Write results.html and results.md into a directory; 1 when a verdict is false or cannot be checked."""
     from .results_page import counts, html, markdown
 
+    systems, out = options.systems, options.out
     scenarios = claiming(systems)
     if not scenarios:
         raise ScenarioError("no scenario has claims")
     (out / "runs").mkdir(parents=True, exist_ok=True)
     if not os.access(out, os.W_OK | os.X_OK):  # said before the runs, not after them
         raise ScenarioError(f"{out}: cannot be written into; choose another --out")
-    rows, measured = gather(scenarios, workers, out / "runs")
-    without = "" if studies else left_out(systems)
-    if studies:
-        more, held = study_findings(systems, out / "studies", workers)
+    rows, measured = gather(scenarios, options.workers, out / "runs")
+    without = "" if options.studies else left_out(systems)
+    if options.studies:
+        more, held = study_findings(systems, out / "studies", options.workers)
         scenarios, rows = scenarios + more, rows + held
     replace(out / "results.html", html(scenarios, rows, without, out))
     replace(out / "results.md", markdown(scenarios, rows, without))
-    if junit is not None:
-        write_junit(junit, suites(rows, measured))
-    if as_json is not None:
-        replace(as_json, json.dumps([row.model_dump() for row in rows], indent=1) + "\n")
+    write_reports(options.junit, suites(rows, measured), options.json, [row.model_dump() for row in rows])
     kept = sum(m.kept for m in measured.values())
     if kept:
         print(f"{kept} of {len(measured)} runs are kept: neither code nor scenario has changed")

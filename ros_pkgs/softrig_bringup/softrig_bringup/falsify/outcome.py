@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,8 @@ from softrig_core.extras import need
 from ..folder import FALSIFICATION, ResultsFolder, replace
 from ..report import write_report
 from ..run import checked, execute, save, summary
-from .definition import Falsification
+from ..study.options import pair
+from .definition import Falsification, falsification_of, list_falsifications
 from .engine import Outcome, falsify
 from .picture import draw_worst
 from .shrink import Case
@@ -22,14 +24,23 @@ from .trial import LARGE
 PICTURE = "worst.png"
 
 
-def main(task: Falsification, out: Path, *, workers: int | None = None, scheduler: str = "", plots: bool = True) -> int:
+def main(options: argparse.Namespace) -> int:
     """Search and write the results; 1 when a requirement is violated, or an expected margin missed."""
+    if options.what == "list":
+        print("\n".join(sorted(list_falsifications())))
+        return 0
+    keys = ("budget", "seed", "sampler", "duration", "first")
+    changes = {k: v for k in keys if (v := getattr(options, k)) is not None}
+    changes |= {"requirements": options.requirement} if options.requirement else {}
+    changes["over"] = dict(pair(text, "--over", "NODE.PARAM=a..b or SIGNAL=a..b*6") for text in options.over)
+    task = falsification_of(options.what, changes)
+    out = options.out or Path("runs") / f"falsify_{task.name}"
     need("cmaes", "falsify")
     folder = ResultsFolder(out, FALSIFICATION)
     with folder.alone():
         try:
-            outcome = falsify(task, out, workers=workers, scheduler=scheduler)
-            files = _write(task, outcome, out, plots)
+            outcome = falsify(task, out, workers=options.workers, scheduler=options.scheduler)
+            files = _write(task, outcome, out, not options.no_plots)
         finally:
             folder.close()
     _print(task, outcome, out, files)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import math
 from collections.abc import Sequence
@@ -22,8 +23,9 @@ from ..folder import STUDY, ResultsFolder
 from ..html import NONE, e, mark, picture, table, write_page
 from ..plots.style import pretty_unit
 from ..wording import NEVER, accepted
-from .definition import Study
+from .definition import Study, list_studies
 from .engine import beyond, run_study
+from .options import study_of
 from .pictures import chosen, draw_study, label
 from .table import Row, claims, command, results, without_signals, write_table
 from .work import absent, value_of
@@ -32,10 +34,15 @@ FEW = 20  # runs whose figures are printed where a study has no summaries
 LONGEST = 200  # rows on the page; the table files have them all
 
 
-def main(study: Study, out: Path, *, workers: int | None = None, scheduler: str = "") -> int:
+def main(options: argparse.Namespace) -> int:
     """Run a study and write its results; 1 when an expectation or a claim does not hold, 3 when a run broke."""
+    if options.study == "list":
+        print("\n".join(sorted(list_studies())))
+        return 0
+    study = study_of(options)
+    out = options.out or Path("runs") / f"study_{study.name}"
     need("pyarrow", "the table of a study")  # before hours of runs, not after
-    log = run_study(study, out, workers=workers, scheduler=scheduler)
+    log = run_study(study, out, workers=options.workers, scheduler=options.scheduler)
     rows = without_signals(log.rows())
     found = results(study, rows)
     held = claims(study, found)
