@@ -8,7 +8,9 @@ import os
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
+import faultrig
 import numpy as np
 import pytest
 from conftest import PATIENCE
@@ -16,6 +18,7 @@ from hypothesis import given, settings, strategies as st
 from scipy import stats
 from scipy.optimize import differential_evolution, minimize_scalar
 from softrig_core import Level, ParameterError, Plant, ScenarioError
+from softrig_core.model.worker import Worker
 from softrig_optim.algorithms import AlgorithmParams, make
 from softrig_optim.de import DifferentialEvolution
 from softrig_optim.firefly import Firefly
@@ -604,6 +607,29 @@ def test_nothing_is_imported_from_the_current_directory(code, tmp_path):
     done = subprocess.run([sys.executable, script], cwd=tmp_path, capture_output=True, text=True, timeout=PATIENCE)
     assert done.returncode == 0, done.stderr
     assert not (tmp_path / "sprung").exists()
+
+
+def test_an_idle_process_serves_the_next_worker_of_its_function(monkeypatch):
+    """And of its thread, directory and variables; one that works ends with its worker."""
+
+    def works(seconds=0.0):
+        worker = Worker(faultrig.Planner.solve)
+        worker.submit((1, 0.0, 1.0, seconds, ""))
+        pid = worker._process.pid
+        if not seconds:
+            assert worker.wait(PATIENCE)
+            assert (worker.state, worker.answer) == ("done", 1.5)
+        return pid
+
+    first = works()
+    assert works() == first
+    monkeypatch.setenv("SOFTRIG_JIT", "0")
+    other = works()
+    assert other != first
+    monkeypatch.undo()
+    assert works(3600.0) == first
+    assert not Path(f"/proc/{first}").exists()
+    assert works() not in (first, other)
 
 
 def test_sweep_names_the_missing_package(monkeypatch):

@@ -1,11 +1,13 @@
 """A process of its own for slow work: one call at a time, told about while it runs, killed when it is not wanted.
 
 `Worker` is the side of the caller; run as ``python -m softrig_core.model.worker`` this module is the process. Both talk
-in pickles over its standard input and output; what the work prints goes to the caller's standard error.
+in pickles over its standard input and output; what the work prints goes to the caller's standard error. The process of
+a worker that is gone while nothing is under way serves the next one of the same function: its imports take a second.
 """
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import ctypes
 import importlib
@@ -21,11 +23,12 @@ import time
 import traceback
 import weakref
 from collections.abc import Callable, Mapping
-from typing import IO, Any, Literal
+from typing import IO, Any, ClassVar, Literal
 
 State = Literal["idle", "working", "done", "failed"]
 Figures = Mapping[str, "float | str"]
 LENGTH = struct.Struct("<Q")
+MOST_IDLE = 4  # processes without an owner
 
 
 class Work:
@@ -62,7 +65,7 @@ class Worker:
             raise ValueError(f"{function.__qualname__} of {function.__module__} cannot be imported by another process; "
                              "expected a function of a module")  # fmt: skip
         self._call = (function.__module__, function.__qualname__)
-        self._process: subprocess.Popen[bytes] | None = None
+        self._process: _Process | None = None
         self._changed = threading.Condition()
         self._forget()
 
@@ -81,21 +84,11 @@ class Worker:
 
     def warm(self) -> None:
         """Start the process, so that its imports are done when the first request comes."""
-        if self._process is not None and self._process.poll() is None:
+        if self._process is not None and self._process.alive():
             return
-        variables = dict(os.environ)
-        # one thread each: a BLAS that splits sums by the number of cores would change last bits
-        for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
-            variables.setdefault(name, "1")
-        # -P: nothing is imported from the current directory, which is anybody's
-        command = [sys.executable, "-P", "-c", "from softrig_core.model.worker import main; main()"]
-        process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=variables)
-        self._process = process
-        self._end = weakref.finalize(self, _kill, process)
-        self._write((os.getpid(), sys.path, *self._call))
-        assert process.stdout is not None
-        listener = threading.Thread(target=_listen, args=(weakref.ref(self), process, process.stdout), daemon=True)
-        listener.start()
+        process = self._process = _Process.of(*self._call)
+        process.owner = weakref.ref(self)
+        self._end = weakref.finalize(self, process.leave)
 
     def submit(self, request: Any) -> None:
         """Begin to work on a request.
@@ -110,7 +103,9 @@ class Worker:
         self.warm()
         self._forget()
         self.state = "working"
-        self._write(request)
+        assert self._process is not None
+        self._process.busy = True
+        self._process.write(request)
 
     def wait(self, seconds: float | None = None) -> bool:
         """Wait until the work is over, at most so long (None: for ever); tells whether it is."""
@@ -120,17 +115,13 @@ class Worker:
     def cancel(self) -> None:
         """Kill the process, wherever it is; the next request gets a new one."""
         if self._process is not None:
-            self._end()
+            self._end.detach()
+            self._process.kill()
         self._process = None
         self.state = "idle"
 
-    def _write(self, content: Any) -> None:
-        assert self._process is not None
-        assert self._process.stdin is not None
-        with contextlib.suppress(BrokenPipeError):  # the listener tells why
-            _send(self._process.stdin, content)
-
-    def _heard(self, process: subprocess.Popen[bytes], kind: str, content: Any) -> None:
+    def heard(self, process: _Process, kind: str, content: Any) -> None:
+        """Take what a process says."""
         with self._changed:
             if process is not self._process:
                 return  # a killed one's last words
@@ -147,36 +138,116 @@ class Worker:
             self._changed.notify_all()
 
 
-def _kill(process: subprocess.Popen[bytes]) -> None:
-    process.kill()
-    process.wait()
-    for pipe in (process.stdin, process.stdout):
-        if pipe is not None:
-            with contextlib.suppress(OSError):  # a request that it had not read yet
-                pipe.close()
+class _Process:
+    """The process as its callers see it, one after the other.
 
+    Parameters
+    ----------
+    module, name : str
+        Of the function that it calls.
+    key : hashable
+        What a caller must have in common with the one that it was started for.
+    """
 
-def _listen(owner: weakref.ref[Worker], process: subprocess.Popen[bytes], pipe: IO[bytes]) -> None:
-    """Hand on what a process says until its end; holds no reference to the worker, whose end is the process's too."""
+    idle: ClassVar[list[_Process]] = []  # the longest without an owner first
 
-    def tell(kind: str, content: Any) -> None:
-        worker = owner()
-        if worker is not None:
-            worker._heard(process, kind, content)
+    @classmethod
+    def of(cls, module: str, name: str) -> _Process:
+        """Give one that is idle, or a new one."""
+        # the kernel kills it when the thread that started it ends
+        key = (module, name, os.getpid(), threading.get_ident(), tuple(sys.path), _directory(), _variables())
+        for process in reversed(cls.idle):
+            if process.key == key:
+                with contextlib.suppress(ValueError):  # another thread has taken it
+                    cls.idle.remove(process)
+                    if process.alive():
+                        return process
+                    process.kill()
+        return cls(module, name, key)
 
-    while True:
-        try:
-            data = _read(pipe)
-        except (EOFError, OSError, ValueError):  # ValueError: the pipe was closed under the reader
-            code = process.wait()
-            how = f"was killed by {signal.Signals(-code).name}" if code < 0 else f"ended with status {code}"
-            tell("failed", f"the process that works {how}")
+    def __init__(self, module: str, name: str, key: object) -> None:
+        self.key = key
+        self.busy = False
+        self.owner: Callable[[], Worker | None] = lambda: None
+        variables = dict(os.environ)
+        # one thread each: a BLAS that splits sums by the number of cores would change last bits
+        for one in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+            variables.setdefault(one, "1")
+        # -P: nothing is imported from the current directory, which is anybody's
+        command = [sys.executable, "-P", "-c", "from softrig_core.model.worker import main; main()"]
+        self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=variables)
+        self.pid = self._process.pid
+        self.write((os.getpid(), sys.path, module, name))
+        threading.Thread(target=self._listen, daemon=True).start()
+
+    def alive(self) -> bool:
+        """Whether it has not ended."""
+        return self._process.poll() is None
+
+    def write(self, content: Any) -> None:
+        """Send it something."""
+        assert self._process.stdin is not None
+        with contextlib.suppress(BrokenPipeError):  # the listener tells why
+            _send(self._process.stdin, content)
+
+    def leave(self) -> None:
+        """Its owner is gone: it waits for another one, if it has nothing to do."""
+        if self.busy or not self.alive():
+            self.kill()
             return
-        try:
-            kind, content = pickle.loads(data)
-        except Exception as error:  # whatever an object raises that is made anew here
-            kind, content = "failed", f"its answer cannot be read: {type(error).__name__}: {error}"
-        tell(kind, content)
+        self.idle.append(self)
+        while len(self.idle) > MOST_IDLE:
+            self.idle.pop(0).kill()
+
+    def kill(self) -> None:
+        """End it, wherever it is."""
+        self._process.kill()
+        self._process.wait()
+        for pipe in (self._process.stdin, self._process.stdout):
+            if pipe is not None:
+                with contextlib.suppress(OSError):  # a request that it had not read yet
+                    pipe.close()
+
+    def _listen(self) -> None:
+        """Hand on what it says until its end; holds no reference to the worker, whose end must be seen."""
+
+        def tell(kind: str, content: Any) -> None:
+            if (worker := self.owner()) is not None:
+                worker.heard(self, kind, content)
+
+        assert self._process.stdout is not None
+        while True:
+            try:
+                data = _read(self._process.stdout)
+            except (EOFError, OSError, ValueError):  # ValueError: the pipe was closed under the reader
+                code = self._process.wait()
+                how = f"was killed by {signal.Signals(-code).name}" if code < 0 else f"ended with status {code}"
+                tell("failed", f"the process that works {how}")
+                return
+            try:
+                kind, content = pickle.loads(data)
+            except Exception as error:  # whatever an object raises that is made anew here
+                kind, content = "failed", f"its answer cannot be read: {type(error).__name__}: {error}"
+            if kind in ("done", "failed"):
+                self.busy = False
+            tell(kind, content)
+
+
+def _directory() -> str:
+    try:
+        return os.getcwd()
+    except FileNotFoundError:
+        return ""
+
+
+def _variables() -> frozenset[tuple[str, str]]:
+    return frozenset((k, v) for k, v in os.environ.items() if k != "PYTEST_CURRENT_TEST")
+
+
+@atexit.register
+def _end_idle() -> None:
+    while _Process.idle:
+        _Process.idle.pop().kill()
 
 
 def _send(pipe: IO[bytes], content: Any) -> None:
