@@ -105,7 +105,7 @@ TABLE = [
 
 @pytest.mark.parametrize(
     ("name", "mu", "cell_terms", "expected", "tolerance"),
-    [pytest.param(*row, marks=[pytest.mark.long] * (row[:3] not in (("scalar", 0.3, False), ("tank", 0.6, False))))
+    [pytest.param(*row, marks=[pytest.mark.long] * (row[:3] != ("scalar", 0.3, False)))
      for row in TABLE],
 )  # fmt: skip
 def test_theorem_1_table(name, mu, cell_terms, expected, tolerance):
@@ -131,7 +131,7 @@ def test_theorem_1_on_the_pendulum_with_cell_terms():
 
 @pytest.mark.parametrize(
     ("name", "order", "cell_terms", "low", "high", "least", "most"),
-    [("switched", 2, False, 0.0193, 0.0196, 0.01940, 0.020005),
+    [pytest.param("switched", 2, False, 0.0193, 0.0196, 0.01940, 0.020005, marks=pytest.mark.long),
      pytest.param("pendulum", 2, True, 0.26, 0.27, 0.2655, 0.4192, marks=pytest.mark.long),
      pytest.param("switched", 1, False, 0.019, 0.020, 0.01936, 0.01938, marks=pytest.mark.long),
      pytest.param("switched", 3, False, 0.019, 0.020, 0.01942, 0.01944, marks=pytest.mark.long),
@@ -219,8 +219,7 @@ def test_every_parameter_of_the_tank_is_held_against_its_certificate():
 
 @pytest.mark.parametrize(
     ("parameter", "value"),
-    [pytest.param(*row, marks=[pytest.mark.long] * (row[0] not in ("tank_controller.k_high", "tank_plant.x0")))
-     for row in TANKS.items()],
+    [pytest.param(*row, marks=[pytest.mark.long] * (row[0] != "tank_controller.k_high")) for row in TANKS.items()],
 )  # fmt: skip
 def test_level_certificate_is_of_the_tank_and_law_that_the_rig_has(parameter, value):
     """With each other value the certified delay keeps the tank from running empty, however it jumps below it."""
@@ -387,9 +386,10 @@ def test_profiles():
 # C7: over topics; C8
 
 
+# the certified margin alone is judged without a rig above; the tank under other delays differs in numbers only
 SLOW = {f"pwa_delay_{n}" for n in (
-    "margin", "margin_constant", "margin_scalar", "margin_user", "p2c_constant", "p3", "p3_nonlinear", "p3_sine",
-    "p3_unstable",
+    "growth_pendulum", "margin", "margin_certified", "margin_constant", "margin_scalar", "margin_user", "p2_d4",
+    "p2_sine", "p2_telegraph", "p2c_constant", "p3", "p3_nonlinear", "p3_sine", "p3_unstable",
 )}  # fmt: skip
 
 
@@ -400,7 +400,7 @@ def test_figures_of_the_scenarios(name):
 
 @pytest.mark.parametrize(
     ("system", "x0", "stable", "unstable", "mu", "seconds"),
-    [("switched", (-2.0, 0.0), 0.0192, 1.03 * 0.020005, 0.0, 60.0),
+    [pytest.param("switched", (-2.0, 0.0), 0.0192, 1.03 * 0.020005, 0.0, 60.0, marks=pytest.mark.long),
      ("switched", (-2.0, 0.0), 0.01728, 1.03 * 0.020005, 0.3, 60.0),
      ("continuous_tank", (0.3,), 7.84, 1.03 * 11.49, 0.0, 1000.0),
      ("continuous_tank", (0.3,), 7.5, 1.03 * 11.49, 0.3, 1000.0),
@@ -623,7 +623,7 @@ def test_constant_criterion_grows_with_the_state(n):
 
 
 @pytest.mark.processes
-@pytest.mark.parametrize("name", ["pwa_delay_p2_d2", "pwa_delay_p2c"])
+@pytest.mark.parametrize("name", ["pwa_delay_p2_d2", pytest.param("pwa_delay_p2c", marks=pytest.mark.long)])
 def test_processes_give_the_bits_of_in_process(name, tmp_path):
     rig = Rig.from_scenario(load_scenario(name).model_copy(update={"duration": 20.0}))
     outcome = run_processes(rig, 1, tmp_path)
