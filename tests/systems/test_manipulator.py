@@ -363,7 +363,13 @@ def run(name, duration=None, **overrides):
     return Signals(in_process(Rig.from_scenario(scenario)))
 
 
-@pytest.mark.parametrize("name", sorted(n for n in list_scenarios() if n.startswith("manipulator_adsmc")))
+# each law, the published voltages, two links and the stretch are daily; the rest differs in numbers only
+LATER = {f"manipulator_adsmc_{n}" for n in ("s2", "s2b", "s3", "s4_printed_mu1", "s6_large_a2_b2", "s6_small_a1_b1",
+                                            "stretch_minus", "stretch_plus")}  # fmt: skip
+NAMES = sorted(n for n in list_scenarios() if n.startswith("manipulator_adsmc"))
+
+
+@pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.long] * (n in LATER)) for n in NAMES])
 def test_scenario_meets_its_numbers(name):
     found = evaluate(Rig.from_scenario(load_scenario(name)), run(name))
     assert any(m.judged for m in found)
@@ -371,7 +377,7 @@ def test_scenario_meets_its_numbers(name):
 
 
 @pytest.mark.parametrize(
-    ("period", "substeps"), [pytest.param(1e-4, 1, marks=pytest.mark.long), (5e-4, 1), (2e-3, 4), (4e-3, 8)]
+    ("period", "substeps"), [*(pytest.param(T, 1, marks=pytest.mark.long) for T in (1e-4, 5e-4)), (2e-3, 4), (4e-3, 8)]
 )
 def test_control_period_hardly_matters(period, substeps):
     nodes = ("manipulator_plant", "trajectory_source", "vcs_controller")
@@ -388,7 +394,8 @@ def test_order_of_the_laws():
         assert measures.total_variation(smc, v, start=2.5) > 500 * measures.total_variation(adsmc, v, start=2.5)
 
 
-@pytest.mark.parametrize("position", [-0.1, pytest.param(0.1, marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("position", [-0.1, 0.1])
 def test_high_gains_run_away_only_if_the_estimate_may_wind_up(position):
     options = {f"vcs_controller__adsmc__{k}": v for k, v in HIGH.items()} | {"manipulator_plant__position": position}
     guarded = run("manipulator_adsmc", **options)
