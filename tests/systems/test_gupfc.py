@@ -145,7 +145,7 @@ def reachable(rng):
 
 
 @pytest.mark.parametrize(
-    ("draws", "seed"), [(200, 1), *(pytest.param(1000, seed, marks=pytest.mark.long) for seed in range(2, 12))]
+    ("draws", "seed"), [(60, 1), *(pytest.param(1000, seed, marks=pytest.mark.long) for seed in range(1, 12))]
 )
 def test_no_reachable_point_is_missed(draws, seed):
     """Newton from a flat start alone misses 8 of 100: it diverges, or ends elsewhere without a word."""
