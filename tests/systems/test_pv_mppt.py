@@ -312,8 +312,8 @@ def static_runs(algorithm, n=400, **settings):
         ("issa", {}, 230, 203),
         ("ssa", {}, 293, 253),
         ("pso", {}, 254, 247),
-        ("de_rand1", {}, 259, 225),
-        ("de_best1", {}, 220, 198),
+        pytest.param("de_rand1", {}, 259, 225, marks=pytest.mark.long),
+        pytest.param("de_best1", {}, 220, 198, marks=pytest.mark.long),
         ("fa", {}, 269, 201),
         ("issa", {"c3_threshold": 0.0}, 51, 41),
     ],
@@ -329,7 +329,9 @@ def test_hit_rates(algorithm, settings, hits, close):
     assert np.sum(power > 0.99 * 98.224) == pytest.approx(close, abs=2)
 
 
-@pytest.mark.parametrize("algorithm", ["issa", "ssa", "pso", "de_rand1", "de_best1"])
+@pytest.mark.parametrize(
+    "algorithm", ["issa", "ssa", "pso", *(pytest.param(a, marks=pytest.mark.long) for a in ("de_rand1", "de_best1"))]
+)
 def test_evaluation_counts(algorithm):
     """Acceptance 4."""
     assert set(static_runs(algorithm)[2]) == {44.0}
@@ -343,7 +345,13 @@ def test_firefly_evaluations():
 # scenarios ------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", [n for n in list_scenarios() if n.startswith("pv_mppt")])
+# the paper's law, its baselines, a change of light and the certified search are daily
+LATER = {f"pv_mppt_{n}" for n in ("s4_pattern2", "s5_certified_transients", "s5_issa", "s6", "s6_no_rescan", "s7",
+                                  "switched")}  # fmt: skip
+NAMES = [n for n in list_scenarios() if n.startswith("pv_mppt")]
+
+
+@pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.long] * (n in LATER)) for n in NAMES])
 def test_scenario_meets_its_metrics(name):
     _, figures = result(name)
     assert figures
@@ -365,7 +373,9 @@ def test_perturb_and_observe(name, power, tolerance):
         assert d[t > 2.0].max() <= 0.465 + 1e-9
 
 
-@pytest.mark.parametrize("name", ["pv_mppt_s5", "pv_mppt_s5_certified_transients"])
+@pytest.mark.parametrize(
+    "name", ["pv_mppt_s5", pytest.param("pv_mppt_s5_certified_transients", marks=pytest.mark.long)]
+)
 def test_irradiance_steps(name):
     """Acceptance 6: 99 % of the new maximum within 1.2 s of each step, the step seen within 0.08 s."""
     signals, _ = result(name)
@@ -380,6 +390,7 @@ def test_irradiance_steps(name):
     assert d.max() <= 0.9
 
 
+@pytest.mark.long
 def test_hidden_change():
     """Acceptance 6: found within 1.2 s of the timer, and never without it."""
     signals, _ = result("pv_mppt_s6")
@@ -390,8 +401,10 @@ def test_hidden_change():
     assert pv_figures.efficiency(signals, start=8.0) == pytest.approx(87.7, abs=0.05)
 
 
-DAILY = ["issa", "pso", "certified"]
-OTHERS = ["ssa", "de_rand1", "de_best1", "fa", "fa_all_pairs", "gwo", "woa", "ga"]  # a sweep sees each voltage once
+DAILY = ["issa"]
+OTHERS = [  # a sweep sees each voltage once
+    "certified", "pso", "ssa", "de_rand1", "de_best1", "fa", "fa_all_pairs", "gwo", "woa", "ga",
+]  # fmt: skip
 
 
 @pytest.mark.parametrize("algorithm", [*DAILY, *(pytest.param(a, marks=pytest.mark.long) for a in OTHERS)])
@@ -430,7 +443,7 @@ def test_same_seed_same_bits():
 
 
 @pytest.mark.processes
-@pytest.mark.parametrize("name", ["pv_mppt", "pv_mppt_certified_transients"])
+@pytest.mark.parametrize("name", ["pv_mppt", pytest.param("pv_mppt_certified_transients", marks=pytest.mark.long)])
 def test_processes_give_the_same_bits(name, tmp_path):
     """Acceptance 7, in lockstep."""
     rig = Rig.from_scenario(load_scenario(name).model_copy(update={"duration": 0.3}))
@@ -446,7 +459,8 @@ def short(name, **changes):
     return {r.name: r for r in results(study, rows)}
 
 
-@pytest.mark.parametrize("name", ["pv_mppt_draws", pytest.param("pv_mppt_draws_random", marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("name", ["pv_mppt_draws", "pv_mppt_draws_random"])
 def test_stretch(name):
     """Short form of the target beyond the paper: 3 of the 60 draws of conditions and unknown load."""
     draws = load_study(name).draws.model_dump() | {"count": 3, "seed": 5}
