@@ -12,8 +12,11 @@ Y = "axis/true_state/axis/position"
 SET_POINT = "axis/controller_state/set_point/position"
 
 
-@pytest.mark.parametrize("name", ["dc_motor_fsfb", "dc_motor_fsfb_s1_none", "dc_motor_fsfb_s1_velocity",
-                                  "dc_motor_fsfb_s2", "dc_motor_fsfb_s3", "dc_motor_fsfb_stretch_jitter"])  # fmt: skip
+@pytest.mark.parametrize(
+    "name",
+    ["dc_motor_fsfb", "dc_motor_fsfb_stretch_jitter",
+     *(pytest.param(f"dc_motor_fsfb_{n}", marks=pytest.mark.long) for n in ("s1_none", "s1_velocity", "s2", "s3"))],
+)  # fmt: skip
 def test_processes_equal_in_process_bit_for_bit(name, tmp_path):
     rig = Rig.from_scenario(load_scenario(name))
     outcome = run_processes(rig, 3, tmp_path)
@@ -25,7 +28,7 @@ def test_processes_equal_in_process_bit_for_bit(name, tmp_path):
 def test_real_time_reaches_the_same_result_with_the_delay_read_from_the_stamps(tmp_path):
     """Missed periods of a busy host may move the figures; delay, end and absence of a large overshoot may not move."""
     long_press = {"step_buttons.forward": [1.0], "step_buttons.hold": 3.0}  # seen also by a node that starts late
-    rig = Rig.from_scenario(load_scenario("dc_motor_fsfb", long_press))
+    rig = Rig.from_scenario(load_scenario("dc_motor_fsfb", long_press)).changed(duration=5.0)
     outcome = run_processes(rig, 0, tmp_path, mode="realtime")
     assert outcome.error == ""
     signals = Signals(outcome.recording, outcome.epoch)
