@@ -244,6 +244,7 @@ def test_brent_needs_few_evaluations(record):
     assert found.x_km == pytest.approx(49.98990, abs=1e-4)
 
 
+@pytest.mark.long  # the whales' place stands in their scenario, too
 @pytest.mark.parametrize(("algorithm", "evaluations", "apart"), [("woa", 50_100, 5e-5), ("gwo", 50_000, 0.003)])
 def test_swarms_find_the_minimum(record, algorithm, evaluations, apart):
     best = located(record)
@@ -342,7 +343,8 @@ REFERENCE = {  # metres, mode a - b: what a reference calculation gave, and how 
 }
 
 
-@pytest.mark.parametrize("noise", [False, pytest.param(True, marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("noise", [False, True])
 def test_sensitivity(noise, monkeypatch):
     if not noise:  # 120 of the 160 places
         monkeypatch.setattr(study, "NOISE_SEEDS", 0)
@@ -429,8 +431,12 @@ def test_ends_that_sample_between_each_other(case, late):
     assert (told.note, told.samples.tobytes()) == ("", both.samples.tobytes())
 
 
-@pytest.mark.parametrize(("slow", "fast", "within"), [("m10k", "m20k", 0.7), ("m4k", "m20k", 1.1)])
-@pytest.mark.parametrize("swapped", [False, True])
+@pytest.mark.parametrize(
+    ("slow", "fast", "within", "swapped"),
+    [("m10k", "m20k", 0.7, True), ("m4k", "m20k", 1.1, False),
+     pytest.param("m10k", "m20k", 0.7, False, marks=pytest.mark.long),
+     pytest.param("m4k", "m20k", 1.1, True, marks=pytest.mark.long)],
+)  # fmt: skip
 def test_ends_of_other_rates(slow, fast, within, swapped):
     """Each behind its own filter, whose delay (2.6131 / (2 pi cutoff)) is taken out."""
     for case in (AG, Case("AG", 115.0, 15.0), Case("AB", 100.0, 5.0)):
@@ -496,8 +502,9 @@ def test_a_healthy_line_of_a_reversed_transformer(record):
 
 
 @pytest.mark.parametrize("settings", [
-    {"measurement__noise_snr_db": 30.0}, {"measurement__shift_us_r": 10.0}, {"line__r1": 0.055}, {"line__l1": 1.05e-3},
-    {"measurement__ratio_err__u_s": 0.01, "measurement__ratio_err__i_r": -0.01},
+    {"measurement__noise_snr_db": 30.0}, {"line__l1": 1.05e-3}, *(pytest.param(s, marks=pytest.mark.long) for s in (
+        {"measurement__shift_us_r": 10.0}, {"line__r1": 0.055},
+        {"measurement__ratio_err__u_s": 0.01, "measurement__ratio_err__i_r": -0.01})),
 ])  # fmt: skip
 def test_usual_errors_are_no_contradiction(settings):
     for case in (AG, Case("ABCG", 113.3, 15.0), Case("BC", 96.7, 5.0), Case("BG", 61.0, 50.0)):
@@ -664,7 +671,7 @@ def test_replay_gives_the_same_bits(runs, tmp_path):
 
 
 @pytest.mark.processes
-@pytest.mark.parametrize("form", ["streams", "record"])
+@pytest.mark.parametrize("form", [pytest.param("streams", marks=pytest.mark.long), "record"])
 def test_processes_give_the_same_bits(runs, tmp_path, form):
     outcome = run_processes(runs[form].rig, runs[form].seed, tmp_path)
     assert outcome.error == ""
@@ -689,7 +696,7 @@ VARIANTS = ["", "_record", "_woa", "_gwo", "_integer_grid", "_phasor", "_printed
             "_c_to_ground", "_not_excited", "_no_fault", "_noise", "_late", "_m4k"]  # fmt: skip
 
 
-@pytest.mark.parametrize("variant", VARIANTS)
+@pytest.mark.parametrize("variant", [pytest.param(v, marks=[pytest.mark.long] * (v == "_gwo")) for v in VARIANTS])
 def test_scenarios(variant):
     run = simulate(f"fault_location{variant}")
     assert [(r.name, r.value) for r in run.missed] == []
