@@ -220,6 +220,7 @@ def test_the_plant_of_a_root_pays_what_the_evaluators_pays():
     assert mvim.solve(TWO_STATE, 2).roots[2][0].paid == pytest.approx(0.4449505, abs=1e-6)
 
 
+@pytest.mark.long
 def test_stages_that_reach_where_one_series_does_not():
     far = find("reactor")
     assert not mvim.solve(far, 12).converged
@@ -249,9 +250,10 @@ def test_the_boundary_value_solver_agrees_with_the_exact_answers(problem):
 
 @pytest.mark.parametrize(
     ("problem", "off"),
-    [(SCALAR, 1e-9), pytest.param(SPACECRAFT, 1e-9, marks=pytest.mark.long), (TWO_STATE, 2e-10)],
+    [(SCALAR, 1e-9), pytest.param(SPACECRAFT, 1e-9, marks=pytest.mark.long),
+     pytest.param(TWO_STATE, 2e-10, marks=pytest.mark.long)],
     ids=["scalar", "spacecraft", "two_state"],
-)
+)  # fmt: skip
 def test_collocation(problem, off):
     found = collocation.solve(problem)
     least = exact.tpbvp(problem).cost if problem is TWO_STATE else exact.least_cost(problem)

@@ -35,7 +35,8 @@ W0 = (0.01, 0.005, 0.001)
 STATE = (*W0, 0.0, 0.0, 0.0)
 NAMES = sorted(n for n in list_scenarios() if n.startswith("optimal_control_mvim"))
 LATER = {f"optimal_control_mvim_{n}" for n in (
-    "n12", "dt01", "s1", "s3", "s3_n6", "s4", "s4_bias", "s6_n24", "a2_5s", "a4_dt01_bias", "a4_dt01_inertia",
+    "n4", "n12", "dt01", "s1", "s3", "s3_n6", "s4", "s4_5s", "s4_bias", "s4_bias_5s", "s6", "s6_n24", "start", "a2_5s",
+    "a4_dt01_bias", "a4_dt01_inertia",
 )}  # fmt: skip
 
 
@@ -369,7 +370,9 @@ def test_a_plan_for_the_rest_of_the_way_starts_warm():
 
 
 @pytest.mark.processes
-@pytest.mark.parametrize("name", ["optimal_control_mvim", "optimal_control_mvim_s4_1s"])
+@pytest.mark.parametrize(
+    "name", [pytest.param("optimal_control_mvim", marks=pytest.mark.long), "optimal_control_mvim_s4_1s"]
+)
 def test_processes_give_the_bits_of_in_process(name, tmp_path):
     rig = Rig.from_scenario(load_scenario(name).changed(duration=20.0))
     outcome = run_processes(rig, 1, tmp_path)
