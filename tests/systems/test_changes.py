@@ -119,6 +119,7 @@ def test_rehab_robot_of_twice_the_stiffness_gives_way_half_as_far():
     assert ways[1] == pytest.approx(0.5 * ways[0], rel=0.1)
 
 
+@pytest.mark.long
 def test_tcp_with_twice_the_flows_has_half_the_window():
     windows = []
     for flows in (40, 80):

@@ -739,7 +739,7 @@ def test_native_and_plain_code_give_the_same_bits(monkeypatch):
 
 
 @pytest.mark.processes
-@pytest.mark.parametrize("name", ["rectifier_mpc", "rectifier_mpc_n1_qp2"])
+@pytest.mark.parametrize("name", ["rectifier_mpc", pytest.param("rectifier_mpc_n1_qp2", marks=pytest.mark.long)])
 def test_processes_give_the_same_bytes(name, tmp_path):
     rig = rig_of(name, duration=0.25)
     outcome = run_processes(rig, rig.scenario.seed, tmp_path)
