@@ -68,8 +68,9 @@ def test_each_node_answers_the_golden_inputs_as_before(name, node):
 
 
 @pytest.mark.parametrize(
-    "name", ["dc_motor_smc_b1", "dc_motor_fsfb_s2", "dc_motor_fsfb_stretch_jitter", "induction_dtc_short", "pv_mppt",
-             "manipulator_adsmc_s5", "rehab_impedance_r2"]
+    "name", ["dc_motor_smc_b1", "dc_motor_fsfb_stretch_jitter", "induction_dtc_short", *(
+        pytest.param(n, marks=pytest.mark.long)
+        for n in ("dc_motor_fsfb_s2", "pv_mppt", "manipulator_adsmc_s5", "rehab_impedance_r2"))]
 )  # fmt: skip
 def test_another_build_agrees_within_what_the_bag_says_of_it(name):
     """Parameters of the plants changed by a few units in the last place stand for another C library."""
@@ -160,7 +161,7 @@ def own_digests():
     return [digest(BAGS / name) for name in DIFFERED]
 
 
-@pytest.mark.parametrize("kernels", ["prescott and v2", "skylakex"])
+@pytest.mark.parametrize("kernels", [pytest.param("prescott and v2", marks=pytest.mark.long), "skylakex"])
 def test_no_kernel_of_openblas_or_numpy_decides_a_bit(kernels):
     """Rigs that differed when BLAS, LAPACK and numpy's functions of arrays had a say in them.
 
