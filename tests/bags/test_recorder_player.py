@@ -143,7 +143,10 @@ def test_record_and_replay_round_trip(rig, tmp_path, capsys, options):
     assert "450 messages in 0.199 s" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(("storage", "source"), [("mcap", large()), ("sqlite3", large()), ("mcap", small(8))])
+@pytest.mark.parametrize(
+    ("storage", "source"),
+    [("mcap", large()), ("mcap", small(8)), pytest.param("sqlite3", large(), marks=pytest.mark.long)],
+)
 def test_kill_9_costs_at_most_a_megabyte(rig, tmp_path, storage, source):
     write_bag(tmp_path / "source", source)
     size = sum(len(d) for t in source.topics.values() for d in t.data)
@@ -178,7 +181,7 @@ def small_disk(command: list[str]) -> tuple[list[str], dict]:
     }
 
 
-@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
+@pytest.mark.parametrize("storage", ["mcap", pytest.param("sqlite3", marks=pytest.mark.long)])
 def test_a_full_disk_ends_the_recording_with_a_whole_bag(rig, tmp_path, storage):
     source = large()
     write_bag(tmp_path / "source", source)
