@@ -60,7 +60,7 @@ def cited(keys: Sequence[str]) -> tuple[Citation, ...]:
     if not keys:
         return ()
     known: dict[str, Citation] = {}
-    for folder in scenario_folders()[::-1]:  # the first one counts
+    for folder in reversed(list(scenario_folders())):  # the first one counts
         if (path := folder / FILE).is_file():
             known |= _entries(path, path.stat().st_mtime_ns)
     wrong = next((key for key in keys if key not in known), None)

@@ -6,7 +6,8 @@ import os
 import re
 from collections.abc import Iterator, Mapping
 from functools import lru_cache
-from os.path import isfile
+from itertools import chain
+from os.path import isfile, samefile
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,12 +19,11 @@ SHARED = re.compile(r"\$([A-Za-z_]\w*)")  # a reference to a shared value
 OWN = ("expect", "requirements", "claims")  # what a scenario is judged by stands in its own entry: never inherited
 
 
-def scenario_folders() -> list[Path]:
-    """Where scenario files are looked for: SOFTRIG_SCENARIOS, then ``share/PACKAGE/scenarios`` of what is installed."""
-    folders = [Path(p) for p in os.environ.get("SOFTRIG_SCENARIOS", "").split(os.pathsep) if p]
-    for prefix in prefixes():
-        folders += sorted(prefix.glob("share/*/scenarios"))
-    return [f for f in folders if f.is_dir()]
+def scenario_folders() -> Iterator[Path]:
+    """Give where scenario files are: SOFTRIG_SCENARIOS, then ``share/PACKAGE/scenarios`` of what is installed."""
+    own = [Path(p) for p in os.environ.get("SOFTRIG_SCENARIOS", "").split(os.pathsep) if p]
+    installed = (folder for prefix in prefixes() for folder in sorted(prefix.glob("share/*/scenarios")))
+    return (f for f in chain(own, installed) if f.is_dir())  # looked for as far as somebody asks
 
 
 def list_scenarios(broken: list[ScenarioError] | None = None) -> dict[str, Path]:
@@ -42,6 +42,8 @@ def list_scenarios(broken: list[ScenarioError] | None = None) -> dict[str, Path]
     found: dict[str, Path] = {}
     for folder in scenario_folders():
         for path in sorted(folder.glob("*.yaml")):
+            if path.stem in found and isfile(path) and samefile(path, found[path.stem]):
+                continue  # a checkout's own, which its install folder links to
             try:
                 for name in list(names(path)):
                     found.setdefault(name, path)
@@ -222,7 +224,7 @@ def parent_of(path: Path, parent: Any) -> Path:
 
 def _find(name: str, first: Path | None = None) -> Path | None:
     """Find the file of a scenario: that of its own name, else the longest beginning of it that has this variant."""
-    for folder in ([first] if first else []) + scenario_folders():
+    for folder in chain([first] if first else [], scenario_folders()):
         stem = "" if "/" in name else name
         while stem:
             path = folder / f"{stem}.yaml"
