@@ -168,7 +168,7 @@ def test_a_metric_that_cannot_be_computed_is_a_miss_with_its_reason(folder, monk
     assert "no such thing" in metric["error"]
 
 
-def test_metrics_and_pictures_share_the_decoded_signals(monkeypatch):
+def test_metrics_and_pictures_share_the_decoded_signals(monkeypatch, undrawn):
     decoded = []
     decode = signals._decode
     monkeypatch.setattr(signals, "_decode", lambda topic, epoch: decoded.append(topic.name) or decode(topic, epoch))
@@ -214,7 +214,7 @@ def test_a_broken_run_through_processes_leaves_a_readable_bag(folder):
     assert len(recording.topics["lag/state"].times) == 51
 
 
-def test_a_second_run_replaces_the_first(folder):
+def test_a_second_run_replaces_the_first(folder, undrawn):
     assert run("lag", "--mode", "inprocess", "--out", "x") == 0
     (folder / "x" / "mine.txt").write_text("keep")
     assert run("lag", "--mode", "inprocess", "--out", "x", "--no-plots") == 0
@@ -267,7 +267,7 @@ def test_a_run_keeps_the_commit_and_the_lock_file(folder, monkeypatch):
         assert re.fullmatch(r"[0-9a-f]{40}\+?", versions["commit"])
 
 
-def test_a_run_that_is_stopped_says_what_it_did_and_judges_nothing(folder, monkeypatch, capsys):
+def test_a_run_that_is_stopped_says_what_it_did_and_judges_nothing(folder, monkeypatch, capsys, undrawn):
     def stopping(rig, seed, recording, progress):
         run_inprocess(rig, seed, recording, lambda t: os.kill(os.getpid(), signal.SIGTERM) if t >= 5e8 else None)
 
@@ -309,7 +309,7 @@ def test_most_deadlines_missed_is_no_silent_success(folder, monkeypatch, capsys,
     assert (said in capsys.readouterr().err) == (options != ["--max-missed", "90"])
 
 
-def test_what_was_not_simulated_is_not_measured_and_what_never_happens_is_never(folder, capsys):
+def test_what_was_not_simulated_is_not_measured_and_what_never_happens_is_never(folder, capsys, undrawn):
     x = {"signal": "lag/state/x/position"}
     settings = {"late": {"function": "final_value", "arguments": {**x, "start": 0.9}},
                 "rise": {"function": "reach_time", "arguments": {**x, "level": 9.0}}}  # fmt: skip
@@ -326,7 +326,7 @@ def test_what_was_not_simulated_is_not_measured_and_what_never_happens_is_never(
     assert page.count("differs") == 1
 
 
-def test_an_outside_law_leaves_no_parameters_title_or_pictures_of_ours(folder):
+def test_an_outside_law_leaves_no_parameters_title_or_pictures_of_ours(folder, undrawn):
     outside = load_scenario("lag", {}).model_copy(
         update={"plots": (PlotEntry(title="Law", signals={"lag/command/u/effort": "u"}),)}
     )
@@ -534,7 +534,7 @@ def test_no_home_and_no_place_for_temporary_files(folder, tmp_path):
     assert found.returncode == 0, found.stderr
 
 
-def test_a_signal_while_the_bag_is_written_waits_until_it_is_whole(folder, monkeypatch, capsys):
+def test_a_signal_while_the_bag_is_written_waits_until_it_is_whole(folder, monkeypatch, capsys, undrawn):
     from softrig_bags import write
 
     whole = write.write_bag

@@ -14,9 +14,9 @@ def names(path):
     return sorted(str(p.relative_to(path)) for p in path.rglob("*") if p.is_file())
 
 
-def test_a_run_replaces_the_one_before_and_says_so(tmp_path, capsys):
+def test_a_run_replaces_the_one_before_and_says_so(tmp_path, capsys, undrawn):
     out = tmp_path / "out"
-    assert main([*RUN, "--out", str(out)]) == 0
+    assert main([*RUN, "--duration", "0.1", "--out", str(out)]) == 0
     first = names(out)
     assert sorted(json.loads((out / MANIFEST).read_text())) == first
     assert "replacing" not in capsys.readouterr().err

@@ -30,7 +30,7 @@ variants:
 
 
 @pytest.fixture
-def folder(tmp_path, monkeypatch):
+def folder(tmp_path, monkeypatch, undrawn):
     monkeypatch.setenv("SOFTRIG_SCENARIOS", str(tmp_path))
     monkeypatch.setenv("AMENT_PREFIX_PATH", "")
     monkeypatch.chdir(tmp_path)

@@ -151,7 +151,7 @@ def test_what_no_run_could_do_is_said_before_the_first(folder, keys, message):
 # rows -------------------------------------------------------------------------------------------------------------
 
 
-def test_a_row_tells_how_to_repeat_its_run(folder):
+def test_a_row_tells_how_to_repeat_its_run(folder, undrawn):
     assert main(["study", "lag", "--grid", "gain.k=1,2.5", "--seeds", "2", "--duration", "0.25", "--out", "out"]) == 0
     table = pyarrow.parquet.read_table(folder / "out" / "table.parquet").to_pylist()
     with (folder / "out" / "table.csv").open() as file:
@@ -169,7 +169,7 @@ def test_a_row_tells_how_to_repeat_its_run(folder):
     assert "k 2.5" in page
 
 
-def test_a_run_that_breaks_is_a_row_with_its_reason(folder, capsys):
+def test_a_run_that_breaks_is_a_row_with_its_reason(folder, capsys, undrawn):
     assert main(["study", "lag_breaks", "--grid", "plant.gain=1,2", "--workers", "1", "--out", "out"]) == 3
     rows = [json.loads(line) for line in (folder / "out" / "rows.jsonl").read_text().splitlines()]
     assert len(rows) == 2
@@ -271,7 +271,7 @@ def test_a_study_writes_over_nothing_that_is_not_its_own(name, folder, capsys):
     assert (folder / "out" / name).read_text() == "theirs"
 
 
-def test_a_study_follows_no_link_that_was_put_into_its_folder(folder):
+def test_a_study_follows_no_link_that_was_put_into_its_folder(folder, undrawn):
     command = ["study", "lag", "--grid", "gain.k=1,2", "--workers", "1", "--out", "out"]
     assert main(command) == 0
     first = {p.name for p in (folder / "out").iterdir()}
@@ -371,7 +371,7 @@ def test_runs_without_a_value_are_marked_counted_and_make_the_median_no_better()
     assert absent([1.0, math.inf, math.nan]) == "1 of 3 never, 1 of 3 not measured"
 
 
-def test_a_study_says_never_where_a_figure_never_comes(folder, capsys):
+def test_a_study_says_never_where_a_figure_never_comes(folder, capsys, undrawn):
     assert main(["study", "lag", "--grid", "gain.k=1:3", "plant.gain=1,2", "--out", "out", "--workers", "1"]) == 0
     out = capsys.readouterr().out
     assert out.count("never") == 1 + 6  # the head, and a row a run
@@ -398,7 +398,7 @@ def test_ranges_of_nothing_or_without_end_are_refused(text):
         _values("gain.k", text)
 
 
-def test_a_search_keeps_to_its_limits_and_its_best_is_no_lucky_seed(folder, capsys):
+def test_a_search_keeps_to_its_limits_and_its_best_is_no_lucky_seed(folder, capsys, undrawn):
     options = ["study", "lag", "--search", "last", "--draws", "8", "--maximise", "--draw", "gain.k=0.5..5", "--workers",
                "1"]  # fmt: skip
     assert main([*options, "--subject-to", "last <= 0.2", "--out", "some"]) == 0
