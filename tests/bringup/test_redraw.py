@@ -10,13 +10,21 @@ from softrig_bringup.plots.figures import plot_entry
 from softrig_bringup.redraw import rig_of_run
 
 SIGNAL = "motor/applied/armature"
+SCENARIO = """title: Two pictures
+extends: dc_motor_smc_b2
+plots:
+  - {title: Speed, signals: {motor/true_state/shaft/velocity: speed, motor/reference/shaft/velocity: reference}}
+  - {title: Voltage, signals: {motor/applied/armature: voltage}}
+"""
 
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
     folder = tmp_path_factory.mktemp("redraw") / "run"
+    scenario = folder.with_name("two.yaml")
+    scenario.write_text(SCENARIO)
     options = ["--mode", "inprocess", "--duration", "0.2", "--set", "dc_motor_smc.delta=1.5", "--no-plots"]
-    assert main(["run", "dc_motor_smc_b2", *options, "--out", str(folder)]) == 0
+    assert main(["run", str(scenario), *options, "--out", str(folder)]) == 0
     return folder
 
 
