@@ -24,6 +24,7 @@ TEXTS = {
     '"\\e[31mred\\e]0;title\\a \\x9b2J"': r"\x1b[31mred\x1b]0;title\x07 \x9b2J",
     '"cost in $ and {braces} $x^$"': "cost in $ and {braces} $x^$",
 }
+ALL = f'"{" ".join(text[1:-1] for text in TEXTS)}"'  # one run instead of three
 
 
 @pytest.fixture
@@ -37,7 +38,7 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
-@pytest.mark.parametrize("title", TEXTS)
+@pytest.mark.parametrize("title", [ALL, *(pytest.param(text, marks=pytest.mark.long) for text in TEXTS)])
 def test_a_title_is_shown_as_it_stands_whatever_it_holds(title, folder, capsys):
     (folder / "scenarios" / "lag.yaml").write_text(LAG.replace("TITLE", title))
     (folder / "studies" / "lags.yaml").write_text(STUDY.replace("TITLE", title))
@@ -47,10 +48,10 @@ def test_a_title_is_shown_as_it_stands_whatever_it_holds(title, folder, capsys):
     ]  # fmt: skip
     for arguments, status in calls:
         assert main(arguments) == status, capsys.readouterr().err
-        said = "".join(capsys.readouterr())
+        said = " ".join("".join(capsys.readouterr()).split())  # as it stood before it was wrapped
         assert "\x1b" not in said
         assert "\x9b" not in said
-        assert TEXTS[title] in said or arguments[0] in ("results", "report")
+        assert (TEXTS | {ALL: " ".join(TEXTS.values())})[title] in said or arguments[0] in ("results", "report")
 
 
 def test_control_characters_are_shown_and_nothing_else_is_changed():
