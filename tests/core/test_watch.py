@@ -3,7 +3,7 @@
 import pytest
 from conftest import in_process, make_scenario
 from faultrig import COMMAND, REFERENCE, STATE, Gain, Lag, Source
-from softrig_core import Measure, Rig, Signals, Watch, WatchParams, run_inprocess
+from softrig_core import Rig, Signals, Watch, WatchParams, run_inprocess
 from softrig_core.rig import measures
 
 X, U, R = "lag/state/x/position", "lag/command/u/effort", "lag/reference/x/position"
@@ -12,12 +12,12 @@ X, U, R = "lag/state/x/position", "lag/command/u/effort", "lag/reference/x/posit
 class Eye(Watch[WatchParams]):
     INPUTS = (STATE, COMMAND, REFERENCE)
 
-    def measures(self):
-        yield Measure("rms_error", measures.rms, {"signal": X, "reference": R})
-        yield Measure("mean_command", measures.mean, {"signal": U})
-        yield Measure("variation", measures.total_variation, {"signal": U})
-        yield Measure("last", measures.final_value, {"signal": X})
-        yield Measure("never", measures.rise_time, {"signal": X, "final": 1e9})
+    def figures(self):
+        yield self.figure("rms_error", measures.rms, {"signal": X, "reference": R})
+        yield self.figure("mean_command", measures.mean, {"signal": U})
+        yield self.figure("variation", measures.total_variation, {"signal": U})
+        yield self.figure("last", measures.final_value, {"signal": X})
+        yield self.figure("never", measures.rise_time, {"signal": X, "final": 1e9})
 
 
 @pytest.mark.parametrize("period", [0.01, 0.05])

@@ -11,13 +11,13 @@ from faultrig import COMMAND, Gain
 from rclpy._rclpy_pybind11 import RCLError
 from simulated import Discovery, SimulatedNode, SimulatedRig, World
 from simulated_outside import SimulatedOutside
-from softrig_core import Rig, load_scenario
+from softrig_core import Rig
 from softrig_core.node.adapter import Adapter
 from softrig_core.node.group import Group
 from softrig_core.node.ros import RosMiddleware, quiet_after_shutdown
 from softrig_core.rig.guests import Guests
 from softrig_core.rig.options import RunOptions
-from test_discovery import rig_and_record, with_guests
+from test_discovery import KINDS, rig_and_record, with_guests
 
 MS, SECOND = 1_000_000, 1_000_000_000
 HOUR = 3600 * SECOND
@@ -93,16 +93,15 @@ def test_in_real_time_the_start_is_after_the_controller_has_come():
 
 
 def test_a_topic_of_an_outside_node_is_not_remapped_by_who_looks_for_it():
-    """The metrics of this rig read `motor/applied` of the plant in place of `motor/command`."""
-    scenario = load_scenario("dc_motor_smc_b2")
-    nodes = {n: e.model_copy(update={"external": n == "dc_motor_smc"}) for n, e in scenario.nodes.items()}
-    assert nodes["dc_motor_metrics"].remap["motor/command"] == "motor/applied"
-    world = World()
-    run = SimulatedRig(Rig.from_scenario(scenario.model_copy(update={"nodes": nodes})), world, "lockstep",
-                       start_timeout=0.0)  # fmt: skip
+    """An observer of this rig reads `other/command` in place of `lag/command`."""
+    nodes = {n: e.model_dump() | {"external": n == "gain"} for n, e in KINDS["basic"].nodes.items()}
+    elsewhere = {"lag/command": "other/command"}
+    nodes |= {"other": nodes["gain"] | {"external": False, "remap": elsewhere},
+              "watcher": nodes["gain"] | {"external": False, "executable": "watcher", "remap": elsewhere}}  # fmt: skip
+    run = SimulatedRig(Rig.from_scenario(make_scenario(nodes)), World(), "lockstep", start_timeout=0.0)
     run.run(100.0)
     assert {a.state for a in run.adapters.values()} == {"starting"}
-    assert {tuple(a.lacking) for a in run.adapters.values()} == {("motor/command",)}
+    assert {tuple(a.lacking) for a in run.adapters.values()} == {("lag/command",)}
 
 
 def test_a_node_by_hand_does_not_take_a_stamp_from_the_future_for_the_beginning():

@@ -19,13 +19,10 @@ from softrig_core import (
     evaluate,
     list_scenarios,
     load_scenario,
-    run_inprocess,
     run_processes,
 )
-from softrig_core.rig import measures
 from softrig_drives.dc_motor.kalman_surface import DcMotorSmcKalman
 from softrig_drives.dc_motor.model import MotorConstants, state_space
-from softrig_drives.dc_motor.monitor import DcMotorMonitor
 from softrig_drives.dc_motor.pid import DcMotorPid
 from softrig_drives.dc_motor.plant import DcMotorPlant
 from softrig_drives.dc_motor.sliding_mode import DcMotorSmc
@@ -395,27 +392,6 @@ def test_kalman_gain_is_where_the_riccati_recursion_ends():
         x = a @ x + np.array(b)[:, 0] * u
         x = x + gain[:, 0] * (y - x[0])
         assert kalman((u,), (y,)) == pytest.approx(x, rel=1e-8, abs=1e-10)
-
-
-def test_observer_agrees_with_the_metric_functions():
-    rig, signals = run("dc_motor_smc_b1")
-    observer = run_inprocess(rig, 0)["dc_motor_metrics"]
-    assert isinstance(observer, DcMotorMonitor)
-    found = {name: value for name, (value, _) in observer.status().items()}
-    w, v = "motor/true_state/shaft/velocity", "motor/applied/armature/effort"
-    assert found == pytest.approx(
-        {
-            "rise_time": measures.rise_time(signals, w, final=10.0),
-            "settling_time": measures.settling_time(signals, w, final=10.0),
-            "overshoot": measures.overshoot(signals, w, final=10.0),
-            "mean_error": measures.mean_error(signals, w, reference=10.0, start=3.0),
-            "rms_error": measures.rms(signals, w, reference=10.0, start=3.0),
-            "peak_to_peak": measures.peak_to_peak(signals, w, start=3.0),
-            "total_variation": measures.total_variation(signals, v, start=3.0),
-            "peak_current": measures.peak(signals, "motor/sensors/current_a/position"),
-        },
-        rel=1e-9,
-    )
 
 
 # Bad input

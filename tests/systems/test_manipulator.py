@@ -23,7 +23,6 @@ from softrig_core import (
     list_scenarios,
     load_scenario,
     rig_of,
-    run_inprocess,
 )
 from softrig_core.model import compiled
 from softrig_core.model.params import build
@@ -37,7 +36,6 @@ from softrig_robots.manipulator.plant import ManipulatorPlant
 from softrig_robots.manipulator.surfaces import Coefficients
 from softrig_robots.manipulator.trajectory import TrajectorySource
 from softrig_robots.rigid_body import SymbolicRobot, load_model
-from softrig_robots.tracking import TrackingMonitor
 from softrig_robots.urdf import read_urdf
 
 URDF = Path(softrig_robots.__file__).parent / "urdf"
@@ -406,29 +404,6 @@ def test_high_gains_run_away_only_if_the_estimate_may_wind_up(position):
         assert measures.peak(guarded, e, start=2.0) <= 0.00011
         worst = max(worst, measures.peak(free, e))
     assert worst > 1.0
-
-
-def test_figures_while_running_equal_those_of_the_recording():
-    scenario = load_scenario("manipulator_adsmc_s2").model_copy(update={"duration": 4.0})
-    nodes = scenario.nodes | {
-        "metrics": scenario.nodes["vcs_controller"].model_copy(update={"executable": "tracking_metrics"})
-    }
-    blocks = run_inprocess(Rig.from_scenario(scenario.model_copy(update={"nodes": nodes})), 0)
-    assert isinstance(blocks["metrics"], TrackingMonitor)
-    figures = {k: v for k, (v, _) in blocks["metrics"].status().items()}
-    signals = run("manipulator_adsmc_s2", 4.0)
-    for i, (e, v) in enumerate(zip(E_SIGNAL, V_SIGNAL, strict=True), 1):
-        assert figures[f"max_error joint{i}"] == pytest.approx(measures.peak(signals, e), rel=1e-9)
-        assert figures[f"late_max_error joint{i}"] == pytest.approx(measures.peak(signals, e, start=2.5), rel=1e-9)
-        assert figures[f"rms_error joint{i}"] == pytest.approx(measures.rms(signals, e), rel=1e-9)
-        assert figures[f"peak_voltage motor{i}"] == measures.peak(signals, v)
-        assert figures[f"total_variation motor{i}"] == pytest.approx(
-            measures.total_variation(signals, v, start=2.5), rel=1e-9
-        )
-        settled = next(
-            m.value for m in evaluate(Rig.from_scenario(scenario), signals) if m.name == f"settling_time_{i}"
-        )
-        assert figures[f"settling_time joint{i}"] == pytest.approx(settled)
 
 
 def test_replayed_commands_reproduce_the_motion():

@@ -33,6 +33,20 @@ def test_overspeed_ends_the_run_naming_plant_and_limit(tmp_path):
     assert max(abs(x).max() for x in speeds) <= 0.3
 
 
+VIEWER = """
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+rclpy.init()
+node, seen = rclpy.create_node("viewer"), {}
+def take(message):
+    seen.update({v.key: v.value for s in message.status for v in s.values})
+subscription = node.create_subscription(DiagnosticArray, "/figures/metrics", take, 10)
+while not {"mac_hip", "mav_knee", "mse_hip"} <= seen.keys():
+    rclpy.spin_once(node)
+assert seen["mse_hip"].endswith(" deg^2") and seen["mac_hip"].endswith(" A"), seen
+"""
+
+
 def test_leg_started_by_hand_long_before_its_controller(bench):
     def start(name):
         bench.start(name, name, package="softrig_robots")
@@ -42,6 +56,9 @@ def test_leg_started_by_hand_long_before_its_controller(bench):
     start("prom_reference")
     start("voltage_controller")
     bench.wait(lambda: bench.status("voltage_controller")["ticks"] > 300)
+    bench.start("figures", "figures", "-p", "scenario:=rehab_impedance", package="softrig_core")
+    bench.python("viewer", VIEWER)
+    assert bench.ends("viewer") == 0
     assert "safe" not in bench.status("rehab_plant")["reports"]
     bench.kill("voltage_controller")
     bench.wait(lambda: "stale motor_command" in bench.status("rehab_plant")["reports"])

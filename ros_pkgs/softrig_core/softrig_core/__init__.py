@@ -56,7 +56,7 @@ if TYPE_CHECKING:
     from .model.worker import Work as Work
     from .node import executable as executable
     from .rig.environment import RigEnv as RigEnv
-    from .rig.figures import evaluate as evaluate, figures_of as figures_of
+    from .rig.figures import Figure as Figure, evaluate as evaluate, figures_of as figures_of
     from .rig.inprocess import run_inprocess as run_inprocess
     from .rig.linear_view import LinearView as LinearView, linear_view as linear_view
     from .rig.measures import SignalMap as SignalMap, figure as figure, window as window
@@ -67,7 +67,7 @@ if TYPE_CHECKING:
     from .rig.scenario_file import list_scenarios as list_scenarios
     from .rig.simulate import Run as Run, rig_of as rig_of, simulate as simulate
     from .rig.steady import NoOperatingPoint as NoOperatingPoint, OperatingPoint as OperatingPoint, steady as steady
-    from .rig.watch import Measure as Measure, Watch as Watch, WatchParams as WatchParams
+    from .rig.watch import Watch as Watch, WatchParams as WatchParams
     from .timebase import SECOND as SECOND, to_ns as to_ns, to_s as to_s
     from .wire.recording import Recording as Recording
     from .wire.signals import Signals as Signals
@@ -92,7 +92,7 @@ else:
         "model.worker": "Work",
         "node": "executable",
         "rig.environment": "RigEnv",
-        "rig.figures": "evaluate figures_of",
+        "rig.figures": "Figure evaluate figures_of",
         "rig.inprocess": "run_inprocess",
         "rig.linear_view": "LinearView linear_view",
         "rig.measures": "SignalMap figure window",
@@ -103,7 +103,7 @@ else:
         "rig.scenario_file": "list_scenarios",
         "rig.simulate": "Run rig_of simulate",
         "rig.steady": "NoOperatingPoint OperatingPoint steady",
-        "rig.watch": "Measure Watch WatchParams",
+        "rig.watch": "Watch WatchParams",
         "wire.recording": "Recording",
         "wire.signals": "Signals",
     }

@@ -87,7 +87,7 @@ def marks_of(rig: Rig, signals: SignalMap) -> dict[str, list[Mark]]:
         signal = figure.arguments.get("signal")
         if isinstance(signal, str):
             with suppress(KeyError, ValueError):  # the run ended before its window
-                found.setdefault(signal, []).extend(_placed(figure, about, signals))
+                found.setdefault(signal, []).extend(_placed(figure.at(signals), about, signals))
     return found
 
 

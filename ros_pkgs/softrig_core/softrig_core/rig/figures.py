@@ -3,29 +3,32 @@
 from __future__ import annotations
 
 import inspect
+import json
 import math
 import typing
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cache
 from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
 
 from ..errors import ScenarioError, closest
+from ..model.port import CLOCK
 from .claims import NEVER
 from .expectation import Expectation
 from .formula import SURE
-from .measures import Function, SignalMap
-from .members import signal_units
+from .measures import Function, SignalMap, final_value, newest_step
+from .members import Members, signal_units
+from .port_text import ports_text
 from .references import fill_parameters
 from .registry import find
 from .requirements import Judge, judges
-from .rig import Rig
 from .units import compose, factor, powers
 
 DECIDED = "by its conditions alone"  # of a requirement without a distance
 SIGNALS = ("signal", "reference")  # arguments that name a signal, if they are a word
+UNMEASURED = (ArithmeticError, AttributeError, LookupError, TypeError, ValueError)  # what figure functions raise
 
 
 class Result(BaseModel):
@@ -78,13 +81,35 @@ class Figure:
     arguments: Mapping[str, Any]
     unit: str
     scale: float
+    since: str = ""
 
     def __call__(self, signals: SignalMap) -> float:
         """Measure."""
-        return self.scale * float(self.function(signals, **self.arguments))
+        return self.scale * float(self.function(signals, **self.at(signals).arguments))
+
+    def at(self, signals: SignalMap) -> Figure:
+        """Give the figure of the newest step of `since`, with what that step says among its arguments.
+
+        Raises
+        ------
+        ValueError
+            There was no step yet, or nothing to measure at it.
+        """
+        if not self.since:
+            return self
+        t, value = newest_step(signals, self.since)
+        given = dict(self.arguments)
+        told: dict[str, Any] = {"start": t + (given.get("start") or 0.0)}
+        if given.get("end") is not None:
+            told["end"] = t + given["end"]
+        if given.get("reference") == self.since:
+            told["reference"] = value  # one number since then
+        if "final" in _model(self.function)[0].model_fields and given.get("final") is None:
+            told |= {"final": value, "initial": final_value(signals, given["signal"], end=t)}
+        return replace(self, arguments=given | told, since="")
 
 
-def figures_of(rig: Rig) -> list[Figure]:
+def figures_of(rig: Members) -> list[Figure]:
     """Resolve and judge the figures of a rig's scenario.
 
     Raises
@@ -99,12 +124,13 @@ def figures_of(rig: Rig) -> list[Figure]:
         try:
             function = find(entry.function or name)
             arguments = _arguments(function, fill_parameters(entry.arguments, rig.parameter))
+            _check_since(function, arguments, units, entry.since)
             _check_signals(function, arguments, units)
             unit, scale = _unit(function, arguments, units, entry.unit)
         except ScenarioError as error:
             at = rig.scenario.written("figures", name)
             raise ScenarioError(f"{rig.scenario.name}: figure {name}: {error}{at}") from None
-        found.append(Figure(name, function, arguments, unit, scale))
+        found.append(Figure(name, function, arguments, unit, scale, entry.since))
     found += [Figure(name, judge, {}, judge.unit, 1.0) for name, judge in judges(rig, units).items()]
     return found
 
@@ -126,7 +152,40 @@ def _unit(
     return wanted, scale
 
 
-def evaluate(rig: Rig, signals: SignalMap) -> list[Result]:
+def told(rig: Members) -> dict[str, str]:
+    """Write the figures of a rig's scenario, and the topics that they are on, as parameters of the node `figures`.
+
+    Requirements have nodes of their own.
+    """
+    names, units = rig.scenario.figures, signal_units(rig)
+    figures = [f for f in figures_of(rig) if f.name in names]
+    read = {name for f in figures for name in (*f.arguments.values(), *getattr(f.function, "reads", ()), f.since)
+            if isinstance(name, str) and name in units}  # fmt: skip
+    said = {p.topic for m in rig.members for p in m.outputs}
+    ports = [
+        replace(p, name=f"input_{k}", held=topic not in said, sporadic=False, partial=False, also=(), unchecked=False)
+        for k, (topic, p) in enumerate(rig.topics.items())
+        if topic != CLOCK.topic and any(f"{topic}/{label}" in read for label in p.labels)
+    ]
+    written = [asdict(f) | {"function": names[f.name].function or f.name} for f in figures]
+    return {"figures": json.dumps(written), "ports": ports_text(ports)}
+
+
+def figures_in(text: str) -> list[Figure]:
+    """Read what `told` wrote.
+
+    Raises
+    ------
+    ValueError
+        The text is no JSON, or not of figures; says what was expected.
+    """
+    try:
+        return [Figure(**about | {"function": find(about["function"])}) for about in json.loads(text)]
+    except (TypeError, KeyError, ValueError, ScenarioError) as error:
+        raise ValueError(f"figures: {error}; expected a JSON list of name, function, arguments, unit, scale") from None
+
+
+def evaluate(rig: Members, signals: SignalMap) -> list[Result]:
     """Measure the figures of a rig's scenario and judge them.
 
     A figure that cannot be computed has value None and the reason; it passes only if nothing is expected of it.
@@ -155,7 +214,7 @@ def evaluate(rig: Rig, signals: SignalMap) -> list[Result]:
             if not math.isfinite(value):
                 decided = f"{'holds' if value > 0 else 'violated'} {DECIDED}"
                 error = decided if required else NEVER if value == math.inf else f"the result is {value}"
-        except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as broken:
+        except UNMEASURED as broken:
             value, error = math.nan, str(broken) or type(broken).__name__
         endless = required and math.isinf(value)
         passed = limits is None or limits.holds(math.copysign(SURE, value) if endless else value)
@@ -205,3 +264,18 @@ def _check_signals(function: Function, arguments: Mapping[str, Any], units: Mapp
     both = [units[arguments[k]] for k in SIGNALS if isinstance(arguments.get(k), str)]
     if len(both) == 2 and powers(both[0]) != powers(both[1]):
         raise ScenarioError(f"signal in {both[0]!r}, but its reference in {both[1]!r}")
+
+
+def _check_since(function: Function, arguments: Mapping[str, Any], units: Mapping[str, str], since: str) -> None:
+    if not since:
+        return
+    if since not in units:
+        raise ScenarioError(f"since: no signal {since!r}{closest(since, units)}; the rig has {', '.join(units)}")
+    takes = _model(function)[0].model_fields
+    if "start" not in takes:
+        raise ScenarioError(f"since: {function.__name__} takes no start, it is of a whole run")
+    if "final" in takes and arguments.get("final") is None:
+        unit, own = units[since], units[arguments["signal"]]
+        if "initial" in arguments or powers(unit) != powers(own):
+            why = "initial" if "initial" in arguments else f"a signal in {own!r} and a reference in {unit!r}"
+            raise ScenarioError(f"since: with {why} the final value must be given, too")

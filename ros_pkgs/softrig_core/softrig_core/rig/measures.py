@@ -349,6 +349,21 @@ def window(
     return t[first:last], x[first:last]
 
 
+def newest_step(signals: SignalMap, reference: str) -> tuple[float, float]:
+    """Give when (s) a signal was last another than before, and to what value; its first sample is a step, too.
+
+    Raises
+    ------
+    KeyError
+        No such signal.
+    ValueError
+        No samples.
+    """
+    t, x = window(signals, reference, None, None)
+    k = int(np.flatnonzero(np.diff(x, prepend=np.nan))[-1])
+    return float(t[k]), float(x[k])
+
+
 def _step(
     signals: SignalMap, signal: str, final: float | None, initial: float, start: float | None, end: float | None
 ) -> tuple[Array, Array]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib.metadata
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -20,6 +20,7 @@ from ..wire.signals import full_name
 from .agreement import require_agreement
 from .changes import script
 from .faults import insert
+from .figures import told
 from .members import Link, Member, Members, signal_units, unit_of
 from .node_parameters import NodeParameters
 from .places import explain
@@ -47,6 +48,9 @@ class Rig(Members):
         for name, entry in scenario.nodes.items():
             if name not in known:
                 known[name] = load_block(entry.package, entry.executable)
+        if live := [n for n, e in scenario.nodes.items() if (e.package, e.executable) == FIGURES
+                    and not {"figures", "scenario"} & e.parameters.keys()]:  # fmt: skip
+            return cls._with_figures(scenario, live, known)
         params = NodeParameters(scenario, known)
         members = [_member(scenario, name, known[name], params) for name in scenario.nodes]
         if scenario.faults:
@@ -106,6 +110,24 @@ class Rig(Members):
             raise ScenarioError(f"{name}: {explain(error, Scenario)}") from None
         return cls.from_scenario(scenario, {node: type(block) for node, block in blocks.items()})
 
+    @classmethod
+    def _with_figures(cls, scenario: Scenario, live: Sequence[str], known: Mapping[str, type[Block]]) -> Rig:
+        """Build a rig some of whose nodes measure its figures while it runs: they are told which these are.
+
+        They read what the figures name, also where a fault changes it for all others.
+        """
+
+        def rig(scenario: Scenario, told: Mapping[str, Any]) -> Rig:
+            nodes = {n: e.model_copy(update={"parameters": {**told, **own[n]}}) if n in own else e
+                     for n, e in scenario.nodes.items()}  # fmt: skip
+            return cls.from_scenario(scenario.model_copy(update={"nodes": nodes}), known)
+
+        own = {n: scenario.nodes[n].parameters for n in live}
+        bare = rig(scenario, {"figures": "[]", "ports": "[]"})
+        full = rig(bare.scenario, {"period": bare.clock.params.period, **told(bare)})
+        nodes = {**full.scenario.nodes, **{n: scenario.nodes[n] for n in live}}  # what they are told may change
+        return replace(full, scenario=full.scenario.model_copy(update={"nodes": nodes}))
+
     def changed(self, *, duration: float | None = None, overrides: Mapping[str, Any] | None = None) -> Rig:
         """Give the rig with another length or other parameters (``node.parameter`` to value)."""
         scenario = self.scenario.changed(duration=duration, overrides=overrides)
@@ -119,6 +141,7 @@ class Rig(Members):
 
 _NO_MEMORY = re.compile("annot allocate memory|failed to map segment")  # of the C library and its loader
 CLOCK_NODE = "clock"  # node and executable of a clock that is no plant
+FIGURES = ("softrig_core", "figures")  # package and executable of what measures the figures of its rig
 
 
 def load_main(package: str, executable: str) -> Any:
@@ -266,8 +289,10 @@ def _whole_names(scenario: Scenario, members: list[Member]) -> Scenario:
             return " - ".join(full_name(part, known) for part in value.split(" - "))
         return value
 
-    figures = {name: f.model_copy(update={"arguments": {k: whole(v) for k, v in f.arguments.items()}})
-               for name, f in scenario.figures.items()}  # fmt: skip
+    figures = {
+        name: f.model_copy(update={"arguments": {k: whole(v) for k, v in f.arguments.items()}, "since": whole(f.since)})
+        for name, f in scenario.figures.items()
+    }
     plots = tuple(p.model_copy(update={"signals": {whole(n): t for n, t in p.signals.items()}}) for p in scenario.plots)
     return scenario.model_copy(update={"figures": figures, "plots": plots})
 

@@ -51,11 +51,15 @@ class FigureEntry(_Model):
         Its arguments; ``$node.parameter`` stands for a parameter of the rig.
     unit : str
         Unit of the figure; that of the function and its signal when absent.
+    since : str
+        A signal from whose newest step on it is measured: `start` and `end` count from there, `final` is the signal's
+        value after it, `initial` what is measured then, unless `final` is given. Empty: the whole run.
     """
 
     function: str = ""
     arguments: dict[str, Any] = {}
     unit: str | None = None
+    since: str = ""
 
 
 class PlotEntry(_Model):

@@ -140,8 +140,8 @@ def inherit(base: Mapping[str, Any], change: Any) -> dict[str, Any]:
     """Lay a scenario's own entry over what it inherits.
 
     Mappings merge level by level, null removes, and the keys `OWN` come from the entry alone. A node with another
-    executable loses the inherited parameters, a figure with another function the inherited arguments and unit: they
-    would mean nothing.
+    executable loses the inherited parameters, a figure with another function all that is inherited: it would mean
+    nothing.
 
     Parameters
     ----------
@@ -153,7 +153,9 @@ def inherit(base: Mapping[str, Any], change: Any) -> dict[str, Any]:
     if not isinstance(change, Mapping):
         raise ScenarioError(f"a variant is a mapping of changes, got {change!r}")
     below = {k: v for k, v in base.items() if k not in OWN}
-    for part, what, lost in (("nodes", "executable", ("parameters",)), ("figures", "function", ("arguments", "unit"))):
+    for part, what, lost in (
+        ("nodes", "executable", ("parameters",)), ("figures", "function", ("arguments", "unit", "since")),
+    ):  # fmt: skip
         old, new = below.get(part), change.get(part)
         if isinstance(old, Mapping) and isinstance(new, Mapping):
             below[part] = {k: _without(v, new.get(k), what, lost) for k, v in old.items()}

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping
-from typing import Any, NamedTuple, TypeVar
+from types import MappingProxyType
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -14,8 +15,9 @@ from ..model.params import BlockParams, param
 from ..model.port import Port
 from ..timebase import SECOND
 from ..wire.signals import Signal
-from .measures import Function
-from .units import compose, factor
+from .figures import UNMEASURED, Figure
+from .measures import Function, newest_step
+from .units import compose
 
 
 class WatchParams(BlockParams):
@@ -25,21 +27,13 @@ class WatchParams(BlockParams):
 
 
 W = TypeVar("W", bound=WatchParams)
-
-
-class Measure(NamedTuple):
-    """One figure of an observer: its name, a figure function, the arguments, and its unit if it is to be converted."""
-
-    name: str
-    function: Function
-    arguments: Mapping[str, Any] = {}
-    unit: str | None = None
+NONE: Mapping[str, Any] = MappingProxyType({})
 
 
 class Watch(Observer[W]):
     """An observer that keeps what it saw in a window and measures it with figure functions when it is asked.
 
-    Subclasses say `measures`; signals are named ``topic/channel/field`` with the port's own topic, whatever it is
+    Subclasses say `figures`; signals are named ``topic/channel/field`` with the port's own topic, whatever it is
     remapped to. Each message counts once, at its own stamp: a slower input is not repeated, and at the end of a run,
     where plants speak once more, a command of the tick before is not paired with them.
     """
@@ -50,6 +44,7 @@ class Watch(Observer[W]):
         self._ports = {port.name: port for port in inputs}
         self._rows: dict[str, deque[tuple[int, Any]]] = {port.name: deque() for port in inputs}
         self._reach = round(self.p.window * SECOND)
+        self._forgot: set[str] = set()  # topics of which older messages were there
         self.now = 0
 
     def update(self, t: int, **inputs: Any) -> Mapping[str, tuple[float, ...]]:
@@ -64,28 +59,38 @@ class Watch(Observer[W]):
                 rows.append((stamp, values))
             while rows and rows[0][0] < first:
                 rows.popleft()
+                self._forgot.add(self._ports[name].topic)
         return {}
 
-    def measures(self) -> Iterable[Measure]:
+    def figure(self, name: str, function: Function, arguments: Mapping[str, Any] = NONE) -> Figure:
+        """Make a figure, in the unit that its function and its signal give it."""
+        units = {
+            f"{p.topic}/{label}": u for p in self._ports.values() for label, u in zip(p.labels, p.units, strict=True)
+        }
+        unit = compose(getattr(function, "unit", ""), units.get(arguments.get("signal", ""), ""))
+        return Figure(name, function, arguments, unit, 1.0)
+
+    def figures(self) -> Iterable[Figure]:
         """Give the figures; asked each time, so that they may depend on what was seen."""
         raise NotImplementedError
 
     def status(self) -> Mapping[str, tuple[float, str]]:
-        """Give the figures that can be measured so far."""
+        """Give the figures that can be measured so far; none of a step that the window has left behind."""
         signals = Seen(self._ports, self._rows)
         found = {}
-        for m in self.measures():
-            given = compose(getattr(m.function, "unit", m.unit or ""), signals.unit(m.arguments.get("signal")))
-            scale = 1.0 if m.unit is None else factor(given, m.unit)
-            if scale is None:
-                raise ValueError(f"figure {m.name}: unit {m.unit!r}, but it is in {given!r}")
+        for figure in self.figures():
             try:
-                value = scale * float(m.function(signals, **m.arguments))
-            except (KeyError, ValueError):  # not enough samples yet
+                value = math.nan if self._left_behind(figure.since, signals) else figure(signals)
+            except UNMEASURED:  # not enough samples yet
                 continue
             if math.isfinite(value):
-                found[m.name] = (value, given if m.unit is None else m.unit)
+                found[figure.name] = (value, figure.unit)
         return found
+
+    def _left_behind(self, since: str, signals: Seen) -> bool:
+        """Whether the newest step of a signal was before what is kept of it: its first sample is none then."""
+        forgot = signals.topic(since) in self._forgot
+        return forgot and newest_step(signals, since)[0] == signals[since].t[0]
 
 
 class Seen(Mapping[str, Signal]):
@@ -95,20 +100,12 @@ class Seen(Mapping[str, Signal]):
         self._ports = {port.topic: (port, rows[name]) for name, port in ports.items()}
         self._tables: dict[str, tuple[Any, Any]] = {}
 
-    def unit(self, name: Any) -> str:
-        """Unit of a signal; empty for what is none."""
-        topic = self._topic(name) if isinstance(name, str) else None
-        if topic is None:
-            return ""
-        port = self._ports[topic][0]
-        unit = port.units[port.labels.index(name[len(topic) + 1 :])]
-        return "" if unit == "1" else unit
-
-    def _topic(self, name: str) -> str | None:
+    def topic(self, name: str) -> str | None:
+        """Topic of a signal; None where there is none."""
         return max((t for t in self._ports if name.startswith(f"{t}/")), key=len, default=None)
 
     def __getitem__(self, name: str) -> Signal:
-        topic = self._topic(name)
+        topic = self.topic(name)
         if topic is None or name[len(topic) + 1 :] not in self._ports[topic][0].labels:
             raise KeyError(name)
         port, rows = self._ports[topic]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from softrig_core import Measure, Watch, WatchParams, executable, param
+from softrig_core import Figure, Watch, WatchParams, executable, param
 from softrig_core.rig import measures
 
 from .ports import COMMAND, CONTROLLER_STATE, TRUE_STATE
@@ -37,20 +37,20 @@ class AxisMonitor(Watch[AxisMonitorParams]):
             self._step = t / 1e9, inputs["true_state"][0], set_point
         return super().update(t, **inputs)
 
-    def measures(self) -> Iterator[Measure]:
+    def figures(self) -> Iterator[Figure]:
         """Figures of the step under way."""
         if self._step is None:
             return
         at, before, set_point = self._step
         step = {"signal": Y, "start": at, "initial": before, "final": set_point}
-        yield Measure("rise_time", measures.rise_time, step)
-        yield Measure("settling_time", measures.settling_time, step | {"band": self.p.band})
-        yield Measure("overshoot", measures.overshoot, step)
-        yield Measure("set_point", measures.final_value, {"signal": SET_POINT})
+        yield self.figure("rise_time", measures.rise_time, step)
+        yield self.figure("settling_time", measures.settling_time, step | {"band": self.p.band})
+        yield self.figure("overshoot", measures.overshoot, step)
+        yield self.figure("set_point", measures.final_value, {"signal": SET_POINT})
         now = self.now / 1e9
-        yield Measure("error", measures.mean_error, {"signal": Y, "reference": set_point, "start": now})
-        yield Measure("peak_voltage", measures.peak, {"signal": "axis/command/armature/effort", "start": at})
-        yield Measure("peak_speed", measures.peak, {"signal": V, "start": at})
+        yield self.figure("error", measures.mean_error, {"signal": Y, "reference": set_point, "start": now})
+        yield self.figure("peak_voltage", measures.peak, {"signal": "axis/command/armature/effort", "start": at})
+        yield self.figure("peak_speed", measures.peak, {"signal": V, "start": at})
 
 
 main = executable(AxisMonitor)

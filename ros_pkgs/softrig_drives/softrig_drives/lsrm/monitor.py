@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from pydantic import field_validator
-from softrig_core import Measure, Watch, WatchParams, executable, param
+from softrig_core import Figure, Watch, WatchParams, executable, param
 from softrig_core.rig import measures
 
 from .figures import POSITION, REFERENCE, SPEED, dip, iae, itae, overshoot, peak_force
@@ -63,28 +63,28 @@ class MotionMonitor(Watch[MotionMonitorParams]):
             self._load, self._loaded = load, t / 1e9
         return super().update(t, reference=reference, **inputs)
 
-    def measures(self) -> Iterator[Measure]:
+    def figures(self) -> Iterator[Figure]:
         """Figures of the window; those of the start until a load comes, then those of the load."""
         v_d = math.copysign(self.p.v_d, self._way or self.p.v_d)
         band, leg = {"final": v_d, "band": self.p.band, "at": "sample"}, {"start": self._begin}
-        yield Measure("overshoot", overshoot, {"v_d": v_d, **leg})
-        yield Measure("rise_time", measures.rise_time, {"signal": SPEED, "final": v_d, **leg})
+        yield self.figure("overshoot", overshoot, {"v_d": v_d, **leg})
+        yield self.figure("rise_time", measures.rise_time, {"signal": SPEED, "final": v_d, **leg})
         if self._loaded is None:
-            yield Measure(
+            yield self.figure(
                 "settling_time", measures.settling_time, {"signal": SPEED, "start": self._begin or 0.0, **band}
             )
         else:
-            yield Measure("dip", dip, {"v_d": v_d, "start": self._loaded})
-            yield Measure("recovery", measures.settling_time, {"signal": SPEED, "start": self._loaded, **band})
-        yield Measure("iae", iae)
-        yield Measure("itae", itae)
-        yield Measure("peak_error", measures.peak, {"signal": SPEED, "reference": REFERENCE})
-        yield Measure("peak_force", peak_force, {"width": self.p.force_window, **leg})
-        yield Measure("peak_command", measures.peak, {"signal": "force_cmd/translator/effort"})
+            yield self.figure("dip", dip, {"v_d": v_d, "start": self._loaded})
+            yield self.figure("recovery", measures.settling_time, {"signal": SPEED, "start": self._loaded, **band})
+        yield self.figure("iae", iae)
+        yield self.figure("itae", itae)
+        yield self.figure("peak_error", measures.peak, {"signal": SPEED, "reference": REFERENCE})
+        yield self.figure("peak_force", peak_force, {"width": self.p.force_window, **leg})
+        yield self.figure("peak_command", measures.peak, {"signal": "force_cmd/translator/effort"})
         for phase in PHASES:
-            yield Measure(f"peak_current_{phase}", measures.peak, {"signal": f"phase_currents/{phase}/position"})
-            yield Measure(f"peak_voltage_{phase}", measures.peak, {"signal": f"phase_voltage/{phase}/effort"})
-        yield Measure("position", measures.final_value, {"signal": POSITION})
+            yield self.figure(f"peak_current_{phase}", measures.peak, {"signal": f"phase_currents/{phase}/position"})
+            yield self.figure(f"peak_voltage_{phase}", measures.peak, {"signal": f"phase_voltage/{phase}/effort"})
+        yield self.figure("position", measures.final_value, {"signal": POSITION})
 
 
 main = executable(MotionMonitor)

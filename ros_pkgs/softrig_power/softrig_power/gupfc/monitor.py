@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
-from softrig_core import Measure, Watch, WatchParams, executable, param
+from softrig_core import Figure, Watch, WatchParams, executable, param
 from softrig_core.rig import measures
 
 from .figures import power_balance
@@ -49,19 +49,19 @@ class GupfcMonitor(Watch[GupfcMonitorParams]):
                                               start=self._changed)  # fmt: skip
         return settled - self._changed
 
-    def measures(self) -> Iterator[Measure]:
+    def figures(self) -> Iterator[Figure]:
         """Extremes of the window, figures since the last change."""
         for name in ("v1", "v_dc"):
             signal = {"signal": f"gupfc/status/{name}/position"}
-            yield Measure(f"{name}_min", measures.minimum, signal)
-            yield Measure(f"{name}_max", measures.maximum, signal)
+            yield self.figure(f"{name}_min", measures.minimum, signal)
+            yield self.figure(f"{name}_max", measures.maximum, signal)
         if not self._asked:
             return
         for name, wanted in zip(FLOWS, self._asked, strict=True):
             error = {"signal": f"gupfc/status/{name}/position", "reference": wanted}
-            yield Measure(f"{name}_settling_time", self._settling_time, error, "s")
-            yield Measure(f"{name}_mean_error", measures.mean_error, error | {"start": self._changed})
-        yield Measure("power_balance", power_balance, {"start": self._changed})
+            yield Figure(f"{name}_settling_time", self._settling_time, error, "s", 1.0)
+            yield self.figure(f"{name}_mean_error", measures.mean_error, error | {"start": self._changed})
+        yield self.figure("power_balance", power_balance, {"start": self._changed})
 
 
 main = executable(GupfcMonitor)

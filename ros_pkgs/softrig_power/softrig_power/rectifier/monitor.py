@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from itertools import zip_longest
 from typing import Any
 
-from softrig_core import Measure, Watch, WatchParams, executable, param, scalars
+from softrig_core import Figure, Watch, WatchParams, executable, param, scalars
 from softrig_core.rig import measures
 
 from .parameters import RectifierConstants
@@ -53,17 +53,17 @@ class RectifierMonitor(Watch[RectifierMonitorParams]):
             self._events.append((self._events[-1][0] + 1 if self._events else 0, t / 1e9, w))
         return super().update(t, dc_link=dc_link)
 
-    def measures(self) -> Iterator[Measure]:
+    def figures(self) -> Iterator[Figure]:
         """Figures of each event until the next one."""
         ends = [at - 0.5 * self.p.period for _, at, _ in self._events][1:]
         for (k, at, w), end in zip_longest(self._events, ends):
             part = {"signal": V_DC, "start": at, "end": end}
-            yield Measure(f"event_{k}_v_min", measures.minimum, part)
-            yield Measure(f"event_{k}_v_max", measures.maximum, part)
-            yield Measure(f"event_{k}_final", measures.final_value, part)
-            yield Measure(f"event_{k}_overshoot", measures.overshoot, part | {"final": w})
+            yield self.figure(f"event_{k}_v_min", measures.minimum, part)
+            yield self.figure(f"event_{k}_v_max", measures.maximum, part)
+            yield self.figure(f"event_{k}_final", measures.final_value, part)
+            yield self.figure(f"event_{k}_overshoot", measures.overshoot, part | {"final": w})
             band = {"final": w, "band": self.p.band, "at": "sample"}
-            yield Measure(f"event_{k}_settling", measures.settling_time, part | band)
+            yield self.figure(f"event_{k}_settling", measures.settling_time, part | band)
 
 
 main = executable(RectifierMonitor)

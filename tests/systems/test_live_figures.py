@@ -1,0 +1,98 @@
+"""The node `figures`: what it says of a rig while it runs is what is measured of the recording."""
+
+import pytest
+from softrig_core import Rig, Scenario, ScenarioError, load_scenario, rig_of, simulate
+from softrig_core.node.figures import Figures
+
+SPEED = "motor/true_state/shaft/velocity"
+NODE = {"package": "softrig_core", "executable": "figures"}
+
+
+def with_figures(name, duration):
+    """The scenario with a node `figures`, whatever its own nodes are called."""
+    scenario = load_scenario(name).changed(duration=duration)
+    others = {n: e.model_dump() for n, e in scenario.nodes.items() if e.executable != "figures"}
+    return Scenario.model_validate({**dict(scenario), "nodes": {**others, "figures": NODE}})
+
+
+def live(run):
+    return dict(run.blocks["figures"].status())
+
+
+@pytest.mark.parametrize(
+    ("name", "duration", "least"),
+    [
+        ("dc_motor_smc_b1", 4.0, 7), ("dc_motor_smc_faults", 4.0, 6), ("rehab_impedance", 4.0, 18),
+        ("manipulator_adsmc_s2", 4.0, 12),
+    ],
+)  # fmt: skip
+def test_figures_while_running_equal_those_of_the_recording(name, duration, least):
+    run = simulate(with_figures(name, duration))
+    measured = {r.name: (r.value, r.unit) for r in run.results if r.value is not None}
+    known = {n: x for n, x in measured.items() if n in run.rig.scenario.figures}
+    assert len(known) >= least
+    assert live(run) == known
+
+
+STEPS = {"motor_reference.times": [0.0, 2.0], "motor_reference.velocities": [10.0, 4.0]}
+
+
+def test_figures_are_those_of_the_newest_step_of_their_reference():
+    """Down from 10 to 4 rad/s at 2 s: the mirror image of a step up by 6, counted from there."""
+    run = simulate("dc_motor_smc_b2", overrides=STEPS, duration=5.5)
+    up = simulate("dc_motor_smc_b2", overrides={"motor_reference.velocities": [6.0]}, duration=3.5)
+    t, w = run.signals[SPEED]
+    late = w[t > 5.0 - 1e-9]
+    assert run.figures["mean_error"] == pytest.approx(4.0 - late[:-1].mean(), abs=1e-3)
+    assert run.figures["peak_to_peak"] == late.max() - late.min()
+    assert 0.0 < run.figures["rise_time"] < up.figures["rise_time"] * 2.0
+    assert run.figures["overshoot"] < 5.0
+    assert run.blocks["dc_motor_metrics"].status()["rise_time"] == (run.figures["rise_time"], "s")
+
+
+def test_a_step_that_the_window_has_left_behind_has_no_figures():
+    overrides = STEPS | {"dc_motor_metrics.window": 2.0}
+    assert (
+        "rise_time"
+        in simulate("dc_motor_smc_b2", overrides=overrides, duration=3.5).blocks["dc_motor_metrics"].status()
+    )
+    assert simulate("dc_motor_smc_b2", overrides=overrides, duration=5.5).blocks["dc_motor_metrics"].status() == {}
+
+
+def test_by_hand_it_reads_the_topics_of_a_scenario_alone():
+    node = Figures(scenario="dc_motor_smc_b1")
+    topics = {p.topic for p in node.ports(node.p)[0]}
+    assert topics == {"motor/true_state", "motor/applied", "motor/sensors", "motor/reference"}
+    assert node.status() == {}
+    inside = next(m for m in rig_of("dc_motor_smc_b1").members if m.name == "dc_motor_metrics")
+    assert inside.params.given() == node.p.given()
+
+
+def test_it_follows_a_parameter_that_its_figures_refer_to():
+    rig = rig_of("dc_motor_smc_stretch_b")
+    assert rig.scenario.nodes["dc_motor_metrics"].parameters == {}  # what it is told stands nowhere else
+    node = next(
+        m for m in rig.changed(overrides={"motor_reference.velocities": [5.0]}).members if m.name[-7:] == "metrics"
+    )
+    assert {f.name: f.arguments["reference"] for f in Figures(node.params).figures() if f.name == "load_dip"} == {
+        "load_dip": 5.0
+    }
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({"since": "motor/reference/shaft/velocty"}, "no signal 'motor/reference/shaft/velocty'.*did you mean"),
+        ({"since": "motor/sensors/current_a/position"}, "a signal in 'rad/s' and a reference in 'A'"),
+        ({"arguments": {"signal": SPEED, "initial": 1.0}}, "with initial the final value must be given, too"),
+        (
+            {"function": "lsrm_arrival", "arguments": {"v_d": 1.0}},
+            "since: arrival takes no start, it is of a whole run",
+        ),
+    ],
+)
+def test_what_cannot_be_counted_from_a_step_is_refused_before_the_run(changes, text):
+    scenario = load_scenario("dc_motor_smc_b1")
+    entry = scenario.figures["rise_time"].model_copy(update=changes)
+    with pytest.raises(ScenarioError, match=text):
+        Rig.from_scenario(scenario.model_copy(update={"figures": {"rise_time": entry}}))
