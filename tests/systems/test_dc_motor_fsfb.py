@@ -18,7 +18,6 @@ from softrig_core import (
     evaluate,
     list_scenarios,
     load_scenario,
-    run_inprocess,
 )
 from softrig_core.rig import measures
 from softrig_drives.dc_axis.buttons import StepButtons
@@ -503,25 +502,6 @@ def test_model_velocity_is_clipped():
     signals = axis(controller__vmax=5.0)
     assert signals["axis/model/velocity/position"].x.max() == 5.0
     assert (signals[Y].x == run("dc_motor_fsfb")[Y].x).all()
-
-
-def test_metrics_node_agrees_with_the_recording():
-    rig = Rig.from_scenario(load_scenario("dc_motor_fsfb_s1_none"))
-    status = run_inprocess(rig, 0)["axis_metrics"].status()
-    signals = run("dc_motor_fsfb_s1_none")
-    assert status["rise_time"][0] == pytest.approx(rise(signals, 10.0), abs=1e-9)
-    assert status["settling_time"][0] == pytest.approx(measures.settling_time(signals, Y, final=10.0), abs=1e-9)
-    assert status["overshoot"][0] == pytest.approx(overshoot(signals, 10.0), abs=1e-9)
-    assert status["error"][0] == pytest.approx(10.0 - signals[Y].x[-1])
-    assert status["peak_speed"][0] == pytest.approx(measures.peak(signals, V))
-    assert status["peak_voltage"][0] == pytest.approx(measures.peak(signals, U))
-
-
-def test_metrics_node_starts_again_with_a_new_step():
-    rig = Rig.from_scenario(load_scenario("dc_motor_fsfb_s2"))
-    status = run_inprocess(rig, 0)["axis_metrics"].status()
-    assert status["set_point"] == (0.0, "mm")
-    assert status["rise_time"][0] == pytest.approx(0.910, abs=0.01)
 
 
 def test_reset_forgets_everything():

@@ -23,6 +23,7 @@ def live(run):
     ("name", "duration", "least"),
     [
         ("dc_motor_smc_b1", 4.0, 7), ("dc_motor_smc_faults", 4.0, 6), ("rehab_impedance", 4.0, 18),
+        ("dc_motor_fsfb_s1_none", 8.0, 7), ("dc_motor_fsfb_s2", 8.0, 9),
         ("manipulator_adsmc_s2", 4.0, 12),
     ],
 )  # fmt: skip
