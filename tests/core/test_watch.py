@@ -1,9 +1,10 @@
 """Observers as windows with figures: each message once, nothing paired that does not belong together."""
 
+import numpy as np
 import pytest
 from conftest import in_process, make_scenario
 from faultrig import COMMAND, REFERENCE, STATE, Gain, Lag, Source
-from softrig_core import Rig, Signals, Watch, WatchParams, run_inprocess
+from softrig_core import Figure, Rig, Signals, Watch, WatchParams, run_inprocess
 from softrig_core.rig import measures
 
 X, U, R = "lag/state/x/position", "lag/command/u/effort", "lag/reference/x/position"
@@ -61,3 +62,23 @@ def test_an_offline_reference_is_not_paired_with_the_output_at_the_end():
     when, r = signals[R]
     assert t.size == when.size + 1
     assert measures.peak(signals, X, reference=R) == abs(x[:-1] - r).max()
+
+
+def test_a_figure_counts_from_the_newest_step_of_its_reference():
+    """Steps to 1 at 0 s, to 3 at 2 s; the signal follows a sample of 0.5 s later, and says 9 at 4 s."""
+    t = np.arange(0.0, 4.5, 0.5)
+    signals = {"r": (np.array([0.0, 1.0, 2.0, 3.0]), np.array([1.0, 1.0, 3.0, 3.0])),
+               "y": (t, np.where(t == 4.0, 9.0, np.where(t > 2.0, 3.0, np.where(t > 0.0, 1.0, 0.0))))}  # fmt: skip
+
+    def measured(function, **arguments):
+        return Figure("it", function, {"signal": "y", **arguments}, "", 1.0, "r")(signals)
+
+    assert measured(measures.overshoot) == pytest.approx(300.0)  # 6 beyond a step of 2, from 1 to 3
+    assert measured(measures.overshoot, end=1.5) == 0.0
+    assert measured(measures.overshoot, final=6.0) == pytest.approx(50.0)  # from 0, as without a step
+    assert measured(measures.minimum) == 1.0
+    assert measured(measures.minimum, start=0.5) == 3.0
+    assert measured(measures.mean_error, reference="r", start=0.5, end=1.5) == 0.0
+    assert measured(measures.mean_error, reference="r", end=0.0) == 2.0
+    with pytest.raises(ValueError, match="r has 0 samples"):
+        Figure("it", measures.mean, {"signal": "y"}, "", 1.0, "r")({**signals, "r": (np.array([]), np.array([]))})

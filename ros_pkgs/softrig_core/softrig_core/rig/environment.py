@@ -18,7 +18,7 @@ from ..wire.recording import Recording
 from ..wire.signals import full_name
 from .inprocess import record, wired
 from .members import Member, signal_units
-from .port_text import ports_text
+from .port_text import ports_text, reader
 from .references import fill_parameters, pick
 from .requirements import names_of
 from .rig import Rig
@@ -33,7 +33,6 @@ from numpy.typing import NDArray  # noqa: E402
 
 Array = NDArray[np.float64]
 Signals = Sequence[str] | Mapping[str, tuple[float, float]]
-_SAID = ("topic", "msgtype", "channels", "fields", "units", "frame_id", "dims", "limits", "delayed")
 
 
 class Now(Mapping[str, float]):
@@ -352,7 +351,7 @@ def _entry(rig: Rig, law: Member, observe: Signals | None, act: Signals | None) 
     for signal in observed or ():
         if signal not in _limits(come):
             port = next(p for p in rig.topics.values() if signal in _limits([p]))
-            come.append(Port(f"observed_{len(come)}", **{key: getattr(port, key) for key in _SAID}))
+            come.append(reader(port, f"observed_{len(come)}"))
     observed = list(_limits(come)) if observed is None else observed
     acted = [now.whole(name) for name in act] if act is not None else list(_limits(law.outputs))
     for signal in acted:

@@ -20,7 +20,7 @@ from .expectation import Expectation
 from .formula import SURE
 from .measures import Function, SignalMap, final_value, newest_step
 from .members import Members, signal_units
-from .port_text import ports_text
+from .port_text import ports_text, reader
 from .references import fill_parameters
 from .registry import find
 from .requirements import Judge, judges
@@ -163,7 +163,7 @@ def told(rig: Members) -> dict[str, str]:
             if isinstance(name, str) and name in units}  # fmt: skip
     said = {p.topic for m in rig.members for p in m.outputs}
     ports = [
-        replace(p, name=f"input_{k}", held=topic not in said, sporadic=False, partial=False, also=(), unchecked=False)
+        reader(p, f"input_{k}", held=topic not in said)
         for k, (topic, p) in enumerate(rig.topics.items())
         if topic != CLOCK.topic and any(f"{topic}/{label}" in read for label in p.labels)
     ]

@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import Any
 
 from ..model.port import Port
 
 _TUPLES = ("channels", "fields", "units", "limits", "safe")
+
+
+def reader(port: Port, name: str, held: bool = False) -> Port:
+    """Give the input that takes all that an output says."""
+    return replace(port, name=name, held=held, sporadic=False, partial=False, also=(), unchecked=False, safe=())
 
 
 def ports_text(ports: Sequence[Port]) -> str:

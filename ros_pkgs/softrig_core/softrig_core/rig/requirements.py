@@ -5,7 +5,6 @@ A requirement is a figure whose value is its margin (robustness) and whose expec
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -34,6 +33,7 @@ from .formula import (
 )
 from .measures import SignalMap
 from .members import Members
+from .port_text import ports_text, reader
 from .references import fill_parameters
 from .requirement_entry import Requirement
 
@@ -126,14 +126,11 @@ def watched(rig: Members, units: Mapping[str, str]) -> dict[str, dict[str, Any]]
             continue
         judge = _judge(rig, requirement, {**numbers, **dict.fromkeys(signals)}, signals, units)
         topics = {t: p for t, p in rig.topics.items() if any(s.startswith(f"{t}/") for s in judge.signals.values())}
-        said = ("topic", "msgtype", "channels", "fields", "units", "frame_id", "limits")
-        ports = [
-            {"name": f"input_{k}", **{key: getattr(p, key) for key in said}} for k, p in enumerate(topics.values())
-        ]  # fmt: skip
+        ports = ports_text([reader(p, f"input_{k}") for k, p in enumerate(topics.values())])
         nodes[f"requirement_{name}"] = {
             "package": "softrig_control", "executable": "requirement_monitor",
             "parameters": {
-                "period": rig.clock.params.period, "formula": requirement.formula, "ports": json.dumps(ports),
+                "period": rig.clock.params.period, "formula": requirement.formula, "ports": ports,
                 "names": list(judge.signals), "signals": list(judge.signals.values()), "constants": list(numbers),
                 "values": list(numbers.values()), "scale_units": list(requirement.scale),
                 "scale_values": list(requirement.scale.values()), "topic": f"requirement/{name}",

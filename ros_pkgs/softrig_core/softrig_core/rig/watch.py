@@ -45,11 +45,9 @@ class Watch(Observer[W]):
         self._rows: dict[str, deque[tuple[int, Any]]] = {port.name: deque() for port in inputs}
         self._reach = round(self.p.window * SECOND)
         self._forgot: set[str] = set()  # topics of which older messages were there
-        self.now = 0
 
     def update(self, t: int, **inputs: Any) -> Mapping[str, tuple[float, ...]]:
         """Keep what is new."""
-        self.now = t
         first, age, kept = t - self._reach, self.age, self._rows
         for name, values in inputs.items():
             if values is None:

@@ -38,7 +38,7 @@ class MotionMonitor(Watch[MotionMonitorParams]):
     """Overshoot, rise and settling time, IAE, ITAE, peak error, peak force; after a load its dip and recovery.
 
     At the monitor's own period; the figures of a scenario see every sample. Speeds are in the direction of the
-    reference; where it turns, the figures begin anew.
+    reference; where it turns, the figures begin anew: those of a scenario can begin at a step, but a profile has none.
     """
 
     INPUTS = (JOINT_STATES, PHASE_CURRENTS, PHASE_VOLTAGE, FORCE_CMD, REFERENCE_PORT, LOAD)

@@ -25,7 +25,9 @@ class GupfcMonitorParams(WatchParams):
 class GupfcMonitor(Watch[GupfcMonitorParams]):
     """Since the last change of a reference: settling times and mean errors of the flows, power balance; extremes.
 
-    The settling time of a flow is the time from the change to the first sample from which on it stays in the band.
+    The settling time of a flow is the time from the change to the first sample from which on it stays in the band. The
+    figures of a scenario count from a step of one reference, in parts of it; here a step of any disturbs all four
+    flows, most of which are to stay where they are.
     """
 
     INPUTS = (STATUS, *(replace(port, name=f"series_{k}") for k, port in SERIES_REFERENCE.items()))

@@ -31,7 +31,8 @@ class RectifierMonitor(Watch[RectifierMonitorParams]):
     """Least, largest and newest voltage, settling time and overshoot since each change of an event or the reference.
 
     ``event_0`` is the start. The settling time counts from the change to the first sample from which on the voltage has
-    stayed within the band; it is left out while the voltage is outside.
+    stayed within the band; it is left out while the voltage is outside. The figures of a scenario know the events of
+    its file by their times; this finds every change of three kinds of events and of the reference and keeps them apart.
     """
 
     INPUTS = (DC_LINK, REFERENCE, events(NOMINAL.R_L, NOMINAL.V_g))
