@@ -1,7 +1,5 @@
 """Arrays: their bytes, and the number in their layout that stands for the stamp which they have not."""
 
-import subprocess
-import sys
 from itertools import count
 
 import numpy as np
@@ -9,6 +7,7 @@ import pytest
 from conftest import differences, in_process, make_scenario
 from faultrig import MATRIX as SPREAD, STATE, Lag
 from hypothesis import given, strategies as st
+from outside import script
 from rosbags.typesys import Stores, get_typestore
 from simulated import SimulatedRig, World
 from softrig_core import Block, Level, Recording, Refused, Rig, Signals, array, pose, run_processes
@@ -372,14 +371,12 @@ def with_outside_sender(label, twice, directory):
     """Run the rig with a plain rclpy node in place of the one that sends the matrix."""
     nodes = ARRAYS | {"spread": {"executable": "spread", "external": True}}
     wired = Rig.from_scenario(make_scenario(nodes, 0.3, timeout=60.0))
-    script = directory / "outside.py"
-    script.write_text(OUTSIDE.replace("LABEL", label).replace("TWICE", str(twice)))
-    outside = []
+    code, outside = OUTSIDE.replace("LABEL", label).replace("TWICE", str(twice)), []
     with free_domain() as domain:
 
         def announce(text):
             if not outside:
-                outside.append(subprocess.Popen([sys.executable, script], env=environment(domain, directory)))
+                outside.append(script(code, environment(domain, directory)))
 
         try:
             return run_processes(wired, 0, directory, domain=domain, announce=announce, wait=60.0)

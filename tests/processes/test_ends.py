@@ -18,6 +18,7 @@ from softrig_core.rig.children import read_status
 from softrig_core.rig.domain import free_domain
 from softrig_core.rig.executables import environment, find_executable
 from softrig_core.rig.shared_memory import remove_leftovers
+from softrig_core.rig.start_server import start_node
 from softrig_core.rig.starting import node_parameters, parameter_file
 from softrig_core.rig.stopping import Stopped, stoppable
 
@@ -230,8 +231,9 @@ def test_ctrl_c_once_or_twice_is_a_clean_end_of_every_node(mode, tmp_path):
                 "run.status": str(tmp_path / f"{member.name}.status")}, tmp_path)  # fmt: skip
             command = [str(find_executable(member.package, member.executable)), "--ros-args", "-r",
                        f"__node:={member.name}", "--params-file", str(file)]  # fmt: skip
-            log = (tmp_path / f"{member.name}.log").open("wb")
-            running.append(subprocess.Popen(command, env=environment(domain, tmp_path), stdout=log, stderr=log))
+            with (tmp_path / f"{member.name}.log").open("wb") as log:
+                running.append(start_node(member.package, member.executable, command, environment(domain, tmp_path),
+                                          log.fileno()))  # fmt: skip
         until(lambda: read_status(tmp_path / "plant.status").get("t", 0) > 10**8)
         for process in running:
             process.send_signal(signal.SIGINT)

@@ -2,6 +2,7 @@
 
 import pytest
 from conftest import PRESS, make_scenario
+from outside import SPIN, go, outside
 from softrig_core import Rig, Signals, run_processes
 
 pytestmark = pytest.mark.processes
@@ -37,7 +38,8 @@ def test_a_lost_controller_brings_the_safe_input_and_a_new_one_takes_over(bench)
     bench.wait(lambda: bench.signal("plant", "lag/applied/u/effort").x[-1] != 0.0)
 
 
-PUBLISHER = """
+PUBLISHER = (
+    """
 import rclpy, sys
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
@@ -48,8 +50,9 @@ def send():
     message = JointState(name=["u"], effort=[VALUE])
     publisher.publish(message)
 node.create_timer(0.01, send)
-rclpy.spin(node)
 """
+    + SPIN
+)
 
 
 def test_of_two_rivals_neither_is_believed(bench):
@@ -57,19 +60,19 @@ def test_of_two_rivals_neither_is_believed(bench):
     bench.start("source", "source")
     bench.start("gain", "gain")
     bench.wait(lambda: bench.status("gain")["ticks"] > 30)
-    bench.python("intruder", PUBLISHER.replace("VALUE", "5.0"))
+    outside(bench, "intruder", PUBLISHER.replace("VALUE", "5.0"))
     bench.wait(lambda: bench.status("plant")["refused"]["lag/command"][0] > 10)
     ticks = bench.status("plant")["ticks"]
     bench.wait(lambda: bench.status("plant")["ticks"] > ticks + 20)
     bench.wait(lambda: bench.signal("plant", "lag/applied/u/effort").x[-1] == 0.0)
     assert bench.signal("plant", "lag/applied/u/effort").x.max() < 5.0
-    bench.kill("intruder")
+    go(bench, "intruder")
     bench.wait(lambda: bench.signal("plant", "lag/applied/u/effort").x[-1] != 0.0)
 
 
 def test_nan_from_outside_is_refused_and_counted(bench):
     bench.start("plant", "plant")
-    bench.python("intruder", PUBLISHER.replace("VALUE", "float('nan')"))
+    outside(bench, "intruder", PUBLISHER.replace("VALUE", "float('nan')"))
     bench.wait(lambda: bench.status("plant")["refused"]["lag/command"][0] > 10
                and bench.status("plant")["ticks"] > 10)  # fmt: skip
     assert bench.status("plant")["refused"]["lag/command"][1] == "u/effort is nan, expected a finite number"
@@ -92,9 +95,9 @@ while not any(name == "plant" and "refused on lag/command: u/effort is nan" in t
 
 
 def test_the_usual_tools_hear_of_a_refusal(bench):
-    bench.python("listener", LISTENER)
+    outside(bench, "listener", LISTENER)
     bench.start("plant", "plant")
-    bench.python("intruder", PUBLISHER.replace("VALUE", "float('nan')"))
+    outside(bench, "intruder", PUBLISHER.replace("VALUE", "float('nan')"))
     assert bench.ends("listener") == 0
 
 
@@ -110,7 +113,7 @@ node.create_timer(0.1, lambda: publisher.publish(Float64(data=3.0)))
 rclpy.spin(node)
 """
     bench.start("plant", "plant")
-    bench.python("person", code)
+    outside(bench, "person", code)
     bench.wait(lambda: bench.status("plant")["ticks"] > 10 and
                bench.signal("plant", "lag/applied/u/effort").x[-1] == 3.0)  # fmt: skip
     assert bench.signal("plant", "lag/offset/data").x[-1] == 3.0
@@ -126,7 +129,7 @@ def test_an_empty_list_reaches_a_node_process(bench):
 def test_a_button_is_also_a_service_that_presses_it_for_one_tick(bench):
     bench.start("plant", "plant")
     bench.wait(lambda: bench.status("plant")["ticks"] > 10)
-    bench.python("person", PRESS)
+    outside(bench, "person", PRESS)
     assert bench.ends("person") == 0
     ticks = bench.status("plant")["ticks"]
     bench.wait(lambda: bench.status("plant")["ticks"] > ticks + 100)
@@ -171,7 +174,7 @@ assert any(len(m.points) > 2 for m in seen["markers"])
 def test_a_viewer_that_comes_late_gets_the_robot_description_and_markers(bench):
     bench.start("robot_dynamics", "robot_dynamics", package="softrig_robots")
     bench.wait(lambda: bench.status("robot_dynamics")["state"] == "running")
-    bench.python("viewer", WATCHER)
+    outside(bench, "viewer", WATCHER)
     assert bench.ends("viewer") == 0
 
 
@@ -197,7 +200,7 @@ def test_the_profile_of_a_topic_is_settable_as_of_any_node_of_ros(bench):
     given = {"durability": "transient_local", "reliability": "best_effort", "deadline": "20000000"}
     words = [w for k, v in given.items() for w in ("-p", f"qos_overrides./lag/state.publisher.{k}:={v}")]
     bench.start("plant", "plant", *words)
-    bench.python("asking", ASK_PROFILES)
+    outside(bench, "asking", ASK_PROFILES)
     assert bench.ends("asking") == 0
 
 
@@ -235,7 +238,7 @@ while not latest or latest[-1].position[0] < latest[0].position[0] + 0.05:
 def test_a_plant_is_hardware_for_ros2_control_over_topics(package, plant, joints, states, commands, bench):
     """An outside node speaks as TopicBasedSystem of topic_based_ros2_control: best effort in, depth 1 out, no frame."""
     bench.start(plant, plant, "-p", "period:=0.001", package=package)
-    bench.python("hardware", HARDWARE.format(joints=joints, states=states, commands=commands))
+    outside(bench, "hardware", HARDWARE.format(joints=joints, states=states, commands=commands))
     assert bench.ends("hardware") == 0
     bench.wait(lambda: sum(bench.signal(plant, f"{states[1:]}/{joints[0]}/velocity").x) > 0)
     bench.wait(lambda: bench.status(plant)["ticks"])
@@ -262,7 +265,7 @@ def test_what_a_forward_command_controller_takes_drives_a_plant(bench):
     """A bare array, as `ros2 topic pub` and ros2_controllers write it; one of another length is refused."""
     bench.start("plant", "dc_motor_plant", package="softrig_drives")
     bench.start("forward", "forward_command", "-r", "command:=motor/command", package="softrig_control")
-    bench.python("person", COMMANDS)
+    outside(bench, "person", COMMANDS)
     assert bench.ends("person") == 0
     bench.wait(lambda: bench.status("forward")["refused"])
     ((count, reason),) = bench.status("forward")["refused"].values()

@@ -3,10 +3,12 @@
 import json
 import subprocess
 import sys
+from contextlib import ExitStack
 
 import pytest
 import yaml
-from conftest import Bench, in_process
+from conftest import PATIENCE, Bench, fork, in_process
+from outside import script
 from rcl_interfaces.msg import ParameterType
 from softrig_bags.read import read_bag
 from softrig_bags.write import write_bag
@@ -50,14 +52,21 @@ print(json.dumps({
 )
 
 
+def asked(bench, code, *arguments):
+    """What a person has been told."""
+    answer = bench.directory / "answer.json"
+    with answer.open("wb") as output:
+        status = script(code, bench.environment, *arguments, output=output.fileno()).wait(PATIENCE)
+    assert status == 0, answer.read_text()
+    return json.loads(answer.read_text())
+
+
 def test_what_is_set_by_services_and_by_the_command_is_checked(tmp_path):
     with free_domain() as domain:
         bench = Bench(tmp_path, domain)
         try:
             bench.start("law", "dc_motor_smc", package="softrig_drives")
-            person = subprocess.run([sys.executable, "-c", PERSON, "law"], env=bench.environment, capture_output=True,
-                                    text=True, check=True, timeout=60)  # fmt: skip
-            said = json.loads(person.stdout)
+            said = asked(bench, PERSON, "law")
             command = [sys.executable, "-m", "softrig_bringup", "set", "law.delta", "0.5"]
             first = subprocess.run(command, env=bench.environment, timeout=60, capture_output=True, text=True)
             assert (first.returncode, first.stderr) == (0, "")
@@ -95,11 +104,9 @@ def test_what_is_listed_and_dumped_fits_another_run(tmp_path):
         bench = Bench(tmp_path, domain)
         try:
             bench.start("steps", "reference_source", package="softrig_control")
-            person = subprocess.run([sys.executable, "-c", LISTER, "steps"], env=bench.environment, capture_output=True,
-                                    text=True, check=True, timeout=60)  # fmt: skip
+            said = asked(bench, LISTER, "steps")
         finally:
             bench.kill("steps")
-    said = json.loads(person.stdout)
     assert said["accelerations"] == [ParameterType.PARAMETER_DOUBLE_ARRAY, "", []]
     assert said["run.mode"][1] == "realtime"
     assert not [name for name, (_, text, _) in said.items() if str(tmp_path) in text]
@@ -121,13 +128,14 @@ def test_a_replay_into_one_node_sets_what_the_bag_has_changed(tmp_path):
         try:
             bench.start("dc_motor_smc", "dc_motor_smc", "--params-file", str(tmp_path / "law.yaml"), "-p",
                         "run.mode:=lockstep", "-p", "run.paired:=[reference]", package="softrig_drives")  # fmt: skip
-            command = [str(find_executable("softrig_bags", "player")), "bag", "--lockstep", "motor/command",
+            command = [find_executable("softrig_bags", "player"), "bag", "--lockstep", "motor/command",
                        "--exclude", "motor/surface", "--answers", "answers"]  # fmt: skip
-            played = subprocess.run(command, cwd=tmp_path, env=bench.environment, timeout=100, capture_output=True,
-                                    text=True)  # fmt: skip
+            with ExitStack() as stack:
+                played = fork(stack, "softrig_bags", "player", command, bench.environment, tmp_path)
+                said = played.communicate(PATIENCE)[0]
         finally:
             for name in list(bench.nodes):
                 bench.kill(name)
-    assert played.returncode == 0, played.stdout + played.stderr
+    assert played.returncode == 0, said
     answers = read_bag(tmp_path / "answers")
     assert answers.topics["motor/command"].data == recording.topics["motor/command"].data

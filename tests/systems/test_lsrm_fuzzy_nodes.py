@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from conftest import differences, in_process
+from outside import SPIN, go, outside
 from softrig_bringup.run import checked, execute
 from softrig_core import Rig, load_scenario
 
@@ -37,8 +38,8 @@ def test_overcurrent_trips_in_a_process(tmp_path):
     assert differences(in_process(Rig.from_scenario(scenario), scenario.seed), run.recording) == []
 
 
-# Sends one command again and again until it is killed.
-PERSON = """
+# Sends one command again and again.
+PERSON = f"""
 import rclpy, sys
 from math import nan
 from rclpy.node import Node
@@ -52,8 +53,7 @@ def send():
     message.header.stamp = node.get_clock().now().to_msg()
     publisher.publish(message)
 node.create_timer(0.005, send)
-rclpy.spin(node)
-"""
+{SPIN}"""
 
 
 class Hand:
@@ -68,10 +68,9 @@ class Hand:
 
     def sends(self, topic, names, effort, until):
         """Command until something holds."""
-        code = f"import sys; sys.argv[1:] = {[topic, names, effort]!r}\n{PERSON}"
-        self.bench.python("person", code)
+        outside(self.bench, "person", PERSON, topic, names, effort)
         self.bench.wait(until)
-        self.bench.kill("person")
+        go(self.bench, "person")
 
     def current(self):
         return self.bench.signal("plant", CURRENT_A).x[-1]

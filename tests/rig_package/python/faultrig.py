@@ -2,6 +2,7 @@
 
 import os
 import signal
+import sys
 import time
 from typing import ClassVar
 
@@ -322,6 +323,13 @@ class Unreadable:
 
 def unreadable(request, work):
     return Unreadable()
+
+
+def script():
+    """Run a script with arguments, as ``python -c`` does."""
+    code, *arguments = sys.argv[1:]
+    sys.argv = ["-c", *arguments]
+    exec(compile(code, "<script>", "exec"), {"__name__": "__main__"})
 
 
 plant = executable(Lag)

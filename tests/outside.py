@@ -1,0 +1,38 @@
+"""A script as a process that the start server forks: as by ``python -c``, without half a second of imports.
+
+What is to know nothing of softrig is started by its own interpreter.
+"""
+
+import signal
+
+from softrig_core.rig.executables import find_executable
+from softrig_core.rig.start_server import start_node
+
+
+def script(code, variables, *arguments, output=2):
+    """Run a script with arguments in an environment; what comes back has what `subprocess.Popen` has."""
+    command = [str(find_executable("faultrig", "script")), code, *arguments]
+    return start_node("faultrig", "script", command, variables, output)
+
+
+SPIN = """
+from rclpy.executors import ExternalShutdownException
+try:
+    rclpy.spin(node)
+except (KeyboardInterrupt, ExternalShutdownException):
+    pass
+node.destroy_node()
+rclpy.try_shutdown()
+"""
+
+
+def outside(bench, name, code, *arguments):
+    """Run a script beside the nodes of a bench."""
+    bench.nodes[name] = script(code, bench.environment, *arguments)
+    return bench.nodes[name]
+
+
+def go(bench, name):
+    """Let a node, or a script that ends in `SPIN`, leave by Ctrl-C: who is killed is there for 3 s more."""
+    bench.nodes[name].send_signal(signal.SIGINT)
+    assert bench.ends(name) == 0
