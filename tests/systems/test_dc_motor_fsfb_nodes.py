@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from conftest import differences, in_process
+from outside import go, outside
 from softrig_core import Rig, Signals, load_scenario, run_processes
 from softrig_core.rig import measures
 
@@ -80,8 +81,7 @@ class Axis:
         self.bench.start("controller", "fsfb_controller", *arguments, package="softrig_drives")
 
     def ask(self, *lines):
-        code = f"import sys; sys.argv[1:] = {list(lines)!r}\n{PERSON}"
-        self.bench.python("person", code)
+        outside(self.bench, "person", PERSON, *lines)
         assert self.bench.ends("person") == 0
 
     def arrives(self, where):
@@ -91,7 +91,21 @@ class Axis:
             asked, y = self.bench.signal("controller", SET_POINT).x, self.bench.signal("plant", Y).x[-50:]
             return asked[-1] == where and np.abs(y - where).max() < 0.1
 
-        self.bench.wait(there)
+        self.wait(there)
+
+    def wait(self, condition):
+        """Look at what is recorded when there is more of it."""
+        seen = None
+
+        def more():
+            nonlocal seen
+            ticks = self.bench.status("plant").get("ticks")
+            if ticks == seen:
+                return False
+            seen = ticks
+            return condition()
+
+        self.bench.wait(more)
 
 
 @pytest.fixture
@@ -112,10 +126,10 @@ def test_buttons_by_topic_and_by_service_move_the_axis(axis):
 def test_a_lost_controller_stops_the_axis_and_a_new_one_takes_over_without_a_bump(axis):
     bench = axis.bench
     axis.ask("press forward")
-    bench.wait(lambda: bench.signal("plant", Y).x[-1] > 3.0)
-    bench.kill("controller")
+    axis.wait(lambda: bench.signal("plant", Y).x[-1] > 3.0)
+    go(bench, "controller")
     bench.wait(lambda: "stale axis/command" in bench.status("plant")["reports"])
-    bench.wait(lambda: np.ptp(bench.signal("plant", Y).x[-50:]) < 1e-3)  # the motor has run out
+    axis.wait(lambda: np.ptp(bench.signal("plant", Y).x[-50:]) < 1e-3)  # the motor has run out
     stopped = bench.signal("plant", "axis/state/axis/position").x[-1]
     axis.start_controller()
     bench.wait(lambda: "recovered axis/command" in bench.status("plant")["reports"])
