@@ -13,8 +13,9 @@ def rig(name, duration, overrides=None):
 
 @pytest.mark.parametrize(
     ("name", "duration"),
-    [("manipulator_adsmc_s2", 1.0), ("manipulator_adsmc_two_link", 0.3), ("rehab_impedance_r5", 0.5)],
-)
+    [("manipulator_adsmc_two_link", 0.3), ("rehab_impedance_r5", 0.5),
+     pytest.param("manipulator_adsmc_s2", 1.0, marks=pytest.mark.long)],
+)  # fmt: skip
 def test_equal_to_in_process_bit_for_bit(name, duration, tmp_path):
     wired = rig(name, duration)
     outcome = run_processes(wired, 0, tmp_path)
@@ -52,7 +53,7 @@ def test_leg_started_by_hand_long_before_its_controller(bench):
         bench.start(name, name, package="softrig_robots")
 
     start("rehab_plant")
-    bench.wait(lambda: bench.status("rehab_plant")["ticks"] > 4000)
+    bench.wait(lambda: bench.status("rehab_plant")["ticks"] > 1000)
     start("prom_reference")
     start("voltage_controller")
     bench.wait(lambda: bench.status("voltage_controller")["ticks"] > 300)
