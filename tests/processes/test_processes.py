@@ -6,11 +6,13 @@ import subprocess
 import sys
 import textwrap
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import PATIENCE, PRESS, differences, in_process, make_scenario, no_process_left, until
+from conftest import PATIENCE, PRESS, differences, fork, in_process, make_scenario, no_process_left, until
+from outside import script
 from softrig_core import Rig, ScenarioError, Signals, run_processes
 from softrig_core.rig.domain import free_domain
 from softrig_core.rig.executables import environment, find_executable
@@ -68,7 +70,10 @@ RIGS = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", RIGS)
+# the others' shapes stand in a container (test_container.py) daily
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=[pytest.mark.long] * (n in ("basic", "two plants"))) for n in RIGS]
+)
 def test_equal_to_in_process_bit_for_bit(name, tmp_path):
     nodes, duration = RIGS[name]
     wired = rig(nodes, duration)
@@ -98,13 +103,13 @@ def test_an_observer_sees_every_sample_up_to_the_end(tmp_path):
 
 
 def test_many_starts_are_identical_also_under_load(tmp_path):
-    """A dozen starts, two at a time on two cores with a spinning process beside them; test_starts.py has a thousand."""
+    """Six starts, two at a time on two cores with a spinning process beside them; test_starts.py has a thousand."""
     wired = rig(BASIC, 0.3)
     expected = in_process(wired)
     load = subprocess.Popen([sys.executable, "-c", "while True: pass"])
     try:
         with ThreadPoolExecutor(2) as pool:
-            outcomes = list(pool.map(lambda i: run_processes(wired, 0, tmp_path / str(i)), range(12)))
+            outcomes = list(pool.map(lambda i: run_processes(wired, 0, tmp_path / str(i)), range(6)))
     finally:
         load.kill()
         load.wait()
@@ -140,6 +145,7 @@ def test_a_node_read_only_by_slower_ones_is_waited_for(tmp_path):
     assert differences(in_process(wired), outcome.recording) == []
 
 
+@pytest.mark.long  # daily in a container
 def test_a_press_by_service_in_lockstep_is_recorded_at_the_tick_that_saw_it(tmp_path):
     wired = rig(BASIC, 1e4)
     people = []
@@ -147,7 +153,7 @@ def test_a_press_by_service_in_lockstep_is_recorded_at_the_tick_that_saw_it(tmp_
 
         def progress(t):
             if t and not people:
-                people.append(subprocess.Popen([sys.executable, "-c", PRESS], env=environment(domain, tmp_path)))
+                people.append(script(PRESS, environment(domain, tmp_path)))
             if people and people[0].poll() is not None:
                 raise KeyboardInterrupt
 
@@ -177,7 +183,9 @@ def fault(how, **keys):
     [
         ("kill", ["node gain was killed by SIGKILL"]),
         ("stop", ["node gain: its process is stopped (SIGSTOP)"]),
-        ("hang", ["plant: nothing stamped t = 0.2 s within", "lag/command from gain"]),
+        pytest.param(
+            "hang", ["plant: nothing stamped t = 0.2 s within", "lag/command from gain"], marks=pytest.mark.long
+        ),
         ("nan", ["gain: command u/effort became nan at t = 0.2 s"]),
         ("raise", ["gain: failed at t = 0.2 s: ArithmeticError: deliberate"]),
     ],
@@ -233,18 +241,19 @@ def test_nodes_die_with_a_killed_runner(tmp_path):
 
 def test_bad_parameters_stop_a_node_with_one_line(tmp_path):
     variables = os.environ | {"ROS_LOG_DIR": str(tmp_path)}
-    executable = str(find_executable("faultrig", "plant"))
+    executable = find_executable("faultrig", "plant")
     for argument, text in [
         ("gain:=-1.0", "parameter gain = -1.0: input should be greater than 0"),
         ("gian:=1.0", "parameter gian is unknown (did you mean 'gain'?); this block has period, gain, limit"),
         ("gain:=high", "parameter gain = 'high': input should be a valid number"),
         ("run.mode:=fast", "run.mode"),
     ]:
-        done = subprocess.run([executable, "--ros-args", "-p", argument], capture_output=True, text=True,
-                              env=variables, timeout=PATIENCE)  # fmt: skip
+        with ExitStack() as stack:
+            done = fork(stack, "faultrig", "plant", [executable, "--ros-args", "-p", argument], variables)
+            said = done.communicate(PATIENCE)[0]
         assert done.returncode == 2
-        assert text.removeprefix("run.") in done.stderr
-        assert len(done.stderr.strip().splitlines()) == 1
+        assert text.removeprefix("run.") in said
+        assert len(said.strip().splitlines()) == 1
 
 
 def test_a_refused_parameter_is_a_scenario_error():
@@ -293,13 +302,15 @@ rclpy.spin(node)
 """
 
 
-def with_outside_controller(extra, directory, duration=1.0, mode="lockstep"):
-    """Run the basic rig with a plain rclpy controller that imports nothing of softrig."""
+def by_itself(code, variables):
+    return subprocess.Popen([sys.executable, "-c", code], env=variables)
+
+
+def with_outside_controller(extra, directory, duration=1.0, mode="lockstep", start=None):
+    """Run the basic rig with a plain rclpy controller: nothing of softrig is imported in it, unless it is forked."""
     wired = rig(BASIC | {"gain": {"executable": "gain", "external": True}}, duration, timeout=2.5)
     with free_domain() as domain:
-        script = directory / "outside.py"
-        script.write_text(OUTSIDE.replace("EXTRA", extra))
-        outside, said = [], []
+        code, outside, said = OUTSIDE.replace("EXTRA", extra), [], []
 
         def announce(text):
             said.append(text)
@@ -307,7 +318,7 @@ def with_outside_controller(extra, directory, duration=1.0, mode="lockstep"):
                 return
             assert f"ROS_DOMAIN_ID={domain}" in text
             assert "lag/command" in text
-            outside.append(subprocess.Popen([sys.executable, str(script)], env=environment(domain, directory)))
+            outside.append((start or by_itself)(code, environment(domain, directory)))
 
         try:
             outcome = run_processes(wired, 0, directory, domain=domain, announce=announce, mode=mode)
@@ -331,7 +342,7 @@ def test_an_outside_controller_takes_the_place_of_ours(tmp_path):
 
 def test_real_time_begins_when_the_outside_controller_has_come(tmp_path):
     """And not a fixed time after the start: it is started only when the rig already waits for it."""
-    _, outcome = with_outside_controller("", tmp_path, 2.0, "realtime")
+    _, outcome = with_outside_controller("", tmp_path, 1.0, "realtime", script)
     assert outcome.error == ""
     command = Signals(outcome.recording, outcome.epoch)["lag/command/u/effort"]
     assert command.t[0] < 0.5
@@ -341,15 +352,16 @@ def test_real_time_begins_when_the_outside_controller_has_come(tmp_path):
 
 @pytest.mark.parametrize(
     ("extra", "reason"),
-    [
+    [  # each refusal of a message's content is held against the codec, too
         ("command.effort = [float('nan')]", "u/effort is nan, expected a finite number"),
-        ("command.name = ['w']", "names ['w'], expected ['u']"),
-        ("command.effort = [1.0, 2.0]", "effort has 2 values, expected 1 (u)"),
-        ("command.header.stamp.sec += 1", "stamp 1 s from gain, expected 0 s"),
+        *(pytest.param(*row, marks=pytest.mark.long) for row in (
+            ("command.header.stamp.sec += 1", "stamp 1 s from gain, expected 0 s"),
+            ("command.name = ['w']", "names ['w'], expected ['u']"),
+            ("command.effort = [1.0, 2.0]", "effort has 2 values, expected 1 (u)"))),
     ],
-)
+)  # fmt: skip
 def test_a_bad_outside_command_never_reaches_the_plant(extra, reason, tmp_path):
-    _, outcome = with_outside_controller(extra, tmp_path)
+    _, outcome = with_outside_controller(extra, tmp_path, start=script)
     assert "plant: nothing stamped t = 0 s within" in outcome.error
     assert reason in outcome.error
     assert outcome.status["plant"]["refused"]["lag/command"] == [1, reason]
@@ -402,8 +414,7 @@ def test_a_link_loses_a_refused_measurement_and_the_run_goes_on(tmp_path):
         def announce(text):
             if outside:
                 return
-            command = [sys.executable, "-c", PLANT.replace("BAD", "10")]
-            outside.append(subprocess.Popen(command, env=environment(domain, tmp_path)))
+            outside.append(script(PLANT.replace("BAD", "10"), environment(domain, tmp_path)))
 
         try:
             outcome = run_processes(wired, 0, tmp_path, domain=domain, announce=announce)
@@ -418,6 +429,7 @@ def test_a_link_loses_a_refused_measurement_and_the_run_goes_on(tmp_path):
     assert late.x == pytest.approx([0.0] * 3 + list(lost), abs=1e-12)
 
 
+@pytest.mark.long  # daily in a container
 def test_a_second_publisher_ends_the_run_naming_both(tmp_path):
     wired = rig(BASIC, 1e4)
     with free_domain() as domain:
@@ -427,7 +439,7 @@ def test_a_second_publisher_ends_the_run_naming_both(tmp_path):
         def progress(t):
             if t and not intruders:
                 code = OUTSIDE.replace('Node("gain")', 'Node("intruder")').replace("EXTRA", "")
-                intruders.append(subprocess.Popen([sys.executable, "-c", code], env=variables))
+                intruders.append(script(code, variables))
 
         outcome = run_processes(wired, 0, tmp_path, domain=domain, progress=progress)
         intruders[0].kill()
