@@ -7,17 +7,19 @@ import subprocess
 import sys
 import time
 from collections import deque
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from functools import partial
 from pathlib import Path
 
 import pytest
-from conftest import PATIENCE, PRESS, differences, in_process, make_scenario, no_process_left, until
+from conftest import PATIENCE, PRESS, differences, fork, in_process, make_scenario, no_process_left, until
+from outside import script
 from softrig_core import Recording, Rig, Signals, list_scenarios, load_scenario, run_processes
 from softrig_core.node.exchange import BURST, Exchange
 from softrig_core.node.profile import PROPERTY, VARIABLE, exclusive, with_property
 from softrig_core.rig.domain import free_domain
 from softrig_core.rig.executables import environment, find_executable
+from softrig_core.rig.start_server import start_node
 from test_processes import BASIC, OUTSIDE, RIGS, params, rig
 
 pytestmark = pytest.mark.processes
@@ -26,6 +28,7 @@ HEADLINES = [
     "dc_motor_smc", "dc_motor_fsfb", "economic_dispatch", "fault_location", "gupfc", "induction_dtc", "lsrm_fuzzy",
     "manipulator_adsmc", "pv_mppt", "rectifier_mpc", "rehab_impedance", "tcp_aqm_smc",
 ]  # fmt: skip
+DAILY = ("dc_motor_smc", "dc_motor_fsfb", "economic_dispatch", "fault_location")  # also: a link, a solver, arrays
 
 
 def run(wired, directory, seed=0, groups=None, **keys):
@@ -49,7 +52,7 @@ def equal_to_in_process(wired, outcome, seed=0):
     assert differences(expected, outcome.recording) == []
 
 
-@pytest.mark.parametrize("name", HEADLINES)
+@pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.long] * (n not in DAILY)) for n in HEADLINES])
 def test_every_system_gives_the_bytes_of_the_run_in_process(name, tmp_path):
     wired = short(name, 300)
     seed = wired.scenario.seed
@@ -158,7 +161,7 @@ def test_a_press_by_service_is_recorded_at_the_tick_that_saw_it(tmp_path):
 
         def progress(t):
             if t and not people:
-                people.append(subprocess.Popen([sys.executable, "-c", PRESS], env=environment(domain, tmp_path)))
+                people.append(script(PRESS, environment(domain, tmp_path)))
             if people and people[0].poll() is not None:
                 raise KeyboardInterrupt
 
@@ -190,29 +193,34 @@ def test_a_failing_node_ends_the_run_with_its_name_and_a_readable_record(how, te
     assert no_process_left(tmp_path)
 
 
+def container(directory, *arguments):
+    """Exit status and words of a container that has something to object to."""
+    command = [find_executable("softrig_core", "container"), *arguments]
+    with ExitStack() as stack:
+        process = fork(stack, "softrig_core", "container", command, environment(1, directory))
+        said = process.communicate(PATIENCE)[0]
+    return process.returncode, said
+
+
 def test_a_bad_parameter_is_one_line_that_names_the_node(tmp_path):
-    command = [str(find_executable("softrig_core", "container")), "faultrig", "plant", "--", "faultrig", "gain",
-               "--ros-args", "-r", "__node:=mine", "-p", "noise:=high"]  # fmt: skip
-    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, env=environment(1, tmp_path))
-    assert done.returncode == 2
-    assert done.stderr.splitlines()[-1].startswith("mine: parameter noise = 'high'")
+    arguments = ["faultrig", "plant", "--", "faultrig", "gain", "--ros-args", "-r", "__node:=mine", "-p", "noise:=high"]
+    status, said = container(tmp_path, *arguments)
+    assert status == 2
+    assert said.splitlines()[-1].startswith("mine: parameter noise = 'high'")
 
 
 @pytest.mark.parametrize(("arguments", "text"), [(["faultrig"], "expected PACKAGE EXECUTABLE"),
                                                  (["faultrig", "nothing"], "no executable 'nothing'")])  # fmt: skip
 def test_a_bad_command_line_is_one_line(arguments, text, tmp_path):
-    command = [str(find_executable("softrig_core", "container")), *arguments]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, env=environment(1, tmp_path))
-    assert done.returncode == 2
-    assert text in done.stderr.splitlines()[-1]
+    status, said = container(tmp_path, *arguments)
+    assert status == 2
+    assert text in said.splitlines()[-1]
 
 
-def with_outside_controller(extra, directory, realtime=False):
+def with_outside_controller(extra, directory):
     wired = rig(BASIC | {"gain": {"executable": "gain", "external": True}}, 1.0, timeout=2.5)
     with free_domain() as domain:
-        script = directory / "outside.py"
-        script.write_text(OUTSIDE.replace("EXTRA", extra))
-        outside = subprocess.Popen([sys.executable, str(script)], env=environment(domain, directory))
+        outside = script(OUTSIDE.replace("EXTRA", extra), environment(domain, directory))
         try:
             return run(wired, directory, domain=domain)
         finally:
@@ -228,6 +236,7 @@ def test_an_outside_controller_closes_the_loop_around_a_container(tmp_path):
     assert len(outcome.recording.topics["lag/command"].data) == 100
 
 
+@pytest.mark.long  # as through processes
 def test_a_bad_outside_command_never_reaches_the_plant(tmp_path):
     outcome = with_outside_controller("command.effort = [float('nan')]", tmp_path)
     reason = "u/effort is nan, expected a finite number"
@@ -244,7 +253,7 @@ def test_a_second_publisher_ends_the_run_naming_both(tmp_path):
         def progress(t):
             if t and not intruders:
                 code = OUTSIDE.replace('Node("gain")', 'Node("intruder")').replace("EXTRA", "")
-                intruders.append(subprocess.Popen([sys.executable, "-c", code], env=environment(domain, tmp_path)))
+                intruders.append(script(code, environment(domain, tmp_path)))
 
         outcome = run(wired, tmp_path, domain=domain, progress=progress)
         intruders[0].kill()
@@ -267,7 +276,7 @@ def test_a_container_that_is_stopped_leaves_what_it_has(tmp_path):
         command += ["faultrig", name, "--ros-args", "-p", f"run.shard:={tmp_path / name}.shard",
                     "-p", f"run.status:={tmp_path / name}.status", "--"]  # fmt: skip
     with free_domain() as domain:
-        process = subprocess.Popen(command, env=environment(domain, tmp_path))
+        process = start_node("softrig_core", "container", command, environment(domain, tmp_path), 2)
         until(lambda: all(status(tmp_path, name)["ticks"] for name in ("plant", "gain")))
         process.send_signal(signal.SIGINT)
         assert process.wait(PATIENCE) == 0
@@ -391,8 +400,8 @@ def test_a_profile_without_a_participant_is_refused(text, why):
 
 
 def test_a_container_without_nodes_says_how_it_is_used(tmp_path):
-    executable = find_executable("softrig_core", "container")
-    for arguments in ([], ["--ros-args"], ["--ros-args", "-r", "__node:=container"]):
-        done = subprocess.run([executable, *arguments], capture_output=True, text=True)
-        assert (done.returncode, done.stderr) == (2, "")
-        assert "PACKAGE EXECUTABLE" in done.stdout
+    done = subprocess.run([find_executable("softrig_core", "container")], capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (2, "")
+    assert "PACKAGE EXECUTABLE" in done.stdout
+    for arguments in (["--ros-args"], ["--ros-args", "-r", "__node:=container"]):
+        assert container(tmp_path, *arguments) == (2, done.stdout)
