@@ -21,7 +21,7 @@ leave([Node()], {status})
 """
 
 
-@pytest.mark.parametrize("status", [0, 3])
+@pytest.mark.parametrize("status", [pytest.param(0, marks=pytest.mark.long), 3])
 def test_a_node_that_cannot_leave_ends_with_its_status(status):
     done = subprocess.run([sys.executable, "-c", STUCK.format(status=status)], capture_output=True, timeout=PATIENCE)
     assert done.returncode == status

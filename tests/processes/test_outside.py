@@ -126,7 +126,8 @@ def replaceable(rig):
 
 
 @pytest.mark.parametrize(
-    "name", ["dc_motor_plant", "dc_motor_smc", pytest.param("motor_reference", marks=pytest.mark.long)]
+    "name",
+    ["dc_motor_smc", *(pytest.param(n, marks=pytest.mark.long) for n in ("dc_motor_plant", "motor_reference"))],
 )
 def test_a_plain_node_takes_the_place_of_ours(name, tmp_path):
     assert replaced(short("dc_motor_smc"), name, tmp_path) == []
