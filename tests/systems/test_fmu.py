@@ -77,7 +77,7 @@ def distance(a, b):
     return max(abs(x - y) for p, q in zip(a, b, strict=True) for x, y in zip(p, q, strict=True))
 
 
-@pytest.mark.parametrize("version", [2, 3])
+@pytest.mark.parametrize("version", [2, pytest.param(3, marks=pytest.mark.long)])
 def test_a_motor_in_an_fmu_is_ours(fmus, version):
     assert describe(str(fmus / f"motor{version}.fmu")).version == f"{version}.0"
     values = ("R = 0.5", "J = 0.0005")
@@ -94,7 +94,7 @@ def test_a_motor_in_an_fmu_is_ours(fmus, version):
     assert distance(fine, expected) < distance(coarse, expected) / 12.0
 
 
-@pytest.mark.parametrize("version", [2, 3])
+@pytest.mark.parametrize("version", [pytest.param(2, marks=pytest.mark.long), 3])
 def test_a_ball_bounces_when_it_should(fmus, version):
     """A drop from 1 m takes sqrt(2/g), the flight after the k-th bounce 2 e^k sqrt(2/g)."""
     first = math.sqrt(2.0 / 9.81)
@@ -123,7 +123,7 @@ def test_a_ball_bounces_when_it_should(fmus, version):
         assert exchanged == pytest.approx(height, abs=5e-3)
 
 
-@pytest.mark.parametrize("version", [2, 3])
+@pytest.mark.parametrize("version", [pytest.param(2, marks=pytest.mark.long), 3])
 def test_state_is_kept_and_restored_and_a_reset_begins_anew(fmus, version):
     plant = motor(fmus, version)
     begun = trace(plant, 20)
