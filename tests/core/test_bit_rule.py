@@ -6,6 +6,7 @@ other kernels see them.
 """
 
 import ast
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -87,6 +88,7 @@ def uses(module: str, tree: ast.AST) -> set[str]:
     return found
 
 
+@cache
 def found() -> dict[str, str]:
     """Each use to what exempts it, empty where nothing does."""
     names: dict[str, str] = {}
