@@ -207,6 +207,7 @@ def test_the_delay_margin_of_the_axis_over_its_fieldbus_is_the_true_one():
         assert grows(run, y, 20.0) == swings, n
 
 
+@pytest.mark.long
 def test_the_delay_margin_of_the_rectifier_is_the_true_one():
     scenario = load_scenario("rectifier_mpc", {"event_source.times": [0.0, 5.0]})
     view = linear_view(scenario, at=0.1)
@@ -308,7 +309,7 @@ def test_where_there_is_no_operating_point_it_is_told(least):
         steady(rig, at=1.0)
 
 
-def test_the_verbs(tmp_path, capsys):
+def test_the_verbs(tmp_path, capsys, undrawn):
     common = ["dc_motor_smc", "--set", "period=0.01", "--set", "dc_motor_smc.delta=5"]
     assert main(["linearise", *common, "--at", "8", "--out", str(tmp_path)]) == 0
     out = capsys.readouterr().out
