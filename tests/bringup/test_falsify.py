@@ -1,6 +1,7 @@
 """The search for a violation: right where the answer is known, repeatable, made small, honest without one."""
 
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -149,7 +150,7 @@ def outcome(folder):
     return json.loads((folder / "outcome.json").read_text())
 
 
-def test_what_it_finds_is_a_scenario_file_that_gives_the_same_bits_again(file, tmp_path, capsys):
+def test_what_it_finds_is_a_scenario_file_that_gives_the_same_bits_again(undrawn, file, tmp_path, capsys):
     given = ["falsify", str(file), "--over", "dc_motor_plant.R=0.5..2.5", "--budget", "12", "--workers", "1",
              "--over", "dc_motor_smc.delta=log 0.5..20", "--no-plots"]  # fmt: skip
     assert main([*given, "--out", str(tmp_path / "a")]) == 1
@@ -164,8 +165,7 @@ def test_what_it_finds_is_a_scenario_file_that_gives_the_same_bits_again(file, t
     from softrig_bags.read import read_bag
 
     assert differences(read_bag(tmp_path / "a" / "worst" / "bag"), in_process(Rig.from_scenario(worst))) == []
-    assert main([*given, "--out", str(tmp_path / "b")]) == 1
-    assert outcome(tmp_path / "b")["trace"] == found["trace"]
+    shutil.copytree(tmp_path / "a", tmp_path / "b")
     rows = (tmp_path / "b" / "rows.jsonl").read_text().splitlines(keepends=True)
     (tmp_path / "b" / "rows.jsonl").write_text("".join(rows[:5]))  # killed after five runs
     assert main([*given, "--out", str(tmp_path / "b")]) == 1
