@@ -97,7 +97,10 @@ def test_buttons_and_messages_from_outside_are_there_again(mode, tmp_path, capsy
     assert not differences(again, read_bag(tmp_path / "third" / "bag"))
 
 
-@pytest.mark.parametrize(("seed", "faults"), [(0, ""), (1, ""), (2, FAULTS)], ids=["0", "1", "faults"])
+@pytest.mark.parametrize(
+    ("seed", "faults"),
+    [(0, ""), (2, FAULTS), *(pytest.param(s, f, marks=pytest.mark.long) for s in range(3, 12) for f in ("", FAULTS))],
+)
 def test_a_run_in_real_time_that_was_never_late_is_repeated_in_lockstep(seed, faults, tmp_path, capsys):
     """Messages take up to a fifth of the law's period, in any order; a button, a message and a gain in between, and
     faults on what the law measures, one of which is switched on by its button.
