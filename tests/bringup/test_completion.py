@@ -2,14 +2,15 @@
 
 import os
 import subprocess
-import sys
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
-from conftest import PATIENCE
+from conftest import PATIENCE, fork
 from softrig_bringup.cli import _parser, main
 from softrig_bringup.completion import candidates
 from softrig_core.node.startup import introduction
+from softrig_core.rig.executables import find_executable
 from softrig_core.rig.options import RunOptions
 from softrig_drives.dc_motor.sliding_mode import DcMotorSmc
 
@@ -59,11 +60,12 @@ def test_the_list_is_a_tree_where_it_is_narrow_and_one_line_a_scenario_in_a_pipe
 
 @pytest.mark.parametrize("stray", ["delta:=2", "--params-file", "-p"])
 def test_stray_arguments_of_a_node_are_refused(stray, tmp_path):
-    command = [sys.executable, "-m", "softrig_bringup", "node", "faultrig", "plant", stray]
     logs = os.environ | {"ROS_LOG_DIR": str(tmp_path)}
-    done = subprocess.run(command, text=True, capture_output=True, timeout=PATIENCE, env=logs)
-    assert done.returncode == 2
-    assert done.stderr.startswith(f"plant: unexpected argument '{stray}': expected --ros-args")
+    with ExitStack() as stack:
+        done = fork(stack, "faultrig", "plant", [find_executable("faultrig", "plant"), stray], logs)
+        said, _ = done.communicate(PATIENCE)
+        assert done.wait() == 2
+    assert said.startswith(f"plant: unexpected argument '{stray}': expected --ros-args")
 
 
 def test_a_node_by_hand_says_what_it_is_and_waits_for():
