@@ -1,5 +1,6 @@
 """Drawings of plants and the films made of them."""
 
+import io
 import math
 from random import Random
 from xml.etree import ElementTree
@@ -8,7 +9,7 @@ import pytest
 from docs.gallery import sentences
 from softrig_bringup.cli import main
 from softrig_bringup.drawing import PALETTE, as_dict, drawing_for
-from softrig_bringup.drawing.film import check_alike, comfortable, film
+from softrig_bringup.drawing.film import comfortable, film
 from softrig_bringup.drawing.smil import animated
 from softrig_core import Signals, load_scenario, rig_of, simulate
 from softrig_core.rig.members import signal_units
@@ -20,6 +21,24 @@ DRAWN = [
     "optimal_control_mvim_s3", "pv_mppt", "pwa_delay", "pwa_delay_p2", "pwa_delay_p2c", "pwa_delay_p3", "rectifier_mpc",
     "rectifier_mpc_decoupled", "rehab_impedance", "rehab_impedance_r5", "tcp_aqm_smc", "tcp_aqm_smc_s4",
 ]  # fmt: skip
+
+
+def check_alike(frames):
+    """What a drawing promises: frames of the same shapes, with different places, radii and texts alone."""
+    kinds = None
+    for k, frame in enumerate(frames):
+        now = [_look(shape) for shape in frame]
+        kinds = kinds or now
+        if now != kinds:
+            at = next((i for i, (a, b) in enumerate(zip(kinds, now)) if a != b), min(len(kinds), len(now)))
+            was, found = (x[at] if at < len(x) else None for x in (kinds, now))
+            raise ValueError(f"frame {k}: shape {at} of {len(now)} is {found}, in the first frame it is {was}")
+
+
+def _look(shape):
+    look = {name: getattr(shape, name) for name in shape.__dataclass_fields__}
+    fixed = [value for name, value in look.items() if name not in ("points", "centre", "radius", "at", "text")]
+    return (type(shape).__name__, len(getattr(shape, "points", ())), *fixed)
 
 
 def test_every_system_is_drawn():
@@ -151,6 +170,28 @@ def test_the_verb_writes_every_form(form, tmp_path, capsys, monkeypatch):
 
         with Image.open(tmp_path / f"film.{form}") as image:
             assert (image.n_frames, image.size) == (5, (640, 390))
+
+
+def test_a_gif_is_made_small_enough_or_refused(shorted, monkeypatch):
+    from PIL import Image
+    from softrig_bringup.drawing import raster
+    from softrig_core import ScenarioError
+
+    made = film(drawing_for(shorted.rig), shorted.signals, 0.09, 0.1, 0.02)
+    whole, said = raster.pixels(made, "gif")
+    assert said == ""
+    monkeypatch.setattr(raster, "LARGEST", len(whole) - 1)
+    less, said = raster.pixels(made, "gif")
+    assert said == "reduced to 32 colours and 11 frames"
+    assert len(less) < len(whole)
+    monkeypatch.setattr(raster, "LARGEST", 2 * len(less) // 3)
+    fewer, said = raster.pixels(made, "gif")
+    assert said == "reduced to 32 colours and 6 frames"
+    with Image.open(io.BytesIO(fewer)) as image:
+        assert (image.n_frames, image.info["duration"]) == (6, 100)  # as long as before
+    monkeypatch.setattr(raster, "LARGEST", 1000)
+    with pytest.raises(ScenarioError, match=r"16 colours and 4 frames, expected at most 0\.001 MB: take a shorter"):
+        raster.pixels(made, "gif")
 
 
 @pytest.mark.parametrize(

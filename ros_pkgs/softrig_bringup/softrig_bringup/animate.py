@@ -38,9 +38,9 @@ def animate(options: argparse.Namespace) -> int:
         raise ScenarioError(f"{out}: expected a file that ends with .{', .'.join(FORMS)}")
     made = film_of(options.what, options.start, options.end, options.speed)
     out = out or Path(f"{made.drawing.rig.scenario.name}.svg")
-    write(made, out)
-    size = out.stat().st_size
-    print(f"{out}: {made.duration:.3g} s, {len(made.frames)} frames, {size / 1e6:.2f} MB")
+    reduced = write(made, out)
+    about = [f"{made.duration:.3g} s", f"{len(made.frames)} frames", f"{out.stat().st_size / 1e6:.2f} MB", reduced]
+    print(f"{out}: {', '.join(filter(None, about))}")
     return 0
 
 
@@ -102,15 +102,17 @@ def _window(start: float, end: float | None, length: float) -> tuple[float, floa
     return start, last
 
 
-def write(made: Film, out: Path) -> None:
-    """Write a film in the form that the file's name ends with; it appears whole or not at all."""
+def write(made: Film, out: Path) -> str:
+    """Write a film in the form that the file's name ends with, whole or not at all; gives what it was reduced to."""
     from .folder import replace
 
     if out.suffix == ".svg":
         from .drawing.smil import animated
 
         replace(out, animated(made))
-    else:
-        from .drawing.raster import pixels
+        return ""
+    from .drawing.raster import pixels
 
-        replace(out, pixels(made, out.suffix[1:]))
+    content, reduced = pixels(made, out.suffix[1:])
+    replace(out, content)
+    return reduced

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -142,27 +142,3 @@ def said(speed: float) -> str:
     if speed == 1.0:
         return "as fast as it is"
     return f"slowed down {1 / speed:g} times" if speed < 1.0 else f"{speed:g} times as fast as it is"
-
-
-def check_alike(frames: Iterable[Sequence[Shape]]) -> None:
-    """Check what a drawing promises: frames of the same shapes, with different places, radii and texts alone.
-
-    Raises
-    ------
-    ValueError
-        Says which shape differs and how.
-    """
-    kinds: list[tuple[object, ...]] | None = None
-    for k, frame in enumerate(frames):
-        now = [_look(shape) for shape in frame]
-        kinds = kinds or now
-        if now != kinds:
-            at = next((i for i, (a, b) in enumerate(zip(kinds, now)) if a != b), min(len(kinds), len(now)))
-            was, found = (x[at] if at < len(x) else None for x in (kinds, now))
-            raise ValueError(f"frame {k}: shape {at} of {len(now)} is {found}, in the first frame it is {was}")
-
-
-def _look(shape: Shape) -> tuple[object, ...]:
-    look = {name: getattr(shape, name) for name in shape.__dataclass_fields__}
-    fixed = [value for name, value in look.items() if name not in ("points", "centre", "radius", "at", "text")]
-    return (type(shape).__name__, len(getattr(shape, "points", ())), *fixed)

@@ -2,33 +2,60 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from io import BytesIO
 from itertools import pairwise
 from pathlib import Path
 
 from PIL import Image, ImageDraw, ImageFont
+from softrig_core import ScenarioError
 
 from .film import FRAMES, Film
 from .shapes import PALETTE, Circle, Line, Point, Polygon, Shape, Text
 
 FINER = 2  # times as many pixels as are kept: smooth edges
+LARGEST = 2_000_000  # bytes of a GIF: larger ones are not shown, or not at once, where GIFs are used
+REDUCED = ((64, 1), (32, 1), (32, 2), (16, 3))  # colours, and one of so many frames, until it is small enough
 _ANCHORS = {"start": "ls", "middle": "ms", "end": "rs"}
 
 
-def pixels(film: Film, form: str) -> bytes:
+def pixels(film: Film, form: str) -> tuple[bytes, str]:
     """Write a film as an animated picture.
 
     Parameters
     ----------
     film : Film
     form : {"gif", "webp", "png"}
+
+    Returns
+    -------
+    bytes
+    str
+        What a GIF was reduced to so that it is no larger than `LARGEST`; empty where it was not.
+
+    Raises
+    ------
+    ScenarioError
+        A GIF that is larger all the same.
     """
     images = [picture(frame, film.bounds) for frame in film.frames]
-    if form == "gif":
-        images = [image.quantize(64, dither=Image.Dither.NONE) for image in images]
+    if form != "gif":
+        return _written(images, form, 1), ""
+    for colours, every in REDUCED:
+        made = _written([i.quantize(colours, dither=Image.Dither.NONE) for i in images[::every]], form, every)
+        if len(made) <= LARGEST:
+            said = f"reduced to {colours} colours and {len(images[::every])} frames"
+            return made, said if (colours, every) != REDUCED[0] else ""
+    raise ScenarioError(f"a GIF of {len(made) / 1e6:.2f} MB with {colours} colours and {len(images[::every])} frames, "
+                        f"expected at most {LARGEST / 1e6:g} MB: take a shorter window (--from, --to), a greater "
+                        "--speed, or SVG")  # fmt: skip
+
+
+def _written(images: Sequence[Image.Image], form: str, every: int) -> bytes:
+    """Write one of so many frames of a film each."""
     out = BytesIO()
     own = {"gif": {"disposal": 1, "optimize": True}, "webp": {"lossless": True, "method": 4}, "png": {}}[form]
-    images[0].save(out, form, save_all=True, append_images=images[1:], duration=1000 // FRAMES, loop=0, **own)
+    images[0].save(out, form, save_all=True, append_images=images[1:], duration=1000 * every // FRAMES, loop=0, **own)
     return out.getvalue()
 
 
