@@ -447,7 +447,7 @@ def test_an_error_of_our_own_is_one_line_and_a_log(monkeypatch, tmp_path, capsys
 
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     monkeypatch.setattr("tempfile.tempdir", None)
-    monkeypatch.setattr("softrig_bringup.cli._list", broken)
+    monkeypatch.setattr("softrig_bringup.listing.main", broken)
     assert main(["list"]) == 4
     said = capsys.readouterr().err
     assert said.count("\n") == 1

@@ -20,7 +20,9 @@ from softrig_bags.read import read_bag
 from softrig_bags.write import write_bag
 from softrig_core import Recording, Rig, RunError, ScenarioError, Signals, feed, load_scenario, simulate
 from softrig_core.model.params import flatten
+from softrig_core.rig.places import explain
 from softrig_core.rig.yaml_file import read_yaml
+from softrig_core.wire.signals import topic_of
 
 from .folder import replace
 from .junit import Case, Suite, write_reports
@@ -114,7 +116,7 @@ class Golden:
             for name in first:
                 a, b = first[name].x, other[name].x
                 if a.size and a.size == b.size:
-                    topic = _topic(name, self.rig)
+                    topic = topic_of(name, self.rig.topics)
                     largest[topic] = max(largest.get(topic, 0.0), float(np.nanmax(np.abs(a - b), initial=0.0)))
         return {f"{topic}/*": Allowed(absolute=float(f"{10.0 * d:.1e}")) for topic, d in sorted(largest.items())
                 if 10.0 * d > 1e-9}  # fmt: skip
@@ -210,10 +212,6 @@ def _allowed(rig: Rig, name: str, value: float) -> bool:
     return True
 
 
-def _topic(signal: str, rig: Rig) -> str:
-    return max((t for t in rig.topics if signal.startswith(f"{t}/")), key=len)
-
-
 def load(folder: Path, **changes: Any) -> Golden:
     """Read a golden folder.
 
@@ -253,9 +251,7 @@ def _recipe(file: Path, content: Any) -> Recipe:
     try:
         return Recipe.model_validate(content)
     except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(map(str, first["loc"]))
-        raise ScenarioError(f"{file}: {where}: {first['msg']}, got {first['input']!r}") from None
+        raise ScenarioError(f"{file}: {explain(error, Recipe)}") from None
 
 
 def _rig(recipe: Recipe) -> Rig:

@@ -86,8 +86,9 @@ class Plotted:
 
 def _plots(rig: Rig) -> Iterator[Plotted]:
     from softrig_core.rig.members import signal_units
+    from softrig_core.wire.signals import topic_of
 
-    from .plots.curves import check_plots, topic_of
+    from .plots.curves import check_plots
     from .plots.style import axis_title
 
     check_plots(rig)

@@ -115,8 +115,7 @@ def repeated(scenario: Scenario, run: Recalled) -> Scenario:
     by_time: dict[float, dict[str, Any]] = {}
     for t, node, values in recorded(run.recording, run.epoch):
         by_time.setdefault(t / SECOND, {}).update({f"{node}.{name}": value for name, value in values.items()})
-    keys = {**dict(scenario), "changes": [{"at": at, "set": values} for at, values in by_time.items()]}
-    rig = Rig.from_scenario(type(scenario).model_validate({**dict(scenario), "changes": []}))
+    rig = Rig.from_scenario(scenario.having(changes=[]))
     if rig.clock.external:
         raise ScenarioError(f"--like {run.path}: {rig.clock.name} was outside, and gave the ticks: it alone can repeat "
                             "them")  # fmt: skip
@@ -126,7 +125,7 @@ def repeated(scenario: Scenario, run: Recalled) -> Scenario:
         parameters = {"period": str(rig.clock.schedule.period), "bag": str(run.bag),
                       "inputs": [_text(port) for port in inputs]}  # fmt: skip
         nodes |= {TAPE: {"package": "softrig_bags", "executable": "tape", "parameters": parameters}}
-    return type(scenario).model_validate({**keys, "nodes": nodes})
+    return scenario.having(nodes=nodes, changes=[{"at": at, "set": values} for at, values in by_time.items()])
 
 
 def _outside(rig: Rig, recording: Recording) -> list[Port]:

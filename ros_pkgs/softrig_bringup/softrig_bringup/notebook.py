@@ -10,11 +10,10 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 from xml.etree.ElementTree import tostring
 
-from softrig_core import Run, ScenarioError
-from softrig_core.rig.scenario import PlotEntry
+from softrig_core import Run
 
 from .html import e, picture
-from .plots.curves import check_plots
+from .plots.curves import with_plots
 from .plots.figures import plot_entry, plot_run
 from .run import summary
 from .run_page import metrics
@@ -38,15 +37,7 @@ def html(run: Run) -> str:
 
 def plot(run: Run, names: Sequence[str], window: tuple[float, float] | None = None) -> Figure:
     """Draw signals of a run over time; see `softrig_core.Run.plot`."""
-    scenario = run.rig.scenario
-    if names:
-        entry = PlotEntry(title=scenario.title, signals=dict.fromkeys(names, ""), window=window)
-    elif scenario.plots:
-        entry = scenario.plots[0] if window is None else scenario.plots[0].model_copy(update={"window": window})
-    else:
-        raise ScenarioError(f"{scenario.name} has no plots of its own; which signals? It has {', '.join(run.signals)}")
-    rig = run.rig.with_plots((entry,))
-    check_plots(rig)
+    rig = with_plots(run.rig, run.rig.scenario.title, names, window)
     figure = plot_entry(run.signals, rig, rig.scenario.plots[0])
     figure._repr_png_ = partial(_png, figure)  # type: ignore[attr-defined]  # for a cell, without pyplot too
     return figure

@@ -9,17 +9,15 @@ import shlex
 from collections.abc import Sequence
 from io import StringIO
 from pathlib import Path
-from typing import Any
 
 from softrig_bags.read import BagSignals, signals
 from softrig_bags.reader import BagReader
 from softrig_core import Rig, ScenarioError, rig_of
 from softrig_core.command_line import Parser
-from softrig_core.rig.scenario import PlotEntry
 
 from .folder import replace
-from .plots.curves import Curve, Source, check_plots
-from .plots.figures import plot_entry, plot_name, plot_run
+from .plots.curves import Curve, Source, with_plots
+from .plots.figures import UNDATED, plot_entry, plot_name, plot_run
 from .run_record import read_run
 
 MM = 25.4  # in an inch
@@ -71,24 +69,15 @@ def main(options: argparse.Namespace) -> int:
     """Draw pictures of a run anew: of some signals, or the plots of its scenario; print their files."""
     names, out, form = options.signals, options.out, options.format
     rig, found = rig_of_run(options.run)
-    entries = rig.scenario.plots
-    if names:
-        entries = (PlotEntry(title="_".join(n.replace("/", " ") for n in names), signals=dict.fromkeys(names, "")),)
-    if options.window:
-        entries = tuple(entry.model_copy(update={"window": tuple(options.window)}) for entry in entries)
-    rig = rig.with_plots(entries)
-    check_plots(rig)
-    if not entries:
-        raise ScenarioError(f"{rig.scenario.name} has no plots of its own; which signals? It has {', '.join(found)}")
+    rig = with_plots(rig, "_".join(n.replace("/", " ") for n in names), names, options.window)
     out.mkdir(parents=True, exist_ok=True)
     source = Source(found, rig)
     for number, entry in enumerate(rig.scenario.plots, 1):
         figure = plot_entry(found, rig, entry, title=not (options.no_title or names), font=options.font,
                             inches=options.width and options.width / MM)  # fmt: skip
         path = out / Path(plot_name(number, entry.title)).with_suffix(f".{form}")
-        undated: dict[str, Any] = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}  # equal runs, equal files
         try:
-            figure.savefig(path, dpi=300, metadata=undated.get(form))
+            figure.savefig(path, dpi=300, metadata=UNDATED.get(form))
         except RuntimeError as error:  # of the PGF backend
             raise ScenarioError(
                 f"{form}: {str(error).splitlines()[0]}; it needs LaTeX (xelatex), pdf does not"

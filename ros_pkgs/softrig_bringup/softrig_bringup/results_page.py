@@ -18,6 +18,7 @@ from .plots.figures import OVERVIEW
 from .plots.style import pretty_unit
 from .repeat import joined, scenario_word, words
 from .study.definition import list_studies
+from .wording import short
 
 HEADER = ("Claim", "Where", "Published", "Agrees when", "Measured", "Verdict", "Run")
 AGREES = ("Agrees when: the published number with its tolerance (5 % where a claim states none), or the bound or the "
@@ -75,7 +76,7 @@ def html(scenarios: Sequence[Scenario], rows: Sequence[Finding], without: str = 
     ]  # fmt: skip
     for system, mine, group in groups:
         cells: list[tuple[Element | str, ...]] = [
-            (_claim(r), r.where, _number(r.published), r.asked, f"{r.measured_text} {pretty_unit(r.unit)}".strip(),
+            (_claim(r), r.where, short(r.published), r.asked, f"{r.measured_text} {pretty_unit(r.unit)}".strip(),
              _verdict(r), _run(r, out))
             for r in group
         ]  # fmt: skip
@@ -103,7 +104,7 @@ def markdown(scenarios: Sequence[Scenario], rows: Sequence[Finding], without: st
         for r in group:
             verdict = r.verdict.replace("_", " ") + ("" if r.holds else " (NOT BORNE OUT)")
             reason = f": {r.reason}" if r.reason else ""
-            numbers = [_with_unit(_number(r.published), r), r.asked, _with_unit(r.measured_text, r)]
+            numbers = [_with_unit(short(r.published), r), r.asked, _with_unit(r.measured_text, r)]
             cells = [r.text, r.where, *numbers, f"**{verdict}**{reason}", f"`{r.scenario}`"]
             lines.append("| " + " | ".join(c.replace("|", "\\|") for c in cells) + " |")
     lines += [
@@ -160,10 +161,6 @@ def _borne_out(group: Sequence[Finding]) -> Element:
 
 def _count(group: Sequence[Finding], verdict: str) -> str:
     return str(sum(v == verdict for v in _said(group).values()) or "")
-
-
-def _number(value: float | None) -> str:
-    return "" if value is None else f"{value:.6g}"
 
 
 def _with_unit(text: str, row: Finding) -> str:

@@ -142,6 +142,7 @@ def _changed(scenario: Scenario, changes: dict[str, Any]) -> Scenario:
     from pydantic import ValidationError
     from softrig_core import ScenarioError
     from softrig_core.errors import closest
+    from softrig_core.rig.places import explain
     from softrig_core.rig.scenario import merge
 
     for name in changes.get("nodes", {}):
@@ -151,5 +152,4 @@ def _changed(scenario: Scenario, changes: dict[str, Any]) -> Scenario:
     try:
         return type(scenario).model_validate(merge(scenario.model_dump(exclude_unset=True), changes))
     except ValidationError as error:
-        first = error.errors()[0]
-        raise ScenarioError(f"--{'.'.join(map(str, first['loc']))}: {first['msg']}, got {first['input']!r}") from None
+        raise ScenarioError(f"--{explain(error)}") from None

@@ -199,7 +199,7 @@ def _print_figures(content: Mapping[str, Any], run: Run, out: Path | None) -> No
     from rich.table import Table
 
     from .listing import console as make_console, styled
-    from .wording import NEVER, accepted, in_words, measured_here, spans
+    from .wording import NEVER, accepted, in_words, measured_here, short, spans
 
     console = make_console()
     changed: Sequence[str] = content["changed"]
@@ -215,7 +215,7 @@ def _print_figures(content: Mapping[str, Any], run: Run, out: Path | None) -> No
     for f in run.results:
         missed = ("MISS", "red") if not changed else ("differs" if measured_here(f) else "", "yellow")
         mark = styled(("pass" if f.judged else "", "green") if f.passed else missed)
-        row = [f.name, *([_number(f.published)] if published else []), in_words(f) or _number(f.value), accepted(f)]
+        row = [f.name, *([short(f.published)] if published else []), in_words(f) or short(f.value), accepted(f)]
         table.add_row(*row, f.unit, "" if run.stopped else mark)
     console.print(table)
     for f in run.results:
@@ -247,7 +247,3 @@ def _shown(path: Path) -> str:
     """Give a path as the reader would type it."""
     relative = os.path.relpath(path)
     return str(path) if relative.startswith("..") else relative
-
-
-def _number(value: float | None) -> str:
-    return "" if value is None else f"{value:.6g}"

@@ -10,12 +10,17 @@ from softrig_core.rig.figures import DECIDED, Result
 
 from .html import NONE
 
-__all__ = ["NEVER", "accepted", "difference", "in_words", "measured", "measured_here", "number", "spans"]
+__all__ = ["NEVER", "accepted", "difference", "in_words", "measured", "measured_here", "number", "short", "spans"]
 
 
 def number(value: float | None) -> str:
     """A number that somebody wrote down, with all its digits."""
     return NONE if value is None else f"{value:.10g}".replace("-", "−")
+
+
+def short(value: float | None) -> str:
+    """A measured number in six digits; empty for none."""
+    return "" if value is None else f"{value:.6g}"
 
 
 def in_words(metric: Result) -> str:

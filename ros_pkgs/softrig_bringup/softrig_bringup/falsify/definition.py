@@ -11,7 +11,7 @@ from softrig_core import ScenarioError, list_scenarios
 from softrig_core.errors import closest
 from softrig_core.rig.expectation import Expected
 from softrig_core.rig.places import explain
-from softrig_core.rig.yaml_file import read_yaml
+from softrig_core.rig.yaml_file import read_mapping
 
 from ..study.definition import study_folders
 
@@ -72,10 +72,7 @@ def falsification_of(what: str, changes: dict[str, Any]) -> Falsification:
     known = list_falsifications()
     path = known.get(what) or (Path(what) if what.endswith(SUFFIX) and isfile(what) else None)
     if path is not None:
-        raw = read_yaml(path.read_text(encoding="utf-8"), path.name)
-        if not isinstance(raw, dict):
-            raise ScenarioError(f"{path.name}: expected a mapping of keys, got {type(raw).__name__}")
-        raw = {"title": path.name, **raw, "name": path.name.removesuffix(SUFFIX)}
+        raw = {"title": path.name, **read_mapping(path), "name": path.name.removesuffix(SUFFIX)}
     elif what in list_scenarios() or isfile(what):
         raw = {"name": Path(what).stem, "scenario": what}
     else:

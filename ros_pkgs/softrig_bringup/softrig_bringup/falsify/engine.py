@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -14,6 +13,7 @@ from softrig_core.errors import closest
 from softrig_optim.sweep import progress, stream
 
 from ..folder import replace
+from ..study.engine import same
 from ..study.work import Log
 from .definition import Falsification
 from .search import Found, Point, search
@@ -86,7 +86,9 @@ def falsify(
     scenario = load_scenario(task.scenario).changed(duration=task.duration)
     names = _requirements(scenario, task.requirements)
     space = space_of(scenario, [parse(key, given) for key, given in task.over.items()])
-    _same(task, scenario, out / "falsification.json")
+    free = {"name", "title", "expect", "budget", "first"}
+    content = task.model_dump(mode="json", exclude=free) | {"content": scenario.model_dump(mode="json")}
+    replace(out / "falsification.json", same(content, out / "falsification.json", "falsification"))
     nominal = run(Trial(-1, scenario, {}, names))
     if nominal["error"]:
         raise ScenarioError(f"{task.scenario}: the run without changes cannot be judged: {nominal['error']}")
@@ -155,13 +157,3 @@ def margin(margins: Mapping[str, float | None], sizes: Mapping[str, float]) -> f
 def _violates(case: Case, names: tuple[str, ...]) -> bool:
     margins = run(Trial(-1, *case, names))["figures"]
     return any(m is not None and m < 0.0 for m in margins.values())
-
-
-def _same(task: Falsification, scenario: Scenario, file: Path) -> None:
-    """Make sure that a folder holds this search or none: its runs are taken over by their number."""
-    free = {"name", "title", "expect", "budget", "first"}
-    content = task.model_dump(mode="json", exclude=free) | {"content": scenario.model_dump(mode="json")}
-    written = json.dumps(content, indent=1, sort_keys=True) + "\n"
-    if file.exists() and file.read_text() != written:
-        raise ScenarioError(f"{file.parent} holds another falsification; choose another --out, or remove it")
-    replace(file, written)

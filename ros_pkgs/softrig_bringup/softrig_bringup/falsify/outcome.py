@@ -52,7 +52,7 @@ def main(options: argparse.Namespace) -> int:
 def _write(task: Falsification, outcome: Outcome, out: Path, plots: bool) -> dict[str, Path]:
     """Write the runs that matter, their scenario files and the page; give the files."""
     files: dict[str, Path] = {}
-    nominal = Scenario.model_validate(dict(outcome.space.scenario) | {"faults": _kept(outcome)})
+    nominal = outcome.space.scenario.having(faults=_kept(outcome))
     runs = {"nominal": _record(task, nominal, out / "nominal", plots)}
     for name, case in (("worst", outcome.case), ("small", outcome.small)):
         if case is not None:

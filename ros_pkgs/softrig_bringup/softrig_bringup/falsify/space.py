@@ -12,8 +12,8 @@ from softrig_core import Rig, Scenario, ScenarioError
 from softrig_core.errors import closest
 from softrig_core.model.params import flatten
 from softrig_core.rig.members import signal_units
-from softrig_core.rig.places import explain
 from softrig_core.rig.references import pick
+from softrig_core.wire.signals import topic_of
 
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _RANGE = re.compile(rf"(log )?\s*({_NUMBER})\.\.({_NUMBER})(?:([*~])(\d+))?")
@@ -178,10 +178,7 @@ def space_of(scenario: Scenario, overs: Sequence[Over]) -> Space:
         if isinstance(value, list) != bool(over.count) or not (number or value == []):
             kind = f"a list of {len(value)}" if isinstance(value, list) else f"{value!r}"
             raise ScenarioError(f"{over.key} is {kind}: {'a number is searched' if not over.count else FORMS}")
-    try:
-        changed = Scenario.model_validate({**dict(scenario), "faults": faults})
-    except ValueError as error:
-        raise ScenarioError(explain(error)) from None  # type: ignore[arg-type]
+    changed = scenario.having(faults=faults)
     space = Space(changed, tuple(overs), tuple(targets), tuple(nominal), tuple(whole))
     for corner in (0.0, 0.5, 1.0):  # what a block refuses is said now, with the parameter's bounds
         Rig.from_scenario(changed.changed(overrides=space.overrides([corner] * space.size)))
@@ -205,7 +202,7 @@ def _profile(rig: Rig, over: Over) -> dict[str, Any]:
     known = signal_units(rig)
     if over.key not in known:
         raise ScenarioError(f"no signal {over.key!r}{closest(over.key, known)}; the rig has {', '.join(known)}")
-    topic = max((t for t in rig.topics if over.key.startswith(f"{t}/")), key=len)
+    topic = topic_of(over.key, rig.topics)
     middle = (over.low + over.high) / 2.0
     return {"link": topic, "kind": "add" if over.adds else "replace", "affects": [over.key[len(topic) + 1 :]],
             "points": [middle] * over.count, "span": rig.scenario.duration, "linear": over.linear}  # fmt: skip

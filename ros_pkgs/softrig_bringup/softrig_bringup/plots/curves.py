@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,7 +13,7 @@ from softrig_core.errors import closest
 from softrig_core.model.port import XYZ
 from softrig_core.rig.members import signal_units
 from softrig_core.rig.scenario import PlotEntry
-from softrig_core.wire.signals import short_name
+from softrig_core.wire.signals import short_name, topic_of
 
 Array = NDArray[np.float64]
 
@@ -46,6 +46,23 @@ class Curve:
     signal: str = ""
 
 
+def with_plots(rig: Rig, title: str, names: Sequence[str], window: Sequence[float] | None) -> Rig:
+    """Give a rig with one plot of some signals, or its scenario's own when none are named, in a window of time.
+
+    Raises
+    ------
+    ScenarioError
+        No such signal, or the scenario has no plots of its own.
+    """
+    own = (PlotEntry(title=title, signals=dict.fromkeys(names, "")),) if names else rig.scenario.plots
+    if not own:
+        known = ", ".join(signal_units(rig))
+        raise ScenarioError(f"{rig.scenario.name} has no plots of its own; which signals? It has {known}")
+    rig = rig.with_plots(tuple(p.model_copy(update={"window": tuple(window)}) if window else p for p in own))
+    check_plots(rig)
+    return rig
+
+
 def check_plots(rig: Rig) -> None:
     """Check that the rig has the signals of its scenario's plots.
 
@@ -67,11 +84,6 @@ def check_plots(rig: Rig) -> None:
                 f"plot {entry.title!r}: no signal {wrong!r}{closest(wrong, known)}; own `plots` replace all inherited "
                 f"ones, `plots: []` leaves the overview; the rig has {', '.join(known)}"
             )
-
-
-def topic_of(name: str, topics: Iterable[str]) -> str:
-    """Give the topic of a signal."""
-    return max((t for t in topics if name.startswith(f"{t}/")), key=len)
 
 
 def envelope(x: Array, y: Array, columns: int = _PIXELS) -> tuple[Array, Array]:

@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from softrig_core import Rig, Signals
 from softrig_core.rig.scenario import PlotEntry
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 OVERVIEW = "overview.png"
 FORMATS = ("svg", "pdf")  # beside the PNG, on request
+UNDATED: dict[str, Any] = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}  # equal runs give equal files
 
 
 def plot_name(number: int, title: str) -> str:
@@ -135,8 +136,7 @@ def save_figure(figure: Figure, path: Path, title: str, run: str, also: str = ""
     fold_exponents(figure)
     figure.savefig(path)
     if also:
-        undated = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}[also]  # equal runs give equal files
-        figure.savefig(path.with_suffix(f".{also}"), metadata=undated)
+        figure.savefig(path.with_suffix(f".{also}"), metadata=UNDATED[also])
 
 
 def _time_figure(source: Source, entry: PlotEntry, marks: Mapping[str, Sequence[Mark]], letters: int = 110) -> Figure:

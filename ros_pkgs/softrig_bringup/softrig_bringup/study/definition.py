@@ -14,7 +14,7 @@ from softrig_core.rig.claims import Claim
 from softrig_core.rig.expectation import Expected
 from softrig_core.rig.places import explain
 from softrig_core.rig.references import fill
-from softrig_core.rig.yaml_file import read_yaml
+from softrig_core.rig.yaml_file import read_mapping
 
 MOST = 1_000_000  # seeds, points, candidates: room is made for all of them at once
 
@@ -199,9 +199,7 @@ def load_study(name: str) -> Study:
         if name not in known:
             raise ScenarioError(f"study {name!r} is unknown{closest(name, known)}; there are {', '.join(known)}")
         path = known[name]
-    raw = read_yaml(path.read_text(encoding="utf-8"), path.name)
-    if not isinstance(raw, dict):
-        raise ScenarioError(f"{path.name}: expected a mapping of keys, got {type(raw).__name__}")
+    raw = read_mapping(path)
     shared = raw.pop("shared", None) or {}
     try:
         return make_study({**fill(raw, shared), "name": path.stem})

@@ -46,7 +46,8 @@ def run_study(study: Study, out: Path, *, workers: int | None = None, scheduler:
         work there.
     """
     folder = ResultsFolder(out, STUDY)
-    content = _same(study, out / "study.json")
+    free = {"title", "source", "summaries", "expect", "claims", "name"}  # what the rows do not depend on
+    content = same(study.model_dump(mode="json", exclude=free), out / "study.json", "study")
     _check(study)
     with folder.alone():
         replace(out / "study.json", content)
@@ -84,20 +85,15 @@ def _work(study: Study, case: Case) -> Work:
     )
 
 
-def _same(study: Study, file: Path) -> str:
-    """Make sure that a directory holds this study or none; gives what tells it from others.
-
-    What the rows do not depend on may differ.
-    """
-    free = ("title", "source", "summaries", "expect", "claims", "name")
-    content = study.model_dump(mode="json", exclude=set(free))
+def same(content: dict[str, Any], file: Path, what: str) -> str:
+    """Make sure that a folder holds this content or none, whose rows are taken over by their number; give its text."""
     if file.exists():
         try:
             there = json.loads(file.read_text())
         except ValueError:
             there = None
         if there != content:
-            raise ScenarioError(f"{file.parent} holds another study; choose another --out, or remove it")
+            raise ScenarioError(f"{file.parent} holds another {what}; choose another --out, or remove it")
     return json.dumps(content, indent=1) + "\n"
 
 

@@ -22,11 +22,11 @@ from ..citations import cited, sources
 from ..folder import STUDY, ResultsFolder
 from ..html import NONE, e, mark, picture, table, write_page
 from ..plots.style import pretty_unit
-from ..wording import NEVER, accepted
+from ..wording import NEVER, accepted, short
 from .definition import Study, list_studies
 from .engine import beyond, run_study
 from .options import study_of
-from .pictures import chosen, draw_study, label
+from .pictures import chosen, draw_study, in_short, label
 from .table import Row, claims, command, results, without_signals, write_table
 from .work import absent, value_of
 
@@ -121,7 +121,7 @@ def _print(study: Study, rows: Sequence[Row], found: Sequence[Result], held: Seq
         shown.add_column(name, overflow="fold")
     for r in found:
         verdict = styled(("pass" if r.judged else "", "green")) if r.passed else styled(("MISS", "red"), f" {r.error}")
-        shown.add_row(r.name, _number(r.value), accepted(r), _number(r.published), verdict)
+        shown.add_row(r.name, short(r.value), accepted(r), short(r.published), verdict)
     if not found and len(rows) <= FEW:
         heads = list(dict.fromkeys(name for row in rows for part in ("overrides", "figures") for name in row[part]))
         for name in heads:
@@ -146,7 +146,7 @@ def _print(study: Study, rows: Sequence[Row], found: Sequence[Result], held: Seq
 
 
 def _cell(value: Any) -> str:
-    return _number(value) if isinstance(value, int | float) and not isinstance(value, bool) else str(value)
+    return short(value) if isinstance(value, int | float) and not isinstance(value, bool) else str(value)
 
 
 def _page(
@@ -162,13 +162,13 @@ def _page(
     ]  # fmt: skip
     if found:
         lines: list[tuple[Element | str, ...]] = [
-            (r.name.replace("_", " "), _number(r.published), _number(r.value), accepted(r),
+            (r.name.replace("_", " "), short(r.published), short(r.value), accepted(r),
              mark(r.passed, "pass" if r.passed else "miss") if r.judged else "") for r in found
         ]  # fmt: skip
         body += [e("h2", "Over all runs"), table(("Summary", "Published", "Value", "Accepted", ""), lines, " nnn ")]
     if held:
         lines = [
-            (c.text, c.where, _number(c.published), c.asked, c.measured_text,
+            (c.text, c.where, short(c.published), c.asked, c.measured_text,
              e("div", e("b", c.verdict.replace("_", " ")) if c.holds else mark(False, f"{c.verdict}: not borne out"),
                e("div", c.reason, class_="note"))) for c in held
         ]  # fmt: skip
@@ -207,17 +207,9 @@ def _changes(study: Study, row: Row) -> str:
     if not study.draws and not study.search:
         return label(study, row)
     return ", ".join(([row["case"]] if row["case"] else []) + [
-        f"{k.rpartition('.')[2]} {_text(v)}" for k, v in row["overrides"].items()
+        f"{k.rpartition('.')[2]} {in_short(v)}" for k, v in row["overrides"].items()
     ])  # fmt: skip
 
 
 def _heading(name: str, unit: str) -> str:
     return name.replace("_", " ") + (f" ({pretty_unit(unit)})" if unit else "")
-
-
-def _text(value: Any) -> str:
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
-
-
-def _number(value: float | None) -> str:
-    return "" if value is None else f"{value:.6g}"

@@ -98,12 +98,13 @@ def numeric(rows: Sequence[Row]) -> list[str]:
 def label(study: Study, row: Row) -> str:
     """Say what was changed in a run, but its seed and what was drawn at random."""
     drawn = study.draws.parameters if study.draws else {}
-    changes = [f"{k.rpartition('.')[2]} {_short(v)}" for k, v in row["overrides"].items()
+    changes = [f"{k.rpartition('.')[2]} {in_short(v)}" for k, v in row["overrides"].items()
                if k in study.grid and k not in drawn]  # fmt: skip
     return ", ".join(([row["case"]] if row["case"] else []) + changes) or "all runs"
 
 
-def _short(value: Any) -> str:
+def in_short(value: Any) -> str:
+    """Write a value of a parameter."""
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 

@@ -216,10 +216,7 @@ def _with_faults(scenario: Scenario, members: list[Member]) -> Scenario:
         scenario.name, scenario.faults, {n: e.model_dump() for n, e in scenario.nodes.items()},
         {m.name: (m.inputs, m.outputs) for m in members}, {m.name: m.params for m in members},
     )  # fmt: skip
-    try:
-        return Scenario.model_validate({**dict(scenario), "nodes": nodes, "faults": {}})
-    except ValidationError as error:
-        raise ScenarioError(f"{scenario.name}: {explain(error, Scenario)}") from None
+    return scenario.having(nodes=nodes, faults={})
 
 
 def _live(scenario: Scenario) -> bool:
@@ -234,7 +231,7 @@ def _with_watchers(rig: Rig) -> Scenario:
             raise ScenarioError(f"{rig.scenario.name}: node {name}: that is the name of what watches a requirement")
         nodes[name] = entry
     quiet = {n: r.model_copy(update={"live": False, "ends": False}) for n, r in rig.scenario.requirements.items()}
-    return Scenario.model_validate({**dict(rig.scenario), "nodes": nodes, "requirements": quiet})
+    return rig.scenario.having(nodes=nodes, requirements=quiet)
 
 
 def _clock(scenario: Scenario, members: list[Member]) -> Member:

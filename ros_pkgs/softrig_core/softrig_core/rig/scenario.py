@@ -184,10 +184,14 @@ class Scenario(_Model):
         for key, value in (overrides or {}).items():
             _override(raw, key, value)
         changes = {k: v for k, v in (("duration", duration), ("seed", seed)) if v is not None}
+        new = self.having(**changes, **(raw if overrides else {}))
+        new._file = None if overrides else self._file
+        return new
+
+    def having(self, **keys: Any) -> Scenario:
+        """Give the scenario with other values of some keys, checked; a ScenarioError says what does not fit."""
         try:
-            new = Scenario.model_validate({**dict(self), **changes, **(raw if overrides else {})})
-            new._file = None if overrides else self._file
-            return new
+            return Scenario.model_validate({**dict(self), **keys})
         except ValidationError as error:
             raise ScenarioError(f"{self.name}: {explain(error, Scenario)}") from None
 

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 from ..errors import ScenarioError, closest
 from ..model.resource import prefixes
-from .yaml_file import SIZE, read_yaml
+from .yaml_file import SIZE, read_mapping
 
 SHARED = re.compile(r"\$([A-Za-z_]\w*)")  # a reference to a shared value
 OWN = ("expect", "requirements", "claims")  # what a scenario is judged by stands in its own entry: never inherited
@@ -99,13 +99,7 @@ def read(path: Path) -> dict[str, Any]:
 
 @lru_cache(maxsize=1024)
 def _read(path: Path, changed: int, size: int) -> dict[str, Any]:
-    try:
-        raw = read_yaml(path.read_text(encoding="utf-8"), path.name)
-    except UnicodeDecodeError as error:
-        raise ScenarioError(f"{path.name}: not valid YAML: {error}") from None
-    if not isinstance(raw, dict):
-        raise ScenarioError(f"{path.name}: expected a mapping of keys, got {type(raw).__name__}")
-    return raw
+    return read_mapping(path)
 
 
 def names(path: Path) -> Iterator[str]:

@@ -14,7 +14,7 @@ from ..model.block import Observer
 from ..model.params import BlockParams, param
 from ..model.port import Port
 from ..timebase import SECOND
-from ..wire.signals import Signal
+from ..wire.signals import Signal, topic_of
 from .figures import UNMEASURED, Figure
 from .measures import Function, newest_step
 from .units import compose
@@ -98,13 +98,13 @@ class Seen(Mapping[str, Signal]):
         self._ports = {port.topic: (port, rows[name]) for name, port in ports.items()}
         self._tables: dict[str, tuple[Any, Any]] = {}
 
-    def topic(self, name: str) -> str | None:
-        """Topic of a signal; None where there is none."""
-        return max((t for t in self._ports if name.startswith(f"{t}/")), key=len, default=None)
+    def topic(self, name: str) -> str:
+        """Topic of a signal; empty where there is none."""
+        return topic_of(name, self._ports)
 
     def __getitem__(self, name: str) -> Signal:
         topic = self.topic(name)
-        if topic is None or name[len(topic) + 1 :] not in self._ports[topic][0].labels:
+        if not topic or name[len(topic) + 1 :] not in self._ports[topic][0].labels:
             raise KeyError(name)
         port, rows = self._ports[topic]
         if topic not in self._tables:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Hashable
+from pathlib import Path
 from typing import Any
 
 import yaml
@@ -91,6 +92,23 @@ def read_yaml(text: str, where: str) -> Any:
     finally:
         if loader is not None:
             loader.dispose()
+
+
+def read_mapping(path: Path) -> dict[str, Any]:
+    """Read a file whose keys are the fields of something.
+
+    Raises
+    ------
+    ScenarioError
+        No text in UTF-8, see `read_yaml`, or no mapping; names the file.
+    """
+    try:
+        raw = read_yaml(path.read_text(encoding="utf-8"), path.name)
+    except UnicodeDecodeError as error:
+        raise ScenarioError(f"{path.name}: not valid YAML: {error}") from None
+    if not isinstance(raw, dict):
+        raise ScenarioError(f"{path.name}: expected a mapping of keys, got {type(raw).__name__}")
+    return raw
 
 
 def compose(text: str) -> Any:

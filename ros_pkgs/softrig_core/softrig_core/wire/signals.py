@@ -58,6 +58,11 @@ def short_name(name: str, known: Iterable[str]) -> str:
     return short if full_name(short, known) == name else name
 
 
+def topic_of(name: str, topics: Iterable[str]) -> str:
+    """Give the topic of a signal; empty when it is of none of them."""
+    return max((t for t in topics if name.startswith(f"{t}/")), key=len, default="")
+
+
 class Signals(Mapping[str, Signal]):
     """Signals by name ``topic/channel/field``, decoded when first asked for; the field may be left out if there is one.
 
@@ -87,8 +92,8 @@ class Signals(Mapping[str, Signal]):
         return self._tables[topic]
 
     def __getitem__(self, name: str) -> Signal:
-        topic = max((t for t in self.recording.topics if name.startswith(t + "/")), key=len, default=None)
-        if topic is None:
+        topic = topic_of(name, self.recording.topics)
+        if not topic:
             raise KeyError(f"no topic for signal {name!r}; recorded are {', '.join(self.recording.topics)}")
         table = self.table(topic)
         label = full_name(name[len(topic) + 1 :], table.columns)
