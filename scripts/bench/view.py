@@ -28,10 +28,12 @@ url = next(m[1] for line in sys.stdin if (m := re.search(r"the page is (http\\S+
 session = pull_session(url=url + "view")
 find = lambda name: session.document.select_one({"name": name})
 def shown():
-    if find("echo").text != find("beat").text:
+    new = find("echo").text != find("beat").text
+    if new:
         find("echo").text = find("beat").text
-    return False
-session._connection._loop_until(shown)
+    return new
+while session._connection.connected:  # its loop waits for each message inside of the wait for the one before
+    session._connection._loop_until(shown)
 """
 
 
