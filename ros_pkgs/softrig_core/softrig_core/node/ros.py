@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
 from copy import copy
@@ -105,6 +106,8 @@ class RosMiddleware(Middleware):
         self.node = node
         self.name: str = node.get_name()
         self.full_name: str = node.get_fully_qualified_name()
+        self._posted: deque[Callable[[], object]] = deque()
+        self._poster: _RosTimer | None = None
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._behind = time.time_ns() - time.monotonic_ns()  # once: a system clock that is set later stalls nothing
 
@@ -138,8 +141,17 @@ class RosMiddleware(Middleware):
         return QoSOverridingOptions(POLICIES) if given else None
 
     def post(self, call: Callable[[], object]) -> None:
-        """Nobody else is in this process."""
-        raise RuntimeError("a node by itself has no neighbours")
+        """Call a function when whatever is under way has returned: a node by itself has that only of a person's."""
+        self._posted.append(call)
+        if self._poster is None:
+            self._poster = self.timer(1000, self._call_posted)
+        self._poster.again(1000)
+
+    def _call_posted(self) -> None:
+        assert self._poster is not None
+        self._poster.cancel()
+        while self._posted:
+            self._posted.popleft()()
 
     def timer(self, ns: int, callback: Callable[[], None]) -> _RosTimer:
         """Call back every `ns`."""
