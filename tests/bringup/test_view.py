@@ -1,20 +1,27 @@
 """The page beside a run, over its websocket as a browser has it: knobs, pause, step; nothing of it in the numbers."""
 
+import math
 import os
 import re
 import signal
 import subprocess
 import sys
 from contextlib import contextmanager
+from urllib.error import HTTPError
+from urllib.request import HTTPCookieProcessor, build_opener, urlopen
 
 import numpy as np
 import pytest
+from bokeh.document import Document
 from conftest import PATIENCE
 from softrig_bags.compare import compare
 from softrig_bags.read import signals
-from softrig_bringup.view.control import Control
+from softrig_bringup.cli import main
+from softrig_bringup.view.control import Control, Knob
+from softrig_bringup.view.page import Page, reach
+from softrig_bringup.view.sources import Recorded
 from softrig_bringup.view.tracks import Track
-from softrig_core import rig_of
+from softrig_core import Recording, Signals, rig_of
 
 
 @contextmanager
@@ -33,7 +40,7 @@ def running(*words):
 def address(process):
     """Where the page is."""
     for line in process.stderr:
-        if found := re.search(r"the page is (http\S+)", line):
+        if found := re.search(r"the page is (http[^\s;]+)", line):
             return found[1]
     raise AssertionError("it ended without a page")
 
@@ -41,10 +48,10 @@ def address(process):
 class Browser:
     """A page as a browser sees it: what it shows, what somebody does with it."""
 
-    def __init__(self, url):
+    def __init__(self, url, **arguments):
         from bokeh.client import pull_session
 
-        self.session = pull_session(url=f"{url.rstrip('/')}/view")
+        self.session = pull_session(url=f"{url.rstrip('/')}/view", arguments=arguments)
         self.document = self.session.document
 
     def __getitem__(self, name):
@@ -76,14 +83,17 @@ class Browser:
 
 
 @pytest.mark.processes
-def test_a_run_is_held_stepped_and_turned_from_its_page_and_its_bag_is_that_of_the_same_run_without(tmp_path):
-    words = ("dc_motor_smc", "--duration", "0.3", "--no-plots")
-    with running("view", *words, "--out", tmp_path / "seen") as process:
+@pytest.mark.parametrize("mode", ["processes", pytest.param("container", marks=pytest.mark.long)])
+def test_a_run_is_held_stepped_and_turned_from_its_page_and_its_bag_is_that_of_the_same_run_without(tmp_path, mode):
+    words = ("dc_motor_smc", "--duration", "0.1", "--no-plots")
+    with running("view", *words, "--mode", mode, "--out", tmp_path / "seen") as process:
         url = address(process)
         first, second = Browser(url), Browser(url)
         first.until(lambda: "paused" in first["state"].text and first["pace"].label == "resume")
-        first.press("step")
-        first.says("step: one step")
+        for t in ("0.0001", "0.0002"):
+            first.press("step")
+            first.says("step: one step")
+            first.until(lambda t=t: f">{mode}: {t} of 0.1 s, paused<" in first["state"].text)
         first["dc_motor_smc.c"].value = -1.0
         first.says("c out of range")
         second.says("c out of range")  # what one is refused, all can read
@@ -104,6 +114,31 @@ def test_a_run_is_held_stepped_and_turned_from_its_page_and_its_bag_is_that_of_t
     assert (speed["x"][-1], speed["y"][-1]) == (t[-1], recorded[-1])  # the page ends where the bag does
 
 
+def test_on_another_address_only_who_says_the_token_is_let_in(tmp_path):
+    assert main(["run", "dc_motor_smc", "--mode", "inprocess", "--duration", "0.05", "--no-plots", "--out",
+                 str(tmp_path / "run")]) in (0, 1)  # fmt: skip
+    with running("view", tmp_path / "run", "--view-address", "0.0.0.0:0") as process:
+        base, token = address(process).split("?token=")
+        for wanted in (
+            "",
+            "view",
+            "view?token=wrong",
+            "view?token=%C3%A4",
+            "view/autoload.js?bokeh-autoload-element=1",
+        ):
+            with pytest.raises(HTTPError, match="403: the address of the page with its token is wanted"):
+                urlopen(base + wanted)
+        for said in ({}, {"token": "wrong"}):
+            with pytest.raises(OSError, match="error code: 403"):
+                Browser(base, **said)
+        kept = build_opener(HTTPCookieProcessor())
+        assert b"dc_motor_smc - softrig" in kept.open(f"{base}?token={token}").read()
+        assert b"dc_motor_smc - softrig" in kept.open(f"{base}view").read()  # as the browser loads it again
+        browser = Browser(base, token=token)
+        browser.until(lambda: "0.05 s, recorded" in browser["state"].text)
+        browser.close()
+
+
 def test_a_track_keeps_extremes_and_stays_small():
     track = Track(limit=1000)
     x = np.random.default_rng(1).normal(size=50_000)
@@ -117,6 +152,40 @@ def test_a_track_keeps_extremes_and_stays_small():
     assert (table.columns["x"].max(), table.columns["x"].min()) == (50.0, -60.0)
     assert np.all(np.diff(table.t) >= 0)
     assert np.array_equal(table.columns["x"][-300:], x[-300:])  # the newest are whole
+
+
+def test_a_slider_turns_the_knob_of_its_number_and_follows_it():
+    asked, document = [], Document()
+    rig = rig_of("dc_motor_smc_faults")
+    control = Control(rig, lambda *words: asked.append(words), lambda: 0.0, lambda: "")
+    page = Page(document, Recorded(rig, Signals(Recording([])), {}), control, lambda: ((), True), "me", "here", "light")
+    number, slider = (document.select_one({"name": f"noise.probability{what}"}) for what in ("", " slider"))
+    assert (slider.start, slider.end, slider.value) == (0.0, 1.0, 1.0)
+    assert document.select_one({"name": "noise.start slider"}) is None  # no upper bound
+    slider.value = 0.5  # under way
+    assert not asked
+    slider.trigger("value_throttled", 1.0, 0.25)  # let go: in a browser
+    ((request, answered),) = asked
+    assert request == {"node": "noise", "set": {"probability": 0.25}}
+    answered(False, "no")
+    page.update()
+    assert (number.value, slider.value) == (1.0, 1.0)
+    slider.trigger("value_throttled", 0.25, 0.75)
+    asked[-1][1](True, "")
+    document.select_one({"name": "echo"}).text = document.select_one({"name": "beat"}).text
+    for _ in range(4):
+        page.update()
+    assert (number.value, slider.value) == (0.75, 0.75)
+    assert len(asked) == 2
+
+
+@pytest.mark.parametrize(("bounds", "value", "ends"), [
+    ((0.0, 1.0), 0.0, (0.0, 1.0)), ((0.0, 1e4), 0.0, None), ((0.0, math.inf), 1.0, None), ((-10.0, 10.0), 2, (-10, 10)),
+    ((0.0, 1e7), 5.0, (0.0, 20.0)), ((-1e7, 1e7), -5.0, (-20.0, 10.0)), ((0.0, 1.0), None, None),
+    ((0.0, 1.0), 0.01, (0.0, 1.0)),
+])  # fmt: skip
+def test_a_slider_spans_what_is_near_its_value(bounds, value, ends):
+    assert reach(Knob("node", "name", "", "", value, float, bounds, False)) == ends
 
 
 def test_what_is_asked_of_a_run_that_is_over_or_of_a_recording_is_refused_in_words():

@@ -82,6 +82,8 @@ def test_a_person_at_the_page_of_the_induction_motor(tmp_path, capsys, pace):
             browser.says("speed_controller.kp = 2.5")
             browser.turn("offset.active", "active", True)
             browser.says("offset.active = True")
+            browser.turn("offset.probability slider", "value_throttled", 0.5)
+            browser.says("offset.probability = 0.5")
             browser.click("offset/toggle")
             browser.says("offset/toggle: toggle pressed")
             if pace == "lockstep":

@@ -39,6 +39,7 @@ from .sources import Source
 
 EVERY = 250  # ms between two states of a page: nodes hand over what they record four times a second
 WINDOWS = ("0.1", "0.5", "2", "10", "60", "all")  # s
+WIDE = 20  # times the value (or 1) that a slider spans at most before it shows a part of it
 SLOW = 4  # states of the pictures between two of the tables
 
 
@@ -79,6 +80,7 @@ class Page:
         self._look = look
         self._drawing, self._drawn = drawing_for(rig), self._div("drawing")
         self._tables = {name: self._div(name) for name in ("figures", "health", "log")}
+        self._sliders: dict[str, Slider] = {}
         self._knobs = {key: self._knob(knob) for key, knob in control.knobs.items()}
         # a browser that has not shown the last state gets no further one: it loses pictures, and nothing piles up
         self._beat, self._echo = self._div("beat", visible=False), self._div("echo", visible=False)
@@ -160,7 +162,7 @@ class Page:
             keys = [key for key, knob in control.knobs.items() if knob.fault is fault]
             if keys:
                 found.append(Div(text=f"<h2>{title}</h2>", stylesheets=[self._sheet]))
-                found += [self._knobs[key] for key in keys]
+                found += [w for key in keys for w in (self._knobs[key], self._sliders.get(key)) if w is not None]
         return [self._tables["figures"], *found, self._tables["health"], self._tables["log"]]
 
     def _knob(self, knob: Knob) -> Any:
@@ -175,9 +177,19 @@ class Page:
             mode = "int" if knob.kind is int else "float"
             found = NumericInput(title=f"{title}{_range(knob)}", value=knob.value, mode=mode,
                                  description=knob.doc or None, **about)  # fmt: skip
+            if (ends := reach(knob)) is not None:
+                self._sliders[knob.key] = self._slider_of(knob, *ends)
         else:
             found = TextInput(title=title, value=_text(knob.value), description=knob.doc or None, **about)
         found.on_change("value", lambda attr, old, new: self._turned(knob, new))
+        return found
+
+    def _slider_of(self, knob: Knob, low: float, high: float) -> Slider:
+        """Give what moves a number; it counts when it is let go."""
+        step = max(1, round((high - low) / 1000)) if knob.kind is int else (high - low) / 1000
+        found = Slider(start=low, end=high, value=knob.value, step=step, show_value=False, name=f"{knob.key} slider",
+                       stylesheets=[self._sheet], sizing_mode="stretch_width")  # fmt: skip
+        found.on_change("value_throttled", lambda attr, old, new: self._turned(knob, knob.kind(new)))
         return found
 
     # what people do ------------------------------------------------------------------------------------------------
@@ -234,6 +246,8 @@ class Page:
             return
         pane = self._source.pane(t - drawing.trail, t)
         known = {name: pane[name] for name in drawing.signals if name in pane}
+        if not known:  # nothing has come yet
+            return
         past = rows(known, np.linspace(max(0.0, t - drawing.trail), t, PAST)) if drawing.trail else ()
         self._drawn.text = still(drawing, drawing.frame(rows(known, np.array([t]))[0], past), self._look == "dark")
 
@@ -296,10 +310,25 @@ class Page:
                 widget.active = bool(knob.value)
             else:
                 widget.value = _text(knob.value) if isinstance(widget, TextInput) else knob.value
+            if (slider := self._sliders.get(key)) is not None and slider.value != knob.value:
+                if not slider.start <= knob.value <= slider.end and (ends := reach(knob)) is not None:
+                    slider.update(start=ends[0], end=ends[1])
+                slider.value = knob.value
         if control.held is not None and source.live:
             self._pace.label = "resume" if control.held else "pause"
         self._head.text = words.head(source, self._how, control.held)
         return True
+
+
+def reach(knob: Knob) -> tuple[float, float] | None:
+    """Give the ends of a slider: those declared, or near the value where they are far; None: no slider."""
+    low, high, value = *knob.bounds, knob.value
+    if value is None or math.isinf(high - low):
+        return None
+    if not value:
+        return (low, high) if high - low <= WIDE else None
+    far = high - low > WIDE * max(1.0, abs(value))
+    return (max(low, value - 3 * abs(value)), min(high, value + 3 * abs(value))) if far else (low, high)
 
 
 def _range(knob: Knob) -> str:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import logging
 import os
 import secrets
 import signal
@@ -78,10 +79,10 @@ class _Token(AuthProvider):  # type: ignore[misc]
 
     @property
     def get_user(self) -> Any:
-        def user(handler: RequestHandler) -> str | None:
+        def user(handler: RequestHandler) -> str:
             said = handler.get_argument("token", "") or handler.get_cookie("softrig_token", "") or ""
-            if not secrets.compare_digest(said, self._token):
-                return None
+            if not secrets.compare_digest(said.encode(), self._token.encode()):
+                raise HTTPError(403, reason="the address of the page with its token is wanted")
             if handler.get_argument("token", ""):
                 handler.set_cookie("softrig_token", self._token, httponly=True, samesite="Strict")
             return "token"
@@ -90,16 +91,7 @@ class _Token(AuthProvider):  # type: ignore[misc]
 
     @property
     def login_url(self) -> str:
-        return "/refused"
-
-    @property
-    def login_handler(self) -> type[RequestHandler]:
-        return _Refused
-
-
-class _Refused(RequestHandler):
-    def get(self) -> None:
-        raise HTTPError(403, reason="the address of the page with its token is wanted")
+        return "/"  # wanted by Bokeh; who is refused is sent nowhere
 
 
 class _ToPage(RequestHandler):
@@ -146,6 +138,8 @@ class Pages:
         except OSError as error:
             raise ScenarioError(f"--view-address {address}: {error.strerror}") from None
         token = "" if host in LOOPBACK else secrets.token_urlsafe(16)
+        if token:  # whoever has it may come by any name of this host, and Bokeh need not warn of that
+            logging.getLogger("bokeh.server.util").setLevel(logging.ERROR)
         origins = ["*"] if token else [f"{name}:{chosen}" for name in ("localhost", host)]
         try:
             self.server = Server(

@@ -16,7 +16,7 @@ from .sources import Source
 
 COUNTS = {
     "missed_deadlines": "missed", "incomplete_ticks": "incomplete", "dropped_ticks": "dropped",
-    "late_messages": "late", "lost_arrays": "lost", "skipped_periods": "skipped",
+    "late_messages": "late", "overdue_messages": "overdue", "lost_arrays": "lost", "skipped_periods": "skipped",
 }  # fmt: skip
 
 
