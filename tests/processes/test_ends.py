@@ -17,7 +17,7 @@ from softrig_core.rig import starting
 from softrig_core.rig.children import read_status
 from softrig_core.rig.domain import free_domain
 from softrig_core.rig.executables import environment, find_executable
-from softrig_core.rig.shared_memory import remove_leftovers
+from softrig_core.rig.shared_memory import MADE, remove_leftovers
 from softrig_core.rig.start_server import start_node
 from softrig_core.rig.starting import node_parameters, parameter_file
 from softrig_core.rig.stopping import Stopped, stoppable
@@ -65,21 +65,23 @@ def test_a_run_in_process_can_be_stopped():
 def test_leftovers_of_the_dead_go_and_those_of_the_living_stay(tmp_path):
     names = ["fastrtps_00aa", "fastrtps_00aa_el", "fastrtps_port7411", "fastrtps_port7411_el",
              "sem.fastrtps_port7411_mutex", "fastrtps_00bb", "fastrtps_00bb_el", "fastrtps_00cc", "fastrtps_00cc_el",
-             "fastrtps_port7661", "other"]  # fmt: skip
+             "fastrtps_port7661", "fastrtps_port7001", "sem.fastrtps_port7001_mutex", "other"]  # fmt: skip
     for name in names:
-        (tmp_path / name).touch()
+        # of what another domain has, a port that is whole stays, one that its maker left half-made goes
+        (tmp_path / name).write_bytes(bytes(8) if "7001" in name else MADE)
         os.utime(tmp_path / name, (0, 0))
+    (tmp_path / "fastrtps_port7002").touch()  # just begun
     os.utime(tmp_path / "fastrtps_00cc_el")  # just made: its owner may be about to lock it
     lock = f"f = open('{tmp_path}/fastrtps_00bb_el'); fcntl.flock(f, fcntl.LOCK_EX)"
     code = f"import fcntl; {lock}; print(1, flush=True); input()"
     owner = subprocess.Popen([sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
     owner.stdout.readline()
-    assert remove_leftovers(folder=tmp_path) == 5
-    left = {"fastrtps_00bb", "fastrtps_00bb_el", "fastrtps_00cc", "fastrtps_00cc_el", "other"}
+    assert remove_leftovers(folder=tmp_path) == 7
+    left = {"fastrtps_00bb", "fastrtps_00bb_el", "fastrtps_00cc", "fastrtps_00cc_el", "fastrtps_port7002", "other"}
     assert {p.name for p in tmp_path.iterdir()} == left | {"fastrtps_port7661"}
     owner.communicate(b"\n")
     assert remove_leftovers(1, tmp_path) == 3  # of a domain that is over: ports that nobody had locked, too
-    assert {p.name for p in tmp_path.iterdir()} == {"fastrtps_00cc", "fastrtps_00cc_el", "other"}
+    assert {p.name for p in tmp_path.iterdir()} == {"fastrtps_00cc", "fastrtps_00cc_el", "fastrtps_port7002", "other"}
 
 
 def test_ctrl_c_cannot_be_swallowed_while_a_node_starts():

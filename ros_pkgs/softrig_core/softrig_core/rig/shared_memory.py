@@ -10,13 +10,15 @@ from pathlib import Path
 
 FOLDER = Path("/dev/shm")
 AGE = 2.0  # s: between making a segment and locking it pass some microseconds
+MADE = b"\2\0\0\0"  # how a segment begins that its maker has finished (Boost.Interprocess)
 
 
 def remove_leftovers(domain: int | None = None, folder: Path = FOLDER) -> int:
     """Remove the segments and ports whose owner is dead; gives how many files that were.
 
     As `fastdds shm clean` does: an owner holds a lock on ``NAME_el`` (or, with others, on ``NAME_sl``), which the
-    operating system drops when the process ends. What belongs to other users is left alone.
+    operating system drops when the process ends. What belongs to other users is left alone. A port whose maker was
+    killed before it had finished goes as well, in any domain: whoever opens it waits for the maker for ever.
 
     Parameters
     ----------
@@ -26,6 +28,7 @@ def remove_leftovers(domain: int | None = None, folder: Path = FOLDER) -> int:
     """
     removed = 0
     stems = {p.name[:-3] for p in (*folder.glob("fastrtps_*_el"), *folder.glob("fastrtps_*_sl"))}
+    stems |= {p.name for p in folder.glob("fastrtps_port*") if p.name[-3:] not in ("_el", "_sl") and _half_made(p)}
     if domain is not None:
         first = 7400 + 250 * domain  # RTPS 9.6.1
         stems |= {f"fastrtps_port{n}" for n in range(first, first + 250) if (folder / f"fastrtps_port{n}").exists()}
@@ -40,6 +43,15 @@ def remove_leftovers(domain: int | None = None, folder: Path = FOLDER) -> int:
                     path.unlink()
                     removed += 1
     return removed
+
+
+def _half_made(path: Path) -> bool:
+    """Whether a segment is old and was never finished."""
+    try:
+        with path.open("rb") as file:
+            return time.time() - path.stat().st_mtime >= AGE and file.read(len(MADE)) != MADE
+    except OSError:
+        return False
 
 
 def _taken(lock: Path, held: ExitStack) -> bool:
