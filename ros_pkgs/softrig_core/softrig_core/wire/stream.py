@@ -36,24 +36,19 @@ class Writer:
 
     def add(self, code: str, *values: Any) -> None:
         """Write values of a struct's code."""
-        at = self.room(code, len(values))
-        struct.pack_into(f"<{len(values)}{code}", self.data, at, *values)
+        pad = -(len(self.data) - 4) % struct.calcsize(code) if values else 0
+        at = len(self.data) + pad
+        self.data += struct.pack(f"<{pad}x{len(values)}{code}", *values)
         self.written.append((at, len(self.data)))
 
     def text(self, text: str, room: int = 0) -> int:
         """Write a string, with room for so many characters at its end; gives where."""
         raw = text.encode()
         self.add("I", len(raw) + room + 1)
-        at = self._put(raw)
-        self.data += bytes(room)
-        self._put(b"\0")
+        at = len(self.data) + len(raw)
+        self.written += [(at - len(raw), at), (at + room, at + room + 1)]
+        self.data += raw + bytes(room + 1)
         return at
-
-    def _put(self, raw: bytes) -> int:
-        at = len(self.data)
-        self.data += raw
-        self.written.append((at, at + len(raw)))
-        return at + len(raw)
 
 
 class Reader:
