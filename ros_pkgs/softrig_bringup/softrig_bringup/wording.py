@@ -13,6 +13,9 @@ from .html import NONE
 __all__ = ["NEVER", "accepted", "difference", "in_words", "measured", "measured_here", "number", "short", "spans"]
 
 
+MOST = 3  # intervals that are written
+
+
 def number(value: float | None) -> str:
     """A number that somebody wrote down, with all its digits."""
     return NONE if value is None else f"{value:.10g}".replace("-", "−")
@@ -46,10 +49,10 @@ def measured(metric: Result) -> str:
     return f"{metric.value:.{decimals}f}".replace("-", "−")
 
 
-def spans(intervals: Sequence[tuple[float, float]], most: int = 3) -> str:
+def spans(intervals: Sequence[tuple[float, float]]) -> str:
     """Write intervals of time: ``from 1.4 to 2.1 s, at 3 s``; of many the first ones and how many more."""
-    words = [f"at {a:.6g} s" if a == b else f"from {a:.6g} to {b:.6g} s" for a, b in intervals[:most]]
-    more = f" and {len(intervals) - most} times more, to {intervals[-1][1]:.6g} s" if len(intervals) > most else ""
+    words = [f"at {a:.6g} s" if a == b else f"from {a:.6g} to {b:.6g} s" for a, b in intervals[:MOST]]
+    more = f" and {len(intervals) - MOST} times more, to {intervals[-1][1]:.6g} s" if len(intervals) > MOST else ""
     return ", ".join(words) + more
 
 

@@ -41,7 +41,7 @@ class Quantity:
         value = row.get(self.name, math.nan)
         return value if math.isfinite(value) else self.rest
 
-    def said(self, row: Row, form: str = ".1f", scale: float = 1.0, unit: str | None = None) -> str:
+    def said(self, row: Row, form: str = ".1f", unit: str | None = None) -> str:
         """Write the value with its unit.
 
         Parameters
@@ -49,13 +49,11 @@ class Quantity:
         row : mapping of str to float
         form : str
             Format of the number.
-        scale : float
-            Factor to another unit.
         unit : str, optional
-            That unit.
+            In place of its own.
         """
         value = row.get(self.name, math.nan)
-        number = f"{scale * value:{form}}" if math.isfinite(value) else NOTHING
+        number = f"{value:{form}}" if math.isfinite(value) else NOTHING
         if float(number.replace(",", "") if number != NOTHING else 1) == 0.0:
             number = number.lstrip("-")  # no "-0.0"
         return f"{number.replace('-', '−')} {self.unit if unit is None else unit}".rstrip()

@@ -116,10 +116,9 @@ class Pen:
             [end, (foot[0] - side * uy, foot[1] + side * ux), (foot[0] + side * uy, foot[1] - side * ux)], role, role, 0
         )
 
-    def arc(self, centre: Point, radius: float, start: float, end: float, role: str = "line", width: float = 1.5,
-            points: int = 24) -> None:  # fmt: skip
+    def arc(self, centre: Point, radius: float, start: float, end: float, role: str, width: float) -> None:
         """Draw an arc between two angles, rad, counter-clockwise from the right."""
-        angles = [start + (end - start) * k / (points - 1) for k in range(points)]
+        angles = [start + (end - start) * k / 23 for k in range(24)]
         self.line([polar(centre, radius, a) for a in angles], role, width)
 
 

@@ -18,33 +18,33 @@ def _at(start: Point, axes: tuple[float, float, float, float, float], along: flo
     return start[0] + along * ux + across * nx, start[1] + along * uy + across * ny
 
 
-def resistor(pen: Pen, start: Point, end: Point, role: str = "line", half: float = 8.0) -> None:
+def resistor(pen: Pen, start: Point, end: Point, half: float = 8.0) -> None:
     """Draw a box, as IEC 60617 has it."""
     axes = _frame(start, end)
     corners = [(0, -half), (axes[4], -half), (axes[4], half), (0, half)]
-    pen.polygon([_at(start, axes, a, b) for a, b in corners], role, "paper")
+    pen.polygon([_at(start, axes, a, b) for a, b in corners], "line", "paper")
 
 
-def inductor(pen: Pen, start: Point, end: Point, role: str = "line", turns: int = 4) -> None:
+def inductor(pen: Pen, start: Point, end: Point, role: str = "line") -> None:
     """Draw half circles."""
     axes = _frame(start, end)
-    radius = axes[4] / turns / 2
+    radius = axes[4] / 8
     points = []
-    for k in range(turns):
+    for k in range(4):
         for j in range(9):
             angle = math.pi * (1 - j / 8)
             points.append(_at(start, axes, radius * (2 * k + 1 + math.cos(angle)), -radius * math.sin(angle)))
     pen.line(points, role)
 
 
-def capacitor(pen: Pen, start: Point, end: Point, role: str = "line", half: float = 16.0, gap: float = 8.0) -> None:
+def capacitor(pen: Pen, start: Point, end: Point) -> None:
     """Draw two plates between two points, with their leads."""
     axes = _frame(start, end)
-    a, b = (axes[4] - gap) / 2, (axes[4] + gap) / 2
-    pen.line([start, _at(start, axes, a, 0)], role)
-    pen.line([_at(start, axes, b, 0), end], role)
+    a, b = axes[4] / 2 - 4.0, axes[4] / 2 + 4.0
+    pen.line([start, _at(start, axes, a, 0)])
+    pen.line([_at(start, axes, b, 0), end])
     for along in (a, b):
-        pen.line([_at(start, axes, along, -half), _at(start, axes, along, half)], role, 2.5)
+        pen.line([_at(start, axes, along, -16.0), _at(start, axes, along, 16.0)], "line", 2.5)
 
 
 def source(pen: Pen, centre: Point, radius: float, *, dc: bool = False, role: str = "line") -> None:
@@ -61,7 +61,7 @@ def source(pen: Pen, centre: Point, radius: float, *, dc: bool = False, role: st
         pen.line(wave, role)
 
 
-def diode(pen: Pen, start: Point, end: Point, role: str = "line", half: float = 9.0) -> None:
+def diode(pen: Pen, start: Point, end: Point, role: str, half: float) -> None:
     """Draw a diode that lets a current through from start to end."""
     axes = _frame(start, end)
     middle = axes[4] / 2
@@ -72,7 +72,7 @@ def diode(pen: Pen, start: Point, end: Point, role: str = "line", half: float = 
     pen.line([_at(start, axes, middle + half * 0.8, -half), _at(start, axes, middle + half * 0.8, half)], role, 2.0)
 
 
-def ground(pen: Pen, at: Point, role: str = "line") -> None:
+def ground(pen: Pen, at: Point, role: str) -> None:
     """Draw the sign of earth below a point."""
     x, y = at
     pen.line([(x, y), (x, y + 8)], role)
@@ -80,20 +80,19 @@ def ground(pen: Pen, at: Point, role: str = "line") -> None:
         pen.line([(x - half, y + 8 + 4 * k), (x + half, y + 8 + 4 * k)], role)
 
 
-def bus(pen: Pen, x: float, top: float, bottom: float, name: str = "", role: str = "line") -> None:
+def bus(pen: Pen, x: float, top: float, bottom: float, name: str) -> None:
     """Draw a bus bar with its name above."""
-    pen.line([(x, top), (x, bottom)], role, 5.0)
+    pen.line([(x, top), (x, bottom)], "line", 5.0)
     pen.text((x, top - 8), name, "muted", anchor="middle")
 
 
-def converter(pen: Pen, centre: Point, half: float = 22.0, role: str = "line", *, ac_left: bool = True) -> None:
+def converter(pen: Pen, centre: Point, half: float) -> None:
     """Draw a converter between alternating and direct current: a square with its diagonal."""
     x, y = centre
-    pen.box(x - half, y - half, 2 * half, 2 * half, role, "faint", 2.0)
-    pen.line([(x - half, y + half), (x + half, y - half)], role)
-    ac, dc = ("~", "=") if ac_left else ("=", "~")
-    pen.text((x - half * 0.5, y - half * 0.15), ac, role, half * 0.8, "middle")
-    pen.text((x + half * 0.5, y + half * 0.75), dc, role, half * 0.8, "middle")
+    pen.box(x - half, y - half, 2 * half, 2 * half, "line", "faint", 2.0)
+    pen.line([(x - half, y + half), (x + half, y - half)])
+    pen.text((x - half * 0.5, y - half * 0.15), "~", "line", half * 0.8, "middle")
+    pen.text((x + half * 0.5, y + half * 0.75), "=", "line", half * 0.8, "middle")
 
 
 def meter(pen: Pen, at: Point, size: tuple[float, float], share: float, role: str) -> None:
