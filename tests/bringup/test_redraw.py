@@ -1,6 +1,8 @@
 """Pictures of a run that is over, from its bag: sizes, letters, data."""
 
 import csv
+import json
+import shutil
 from pathlib import Path
 
 import pytest
@@ -77,3 +79,11 @@ def test_what_cannot_be_drawn_is_one_line(run, tmp_path, capsys):
     assert "no bag in it" in capsys.readouterr().err
     assert main(["plot", str(run), "motor/speed", "--out", str(tmp_path)]) == 2
     assert "no signal 'motor/speed'" in capsys.readouterr().err
+    edited = Path(shutil.copytree(run, tmp_path / "edited"))
+    content = json.loads((edited / "metrics.json").read_text())
+    for command in ("make all", "softrig 'run"):
+        (edited / "metrics.json").write_text(json.dumps(content | {"command": command}))
+        assert main(["plot", str(edited)]) == 2
+        assert f"command: expected that of a run, got {command!r}" in capsys.readouterr().err
+        assert main(["report", str(edited), "--out", str(tmp_path / "edited.html")]) == 0
+        assert "This run has no pictures" in (tmp_path / "edited.html").read_text()

@@ -55,8 +55,12 @@ def _as_it_ran(command: str) -> Rig:
 
     parser = Parser(prog="softrig run")
     arguments(parser)
-    words = shlex.split(command)
-    return Rig.from_scenario(scenario_of(parser.parse_args(words[words.index("run") + 1 :])))
+    try:
+        words = shlex.split(command)
+        words = words[words.index("run") + 1 :]
+    except ValueError:
+        raise ScenarioError(f"metrics.json: command: expected that of a run, got {command!r}"[:200]) from None
+    return Rig.from_scenario(scenario_of(parser.parse_args(words)))
 
 
 def draw_missing(directory: Path, into: Path) -> list[Path]:
