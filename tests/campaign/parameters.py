@@ -94,7 +94,8 @@ def feeder(ports: list[Port], seed: int) -> type[Block]:
             found: dict = {}
             for port in self.OUTPUTS:
                 size = 10.0 ** chance.randint(-6, 4)
-                values = port.safe if chance.random() < 0.3 else tuple(chance.gauss(0, size) for _ in port.labels)
+                drawn = tuple(max(-most, min(most, chance.gauss(0, size))) for most in port.limits)
+                values = port.safe if chance.random() < 0.3 else drawn
                 found[port.name] = Sample(t, values) if port.delayed else values
             return found
 

@@ -4,7 +4,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from conftest import make_scenario
+from conftest import PATIENCE, make_scenario
 from pydantic import model_validator
 from softrig_bringup.cli import main
 from softrig_core import (
@@ -27,7 +27,10 @@ from softrig_core.rig.options import RunOptions
 sys.path.insert(0, str(Path(__file__).parents[1] / "campaign"))
 
 import driver
+import messages
 from parameters import executables
+
+import bags
 
 
 class SizeParams(BlockParams):
@@ -183,9 +186,20 @@ def test_an_answer_that_is_no_row_of_numbers_is_the_nodes_fault():
             check({"x": wrong}, port, "law", 0)
 
 
-def test_a_short_campaign():
-    table = driver.campaign(dict.fromkeys(("bags", "messages", "parameters", "scenarios"), 3), 1, 15.0, None, 2)
-    assert sum(row[0] for row in table.values()) >= 6
+@pytest.mark.parametrize("attack", [bags.attack, messages.attack], ids=["bags", "messages"])
+def test_damage_is_refused_or_does_not_matter(attack, tmp_path):
+    for seed in range(1, 4):
+        (tmp_path / f"{seed}").mkdir()
+        attack(seed, tmp_path / f"{seed}")
+
+
+@pytest.mark.parametrize(("areas", "number"), [
+    (("parameters", "scenarios"), 3),  # may ask for all memory: in processes of their own
+    pytest.param(("bags", "messages", "parameters", "scenarios"), 12, marks=pytest.mark.long),
+])  # fmt: skip
+def test_a_short_campaign(areas, number):
+    table = driver.campaign(dict.fromkeys(areas, number), 1, PATIENCE, None, 2)
+    assert sum(row[0] for row in table.values()) == number * len(areas)
     assert {area: row[2] for area, row in table.items()} == {area: [] for area in table}
 
 
