@@ -136,6 +136,7 @@ def test_every_dependency_has_its_reason_beside_it():
             assert " # " in line, line
 
 
+@pytest.mark.long
 def test_what_a_run_imports_is_not_of_the_test_set():
     """The run set is enough to import every module that ships."""
     added = names(re.findall(r"^[^ \n]+==", LOCKS["test"], re.M))

@@ -451,16 +451,20 @@ def test_many_figures_of_few_runs_stand_one_a_row():
 
 def test_the_report_of_several_runs_overlays_their_bags(tmp_path):
     runs = [str(tmp_path / "a"), str(tmp_path / "b")]
+    (plot,) = (p for p in load_scenario("dc_motor_smc_c1").plots if p.title == "Armature voltage and current")
+    (tmp_path / "one.yaml").write_text(
+        f"title: One picture\nextends: dc_motor_smc_c1\nplots: [{plot.model_dump_json(exclude_defaults=True)}]\n"
+    )
     for r, out, more in (("0.5", runs[0], ["--format", "svg"]), ("0.6", runs[1], ["--no-plots"])):
-        assert main(["run", "dc_motor_smc_c1", "--mode", "inprocess", "--duration", "0.5", "--set",
+        assert main(["run", str(tmp_path / "one.yaml"), "--mode", "inprocess", "--duration", "0.5", "--set",
                      f"dc_motor_plant.R={r}", "--out", out, *more]) == 0  # fmt: skip
-    assert len(list((tmp_path / "a").glob("*.svg"))) == len(list((tmp_path / "a").glob("*.png"))) == 3
+    assert len(list((tmp_path / "a").glob("*.svg"))) == len(list((tmp_path / "a").glob("*.png"))) == 2
     assert main(["report", *runs, "--out", str(tmp_path / "both.html")]) == 0
     page = (tmp_path / "both.html").read_text()
     assert "dc_motor: signals" in page
     assert page.index("dc_motor: signals") < page.index('alt="Armature voltage and current"')
     assert '<a href="#run-2">b</a>' in page
-    assert "<td>dc_motor_smc_c1, dc_motor_plant.R=0.6, duration 0.5</td>" in re.sub(" data-label=.*?>", ">", page)
+    assert "<td>one, dc_motor_plant.R=0.6, duration 0.5</td>" in re.sub(" data-label=.*?>", ">", page)
     assert 'href="https://doi.org/10.18196/jrc.26140"' in page
     assert "differs" in page
     assert "✗" not in page  # changed runs are compared, not judged

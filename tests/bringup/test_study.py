@@ -152,7 +152,8 @@ def test_what_no_run_could_do_is_said_before_the_first(folder, keys, message):
 
 
 def test_a_row_tells_how_to_repeat_its_run(folder, undrawn):
-    assert main(["study", "lag", "--grid", "gain.k=1,2.5", "--seeds", "2", "--duration", "0.25", "--out", "out"]) == 0
+    assert main(["study", "lag", "--grid", "gain.k=1,2.5", "--seeds", "2", "--duration", "0.25", "--workers", "1",
+                 "--out", "out"]) == 0  # fmt: skip
     table = pyarrow.parquet.read_table(folder / "out" / "table.parquet").to_pylist()
     with (folder / "out" / "table.csv").open() as file:
         assert [r["command"] for r in csv.DictReader(file)] == [r["command"] for r in table]

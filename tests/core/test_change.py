@@ -7,7 +7,7 @@ from functools import partial
 
 import pytest
 from conftest import differences, in_process
-from hypothesis import given, strategies as st
+from hypothesis import given, settings, strategies as st
 from simulated import SimulatedRig, World
 from softrig_bags.read import read_bag
 from softrig_bags.topics import typestore
@@ -243,6 +243,7 @@ def test_what_is_refused_while_it_runs_changes_nothing():
     assert "parameter_events" not in run.recording.topics
 
 
+@settings(max_examples=40)
 @given(st.dictionaries(st.text(max_size=5), st.one_of(
     st.none(), st.booleans(), st.integers(-(2**63), 2**63 - 1), st.floats(allow_nan=False), st.text(max_size=9),
     st.lists(st.booleans(), max_size=3), st.lists(st.integers(-9, 9), max_size=3),
