@@ -160,7 +160,7 @@ def test_scale_factors_stand_in_the_axis_title_and_nowhere_else(largest, power):
         fold_exponents(figure)
         figure.draw_without_rendering()
     assert (ax.get_ylabel(), ax.get_xlabel()) == (rf"Cost, $\mathregular{{10^{{{power}}}}}$ $/h", "Time, s")
-    shown = {t.get_text().replace(r"$\mathdefault{", "").replace("}$", "") for t in ax.get_yticklabels()}
+    shown = {t.get_text() for t in ax.get_yticklabels()}
     assert shown >= {"0.0", "1.0", "3.0"}
     assert not ax.yaxis.get_offset_text().get_visible()
 

@@ -29,7 +29,6 @@ def style() -> dict[Any, Any]:
         "axes.edgecolor": "#666666",
         "axes.formatter.useoffset": False,
         "axes.formatter.limits": (-3, 5),
-        "axes.formatter.use_mathtext": True,
         "axes.prop_cycle": cycler(color=COLOURS),
         "axes.spines.right": False,
         "axes.spines.top": False,
