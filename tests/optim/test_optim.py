@@ -13,12 +13,12 @@ from pathlib import Path
 import faultrig
 import numpy as np
 import pytest
-from conftest import PATIENCE
+from conftest import PATIENCE, make_scenario
 from hypothesis import given, settings, strategies as st
 from scipy import stats
 from scipy.optimize import differential_evolution, minimize_scalar
-from softrig_core import Level, ParameterError, Plant, ScenarioError
-from softrig_core.model.worker import Worker
+from softrig_core import Level, ParameterError, Plant, Rig, ScenarioError, run_inprocess
+from softrig_core.model.worker import Worker, _Process
 from softrig_optim.algorithms import AlgorithmParams, make
 from softrig_optim.de import DifferentialEvolution
 from softrig_optim.firefly import Firefly
@@ -610,7 +610,7 @@ def test_nothing_is_imported_from_the_current_directory(code, tmp_path):
 
 
 def test_an_idle_process_serves_the_next_worker_of_its_function(monkeypatch):
-    """And of its thread, directory and variables; one that works ends with its worker."""
+    """Of its thread, directory and variables; one that works ends with its worker."""
 
     def works(seconds=0.0):
         worker = Worker(faultrig.Planner.solve)
@@ -630,6 +630,22 @@ def test_an_idle_process_serves_the_next_worker_of_its_function(monkeypatch):
     assert works(3600.0) == first
     assert not Path(f"/proc/{first}").exists()
     assert works() not in (first, other)
+
+
+def test_a_run_that_is_over_leaves_its_process_to_the_next():
+    while _Process.idle:  # of other tests
+        _Process.idle.pop().kill()
+    nodes = {"plant": "plant", "source": {"executable": "source", "parameters": {"period": 0.1}}, "planner": "planner",
+             "gain": {"executable": "gain", "remap": {"lag/reference": "lag/inner_reference"}}}  # fmt: skip
+    rig = Rig.from_scenario(make_scenario(nodes, 0.3))
+    first = run_inprocess(rig, 0)["planner"]
+    (left,) = _Process.idle
+    second = run_inprocess(rig, 0)["planner"]
+    assert _Process.idle == [left]
+    first.reset(0)
+    first._worker.warm()  # asked again, it has one again
+    assert first._worker._process is left
+    assert second._worker._process is None
 
 
 def test_sweep_names_the_missing_package(monkeypatch):

@@ -132,6 +132,10 @@ class Solver(Block[S]):
         self._struck = False
         super().reset(seed)
 
+    def rest(self) -> None:
+        """Leave the process that works to others, if it does nothing: the run is over."""
+        self._worker.rest()
+
     @property
     def working(self) -> bool:
         """Whether a request is under way or waits."""

@@ -120,6 +120,12 @@ class Worker:
         self._process = None
         self.state = "idle"
 
+    def rest(self) -> None:
+        """Leave an idle process to others until there is work again."""
+        if self._process is not None and self.state != "working":
+            self._end()
+            self._process = None
+
     def heard(self, process: _Process, kind: str, content: Any) -> None:
         """Take what a process says."""
         with self._changed:

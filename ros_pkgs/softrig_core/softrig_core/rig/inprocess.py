@@ -10,6 +10,7 @@ from ..model.block import Block
 from ..model.codec import encoder
 from ..model.port import CLOCK, Port, Sample
 from ..model.runner import Runner
+from ..model.solver import Solver
 from ..model.step import Rows, Step
 from ..wire import parameter_event
 from ..wire.recording import Sink
@@ -52,10 +53,16 @@ def run_inprocess(
     if sink is not None:
         record(rig, steps, sink)
     stride = max(1, rig.ticks // 100)
-    for k, t in enumerate(Runner(list(steps.values())).run()):
-        if progress is not None and (k % stride == 0 or k == rig.ticks):
-            progress(t or 0)
-    return {name: step.block for name, step in steps.items()}
+    blocks = {name: step.block for name, step in steps.items()}
+    try:
+        for k, t in enumerate(Runner(list(steps.values())).run()):
+            if progress is not None and (k % stride == 0 or k == rig.ticks):
+                progress(t or 0)
+    finally:
+        for block in blocks.values():
+            if isinstance(block, Solver):
+                block.rest()
+    return blocks
 
 
 def wired(rig: Rig, blocks: dict[str, Block]) -> dict[str, Step]:
