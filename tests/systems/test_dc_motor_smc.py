@@ -338,7 +338,9 @@ def test_a_refused_reference_gives_the_surface_too():
 
 
 @pytest.mark.processes
-@pytest.mark.parametrize("name", ["dc_motor_smc_b4", "dc_motor_smc_stretch_b"])  # b1 is a golden bag's
+@pytest.mark.parametrize(  # b1 is a golden bag's
+    "name", ["dc_motor_smc_b4", pytest.param("dc_motor_smc_stretch_b", marks=pytest.mark.long)]
+)
 def test_processes_give_the_same_bits(name, tmp_path):
     rig = Rig.from_scenario(load_scenario(name).model_copy(update={"duration": 1.0}))
     outcome = run_processes(rig, 3, tmp_path)

@@ -530,6 +530,7 @@ def test_lost_flux_warns():
     assert abs(complex(*blocks["im_plant"].state[:2])) < 0.09
 
 
+@pytest.mark.long  # daily in a container
 @pytest.mark.processes
 def test_the_same_bits_over_topics(tmp_path):
     scenario = load_scenario("induction_dtc_short")

@@ -442,8 +442,9 @@ def test_same_seed_same_bits():
     assert "converter/duty" in differences(first, other)
 
 
+@pytest.mark.long  # daily in a container
 @pytest.mark.processes
-@pytest.mark.parametrize("name", ["pv_mppt", pytest.param("pv_mppt_certified_transients", marks=pytest.mark.long)])
+@pytest.mark.parametrize("name", ["pv_mppt", "pv_mppt_certified_transients"])
 def test_processes_give_the_same_bits(name, tmp_path):
     """Acceptance 7, in lockstep."""
     rig = Rig.from_scenario(load_scenario(name).model_copy(update={"duration": 0.3}))

@@ -738,8 +738,9 @@ def test_native_and_plain_code_give_the_same_bits(monkeypatch):
     assert [tuple(x) for x in json.loads(out)] == [plant.state for plant in native]
 
 
+@pytest.mark.long  # daily in a container
 @pytest.mark.processes
-@pytest.mark.parametrize("name", ["rectifier_mpc", pytest.param("rectifier_mpc_n1_qp2", marks=pytest.mark.long)])
+@pytest.mark.parametrize("name", ["rectifier_mpc", "rectifier_mpc_n1_qp2"])
 def test_processes_give_the_same_bytes(name, tmp_path):
     rig = rig_of(name, duration=0.25)
     outcome = run_processes(rig, rig.scenario.seed, tmp_path)
