@@ -94,7 +94,7 @@ def through_fmus(scenario, nodes, folder):
 
 @pytest.mark.parametrize(("name", "nodes", "overrides"), [
     ("dc_motor_smc_b2", ["dc_motor_plant", "dc_motor_smc"], {"dc_motor_plant.current_noise": 0.01}),
-    ("induction_dtc", ["im_plant"], {}),
+    pytest.param("induction_dtc", ["im_plant"], {}, marks=pytest.mark.long),
 ])  # fmt: skip
 def test_a_rig_with_exports_in_it_has_the_same_numbers(name, nodes, overrides, tmp_path):
     scenario = load_scenario(name, overrides)
