@@ -125,6 +125,15 @@ def test_a_node_that_stays_behind_ends_the_run_with_its_name(tmp_path):
     assert no_process_left(tmp_path)
 
 
+@pytest.mark.parametrize("mode", ["lockstep", "realtime"])
+def test_a_node_that_never_says_anything_ends_the_run_with_its_name(mode, tmp_path):
+    """As one that waits inside of DDS; with an outside node its peers would wait for ever, too."""
+    nodes = BASIC | {"gain": params("gain") | {"external": True}, "watcher": params("watcher", comes_up=False)}
+    outcome = run_processes(rig(nodes, 0.3, start_timeout=2.0), 0, tmp_path, mode=mode)
+    assert outcome.error == "node watcher has said nothing of itself within 2 s of its start"
+    assert no_process_left(tmp_path)
+
+
 def test_a_slow_node_does_not_end_a_run_that_goes_on(tmp_path):
     """Its ticks, and its end, are further apart than the timeout."""
     nodes = {name: params(name, period=1e-4) for name in ("plant", "gain")} | {"source": params("source", period=1.0)}

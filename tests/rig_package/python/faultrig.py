@@ -90,6 +90,7 @@ class Outer(Block):
 
 class WatcherParams(BlockParams):
     lingers_after: int = param(0, "samples after which it never comes to an end; 0: it does", ge=0)
+    comes_up: bool = param(True, "whether it ever does")
 
 
 class Watcher(Observer[WatcherParams]):
@@ -99,6 +100,8 @@ class Watcher(Observer[WatcherParams]):
 
     def start(self) -> None:
         self.seen = 0
+        if not self.p.comes_up:
+            time.sleep(3600)
 
     def update(self, t, state, command):
         self.seen += 1
