@@ -24,8 +24,8 @@ def supervise(
     """Wait until all have ended or one has failed; gives the reason of a failure.
 
     A node may wait for ever for a peer that has ended: it has the scenario's timeout, in realtime from the end of the
-    run, in lockstep from the end of a node or the last progress. So has one whose process is stopped (SIGSTOP). One that
-    never says anything of itself has the scenario's time for the start: its peers may wait for an outside node for ever.
+    run, in lockstep from the end of a node or the last progress. So has one whose process is stopped (SIGSTOP). One
+    that never says anything of itself has the scenario's time for the start: its peers may wait for an outside node.
     """
     comes_up = time.monotonic() + rig.scenario.start_timeout
     late = math.inf if realtime else time.monotonic() + rig.scenario.timeout
@@ -43,7 +43,8 @@ def supervise(
         states = {c.member.name: read_status(c.status) for c in children}
         guests.look(states)
         if time.monotonic() > comes_up and (mute := [n for n, state in states.items() if not state]):
-            return f"node {', '.join(mute)} has said nothing of itself within {rig.scenario.start_timeout:g} s of its start"
+            names, patience = ", ".join(mute), rig.scenario.start_timeout
+            return f"node {names} has said nothing of itself within {patience:g} s of its start"
         state = states[plant.member.name]
         t = state.get("t", 0)
         busy = any(states[c.member.name].get("busy") for c in running)
