@@ -353,6 +353,7 @@ def share(first, last):
 
 
 @pytest.mark.long
+@pytest.mark.timeout(3600)
 def test_a_hundred_thousand_starts():
     """Six CPU minutes on each of two cores; `SOFTRIG_STARTS` sets another number, `trial(seed)` repeats one."""
     number = int(os.environ.get("SOFTRIG_STARTS", "100000"))
