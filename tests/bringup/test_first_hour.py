@@ -76,8 +76,9 @@ class User:
         if os.geteuid() == 0:  # elsewhere whoever runs the tests is a user without power already
             self.become = ["setpriv", "--bounding-set=-all", "--inh-caps=-all"]
             another = [f"--reuid={UID}", f"--regid={UID}", "--clear-groups"]
-            python = subprocess.run([*self.become, *another, sys.executable, "-c", ""], capture_output=True)
-            if not python.returncode:  # root's own Python may lie in root's home, closed to others
+            again = "import subprocess, sys; sys.exit(subprocess.run([sys.executable, '-c', '']).returncode)"
+            python = subprocess.run([*self.become, *another, sys.executable, "-c", again], capture_output=True)
+            if not python.returncode:  # root's own Python may lie in root's home, closed to others, and to who was root
                 self.become += another
                 for place in (folder, home, self.folder):
                     os.chown(place, UID, UID)

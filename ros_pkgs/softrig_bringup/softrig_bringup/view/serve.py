@@ -78,8 +78,8 @@ class _Token(AuthProvider):  # type: ignore[misc]
         super().__init__()
 
     @property
-    def get_user(self) -> Any:
-        def user(handler: RequestHandler) -> str:
+    def get_user_async(self) -> Any:  # every version of Bokeh asks it before it answers, of a websocket, too
+        async def user(handler: RequestHandler) -> str:
             said = handler.get_argument("token", "") or handler.get_cookie("softrig_token", "") or ""
             if not secrets.compare_digest(said.encode(), self._token.encode()):
                 raise HTTPError(403, reason="the address of the page with its token is wanted")
