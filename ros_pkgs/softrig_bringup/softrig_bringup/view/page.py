@@ -215,18 +215,18 @@ class Page:
     def _moved(self, attr: str, old: Any, new: Any) -> None:
         """A browser has zoomed or moved: it looks at what it has chosen until it follows again."""
         if not self._calm:
-            self._calm = True
-            self._follow.active = False
-            self._calm = False
-            self._shown = ()
+            self._set_follow(False)
 
     def _again(self, attr: str, old: Any, new: Any) -> None:
         if not self._calm:
-            self._calm = True
-            self._follow.active = True
-            self._calm = False
-            self._shown = ()
+            self._set_follow(True)
             self.update()
+
+    def _set_follow(self, active: bool) -> None:
+        self._calm = True
+        self._follow.active = active
+        self._calm = False
+        self._shown = ()
 
     def _point(self) -> None:
         """Show the values at the cursor."""

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from softrig_core.wire.signals import Signal, Table, full_name
+from softrig_core.wire.signals import Signal, Table, full_name, topic_of
 
 Array = NDArray[np.float64]
 
@@ -110,8 +110,8 @@ class Pane(Mapping[str, Signal]):
         return self._tables.get(topic, _EMPTY)
 
     def __getitem__(self, name: str) -> Signal:
-        topic = max((t for t in self._tables if name.startswith(f"{t}/")), key=len, default=None)
-        if topic is None:
+        topic = topic_of(name, self._tables)
+        if not topic:
             raise KeyError(f"no topic for signal {name!r}")
         table = self._tables[topic]
         label = full_name(name[len(topic) + 1 :], table.columns)
