@@ -42,6 +42,7 @@ class Watch(Observer[W]):
         """Nothing seen yet."""
         inputs, _ = self.ports(self.p)
         self._ports = {port.name: port for port in inputs}
+        self._units = {f"{p.topic}/{label}": u for p in inputs for label, u in zip(p.labels, p.units, strict=True)}
         self._rows: dict[str, deque[tuple[int, Any]]] = {port.name: deque() for port in inputs}
         self._reach = round(self.p.window * SECOND)
         self._forgot: set[str] = set()  # topics of which older messages were there
@@ -62,10 +63,7 @@ class Watch(Observer[W]):
 
     def figure(self, name: str, function: Function, arguments: Mapping[str, Any] = NONE) -> Figure:
         """Make a figure, in the unit that its function and its signal give it."""
-        units = {
-            f"{p.topic}/{label}": u for p in self._ports.values() for label, u in zip(p.labels, p.units, strict=True)
-        }
-        unit = compose(getattr(function, "unit", ""), units.get(arguments.get("signal", ""), ""))
+        unit = compose(getattr(function, "unit", ""), self._units.get(arguments.get("signal", ""), ""))
         return Figure(name, function, arguments, unit, 1.0)
 
     def figures(self) -> Iterable[Figure]:
