@@ -174,6 +174,7 @@ def heaters(user, command=f"'{SOFTRIG}'"):
     return {f.stem for prefix in out.strip().split(":") for f in Path(prefix).glob("share/heater/scenarios/*.yaml")}
 
 
+@pytest.mark.long
 def test_a_workspace_is_remembered_follows_what_comes_and_is_forgotten(user, package):
     user(f"'{SOFTRIG}' --workspace heater list heater")
     assert "linear-quadratic" in user(f"'{SOFTRIG}' list heater")[0]

@@ -14,6 +14,7 @@ import pytest
 from conftest import PATIENCE, PRESS, differences, fork, in_process, make_scenario, no_process_left, until
 from outside import script
 from softrig_core import Rig, ScenarioError, Signals, run_processes
+from softrig_core.rig import children
 from softrig_core.rig.domain import free_domain
 from softrig_core.rig.executables import environment, find_executable
 
@@ -103,13 +104,13 @@ def test_an_observer_sees_every_sample_up_to_the_end(tmp_path):
 
 
 def test_many_starts_are_identical_also_under_load(tmp_path):
-    """Six starts, two at a time on two cores with a spinning process beside them; test_starts.py has a thousand."""
+    """Four starts, two at a time on two cores with a spinning process beside them; test_starts.py has a thousand."""
     wired = rig(BASIC, 0.3)
     expected = in_process(wired)
     load = subprocess.Popen([sys.executable, "-c", "while True: pass"])
     try:
         with ThreadPoolExecutor(2) as pool:
-            outcomes = list(pool.map(lambda i: run_processes(wired, 0, tmp_path / str(i)), range(6)))
+            outcomes = list(pool.map(lambda i: run_processes(wired, 0, tmp_path / str(i)), range(4)))
     finally:
         load.kill()
         load.wait()
@@ -117,7 +118,13 @@ def test_many_starts_are_identical_also_under_load(tmp_path):
     assert [i for i, o in enumerate(outcomes) if differences(expected, o.recording)] == []
 
 
-def test_a_node_that_stays_behind_ends_the_run_with_its_name(tmp_path):
+@pytest.fixture
+def hasty(monkeypatch):
+    """For nodes that heed nothing but the last of the signals that end them."""
+    monkeypatch.setattr(children, "STOP_STEPS", [(number, 0.3) for number, _ in children.STOP_STEPS])
+
+
+def test_a_node_that_stays_behind_ends_the_run_with_its_name(hasty, tmp_path):
     nodes = BASIC | {"watcher": params("watcher", lingers_after=31)}
     outcome = run_processes(rig(nodes, 0.3, timeout=2.5), 0, tmp_path)
     assert outcome.error == "node watcher did not reach the end of the run within 2.5 s after it"
@@ -126,7 +133,7 @@ def test_a_node_that_stays_behind_ends_the_run_with_its_name(tmp_path):
 
 
 @pytest.mark.parametrize("mode", ["lockstep", "realtime"])
-def test_a_node_that_never_says_anything_ends_the_run_with_its_name(mode, tmp_path):
+def test_a_node_that_never_says_anything_ends_the_run_with_its_name(mode, hasty, tmp_path):
     """As one that waits inside of DDS; with an outside node its peers would wait for ever, too."""
     nodes = BASIC | {"gain": params("gain") | {"external": True}, "watcher": params("watcher", comes_up=False)}
     outcome = run_processes(rig(nodes, 0.3, start_timeout=2.0), 0, tmp_path, mode=mode)

@@ -141,6 +141,7 @@ def test_a_node_ends_with_whoever_had_it_started(tmp_path):
     until(lambda: no_process_left(tmp_path))
 
 
+@pytest.mark.long
 def test_without_a_server_the_run_is_the_same(monkeypatch, tmp_path):
     rig = Rig.from_scenario(make_scenario(BASIC, 0.1))
     forked = run_processes(rig, 0, tmp_path / "a")

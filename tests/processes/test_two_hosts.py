@@ -114,7 +114,8 @@ def test_a_part_that_cannot_be_is_told(arguments, text, tmp_path, capsys):
     assert text in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("disturbance", [pytest.param((), marks=pytest.mark.long), DISTURBED])
+@pytest.mark.long
+@pytest.mark.parametrize("disturbance", [(), DISTURBED])
 def test_two_hosts_give_the_bytes_of_one(disturbance, tmp_path):
     # reserved although the hosts have networks of their own: /dev/shm is one for all
     with free_domain() as domain, two_hosts(disturbance) as hosts:

@@ -27,6 +27,7 @@ def test_processes_equal_in_process_bit_for_bit(name, tmp_path):
     assert not any(status["refused"] for status in outcome.status.values())
 
 
+@pytest.mark.long
 def test_real_time_reaches_the_same_result_with_the_delay_read_from_the_stamps(tmp_path):
     """Missed periods of a busy host may move the figures; delay, end and absence of a large overshoot may not move."""
     long_press = {"step_buttons.forward": [1.0], "step_buttons.hold": 3.0}  # seen also by a node that starts late
@@ -119,10 +120,10 @@ def test_buttons_by_topic_and_by_service_move_the_axis(axis):
     axis.ask("press forward", "call-in-vain controller/forward")
     axis.arrives(10.0)
     axis.ask("release forward")  # not before: of two messages within one tick the newest counts
-    axis.ask("call controller/forward", "call controller/forward", "call controller/forward")
-    axis.arrives(40.0)  # each call is a press, however fast they come
+    axis.ask("call controller/forward", "call controller/forward")
+    axis.arrives(30.0)  # each call is a press, however fast they come
     axis.ask("call controller/reverse")
-    axis.arrives(30.0)
+    axis.arrives(20.0)
 
 
 def test_a_lost_controller_stops_the_axis_and_a_new_one_takes_over_without_a_bump(axis):

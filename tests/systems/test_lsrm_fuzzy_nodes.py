@@ -80,6 +80,7 @@ class Hand:
         return self.bench.status("plant")["refused"].get(topic, [0, ""])
 
 
+@pytest.mark.long
 def test_nodes_started_by_hand_move_the_translator_in_real_time(bench):
     slow = {"period": 0.005}  # what a busy machine can do against the wall clock
     nodes = {
@@ -99,6 +100,7 @@ def test_nodes_started_by_hand_move_the_translator_in_real_time(bench):
     bench.wait(lambda: bench.signal("speed_controller", "force_cmd/translator/effort").x.max() > 2.0)  # it needs 2.4 N
 
 
+@pytest.mark.long
 def test_bad_commands_by_hand_are_refused_clipped_and_outlived(bench):
     hand = Hand(bench)
     hand.sends("phase_voltage", "a b c d", "15 0 0 0", lambda: hand.current() > 5.9)
