@@ -36,6 +36,21 @@ from softrig_core.rig.start_server import start_node  # noqa: E402
 from softrig_core.wire.recording import shard_topics  # noqa: E402
 
 
+def pytest_terminal_summary(terminalreporter, config):
+    """After the long set: the table of CONTRIBUTING.md, by folder."""
+    if config.option.markexpr != "long":
+        return
+    rows = {}
+    for outcome in ("passed", "failed", "error", "skipped"):
+        for report in terminalreporter.stats.get(outcome, []):
+            row = rows.setdefault("/".join(report.nodeid.split("/")[:2]), {"passed": 0, "other": 0, "seconds": 0.0})
+            row["passed" if outcome == "passed" else "other"] += 1
+            row["seconds"] += report.duration
+    terminalreporter.write_line("| folder | passed | failed or skipped | minutes of a worker |\n|---|---|---|---|")
+    for folder, row in sorted(rows.items()):
+        terminalreporter.write_line(f"| `{folder}` | {row['passed']} | {row['other']} | {row['seconds'] / 60:.1f} |")
+
+
 def make_scenario(nodes, duration=1.0, **keys):
     """Scenario of faultrig blocks: node name -> executable, or -> dict with executable and more."""
     entries = {
