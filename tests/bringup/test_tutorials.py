@@ -81,7 +81,7 @@ def test_a_tutorial_does_what_it_says(name, tmp_path):
     text = text.replace("--domain 42", f"--domain {domain}")
     environment = os.environ | {
         "FOLDER": str(work), "XDG_STATE_HOME": str(tmp_path / "state"), "ROS_LOG_DIR": str(tmp_path / "log"),
-        "COLUMNS": "160",  # the pages show what a terminal shows: lines that are not wrapped
+        "COLUMNS": "300",  # the pages show lines that are not wrapped, however many digits a time has
     }  # fmt: skip
     environment.pop("SOFTRIG_WORKSPACE", None)
     done = subprocess.Popen(["bash", "-c", text], env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
