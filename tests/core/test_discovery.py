@@ -4,6 +4,7 @@ import os
 import random
 from concurrent.futures import ProcessPoolExecutor
 from functools import cache, partial
+from multiprocessing import get_context
 
 import pytest
 from conftest import differences, in_process, make_scenario
@@ -358,6 +359,6 @@ def test_a_hundred_thousand_starts():
     """Six CPU minutes on each of two cores; `SOFTRIG_STARTS` sets another number, `trial(seed)` repeats one."""
     number = int(os.environ.get("SOFTRIG_STARTS", "100000"))
     firsts = range(0, number, 500)
-    with ProcessPoolExecutor(2) as pool:
+    with ProcessPoolExecutor(2, get_context("spawn")) as pool:  # this process has threads of DDS
         found = [line for lines in pool.map(share, firsts, (min(f + 500, number) for f in firsts)) for line in lines]
     assert found == []

@@ -1,6 +1,7 @@
 """Solver nodes: when a result takes effect is decided by simulated time alone, whatever the work takes."""
 
 import itertools
+import multiprocessing
 import os
 import signal
 import subprocess
@@ -231,3 +232,43 @@ def test_realtime_node_answers_every_tick_while_a_plan_is_made():
     # the second request is the newest at the tick at which the first plan took effect
     taken = signal.t[np.argmax(signal.x == first)]
     assert (first, second) == (0.0, pytest.approx(taken, abs=1e-9))
+
+
+def works(queue=None):
+    """The process that worked for a planner."""
+    worker = Worker(Planner.solve)
+    worker.submit((1, 0.0, 1.0, 0.0, ""))
+    pid = worker._process.pid
+    assert worker.wait(PATIENCE)
+    assert (worker.state, worker.answer) == ("done", 1.5)
+    worker.rest()
+    if queue is not None:
+        queue.put(pid)
+    return pid
+
+
+def test_a_fork_leaves_the_idle_processes_of_its_parent_alone(monkeypatch):
+    """Python forks by default for `multiprocessing`; closing the parent's pipes would wait for ever."""
+    monkeypatch.setattr("softrig_core.model.worker.MOST_IDLE", 1)
+    first = works()
+    owned = Worker(Planner.solve)
+    owned.warm()  # the idle one
+    assert owned._process.pid == first
+    second = works()
+    context = multiprocessing.get_context("fork")
+    queue = context.Queue()
+
+    def child():
+        owned.cancel()
+        works(queue)
+
+    forked = context.Process(target=child)
+    forked.start()
+    third = queue.get(timeout=PATIENCE)
+    forked.join(PATIENCE)
+    assert forked.exitcode == 0
+    assert third not in (first, second)
+    assert works() == second
+    owned.submit((1, 0.0, 1.0, 0.0, ""))
+    assert owned.wait(PATIENCE)
+    assert (owned._process.pid, owned.state) == (first, "done")

@@ -173,6 +173,7 @@ class _Process:
 
     def __init__(self, module: str, name: str, key: object) -> None:
         self.key = key
+        self._started_by = os.getpid()
         self.busy = False
         self.owner: Callable[[], Worker | None] = lambda: None
         variables = dict(os.environ)
@@ -206,7 +207,10 @@ class _Process:
             self.idle.pop(0).kill()
 
     def kill(self) -> None:
-        """End it, wherever it is."""
+        """End it, wherever it is; one that came by a fork is the parent's."""
+        if self._started_by != os.getpid():
+            _of_parents.append(self)
+            return
         self._process.kill()
         self._process.wait()
         for pipe in (self._process.stdin, self._process.stdout):
@@ -248,6 +252,18 @@ def _directory() -> str:
 
 def _variables() -> frozenset[tuple[str, str]]:
     return frozenset((k, v) for k, v in os.environ.items() if k != "PYTEST_CURRENT_TEST")
+
+
+# What a fork has copied. It is kept: closing a pipe that a thread of the parent was reading waits for ever.
+_of_parents: list[_Process] = []
+
+
+def _after_fork() -> None:
+    _of_parents.extend(_Process.idle)
+    _Process.idle.clear()
+
+
+os.register_at_fork(after_in_child=_after_fork)
 
 
 @atexit.register
