@@ -172,6 +172,7 @@ def test_the_verb_writes_every_form(form, tmp_path, capsys, monkeypatch):
             assert (image.n_frames, image.size) == (5, (640, 390))
 
 
+@pytest.mark.long
 def test_a_gif_is_made_small_enough_or_refused(shorted, monkeypatch):
     from PIL import Image
     from softrig_bringup.drawing import raster

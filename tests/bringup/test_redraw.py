@@ -67,6 +67,7 @@ def test_the_data_of_a_picture_has_units_in_its_head(run, tmp_path):
     assert all(float(row[1]) == float(row[1]) for row in rows)
 
 
+@pytest.mark.long
 def test_a_report_draws_what_the_run_did_not(run, tmp_path):
     assert main(["report", str(run), "--out", str(tmp_path / "one.html")]) == 0
     page = (tmp_path / "one.html").read_text()

@@ -80,6 +80,7 @@ def cached(folder):
     return sorted((folder / "cache/softrig/numba").iterdir())
 
 
+@pytest.mark.long
 def test_bits_of_a_branching_delay_loop_are_those_of_plain_python(folder):
     plain = relay(folder, SOFTRIG_JIT="0")
     assert not (folder / "cache").exists()

@@ -327,6 +327,7 @@ def test_the_verbs(tmp_path, capsys, undrawn):
     assert "no operating point near t = 2 s" in capsys.readouterr().err
 
 
+@pytest.mark.long
 def test_the_page_says_what_is(capsys):
     text = PAGE.read_text()
     exec(re.search(r"```python\n(.*?)```", text, re.DOTALL)[1], {})

@@ -650,6 +650,7 @@ rclpy.spin(node)
 """
 
 
+@pytest.mark.long
 @pytest.mark.processes
 def test_a_plain_node_takes_the_place_of_a_series_controller(tmp_path):
     """Nothing of softrig in it: topics, types and stamps are all it knows; the rig comes out as with ours."""

@@ -821,6 +821,7 @@ def test_a_late_command_is_held_with_a_warning():
     assert plant.STALE_PERIODS == 20
 
 
+@pytest.mark.long
 def test_pictures_run(tmp_path, monkeypatch):
     monkeypatch.setattr(pictures, "PICTURES", {"load_steps": pictures.load_steps})
     pictures.draw(tmp_path)

@@ -48,6 +48,7 @@ assert seen["mse_hip"].endswith(" deg^2") and seen["mac_hip"].endswith(" A"), se
 """
 
 
+@pytest.mark.long
 def test_leg_started_by_hand_long_before_its_controller(bench):
     def start(name):
         bench.start(name, name, package="softrig_robots")
