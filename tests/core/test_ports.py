@@ -54,7 +54,10 @@ def rig(name):
     return Rig.from_scenario(make_scenario(nodes, duration, **options))
 
 
-@pytest.mark.parametrize("name", RIGS)
+DAILY = ("record", "end")  # what goes through processes; the others do in the simulated middleware
+
+
+@pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.long] * (n not in DAILY)) for n in RIGS])
 @pytest.mark.processes
 def test_processes_and_open_loop_give_what_in_process_gives(name, tmp_path):
     wired = rig(name)

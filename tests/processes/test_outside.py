@@ -125,10 +125,8 @@ def replaceable(rig):
     return [m.name for m in rig.members if m.name != CLOCK_NODE]
 
 
-@pytest.mark.parametrize(
-    "name",
-    ["dc_motor_smc", *(pytest.param(n, marks=pytest.mark.long) for n in ("dc_motor_plant", "motor_reference"))],
-)
+@pytest.mark.long  # daily in real time, and a plain plant below
+@pytest.mark.parametrize("name", ["dc_motor_smc", "dc_motor_plant", "motor_reference"])
 def test_a_plain_node_takes_the_place_of_ours(name, tmp_path):
     assert replaced(short("dc_motor_smc"), name, tmp_path) == []
 
