@@ -300,6 +300,13 @@ def test_when_a_node_dies_the_others_end_and_name_it(kind):
         assert death_in_real_time(kind, seed) == [], seed
 
 
+def test_who_dies_before_it_reads_is_named_by_who_waits_for_it():
+    """What others say of each other's silence is a consequence: found by one of a hundred thousand seeds."""
+    what, wrong = trial(56041)
+    assert what.startswith("death"), what
+    assert wrong == []
+
+
 @pytest.mark.parametrize("kind", ["basic", "two plants", "delayed link"])
 def test_real_time_begins_when_all_are_up(kind):
     for seed in range(5):

@@ -119,7 +119,7 @@ class Adapter:
         self.ticks = 0
         self.epoch = 0  # ns added to a block's time for the stamp on the wire
         self.error: BaseException | None = None
-        self.waits_for: list[str] = []  # the senders whose silence ended the run
+        self.waits_for: list[str] = []  # the nodes whose absence or silence ended the run
         self.absent: list[str] = []  # what its start waits for
         self.lacking: list[str] = []  # topics of external nodes that nobody publishes yet
         self.on_finished: Callable[[], None] = lambda: None

@@ -50,7 +50,7 @@ class Stalls:
             if limit and waited > limit:
                 absent = self.handshake.absent()
                 lacking = [row for row in senders.rows if not row.have]
-                node.waits_for = self.handshake.silent if absent else [row.who for row in lacking]
+                node.waits_for = self.handshake.missing if absent else [row.who for row in lacking]
                 silent = [f"nothing on {row.port.topic} yet" for row in lacking]
                 node.fail(f"not all peers after {limit:g} s: {'; '.join(absent or silent)}")
         elif node.state == "running":

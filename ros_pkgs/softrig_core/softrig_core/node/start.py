@@ -30,8 +30,8 @@ class Handshake:
     ----------
     lacking : list of str
         Topics of external nodes that nobody publishes yet.
-    silent : list of str
-        Senders that do not publish yet.
+    missing : list of str
+        Nodes that do not publish or subscribe yet what they are to.
     """
 
     def __init__(
@@ -45,14 +45,14 @@ class Handshake:
         self._settled = 0
         self._seen: list[tuple[str, str]] = []
         self.lacking: list[str] = []
-        self.silent: list[str] = []
+        self.missing: list[str] = []
         alone = not node.options.links  # in a domain where others live, as what is launched is
         self._recorders = Recorders(node.middleware, node.links.recorders) if alone or node.links.public else None
 
     def absent(self) -> list[str]:
         """Describe the peers that are not there yet; nothing when the node may begin."""
         node = self._node
-        self.silent = [sender for i, sender in self._awaited if not i.publishers and not i.heard]
+        self.missing = [sender for i, sender in self._awaited if not i.publishers and not i.heard]
         absent = [
             f"no publisher on {i.port.topic} (expected from {sender}{self._other_type(i)})"
             for i, sender in self._awaited if not i.publishers and not i.heard  # who has said all it had to say is gone
@@ -66,7 +66,9 @@ class Handshake:
             names += self._recorders.of(output.topic) if self._recorders else []
             there = [i.name for i in node.middleware.subscribers(output.topic) if i.msgtype == output.port.msgtype]
             there = [name for name in there if name not in self._local]
-            absent += [f"{name} does not subscribe {output.topic}" for name in names if name not in there]
+            unmatched = [name for name in names if name not in there]
+            self.missing += unmatched
+            absent += [f"{name} does not subscribe {output.topic}" for name in unmatched]
             # The graph knows a reader before the writer is matched with it; only what the writer says counts.
             if names and output.readers < len(there):
                 absent.append(f"{output.topic} has {output.readers} readers of {len(there)}")
