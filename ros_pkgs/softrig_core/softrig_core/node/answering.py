@@ -31,6 +31,7 @@ class Answering:
         self._complete = 0  # so many of the awaited inputs are there for the oldest pending tick
         self._last_stamp: int | None = None
         self._unarmed = False  # whether the oldest pending tick has no limit yet
+        self._quiet = 0  # until then, ns, nobody who is awaited can have been silent for long
         self._period = node.schedule.time(1)
         self._patience = round(node.options.patience * self._period)
         self._required = [f for f in table.rows if f.awaited]
@@ -39,14 +40,12 @@ class Answering:
         self._deadline = node.middleware.timer(1_000_000_000, self._give_up)
         self._deadline.cancel()
 
-    def take(self, feed: Feed, due: int, value: object) -> None:
+    def take(self, feed: Feed, stamp: int, due: int, value: object, now: int) -> None:
         """A good message of the tick that `due` belongs to has come."""
         if feed.awaited:
-            self._begin(due, feed)
-        elif feed.paired:
-            if self._pending and feed is self.awaited[self._complete]:
-                self._answer_complete()
-        elif feed.port.held:
+            if due >= self._following:
+                self._begin(due)
+        elif not feed.paired and feed.port.held:
             self._node.values[feed.name] = value
 
     def excuse(self, feed: Feed, due: int, now: int) -> None:
@@ -56,20 +55,21 @@ class Answering:
         feed.excuse(due, now)
         if feed not in self._refusals and (feed.awaited or not feed.port.held):
             self._refusals.append(feed)
-        if feed.awaited:
-            self._begin(due, feed)
+        if feed.awaited and due >= self._following:
+            self._begin(due)
 
-    def _begin(self, due: int, feed: Feed) -> None:
-        """Answer what is complete, set the limit for the rest."""
+    def _begin(self, due: int) -> None:
+        """The tick that `due` belongs to is to be answered."""
         node = self._node
-        if due >= self._following:
-            stamp = self._table.grid_time(due)
-            if stamp >= node.epoch:
-                self._following = node.epoch + node.schedule.next(stamp - node.epoch)
-                self._unarmed = self._unarmed or not self._pending
-                self._pending.append(stamp)
-            self._answer_complete()
-        elif self._pending and feed is self.awaited[self._complete]:  # else the oldest tick waits for another one
+        stamp = self._table.grid_time(due)
+        if stamp >= node.epoch:
+            self._following = node.epoch + node.schedule.next(stamp - node.epoch)
+            self._unarmed = self._unarmed or not self._pending
+            self._pending.append(stamp)
+
+    def act(self) -> None:
+        """Answer what is complete, set the limit for the rest."""
+        if self._pending:
             self._answer_complete()
 
     def _answer_complete(self) -> None:
@@ -136,11 +136,14 @@ class Answering:
         last, self._last_stamp = self._last_stamp, stamp
         if last is not None and stamp - last > self._period + 1:
             self.missed += node.schedule.tick(stamp - node.epoch) - node.schedule.tick(last - node.epoch) - 1
+        values = node.values
         for feed in self._used:
             if (value := feed.take(stamp)) is not None:
-                node.values[feed.name] = value
-            if feed.awaited:
+                values[feed.name] = value
+        if now > self._quiet:
+            for feed in self._required:
                 feed.silent(now)
+            self._quiet = min(feed.lives() for feed in self._required)
         if self._refusals:
             for feed in self._refusals:
                 if feed.bad is not None and feed.bad <= stamp:

@@ -44,10 +44,13 @@ class Feeds:
         Gets (row, stamp, time of the tick that it belongs to, value, now) of each good message.
     excuse : callable
         Gets (row, time of its tick, now) of each bad one whose tick is known.
+    act : callable
+        Does what is to be done once all that has come together has been taken or excused.
     """
 
     take: Callable[[Feed, int, int, Any, int], object]
     excuse: Callable[[Feed, int, int], object]
+    act: Callable[[], object]
 
     def __init__(self, node: Adapter, clock: Callable[[], int]) -> None:
         self.node = node
@@ -126,7 +129,7 @@ class Feed(Sender):
     bad : int or None
         Stamp of a refused message.
     recent : deque of (stamp, value)
-        The newest messages; those that no tick needs any more fall out when it is full.
+        The newest messages that no tick has used; the oldest fall out when it is full.
     holds : int
         For ticks stamped before it what is due is there.
     """
@@ -154,6 +157,11 @@ class Feed(Sender):
         self._interval = 0 if self.schedule is None else self.schedule.time(1)
 
     # what has come -------------------------------------------------------------------------------------------------
+
+    def receive(self, data: bytes) -> None:
+        """Take the bytes of a message, and do what they make due."""
+        super().receive(data)
+        self.table.act()
 
     def deaf(self) -> bool:
         """Whether no message counts: not before the start, and of two publishers neither is believed."""
@@ -188,20 +196,20 @@ class Feed(Sender):
             self.table.unrecorded.append((0 if used_at_once else due, self._number, data))
         self._keep(stamp, due, self.value(stamp, found), now)
 
-    def teller(self, pick: Pick | None, unchecked: bool) -> Callable[[int, Row | None], None]:
-        """Give what takes the rows of a node of this process, checked by who says them or not, with their stamp."""
+    def teller(self, pick: Pick | None, unchecked: bool) -> Callable[[int, Row | None, int], None]:
+        """Give what takes the rows of a node of this process, checked by who says them or not: stamp, row, now."""
         delayed = self.port.delayed
 
-        def tell(stamp: int, row: Row | None) -> None:
+        def tell(stamp: int, row: Row | None, now: int) -> None:
             if row is None:
                 self.told(stamp, False)
                 return
-            if self.deaf():
+            if self.outside and self._rivals():
                 return
-            now = self.table.clock()
             sampled, values = row if isinstance(row, Sample) else (stamp - self.node.epoch, row)
             values = values if pick is None else pick(values)
-            self._begin(stamp)
+            if not self.node.epoch:
+                self._begin(stamp)
             due = self.table.grid_time(now) if self.by_arrival else stamp
             if unchecked and (reason := self.port.beyond(values)):
                 self.node.refuse(self, reason)
@@ -223,10 +231,8 @@ class Feed(Sender):
 
     def _keep(self, stamp: int, due: int, value: Any, now: int) -> None:
         newest = self.stamp
-        if newest is None:
-            self.stamp = due
-        elif due > newest:
-            if self.schedule is None:
+        if newest is None or due > newest:
+            if self.schedule is None and newest is not None:
                 self._interval = due - newest
             self.stamp = due
         elif stamp > 0 and not self.by_arrival and due != self.bad:
@@ -236,7 +242,7 @@ class Feed(Sender):
         self.fresh = True
         self.expected = self._optional
         self.recent.append((due, value))
-        if self.paired and due <= self.answered:
+        if due <= self.answered and self.paired:
             self.overdue += 1
         if self.table.stale:
             self._recovered()
@@ -274,21 +280,29 @@ class Feed(Sender):
 
     def ready(self, stamp: int) -> bool:
         """Whether there is a value for the tick of a stamp."""
+        if self._used is not None:
+            return True
         return bool(self.recent) and (self.by_arrival or self.recent[0][0] <= stamp)
 
     def take(self, stamp: int) -> Any:
-        """Give the value of the tick of a stamp: the newest one not after it; None when there is none."""
+        """Give the value of the tick of a stamp, the newest one not after it; None when that was used before."""
         self.fresh = False
         self.answered = stamp
         recent = self.recent
+        if not recent:
+            return None
         if self.by_arrival:
             stamp = max(stamp, self.stamp or 0)
-        while len(recent) > 1 and recent[1][0] <= stamp:
-            recent.popleft()
-        if not recent or recent[0][0] > stamp:
+        newest = recent[-1]
+        if newest[0] <= stamp:  # nearly always
+            recent.clear()
+        elif recent[0][0] > stamp:
             return None
-        self._used = recent[0][0]
-        return recent[0][1]
+        else:
+            while recent[0][0] <= stamp:
+                newest = recent.popleft()
+        self._used, value = newest
+        return value
 
     def held_stamp(self) -> int | None:
         """Give the stamp of what the block gets, ns from its t = 0."""
@@ -297,19 +311,23 @@ class Feed(Sender):
 
     # silence, and too many -----------------------------------------------------------------------------------------
 
+    def lives(self) -> int:
+        """Give the time (ns) from which on its sender has been silent for too long; 0 when nothing has come."""
+        return 0 if self.arrived is None else self.arrived + self._limit()
+
+    def _limit(self) -> int:
+        table, learned = self.table, self.schedule is not None or not self.node.is_plant
+        return table.watchdog or max(table.least, Block.STALE_PERIODS * self._interval if learned else 0)
+
     def silent(self, now: int) -> bool:
         """Whether the sender has been silent for too long; reports it once."""
         node, table = self.node, self.table
-        if self.arrived is None or now - self.arrived <= table.least:
-            return False
-        learned = self.schedule is not None or not node.is_plant
-        limit = table.watchdog or max(table.least, Block.STALE_PERIODS * self._interval if learned else 0)
-        if now - self.arrived <= limit:
+        if self.arrived is None or now - self.arrived <= table.least or now <= self.lives():
             return False
         if self.name not in table.stale:
             table.stale.add(self.name)
             kind, rest = ("command", "safe input") if node.is_plant else ("message", "the last one is held")
-            text = f"no {kind} on {self.port.topic} for {limit / SECOND:g} s: {rest}"
+            text = f"no {kind} on {self.port.topic} for {self._limit() / SECOND:g} s: {rest}"
             node.block.report(Level.ERROR, f"stale {self.port.topic}", text)
         return True
 

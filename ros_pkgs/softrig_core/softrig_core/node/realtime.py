@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Set
+from functools import partial
 from typing import Any
 
 from ..errors import RunError
@@ -49,7 +50,6 @@ class Realtime:
         node.block.realtime = True
         self.clock = node.middleware.now
         self.senders = Feeds(node, self.now)
-        self.senders.take, self.senders.excuse = self._take, self._excuse
         self._sent_at: dict[int, int] = {}
         # the newest: they are sorted for each status file, between two ticks
         self._round_trip: deque[int] = deque(maxlen=5_000)
@@ -58,13 +58,16 @@ class Realtime:
         self.skipped = 0
         self._silence_told = 0.0
         self._missed = 0
-        self._told: dict[Realtime, list[tuple[int, Callable[[int, Row | None], None]]]] = {}
+        self._told: dict[Realtime, list[tuple[int, Callable[[int, Row | None, int], None]]]] = {}
         node.epoch = node.options.epoch
         node.step.send = self._send
         node.begin(self)
         awaited = [f for f in self.senders.rows if f.awaited]
         self._commands = awaited if node.is_plant else []
-        self._answering = Answering(self.senders, self._answer) if awaited and not node.is_plant else None
+        self._answering = answering = Answering(self.senders, self._answer) if awaited and not node.is_plant else None
+        self.senders.take = self._take if answering is None else answering.take
+        self.senders.excuse = self._excuse if answering is None else answering.excuse
+        self.senders.act = (lambda: None) if answering is None else answering.act
         # a law takes what it uses when it answers
         self._paired = [f for f in self.senders.rows if f.paired and self._answering is None]
         if self._answering is None:
@@ -74,12 +77,7 @@ class Realtime:
 
     def tell(self, output: Output, reader: Realtime, row: Feed, pick: Pick | None) -> None:
         """Hand what an output says to a node of this process, too."""
-        parts = self._told.setdefault(reader, [])
-        part = output.number, row.teller(pick, output.port.unchecked)
-        if row.awaited:  # may make it answer: after what it does not wait for
-            parts.append(part)
-        else:
-            parts.insert(0, part)
+        self._told.setdefault(reader, []).append((output.number, row.teller(pick, output.port.unchecked)))
 
     def join(self, local: Set[str]) -> None:
         """Begin, or wait for the others if t = 0 is to be said; `local` are the other nodes of this process."""
@@ -166,9 +164,6 @@ class Realtime:
         item.on_matched()
 
     def _take(self, feed: Feed, stamp: int, due: int, value: Any, now: int) -> None:
-        if self._answering is not None:
-            self._answering.take(feed, due, value)
-            return
         if not feed.paired:
             self.node.values[feed.name] = value
         sent = self._sent_at.get(stamp)
@@ -176,18 +171,25 @@ class Realtime:
             self._round_trip.append(now - sent)
 
     def _excuse(self, feed: Feed, due: int, now: int) -> None:
-        if self._answering is not None:
-            self._answering.excuse(feed, due, now)
-        else:
-            self.node.step.bad = True
+        self.node.step.bad = True
 
     def _send(self, t: int, rows: Rows) -> None:
         """Publish, and have the readers of this process hear it when what is under way has returned."""
         node = self.node
         node.publish(t, rows)
         stamp = node.epoch + t
-        for parts in self._told.values():
-            node.middleware.post(lambda parts=parts: _hand_over(parts, stamp, rows))  # type: ignore[misc]
+        post = node.middleware.post
+        for reader, parts in self._told.items():
+            post(partial(reader.hear, parts, stamp, rows))
+
+    def hear(self, parts: list[tuple[int, Callable[[int, Row | None, int], None]]], stamp: int, rows: Rows) -> None:
+        """Take what a node of this process says at a tick: all of it, before any of it makes this one answer."""
+        if self.node.state != "running":
+            return
+        now = self.clock()
+        for k, tell in parts:
+            tell(stamp, rows[k], now)
+        self.senders.act()
 
     # ticks -----------------------------------------------------------------------------------------------------
 
@@ -294,8 +296,3 @@ class Realtime:
         if self._lateness:
             figures["jitter_ms"] = figures["lateness_p99_ms"] - figures["lateness_p50_ms"]
         return figures
-
-
-def _hand_over(parts: list[tuple[int, Callable[[int, Row | None], None]]], stamp: int, rows: Rows) -> None:
-    for k, tell in parts:
-        tell(stamp, rows[k])

@@ -101,6 +101,7 @@ class Acknowledgements(Sender):
         """Tell the rows."""
         for row, name in self._rows:
             row.told(stamp, name in found)
+        self._table.act()
 
 
 def listen(table: Feeds, rows: Iterable[Sporadic]) -> list[Acknowledgements]:
