@@ -207,7 +207,7 @@ def test_a_short_campaign(areas, number):
 @pytest.mark.processes
 @pytest.mark.timeout(3600)
 def test_a_campaign_over_the_real_middleware():
-    table = driver.campaign({"environments": 40, "kills": 20, "nodes": 80, "starts": 10}, 1, 3000.0, None, 1)
+    table = driver.campaign({"environments": 20, "kills": 10, "nodes": 30, "starts": 5}, 1, 3000.0, None, 1)
     assert {area: row[2] for area, row in table.items()} == {area: [] for area in table}
 
 
