@@ -439,6 +439,11 @@ def test_pip_does_it_where_uv_cannot_be_had_and_a_shared_environment_is_not_inst
     said = softrig("add", "tables")
     assert said.returncode == 2
     assert "add tables: no such set; there are run uv" in said.stderr
+    python = tmp_path / ".venv" / "bin" / "python"
+    for gone in (lambda: shutil.rmtree(tmp_path / ".venv"), lambda: (python.unlink(), python.symlink_to("/gone"))):
+        gone()  # .venv removed by hand; the Python that it was made of uninstalled
+        said = softrig("add", "run")
+        assert (said.returncode, python.is_file()) == (0, True), said.stderr
 
 
 def test_an_error_of_our_own_is_one_line_and_a_log(monkeypatch, tmp_path, capsys):
