@@ -77,26 +77,30 @@ def scenario_of(name: str) -> str:
     return min(shorter, key=len, default=name)
 
 
-def ticks_a_second(name: str) -> dict[str, float]:
-    """Measure one scenario: ticks of its clock a second between the first and the last, for each placement."""
-    found: dict[str, float] = {}
-    for place, ticks in (("processes", 1000), ("container", 10_000), ("inprocess", 10_000)):
-        rig = Rig.from_scenario(load_scenario(name))
-        least = max(ticks * rig.clock.schedule.period, 2 * max(m.schedule.period for m in rig.members))
-        rig = rig.changed(duration=min(rig.scenario.duration, float(least)))
+def ticks_a_second(name: str, rounds: int = 3) -> dict[str, float]:
+    """Measure one scenario: ticks of its clock a second between the first and the last, for each placement.
+
+    Container and in memory, whose ratio counts, in turn and the best of some rounds: others on the machine only slow
+    them down.
+    """
+    found: dict[str, float] = {"container": 0.0, "inprocess": 0.0}
+    whole = Rig.from_scenario(load_scenario(name))
+    for place, ticks in (("processes", 1000), *rounds * (("container", 10_000), ("inprocess", 10_000))):
+        least = max(ticks * whole.clock.schedule.period, 2 * max(m.schedule.period for m in whole.members))
+        rig = whole.changed(duration=min(whole.scenario.duration, float(least)))
         if place == "inprocess":
             recording = Recording((t, p.msgtype) for t, p in rig.topics.items())
             run_inprocess(rig, rig.scenario.seed)  # what is compiled on first use
             start = time.perf_counter()
             run_inprocess(rig, rig.scenario.seed, recording)
-            found[place] = rig.ticks / (time.perf_counter() - start)
+            found[place] = max(found[place], rig.ticks / (time.perf_counter() - start))
             continue
         with tempfile.TemporaryDirectory() as folder:
             outcome = run_processes(rig, rig.scenario.seed, Path(folder), containers=placed(rig, place))
         if outcome.error:
             raise ScenarioError(outcome.error)
         clock = outcome.status[rig.clock.name]
-        found[place] = clock["ticks"] / clock["running_s"]
+        found[place] = max(found.get(place, 0.0), clock["ticks"] / clock["running_s"])
         found["nodes"] = len(outcome.status)
     return found
 
