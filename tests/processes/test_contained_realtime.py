@@ -151,6 +151,35 @@ def test_a_held_input_said_together_with_an_awaited_one_is_of_the_same_tick(monk
     assert list(u.x) == [k * 10_000_000 * 1e-9 for k in range(len(u.x))]
 
 
+def test_who_is_late_answers_with_what_had_been_said_by_its_tick(monkeypatch):
+    """Three ticks of the plant are gone at once, in the second of them is one of the law."""
+    extra = command("extra", "lag/extra", ("u",), "N")
+
+    class Both(Lag):
+        OUTPUTS = (STATE, extra)
+
+        def outputs(self, t):
+            return {**super().outputs(t), "extra": (t * 1e-9,)}
+
+    class Slow(Block):
+        INPUTS = (extra,)
+        OUTPUTS = (COMMAND,)
+
+        def update(self, t, extra):
+            return {"command": extra}
+
+    run = Contained(Rig.from_blocks({"plant": Both(), "law": Slow(Slow.Params(period=0.03))}, 0.3), monkeypatch)
+    run.run(run.epoch + 105_000_000)
+    run.clock.t += 30_000_000
+    assert run.run() == {"done"}
+    plant, law = run.adapters["plant"], run.adapters["law"]
+    assert (plant.drive.missed, law.drive.missed) == (2, 0)
+    found = run.numbers()["lag/command/u/effort"]
+    assert [round(t, 3) for t in found.t] == [round(0.03 * k, 3) for k in range(len(found.t))]
+    used = [0.10 if t == 0.12 else t for t in (round(t, 3) for t in found.t)]  # not that of 0.13, said at the same time
+    assert list(found.x) == pytest.approx(used)
+
+
 def test_what_somebody_outside_reads_is_carried_beside(monkeypatch):
     run = Contained(shortened("induction_dtc", 0.02), monkeypatch)
     run.readers["/currents_meas"](1)

@@ -220,6 +220,12 @@ class Feed(Sender):
 
         return tell
 
+    def fed(self, now: int) -> None:
+        """A neighbour has put something into the input."""
+        self.arrived = now
+        if self.table.stale:
+            self._recovered()
+
     def told(self, stamp: int, spoke: bool) -> None:
         """The sender has answered a tick, and spoken or not: nobody waits for that here."""
 

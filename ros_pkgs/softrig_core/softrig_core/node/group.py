@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Iterable, Sequence
+from typing import Any, NamedTuple
 
 from ..errors import RunError
 from ..model.codec import selection
@@ -12,7 +12,8 @@ from ..model.port import Refused
 from ..model.runner import Runner
 from ..wire.cdr import Pick
 from .adapter import Adapter
-from .endpoint import Input, Output
+from .beat import Beat
+from .endpoint import Output
 from .feed import Feed
 from .lockstep import Lockstep
 from .realtime import Realtime
@@ -34,9 +35,15 @@ class Group:
         names = {n.middleware.name for n in nodes}
         if {n.options.mode for n in nodes} == {"realtime"}:
             drives = {n: Realtime(n) for n in nodes}
-            for writer, output, reader, item, pick in _links(nodes):
-                assert isinstance(item, Feed)
-                drives[writer].tell(output, drives[reader], item, pick)
+            links = _links(nodes)
+            if _whole(drives.values(), links):
+                for writer, output, reader, item, pick in links:
+                    writer.step.feeds(output.name, reader.step, item.name, pick)
+                commands = [(drives[k.writer], k.item, drives[k.reader]) for k in links if k.reader.is_plant]
+                Beat([drives[n] for n in _in_order(nodes, links)], commands)
+            else:
+                for writer, output, reader, item, pick in links:
+                    drives[writer].tell(output, drives[reader], item, pick)
             for node, drive in drives.items():
                 drive.join(names - {node.middleware.name})
             waiting = [d.departure for d in drives.values() if d.departure is not None]
@@ -83,7 +90,7 @@ class _Link(NamedTuple):
     writer: Adapter
     output: Output
     reader: Adapter
-    item: Input
+    item: Any  # the reader's row of the kind of its drive
     pick: Pick | None
 
 
@@ -115,6 +122,19 @@ def _links(nodes: Sequence[Adapter]) -> list[_Link]:
             except Refused as error:
                 raise RunError(f"{source[1].topic} does not fit {node.middleware.name}: {error}") from None
     return found
+
+
+def _whole(drives: Iterable[Realtime], links: Sequence[_Link]) -> bool:
+    """Whether nodes read only each other, what is checked and of their ticks; free inputs may come from anywhere."""
+    near = {id(k.item) for k in links}
+    rows = [row for drive in drives for row in drive.linked()]
+    return (
+        bool(rows)
+        and all(id(row) in near and row.paired and type(row) is Feed for row in rows)
+        and not any(k.output.port.unchecked for k in links)
+        and not any(f.awaited for d in drives for f in d.senders.rows if f not in d.linked())
+        and all(d.node.links.starter or d.node.options.epoch for d in drives)
+    )
 
 
 def _in_order(nodes: Sequence[Adapter], links: Sequence[_Link]) -> list[Adapter]:

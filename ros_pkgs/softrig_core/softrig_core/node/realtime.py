@@ -54,7 +54,7 @@ class Realtime:
         # the newest: they are sorted for each status file, between two ticks
         self._round_trip: deque[int] = deque(maxlen=5_000)
         self._lateness: deque[int] = deque(maxlen=5_000)
-        self.tick_number: int | None = None
+        self.tick_number = -1
         self.skipped = 0
         self._silence_told = 0.0
         self._missed = 0
@@ -73,11 +73,23 @@ class Realtime:
         if self._answering is None:
             self._timer = node.middleware.timer(SECOND // 1000, self._tick)
             self._timer.cancel()
+        self._rivals: list[Feed] = []  # inputs that neighbours fill and others write, too
+        self._begun: Callable[[], object] | None = None
         self.departure: Departure | None = None
 
     def tell(self, output: Output, reader: Realtime, row: Feed, pick: Pick | None) -> None:
         """Hand what an output says to a node of this process, too."""
         self._told.setdefault(reader, []).append((output.number, row.teller(pick, output.port.unchecked)))
+
+    def follow(self, begun: Callable[[], object]) -> None:
+        """Take the ticks that a `Beat` says, which hears when it runs: its inputs are fed, nobody is waited for."""
+        self._begun = begun
+        self._answering, self._paired = None, []
+        self.senders.take, self.senders.excuse, self.senders.act = self._take, self._excuse, lambda: None
+
+    def linked(self) -> list[Feed]:
+        """Give the rows of what nodes of the rig say."""
+        return [f for f in self.senders.rows if f.name in self.node.links.inputs]
 
     def join(self, local: Set[str]) -> None:
         """Begin, or wait for the others if t = 0 is to be said; `local` are the other nodes of this process."""
@@ -107,7 +119,9 @@ class Realtime:
             self.node.block.report(Level.WARN, "clock", text)
         self.node.epoch = epoch
         self.node.state = "running"
-        if self._answering is None:
+        if self._begun is not None:
+            self._begun()
+        elif self._answering is None:
             self._timer.again(SECOND // 1000)
 
     def progress(self) -> None:
@@ -162,10 +176,16 @@ class Realtime:
         """Two publishers on one input: neither is believed until one of them has gone."""
         assert isinstance(item, Feed)
         item.on_matched()
+        if self._begun is not None:
+            self._rivals = [f for f in self.linked() if f.publishers > 1]
 
     def _take(self, feed: Feed, stamp: int, due: int, value: Any, now: int) -> None:
         if not feed.paired:
             self.node.values[feed.name] = value
+        self.commanded(stamp, now)
+
+    def commanded(self, stamp: int, now: int) -> None:
+        """The command of a plant's tick is there."""
         sent = self._sent_at.get(stamp)
         if sent is not None:
             self._round_trip.append(now - sent)
@@ -194,22 +214,27 @@ class Realtime:
     # ticks -----------------------------------------------------------------------------------------------------
 
     def _tick(self) -> None:
-        """Move a plant, or let a source speak."""
+        """Take the newest tick by the timer of a plant or a source."""
         node, schedule = self.node, self.node.schedule
         if node.state != "running":
             self._timer.cancel()
             return
         now = self.now()
-        if self.tick_number is None:
-            # The first tick is the next point of the grid, or the common start that the runner gave.
-            node.epoch = node.epoch or schedule.next(now)
-            self.tick_number = -1
+        # The first tick is the next point of the grid, or the common start that the runner gave.
+        node.epoch = node.epoch or schedule.next(now)
         due = schedule.held(now - node.epoch)
-        number = schedule.tick(due)
         # Aimed at the next point of the wall clock's grid each time, so that no error adds up.
         self._timer.again(node.epoch + schedule.next(due) - now)
-        if number <= self.tick_number:
+        self.tick(due, now)
+
+    def tick(self, due: int, now: int) -> None:
+        """Move a plant, or let another node speak, at its newest tick `due` (ns from t = 0), now."""
+        node, schedule = self.node, self.node.schedule
+        number = schedule.tick(due)
+        if number <= self.tick_number or node.state != "running":
             return
+        if self._rivals and any(f.deaf() for f in self._rivals) and not node.is_plant:
+            return  # neither of two publishers is believed
         self._lateness.append(now - node.epoch - due)
         behind = number - self.tick_number
         if self.tick_number >= 0 and behind > 1:
@@ -247,7 +272,7 @@ class Realtime:
         """Newest commands; the safe value in place of a stale one."""
         inputs = self.node.values
         for feed in self._commands:
-            if feed.silent(now):
+            if feed.publishers > 1 or feed.silent(now):
                 inputs = inputs | {feed.name: feed.port.safe}
         return inputs
 
