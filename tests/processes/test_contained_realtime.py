@@ -180,6 +180,26 @@ def test_who_is_late_answers_with_what_had_been_said_by_its_tick(monkeypatch):
     assert list(found.x) == pytest.approx(used)
 
 
+def test_a_law_that_was_slow_once_has_not_been_silent(monkeypatch):
+    """Its command comes after six periods of the plant, five of which are a silence."""
+    slow = []
+
+    class Slow(Block):
+        INPUTS = (STATE,)
+        OUTPUTS = (COMMAND,)
+
+        def update(self, t, state):
+            if t == 100_000_000:
+                slow.append(t)
+                run.clock.t += 60_000_000
+            return {"command": (1.0,)}
+
+    run = Contained(Rig.from_blocks({"plant": Lag(), "law": Slow()}, 0.3), monkeypatch)
+    assert run.run() == {"done"}
+    plant = run.adapters["plant"]
+    assert (len(slow), plant.drive.missed, list(plant.block.reports)) == (1, 5, [])
+
+
 def test_what_somebody_outside_reads_is_carried_beside(monkeypatch):
     run = Contained(shortened("induction_dtc", 0.02), monkeypatch)
     run.readers["/currents_meas"](1)

@@ -64,7 +64,8 @@ class Beat:
         for drive, every in self._members:
             if number % every == 0:
                 drive.tick(t, now)
+        now = first.now()
         for law, command, plant in self._commands:
             if law.t == t:
                 command.fed(now)
-                plant.commanded(epoch + t, first.now())
+                plant.commanded(epoch + t, now)
