@@ -31,7 +31,6 @@ class Answering:
         self._complete = 0  # so many of the awaited inputs are there for the oldest pending tick
         self._last_stamp: int | None = None
         self._unarmed = False  # whether the oldest pending tick has no limit yet
-        self._quiet = 0  # until then, ns, nobody who is awaited can have been silent for long
         self._period = node.schedule.time(1)
         self._patience = round(node.options.patience * self._period)
         self._required = [f for f in table.rows if f.awaited]
@@ -136,14 +135,11 @@ class Answering:
         last, self._last_stamp = self._last_stamp, stamp
         if last is not None and stamp - last > self._period + 1:
             self.missed += node.schedule.tick(stamp - node.epoch) - node.schedule.tick(last - node.epoch) - 1
-        values = node.values
         for feed in self._used:
             if (value := feed.take(stamp)) is not None:
-                values[feed.name] = value
-        if now > self._quiet:
-            for feed in self._required:
+                node.values[feed.name] = value
+            if feed.awaited:
                 feed.silent(now)
-            self._quiet = min(feed.lives() for feed in self._required)
         if self._refusals:
             for feed in self._refusals:
                 if feed.bad is not None and feed.bad <= stamp:

@@ -10,9 +10,7 @@ from collections.abc import Sequence
 
 from ..model.schedule import Schedule
 from .feed import Feed
-from .realtime import Realtime
-
-SOON = 1_000_000  # ns
+from .realtime import SOON, Realtime, newest
 
 
 class Beat:
@@ -50,9 +48,7 @@ class Beat:
             self._timer.cancel()
             return
         now, epoch = first.now(), first.node.epoch
-        t = grid.held(now - epoch)
-        # Aimed at the next point of the wall clock's grid each time, so that no error adds up.
-        self._timer.again(epoch + grid.next(t) - now)
+        t = newest(self._timer, grid, now - epoch)
         number = grid.tick(t)
         if number <= self._number:
             return

@@ -26,7 +26,6 @@ class ContainedMiddleware(RosMiddleware):
     def __init__(self, node: Node, exchange: Exchange) -> None:
         super().__init__(node)
         self._exchange = exchange
-        self.post = exchange.post  # type: ignore[assignment]
 
     def publisher(self, topic: str, msgtype: str, matched: Matched) -> Receive:
         """Offer a topic; DDS carries it while somebody in another process reads it."""
@@ -60,6 +59,10 @@ class ContainedMiddleware(RosMiddleware):
             matched(number)
 
         super().subscribe(topic, msgtype, lambda data: exchange.hand(receive, data), count)
+
+    def post(self, call: Callable[[], object]) -> None:
+        """Call a function when whatever is under way has returned."""
+        self._exchange.post(call)
 
     def timer(self, ns: int, callback: Callable[[], None]) -> ExchangeTimer:  # type: ignore[override]
         """Call back every `ns`."""

@@ -62,13 +62,10 @@ class Exchange:
         Node names, by what is called for them.
     writers : dict
         Number of writers in other processes that are matched, by reader.
-    post : callable
-        Gets a function that is called when whatever is under way has returned.
     """
 
     def __init__(self) -> None:
         self._queue: deque[Callable[[], object]] = deque()
-        self.post = self._queue.append
         self._timers: list[tuple[int, int, ExchangeTimer]] = []
         self._moved: list[ExchangeTimer] = []
         self._order = count()
@@ -93,6 +90,10 @@ class Exchange:
         return self.owners.get(self._culprit, "") if self._culprit is not None else ""
 
     # what is to happen -------------------------------------------------------------------------------------------
+
+    def post(self, call: Callable[[], object]) -> None:
+        """Call a function when whatever is under way has returned."""
+        self._queue.append(call)
 
     def hand(self, receive: Receive, data: bytes) -> None:
         """Hand a message from another process to a node then."""

@@ -129,7 +129,7 @@ class Feed(Sender):
     bad : int or None
         Stamp of a refused message.
     recent : deque of (stamp, value)
-        The newest messages that no tick has used; the oldest fall out when it is full.
+        The newest messages; those that no tick needs any more fall out when it is full.
     holds : int
         For ticks stamped before it what is due is there.
     """
@@ -286,29 +286,21 @@ class Feed(Sender):
 
     def ready(self, stamp: int) -> bool:
         """Whether there is a value for the tick of a stamp."""
-        if self._used is not None:
-            return True
         return bool(self.recent) and (self.by_arrival or self.recent[0][0] <= stamp)
 
     def take(self, stamp: int) -> Any:
-        """Give the value of the tick of a stamp, the newest one not after it; None when that was used before."""
+        """Give the value of the tick of a stamp: the newest one not after it; None when there is none."""
         self.fresh = False
         self.answered = stamp
         recent = self.recent
-        if not recent:
-            return None
         if self.by_arrival:
             stamp = max(stamp, self.stamp or 0)
-        newest = recent[-1]
-        if newest[0] <= stamp:  # nearly always
-            recent.clear()
-        elif recent[0][0] > stamp:
+        while len(recent) > 1 and recent[1][0] <= stamp:
+            recent.popleft()
+        if not recent or recent[0][0] > stamp:
             return None
-        else:
-            while recent[0][0] <= stamp:
-                newest = recent.popleft()
-        self._used, value = newest
-        return value
+        self._used = recent[0][0]
+        return recent[0][1]
 
     def held_stamp(self) -> int | None:
         """Give the stamp of what the block gets, ns from its t = 0."""
@@ -317,23 +309,19 @@ class Feed(Sender):
 
     # silence, and too many -----------------------------------------------------------------------------------------
 
-    def lives(self) -> int:
-        """Give the time (ns) from which on its sender has been silent for too long; 0 when nothing has come."""
-        return 0 if self.arrived is None else self.arrived + self._limit()
-
-    def _limit(self) -> int:
-        table, learned = self.table, self.schedule is not None or not self.node.is_plant
-        return table.watchdog or max(table.least, Block.STALE_PERIODS * self._interval if learned else 0)
-
     def silent(self, now: int) -> bool:
         """Whether the sender has been silent for too long; reports it once."""
         node, table = self.node, self.table
-        if self.arrived is None or now - self.arrived <= table.least or now <= self.lives():
+        if self.arrived is None or now - self.arrived <= table.least:
+            return False
+        learned = self.schedule is not None or not node.is_plant
+        limit = table.watchdog or max(table.least, Block.STALE_PERIODS * self._interval if learned else 0)
+        if now - self.arrived <= limit:
             return False
         if self.name not in table.stale:
             table.stale.add(self.name)
             kind, rest = ("command", "safe input") if node.is_plant else ("message", "the last one is held")
-            text = f"no {kind} on {self.port.topic} for {self._limit() / SECOND:g} s: {rest}"
+            text = f"no {kind} on {self.port.topic} for {limit / SECOND:g} s: {rest}"
             node.block.report(Level.ERROR, f"stale {self.port.topic}", text)
         return True
 

@@ -37,8 +37,7 @@ class Group:
             drives = {n: Realtime(n) for n in nodes}
             links = _links(nodes)
             if _whole(drives.values(), links):
-                for writer, output, reader, item, pick in links:
-                    writer.step.feeds(output.name, reader.step, item.name, pick)
+                _feed(links)
                 commands = [(drives[k.writer], k.item, drives[k.reader]) for k in links if k.reader.is_plant]
                 Beat([drives[n] for n in _in_order(nodes, links)], commands)
             else:
@@ -52,8 +51,7 @@ class Group:
             return
         steps = [Lockstep(n, self.turn) for n in nodes]
         links = _links(nodes)
-        for writer, output, reader, item, pick in links:
-            writer.step.feeds(output.name, reader.step, item.name, pick)
+        _feed(links)
         self._steps = steps
         self._ticks = Runner([n.step for n in _in_order(nodes, links)]).run()
         for step in steps:
@@ -124,15 +122,21 @@ def _links(nodes: Sequence[Adapter]) -> list[_Link]:
     return found
 
 
+def _feed(links: Sequence[_Link]) -> None:
+    """Have what is said fill the inputs at once."""
+    for writer, output, reader, item, pick in links:
+        writer.step.feeds(output.name, reader.step, item.name, pick)
+
+
 def _whole(drives: Iterable[Realtime], links: Sequence[_Link]) -> bool:
     """Whether nodes read only each other, what is checked and of their ticks; free inputs may come from anywhere."""
-    near = {id(k.item) for k in links}
-    rows = [row for drive in drives for row in drive.linked()]
+    rows = [row for drive in drives for row in drive.senders.rows]
+    fed = [row for row in rows if row.local]
     return (
-        bool(rows)
-        and all(id(row) in near and row.paired and type(row) is Feed for row in rows)
+        bool(fed)
+        and all(row.paired and type(row) is Feed for row in fed)
+        and not any(row.awaited or row.schedule is not None for row in rows if not row.local)
         and not any(k.output.port.unchecked for k in links)
-        and not any(f.awaited for d in drives for f in d.senders.rows if f not in d.linked())
         and all(d.node.links.starter or d.node.options.epoch for d in drives)
     )
 

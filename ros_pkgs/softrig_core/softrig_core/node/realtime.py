@@ -16,6 +16,7 @@ from ..errors import RunError
 from ..model.answer import Row
 from ..model.block import Level
 from ..model.port import Port
+from ..model.schedule import Schedule
 from ..model.step import Rows
 from ..timebase import SECOND
 from ..wire.cdr import Pick
@@ -25,10 +26,12 @@ from .departure import Departure
 from .endpoint import Input, Output
 from .feed import Feed, Feeds
 from .health import percentiles
+from .middleware import Timer
 from .sporadic import Sporadic, listen
 from .start import Handshake
 
 AGAIN = 10.0  # s between two times that a silence which lasts is told
+SOON = SECOND // 1000  # ns from the beginning to the first look at the clock
 CATCH_UP = SECOND  # a longer pause than this (a suspended host) is skipped, not simulated
 END_GRACE = SECOND  # a node that waits for a sender ends this much after the end of the run all the same
 
@@ -62,18 +65,12 @@ class Realtime:
         node.epoch = node.options.epoch
         node.step.send = self._send
         node.begin(self)
-        awaited = [f for f in self.senders.rows if f.awaited]
-        self._commands = awaited if node.is_plant else []
-        self._answering = answering = Answering(self.senders, self._answer) if awaited and not node.is_plant else None
-        self.senders.take = self._take if answering is None else answering.take
-        self.senders.excuse = self._excuse if answering is None else answering.excuse
-        self.senders.act = (lambda: None) if answering is None else answering.act
-        # a law takes what it uses when it answers
-        self._paired = [f for f in self.senders.rows if f.paired and self._answering is None]
-        if self._answering is None:
-            self._timer = node.middleware.timer(SECOND // 1000, self._tick)
-            self._timer.cancel()
-        self._rivals: list[Feed] = []  # inputs that neighbours fill and others write, too
+        self._commands = [f for f in self.senders.rows if f.awaited and node.is_plant]
+        self.senders.take, self.senders.excuse, self.senders.act = self._take, self._excuse, lambda: None
+        self._answering: Answering | None = None
+        self._paired: list[Feed] = []  # what it takes by stamp; a law does when it answers
+        self._fed: list[Feed] = []  # inputs that neighbours fill
+        self._rivals: list[Feed] = []  # those of them that others write, too
         self._begun: Callable[[], object] | None = None
         self.departure: Departure | None = None
 
@@ -84,16 +81,24 @@ class Realtime:
     def follow(self, begun: Callable[[], object]) -> None:
         """Take the ticks that a `Beat` says, which hears when it runs: its inputs are fed, nobody is waited for."""
         self._begun = begun
-        self._answering, self._paired = None, []
-        self.senders.take, self.senders.excuse, self.senders.act = self._take, self._excuse, lambda: None
+        self._fed = [f for f in self.senders.rows if f.local]
 
-    def linked(self) -> list[Feed]:
-        """Give the rows of what nodes of the rig say."""
-        return [f for f in self.senders.rows if f.name in self.node.links.inputs]
+    def _by_itself(self) -> Callable[[], object]:
+        """Answer when what is due has come, or go by a timer; gives what begins that."""
+        node, senders = self.node, self.senders
+        if not node.is_plant and any(f.awaited for f in senders.rows):
+            self._answering = answering = Answering(senders, self._answer)
+            senders.take, senders.excuse, senders.act = answering.take, answering.excuse, answering.act
+            return lambda: None
+        self._paired = [f for f in senders.rows if f.paired]
+        self._timer = node.middleware.timer(SOON, self._tick)
+        self._timer.cancel()
+        return lambda: self._timer.again(SOON)
 
     def join(self, local: Set[str]) -> None:
         """Begin, or wait for the others if t = 0 is to be said; `local` are the other nodes of this process."""
         node = self.node
+        self._begun = self._begun or self._by_itself()
         told = listen(self.senders, [r for r in self.senders.rows if isinstance(r, Sporadic) and r.who not in local])
         if node.links.starter and not node.epoch:
             readers, inputs = node.links.readers, node.links.inputs
@@ -119,10 +124,8 @@ class Realtime:
             self.node.block.report(Level.WARN, "clock", text)
         self.node.epoch = epoch
         self.node.state = "running"
-        if self._begun is not None:
-            self._begun()
-        elif self._answering is None:
-            self._timer.again(SECOND // 1000)
+        assert self._begun is not None
+        self._begun()
 
     def progress(self) -> None:
         """Tell a silence again while it lasts; end a node whose senders have ended before it, after the run."""
@@ -176,8 +179,7 @@ class Realtime:
         """Two publishers on one input: neither is believed until one of them has gone."""
         assert isinstance(item, Feed)
         item.on_matched()
-        if self._begun is not None:
-            self._rivals = [f for f in self.linked() if f.publishers > 1]
+        self._rivals = [f for f in self._fed if f.outside]
 
     def _take(self, feed: Feed, stamp: int, due: int, value: Any, now: int) -> None:
         if not feed.paired:
@@ -198,9 +200,8 @@ class Realtime:
         node = self.node
         node.publish(t, rows)
         stamp = node.epoch + t
-        post = node.middleware.post
         for reader, parts in self._told.items():
-            post(partial(reader.hear, parts, stamp, rows))
+            node.middleware.post(partial(reader.hear, parts, stamp, rows))
 
     def hear(self, parts: list[tuple[int, Callable[[int, Row | None, int], None]]], stamp: int, rows: Rows) -> None:
         """Take what a node of this process says at a tick: all of it, before any of it makes this one answer."""
@@ -222,10 +223,7 @@ class Realtime:
         now = self.now()
         # The first tick is the next point of the grid, or the common start that the runner gave.
         node.epoch = node.epoch or schedule.next(now)
-        due = schedule.held(now - node.epoch)
-        # Aimed at the next point of the wall clock's grid each time, so that no error adds up.
-        self._timer.again(node.epoch + schedule.next(due) - now)
-        self.tick(due, now)
+        self.tick(newest(self._timer, schedule, now - node.epoch), now)
 
     def tick(self, due: int, now: int) -> None:
         """Move a plant, or let another node speak, at its newest tick `due` (ns from t = 0), now."""
@@ -321,3 +319,13 @@ class Realtime:
         if self._lateness:
             figures["jitter_ms"] = figures["lateness_p99_ms"] - figures["lateness_p50_ms"]
         return figures
+
+
+def newest(timer: Timer, schedule: Schedule, t: int) -> int:
+    """Give the newest tick at a time t (both ns from t = 0), and have the timer fire at the next one.
+
+    It is aimed at that point of the wall clock's grid each time, so that no error adds up.
+    """
+    due = schedule.held(t)
+    timer.again(schedule.next(due) - t)
+    return due
