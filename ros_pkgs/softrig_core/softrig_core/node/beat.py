@@ -47,7 +47,7 @@ class Beat:
         if not any(d.node.state == "running" for d in self._drives):
             self._timer.cancel()
             return
-        now, epoch = first.now(), first.node.epoch
+        now, epoch = first.clock(), first.node.epoch
         t = newest(self._timer, grid, now - epoch)
         number = grid.tick(t)
         if number <= self._number:
@@ -60,7 +60,7 @@ class Beat:
         for drive, every in self._members:
             if number % every == 0:
                 drive.tick(t, now)
-        now = first.now()
+        now = first.clock()
         for law, command, plant in self._commands:
             if law.t == t:
                 command.fed(now)

@@ -72,7 +72,7 @@ class Feeds:
     def record(self, stamp: int) -> None:
         """Record what the tick of a stamp uses, with that stamp: at it a repetition must bring the same."""
         sink = self.node.sink
-        if self.unrecorded and sink is not None:
+        if sink is not None:
             for due, number, data in self.unrecorded:
                 if due <= stamp:
                     sink.add(number, stamp, data)

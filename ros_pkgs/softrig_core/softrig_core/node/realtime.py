@@ -63,7 +63,7 @@ class Realtime:
         self._missed = 0
         self._told: dict[Realtime, list[tuple[int, Callable[[int, Row | None, int], None]]]] = {}
         node.epoch = node.options.epoch
-        node.step.send = self._send
+        node.step.send = node.publish
         node.begin(self)
         self._commands = [f for f in self.senders.rows if f.awaited and node.is_plant]
         self.senders.take, self.senders.excuse, self.senders.act = self._take, self._excuse, lambda: None
@@ -77,6 +77,7 @@ class Realtime:
     def tell(self, output: Output, reader: Realtime, row: Feed, pick: Pick | None) -> None:
         """Hand what an output says to a node of this process, too."""
         self._told.setdefault(reader, []).append((output.number, row.teller(pick, output.port.unchecked)))
+        self.node.step.send = self._send
 
     def follow(self, begun: Callable[[], object]) -> None:
         """Take the ticks that a `Beat` says, which hears when it runs: its inputs are fed, nobody is waited for."""
@@ -220,7 +221,7 @@ class Realtime:
         if node.state != "running":
             self._timer.cancel()
             return
-        now = self.now()
+        now = self.clock()
         # The first tick is the next point of the grid, or the common start that the runner gave.
         node.epoch = node.epoch or schedule.next(now)
         self.tick(newest(self._timer, schedule, now - node.epoch), now)
@@ -234,19 +235,18 @@ class Realtime:
         if self._rivals and any(f.deaf() for f in self._rivals) and not node.is_plant:
             return  # neither of two publishers is believed
         self._lateness.append(now - node.epoch - due)
-        behind = number - self.tick_number
-        if self.tick_number >= 0 and behind > 1:
+        behind = number - self.tick_number if self.tick_number >= 0 else 0
+        if behind > 1:
             self._missed += behind - 1
-        if schedule.time(behind) > CATCH_UP:
-            self.skipped += behind - 1
-            behind = 1
-        first = number - behind if self.tick_number >= 0 else number
+            if schedule.time(behind) > CATCH_UP:
+                self.skipped += behind - 1
+                behind = 1
         self.tick_number = number
         if not node.is_plant:
             self._answer(due)
             return
         try:
-            for k in range(first, number):
+            for k in range(number - behind, number):
                 t = schedule.time(k)
                 self._use(node.epoch + t)
                 node.step.advance(t, self._fresh_inputs(now))
@@ -254,7 +254,7 @@ class Realtime:
         except RunError as error:
             node.broke(error)
             return
-        self._sent_at[node.epoch + due] = self.now()
+        self._sent_at[node.epoch + due] = self.clock()
         if len(self._sent_at) > 2 * node.block.STALE_PERIODS:
             del self._sent_at[next(iter(self._sent_at))]
         self._ticked(due)
@@ -264,7 +264,8 @@ class Realtime:
         for feed in self._paired:
             if (value := feed.take(stamp)) is not None:
                 self.node.values[feed.name] = value
-        self.senders.record(stamp)
+        if self.senders.unrecorded:
+            self.senders.record(stamp)
 
     def _fresh_inputs(self, now: int) -> dict[str, Any]:
         """Newest commands; the safe value in place of a stale one."""
