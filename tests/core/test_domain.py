@@ -40,6 +40,19 @@ def test_another_process_holds_its_domain_until_it_dies(monkeypatch):
         assert ours == theirs
 
 
+def test_a_run_with_another_home_holds_its_domain_too(tmp_path, monkeypatch):
+    """Of two suites at once, each with its own home: both chose a domain in the same moment."""
+    elsewhere = {**os.environ, "XDG_CACHE_HOME": str(tmp_path)}
+    command = [sys.executable, "-c", HOLD]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=elsewhere) as child:
+        theirs = int(child.stdout.readline())
+        with free_domain() as ours:
+            assert ours != theirs
+        with pytest.raises(RunError, match=f"domain {theirs} is in use"), free_domain(theirs):
+            pass
+        child.kill()
+
+
 def test_a_wanted_domain_is_reserved_too():
     with free_domain() as first:
         with pytest.raises(RunError, match=f"domain {first} is in use"), free_domain(first):

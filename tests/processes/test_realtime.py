@@ -23,6 +23,16 @@ def test_nodes_started_by_hand_close_the_loop_and_stop_on_ctrl_c(bench):
     assert bench.status("plant")["round_trip_p50_ms"] < 1000
 
 
+def test_who_waits_for_nobody_and_has_no_end_does_not_run_away(bench):
+    """Of a campaign: a clock by hand in lockstep answered ticks and nothing else."""
+    bench.start("clock", "clock", "-p", "run.mode:=lockstep", package="softrig_core")
+    for _ in range(2):
+        ticks = bench.status("clock").get("ticks", 0)
+        bench.wait(lambda ticks=ticks: bench.status("clock").get("ticks", 0) > ticks)
+    bench.nodes["clock"].send_signal(2)
+    assert bench.ends("clock") == 0
+
+
 def test_a_lost_controller_brings_the_safe_input_and_a_new_one_takes_over(bench):
     bench.start("plant", "plant")
     bench.start("source", "source")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
 from copy import copy
@@ -35,6 +34,8 @@ POLICIES = (
     QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH, QoSPolicyKind.RELIABILITY, QoSPolicyKind.DURABILITY,
     QoSPolicyKind.LIFESPAN, QoSPolicyKind.DEADLINE,
 )  # fmt: skip
+
+PAUSE = 1_000_000  # ns: this executor looks at no other timer while one is always due
 
 SEVERITY = {Level.OK: LoggingSeverity.INFO, Level.WARN: LoggingSeverity.WARN, Level.ERROR: LoggingSeverity.ERROR}
 
@@ -106,7 +107,7 @@ class RosMiddleware(Middleware):
         self.node = node
         self.name: str = node.get_name()
         self.full_name: str = node.get_fully_qualified_name()
-        self._posted: deque[Callable[[], object]] = deque()
+        self._posted: list[Callable[[], object]] = []
         self._poster: _RosTimer | None = None
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._behind = time.time_ns() - time.monotonic_ns()  # once: a system clock that is set later stalls nothing
@@ -144,14 +145,15 @@ class RosMiddleware(Middleware):
         """Call a function when whatever is under way has returned: a node by itself has that only of a person's."""
         self._posted.append(call)
         if self._poster is None:
-            self._poster = self.timer(1000, self._call_posted)
-        self._poster.again(1000)
+            self._poster = self.timer(PAUSE, self._call_posted)
+        self._poster.again(PAUSE)
 
     def _call_posted(self) -> None:
         assert self._poster is not None
         self._poster.cancel()
-        while self._posted:
-            self._posted.popleft()()
+        posted, self._posted = self._posted, []
+        for call in posted:
+            call()
 
     def timer(self, ns: int, callback: Callable[[], None]) -> _RosTimer:
         """Call back every `ns`."""

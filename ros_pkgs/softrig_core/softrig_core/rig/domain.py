@@ -1,4 +1,4 @@
-"""A DDS domain that no other run of this user on this host uses."""
+"""A DDS domain that no other run on this host uses."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ PORT_BASE, PORT_GAIN = 7400, 250  # of its UDP ports: the DDSI-RTPS specificatio
 
 @contextmanager
 def free_domain(wanted: int | None = None) -> Iterator[int]:
-    """Reserve a ROS_DOMAIN_ID for the length of a ``with`` block, across all processes of this user.
+    """Reserve a ROS_DOMAIN_ID for the length of a ``with`` block, across all processes of this host.
 
-    A domain is taken while some process holds the lock on its file in the user's cache folder; the operating
-    system drops the lock of a dead process. One that a ROS session of this host works in, whoever started it, is not
-    chosen either: it holds ports of that domain. The search starts at the process number, so that two runs in a row
-    seldom share a domain and see each other's ghosts.
+    A domain is taken while some process holds the lock on its file in the user's cache folder or, whosever it is, its
+    name among the abstract sockets of the host; the operating system drops both of a dead process. One that a ROS
+    session of this host works in, whoever started it, is not chosen either: it holds ports of that domain. The search
+    starts at the process number, so that two runs in a row seldom share a domain and see each other's ghosts.
 
     Parameters
     ----------
@@ -67,7 +67,12 @@ def free_domain(wanted: int | None = None) -> Iterator[int]:
             os.close(file)
             continue
         try:
-            yield number
+            with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as held:
+                try:
+                    held.bind(f"\0softrig-domain-{number}")
+                except OSError:  # by a run of another user, or with another home
+                    continue
+                yield number
         finally:
             os.close(file)
         return
