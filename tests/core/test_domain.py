@@ -28,29 +28,24 @@ def test_two_reservations_differ_and_the_first_comes_free_again():
             assert again == second
 
 
-def test_another_process_holds_its_domain_until_it_dies(monkeypatch):
-    with subprocess.Popen([sys.executable, "-c", HOLD], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as child:
-        theirs = int(child.stdout.readline())
-        monkeypatch.setattr(domain, "DOMAINS", range(theirs, theirs + 1))
+@pytest.mark.parametrize("home", ["ours", "its own"])
+def test_another_process_holds_its_domain_until_it_dies(home, tmp_path, monkeypatch):
+    """Two suites at once, each with its own home, chose a domain in the same moment."""
+    theirs = {**os.environ, "XDG_CACHE_HOME": str(tmp_path)} if home == "its own" else None
+    command = [sys.executable, "-c", HOLD]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=theirs) as child:
+        number = int(child.stdout.readline())
+        with free_domain() as ours:
+            assert ours != number
+        with pytest.raises(RunError, match=f"domain {number} is in use"), free_domain(number):
+            pass
+        monkeypatch.setattr(domain, "DOMAINS", range(number, number + 1))
         with pytest.raises(RunError, match="in use"), free_domain():
             pass
         child.kill()
         child.wait()
     with free_domain() as ours:
-        assert ours == theirs
-
-
-def test_a_run_with_another_home_holds_its_domain_too(tmp_path, monkeypatch):
-    """Of two suites at once, each with its own home: both chose a domain in the same moment."""
-    elsewhere = {**os.environ, "XDG_CACHE_HOME": str(tmp_path)}
-    command = [sys.executable, "-c", HOLD]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=elsewhere) as child:
-        theirs = int(child.stdout.readline())
-        with free_domain() as ours:
-            assert ours != theirs
-        with pytest.raises(RunError, match=f"domain {theirs} is in use"), free_domain(theirs):
-            pass
-        child.kill()
+        assert ours == number
 
 
 def test_a_wanted_domain_is_reserved_too():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import fcntl
 import os
 import socket
@@ -62,15 +63,13 @@ def free_domain(wanted: int | None = None) -> Iterator[int]:
             continue
         file = _open(number)
         try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            os.close(file)
-            continue
-        try:
-            with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as held:
+            with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as name:
                 try:
-                    held.bind(f"\0softrig-domain-{number}")
-                except OSError:  # by a run of another user, or with another home
+                    fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)  # also against who has joined it
+                    name.bind(f"\0softrig-domain-{number}")  # against other users and homes
+                except OSError as error:
+                    if error.errno not in (errno.EWOULDBLOCK, errno.EADDRINUSE):
+                        raise
                     continue
                 yield number
         finally:
