@@ -27,7 +27,7 @@ from .buttons import Buttons
 from .endpoint import Input, Output
 from .health import StatusFile, figures, peak_memory
 from .hold import Hold
-from .middleware import Middleware, other_types
+from .middleware import Matched, Middleware, other_types
 from .tick import TICK, TickWriter
 
 LOOK_EVERY = 4  # watches between two looks at the types of topics on which nothing comes
@@ -135,6 +135,7 @@ class Adapter:
         self._silent = any(p.sporadic for p in outputs)  # at times
         self._owns_clock = self.links.owns_clock and options.mode == "lockstep"
         self._open_record(sink)
+        self._unread = False  # whether nothing of what it says is read in another process, in which case it stays here
         self.buttons = Buttons(self.values, self._record_press)
         self.hold = Hold(options.paused and options.mode == "lockstep" and self.links.owns_clock)
         self.step.changed = self._record_change
@@ -148,9 +149,10 @@ class Adapter:
         for port in self.step.inputs:
             self._subscribe(drive.row(port))
         for output in self.outputs:
-            output.send = middleware.sender(output.port.topic, output.layout, output.matched)
+            output.send = middleware.sender(output.port.topic, output.layout, self._noting(output))
         if self._owns_clock:
-            self.clock_output.send = middleware.sender(CLOCK.topic, CLOCK_LAYOUT, self.clock_output.matched)
+            self.clock_output.send = middleware.sender(CLOCK.topic, CLOCK_LAYOUT, self._noting(self.clock_output))
+        self._look_for_readers()
         middleware.timer(WATCH_PERIOD, self._watch)
 
     @property
@@ -190,6 +192,19 @@ class Adapter:
         self.inputs.append(item)
         self.middleware.subscribe(item.port.topic, item.port.msgtype, item.receive, matched)
 
+    def _noting(self, output: Output) -> Matched:
+        """Give what hears how many read an output."""
+
+        def matched(count: int) -> None:
+            output.matched(count)
+            self._look_for_readers()
+
+        return matched
+
+    def _look_for_readers(self) -> None:
+        silent = self.middleware.mute and self._plain and not self.links.guests  # a guest gets the first message late
+        self._unread = silent and not any(o.readers for o in (*self.outputs, self.clock_output, self.tick_output))
+
     def _record_press(self, port: Port, down: bool) -> None:
         if self.sink is not None and port.name in self.foreign:
             self.drive.record(self.foreign[port.name], port.layout().encode(0, (down,)))
@@ -212,7 +227,11 @@ class Adapter:
         recording takes place while it works. (Each wake-up between two messages costs as much as the law.)
         """
         stamp = self.epoch + t
-        if self._plain:  # nearly always
+        if self._unread:  # in a container, nearly always
+            if self._add_row is not None:
+                self._add_row(stamp, self.step.numbers)
+            return
+        if self._plain:
             for output, row in zip(self.outputs, rows, strict=True):
                 output.send(stamp, row)  # type: ignore[arg-type]
         else:
@@ -246,9 +265,9 @@ class Adapter:
     def _acknowledging(self) -> Callable[[int, Iterable[str]], None]:
         """Give what says that a tick is answered, and which sporadic ports have spoken at it."""
         if self._silent:
-            write, publish = TickWriter(), self.middleware.publisher("~/tick", TICK, self.tick_output.matched)
+            write, publish = TickWriter(), self.middleware.publisher("~/tick", TICK, self._noting(self.tick_output))
             return lambda stamp, spoken: publish(write(stamp, spoken))
-        send = self.middleware.sender("~/tick", Layout(TICK), self.tick_output.matched)
+        send = self.middleware.sender("~/tick", Layout(TICK), self._noting(self.tick_output))
         return lambda stamp, spoken: send(stamp, ())
 
     # health ----------------------------------------------------------------------------------------------------

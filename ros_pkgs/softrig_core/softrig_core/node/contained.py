@@ -23,6 +23,8 @@ class ContainedMiddleware(RosMiddleware):
         That of the container.
     """
 
+    mute = True
+
     def __init__(self, node: Node, exchange: Exchange) -> None:
         super().__init__(node)
         self._exchange = exchange

@@ -46,10 +46,16 @@ class Middleware(Protocol):
 
     No method calls back before it returns: a message that a node sends reaches a reader, be it in the same process,
     only after `publish` has returned. That is what keeps a tick from running inside another one.
+
+    Attributes
+    ----------
+    mute : bool
+        Whether what is published goes nowhere while the number of readers that `matched` has got is 0.
     """
 
     name: str
     full_name: str
+    mute: bool = False
 
     def resolve(self, topic: str) -> str:
         """Give the full name of a topic, remapping applied."""
