@@ -79,6 +79,8 @@ class Schedule:
         The block's own last tick, ns: the last one not after the end, or before it for who does not speak there.
     time : callable
         Tick number to time in ns.
+    tick : callable
+        Stamp in ns to the number of the tick to which it is nearest.
     held : callable
         Time in ns to that of the block's newest tick: what a link from it holds.
     next : callable
@@ -91,6 +93,7 @@ class Schedule:
     """
 
     time: Callable[[int], int]
+    tick: Callable[[int], int]
     held: Callable[[int], int]
     next: Callable[[int], int]
 
@@ -111,11 +114,11 @@ class Schedule:
         self._n, self._d = ns.numerator, ns.denominator
         whole = self._n
         if self._d == 1:  # nearly always; both are in the loop of every runner
-            self.time = whole.__mul__
+            self.time, self.tick = whole.__mul__, lambda t: (2 * t + whole) // (2 * whole)
             self.held = lambda t: t - t % whole
             self.next = lambda t: t - t % whole + whole
         else:
-            self.time = self._time
+            self.time, self.tick = self._time, self._tick
             self.held = self._held
             self.next = self._next
         self.ticks: int | None = None
@@ -130,8 +133,7 @@ class Schedule:
             self.end = (self if self.every == 1 else Schedule(self.clock)).time(ticks)
             self.last = self.time((ticks if self.at_end else ticks - 1) // self.every)
 
-    def tick(self, t: int) -> int:
-        """Give the number of the tick to which a stamp (ns) is nearest."""
+    def _tick(self, t: int) -> int:
         return (2 * t * self._d + self._n) // (2 * self._n)
 
     def due(self, t: int) -> bool:

@@ -182,7 +182,7 @@ class Adapter:
         self.sink = self.shard if sink is None else sink
         self._add_row = self.shard.add_row if self.shard is not None and row else None
         numbered = any(o.numbered for o in self.outputs)
-        self._plain = self.step.plain and not numbered and (self._add_row is not None or self.sink is None)
+        self._plain = self.step.plain and not numbered and (self._add_row is not None or self.sink is None or not row)
 
     def _subscribe(self, item: Input) -> None:
         def matched(count: int) -> None:
@@ -231,6 +231,7 @@ class Adapter:
             if self._add_row is not None:
                 self._add_row(stamp, self.step.numbers)
             return
+        said: list[tuple[Output, int, tuple[float, ...]]] = []
         if self._plain:
             for output, row in zip(self.outputs, rows, strict=True):
                 output.send(stamp, row)  # type: ignore[arg-type]

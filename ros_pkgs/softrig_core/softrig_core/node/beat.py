@@ -8,7 +8,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from ..model.runner import KNOWN
 from ..model.schedule import Schedule
+from ..model.step import Step
 from .feed import Feed
 from .realtime import SOON, Realtime, newest
 
@@ -20,16 +22,18 @@ class Beat:
     ----------
     drives : sequence of Realtime
         Plants first, then each after those that it reads, which are all among them.
-    commands : sequence of (law, Feed, plant)
+    commands : sequence of (step, Feed, plant)
         What the plants read, and whose it is.
     """
 
-    def __init__(self, drives: Sequence[Realtime], commands: Sequence[tuple[Realtime, Feed, Realtime]]) -> None:
+    def __init__(self, drives: Sequence[Realtime], commands: Sequence[tuple[Step, Feed, Realtime]]) -> None:
         self._drives, self._commands = drives, commands
         schedule = drives[0].node.schedule
         stride = math.gcd(*(d.node.schedule.every for d in drives))
         self._grid = Schedule(schedule.clock * stride)
         self._members = [(d, d.node.schedule.every // stride) for d in drives]
+        self._again = math.lcm(*(every for _, every in self._members))  # ticks after which the same are due
+        self._known: dict[int, list[tuple[Realtime, int]]] = {}
         self._number = -1
         self._timer = drives[0].node.middleware.timer(SOON, self._tick)
         self._timer.cancel()
@@ -44,7 +48,7 @@ class Beat:
     def _tick(self) -> None:
         """Have those answer that are due; who is late does so first, with what was said before."""
         first, grid = self._drives[0], self._grid
-        if not any(d.node.state == "running" for d in self._drives):
+        if first.node.state != "running" and not any(d.node.state == "running" for d in self._drives):
             self._timer.cancel()
             return
         now, epoch = first.clock(), first.node.epoch
@@ -54,14 +58,21 @@ class Beat:
             return
         if number > self._number + 1:
             for drive in self._drives:
-                if (own := drive.node.schedule.held(t)) < t:
-                    drive.tick(own, now)
+                schedule = drive.node.schedule
+                if (own := schedule.held(t)) < t:
+                    drive.tick(schedule.tick(own), own, now)
         self._number = number
-        for drive, every in self._members:
-            if number % every == 0:
-                drive.tick(t, now)
+        for drive, every in self._known.get(number % self._again) or self._due(number):
+            drive.tick(number // every, t, now)
         now = first.clock()
         for law, command, plant in self._commands:
             if law.t == t:
                 command.fed(now)
                 plant.commanded(epoch + t, now)
+
+    def _due(self, number: int) -> list[tuple[Realtime, int]]:
+        """Give those that are due at a tick, with their ticks to the next one."""
+        due = [(d, every) for d, every in self._members if number % every == 0]
+        if self._again <= KNOWN:
+            self._known[number % self._again] = due
+        return due

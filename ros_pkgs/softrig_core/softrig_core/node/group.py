@@ -38,7 +38,7 @@ class Group:
             links = _links(nodes)
             if _whole(drives.values(), links):
                 _feed(links)
-                commands = [(drives[k.writer], k.item, drives[k.reader]) for k in links if k.reader.is_plant]
+                commands = [(k.writer.step, k.item, drives[k.reader]) for k in links if k.reader.is_plant]
                 Beat([drives[n] for n in _in_order(nodes, links)], commands)
             else:
                 for writer, output, reader, item, pick in links:

@@ -53,7 +53,7 @@ class Realtime:
         node.block.realtime = True
         self.clock = node.middleware.now
         self.senders = Feeds(node, self.now)
-        self._sent_at: dict[int, int] = {}
+        self._sent: deque[tuple[int, int]] = deque(maxlen=2 * node.block.STALE_PERIODS)  # stamp, when it went out
         # the newest: they are sorted for each status file, between two ticks
         self._round_trip: deque[int] = deque(maxlen=5_000)
         self._lateness: deque[int] = deque(maxlen=5_000)
@@ -189,9 +189,11 @@ class Realtime:
 
     def commanded(self, stamp: int, now: int) -> None:
         """The command of a plant's tick is there."""
-        sent = self._sent_at.get(stamp)
-        if sent is not None:
-            self._round_trip.append(now - sent)
+        for said, sent in reversed(self._sent):
+            if said <= stamp:
+                if said == stamp:
+                    self._round_trip.append(now - sent)
+                return
 
     def _excuse(self, feed: Feed, due: int, now: int) -> None:
         self.node.step.bad = True
@@ -224,12 +226,12 @@ class Realtime:
         now = self.clock()
         # The first tick is the next point of the grid, or the common start that the runner gave.
         node.epoch = node.epoch or schedule.next(now)
-        self.tick(newest(self._timer, schedule, now - node.epoch), now)
+        due = newest(self._timer, schedule, now - node.epoch)
+        self.tick(schedule.tick(due), due, now)
 
-    def tick(self, due: int, now: int) -> None:
-        """Move a plant, or let another node speak, at its newest tick `due` (ns from t = 0), now."""
-        node, schedule = self.node, self.node.schedule
-        number = schedule.tick(due)
+    def tick(self, number: int, due: int, now: int) -> None:
+        """Move a plant, or let another node speak, at its newest tick: its number and time (ns from t = 0), now."""
+        node = self.node
         if number <= self.tick_number or node.state != "running":
             return
         if self._rivals and any(f.deaf() for f in self._rivals) and not node.is_plant:
@@ -238,7 +240,7 @@ class Realtime:
         behind = number - self.tick_number if self.tick_number >= 0 else 0
         if behind > 1:
             self._missed += behind - 1
-            if schedule.time(behind) > CATCH_UP:
+            if node.schedule.time(behind) > CATCH_UP:
                 self.skipped += behind - 1
                 behind = 1
         self.tick_number = number
@@ -247,38 +249,38 @@ class Realtime:
             return
         try:
             for k in range(number - behind, number):
-                t = schedule.time(k)
-                self._use(node.epoch + t)
+                t = node.schedule.time(k)
+                self._use(t)
                 node.step.advance(t, self._fresh_inputs(now))
             node.step.say(due)
         except RunError as error:
             node.broke(error)
             return
-        self._sent_at[node.epoch + due] = self.clock()
-        if len(self._sent_at) > 2 * node.block.STALE_PERIODS:
-            del self._sent_at[next(iter(self._sent_at))]
+        self._sent.append((node.epoch + due, self.clock()))
         self._ticked(due)
 
-    def _use(self, stamp: int) -> None:
-        """Have the values of the tick of a stamp, and record those from outside."""
-        for feed in self._paired:
-            if (value := feed.take(stamp)) is not None:
-                self.node.values[feed.name] = value
-        if self.senders.unrecorded:
-            self.senders.record(stamp)
+    def _use(self, t: int) -> None:
+        """Have the values of tick `t`, and record those from outside."""
+        if self._paired or self.senders.unrecorded:
+            stamp = self.node.epoch + t
+            for feed in self._paired:
+                if (value := feed.take(stamp)) is not None:
+                    self.node.values[feed.name] = value
+            if self.senders.unrecorded:
+                self.senders.record(stamp)
 
     def _fresh_inputs(self, now: int) -> dict[str, Any]:
         """Newest commands; the safe value in place of a stale one."""
         inputs = self.node.values
         for feed in self._commands:
-            if feed.publishers > 1 or feed.silent(now):
+            if feed.outside + feed.local > 1 or feed.silent(now):
                 inputs = inputs | {feed.name: feed.port.safe}
         return inputs
 
     def _answer(self, t: int) -> None:
         """Publish the answer of tick `t`; the safe values when the law overflows or gives what nobody may send."""
         node, step = self.node, self.node.step
-        self._use(node.epoch + t)
+        self._use(t)
         try:
             step.say(t)
         except RunError as error:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import chain
 from math import floor
 from typing import TYPE_CHECKING, Literal
 
@@ -80,11 +81,11 @@ class Converter:
     def start(self, rng: np.random.Generator) -> None:
         """Begin a run; `rng` draws the dither bits, if the mode has some."""
         self.clipped = 0
-        self._bits = self._draw(rng) if self._dithered else None
+        self._bits = chain.from_iterable(self._draws(rng)) if self._dithered else None
 
-    def _draw(self, rng: np.random.Generator) -> Iterator[int]:
+    def _draws(self, rng: np.random.Generator) -> Iterator[list[int]]:
         while True:
-            yield from (rng.random(_DRAWS) < self._p_d).astype(int).tolist()
+            yield (rng.random(_DRAWS) < self._p_d).astype(int).tolist()
 
     def __call__(self, x: float) -> float:
         """Convert one sample (A)."""

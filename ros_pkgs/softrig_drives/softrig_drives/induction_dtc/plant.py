@@ -67,12 +67,12 @@ class ImPlant(Plant[ImPlantParams]):
         self._u = self._voltages[V0]
         self._refused = False
         self.fault = False
-        self._sense(State(*(0.0,) * STATES), 0.0, 0.0, 0.0, 0.0)
+        self._sense((0.0,) * STATES, 0.0, 0.0, 0.0, 0.0)
 
     @property
     def state(self) -> State:
         """Give fluxes, speed and angle."""
-        return self._x
+        return State(*self._x)
 
     def put(self, state: Sequence[float]) -> None:
         """Go on from another state."""
@@ -88,7 +88,7 @@ class ImPlant(Plant[ImPlantParams]):
         u = self._inverter(switches)
         load = 0.0 if load_torque is None else load_torque[0]
         found = self._step((*self._x, *u, load, *self._constants))
-        self._sense(State(*found[:STATES]), *found[STATES:])
+        self._sense(found[:STATES], *found[STATES:])
 
     def _inverter(self, switches: tuple[float, ...]) -> tuple[float, float]:
         """Give u_alpha, u_beta (V)."""
@@ -110,16 +110,17 @@ class ImPlant(Plant[ImPlantParams]):
         self.report(Level.ERROR, "bad_switches", f"{text}: command refused, the previous one held")
         return self._u
 
-    def _sense(self, state: State, i_a: float, i_b: float, i_c: float, T_e: float) -> None:
+    def _sense(self, x: tuple[float, ...], i_a: float, i_b: float, i_c: float, T_e: float) -> None:
         """Prepare the outputs, convert the currents, supervise them."""
-        self._x = state
+        self._x = x
+        psi_s_alpha, psi_s_beta, _, _, omega, theta = x
         convert_a, convert_b = self._converters
         y_a, y_b = convert_a(i_a), convert_b(i_b)
         self._answer = {
-            "joint_states": (state.theta, state.omega, T_e),
+            "joint_states": (theta, omega, T_e),
             "currents_true": (i_a, i_b, i_c),
             "currents_meas": (y_a, y_b, -y_a - y_b),
-            "flux_true": (state.psi_s_alpha, state.psi_s_beta, 0.0),
+            "flux_true": (psi_s_alpha, psi_s_beta, 0.0),
             "dc_link": self._dc_link,
         }
         if convert_a.clipped > SATURATED_SAMPLES or convert_b.clipped > SATURATED_SAMPLES:
