@@ -24,6 +24,7 @@ from softrig_core import (
 from softrig_core.model.rehearsal import rehearse
 from softrig_core.model.runner import Runner
 from softrig_core.model.solver import Solver
+from softrig_core.model.step import Rows
 from softrig_core.rig.inprocess import record, wired
 from softrig_core.rig.members import Member
 from softrig_core.rig.starting import placed
@@ -110,17 +111,22 @@ def ticks_a_second(name: str, rounds: int = 3) -> dict[str, float]:
 
 
 def in_memory(name: str, duration: float) -> float:
-    """Give the ticks a second of a scenario in this process, recorded, made ready and counted as those of a container."""
+    """Give the ticks a second of a scenario in this process, made ready, recorded and counted as in a container."""
     rig = Rig.from_scenario(load_scenario(name)).changed(duration=duration)
     blocks = {m.name: m.block(rig.scenario.seed) for m in rig.members}
     for node, block in blocks.items():
         rehearse(type(block), block.p, node)
     steps = wired(rig, blocks)
     record(rig, steps, Recording((t, p.msgtype) for t, p in rig.topics.items()))
-    clock, spoke = steps[rig.clock.name], []
-    send = clock.send
+    clock = steps[rig.clock.name]
+    send, spoke = clock.send, []
     assert send is not None
-    clock.send = lambda t, rows: (send(t, rows), spoke.append(time.perf_counter()))
+
+    def noted(t: int, rows: Rows) -> None:
+        send(t, rows)
+        spoke.append(time.perf_counter())
+
+    clock.send = noted
     for _ in Runner(list(steps.values())).run():
         pass
     rate = rig.ticks / (spoke[-1] - spoke[0])
