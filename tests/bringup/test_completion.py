@@ -1,14 +1,16 @@
 """Completion in the shell, the list of scenarios, and what a node says to who starts it by hand."""
 
+import json
 import os
+import shutil
 import subprocess
+import sys
 from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
 from conftest import PATIENCE, fork
-from softrig_bringup.cli import _parser, main
-from softrig_bringup.completion import candidates
+from softrig_bringup.cli import main
 from softrig_core.node.startup import introduction
 from softrig_core.rig.executables import find_executable
 from softrig_core.rig.options import RunOptions
@@ -17,29 +19,61 @@ from softrig_drives.dc_motor.sliding_mode import DcMotorSmc
 SOFTRIG = Path(__file__).parents[2] / "scripts" / "softrig"
 
 
-def offered(*words):
-    return candidates(_parser(), list(words))
+ASK = """
+import json, os, sys
+from softrig_bringup.cli import main
+for k, line in enumerate(json.load(sys.stdin)):
+    if os.fork() == 0:
+        os.environ |= {"_ARGCOMPLETE": "1", "_ARGCOMPLETE_COMP_WORDBREAKS": "", "COMP_LINE": line,
+                       "COMP_POINT": str(len(line)), "_ARGCOMPLETE_STDOUT_FILENAME": f"{sys.argv[1]}/{k}"}
+        main()
+    os.wait()
+"""
 
 
-def test_each_place_of_a_command_is_completed():
-    assert offered("ne") == ["new"]
-    assert offered("run", "dc_motor_smc_b5_p") == ["dc_motor_smc_b5_pid"]
-    assert "--external" in offered("run", "dc_motor_smc_b2", "--")
-    assert "inprocess" in offered("run", "dc_motor_smc_b2", "--mode", "")
-    assert offered("run", "dc_motor_smc_b2", "--set", "dc_motor_smc.del") == ["dc_motor_smc.delta="]
-    assert "motor_reference" in offered("run", "dc_motor_smc_b2", "--external", "")
-    assert "softrig_drives" in offered("node", "soft")
-    assert offered("node", "softrig_drives", "dc_motor_smc_") == ["dc_motor_smc_kalman"]
-    assert offered("run", "lsrm_fuzzy", "--set", "v_") == ["v_d="]
-    assert offered("run", "no_such", "--set", "") == []
-    assert offered("nonsense", "") == []
+def test_each_place_of_a_command_is_completed(tmp_path):
+    exactly = {
+        "ne": {"new"},
+        "run dc_motor_smc_b5_p": {"dc_motor_smc_b5_pid"},
+        "run dc_motor_smc_b2 --set dc_motor_smc.del": {"dc_motor_smc.delta="},
+        "node softrig_drives dc_motor_smc_": {"dc_motor_smc_kalman"},
+        "run lsrm_fuzzy --set v_": {"v_d="},
+        "study lsrm_fuzzy --grid v_": {"v_d="},
+        "run no_such --set ": set(),
+        "bag inf": {"info"},
+        "bag inf'": set(),
+    }
+    among = {
+        "run dc_motor_smc_b2 --": {"--external", "--mode"},
+        "run dc_motor_smc_b2 --mode ": {"inprocess"},
+        "run dc_motor_smc_b2 --external ": {"motor_reference"},
+        "node soft": {"softrig_drives"},
+        "check dc_motor_smc lsrm": {"lsrm_fuzzy"},
+        "play --": {"--remap"},
+    }
+    lines = [f"softrig {line}" for line in [*exactly, *among]]
+    subprocess.run([sys.executable, "-c", ASK, str(tmp_path)], input=json.dumps(lines), text=True, timeout=PATIENCE,
+                   capture_output=True, check=True)  # fmt: skip
+    said = [{word.rstrip() for word in (tmp_path / str(k)).read_text().split("\v") if word} for k in range(len(lines))]
+    assert dict(zip(exactly, said, strict=False)) == exactly
+    for line, expected, found in zip(among, among.values(), said[len(exactly) :], strict=True):
+        assert expected <= found, line
 
 
 def test_bash_uses_it():
-    script = f"""eval "$('{SOFTRIG}' completion)"; COMP_WORDS=('{SOFTRIG}' run dc_motor_smc_b5_p); COMP_CWORD=2
-        compopt() {{ :; }}; _softrig; echo "${{COMPREPLY[@]}}" """
+    script = f"""eval "$('{SOFTRIG}' completion)"; COMP_WORDBREAKS=$' ='; COMP_LINE='softrig run dc_motor_smc_b5_p'
+        COMP_POINT=${{#COMP_LINE}}; compopt() {{ :; }}; _python_argcomplete '{SOFTRIG}'; echo "${{COMPREPLY[@]}}" """
     done = subprocess.run(["bash", "-c", script], capture_output=True, text=True, timeout=PATIENCE)
-    assert done.stdout == "dc_motor_smc_b5_pid\n", done.stderr
+    assert done.stdout.split() == ["dc_motor_smc_b5_pid"], done.stderr
+
+
+@pytest.mark.parametrize("shell", ["zsh", "fish"])
+def test_other_shells_get_a_script_that_they_can_read(shell, capsys):
+    assert main(["completion", shell]) == 0
+    said = capsys.readouterr().out
+    assert "softrig" in said
+    if shutil.which(shell):
+        assert subprocess.run([shell, "-n", "/dev/stdin"], input=said, text=True, timeout=PATIENCE).returncode == 0
 
 
 def test_the_list_is_a_tree_where_it_is_narrow_and_one_line_a_scenario_in_a_pipe(capsys, monkeypatch):

@@ -16,7 +16,7 @@ from typing import Any
 from softrig_core.command_line import Number, Parser, without_ros
 from softrig_core.guard import guarded
 
-from . import animate, layouts, run_options, run_verb, set_verb
+from . import animate, completion, layouts, run_options, run_verb, set_verb
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # before numpy: sums must not depend on the number of cores
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -29,6 +29,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _verb(arguments: list[str]) -> int:
+    asks = "_ARGCOMPLETE" in os.environ  # a shell, with nothing but this: what may the last word become?
+    if asks:
+        arguments = completion.asked(_FOREIGN)
     if arguments and arguments[0] in _FOREIGN:
         import importlib
 
@@ -36,7 +39,10 @@ def _verb(arguments: list[str]) -> int:
         return int(getattr(importlib.import_module(module), function)(arguments[1:]))
     if arguments[:1] != ["node"]:
         arguments = without_ros(arguments)
-    options = _parser().parse_args(arguments)
+    parser = _parser()
+    if asks:
+        completion.complete(parser)
+    options = parser.parse_args(arguments)
     return int(options.verb(options))
 
 
@@ -199,8 +205,8 @@ def _parser() -> argparse.ArgumentParser:
     new = verb("new", "new:main", "write a package with a plant, a law, a scenario and tests, to begin with")
     new.add_argument("name", metavar="NAME", help="of the package: lower-case letters, digits and _")
     new.add_argument("--into", type=Path, default=Path(), metavar="DIR", help="where its folder is made (here)")
-    completion = verb("completion", _completion, 'completion for bash: eval "$(scripts/softrig completion)"')
-    completion.add_argument("--words", nargs=argparse.REMAINDER, help=argparse.SUPPRESS)
+    words = verb("completion", _completion, 'completion in a shell: eval "$(scripts/softrig completion)"')
+    words.add_argument("shell", nargs="?", choices=("bash", "zsh", "fish"), default="bash")
     for name, (_, _, text) in _FOREIGN.items():
         verbs.add_parser(name, help=text)
     for name, text in _SCRIPT.items():
@@ -238,9 +244,9 @@ def _script(options: argparse.Namespace) -> int:
 
 
 def _completion(options: argparse.Namespace) -> int:
-    from .completion import SCRIPT, candidates
+    from argcomplete.shell_integration import shellcode
 
-    print(SCRIPT if options.words is None else "\n".join(candidates(_parser(), options.words)))
+    print(shellcode(["softrig"], shell=options.shell))
     return 0
 
 

@@ -1,106 +1,85 @@
-"""Completion of verbs, options, scenarios, nodes and parameters in a shell."""
+"""What names of scenarios, nodes, parameters and executables may become on a command line; argcomplete asks."""
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterable, Sequence
+import os
+import shlex
+from collections.abc import Callable, Container, Iterable
 from contextlib import suppress
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from softrig_core import Scenario
-
-# The words so far go to `softrig completion --words`, which prints what the last one may become.
-SCRIPT = """_softrig() {
-    local IFS=$'\\n'
-    COMPREPLY=($("${COMP_WORDS[0]}" completion --words "${COMP_WORDS[@]:1:COMP_CWORD}" 2>/dev/null))
-    [[ ${COMPREPLY[0]} == *= ]] && compopt -o nospace
-    return 0
-}
-complete -o default -F _softrig softrig
-"""
+from typing import Any
 
 
-def candidates(parser: argparse.ArgumentParser, words: Sequence[str]) -> list[str]:
-    """Give what the last of some words may become.
-
-    Parameters
-    ----------
-    parser : argparse.ArgumentParser
-        Of the command line.
-    words : sequence of str
-        What stands after the command's name; the last one is unfinished, perhaps empty.
-    """
-    *before, current = words or [""]
-    return sorted({w for w in _all(parser, before, current) if w.startswith(current)})
+def complete(parser: argparse.ArgumentParser) -> None:
+    """Have the words of a parser, and of its verbs, completed by what they are called."""
+    for action in parser._actions:
+        if action.dest in _COMPLETERS:
+            action.completer = _COMPLETERS[action.dest]  # type: ignore[attr-defined]
+        if isinstance(action, argparse._SubParsersAction):
+            for verb in action.choices.values():
+                complete(verb)
 
 
-def _all(parser: argparse.ArgumentParser, before: Sequence[str], current: str) -> Iterable[str]:
-    verbs = next(a for a in parser._actions if isinstance(a, argparse._SubParsersAction))
-    if not before:
-        return verbs.choices
-    verb, previous = before[0], before[-1]
-    if verb not in verbs.choices:
-        return ()
-    if verb == "node":
-        return _executables(before[1:])
-    if current.startswith("-"):
-        return [o for a in verbs.choices[verb]._actions for o in a.option_strings if o.startswith("--")]
-    option = next((a for a in verbs.choices[verb]._actions if previous in a.option_strings), None)
-    if option is not None and option.choices:
-        return map(str, option.choices)
-    if previous in ("--set", "--grid", "--draw"):
-        return [f"{name}=" for name in _shared(before)] + [
-            f"{node}.{p}=" for node, names in _parameters(before).items() for p in names
-        ]
-    if previous == "--external":
-        return _parameters(before)
-    if verb in ("run", "golden", "study") and (option is None or option.nargs == 0):
-        from softrig_core import list_scenarios
-
-        return list_scenarios()
-    return ()
+def asked(foreign: Container[str]) -> list[str]:
+    """Give the verb of the line that a shell asks about, if it is one with a parser of its own."""
+    try:
+        words = shlex.split(os.environ.get("COMP_LINE", "")[: int(os.environ.get("COMP_POINT", "0"))] + "|")
+    except ValueError:  # within quotes
+        return []
+    if len(words) < 3 or words[1] not in foreign:
+        return []
+    os.environ["_ARGCOMPLETE"] = "2"  # its words begin with the second one
+    return [words[1]]
 
 
-def _executables(given: Sequence[str]) -> Iterable[str]:
-    """Packages that depend on softrig_core, or the executables of one."""
-    packages = {}
+def _scenarios(**_: Any) -> Iterable[str]:
+    from softrig_core import list_scenarios
+
+    return list_scenarios()
+
+
+def _parameters(parsed_args: argparse.Namespace) -> tuple[Iterable[str], dict[str, list[str]]]:
+    """Shared values of the scenario that is named, and its nodes with the names of their parameters."""
+    from softrig_core import ScenarioError, load_scenario
+    from softrig_core.model.params import declarations
+    from softrig_core.rig.rig import load_block
+
+    given = vars(parsed_args)
+    with suppress(ScenarioError):
+        scenario = load_scenario(given.get("scenario") or given.get("study") or given.get("what") or "")
+        return scenario.shared, {name: [d.name for d in declarations(load_block(n.package, n.executable).Params)]
+                                 for name, n in scenario.nodes.items()}  # fmt: skip
+    return (), {}
+
+
+def _settings(parsed_args: argparse.Namespace, **_: Any) -> Iterable[str]:
+    shared, nodes = _parameters(parsed_args)
+    return [f"{name}=" for name in shared] + [f"{node}.{p}=" for node, names in nodes.items() for p in names]
+
+
+def _nodes(parsed_args: argparse.Namespace, **_: Any) -> Iterable[str]:
+    return _parameters(parsed_args)[1]
+
+
+def _packages() -> dict[str, list[str]]:
+    """Packages that depend on softrig_core, with their executables."""
     from softrig_core.model.resource import prefixes
 
+    packages = {}
     for prefix in prefixes():
         for folder in prefix.glob("lib/*/"):
             manifest = prefix / "share" / folder.name / "package.xml"
             if manifest.is_file() and "softrig_core" in manifest.read_text(errors="replace"):
                 packages[folder.name] = sorted(f.name for f in folder.iterdir() if f.is_file())
-    if not given:
-        return packages
-    return packages.get(given[0], ()) if len(given) == 1 else ()
+    return packages
 
 
-def _scenario(before: Sequence[str]) -> Scenario | None:
-    """Give the first scenario that is named."""
-    from softrig_core import ScenarioError, load_scenario
-
-    for word in before[1:]:
-        with suppress(ScenarioError):
-            return load_scenario(word)
-    return None
+def _executables(parsed_args: argparse.Namespace, **_: Any) -> Iterable[str]:
+    return _packages().get(parsed_args.package, ())
 
 
-def _shared(before: Sequence[str]) -> Iterable[str]:
-    """Shared values of the scenario that is named."""
-    scenario = _scenario(before)
-    return scenario.shared if scenario else ()
-
-
-def _parameters(before: Sequence[str]) -> dict[str, list[str]]:
-    """Nodes of the scenario that is named, with the names of their parameters."""
-    from softrig_core import ScenarioError
-    from softrig_core.model.params import declarations
-    from softrig_core.rig.rig import load_block
-
-    scenario = _scenario(before)
-    with suppress(ScenarioError):
-        return {name: [d.name for d in declarations(load_block(n.package, n.executable).Params)]
-                for name, n in (scenario.nodes if scenario else {}).items()}  # fmt: skip
-    return {}
+_COMPLETERS: dict[str, Callable[..., Iterable[str]]] = {
+    "scenario": _scenarios, "scenarios": _scenarios, "names": _scenarios, "study": _scenarios, "what": _scenarios,
+    "set": _settings, "grid": _settings, "draw": _settings, "over": _settings, "external": _nodes, "only": _nodes,
+    "package": lambda **_: _packages(), "executable": _executables,
+}  # fmt: skip

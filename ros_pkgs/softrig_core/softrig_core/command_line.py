@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import os
 import re
 from collections.abc import Sequence
 from typing import Any, NoReturn
@@ -56,7 +57,18 @@ def without_ros(arguments: Sequence[str]) -> list[str]:
 
 
 class Parser(argparse.ArgumentParser):
-    """A parser whose errors are one line, with the nearest of what there is beside what was misspelt."""
+    """A parser whose errors are one line, with the nearest of what there is beside what was misspelt.
+
+    A shell that completes a command line (argcomplete) is answered in place of parsing.
+    """
+
+    def parse_args(self, args: Any = None, namespace: Any = None) -> Any:  # type: ignore[override]
+        """Parse, or say what the word may become that somebody is typing."""
+        if "_ARGCOMPLETE" in os.environ:
+            import argcomplete
+
+            argcomplete.autocomplete(self, always_complete_options=False)  # and the process ends
+        return super().parse_args(args, namespace)
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> tuple[Any, list[str]]:
         """Parse, and refuse the rest here, where it is known which options there are."""
