@@ -68,7 +68,7 @@ def pressed(folder, mode="lockstep", delay=None, faults=""):
 
 
 def _figures(adapter):
-    return adapter.drive.statistics() if adapter.drive.open_ended else {}
+    return adapter.drive.statistics() if adapter.options.mode == "realtime" else {}
 
 
 def repeat(tmp_path, capsys, *arguments):

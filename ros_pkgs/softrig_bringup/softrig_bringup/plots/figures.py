@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from matplotlib.gridspec import SubplotSpec
 
 OVERVIEW = "overview.png"
-FORMATS = ("svg", "pdf")  # beside the PNG, on request
 UNDATED: dict[str, Any] = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}  # equal runs give equal files
 
 
@@ -81,7 +80,7 @@ def plot_run(signals: Signals, rig: Rig, directory: Path, also: str = "", most: 
     directory : Path
         An existing directory.
     also : str
-        One of `FORMATS`: a file of this kind beside each PNG; empty: none.
+        svg or pdf: a file of this kind beside each PNG; empty: none.
     most : int, optional
         Only the first plots, and the overview if there are fewer.
 
@@ -129,7 +128,7 @@ def save_figure(figure: Figure, path: Path, title: str, run: str, also: str = ""
         The PNG.
     title, run : str
     also : str
-        One of `FORMATS`, or empty.
+        svg, pdf, or empty.
     """
     figure.suptitle(title, x=0.008, ha="left", fontsize=12, fontweight="bold")
     figure.text(0.992, 0.992, run, ha="right", va="top", fontsize=8, color=look.SOFT)

@@ -42,13 +42,10 @@ class Drive(Protocol):
     ----------
     t : int
         Time of the tick under way, ns.
-    open_ended : bool
-        Whether being stopped is a normal end.
     status_every : int
         Status files a running node writes: one in so many watch periods.
     """
 
-    open_ended: bool
     status_every: int
 
     @property

@@ -39,7 +39,6 @@ class Lockstep:
         Has the runner of this process go on.
     """
 
-    open_ended = False
     status_every = 1
 
     def __init__(self, node: Adapter, turn: Callable[[], object]) -> None:

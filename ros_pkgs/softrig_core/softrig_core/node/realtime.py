@@ -44,7 +44,6 @@ class Realtime:
     node : Adapter
     """
 
-    open_ended = True
     status_every = 4  # a file takes longer than a tick
 
     def __init__(self, node: Adapter) -> None:
