@@ -1,5 +1,6 @@
 """The step and the runner: what may leave a block, ages, ticks one by one; alike in every placement."""
 
+import gc
 import math
 import subprocess
 import sys
@@ -172,3 +173,18 @@ print(sorted(set(sys.modules) - before))
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert (done.stdout, done.stderr) == ("[]\n", "")
+
+
+@pytest.mark.parametrize(("usual", "during"), [((700, 9, 9), 200_000), ((300_000, 9, 9), 300_000), ((0, 9, 9), 0)])
+def test_a_run_in_process_leaves_the_search_for_cycles_as_it_was(usual, during):
+    before, seen = gc.get_threshold(), []
+    gc.set_threshold(*usual)
+    try:
+        run_inprocess(overdriven(1.0), 0, progress=lambda t: seen.append(gc.get_threshold()[0]))
+        assert set(seen) == {during}
+        assert gc.get_threshold() == usual
+        with pytest.raises(RunError):
+            run_inprocess(overdriven(2e7), 0)
+        assert gc.get_threshold() == usual
+    finally:
+        gc.set_threshold(*before)

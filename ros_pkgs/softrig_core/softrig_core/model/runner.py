@@ -11,6 +11,7 @@ from .schedule import Schedule
 from .step import Step
 
 KNOWN = 10_000  # ticks of which it is kept who is due
+YOUNG = 200_000  # new objects between two searches for reference cycles: what a tick makes dies with it
 
 
 class Runner:

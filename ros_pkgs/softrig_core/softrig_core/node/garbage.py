@@ -10,7 +10,8 @@ from __future__ import annotations
 import gc
 from typing import Any
 
-YOUNG = 200_000  # new objects until the next search, where there is need of one: what a tick makes dies with it
+from ..model.runner import YOUNG
+
 CLEAN, UNCLEAN = 100, 10  # steps to the next look, after one without and with a cycle
 
 

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import gc
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 from ..errors import ScenarioError
 from ..model.block import Block
 from ..model.codec import encoder
 from ..model.port import CLOCK, Port, Sample
-from ..model.runner import Runner
+from ..model.runner import YOUNG, Runner
 from ..model.solver import Solver
 from ..model.step import Rows, Step
 from ..wire import parameter_event
@@ -55,14 +57,27 @@ def run_inprocess(
     stride = max(1, rig.ticks // 100)
     blocks = {name: step.block for name, step in steps.items()}
     try:
-        for k, t in enumerate(Runner(list(steps.values())).run()):
-            if progress is not None and (k % stride == 0 or k == rig.ticks):
-                progress(t or 0)
+        with _searched_seldom():
+            for k, t in enumerate(Runner(list(steps.values())).run()):
+                if progress is not None and (k % stride == 0 or k == rig.ticks):
+                    progress(t or 0)
     finally:
         for block in blocks.values():
             if isinstance(block, Solver):
                 block.rest()
     return blocks
+
+
+@contextmanager
+def _searched_seldom() -> Iterator[None]:
+    """Have Python look for reference cycles seldom, which takes up to a tenth of a tick; where it does so at all."""
+    usual = gc.get_threshold()
+    if usual[0]:
+        gc.set_threshold(max(YOUNG, usual[0]), *usual[1:])
+    try:
+        yield
+    finally:
+        gc.set_threshold(*usual)
 
 
 def wired(rig: Rig, blocks: dict[str, Block]) -> dict[str, Step]:
