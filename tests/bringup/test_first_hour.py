@@ -194,6 +194,11 @@ def test_a_workspace_is_remembered_follows_what_comes_and_is_forgotten(user, pac
         assert error.startswith("softrig: --workspace 'nowhere': no ROS package there")
 
 
+def test_the_command_of_a_checkout_that_belongs_to_somebody_else(user):
+    out, _ = user(f"""eval "$('{SOFTRIG}' env)" && softrig --version""")
+    assert out.startswith("softrig ")
+
+
 @pytest.mark.long
 @pytest.mark.processes
 def test_an_overlay_sourced_before_is_honoured(user, package):
