@@ -60,11 +60,15 @@ def test_each_place_of_a_command_is_completed(tmp_path):
         assert expected <= found, line
 
 
-def test_bash_uses_it():
-    script = f"""eval "$('{SOFTRIG}' completion)"; COMP_WORDBREAKS=$' ='; COMP_LINE='softrig run dc_motor_smc_b5_p'
-        COMP_POINT=${{#COMP_LINE}}; compopt() {{ :; }}; _python_argcomplete '{SOFTRIG}'; echo "${{COMPREPLY[@]}}" """
-    done = subprocess.run(["bash", "-c", script], capture_output=True, text=True, timeout=PATIENCE)
-    assert done.stdout.split() == ["dc_motor_smc_b5_pid"], done.stderr
+def test_bash_uses_it_for_the_scenarios_of_an_own_package_too(tmp_path):
+    assert main(["new", "heater", "--into", str(tmp_path)]) == 0
+    script = f"""eval "$('{SOFTRIG}' completion)"; COMP_WORDBREAKS=$' ='; compopt() {{ :; }}
+        for COMP_LINE in 'softrig run dc_motor_smc_b5_p' 'softrig run heate'; do
+            COMP_POINT=${{#COMP_LINE}}; _python_argcomplete '{SOFTRIG}'; echo "${{COMPREPLY[@]}}"
+        done"""
+    done = subprocess.run(["bash", "-c", script], capture_output=True, text=True, timeout=PATIENCE,
+                          env=os.environ | {"SOFTRIG_WORKSPACE": str(tmp_path / "heater")})  # fmt: skip
+    assert done.stdout.split() == ["dc_motor_smc_b5_pid", "heater"], done.stderr
 
 
 @pytest.mark.parametrize("shell", ["zsh", "fish"])
