@@ -6,7 +6,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,13 +21,11 @@ from softrig_core import (
     run_inprocess,
     run_processes,
 )
+from softrig_core.model.port import CLOCK
 from softrig_core.model.rehearsal import rehearse
-from softrig_core.model.runner import Runner
-from softrig_core.model.solver import Solver
-from softrig_core.model.step import Rows
-from softrig_core.rig.inprocess import record, wired
 from softrig_core.rig.members import Member
 from softrig_core.rig.starting import placed
+from softrig_core.wire.cdr import Layout
 
 from .console import console
 from .loop import dc_motor_rig
@@ -113,27 +111,38 @@ def ticks_a_second(name: str, rounds: int = 3) -> dict[str, float]:
 def in_memory(name: str, duration: float) -> float:
     """Give the ticks a second of a scenario in this process, made ready, recorded and counted as in a container."""
     rig = Rig.from_scenario(load_scenario(name)).changed(duration=duration)
-    blocks = {m.name: m.block(rig.scenario.seed) for m in rig.members}
-    for node, block in blocks.items():
-        rehearse(type(block), block.p, node)
-    steps = wired(rig, blocks)
-    record(rig, steps, Recording((t, p.msgtype) for t, p in rig.topics.items()))
-    clock = steps[rig.clock.name]
-    send, spoke = clock.send, []
-    assert send is not None
+    for member in rig.members:
+        rehearse(member.block_class, member.params, member.name)
+    recording = Timed((t, p.msgtype) for t, p in rig.topics.items())
+    run_inprocess(rig, rig.scenario.seed, recording)
+    return rig.ticks / (recording.spoke[-1] - recording.spoke[0])
 
-    def noted(t: int, rows: Rows) -> None:
-        send(t, rows)
-        spoke.append(time.perf_counter())
 
-    clock.send = noted
-    for _ in Runner(list(steps.values())).run():
-        pass
-    rate = rig.ticks / (spoke[-1] - spoke[0])
-    for block in blocks.values():
-        if isinstance(block, Solver):
-            block.rest()
-    return rate
+class Timed(Recording):
+    """A recording that notes when the clock speaks, s."""
+
+    def __init__(self, topics: Iterable[tuple[str, str]]) -> None:
+        super().__init__(topics)
+        self.clock = list(self.topics).index(CLOCK.topic)
+        self.spoke: list[float] = []
+
+    def add(self, topic: int, t: int, data: bytes) -> None:
+        """Append one message."""
+        super().add(topic, t, data)
+        if topic == self.clock:
+            self.spoke.append(time.perf_counter())
+
+    def row(self, layouts: Mapping[int, Layout]) -> Callable[[int, Sequence[float]], object]:
+        """Give what appends one message of each of some topics."""
+        add = super().row(layouts)
+        if self.clock not in layouts:
+            return add
+
+        def noted(t: int, values: Sequence[float]) -> None:
+            add(t, values)
+            self.spoke.append(time.perf_counter())
+
+        return noted
 
 
 def _timed(member: Member, spent: dict[str, int]) -> None:

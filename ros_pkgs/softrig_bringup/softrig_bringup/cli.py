@@ -16,7 +16,7 @@ from typing import Any
 from softrig_core.command_line import Number, Parser, without_ros
 from softrig_core.guard import guarded
 
-from . import animate, completion, layouts, run_options, run_verb, set_verb
+from . import animate, layouts, run_options, run_verb, set_verb
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # before numpy: sums must not depend on the number of cores
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -31,6 +31,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _verb(arguments: list[str]) -> int:
     asks = "_ARGCOMPLETE" in os.environ  # a shell, with nothing but this: what may the last word become?
     if asks:
+        from . import completion
+
         arguments = completion.asked(_FOREIGN)
     if arguments and arguments[0] in _FOREIGN:
         import importlib

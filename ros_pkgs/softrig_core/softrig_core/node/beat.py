@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from ..model.runner import KNOWN
 from ..model.schedule import Schedule
 from ..model.step import Step
 from .feed import Feed
@@ -32,8 +31,6 @@ class Beat:
         stride = math.gcd(*(d.node.schedule.every for d in drives))
         self._grid = Schedule(schedule.clock * stride)
         self._members = [(d, d.node.schedule.every // stride) for d in drives]
-        self._again = math.lcm(*(every for _, every in self._members))  # ticks after which the same are due
-        self._known: dict[int, list[tuple[Realtime, int]]] = {}
         self._number = -1
         self._timer = drives[0].node.middleware.timer(SOON, self._tick)
         self._timer.cancel()
@@ -62,17 +59,11 @@ class Beat:
                 if (own := schedule.held(t)) < t:
                     drive.tick(schedule.tick(own), own, now)
         self._number = number
-        for drive, every in self._known.get(number % self._again) or self._due(number):
-            drive.tick(number // every, t, now)
+        for drive, every in self._members:
+            if number % every == 0:
+                drive.tick(number // every, t, now)
         now = first.clock()
         for law, command, plant in self._commands:
             if law.t == t:
                 command.fed(now)
                 plant.commanded(epoch + t, now)
-
-    def _due(self, number: int) -> list[tuple[Realtime, int]]:
-        """Give those that are due at a tick, with their ticks to the next one."""
-        due = [(d, every) for d, every in self._members if number % every == 0]
-        if self._again <= KNOWN:
-            self._known[number % self._again] = due
-        return due

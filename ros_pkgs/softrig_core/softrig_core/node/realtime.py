@@ -272,7 +272,7 @@ class Realtime:
         """Newest commands; the safe value in place of a stale one."""
         inputs = self.node.values
         for feed in self._commands:
-            if feed.outside + feed.local > 1 or feed.silent(now):
+            if feed.publishers > 1 or feed.silent(now):
                 inputs = inputs | {feed.name: feed.port.safe}
         return inputs
 
