@@ -29,10 +29,10 @@ import sys  # noqa: E402
 
 sys.path.insert(0, str(PACKAGE / "python"))
 
-from softrig_core import Recording, Rig, Scenario, Signals, run_inprocess  # noqa: E402
-from softrig_core.rig.domain import free_domain  # noqa: E402
-from softrig_core.rig.executables import environment, find_executable  # noqa: E402
-from softrig_core.rig.start_server import start_node  # noqa: E402
+from softrig_core import Recording, Scenario, Signals, rig_of, run_inprocess  # noqa: E402
+from softrig_core.processes.domain import free_domain  # noqa: E402
+from softrig_core.processes.executables import environment, find_executable  # noqa: E402
+from softrig_core.processes.fork_server import start_node  # noqa: E402
 from softrig_core.wire.recording import shard_topics  # noqa: E402
 
 
@@ -76,7 +76,7 @@ def differences(a, b):
 @pytest.fixture
 def lag_rig():
     """Plant, source and controller."""
-    return Rig.from_scenario(make_scenario({"plant": "plant", "source": "source", "gain": "gain"}))
+    return rig_of(make_scenario({"plant": "plant", "source": "source", "gain": "gain"}))
 
 
 # induction_dtc at 250 Hz against the wall clock: two cores keep up, also beside a browser; nothing of it is judged.
@@ -188,7 +188,7 @@ def bench(tmp_path):
 
 
 def fork(stack, package, executable, command, variables, folder="."):
-    """Start a process of the start server, which spares its imports; `communicate` is as subprocess.Popen has it."""
+    """Start a process of the fork server, which spares its imports; `communicate` is as subprocess.Popen has it."""
     output = stack.enter_context(TemporaryFile("w+"))  # noqa: SIM115
     with chdir(folder):
         process = start_node(package, executable, list(map(str, command)), variables, output.fileno())
@@ -205,7 +205,7 @@ def fork(stack, package, executable, command, variables, folder="."):
 def replay(folder, bag, answered, node, *options):
     """Play a bag in lockstep into one real node (package, executable, arguments); gives the player's status and words.
 
-    Both come from the start server.
+    Both come from the fork server.
     """
     with free_domain() as domain, ExitStack() as stack:
         variables = environment(domain, folder)

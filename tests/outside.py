@@ -1,12 +1,12 @@
-"""A script as a process that the start server forks: as by ``python -c``, without half a second of imports.
+"""A script as a process that the fork server forks: as by ``python -c``, without half a second of imports.
 
 What is to know nothing of softrig is started by its own interpreter.
 """
 
 import signal
 
-from softrig_core.rig.executables import find_executable
-from softrig_core.rig.start_server import start_node
+from softrig_core.processes.executables import find_executable
+from softrig_core.processes.fork_server import start_node
 
 
 def script(code, variables, *arguments, output=2):

@@ -14,11 +14,11 @@ from functools import partial
 from itertools import count
 
 from softrig_core import Recording, Solver, Work
-from softrig_core.node.adapter import Adapter
+from softrig_core.node.adapter.adapter import Adapter
 from softrig_core.node.group import Group
-from softrig_core.node.middleware import Middleware, Peer
+from softrig_core.node.seam.middleware import Middleware, Peer
+from softrig_core.processes.spawning import node_parameters
 from softrig_core.rig.options import RunOptions
-from softrig_core.rig.starting import node_parameters
 
 
 @dataclass(eq=False)
@@ -245,7 +245,7 @@ class SimulatedNode(Middleware):
 
 
 class SimulatedWorker:
-    """Works on requests of a solver for some simulated time; see `softrig_core.model.worker.Worker`."""
+    """Works on requests of a solver for some simulated time; see `softrig_core.solver.worker.Worker`."""
 
     def __init__(self, world, solve, takes=30_000_000):
         self.world, self.solve, self.takes = world, solve, takes

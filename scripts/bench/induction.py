@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
-from softrig_core import Recording, Rig, Signals, load_scenario, run_inprocess
+from softrig_core import Recording, Rig, Signals, load_scenario, rig_of, run_inprocess
 
 from .induction_peers import LEGS
 from .timing import cpu
@@ -28,7 +28,7 @@ PEERS = {
 
 def drive(seconds: float) -> Rig:
     """Give the headline scenario, its duration changed."""
-    return Rig.from_scenario(load_scenario("induction_dtc").model_copy(update={"duration": seconds}))
+    return rig_of(load_scenario("induction_dtc").model_copy(update={"duration": seconds}))
 
 
 def switching(seconds: float) -> tuple[list[int], Signals]:

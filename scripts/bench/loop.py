@@ -14,11 +14,11 @@ from typing import Any
 
 from rich.table import Table
 from softrig_bags.write import write_bag
-from softrig_core import Rig, Scenario, ScenarioError, run_processes
-from softrig_core.model.codec import Decoder
-from softrig_core.rig.domain import free_domain
-from softrig_core.rig.executables import environment
-from softrig_core.rig.scenario import NodeEntry
+from softrig_core import Rig, Scenario, ScenarioError, rig_of, run_processes
+from softrig_core.block.codec import Decoder
+from softrig_core.processes.domain import free_domain
+from softrig_core.processes.executables import environment
+from softrig_core.scenario.scenario import NodeEntry
 from softrig_core.wire.recording import ShardWriter
 
 from .console import console
@@ -34,9 +34,7 @@ def dc_motor_rig(controllers: int = 1, ticks: int = LOOPS) -> Rig:
     for i in range(controllers):
         remap = {"motor/command": f"motor/command_{i}"} if i else {}
         nodes[f"dc_motor_smc_{i}"] = NodeEntry(executable="dc_motor_smc", remap=remap, **motor)
-    return Rig.from_scenario(
-        Scenario(name="bench", title="", system="dc_motor", source="", duration=ticks * 0.001, nodes=nodes)
-    )
+    return rig_of(Scenario(name="bench", title="", system="dc_motor", source="", duration=ticks * 0.001, nodes=nodes))
 
 
 def ping_pong(kind: str, loops: int = LOOPS) -> dict[str, float]:

@@ -16,7 +16,7 @@ import rclpy
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.task import Future
-from softrig_core.node.leave import leave
+from softrig_core.node.ros.leave import leave
 from softrig_core.wire.cdr import Layout
 
 STATE = Layout("sensor_msgs/msg/JointState", "", ("shaft",), {"position": 1, "velocity": 1, "effort": 1})

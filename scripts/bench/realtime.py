@@ -10,11 +10,11 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from rich.table import Table
-from softrig_core import Rig, ScenarioError, load_scenario, run_processes
-from softrig_core.rig.domain import free_domain
-from softrig_core.rig.executables import environment
-from softrig_core.rig.processes import Outcome
-from softrig_core.rig.starting import placed
+from softrig_core import ScenarioError, rig_of, run_processes
+from softrig_core.processes.domain import free_domain
+from softrig_core.processes.executables import environment
+from softrig_core.processes.processes import Outcome
+from softrig_core.processes.spawning import placed
 
 from .console import console
 
@@ -53,7 +53,7 @@ def realtime() -> None:
 def drive(rate: int, topic: str, duration: float) -> Outcome:
     """Run the drive at a rate (Hz) for a time (s), with a reader of a topic if one is named."""
     periods = {f"{node}.period": 1.0 / rate for node in ("im_plant", "dtc_controller", "flux_monitor")}
-    rig = Rig.from_scenario(load_scenario("induction_dtc")).changed(duration=duration, overrides=periods)
+    rig = rig_of("induction_dtc", duration=duration, overrides=periods)
     with tempfile.TemporaryDirectory() as folder, free_domain() as domain, _reader(topic, domain, Path(folder)):
         outcome = run_processes(rig, rig.scenario.seed, Path(folder), mode="realtime", domain=domain,
                                 containers=placed(rig, "container"))  # fmt: skip

@@ -14,17 +14,16 @@ from rich.table import Table
 from softrig_core import (
     Block,
     Recording,
-    Rig,
     ScenarioError,
     list_scenarios,
-    load_scenario,
+    rig_of,
     run_inprocess,
     run_processes,
 )
-from softrig_core.model.port import CLOCK
-from softrig_core.model.rehearsal import rehearse
+from softrig_core.block.port import CLOCK
+from softrig_core.processes.spawning import placed
 from softrig_core.rig.members import Member
-from softrig_core.rig.starting import placed
+from softrig_core.solver.rehearsal import rehearse
 from softrig_core.wire.cdr import Layout
 
 from .console import console
@@ -47,7 +46,7 @@ def rigs() -> None:
     table = Table("scenario", "simulated s", "CPU s", "x real time", "ticks/s", "plant us", "laws us", "runner us",
                   box=None, pad_edge=False)  # fmt: skip
     for name in RIGS:
-        rig = Rig.from_scenario(load_scenario(name))
+        rig = rig_of(name)
         spent = {"plant": 0, "laws": 0}
         took = cpu(lambda rig=rig: run_inprocess(rig, rig.scenario.seed))  # type: ignore[misc]
         for member in rig.members:
@@ -88,12 +87,12 @@ def ticks_a_second(name: str, rounds: int = 3) -> dict[str, float]:
     Container and in memory, whose ratio counts, in turn and the best of some rounds: others on the machine only slow
     them down. Each run is that of a new process: what it loads, or starts for a solver, at its first ticks counts.
     """
-    whole = Rig.from_scenario(load_scenario(name))
+    whole = rig_of(name)
     found = dict.fromkeys(("processes", "container", "inprocess"), 0.0)
     found["nodes"] = len([m for m in whole.members if not m.external])
     for place, ticks in (("processes", 1000), *rounds * (("container", 10_000), ("inprocess", 10_000))):
         least = max(ticks * whole.clock.schedule.period, 2 * max(m.schedule.period for m in whole.members))
-        rig = whole.changed(duration=min(whole.scenario.duration, float(least)))
+        rig = rig_of(whole, duration=min(whole.scenario.duration, float(least)))
         if place == "inprocess":
             command = [sys.executable, "-P", "-m", "bench.rigs", name, str(rig.scenario.duration)]
             rate = float(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
@@ -110,7 +109,7 @@ def ticks_a_second(name: str, rounds: int = 3) -> dict[str, float]:
 
 def in_memory(name: str, duration: float) -> float:
     """Give the ticks a second of a scenario in this process, made ready, recorded and counted as in a container."""
-    rig = Rig.from_scenario(load_scenario(name)).changed(duration=duration)
+    rig = rig_of(name, duration=duration)
     for member in rig.members:
         rehearse(member.block_class, member.params, member.name)
     recording = Timed((t, p.msgtype) for t, p in rig.topics.items())

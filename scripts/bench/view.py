@@ -11,8 +11,8 @@ from typing import Any, Literal
 
 from rich.table import Table
 from softrig_bringup.view.beside import Beside, page
-from softrig_core import Rig, ScenarioError, load_scenario, run_processes
-from softrig_core.rig.starting import placed
+from softrig_core import ScenarioError, rig_of, run_processes
+from softrig_core.processes.spawning import placed
 
 from .console import console
 
@@ -55,9 +55,9 @@ def view() -> None:
 
 
 def _measure(mode: Mode, shown: bool) -> float:
-    rig = Rig.from_scenario(load_scenario("induction_dtc")).changed(duration=LENGTH[mode])
+    rig = rig_of("induction_dtc", duration=LENGTH[mode])
     if mode == "realtime":
-        rig = rig.changed(overrides={f"{n}.period": PERIOD for n in ("im_plant", "dtc_controller", "flux_monitor")})
+        rig = rig_of(rig, overrides={f"{n}.period": PERIOD for n in ("im_plant", "dtc_controller", "flux_monitor")})
     with tempfile.TemporaryDirectory() as name, ExitStack() as stack:
         folder = Path(name)
         beside: Beside | None = None

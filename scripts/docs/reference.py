@@ -17,8 +17,8 @@ from pages.generated import node, parameters
 from softrig_bringup import cli
 from softrig_control.fault import Fault, FaultParams, Kind
 from softrig_core import ScenarioError
-from softrig_core.rig.registry import find, registered
-from softrig_core.rig.rig import load_block
+from softrig_core.judge.registry import find, registered
+from softrig_core.rig.installed import load_block
 from softrig_core.wire.types import TYPES
 
 from .outline import ROOT

@@ -28,14 +28,14 @@ from functools import cache
 from importlib import import_module
 from pathlib import Path
 
-from softrig_bringup.citations import cited, listed
+from softrig_bringup.page.citations import cited, listed
 from softrig_bringup.study.definition import list_studies, load_study
 from softrig_core import Port, list_scenarios, load_scenario, simulate
-from softrig_core.model.params import Declaration, Params, declarations
-from softrig_core.rig.claims import VERDICTS
-from softrig_core.rig.figures import Result
-from softrig_core.rig.findings import hold
-from softrig_core.rig.rig import load_block
+from softrig_core.block.params import Declaration, Params, declarations
+from softrig_core.judge.claims import VERDICTS
+from softrig_core.rig.installed import load_block
+from softrig_core.verdict.figures import Result
+from softrig_core.verdict.findings import hold
 
 from . import drawn, numbers
 from .plots import animate, animation, draw, picture

@@ -18,10 +18,10 @@ import pytest
 from conftest import replay
 from softrig_bags.compare import compare
 from softrig_bags.read import read_bag
-from softrig_bringup.golden import create, load, main
-from softrig_bringup.run import versions
-from softrig_core import Rig, RunError, ScenarioError, Signals, bits, load_scenario, run_processes
-from softrig_core.rig.starting import node_parameters
+from softrig_bringup.run.run import versions
+from softrig_bringup.verbs.golden import create, load, main
+from softrig_core import RunError, ScenarioError, Signals, bits, load_scenario, rig_of, run_processes
+from softrig_core.processes.spawning import node_parameters
 
 BAGS = Path(__file__).parents[2] / "bags"
 GOLDEN = sorted(p.parent.name for p in BAGS.glob("*/golden.yaml"))
@@ -33,7 +33,7 @@ THROUGH_PROCESSES = ("dc_motor_smc_b1", *(pytest.param(n, marks=pytest.mark.long
 def kept(monkeypatch):
     """A golden bag is read once for all of its nodes."""
     monkeypatch.setattr(
-        "softrig_bringup.golden.read_bag", lambda bag: read_golden(bag) if BAGS in bag.parents else read_bag(bag)
+        "softrig_bringup.verbs.golden.read_bag", lambda bag: read_golden(bag) if BAGS in bag.parents else read_bag(bag)
     )
 
 
@@ -126,7 +126,7 @@ def digest(folder):
 DIGESTS = f"""
 import hashlib, json, sys
 from pathlib import Path
-from softrig_bringup.golden import load
+from softrig_bringup.verbs.golden import load
 {inspect.getsource(digest)}
 print(json.dumps([digest(Path(folder)) for folder in sys.argv[1:]]))
 """
@@ -237,7 +237,7 @@ def test_one_per_cent_of_a_gain_fails_both_regressions(name, node, parameter):
     golden = load(BAGS / name)
     value = getattr(next(m for m in golden.rig.members if m.name == node).params, parameter)
     scenario = load_scenario(golden.recipe.scenario, {f"{node}.{parameter}": 1.01 * value})
-    rig = Rig.from_scenario(scenario.model_copy(update={"duration": golden.recipe.duration}))
+    rig = rig_of(scenario.model_copy(update={"duration": golden.recipe.duration}))
     changed = type(golden)(golden.folder, golden.recipe, rig)
     assert not changed.compare(changed.rerun()).equal
     assert not changed.open_loop(node).equal

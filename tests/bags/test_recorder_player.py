@@ -34,9 +34,9 @@ from softrig_bags.selection import Selection
 from softrig_bags.topics import BagTopic
 from softrig_bags.write import write_bag
 from softrig_core import Recording
-from softrig_core.node.messages import message_class
-from softrig_core.rig.domain import free_domain
-from softrig_core.rig.executables import PROFILE, environment, find_executable
+from softrig_core.node.ros.messages import message_class
+from softrig_core.processes.domain import free_domain
+from softrig_core.processes.executables import PROFILE, environment, find_executable
 from softrig_core.wire.cdr import Layout, parse
 from std_srvs.srv import Trigger
 
@@ -68,7 +68,7 @@ class Rig:
         return self.fork("player", arguments)
 
     def fork(self, name: str, arguments):
-        """Start a node of the suite by the start server, which spares its imports."""
+        """Start a node of the suite by the fork server, which spares its imports."""
         command = [find_executable("softrig_bags", name), *arguments]
         process = fork(self.stack, "softrig_bags", name, command, self.environment, self.folder)
         self.stack.callback(end, process)

@@ -5,7 +5,7 @@ from xml.etree import ElementTree
 
 import pytest
 from softrig_bringup.cli import main
-from softrig_bringup.junit import Case, Suite, write_junit
+from softrig_bringup.page.junit import Case, Suite, write_junit
 
 HOLDS = """
 extends: dc_motor_smc_b2

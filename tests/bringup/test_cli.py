@@ -17,12 +17,12 @@ import pytest
 from conftest import PATIENCE
 from softrig_bags.reader import BagReader
 from softrig_bringup.cli import _parser, main
-from softrig_bringup.plots.figures import plot_run
-from softrig_bringup.run import checkout, gaps, summary
-from softrig_bringup.run_options import folder_name, repeat
-from softrig_bringup.run_verb import _announce
-from softrig_core import Recording, Rig, Run, figure, load_scenario, run_inprocess, simulate
-from softrig_core.rig.scenario import PlotEntry
+from softrig_bringup.options.run_options import folder_name, repeat
+from softrig_bringup.plots.pictures import plot_run
+from softrig_bringup.run.run import checkout, gaps, summary
+from softrig_bringup.verbs.run_verb import _announce
+from softrig_core import Recording, Rig, Run, figure, load_scenario, rig_of, run_inprocess, simulate
+from softrig_core.scenario.scenario import PlotEntry
 from softrig_core.wire import signals
 
 SCRIPTS = Path(__file__).parents[2] / "scripts"
@@ -94,7 +94,9 @@ def test_a_run_leaves_bag_metrics_plots_and_report(folder, capsys):
 def test_a_shared_value_is_set_by_its_name_and_the_rig_is_built_once(folder, monkeypatch):
     built = []
     from_scenario = Rig.from_scenario
-    monkeypatch.setattr(Rig, "from_scenario", lambda scenario: built.append(scenario.name) or from_scenario(scenario))
+    monkeypatch.setattr(
+        Rig, "from_scenario", lambda scenario, classes: built.append(scenario.name) or from_scenario(scenario, classes)
+    )
     assert run("lag_shares", "--mode", "inprocess", "--set", "k=1.5", "--no-plots", "--no-record", "--out", "own") == 0
     assert json.loads((folder / "own" / "metrics.json").read_text())["parameters"]["gain"]["k"] == 1.5
     assert built == ["lag_shares"]
@@ -149,7 +151,7 @@ def test_the_command_takes_what_launch_gives_to_every_executable(folder, capsys)
     ],
 )
 def test_a_mistake_is_one_line_before_the_run(folder, capsys, monkeypatch, arguments, message):
-    monkeypatch.setattr("softrig_bringup.run.run_inprocess", None)  # nothing may run
+    monkeypatch.setattr("softrig_bringup.run.run.run_inprocess", None)  # nothing may run
     assert run(*arguments, "--mode", "inprocess") == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith(f"softrig: {message}")
@@ -161,7 +163,7 @@ def test_a_metric_that_cannot_be_computed_is_a_miss_with_its_reason(folder, monk
     def broken(signals, signal):
         raise error("no such thing")
 
-    monkeypatch.setattr("softrig_core.rig.measures.final_value", figure("{signal}")(broken))
+    monkeypatch.setattr("softrig_core.judge.measures.final_value", figure("{signal}")(broken))
     assert run("lag", "--mode", "inprocess", "--no-record", "--no-plots") == 1
     (metric,) = json.loads((folder / "runs" / "lag" / "metrics.json").read_text())["metrics"]
     assert (metric["value"], metric["pass"]) == (None, False)
@@ -187,7 +189,7 @@ def test_the_command_of_a_run_repeats_it_from_any_folder(folder):
 
 def test_a_domain_that_is_none_or_taken_is_one_line(capsys):
     """Two runs in one domain would read each other's messages."""
-    from softrig_core.rig.domain import free_domain
+    from softrig_core.processes.domain import free_domain
 
     assert main(["run", "dc_motor_smc", "--domain", "233"]) == 2
     assert capsys.readouterr().err == "softrig: domain 233: expected 0 to 232\n"
@@ -271,7 +273,7 @@ def test_a_run_that_is_stopped_says_what_it_did_and_judges_nothing(folder, monke
     def stopping(rig, seed, recording, progress):
         run_inprocess(rig, seed, recording, lambda t: os.kill(os.getpid(), signal.SIGTERM) if t >= 5e8 else None)
 
-    monkeypatch.setattr("softrig_bringup.run.run_inprocess", stopping)
+    monkeypatch.setattr("softrig_bringup.run.run.run_inprocess", stopping)
     assert run("lag", "--mode", "inprocess", "--no-record") == 143
     out = " ".join(capsys.readouterr().out.split())
     content = json.loads((folder / "runs" / "lag" / "metrics.json").read_text())
@@ -303,7 +305,7 @@ def test_most_deadlines_missed_is_no_silent_success(folder, monkeypatch, capsys,
         done.status = {"plant": {"state": "done", "ticks": 1000, "missed_deadlines": 768}, "gain": {"ticks": 100}}
         return done
 
-    monkeypatch.setattr("softrig_bringup.run.execute", late)
+    monkeypatch.setattr("softrig_bringup.run.run.execute", late)
     assert run("lag", "--realtime", "--no-record", "--no-plots", *options) == status
     said = "plant missed 76.8 % of its deadlines: this machine does not keep up"
     assert (said in capsys.readouterr().err) == (options != ["--max-missed", "90"])
@@ -332,18 +334,18 @@ def test_an_outside_law_leaves_no_parameters_title_or_pictures_of_ours(folder, u
     )
     nodes = dict(outside.nodes)
     nodes["gain"] = nodes["gain"].model_copy(update={"external": True})
-    rig = Rig.from_scenario(outside.model_copy(update={"nodes": nodes}))
+    rig = rig_of(outside.model_copy(update={"nodes": nodes}))
     content = summary(Run(rig, 0, Recording((t, p.msgtype) for t, p in rig.topics.items())), [], "", "my PI")
     assert sorted(content["parameters"]) == ["plant", "source"] == sorted(content["units"])
     assert content["label"] == "my PI"
-    source = simulate(Rig.from_scenario(outside)).recording
+    source = simulate(rig_of(outside)).recording
     source.topics["lag/command"].times.clear()
     source.topics["lag/command"].data.clear()
     assert [p.name for p in plot_run(signals.Signals(source), rig, folder)] == ["overview.png"]
 
 
 def test_a_gap_is_found(folder):
-    rig = Rig.from_scenario(load_scenario("lag"))
+    rig = rig_of("lag")
     recording = Recording((t, p.msgtype) for t, p in rig.topics.items())
     for topic, port in enumerate(rig.topics.values()):
         for k in range(101 if port.topic in ("/clock", "lag/state", "lag/applied") else 100):
@@ -452,7 +454,7 @@ def test_an_error_of_our_own_is_one_line_and_a_log(monkeypatch, tmp_path, capsys
 
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     monkeypatch.setattr("tempfile.tempdir", None)
-    monkeypatch.setattr("softrig_bringup.listing.main", broken)
+    monkeypatch.setattr("softrig_bringup.terminal.listing.main", broken)
     assert main(["list"]) == 4
     said = capsys.readouterr().err
     assert said.count("\n") == 1
@@ -469,7 +471,7 @@ def test_an_error_of_our_own_in_a_run_is_kept_in_its_folder(folder, monkeypatch,
 
     def once():
         with monkeypatch.context() as patched:
-            patched.setattr("softrig_bringup.run." + {"execute": "run_inprocess", "save": "_write"}[where], broken)
+            patched.setattr("softrig_bringup.run.run." + {"execute": "run_inprocess", "save": "_write"}[where], broken)
             return run("lag", "--mode", "inprocess", "--out", "out")
 
     assert once() == 4

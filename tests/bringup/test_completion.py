@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 from conftest import PATIENCE, fork
 from softrig_bringup.cli import main
-from softrig_core.node.startup import introduction
-from softrig_core.rig.executables import find_executable
+from softrig_core.node.main import introduction
+from softrig_core.processes.executables import find_executable
 from softrig_core.rig.options import RunOptions
 from softrig_drives.dc_motor.sliding_mode import DcMotorSmc
 

@@ -11,7 +11,7 @@ from docs import collect, conf, gallery, outline, reference
 from docs.__main__ import build
 from softrig_bringup import cli
 from softrig_core import ScenarioError
-from softrig_core.rig.registry import registered
+from softrig_core.judge.registry import registered
 from softrig_core.wire.types import TYPES
 
 

@@ -11,7 +11,7 @@ from softrig_bringup.falsify.search import search
 from softrig_bringup.falsify.shrink import shrink
 from softrig_bringup.falsify.space import parse, space_of
 from softrig_bringup.falsify.trial import Trial, run
-from softrig_core import Rig, Scenario, ScenarioError, load_scenario, simulate
+from softrig_core import Scenario, ScenarioError, load_scenario, rig_of, simulate
 
 PIECES, PERIOD, LOAD = 15, 0.01, 1e-3
 
@@ -57,7 +57,7 @@ def test_a_disturbance_laid_on_a_signal_is_a_fault_and_its_worst_course_is_found
     (target,) = space.targets
     point = [0.0, 1.0, 0.25, 1.0, 0.5, 0.0]
     assert space.overrides(point)[target] == [-0.5, 0.5, -0.25, 0.5, 0.0, -0.5]
-    rig = Rig.from_scenario(space.scenario.changed(overrides=space.overrides(point)))
+    rig = rig_of(space.scenario.changed(overrides=space.overrides(point)))
     signals = simulate(rig).signals
     t, u = signals["motor/command/armature/effort"]
     added = signals["motor/command/profile_0/armature/effort"].x - u
@@ -164,7 +164,7 @@ def test_what_it_finds_is_a_scenario_file_that_gives_the_same_bits_again(undrawn
     assert load_scenario(str(tmp_path / "a" / "mine_small.yaml")).nodes
     from softrig_bags.read import read_bag
 
-    assert differences(read_bag(tmp_path / "a" / "worst" / "bag"), in_process(Rig.from_scenario(worst))) == []
+    assert differences(read_bag(tmp_path / "a" / "worst" / "bag"), in_process(rig_of(worst))) == []
     shutil.copytree(tmp_path / "a", tmp_path / "b")
     rows = (tmp_path / "b" / "rows.jsonl").read_text().splitlines(keepends=True)
     (tmp_path / "b" / "rows.jsonl").write_text("".join(rows[:5]))  # killed after five runs

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from conftest import PATIENCE
 from softrig_bringup.cli import main
-from softrig_bringup.new import new_package
+from softrig_bringup.verbs.new import new_package
 from softrig_core import ScenarioError
 
 UID = 54321  # of nobody
@@ -20,9 +20,9 @@ SOFTRIG = Path(__file__).parents[2] / "scripts" / "softrig"
 LAW = '''
 """A law of one's own for the motor of the paper."""
 
-from softrig_core.model.block import Block
-from softrig_core.model.params import BlockParams, param
-from softrig_core.model.port import command, joint_state, reference
+from softrig_core.block.block import Block
+from softrig_core.block.params import BlockParams, param
+from softrig_core.block.port import command, joint_state, reference
 from softrig_core.node import executable
 
 

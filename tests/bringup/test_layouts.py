@@ -11,7 +11,7 @@ from docs.gallery import sentences
 from docs.outline import pages
 from softrig_bags.topics import typestore
 from softrig_bringup.cli import main
-from softrig_bringup.layouts import files
+from softrig_bringup.verbs.layouts import files
 from softrig_core import ScenarioError, load_scenario, rig_of, simulate
 
 ROOT = Path(__file__).parents[2]

@@ -7,8 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from softrig_bringup.cli import main
-from softrig_bringup.progress import progress
-from softrig_core import Rig, ScenarioError, load_scenario, simulate
+from softrig_bringup.terminal.progress import progress
+from softrig_core import ScenarioError, load_scenario, rig_of, simulate
 from softrig_core.wire.signals import full_name
 
 SHORT, WHOLE = "motor/applied/armature", "motor/applied/armature/effort"
@@ -53,7 +53,7 @@ def test_a_notebook_shows_how_far_a_run_is(monkeypatch):
     shell = SimpleNamespace(kernel=object())
     monkeypatch.setitem(sys.modules, "IPython", SimpleNamespace(get_ipython=lambda: shell))
     monkeypatch.setitem(sys.modules, "IPython.display", SimpleNamespace(display=cell.display))
-    monkeypatch.setattr("softrig_bringup.progress.REDRAWN", -1.0)
+    monkeypatch.setattr("softrig_bringup.terminal.progress.REDRAWN", -1.0)
     simulate("dc_motor_smc_b2", duration=0.5, progress=True)
     first, *between, last = cell.states
     assert first == 'dc_motor_smc_b2 <progress value="0" max="0.5"></progress> 0 of 0.5 s'
@@ -68,7 +68,7 @@ def test_a_notebook_shows_how_far_a_run_is(monkeypatch):
 
 
 def test_without_a_terminal_a_line_now_and_then_says_how_far_a_run_is(monkeypatch, capsys):
-    monkeypatch.setattr("softrig_bringup.progress.NEWS", -1.0)
+    monkeypatch.setattr("softrig_bringup.terminal.progress.NEWS", -1.0)
     simulate("dc_motor_smc_b2", duration=0.5, progress=True)
     assert capsys.readouterr().err.splitlines()[-1] == "softrig: dc_motor_smc_b2: 0.5 of 0.5 s"
 
@@ -105,7 +105,7 @@ def test_the_only_field_of_a_channel_may_be_left_out(run):
     figures = {"mean": scenario.figures["rise_time"].model_copy(
         update={"function": "mean", "unit": None, "arguments": {"signal": SHORT}})}  # fmt: skip
     short = scenario.model_copy(update={"plots": plots, "figures": figures, "expect": {}, "claims": {}})
-    rig = Rig.from_scenario(short.changed(duration=0.5))
+    rig = rig_of(short.changed(duration=0.5))
     assert list(rig.scenario.plots[0].signals) == [WHOLE]
     assert simulate(rig).figures["mean"] == pytest.approx(run.signals[WHOLE].x.mean())
 

@@ -13,8 +13,8 @@ from pages.plots import animate
 from ruamel.yaml import YAML
 from softrig_bringup.cli import _FOREIGN, _parser, main
 from softrig_bringup.study.definition import list_studies, make_study
-from softrig_core import Rig, ScenarioError, figures_of, list_scenarios, load_scenario, simulate
-from softrig_core.rig.executables import find_executable
+from softrig_core import ScenarioError, figures_of, list_scenarios, load_scenario, rig_of, simulate
+from softrig_core.processes.executables import find_executable
 
 ROOT = Path(__file__).parents[2]
 PAGES = sorted(p.relative_to(ROOT) for p in (*ROOT.glob("ros_pkgs/*/doc/*.md"),))
@@ -267,8 +267,8 @@ def test_the_worked_example_of_the_scenario_file_runs(tmp_path, monkeypatch):
 
 def test_every_key_of_the_scenario_file_is_on_its_page():
     from softrig_core import Scenario
-    from softrig_core.rig.claims import Claim
-    from softrig_core.rig.scenario import NodeEntry, PlotEntry
+    from softrig_core.judge.claims import Claim
+    from softrig_core.scenario.scenario import NodeEntry, PlotEntry
 
     text = (ROOT / "ros_pkgs/softrig_bringup/doc/scenario_file.md").read_text()
     for model in (Scenario, NodeEntry, PlotEntry, Claim):
@@ -280,7 +280,7 @@ def test_the_study_of_the_page_is_one():
     text = (ROOT / "ros_pkgs/softrig_bringup/doc/studies.md").read_text()
     (example,) = re.findall(r"```yaml\n(.*?)```", text, re.S)
     study = make_study({"name": "example", **YAML(typ="safe").load(example)})
-    figures_of(Rig.from_scenario(load_scenario(study.scenario)))
+    figures_of(rig_of(study.scenario))
 
 
 def test_the_first_example_in_python_says_what_comes_out():

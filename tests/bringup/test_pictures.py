@@ -13,25 +13,25 @@ import pytest
 from conftest import make_scenario
 from matplotlib import rc_context
 from matplotlib.figure import Figure
-from softrig_bringup.citations import cited
 from softrig_bringup.cli import main
-from softrig_bringup.diagram import draw_diagram
 from softrig_bringup.folder import RUN
-from softrig_bringup.plots import figures as plots
+from softrig_bringup.page.citations import cited
+from softrig_bringup.page.diagram import draw_diagram
+from softrig_bringup.page.wiring import Node, Wire, Wiring, columns, wiring_of
+from softrig_bringup.plots import pictures as plots
 from softrig_bringup.plots.axes import fold_exponents
 from softrig_bringup.plots.curves import Curve, Shown, check_plots, inside
-from softrig_bringup.plots.figures import places, plot_run
 from softrig_bringup.plots.marks import marks_of
 from softrig_bringup.plots.overlay import BAND, Overlay, band, draw_overlay
+from softrig_bringup.plots.pictures import places, plot_run
 from softrig_bringup.plots.style import ACCEPTED, PUBLISHED, axis_title, style
-from softrig_bringup.run_record import RunRecord, read_run
-from softrig_bringup.several import differences, differing, groups, names, overlaid, side_by_side
-from softrig_bringup.wiring import Node, Wire, Wiring, columns, wiring_of
-from softrig_core import Rig, ScenarioError, list_scenarios, load_scenario, simulate
+from softrig_bringup.report.report.record import RunRecord, read_run
+from softrig_bringup.report.report.several import differences, differing, groups, names, overlaid, side_by_side
+from softrig_core import ScenarioError, list_scenarios, load_scenario, rig_of, simulate
 from softrig_core.rig import code
-from softrig_core.rig.figures import Result
-from softrig_core.rig.scenario import PlotEntry
-from softrig_core.rig.scenario_file import resolve
+from softrig_core.scenario.scenario import PlotEntry
+from softrig_core.scenario.scenario_file import resolve
+from softrig_core.verdict.figures import Result
 
 X = "lag/state/x/position"
 
@@ -69,7 +69,7 @@ def drawn(monkeypatch, tmp_path):
             save(figure, path, title, run, also)
 
         monkeypatch.setattr(plots, "save_figure", keep)
-        run = simulate(Rig.from_scenario(given))
+        run = simulate(rig_of(given))
         plot_run(run.signals, run.rig, tmp_path, also, len(given.plots))
         return found
 
@@ -114,7 +114,7 @@ def test_what_is_far_away_does_not_press_the_curves_flat(drawn):
 
 
 def test_marks_follow_the_unit_of_the_figure_and_the_side_of_the_peak():
-    rig = Rig.from_scenario(load_scenario("rehab_impedance"))  # errors in rad, their figures in deg
+    rig = rig_of("rehab_impedance")  # errors in rad, their figures in deg
     t = np.linspace(0.0, 10.0, 11)
     marks = marks_of(rig, {"controller_state/e_hip/position": (t, -1e-4 * (t == 5.0))})
     (mark,) = (m for m in marks["controller_state/e_hip/position"] if m.name == "max_error_after_3_s_hip")
@@ -125,7 +125,7 @@ def test_marks_follow_the_unit_of_the_figure_and_the_side_of_the_peak():
 def test_a_rise_is_marked_from_where_it_began():
     given = scenario(figures={"rise_time": {"arguments": {"signal": X, "final": 0.75}}},
                      expect={"rise_time": "0.5 +- 0.1"}, claims={})  # fmt: skip
-    run = simulate(Rig.from_scenario(given))
+    run = simulate(rig_of(given))
     (mark,) = marks_of(run.rig, run.signals)[X]
     t, x = run.signals[X]
     began = t[np.argmax(x >= 0.075)]
@@ -134,7 +134,7 @@ def test_a_rise_is_marked_from_where_it_began():
 
 @pytest.mark.parametrize(("kind", "begin"), [pytest.param("svg", b"<?xml", marks=pytest.mark.long), ("pdf", b"%PDF")])
 def test_a_vector_format_stands_beside_each_picture(tmp_path, kind, begin):
-    run = simulate(Rig.from_scenario(scenario(plots=[{"title": "Position", "signals": {X: "position"}}])))
+    run = simulate(rig_of(scenario(plots=[{"title": "Position", "signals": {X: "position"}}])))
     plot_run(run.signals, run.rig, tmp_path, kind)
     pictures = sorted(tmp_path.glob("*.png"))
     assert len(pictures) == 2
@@ -182,7 +182,7 @@ def test_a_plot_of_a_replaced_node_says_how_to_give_own_plots():
         plots=[{"title": "Gone", "signals": {"lag/status/x/position": ""}}], figures={}, expect={}, claims={}
     )
     with pytest.raises(ScenarioError, match=r"did you mean 'lag/state/x/position'.*`plots: \[\]` leaves the overview"):
-        check_plots(Rig.from_scenario(given))
+        check_plots(rig_of(given))
 
 
 # block diagram ----------------------------------------------------------------------------------------------------
@@ -226,7 +226,7 @@ def headlines():
 
 @pytest.mark.parametrize("name", headlines())
 def test_the_diagram_has_every_node_and_wire_of_a_system(name):
-    wiring = wiring_of(Rig.from_scenario(load_scenario(name)))
+    wiring = wiring_of(rig_of(name))
     drawing = draw_diagram(wiring)
     assert {g.get("data-node") for g in drawing.iter("g")} - {None} == set(wiring.nodes)
     wires = {g.get("data-topic"): g for g in drawing.iter("g") if g.get("data-topic")}
@@ -249,7 +249,7 @@ def test_the_diagram_has_every_node_and_wire_of_a_system(name):
 
 def test_nodes_outside_are_marked():
     given = make_scenario({"plant": "plant", "source": "source", "gain": {"executable": "gain", "external": True}})
-    drawing = draw_diagram(wiring_of(Rig.from_scenario(given)))
+    drawing = draw_diagram(wiring_of(rig_of(given)))
     looks = {g.get("data-node"): g.get("class") for g in drawing.iter("g") if g.get("data-node")}
     assert looks == {"plant": "node plant", "source": "node", "gain": "node outside"}
     assert b"outside" in tostring(drawing)
@@ -345,7 +345,7 @@ def test_what_differs_between_runs_is_said():
 
 
 def test_code_is_told_apart_by_its_files_and_what_they_import(tmp_path, monkeypatch):
-    law = "import softrig_a_helper\nfrom softrig_core.model.block import Block\nclass Law(Block):\n    pass\n"
+    law = "import softrig_a_helper\nfrom softrig_core.block.block import Block\nclass Law(Block):\n    pass\n"
     for name, text in (("softrig_a_law", law), ("softrig_a_helper", "K = 1\n")):
         (tmp_path / name).mkdir()
         (tmp_path / name / "__init__.py").write_text(text)
@@ -476,7 +476,7 @@ def test_the_report_of_several_runs_overlays_their_bags(tmp_path):
 
 
 def test_intervals_in_which_a_requirement_does_not_hold_are_shaded():
-    rig = Rig.from_scenario(
+    rig = rig_of(
         make_scenario(
             {"plant": "plant", "source": "source", "gain": "gain"},
             1.0,

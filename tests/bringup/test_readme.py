@@ -11,8 +11,8 @@ import pytest
 import yaml
 from softrig_bringup.cli import _FOREIGN, _SCRIPT, _parser, main
 from softrig_core import list_scenarios
-from softrig_core.rig.domain import free_domain
-from softrig_core.rig.executables import PROFILE, find_executable
+from softrig_core.processes.domain import free_domain
+from softrig_core.processes.executables import PROFILE, find_executable
 
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text()

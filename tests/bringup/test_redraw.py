@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 from matplotlib.image import imread
 from softrig_bringup.cli import main
-from softrig_bringup.plots.figures import plot_entry
-from softrig_bringup.redraw import rig_of_run
+from softrig_bringup.plots.pictures import plot_entry
+from softrig_bringup.report.redraw import rig_of_run
 
 SIGNAL = "motor/applied/armature"
 SCENARIO = """title: Two pictures

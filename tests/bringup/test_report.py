@@ -9,18 +9,17 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 from softrig_bringup.folder import ResultsFolder
-from softrig_bringup.plots import figures as plots
+from softrig_bringup.plots import pictures as plots
 from softrig_bringup.plots.curves import envelope
-from softrig_bringup.plots.figures import OVERVIEW, plot_name, plot_run
+from softrig_bringup.plots.pictures import OVERVIEW, plot_name, plot_run
 from softrig_bringup.plots.style import pretty_unit
-from softrig_bringup.report import write_report
-from softrig_bringup.run import save, summary
+from softrig_bringup.report.report import write_report
+from softrig_bringup.run.run import save, summary
 from softrig_core import (
     Block,
     BlockParams,
     Plant,
     Recording,
-    Rig,
     Run,
     Scenario,
     ScenarioError,
@@ -30,12 +29,13 @@ from softrig_core import (
     number,
     param,
     reference,
+    rig_of,
     run_inprocess,
     scalars,
     vector3,
 )
-from softrig_core.rig.figures import Result
 from softrig_core.rig.members import signal_units
+from softrig_core.verdict.figures import Result
 
 
 class Drive(Plant):
@@ -109,12 +109,12 @@ BLOCKS = {"drive": Drive, "law": Law, "steps": Steps}
 
 def rigs(patch):
     """What makes a rig of the blocks above, with changes to the scenario's keys."""
-    patch.setattr("softrig_core.rig.rig.load_block", lambda package, executable: BLOCKS[executable])
+    patch.setattr("softrig_core.rig.installed.load_block", lambda package, executable: BLOCKS[executable])
 
     def make(**keys):
         nodes = {name: {"package": "here", "executable": name} for name in BLOCKS}
         about = {"name": "flux_demo", "title": "Flux <b>& speed</b>", "system": "drive", "source": "Nobody 2020"}
-        return Rig.from_scenario(Scenario(**{**about, "duration": 2.0, "nodes": nodes, "plots": PLOTS, **keys}))
+        return rig_of(Scenario(**{**about, "duration": 2.0, "nodes": nodes, "plots": PLOTS, **keys}))
 
     return make
 

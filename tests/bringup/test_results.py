@@ -6,8 +6,8 @@ from xml.etree import ElementTree
 
 import pytest
 from softrig_bringup.cli import main
-from softrig_bringup.results import claiming, gather
-from softrig_bringup.results_page import counts, html, markdown
+from softrig_bringup.verbs.results import claiming, gather
+from softrig_bringup.verbs.results_page import counts, html, markdown
 
 LAG = """
 title: First-order lag
@@ -52,7 +52,9 @@ def test_pages_show_each_claim_with_its_measurement(folder):
 
 
 def test_a_folder_that_takes_nothing_is_said_before_the_runs(folder, monkeypatch, capsys):
-    monkeypatch.setattr("softrig_bringup.results.gather", lambda *_: pytest.fail("runs before it looks at the folder"))
+    monkeypatch.setattr(
+        "softrig_bringup.verbs.results.gather", lambda *_: pytest.fail("runs before it looks at the folder")
+    )
     assert main(["results", "lag", "--out", "lag.yaml"]) == 2
     assert "lag.yaml" in capsys.readouterr().err
 
@@ -88,7 +90,7 @@ def test_runs_are_kept_until_their_code_or_scenario_changes(folder, capsys, monk
     (folder / "lag.yaml").write_text(LAG.replace("VERDICT", "reproduced").replace("{gain: 0.5}", "{gain: 0.6}"))
     assert main(["results", "--workers", "1"]) == 0
     assert "1 of 2 runs are kept" in capsys.readouterr().out
-    monkeypatch.setattr("softrig_bringup.results.fingerprints", lambda *_: {"faultrig": "changed"})
+    monkeypatch.setattr("softrig_bringup.verbs.results.fingerprints", lambda *_: {"faultrig": "changed"})
     assert main(["results", "--workers", "1"]) == 0
     assert "are kept" not in capsys.readouterr().out
 

@@ -5,17 +5,27 @@ import math
 import pytest
 from conftest import in_process, make_scenario
 from faultrig import Gain, Lag, Source
-from softrig_core import Rig, ScenarioError, Signals, evaluate, figures_of, list_scenarios, load_scenario, simulate
-from softrig_core.model.port import WORLD
-from softrig_core.model.scene import standing
-from softrig_core.rig import registry
-from softrig_core.rig.claims import Claim
-from softrig_core.rig.expectation import Expectation, parse
-from softrig_core.rig.findings import findings, needed
-from softrig_core.rig.references import fill
-from softrig_core.rig.scenario_file import inherit
-from softrig_core.rig.units import compose, factor
-from softrig_core.rig.yaml_file import NODES, SIZE, read_yaml
+from softrig_core import (
+    Rig,
+    ScenarioError,
+    Signals,
+    evaluate,
+    figures_of,
+    list_scenarios,
+    load_scenario,
+    rig_of,
+    simulate,
+)
+from softrig_core.block.port import WORLD
+from softrig_core.block.scene import standing
+from softrig_core.judge import registry
+from softrig_core.judge.claims import Claim
+from softrig_core.judge.expectation import Expectation, parse
+from softrig_core.judge.units import compose, factor
+from softrig_core.scenario.references import fill
+from softrig_core.scenario.scenario_file import inherit
+from softrig_core.scenario.yaml_file import NODES, SIZE, read_yaml
+from softrig_core.verdict.findings import findings, needed
 from softrig_core.wire.types import VECTOR
 
 BASE = """
@@ -65,7 +75,7 @@ def change(folder, old, new):
 @pytest.mark.parametrize("name", sorted(list_scenarios()))
 def test_every_scenario_can_be_judged_before_its_run(name):
     scenario = load_scenario(name)
-    rig = Rig.from_scenario(scenario)
+    rig = rig_of(scenario)
     figures_of(rig)
     needed(scenario)
     others = {p.frame for m in rig.members for p in m.outputs if p.type.framed and p.msgtype != VECTOR.name} - {WORLD}
@@ -154,9 +164,9 @@ def test_a_file_that_changed_is_read_again(folder):
 
 
 def test_references_take_parameters_of_nodes_defaults_included(folder):
-    (peak,) = (f for f in figures_of(Rig.from_scenario(load_scenario("lag"))) if f.name == "peak")
+    (peak,) = (f for f in figures_of(rig_of("lag")) if f.name == "peak")
     assert peak.arguments == {"signal": "lag/command/u/effort", "start": 0.75}
-    rig = Rig.from_scenario(change(folder, "{k: $k}", "{k: $plant.limit}"))
+    rig = rig_of(change(folder, "{k: $k}", "{k: $plant.limit}"))
     assert next(m.params.k for m in rig.members if m.name == "gain") == 10.0
     assert fill({"a": "$$b", "c": ["$d"]}, {"d": "$e", "e": [1]}) == {"a": "$$b", "c": [[1]]}
 
@@ -189,7 +199,7 @@ def test_references_take_parameters_of_nodes_defaults_included(folder):
 )  # fmt: skip
 def test_what_does_not_fit_is_said_before_the_run(folder, old, new, message):
     with pytest.raises(ScenarioError, match=message) as caught:
-        figures_of(Rig.from_scenario(change(folder, old, new)))
+        figures_of(rig_of(change(folder, old, new)))
     assert "\n" not in str(caught.value)
 
 
@@ -217,10 +227,10 @@ def test_expectations_mean_what_they_say(text, inside, outside):
 def test_a_figure_without_expectation_never_fails_and_one_with_it_does():
     figures = {"never": {"function": "rise_time", "arguments": {"signal": "lag/state/x/position", "final": 1e9}}}
     nodes = {"plant": "plant", "source": "source", "gain": "gain"}
-    rig = Rig.from_scenario(make_scenario(nodes, figures=figures))
+    rig = rig_of(make_scenario(nodes, figures=figures))
     (result,) = evaluate(rig, Signals(in_process(rig)))
     assert (result.value, result.number, result.passed, result.judged) == (None, math.inf, True, False)
-    rig = Rig.from_scenario(make_scenario(nodes, figures=figures, expect={"never": "at most 1"}))
+    rig = rig_of(make_scenario(nodes, figures=figures, expect={"never": "at most 1"}))
     (result,) = evaluate(rig, Signals(in_process(rig)))
     assert (result.passed, result.error) == (False, "never")
     assert Expectation().holds(1.0)

@@ -6,7 +6,7 @@ import pytest
 from docs.outline import SYSTEMS, pages
 from docutils.utils.math.latex2mathml import tex2mathml
 from softrig_core import list_scenarios
-from softrig_core.rig.simulate import rig_of
+from softrig_core.run.expand import rig_of
 
 ORDER = [
     "Try it", "The model", "Corrections of the paper", "Published and measured", "What you can change and see",

@@ -12,7 +12,7 @@ import pytest
 from docs.outline import KINDS, ROOT, pages
 from softrig_bringup.cli import _FOREIGN, _SCRIPT, _parser
 from softrig_core import simulate
-from softrig_core.rig.domain import free_domain
+from softrig_core.processes.domain import free_domain
 
 TUTORIALS = (*KINDS["tutorials"][2], "bags_pandas", "paper_figures")  # and guides whose steps follow each other
 _BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$|(?<=\n\n)((?:    [^\n]*\n)+)", re.S | re.M)

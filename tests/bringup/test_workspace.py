@@ -7,11 +7,11 @@ from xml.etree import ElementTree
 
 import pytest
 import yaml
-from softrig_bringup.launched import ARGUMENTS
-from softrig_bringup.viewer import viewer
-from softrig_core import Rig, list_scenarios, load_scenario
-from softrig_core.model.port import WORLD
-from softrig_core.model.scene import standing
+from softrig_bringup.verbs.launched import ARGUMENTS
+from softrig_bringup.verbs.viewer import viewer
+from softrig_core import list_scenarios, load_scenario, rig_of
+from softrig_core.block.port import WORLD
+from softrig_core.block.scene import standing
 
 PACKAGES = Path(__file__).parents[2] / "ros_pkgs"
 
@@ -40,7 +40,7 @@ def test_the_page_of_the_workspace_has_every_argument_of_the_launch_file_and_no_
     "name", ["manipulator_adsmc", "rehab_impedance", "lsrm_fuzzy", "fault_location", "dc_motor_smc"]
 )
 def test_rviz_shows_what_the_nodes_publish_in_frames_that_they_publish(name, tmp_path):
-    rig = Rig.from_scenario(load_scenario(first(name)))
+    rig = rig_of(load_scenario(first(name)))
     rviz = viewer(rig, tmp_path, "a", simulated=True)
     shown = yaml.safe_load(Path(rviz.arguments[1]).read_text())["Visualization Manager"]
     assert shown["Global Options"]["Fixed Frame"] == WORLD
@@ -81,7 +81,7 @@ def links(scene):
     ],
 )
 def test_the_tag_of_ros2_control_and_the_controllers_fit_the_plant(scenario, config):
-    rig = Rig.from_scenario(load_scenario(scenario))
+    rig = rig_of(scenario)
     plant = next(m for m in rig.members if m.is_plant)
     robot = ElementTree.fromstring(plant.block(0).latched()["robot_description"])
     tag = robot.find("ros2_control")
@@ -114,7 +114,7 @@ def test_the_scenario_of_the_page_takes_an_array_in_place_of_a_law(tmp_path):
     page = (PACKAGES / "softrig_bringup/doc/workspace.md").read_text()
     (block,) = re.findall(r"((?:^    .*\n)+)", page[page.index("forward_command_controller` speaks") :], re.M)[:1]
     (tmp_path / "mine.yaml").write_text(re.sub("^    ", "", block, flags=re.M))
-    rig = Rig.from_scenario(load_scenario(str(tmp_path / "mine.yaml")))
+    rig = rig_of(load_scenario(str(tmp_path / "mine.yaml")))
     forward = next(m for m in rig.members if m.name == "forward_command_controller")
     assert [p.topic for p in forward.inputs] == ["forward_command_controller/commands"]
     assert [(m.name, p.name) for m, p in rig.readers(forward, forward.outputs[0])] == [("dc_motor_plant", "command")]

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from softrig_bags.read import read_bag
 from softrig_bringup.cli import main
-from softrig_core import Recording, Rig, Scenario, list_scenarios, load_scenario, run_inprocess
+from softrig_core import Recording, Scenario, list_scenarios, load_scenario, rig_of, run_inprocess
 from traces import left_in_memory, of_run, orphans, segments
 
 ENDINGS = {signal.SIGINT: 130, signal.SIGTERM: 143, signal.SIGHUP: 129}
@@ -34,7 +34,7 @@ def drawn(chance: random.Random) -> str:
     while True:
         scenario = load_scenario(name := chance.choice(names()))
         small = len(scenario.nodes) <= 6 and not any(n.external for n in scenario.nodes.values())
-        if small and Rig.from_scenario(scenario).ticks >= 500:
+        if small and rig_of(scenario).ticks >= 500:
             return name
 
 
@@ -174,7 +174,7 @@ def expected(scenario: Scenario, seed: int, end: int) -> Recording:
         if t > end:
             raise Enough
 
-    rig = Rig.from_scenario(scenario)
+    rig = rig_of(scenario)
     recording = Recording((t, p.msgtype) for t, p in rig.topics.items())
     with suppress(Enough):
         run_inprocess(rig, seed, recording, progress)

@@ -18,7 +18,7 @@ from softrig_core import (
     vector3,
     wrench,
 )
-from softrig_core.model.codec import Decoder
+from softrig_core.block.codec import Decoder
 
 from bags import damaged
 

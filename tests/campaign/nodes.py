@@ -19,12 +19,12 @@ from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from softrig_core import Port, Refused
-from softrig_core.model.codec import Decoder, encoder
-from softrig_core.model.params import declarations
-from softrig_core.node.messages import message_class
-from softrig_core.node.ros import QOS
-from softrig_core.rig.domain import free_domain
-from softrig_core.rig.executables import environment, find_executable
+from softrig_core.block.codec import Decoder, encoder
+from softrig_core.block.params import declarations
+from softrig_core.node.ros.messages import message_class
+from softrig_core.node.ros.ros import QOS
+from softrig_core.processes.domain import free_domain
+from softrig_core.processes.executables import environment, find_executable
 from softrig_core.wire.cdr import Layout
 from std_srvs.srv import Trigger
 

@@ -15,17 +15,17 @@ from softrig_core import (
     BlockParams,
     Port,
     Recording,
-    Rig,
     RunError,
     Sample,
     Scenario,
     ScenarioError,
     Solver,
     param,
+    rig_of,
     run_inprocess,
 )
-from softrig_core.model.params import Declaration, declarations
-from softrig_core.rig.rig import load_block
+from softrig_core.block.params import Declaration, declarations
+from softrig_core.rig.installed import load_block
 
 TICKS = 4
 NUMBERS = (0.0, -0.0, 5e-324, 1e-300, 1e-12, 1e-3, 1.0, -1.0, 1e6, -1e6, 1e12, -1e12, 0, 1, -1, 2)
@@ -140,14 +140,14 @@ def run_one(package: str, executable: str, block: type[Block], values: dict, see
         classes["feeder"] = feeder(ports, seed)
     length = period if isinstance(period, float) and 1e-9 <= period <= 1e6 else 0.01
     about = {"name": "hostile", "title": "", "system": "", "source": "", "seed": seed % 2**31, "nodes": entries}
-    rig = Rig.from_scenario(Scenario.model_validate(about | {"duration": TICKS * length}), classes)
+    rig = rig_of(Scenario.model_validate(about | {"duration": TICKS * length}), classes=classes)
     recording = Recording((t, p.msgtype) for t, p in rig.topics.items())
     run_inprocess(rig, seed, recording)
 
 
 def _inputs(block: type[Block], values: dict) -> tuple[Port, ...]:
     from softrig_core import ParameterError
-    from softrig_core.model.params import build
+    from softrig_core.block.params import build
 
     try:
         return block.ports(build(block.Params, values))[0]

@@ -7,13 +7,13 @@ from pathlib import Path
 from softrig_bringup.plots.curves import check_plots
 from softrig_core import (
     Recording,
-    Rig,
     RunError,
     Scenario,
     ScenarioError,
     figures_of,
     list_scenarios,
     load_scenario,
+    rig_of,
     run_inprocess,
 )
 
@@ -69,13 +69,13 @@ def attack(seed: int, directory: Path) -> None:
 def use(path: Path) -> None:
     """Read, wire and judge a scenario; run what is quick for a few ticks."""
     scenario: Scenario = load_scenario(str(path))
-    rig = Rig.from_scenario(scenario)
+    rig = rig_of(scenario)
     figures_of(rig)
     check_plots(rig)
     if any(m.external for m in rig.members):
         return
     slowest = max(float(m.params.period) for m in rig.members)
-    rig = rig.changed(duration=min(scenario.duration, 2 * slowest))
+    rig = rig_of(rig, duration=min(scenario.duration, 2 * slowest))
     if rig.ticks <= 500:
         recording = Recording((t, p.msgtype) for t, p in rig.topics.items())
         run_inprocess(rig, scenario.seed, recording)

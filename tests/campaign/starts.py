@@ -11,8 +11,8 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from conftest import differences, in_process, make_scenario
-from softrig_core import Rig, run_processes
-from softrig_core.rig.rig import load_block
+from softrig_core import Rig, rig_of, run_processes
+from softrig_core.rig.installed import load_block
 from traces import orphans
 
 TICKS = 1500  # of a run, at most
@@ -56,14 +56,14 @@ def loop(chance: random.Random, prefix: str, period: int) -> dict:
     return {name if prefix == "lag" else f"{prefix}_{name}": entry for name, entry in nodes.items()}
 
 
-def rig_of(chance: random.Random) -> tuple[Rig, list[list[str]], int]:
+def drawn_rig(chance: random.Random) -> tuple[Rig, list[list[str]], int]:
     """Draw a rig of one to three loops, its containers and its seed."""
     period = chance.choice((200_000, 500_000, 1_000_000, 10_000_000))
     nodes: dict = {}
     for k, prefix in enumerate(("lag", "b", "c")[: chance.choice((1, 1, 2, 3))]):
         nodes |= loop(chance, prefix, period * (1 if k == 0 else chance.choice((1, 2, 3))))
     length = chance.choice((20, 100, TICKS))
-    rig = Rig.from_scenario(make_scenario(nodes, length * period / NANO))
+    rig = rig_of(make_scenario(nodes, length * period / NANO))
     places: list[list[str]] = [[], [], []]
     for name in nodes:
         place = chance.randrange(5)  # two of five stand alone
@@ -75,7 +75,7 @@ def rig_of(chance: random.Random) -> tuple[Rig, list[list[str]], int]:
 def attack(seed: int, directory: Path) -> None:
     """Start two or three rigs at once."""
     chance = random.Random(seed)
-    drawn = [rig_of(chance) for _ in range(chance.choice((2, 2, 3)))]
+    drawn = [drawn_rig(chance) for _ in range(chance.choice((2, 2, 3)))]
     (directory / "case").write_text("\n".join(f"{r.scenario.model_dump(mode='json')} in {c}" for r, c, _ in drawn))
     started = [_fork(directory / str(k), *case) for k, case in enumerate(drawn)]
     wrong = []

@@ -1,7 +1,7 @@
 """What decides a number uses no BLAS, no LAPACK, no transcendental function of numpy: their bits depend on the CPU.
 
 `jit` refuses them in what it compiles; here they are refused in plants, laws and solvers. Not seen by this rule:
-products of complex arrays, which numpy fuses on some CPUs (`softrig_core.model.dense.times`); the golden rigs under
+products of complex arrays, which numpy fuses on some CPUs (`softrig_core.kit.dense.times`); the golden rigs under
 other kernels see them.
 """
 
@@ -31,9 +31,9 @@ EXEMPT = {
     "softrig_control.predictive.qp._Osqp.__init__": SOLVER,
     "softrig_control.state_feedback.closed_loop_poles": CHECK,
     "softrig_control.state_feedback.place": "the rank, a check; gains come from `dense`",
-    "softrig_core.rig.linear_view": "looks at a rig from outside",
-    "softrig_core.rig.measures.growth_rate": "judges what was recorded",
-    "softrig_core.rig.steady": "looks at a rig from outside",
+    "softrig_core.analysis.linear_view": "looks at a rig from outside",
+    "softrig_core.judge.measures.growth_rate": "judges what was recorded",
+    "softrig_core.analysis.steady": "looks at a rig from outside",
     "softrig_drives.lsrm.profile.Quintic.speed_range": CHECK,
     "softrig_power.dispatch.baselines": SCALAR,
     "softrig_power.fault_location.confidence": CHECK,

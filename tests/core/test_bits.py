@@ -37,7 +37,7 @@ def test_each_package_pins_before_it_imports_anything_else(package):
         assert ast.unparse(first) == "import softrig_core as softrig_core"
 
 
-@pytest.mark.parametrize("module", ["softrig_drives.dc_motor.plant", "softrig_core.model.codec"])
+@pytest.mark.parametrize("module", ["softrig_drives.dc_motor.plant", "softrig_core.block.codec"])
 def test_numpy_is_loaded_with_the_kernels_of_avx2(module):
     """However the first import is made: by the entry point of a node, a study's worker, a user's script."""
     code = f"import {module}, numpy; from softrig_core import bits; print(bits.blas_core(), bits.simd_level())"

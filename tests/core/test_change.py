@@ -13,31 +13,31 @@ from softrig_bags.read import read_bag
 from softrig_bags.topics import typestore
 from softrig_bringup.cli import main
 from softrig_bringup.folder import ResultsFolder
-from softrig_bringup.report import write_report
-from softrig_bringup.run import save, summary, turned
+from softrig_bringup.report.report import write_report
+from softrig_bringup.run.run import save, summary, turned
 from softrig_core import (
     Block,
     BlockParams,
     ParameterError,
-    Rig,
     Run,
     ScenarioError,
     Signals,
     feed,
     load_scenario,
     param,
+    rig_of,
     simulate,
 )
-from softrig_core.model.change import check
-from softrig_core.rig.rig import load_block
+from softrig_core.block.change import check
+from softrig_core.rig.installed import load_block
 from softrig_core.wire.parameter_event import decode, encode, recorded
 
 
-def rig_of(name, duration, changes, overrides=None, **keys):
+def changed_rig(name, duration, changes, overrides=None, **keys):
     """A scenario with changes, ``{time: {node.parameter: value}}``."""
     found = load_scenario(name, overrides).changed(duration=duration)
     entries = [{"at": at, "set": values} for at, values in changes.items()]
-    return Rig.from_scenario(type(found).model_validate({**dict(found), **keys, "changes": entries}))
+    return rig_of(type(found).model_validate({**dict(found), **keys, "changes": entries}))
 
 
 OFFSET = {"offset": {"link": "motor/state -> dc_motor_smc", "kind": "offset", "value": [2.0], "active": False}}
@@ -57,9 +57,9 @@ CASES = {  # scenario, duration, changes, further keys
 @pytest.mark.parametrize("case", CASES)
 def test_a_scripted_change_gives_the_same_bytes_in_every_placement(case):
     name, duration, changes, keys = CASES[case]
-    rig = rig_of(name, duration, changes, **keys)
+    rig = changed_rig(name, duration, changes, **keys)
     here = in_process(rig)
-    unchanged = in_process(rig_of(name, duration, {}, **keys))
+    unchanged = in_process(changed_rig(name, duration, {}, **keys))
     assert differences(unchanged, here)
     first = min(changes)
     for topic in unchanged.topics:  # nothing before the first change differs, and nothing waits a tick longer
@@ -73,16 +73,16 @@ def test_a_scripted_change_gives_the_same_bytes_in_every_placement(case):
 
 
 def test_a_change_takes_effect_at_the_first_tick_that_is_not_earlier():
-    rig = rig_of("dc_motor_smc_b2", 0.1, {0.0501: {"dc_motor_smc.set_point": 5.0, "dc_motor_smc.k": 60.0}})
+    rig = changed_rig("dc_motor_smc_b2", 0.1, {0.0501: {"dc_motor_smc.set_point": 5.0, "dc_motor_smc.k": 60.0}})
     a, b = (Signals(in_process(r))["motor/command/armature/effort"]
-            for r in (rig, rig_of("dc_motor_smc_b2", 0.1, {})))  # fmt: skip
+            for r in (rig, changed_rig("dc_motor_smc_b2", 0.1, {})))  # fmt: skip
     law = next(m for m in rig.members if m.name == "dc_motor_smc")
     k = next(k for k in range(len(a[0])) if a[1][k] != b[1][k])
     assert a[0][k] >= 0.0501 > a[0][k] - float(law.schedule.period)
 
 
 def test_replay_into_one_node_takes_the_changes():
-    rig = rig_of(*CASES["sliding mode"][:3])
+    rig = changed_rig(*CASES["sliding mode"][:3])
     recording = in_process(rig)
     law = next(m for m in rig.members if m.name == "dc_motor_smc")
     answers = feed(law, 0, recording)
@@ -116,15 +116,15 @@ def test_other_gains_of_a_pid_do_not_move_its_output():
 )
 def test_a_change_that_cannot_be_is_refused_before_the_run(changes, said):
     with pytest.raises(ScenarioError, match=r"^dc_motor_smc_b2: change at 0\.05 s: ") as error:
-        rig_of("dc_motor_smc_b2", 0.1, {0.05: changes})
+        changed_rig("dc_motor_smc_b2", 0.1, {0.05: changes})
     assert said in str(error.value)
 
 
 def test_what_only_another_change_allows_is_checked_in_the_order_of_time():
     allowed = {0.05: {"dc_motor_smc.reference_limit": 40.0}, 0.06: {"dc_motor_smc.set_point": 30.0}}
-    rig_of("dc_motor_smc_b2", 0.1, dict(reversed(allowed.items())))
+    changed_rig("dc_motor_smc_b2", 0.1, dict(reversed(allowed.items())))
     with pytest.raises(ScenarioError, match=r"change at 0\.04 s: .*beyond reference_limit"):
-        rig_of("dc_motor_smc_b2", 0.1, {**allowed, 0.04: {"dc_motor_smc.set_point": 30.0}})
+        changed_rig("dc_motor_smc_b2", 0.1, {**allowed, 0.04: {"dc_motor_smc.set_point": 30.0}})
 
 
 def test_ports_and_what_nodes_agree_on_do_not_change():
@@ -153,7 +153,7 @@ def test_ports_and_what_nodes_agree_on_do_not_change():
 
 def test_metrics_and_report_show_what_changed_and_when(tmp_path):
     changes = {0.0501: {"dc_motor_smc.k": 60.0}, 0.5: {"dc_motor_smc.delta": 0.5}}
-    run = simulate(rig_of("dc_motor_smc_b2", 0.1, changes))
+    run = simulate(changed_rig("dc_motor_smc_b2", 0.1, changes))
     found = summary(run, run.results, "softrig run dc_motor_smc_b2")
     assert found["changes"] == [{"at_s": 0.06, "node": "dc_motor_smc", "set": {"k": 60.0}}]  # a period of 10 ms
     (tmp_path / "metrics.json").write_text(json.dumps(found))
@@ -174,7 +174,7 @@ def events(recording):
 @pytest.mark.parametrize("seed", range(3))
 def test_a_run_that_was_tuned_by_hand_is_repeated_from_its_record(seed, groups):
     """Somebody sets parameters at any moment; a script of the record gives the same bytes."""
-    rig = rig_of("dc_motor_smc_b2", 0.3, {0.2: {"dc_motor_smc.set_point": 8.0}}, faults=OFFSET)
+    rig = changed_rig("dc_motor_smc_b2", 0.3, {0.2: {"dc_motor_smc.set_point": 8.0}}, faults=OFFSET)
     world, rng = World(), random.Random(seed)
     run = SimulatedRig(rig, world, "lockstep", seed, groups=groups)
 
@@ -194,13 +194,13 @@ def test_a_run_that_was_tuned_by_hand_is_repeated_from_its_record(seed, groups):
     script = {}
     for at, values in found:
         script.setdefault(at, {}).update(values)
-    assert not differences(run.recording, in_process(rig_of("dc_motor_smc_b2", 0.3, script, faults=OFFSET), seed))
+    assert not differences(run.recording, in_process(changed_rig("dc_motor_smc_b2", 0.3, script, faults=OFFSET), seed))
 
 
 def tuned(folder, duration="0.3"):
     """The folder of a run whose law somebody has tuned while it ran."""
     world = World()
-    run = SimulatedRig(rig_of("dc_motor_smc_b2", float(duration), {}), world, "lockstep", seed=5)
+    run = SimulatedRig(changed_rig("dc_motor_smc_b2", float(duration), {}), world, "lockstep", seed=5)
     for at, values in ((20_030_000, {"k": 60.0}), (20_050_000, {"delta": 1.0, "k": 30.0})):
         world.at(world.now + at, partial(run.adapters["dc_motor_smc"].step.set, values))
     assert set(run.run().values()) == {"done"}
@@ -232,7 +232,7 @@ def test_run_like_repeats_a_tuned_run_and_its_repetition(tmp_path, capsys):
 
 
 def test_what_is_refused_while_it_runs_changes_nothing():
-    rig = rig_of("dc_motor_smc_b2", 0.3, {})
+    rig = changed_rig("dc_motor_smc_b2", 0.3, {})
     run = SimulatedRig(rig, World(), "lockstep")
     step = run.adapters["dc_motor_smc"].step
     for values, said in (({"k": 5.0, "c": -1.0}, "c = -1.0"), ({"k": 5.0, "period": 0.1}, "period may not change")):
@@ -288,8 +288,8 @@ def test_references_in_changes_stand_for_what_parameters_are_at_the_start(tmp_pa
     file.write_text("extends: dc_motor_smc_b2\ntitle: t\nduration: 0.1\nshared: {gain: 60.0}\nchanges:\n"
                     "  - {at: 0.02, set: {dc_motor_smc.k: $gain, dc_motor_smc.delta: 1.0}}\n"
                     "  - {at: 0.05, set: {dc_motor_smc.delta: $dc_motor_smc.delta}}\n")  # fmt: skip
-    law = next(m for m in Rig.from_scenario(load_scenario(file)).members if m.name == "dc_motor_smc")
+    law = next(m for m in rig_of(file).members if m.name == "dc_motor_smc")
     file.write_text(file.read_text().replace("$dc_motor_smc.delta", "$dc_motor_smc.deltaa"))
     with pytest.raises(ScenarioError, match=r"change at 0\.05 s: \$dc_motor_smc\.deltaa: dc_motor_smc has period"):
-        Rig.from_scenario(load_scenario(file))
+        rig_of(file)
     assert [dict(c.values) for c in law.changes] == [{"k": 60.0, "delta": 1.0}, {"delta": law.params.delta}]

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, strategies as st
 from rosbags.typesys import Stores, get_typestore
 from softrig_core import Refused, array, button, command, joint_state, number, reference, scalars, vector3, wrench
-from softrig_core.model.codec import Decoder, selection
+from softrig_core.block.codec import Decoder, selection
 from softrig_core.wire.cdr import Layout, parse
 
 STORE = get_typestore(Stores.ROS2_JAZZY)

@@ -4,7 +4,7 @@ import struct
 import casadi as ca
 import pytest
 from softrig_core import Compiled
-from softrig_core.model import compiled
+from softrig_core.kit import compiled
 
 
 def pendulum(gain: float = 9.81) -> ca.Function:

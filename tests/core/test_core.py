@@ -14,7 +14,6 @@ from softrig_core import (
     ParameterError,
     Params,
     Recording,
-    Rig,
     RunError,
     ScenarioError,
     Signals,
@@ -24,9 +23,9 @@ from softrig_core import (
     rig_of,
     run_inprocess,
 )
-from softrig_core.model.params import build, declarations, flatten
-from softrig_core.rig.rig import load_block
-from softrig_core.rig.scenario import merge
+from softrig_core.block.params import build, declarations, flatten
+from softrig_core.rig.installed import load_block
+from softrig_core.scenario.scenario import merge
 from softrig_core.wire.cdr import Layout
 from softrig_core.wire.recording import ShardWriter, shard_topics
 from softrig_core.wire.types import TYPES
@@ -192,7 +191,7 @@ BASIC = {"plant": "plant", "source": "source", "gain": "gain"}
 )  # fmt: skip
 def test_a_rig_that_cannot_work_is_refused_before_the_start(nodes, text):
     with pytest.raises(ScenarioError) as error:
-        Rig.from_scenario(make_scenario(nodes))
+        rig_of(make_scenario(nodes))
     assert text in str(error.value)
 
 
@@ -210,7 +209,7 @@ def test_in_process_gives_one_message_a_tick_and_repeats_itself(lag_rig):
 
 
 def test_in_process_follows_the_difference_equation():
-    rig = Rig.from_scenario(make_scenario({"plant": node("plant", gain=2.0), "source": "source", "gain": "gain"}))
+    rig = rig_of(make_scenario({"plant": node("plant", gain=2.0), "source": "source", "gain": "gain"}))
     t, x = Signals(in_process(rig))["lag/state/x/position"]
     expected, state = [], 0.0
     for k in range(101):
@@ -223,14 +222,14 @@ def test_in_process_follows_the_difference_equation():
 
 def test_a_delayed_link_carries_the_time_of_acquisition():
     nodes = {"plant": "plant", "source": "source", "link": node("link", samples=3), "gain": "late_gain"}
-    recording = in_process(Rig.from_scenario(make_scenario(nodes)))
+    recording = in_process(rig_of(make_scenario(nodes)))
     table = Signals(recording).table("lag/late_state")
     assert list(table.stamp[:6]) == pytest.approx([0, 0, 0, 0, 0.01, 0.02])
     assert list(table.t[:3]) == pytest.approx([0, 0.01, 0.02])
 
 
 def test_a_slow_block_is_due_on_its_own_ticks_only():
-    rig = Rig.from_scenario(make_scenario(BASIC | {"gain": node("gain", period=0.05)}))
+    rig = rig_of(make_scenario(BASIC | {"gain": node("gain", period=0.05)}))
     recording = in_process(rig)
     assert recording.topics["lag/command"].times == [k * 50_000_000 for k in range(20)]
 
@@ -238,14 +237,14 @@ def test_a_slow_block_is_due_on_its_own_ticks_only():
 def test_a_block_that_fails_is_named_with_the_time():
     for how, text in [("nan", "gain: command u/effort became nan at t = 0.2 s"),
                       ("raise", "gain: failed at t = 0.2 s: ArithmeticError: deliberate")]:  # fmt: skip
-        rig = Rig.from_scenario(make_scenario(BASIC | {"gain": node("killed", how=how, at=0.2)}))
+        rig = rig_of(make_scenario(BASIC | {"gain": node("killed", how=how, at=0.2)}))
         with pytest.raises(RunError) as error:
             run_inprocess(rig, 0)
         assert text in str(error.value)
 
 
 def test_an_external_node_needs_processes():
-    rig = Rig.from_scenario(make_scenario(BASIC | {"gain": {"executable": "gain", "external": True}}))
+    rig = rig_of(make_scenario(BASIC | {"gain": {"executable": "gain", "external": True}}))
     with pytest.raises(ScenarioError, match="node gain is external"):
         run_inprocess(rig, 0)
 

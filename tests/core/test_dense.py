@@ -8,7 +8,7 @@ import sys
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
-from softrig_core.model import dense
+from softrig_core.kit import dense
 
 RNG = np.random.default_rng(5)
 SHAPES = [((3, 4), (4, 2)), ((4,), (4, 2)), ((3, 4), (4,)), ((4,), (4,)), ((1, 1), (1, 1)), ((2, 0), (0, 3))]
@@ -86,7 +86,7 @@ def test_norm_times_and_turn():
 
 CODE = """
 import hashlib, numpy as np, sys
-from softrig_core.model import dense
+from softrig_core.kit import dense
 rng = np.random.default_rng(1)
 digest = hashlib.sha256()
 for n in (1, 3, 8, 18):

@@ -10,11 +10,11 @@ import pytest
 from conftest import differences, in_process, make_scenario
 from simulated import Discovery, SimulatedNode, SimulatedRig, SimulatedTimer, World, some
 from simulated_outside import SimulatedOutside
-from softrig_core import Rig
-from softrig_core.node.endpoint import Output
-from softrig_core.node.recorders import RECORDER, left_out
-from softrig_core.node.tick import TICK
-from softrig_core.rig.supervision import blamed
+from softrig_core import rig_of
+from softrig_core.node.seam.endpoint import Output
+from softrig_core.node.seam.recorders import RECORDER, left_out
+from softrig_core.node.seam.tick import TICK
+from softrig_core.processes.supervision import blamed
 from test_ports import RIGS as PORT_RIGS
 from test_processes import RIGS as PROCESS_RIGS
 
@@ -53,7 +53,7 @@ KINDS = {name: make_scenario(nodes, 0.05) for name, (nodes, _) in PROCESS_RIGS.i
 @cache
 def rig_and_record(kind):
     """The rig with all nodes ours and what it must say."""
-    rig = Rig.from_scenario(KINDS[kind])
+    rig = rig_of(KINDS[kind])
     return rig, in_process(rig)
 
 
@@ -61,7 +61,7 @@ def rig_and_record(kind):
 def with_guests(kind, outside):
     """The rig with some of its nodes external."""
     nodes = {n: e.model_copy(update={"external": n in outside}) for n, e in KINDS[kind].nodes.items()}
-    return Rig.from_scenario(KINDS[kind].model_copy(update={"nodes": nodes}))
+    return rig_of(KINDS[kind].model_copy(update={"nodes": nodes}))
 
 
 def start(kind, seed, outside=(), stalls=0):

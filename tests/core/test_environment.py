@@ -21,6 +21,7 @@ from softrig_core import (
     ScenarioError,
     command,
     load_scenario,
+    rig_of,
     run_inprocess,
     scalars,
     simulate,
@@ -56,7 +57,7 @@ def messages(recording):
      ("dc_motor_fsfb_s1", "fsfb_controller", 0.5), ("rectifier_mpc", "gpc_controller", 0.01)],
 )  # fmt: skip
 def test_with_its_own_law_as_agent_it_is_the_rig_bit_for_bit(name, law, duration):
-    rig = Rig.from_scenario(load_scenario(name).changed(duration=duration))
+    rig = rig_of(load_scenario(name).changed(duration=duration))
     recording = Recording((t, p.msgtype) for t, p in rig.topics.items())
     run_inprocess(rig, 3, recording)
     env = RigEnv(rig, law, reward=lambda now: 0.0, record=True)
@@ -134,7 +135,7 @@ def test_a_seed_is_that_of_the_rig_and_drawn_without_one():
 
 
 def test_what_is_violated_ends_an_episode():
-    bounded = Rig.from_scenario(load_scenario("dc_motor_smc", {"period": 0.01}).changed(duration=0.3))
+    bounded = rig_of(load_scenario("dc_motor_smc", {"period": 0.01}).changed(duration=0.3))
     scenario = bounded.scenario.model_copy(update={"requirements": {}})
     data = scenario.model_dump() | {"requirements": {"slow": "always abs(speed) <= 0.5"}}
     env = motor(what=type(scenario).model_validate(data), terminate=["slow"], penalty=-7.0, overrides={})

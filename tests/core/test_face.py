@@ -34,4 +34,4 @@ def test_the_face_itself_loads_nothing_heavy():
     code = "import sys, softrig_core; dir(softrig_core); print(*sys.modules)"
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
     assert "softrig_core" in out
-    assert not {"numpy", "pydantic", "rclpy", "softrig_core.model", "softrig_core.rig"} & {*out}
+    assert not {"numpy", "pydantic", "rclpy", "softrig_core.block", "softrig_core.rig", "softrig_core.run"} & {*out}

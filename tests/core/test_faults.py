@@ -10,7 +10,7 @@ from conftest import differences, in_process, make_scenario
 from hypothesis import given, strategies as st
 from simulated import Discovery, SimulatedRig, World
 from softrig_control.fault import Fault
-from softrig_core import ParameterError, Rig, RunError, ScenarioError, simulate
+from softrig_core import ParameterError, RunError, ScenarioError, rig_of, simulate
 
 MS = 1_000_000
 BASIC = {"plant": "plant", "source": "source", "gain": "gain"}
@@ -137,7 +137,7 @@ def test_numbers_that_make_no_sense_are_refused(params, reason):
 
 
 def faulty(duration=0.3, nodes=BASIC, **faults):
-    return Rig.from_scenario(make_scenario(nodes, duration, faults=faults))
+    return rig_of(make_scenario(nodes, duration, faults=faults))
 
 
 def test_a_fault_is_put_before_all_readers_or_one_and_the_record_has_both_sides():
@@ -246,10 +246,10 @@ def test_a_faults_numbers_are_set_like_any_parameter(tmp_path):
     file = tmp_path / "mine.yaml"
     noise = "{link: motor/sensors, kind: noise, channels: [current_a], value: [0.2], from: 1}"
     file.write_text(f"extends: dc_motor_smc_b2\ntitle: mine\nfaults: {{noise: {noise}}}\n")
-    rig = Rig.from_scenario(load_scenario(str(file), {"noise.value": [0.5], "noise.from": 2.0}))
+    rig = rig_of(load_scenario(str(file), {"noise.value": [0.5], "noise.from": 2.0}))
     noise = next(m for m in rig.members if m.name == "noise")
     assert (noise.params.value, noise.params.start) == ((0.5,), 2.0)
-    again = rig.changed(duration=0.5, overrides={"noise.value": [0.1]})
+    again = rig_of(rig, duration=0.5, overrides={"noise.value": [0.1]})
     assert next(m for m in again.members if m.name == "noise").params.value == (0.1,)
     with pytest.raises(ScenarioError, match="did you mean 'noise'"):
         load_scenario(str(file), {"nose.value": [0.5]})

@@ -4,7 +4,7 @@ import pytest
 from conftest import in_process
 from hypothesis import given, settings, strategies as st
 from softrig_control.delay import FieldbusDelay
-from softrig_core import Level, ParameterError, Rig, Sample, Scenario, ScenarioError, Signals, load_scenario
+from softrig_core import Level, ParameterError, Sample, Scenario, ScenarioError, Signals, load_scenario, rig_of
 
 PERIOD = 10_000_000
 
@@ -154,7 +154,7 @@ COMMAND = {"channels": ["armature"], "fields": ["effort"], "restamp": True, "ini
 
 def test_a_link_before_a_plants_command():
     late = with_link("dc_motor_fsfb", "dc_axis_plant", "axis/command", 1.0, delay=0.03, **COMMAND)
-    signals = Signals(in_process(Rig.from_scenario(late)))
+    signals = Signals(in_process(rig_of(late)))
     t, sent = signals["axis/command/armature/effort"]
     arrived = signals["axis/command_late/armature/effort"].x
     assert (arrived[3:] == sent[:-3]).all()
@@ -168,21 +168,21 @@ def test_a_link_before_a_plants_command():
 
 def test_a_link_in_another_rig_whose_controller_knows_nothing_of_links():
     name, topic = "dc_motor_smc_b2", "motor/state"
-    rig = Rig.from_scenario(load_scenario(name))
+    rig = rig_of(name)
     member = next(m for m in rig.members if m.name == "dc_motor_smc")
     port = next(p for p in member.inputs if p.topic == topic)
     options = {"channels": list(port.channels), "fields": list(port.fields), "period": member.params.period}
     late = with_link(name, "dc_motor_smc", topic, 0.5, delay=0.02, restamp=True, **options)
-    signals = Signals(in_process(Rig.from_scenario(late)))
+    signals = Signals(in_process(rig_of(late)))
     label = f"{port.channels[0]}/{port.fields[0]}"
     periods = round(0.02 / member.params.period)
     arrived = signals[f"{topic}_late/{label}"].x
     assert (arrived[periods:] == signals[f"{topic}/{label}"].x[: len(arrived) - periods]).all()
     with pytest.raises(ScenarioError, match="its stamps are acquisition times, but the input pairs by stamp"):
-        Rig.from_scenario(with_link(name, "dc_motor_smc", topic, 0.5, **options))
+        rig_of(with_link(name, "dc_motor_smc", topic, 0.5, **options))
 
 
 def test_two_links_in_a_row_add_up():
     late = with_link("dc_motor_fsfb", "fsfb_controller", "axis/feedback", 1.0, delay=0.03)
-    table = Signals(in_process(Rig.from_scenario(late))).table("axis/feedback_late")
+    table = Signals(in_process(rig_of(late))).table("axis/feedback_late")
     assert table.t[11:] - table.stamp[11:] == pytest.approx(0.11)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from conftest import PATIENCE
 from softrig_core import History, jit
-from softrig_core.model.dde import between, delayed, integrator, trajectory
+from softrig_core.kit.dde import between, delayed, integrator, trajectory
 
 
 def polynomial(c, t):
@@ -186,7 +186,7 @@ def test_limit_holds_in_the_history_too():
 def test_bits_without_numba():
     code = (
         "import math, sys, numpy as np, test_history as t\n"
-        "from softrig_core.model.dde import integrator, trajectory\n"
+        "from softrig_core.kit.dde import integrator, trajectory\n"
         "past, x, out = trajectory(0.01, 1.1, lambda s: math.sin(s) + 2.0), np.array([2.0]), []\n"
         "step = integrator(t.manufactured)\n"
         "for k in range(300):\n"

@@ -11,17 +11,17 @@ from softrig_core import (
     Block,
     BlockParams,
     ParameterError,
-    Rig,
     RunError,
     ScenarioError,
     check_steps,
     load_scenario,
     number,
     param,
+    rig_of,
 )
-from softrig_core.model.answer import check
-from softrig_core.model.params import LONGEST, build, declarations
-from softrig_core.rig.domain import free_domain
+from softrig_core.block.answer import check
+from softrig_core.block.params import LONGEST, build, declarations
+from softrig_core.processes.domain import free_domain
 from softrig_core.rig.options import RunOptions
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "campaign"))
@@ -82,7 +82,7 @@ def test_a_set_up_that_fails_names_what_it_was_given():
     with pytest.raises(ParameterError, match=r"set-up failed with a = 1000000000000\.0, b = 1000000\.0: OverflowError"):
         Size(a=1e12, b=1e6)
     scenario = make_scenario({"plant": {"executable": "plant", "parameters": {}}})
-    rig = Rig.from_scenario(scenario, {"plant": Size}).changed(overrides={"plant.a": 1e12, "plant.b": 1e6})
+    rig = rig_of(scenario, classes={"plant": Size}, overrides={"plant.a": 1e12, "plant.b": 1e6})
     member = next(m for m in rig.members if m.name == "plant")
     with pytest.raises(ScenarioError, match=r"node plant: set-up failed with a = 1000000000000\.0, b = 1000000\.0"):
         member.block(0)
@@ -148,7 +148,7 @@ def test_more_steps_in_a_period_than_ever_end():
 @pytest.mark.parametrize(("duration", "text"), [(1e300, "duration"), (1e8, "expected at most 1e")])
 def test_absurd_lengths_are_refused(duration, text):
     with pytest.raises(ValueError, match=text):
-        Rig.from_scenario(make_scenario({"plant": "plant", "source": "source", "gain": "gain"}, duration=duration))
+        rig_of(make_scenario({"plant": "plant", "source": "source", "gain": "gain"}, duration=duration))
 
 
 LONG = "x" * 5000
@@ -168,7 +168,7 @@ def test_names_longer_than_any_file_name_are_unknown(text, said, tmp_path):
     path = tmp_path / "h.yaml"
     path.write_text(text)
     with pytest.raises(ScenarioError, match=said):
-        Rig.from_scenario(load_scenario(str(path)))
+        rig_of(load_scenario(str(path)))
 
 
 @pytest.mark.parametrize(
@@ -218,7 +218,7 @@ def test_a_parameter_of_an_unknown_type_is_refused_and_the_node_lives_on():
     from rcl_interfaces.srv import SetParameters
     from rclpy.context import Context
     from rclpy.executors import SingleThreadedExecutor
-    from softrig_core.node.ros import ServingNode
+    from softrig_core.node.ros.ros import ServingNode
 
     with free_domain() as domain:
         context = Context()

@@ -12,16 +12,16 @@ import pytest
 from conftest import PATIENCE
 from faultrig import Gain
 from softrig_core import Block, BlockParams, jit, number
-from softrig_core.model import jit as module
-from softrig_core.model.jit import power
-from softrig_core.model.rehearsal import rehearse
+from softrig_core.kit import jit as module
+from softrig_core.kit.jit import power
+from softrig_core.solver.rehearsal import rehearse
 
 RELAY = '''
 """A relay over a delay line with every function of the C library that a model uses."""
 import math, os, sys
 import numpy as np
-from softrig_core.model import dde, ode
-from softrig_core.model.jit import jit, power
+from softrig_core.kit import dde, ode
+from softrig_core.kit.jit import jit, power
 import helper
 
 @jit
@@ -51,7 +51,7 @@ assert ("numba" in sys.modules) == (os.environ.get("SOFTRIG_JIT") != "0")
 sys.stdout.buffer.write(out.tobytes())
 '''
 HELPER = """
-from softrig_core.model.jit import jit
+from softrig_core.kit.jit import jit
 GAIN = 0.8
 
 @jit
@@ -107,7 +107,7 @@ def test_without_numba_the_plain_function_runs():
     code = """
         import sys
         sys.modules["numba"] = None
-        from softrig_core.model.jit import jit
+        from softrig_core.kit.jit import jit
 
         @jit
         def twice(x):

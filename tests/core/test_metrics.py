@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from softrig_core.rig import measures
+from softrig_core.judge import measures
 
 T = np.linspace(0.0, 20.0, 20001)
 FIRST_ORDER = {"y": (T, 3.0 * (1.0 - np.exp(-T)))}

@@ -11,7 +11,7 @@ import pytest
 from softrig_control.discretise import zero_order_hold
 from softrig_control.linear_plant import LinearPlant
 from softrig_core import Plant, Sampled, ScenarioError, equilibrium, state_type, to_ns
-from softrig_core.rig.rig import load_block
+from softrig_core.rig.installed import load_block
 from softrig_drives.dc_motor.model import state_space
 from softrig_drives.dc_motor.plant import DcMotorPlant
 from softrig_drives.induction_dtc.plant import ImPlant

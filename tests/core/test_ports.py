@@ -3,12 +3,11 @@
 import pytest
 from conftest import differences, in_process, make_scenario
 from hypothesis import given, strategies as st
-from softrig_bringup.run import gaps
+from softrig_bringup.run.run import gaps
 from softrig_core import (
     Block,
     BlockParams,
     Refused,
-    Rig,
     RunError,
     ScenarioError,
     Signals,
@@ -16,12 +15,13 @@ from softrig_core import (
     feed,
     joint_state,
     param,
+    rig_of,
     run_processes,
     wrench,
 )
-from softrig_core.model.answer import check
-from softrig_core.model.codec import Decoder, selection
-from softrig_core.model.schedule import Schedule
+from softrig_core.block.answer import check
+from softrig_core.block.codec import Decoder, selection
+from softrig_core.block.schedule import Schedule
 from softrig_core.wire.cdr import Layout
 from typing_extensions import TypeVar
 
@@ -51,7 +51,7 @@ RIGS["no plant"][0]["source"] = {"executable": "source", "parameters": {"period"
 
 def rig(name):
     nodes, duration, options = RIGS[name]
-    return Rig.from_scenario(make_scenario(nodes, duration, **options))
+    return rig_of(make_scenario(nodes, duration, **options))
 
 
 DAILY = ("record", "end")  # what goes through processes; the others do in the simulated middleware
@@ -102,17 +102,17 @@ def test_a_unit_delay_opens_an_algebraic_loop():
     assert list(y) == [2.0 + 2.0 * 0.5 ** (k + 1) if k else 3.0 for k in range(len(y))]
     nodes = {"accumulator": {"executable": "accumulator", "remap": {"loop/back": "loop/sum"}}}
     with pytest.raises(ScenarioError, match="cycle without a plant in it: accumulator -> accumulator"):
-        Rig.from_scenario(make_scenario(nodes))
+        rig_of(make_scenario(nodes))
 
 
 def test_a_rig_without_a_plant_has_a_clock():
     recording = in_process(rig("no plant"))
     assert recording.topics["/clock"].times == [Schedule("1/300").time(k) for k in range(61)]
     assert len(recording.topics["lag/reference"].times) == 20
-    alone = Rig.from_scenario(make_scenario({"source": "source"}, 0.2))
+    alone = rig_of(make_scenario({"source": "source"}, 0.2))
     assert (alone.clock.name, alone.ticks) == ("clock", 20)
     with pytest.raises(ScenarioError, match="neither a number nor a fraction"):
-        Rig.from_scenario(make_scenario({"source": "source"}, 0.2, clock="1/x"))
+        rig_of(make_scenario({"source": "source"}, 0.2, clock="1/x"))
 
 
 def test_only_a_port_that_says_so_may_be_silent():

@@ -8,8 +8,8 @@ import pytest
 from conftest import differences, in_process, make_scenario
 from faultrig import COMMAND, STATE, Lag
 from simulated import SimulatedNode, SimulatedRig, World, some
-from softrig_core import Block, Rig, Signals, array, load_scenario
-from softrig_core.node.tick import TickWriter
+from softrig_core import Block, Rig, Signals, array, load_scenario, rig_of
+from softrig_core.node.seam.tick import TickWriter
 from test_ports import RIGS
 
 BASIC = {"plant": "plant", "source": "source", "gain": "gain"}
@@ -17,12 +17,12 @@ MS, SECOND = 1_000_000, 1_000_000_000
 
 
 def basic(duration=0.5, **changes):
-    return Rig.from_scenario(make_scenario(BASIC | changes, duration))
+    return rig_of(make_scenario(BASIC | changes, duration))
 
 
 def shortened(name, duration):
     scenario = load_scenario(name)
-    return Rig.from_scenario(scenario.changed(duration=duration))
+    return rig_of(scenario.changed(duration=duration))
 
 
 def jitter(seed, low, high):
@@ -67,7 +67,7 @@ def test_a_law_waits_for_a_fault_also_at_a_tick_at_which_that_is_silent(kind, pl
     faults = {"a": {"link": "lag/state -> gain", "kind": kind, **FAULTS[kind]},
               "b": {"link": "lag/state -> gain", "kind": "noise", "value": [0.1]},
               "c": {"link": "lag/reference", "kind": "loss", "probability": 0.2}}  # fmt: skip
-    rig = Rig.from_scenario(make_scenario(BASIC | {"watcher": "watcher"}, 0.4, faults=faults))
+    rig = rig_of(make_scenario(BASIC | {"watcher": "watcher"}, 0.4, faults=faults))
     names, rng = [m.name for m in rig.members], random.Random(kind)
     groups = {"alone": (), "some together": (rng.sample(names, 3),), "all together": (names,)}[places]
     run = SimulatedRig(rig, World(lambda *_: rng.randrange(1_000, MS)), "realtime", groups=groups, departs=True)
@@ -97,7 +97,7 @@ def test_what_a_delay_gets_of_a_plant_counts_by_its_stamp():
 
 
 def test_what_nobody_can_have_said_of_its_ticks_is_refused():
-    rig = Rig.from_scenario(make_scenario(BASIC, 0.3, faults={"gone": {"link": "lag/state", "kind": "silence"}}))
+    rig = rig_of(make_scenario(BASIC, 0.3, faults={"gone": {"link": "lag/state", "kind": "silence"}}))
     run = SimulatedRig(rig, World(), "realtime")
     run.world.match()
     run.world.run(run.epoch + 95 * MS)
@@ -223,7 +223,7 @@ def test_absurd_numbers_are_refused_and_what_overflows_all_the_same_brings_the_s
 def test_who_publishes_with_another_type_is_named_and_not_taken_for_who_is_expected(mode):
     nodes = BASIC | {"gain": {"executable": "gain", "external": True}}
     world = World()
-    run = SimulatedRig(Rig.from_scenario(make_scenario(nodes, 0.1)), world, mode, departs=True, start_timeout=0.0)
+    run = SimulatedRig(rig_of(make_scenario(nodes, 0.1)), world, mode, departs=True, start_timeout=0.0)
     SimulatedNode(world, "stranger", {}).publisher("lag/command", "std_msgs/msg/Float64", lambda count: None)
     world.match()
     world.run(world.now + 3000 * MS)
@@ -255,7 +255,7 @@ def test_a_law_notices_a_source_that_has_stopped():
 @pytest.mark.parametrize("name", RIGS)
 def test_the_ports_of_the_rigs_work_in_lockstep_whatever_the_order_of_delivery(name):
     nodes, duration, options = RIGS[name]
-    rig = Rig.from_scenario(make_scenario(nodes, duration, **options))
+    rig = rig_of(make_scenario(nodes, duration, **options))
     expected = in_process(rig)
     for seed in range(20):
         run = SimulatedRig(rig, World(jitter(seed, 1_000, 5 * MS)), "lockstep",

@@ -6,7 +6,7 @@ import math
 import pytest
 from simulated import SimulatedRig, World
 from softrig_core import SECOND, Observer, Signals
-from softrig_core.rig.rig import load_main
+from softrig_core.rig.installed import load_main
 from softrig_core.wire.cdr import parse
 from test_outside import SYSTEMS, short
 

@@ -12,8 +12,8 @@ from softrig_bags.read import read_bag
 from softrig_bags.tape import port_of, written
 from softrig_bringup.cli import main
 from softrig_bringup.folder import ResultsFolder
-from softrig_bringup.run import save, summary
-from softrig_core import Rig, Run, load_scenario
+from softrig_bringup.run.run import save, summary
+from softrig_core import Run, rig_of
 
 MS = 1_000_000
 
@@ -36,7 +36,7 @@ def pressed(folder, mode="lockstep", delay=None, faults=""):
     folder.mkdir()
     name = folder.parent / "mine.yaml"
     name.write_text(MINE + faults)
-    rig = Rig.from_scenario(load_scenario(name))
+    rig = rig_of(name)
     world = World(delay) if delay else World()
     run = SimulatedRig(rig, world, mode, seed=3)
     law = run.adapters["fsfb_controller"]
@@ -132,7 +132,9 @@ def test_a_run_in_real_time_that_was_late_says_so_and_what_differs(tmp_path, cap
 
 def test_a_repetition_that_differs_says_where(tmp_path, capsys, monkeypatch):
     pressed(tmp_path / "first")
-    monkeypatch.setattr("softrig_bringup.like._outside", lambda rig, recording: [])  # what was outside is forgotten
+    monkeypatch.setattr(
+        "softrig_bringup.options.like._outside", lambda rig, recording: []
+    )  # what was outside is forgotten
     status, said = repeat(tmp_path, capsys, "--like", str(tmp_path / "first"), "--mode", "inprocess")
     assert status == 1
     assert "differs from" in said
@@ -146,7 +148,7 @@ def test_a_run_is_not_replaced_by_its_own_repetition(tmp_path, capsys):
 
 
 def test_a_port_is_written_and_read():
-    rig = Rig.from_scenario(load_scenario("gupfc"))
+    rig = rig_of("gupfc")
     for member in rig.members:
         for port in member.inputs:
             found = port_of(written(port))

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from conftest import make_scenario
 from hypothesis import given, settings, strategies as st
-from softrig_core import SECOND, Rig, RunError, ScenarioError, evaluate, figures_of, simulate
-from softrig_core.rig.expectation import Expectation
-from softrig_core.rig.formula import Record, horizon, margin_unit, read, variables
+from softrig_core import SECOND, RunError, ScenarioError, evaluate, figures_of, rig_of, simulate
+from softrig_core.judge.expectation import Expectation
+from softrig_core.judge.formula import Record, horizon, margin_unit, read, variables
 
 PERIOD = 0.1
 KNOWN = {"x": None, "y": None, "level": 0.5}
@@ -117,7 +117,7 @@ def requirement(formula, *, shared=None, duration=1.0, **about):
     names = {"state": "state/lag/position", "command": "command/drive/effort", "level": 0.5} | (shared or {})
     nodes = {"plant": "plant", "source": "source", "gain": "gain"}
     given = {"formula": formula, **about}
-    return Rig.from_scenario(make_scenario(nodes, duration, shared=names, requirements={"it": given}))
+    return rig_of(make_scenario(nodes, duration, shared=names, requirements={"it": given}))
 
 
 def figure_of(rig, signals):
@@ -249,12 +249,12 @@ def test_the_unit_of_a_margin():
 
 def test_what_has_not_come_yet_compares_as_false(tmp_path):
     nodes = {"plant": "plant", "burst": {"executable": "burst", "parameters": {"at": [0.05]}}, "gain": "burst_gain"}
-    rig = Rig.from_scenario(make_scenario(nodes, 0.2))
+    rig = rig_of(make_scenario(nodes, 0.2))
     topic = next(p.topic for m in rig.members for p in m.outputs if p.sporadic)
     label = rig.topics[topic].labels[0]
     formulas = {"comes": "eventually burst > -1e9", "from_the_start": "always burst > -1e9"}
     scenario = make_scenario(nodes, 0.2, shared={"burst": f"{topic}/{label}"}, requirements=formulas)
-    run = simulate(Rig.from_scenario(scenario))
+    run = simulate(rig_of(scenario))
     margins = {r.name: r.number for r in run.results}
     assert margins["comes"] > 0.0
     assert margins["from_the_start"] == -math.inf
@@ -266,7 +266,7 @@ def test_what_has_not_come_yet_compares_as_false(tmp_path):
 def test_a_scenario_may_expect_that_a_requirement_is_violated():
     rig = wired("always[0.2, 0.8] state <= 0.3")
     scenario = rig.scenario.model_copy(update={"expect": {"it": Expectation(at_most=0.0)}})
-    run = simulate(Rig.from_scenario(scenario))
+    run = simulate(rig_of(scenario))
     assert [r.passed for r in run.results] == [True]
 
 

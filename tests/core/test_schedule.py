@@ -5,10 +5,10 @@ from fractions import Fraction
 import pytest
 from conftest import differences, in_process, make_scenario
 from hypothesis import given, strategies as st
-from softrig_bringup.run import gaps
-from softrig_core import BlockParams, ParameterError, Rig, ScenarioError, feed, run_processes
-from softrig_core.model.params import build
-from softrig_core.model.schedule import Schedule, rational
+from softrig_bringup.run.run import gaps
+from softrig_core import BlockParams, ParameterError, ScenarioError, feed, rig_of, run_processes
+from softrig_core.block.params import build
+from softrig_core.block.schedule import Schedule, rational
 
 periods = st.builds(Fraction, st.integers(1, 1000), st.integers(1, 100_000))
 
@@ -74,7 +74,7 @@ def two_plants(period, second, duration, **options):
             "remap": {"lag/state": "second/state", "lag/applied": "second/applied"}}  # fmt: skip
     fast = {"executable": "plant", "parameters": {"period": period}}
     others = {n: {"executable": n, "parameters": {"period": period}} for n in ("source", "gain", "watcher")}
-    return Rig.from_scenario(make_scenario({"plant": fast, **others, "second": slow}, duration, **options))
+    return rig_of(make_scenario({"plant": fast, **others, "second": slow}, duration, **options))
 
 
 ENDS = {

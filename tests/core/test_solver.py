@@ -13,8 +13,8 @@ import pytest
 from conftest import PATIENCE, differences, in_process, make_scenario, until
 from faultrig import Planner, Unreadable, unreadable
 from simulated import SimulatedRig, World
-from softrig_core import Rig, RunError, Signals, Solver, run_processes
-from softrig_core.model.worker import Worker
+from softrig_core import RunError, Signals, Solver, rig_of, run_processes
+from softrig_core.solver.worker import Worker
 
 
 def rig(duration=1.0, timeout=10.0, **planner):
@@ -24,7 +24,7 @@ def rig(duration=1.0, timeout=10.0, **planner):
         "planner": {"executable": "planner", "parameters": planner},
         "gain": {"executable": "gain", "remap": {"lag/reference": "lag/inner_reference"}},
     }
-    return Rig.from_scenario(make_scenario(nodes, duration, timeout=timeout))
+    return rig_of(make_scenario(nodes, duration, timeout=timeout))
 
 
 def asked_at(recording):
@@ -143,7 +143,7 @@ def test_worker_ends_with_its_owner_and_with_the_process_that_started_it():
     del worker
     assert not os.path.exists(f"/proc/{pid}")
     code = (
-        "import os, signal; from faultrig import Planner; from softrig_core.model.worker import Worker\n"
+        "import os, signal; from faultrig import Planner; from softrig_core.solver.worker import Worker\n"
         "worker = Worker(Planner.solve); worker.submit((1, 0.0, 1.0, 3600.0, ''))\n"
         "while not worker.has_best: worker.wait(0.01)\n"
         "print(worker._process.pid, flush=True); os.kill(os.getpid(), signal.SIGKILL)\n"
@@ -249,7 +249,7 @@ def works(queue=None):
 
 def test_a_fork_leaves_the_idle_processes_of_its_parent_alone(monkeypatch):
     """Python forks by default for `multiprocessing`; closing the parent's pipes would wait for ever."""
-    monkeypatch.setattr("softrig_core.model.worker.MOST_IDLE", 1)
+    monkeypatch.setattr("softrig_core.solver.worker.MOST_IDLE", 1)
     first = works()
     owned = Worker(Planner.solve)
     owned.warm()  # the idle one

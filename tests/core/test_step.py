@@ -9,11 +9,11 @@ import pytest
 from conftest import make_scenario
 from faultrig import Gain, Lag, Source
 from simulated import SimulatedRig, World
-from softrig_core import Block, Recording, Rig, RunError, Signals, run_inprocess, scalars
-from softrig_core.model.runner import Runner
-from softrig_core.model.schedule import Schedule
-from softrig_core.model.step import Step
-from softrig_core.rig.inprocess import wired
+from softrig_core import Block, Recording, Rig, RunError, Signals, rig_of, run_inprocess, scalars
+from softrig_core.block.runner import Runner
+from softrig_core.block.schedule import Schedule
+from softrig_core.block.step import Step
+from softrig_core.run.inprocess import wired
 
 
 def overdriven(values, period=0.01):
@@ -24,7 +24,7 @@ def overdriven(values, period=0.01):
         "command_source": {"package": "softrig_control", "executable": "command_source", "parameters": {
             "period": period, "channels": ["u"], "values": [values]}},
     }  # fmt: skip
-    return Rig.from_scenario(make_scenario(nodes, 1.0))
+    return rig_of(make_scenario(nodes, 1.0))
 
 
 def test_what_is_beyond_its_range_ends_the_run_at_who_says_it_wherever_it_runs():
@@ -156,9 +156,9 @@ def test_a_recording_keeps_numbers_until_somebody_asks_for_bytes_and_both_say_th
 def test_nothing_is_loaded_in_the_first_tick_of_a_node_in_real_time(package, executable):
     code = f"""
 import sys
-from softrig_core.model.block import Plant
-from softrig_core.model.rehearsal import rehearse
-from softrig_core.rig.rig import load_block
+from softrig_core.block.block import Plant
+from softrig_core.solver.rehearsal import rehearse
+from softrig_core.rig.installed import load_block
 kind = load_block({package!r}, {executable!r})
 rehearse(kind, kind.Params(), "node", always=True)
 block = kind(kind.Params(), "node")

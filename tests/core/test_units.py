@@ -5,8 +5,8 @@ import math
 import pytest
 from softrig_control.unit_delay import UnitDelay
 from softrig_core import Block, BlockParams, Plant, Rig, ScenarioError, command, param, scalars
+from softrig_core.judge.units import factor, misfit
 from softrig_core.rig.members import signal_units
-from softrig_core.rig.units import factor, misfit
 
 
 class Params(BlockParams):

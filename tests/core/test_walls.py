@@ -10,15 +10,16 @@ PACKAGES = Path(__file__).parents[2] / "ros_pkgs"
 DOMAINS = ("softrig_drives", "softrig_power", "softrig_robots", "softrig_systems")
 INTERFACES = ("std_msgs", "sensor_msgs", "geometry_msgs", "diagnostic_msgs", "visualization_msgs", "trajectory_msgs")
 MIDDLEWARE = ("rclpy", "rcl_interfaces", "std_srvs", "rosgraph_msgs", "builtin_interfaces", *INTERFACES)
-# from the bottom up; a module imports those of its own layer and of the layers below. Ports know their wire layout, so
-# the bytes and types of messages stand below the blocks.
-LAYERS = (
-    ("softrig_core.errors", "softrig_core.guard", "softrig_core.timebase"),
-    ("softrig_core.wire",),
-    ("softrig_core.model",),
-    ("softrig_core.rig",),
-    ("softrig_core.node",),
-)
+# rooms from the ground up; a module imports those of its own room and of the rooms before it. Ports know their wire
+# layout, so the bytes and types of messages stand below the blocks.
+ROOMS = {
+    "softrig_core": (
+        "errors bits timebase guard interrupt needs extras command_line kit wire judge block solver scenario rig "
+        "verdict run processes analysis node.seam node.ros node.adapter node.lockstep node.realtime node.face node"
+    ),
+    "softrig_bringup": "folder terminal options page plots drawing report run study falsify view verbs cli __main__",
+}
+LAYERS = {f"{package}.{room}": k for package, rooms in ROOMS.items() for k, room in enumerate(rooms.split())}
 
 
 def imports(package):
@@ -52,17 +53,20 @@ def within(module, *prefixes):
 
 def layer(module):
     """The layer of a module: that of the longest name which it begins with."""
-    names = {name: k for k, names in enumerate(LAYERS) for name in names if within(module, name)}
-    return names[max(names, key=len)] if names else None
+    names = [name for name in LAYERS if within(module, name)]
+    return LAYERS[max(names, key=len)] if names else None
 
 
 def test_the_walls_see_imports():
-    assert any(within(t, "rclpy") for t in everything()["softrig_core"]["softrig_core.node.ros"])
-    assert "softrig_core.wire.types.TYPES" in everything()["softrig_core"]["softrig_core.model.port"]
-    assert "casadi" in everything()["softrig_core"]["softrig_core.model.compiled"]  # within a function
-    assert layer("softrig_core.wire.types.TYPES") == 1
-    assert layer("softrig_core.wire.signals") == 1
-    assert layer("softrig_core.model.codec") == 2
+    assert any(within(t, "rclpy") for t in everything()["softrig_core"]["softrig_core.node.ros.ros"])
+    assert "softrig_core.wire.types.TYPES" in everything()["softrig_core"]["softrig_core.block.port"]
+    assert "casadi" in everything()["softrig_core"]["softrig_core.kit.compiled"]  # within a function
+    assert (
+        layer("softrig_core.wire.signals")
+        < layer("softrig_core.block.codec")
+        < layer("softrig_core.solver.worker.Work")
+    )
+    assert layer("softrig_core.node.seam.tick") < layer("softrig_core.node.main")
 
 
 def test_only_the_nodes_know_the_middleware():
@@ -76,13 +80,26 @@ def test_only_the_nodes_know_the_middleware():
     assert breaches == []
 
 
-def test_the_core_is_built_in_layers():
+@pytest.mark.parametrize("package", ROOMS)
+def test_a_room_knows_those_below_it(package):
+    found = everything()[package]
+    assert [m for m in found if m != package and layer(m) is None] == []  # every module has its room
     breaches = [
         f"{module} imports {target}"
-        for module, targets in everything()["softrig_core"].items() for target in sorted(targets)
-        if layer(module) is not None and layer(target) is not None and layer(target) > layer(module)
+        for module, targets in found.items() for target in sorted(targets)
+        if within(target, package) and layer(module) is not None and layer(target) is not None
+        and layer(target) > layer(module)
     ]  # fmt: skip
     assert breaches == []
+
+
+def test_no_room_holds_more_than_a_person_takes_in_at_a_look():
+    crowded = {
+        str(folder.relative_to(PACKAGES)): count
+        for package in ROOMS for folder in [PACKAGES / package / package, *(PACKAGES / package / package).rglob("*/")]
+        if (count := len([f for f in folder.glob("*.py") if f.stem != "__init__"])) > 16
+    }  # fmt: skip
+    assert crowded == {}
 
 
 @pytest.mark.parametrize(

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from conftest import in_process, make_scenario
 from faultrig import COMMAND, REFERENCE, STATE, Gain, Lag, Source
-from softrig_core import Figure, Rig, Signals, Watch, WatchParams, run_inprocess
-from softrig_core.rig import measures
+from softrig_core import Figure, Rig, Signals, Watch, WatchParams, rig_of, run_inprocess
+from softrig_core.judge import measures
 
 X, U, R = "lag/state/x/position", "lag/command/u/effort", "lag/reference/x/position"
 
@@ -55,9 +55,7 @@ def test_nothing_seen_gives_no_figures_and_reset_forgets():
 
 
 def test_an_offline_reference_is_not_paired_with_the_output_at_the_end():
-    signals = Signals(
-        in_process(Rig.from_scenario(make_scenario({"plant": "plant", "source": "source", "gain": "gain"})))
-    )
+    signals = Signals(in_process(rig_of(make_scenario({"plant": "plant", "source": "source", "gain": "gain"}))))
     t, x = signals[X]
     when, r = signals[R]
     assert t.size == when.size + 1

@@ -17,8 +17,8 @@ from conftest import PATIENCE, make_scenario
 from hypothesis import given, settings, strategies as st
 from scipy import stats
 from scipy.optimize import differential_evolution, minimize_scalar
-from softrig_core import Level, ParameterError, Plant, Rig, ScenarioError, run_inprocess
-from softrig_core.model.worker import Worker, _Process
+from softrig_core import Level, ParameterError, Plant, ScenarioError, rig_of, run_inprocess
+from softrig_core.solver.worker import Worker, _Process
 from softrig_optim.algorithms import AlgorithmParams, make
 from softrig_optim.de import DifferentialEvolution
 from softrig_optim.firefly import Firefly
@@ -595,7 +595,7 @@ TRAPS = ("queue", "pickle", "socket", "runpy", "struct", "random", "tempfile", "
 @pytest.mark.parametrize("code", [
     "import os; from softrig_optim.sweep import sweep; assert sweep(abs, [-1, -2], workers=2) == [1, 2]; "
     "assert 'PYTHONSAFEPATH' not in os.environ",
-    "import faultrig; from softrig_core.model.worker import Worker; worker = Worker(faultrig.Planner.solve); "
+    "import faultrig; from softrig_core.solver.worker import Worker; worker = Worker(faultrig.Planner.solve); "
     "worker.submit((1, 0.0, 1.0, 0.0, '')); assert worker.wait(60.0) and worker.state == 'done', worker.error",
 ])  # fmt: skip
 def test_nothing_is_imported_from_the_current_directory(code, tmp_path):
@@ -637,7 +637,7 @@ def test_a_run_that_is_over_leaves_its_process_to_the_next():
         _Process.idle.pop().kill()
     nodes = {"plant": "plant", "source": {"executable": "source", "parameters": {"period": 0.1}}, "planner": "planner",
              "gain": {"executable": "gain", "remap": {"lag/reference": "lag/inner_reference"}}}  # fmt: skip
-    rig = Rig.from_scenario(make_scenario(nodes, 0.3))
+    rig = rig_of(make_scenario(nodes, 0.3))
     first = run_inprocess(rig, 0)["planner"]
     (left,) = _Process.idle
     second = run_inprocess(rig, 0)["planner"]

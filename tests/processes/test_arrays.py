@@ -10,10 +10,10 @@ from hypothesis import given, strategies as st
 from outside import script
 from rosbags.typesys import Stores, get_typestore
 from simulated import SimulatedRig, World
-from softrig_core import Block, Level, Recording, Refused, Rig, Signals, array, pose, run_processes
-from softrig_core.model.codec import Decoder, selection
-from softrig_core.rig.domain import free_domain
-from softrig_core.rig.executables import environment
+from softrig_core import Block, Level, Recording, Refused, Rig, Signals, array, pose, rig_of, run_processes
+from softrig_core.block.codec import Decoder, selection
+from softrig_core.processes.domain import free_domain
+from softrig_core.processes.executables import environment
 from softrig_core.wire.cdr import Layout, parse
 
 MATRIX = array("m", "matrix", {"row": 2, "column": 3}, "kg m^2")
@@ -189,7 +189,7 @@ def renumbered(data, number):
 
 @pytest.fixture
 def loop():
-    return Rig.from_scenario(make_scenario(ARRAYS, 0.3))
+    return rig_of(make_scenario(ARRAYS, 0.3))
 
 
 def numbers(recording, topic):
@@ -256,7 +256,7 @@ def test_a_lost_array_of_who_runs_ahead_is_named_by_the_next_one():
     nodes = {"plant": "plant", "spread": "spread", "gain": "gain", "source": "source",
              "watch": {"executable": "weigh", "remap": {"lag/command": "watch/command"}, "parameters": {"period": 0.1}},
              "peaks": "peaks"}  # fmt: skip
-    run = SimulatedRig(Rig.from_scenario(make_scenario(nodes, 0.5)), Meddler("lag/matrix", lost), "lockstep")
+    run = SimulatedRig(rig_of(make_scenario(nodes, 0.5)), Meddler("lag/matrix", lost), "lockstep")
     assert set(run.run().values()) == {"failed"}
     assert str(run.adapters["watch"].error) == "lag/matrix: number 6 from spread, expected 5 (1 lost)"
 
@@ -370,7 +370,7 @@ NUMBER = 'f"row; sequence {k}"'
 def with_outside_sender(label, twice, directory):
     """Run the rig with a plain rclpy node in place of the one that sends the matrix."""
     nodes = ARRAYS | {"spread": {"executable": "spread", "external": True}}
-    wired = Rig.from_scenario(make_scenario(nodes, 0.3, timeout=60.0))
+    wired = rig_of(make_scenario(nodes, 0.3, timeout=60.0))
     code, outside = OUTSIDE.replace("LABEL", label).replace("TWICE", str(twice)), []
     with free_domain() as domain:
 

@@ -9,16 +9,17 @@ import pytest
 from conftest import in_process, make_scenario
 from faultrig import COMMAND, STATE, Lag
 from simulated import _Sink
-from softrig_core import Block, Recording, Rig, Signals, command, load_scenario
-from softrig_core.node import exchange as exchange_module, ros
-from softrig_core.node.adapter import Adapter
-from softrig_core.node.contained import ContainedMiddleware
-from softrig_core.node.exchange import Exchange
-from softrig_core.node.garbage import CLEAN, UNCLEAN, YOUNG, Garbage
+from softrig_core import Block, Recording, Rig, Signals, command, load_scenario, rig_of
+from softrig_core.node.adapter.adapter import Adapter
 from softrig_core.node.group import Group
-from softrig_core.node.health import StatusFile
+from softrig_core.node.ros.contained import ContainedMiddleware
+from softrig_core.node.ros.garbage import CLEAN, UNCLEAN, YOUNG, Garbage
+from softrig_core.node.ros.ros import ros
+from softrig_core.node.seam import exchange as exchange_module
+from softrig_core.node.seam.exchange import Exchange
+from softrig_core.node.seam.health import StatusFile
+from softrig_core.processes.spawning import node_parameters
 from softrig_core.rig.options import RunOptions
-from softrig_core.rig.starting import node_parameters
 
 SECOND = 1_000_000_000
 
@@ -104,7 +105,7 @@ class Contained:
 
 
 def shortened(name, duration):
-    return Rig.from_scenario(load_scenario(name).changed(duration=duration))
+    return rig_of(load_scenario(name).changed(duration=duration))
 
 
 @pytest.mark.parametrize(("name", "duration"), [
@@ -231,7 +232,7 @@ def test_of_two_writers_none_is_believed_until_one_has_gone(monkeypatch):
 
 
 def test_a_message_that_fails_is_answered_by_what_was_said_and_its_neighbours_are_used(monkeypatch):
-    rig = Rig.from_scenario(make_scenario({"plant": "plant", "source": "source", "gain": "gain"}, 1.0))
+    rig = rig_of(make_scenario({"plant": "plant", "source": "source", "gain": "gain"}, 1.0))
     run = Contained(rig, monkeypatch)
     run.run(run.epoch + SECOND // 10)
     gain = run.adapters["gain"]

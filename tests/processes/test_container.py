@@ -14,12 +14,12 @@ from pathlib import Path
 import pytest
 from conftest import PATIENCE, PRESS, differences, fork, in_process, make_scenario, no_process_left, until
 from outside import script
-from softrig_core import Recording, Rig, Signals, list_scenarios, load_scenario, run_processes
-from softrig_core.node.exchange import BURST, Exchange
-from softrig_core.node.profile import PROPERTY, VARIABLE, exclusive, with_property
-from softrig_core.rig.domain import free_domain
-from softrig_core.rig.executables import environment, find_executable
-from softrig_core.rig.start_server import start_node
+from softrig_core import Recording, Signals, list_scenarios, rig_of, run_processes
+from softrig_core.node.ros.profile import PROPERTY, VARIABLE, exclusive, with_property
+from softrig_core.node.seam.exchange import BURST, Exchange
+from softrig_core.processes.domain import free_domain
+from softrig_core.processes.executables import environment, find_executable
+from softrig_core.processes.fork_server import start_node
 from test_processes import BASIC, OUTSIDE, RIGS, params, rig
 
 pytestmark = pytest.mark.processes
@@ -40,10 +40,10 @@ def run(wired, directory, seed=0, groups=None, **keys):
 
 def short(name, ticks):
     """A scenario for so many ticks, and three of its slowest node."""
-    whole = Rig.from_scenario(load_scenario(name))
+    whole = rig_of(name)
     slowest = max(m.schedule.period for m in whole.members)
     least = max(ticks * whole.clock.schedule.period, 3 * slowest)
-    return whole.changed(duration=min(whole.scenario.duration, float(least)))
+    return rig_of(whole, duration=min(whole.scenario.duration, float(least)))
 
 
 def equal_to_in_process(wired, outcome, seed=0):

@@ -11,16 +11,16 @@ from pathlib import Path
 
 import pytest
 from conftest import PATIENCE, make_scenario, no_process_left, processes_of, until
-from softrig_core import Rig, run_inprocess, run_processes
-from softrig_core.node import health
-from softrig_core.rig import starting
-from softrig_core.rig.children import read_status
-from softrig_core.rig.domain import free_domain
-from softrig_core.rig.executables import environment, find_executable
-from softrig_core.rig.shared_memory import MADE, remove_leftovers
-from softrig_core.rig.start_server import start_node
-from softrig_core.rig.starting import node_parameters, parameter_file
-from softrig_core.rig.stopping import Stopped, stoppable
+from softrig_core import rig_of, run_inprocess, run_processes
+from softrig_core.node.seam import health
+from softrig_core.processes import spawning
+from softrig_core.processes.children import read_status
+from softrig_core.processes.domain import free_domain
+from softrig_core.processes.executables import environment, find_executable
+from softrig_core.processes.fork_server import start_node
+from softrig_core.processes.shared_memory import MADE, remove_leftovers
+from softrig_core.processes.spawning import node_parameters, parameter_file
+from softrig_core.processes.stopping import Stopped, stoppable
 
 BASIC = {"plant": "plant", "source": "source", "gain": "gain"}
 
@@ -57,7 +57,7 @@ def test_a_signal_that_strikes_where_python_swallows_it_still_stops():
 
 
 def test_a_run_in_process_can_be_stopped():
-    rig = Rig.from_scenario(make_scenario(BASIC, 10.0))
+    rig = rig_of(make_scenario(BASIC, 10.0))
     with pytest.raises(Stopped), stoppable():
         run_inprocess(rig, 0, None, lambda t: os.kill(os.getpid(), signal.SIGHUP))
 
@@ -145,7 +145,7 @@ def test_nobody_takes_a_port_while_it_is_removed(tmp_path, monkeypatch):
 @pytest.mark.processes
 @pytest.mark.parametrize("mode", ["lockstep", "realtime"])
 def test_an_interrupted_run_gives_what_it_has(mode, tmp_path):
-    rig = Rig.from_scenario(make_scenario(BASIC, 1e4))
+    rig = rig_of(make_scenario(BASIC, 1e4))
 
     def progress(t):
         if t > 100_000_000:
@@ -170,9 +170,9 @@ def test_a_signal_during_the_fork_of_a_node_stops_the_run_without_a_trace(forked
         open_ = os.pidfd_open
         monkeypatch.setattr(os, "pidfd_open", lambda pid: strike() or open_(pid))
     else:
-        monkeypatch.setattr(starting, "start_node", lambda *_: None)
+        monkeypatch.setattr(spawning, "start_node", lambda *_: None)
         os.register_at_fork(after_in_parent=strike)  # a trace is an error
-    outcome = run_processes(Rig.from_scenario(make_scenario(BASIC, 1e4)), 0, tmp_path)
+    outcome = run_processes(rig_of(make_scenario(BASIC, 1e4)), 0, tmp_path)
     assert (outcome.error, outcome.stopped) == ("", signal.SIGINT)
     assert no_process_left(tmp_path)
 
@@ -180,7 +180,7 @@ def test_a_signal_during_the_fork_of_a_node_stops_the_run_without_a_trace(forked
 @pytest.mark.processes
 @pytest.mark.parametrize("containers", [(), [("plant", "source", "gain")]])
 def test_nodes_whose_processes_are_held_end_the_run_by_name(containers, tmp_path):
-    rig = Rig.from_scenario(make_scenario(BASIC, 1e4, timeout=2.0))
+    rig = rig_of(make_scenario(BASIC, 1e4, timeout=2.0))
 
     def progress(t):
         if t > 100_000_000:
@@ -225,7 +225,7 @@ def test_a_stopped_run_has_bag_and_metrics_and_its_status(number, status, tmp_pa
 @pytest.mark.parametrize("mode", ["lockstep", "realtime"])
 def test_ctrl_c_once_or_twice_is_a_clean_end_of_every_node(mode, tmp_path):
     """As a launch sends it, and `timeout -s INT`, which sends it to the group as well."""
-    rig = Rig.from_scenario(make_scenario(BASIC, 1e4))
+    rig = rig_of(make_scenario(BASIC, 1e4))
     with free_domain() as domain:
         running = []
         for member in rig.members:

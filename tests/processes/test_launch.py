@@ -9,10 +9,10 @@ from conftest import differences, in_process, until
 from launching import launch, nodes_of
 from softrig_bags.read import read_bag
 from softrig_bringup.cli import main
-from softrig_core import Rig, ScenarioError, load_scenario
+from softrig_core import ScenarioError, load_scenario, rig_of
 from softrig_core.node.container import split
-from softrig_core.rig.domain import free_domain
-from softrig_core.rig.executables import environment, find_executable
+from softrig_core.processes.domain import free_domain
+from softrig_core.processes.executables import environment, find_executable
 from softrig_core.wire.recording import relative
 from test_outside import SYSTEMS, short
 
@@ -189,7 +189,7 @@ def test_a_launched_rig_waits_for_a_recorder_that_asks_for_it(topics, lag, tmp_p
     assert status == 0, said
     assert recorder.returncode == 0, told
     assert "none lost" in told
-    rig = Rig.from_scenario(load_scenario("lag"))
+    rig = rig_of("lag")
     whole = in_process(rig)
     bag = read_bag(tmp_path / "bag")
     for name in map(relative, topics or [name for name, topic in whole.topics.items() if topic.times]):

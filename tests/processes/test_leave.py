@@ -8,7 +8,7 @@ from conftest import PATIENCE
 
 STUCK = """
 import ctypes
-from softrig_core.node.leave import leave
+from softrig_core.node.ros.leave import leave
 
 class Node:
     executor = None

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 from conftest import in_process
-from softrig_core import Rig, Signals, load_scenario, run_processes
-from softrig_core.node.tick import TICK
-from softrig_core.rig.domain import free_domain
-from softrig_core.rig.executables import environment
+from softrig_core import Signals, rig_of, run_processes
+from softrig_core.node.seam.tick import TICK
+from softrig_core.processes.domain import free_domain
+from softrig_core.processes.executables import environment
 from softrig_core.rig.rig import CLOCK_NODE
 
 pytestmark = pytest.mark.processes
@@ -25,10 +25,10 @@ CLOCK = {"topic": "/clock", "type": "rosgraph_msgs/msg/Clock"}
 
 def short(name):
     """A scenario over some ticks of its slowest node."""
-    rig = Rig.from_scenario(load_scenario(name))
+    rig = rig_of(name)
     slowest = max(m.schedule.period for m in rig.members)
     duration = min(rig.scenario.duration, float(max(60 * rig.clock.schedule.period, 3 * slowest)))
-    return Rig.from_scenario(rig.scenario.changed(duration=duration))
+    return rig_of(rig.scenario.changed(duration=duration))
 
 
 def relay(rig, member, expected, reads, names, realtime=False):
@@ -71,7 +71,7 @@ def with_outside(rig, names, directory, seed=0, realtime=False):
         about.write_text(json.dumps(relay(rig, member, expected, reads, names, realtime)))
         commands.append([sys.executable, str(Path(__file__).parents[1] / "relay.py"), str(about)])
     nodes = {n: e.model_copy(update={"external": True} if n in names else {}) for n, e in rig.scenario.nodes.items()}
-    ours = Rig.from_scenario(rig.scenario.model_copy(update={"nodes": nodes, "timeout": 60.0}))
+    ours = rig_of(rig.scenario.model_copy(update={"nodes": nodes, "timeout": 60.0}))
     outside = []
     with free_domain() as domain:
 

@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 from conftest import PATIENCE, PRESS, differences, fork, in_process, make_scenario, no_process_left, until
 from outside import script
-from softrig_core import Rig, ScenarioError, Signals, run_processes
-from softrig_core.rig import children
-from softrig_core.rig.domain import free_domain
-from softrig_core.rig.executables import environment, find_executable
+from softrig_core import ScenarioError, Signals, rig_of, run_processes
+from softrig_core.processes import children
+from softrig_core.processes.domain import free_domain
+from softrig_core.processes.executables import environment, find_executable
 
 pytestmark = pytest.mark.processes
 
@@ -24,7 +24,7 @@ BASIC = {"plant": "plant", "source": "source", "gain": "gain"}
 
 
 def rig(nodes, duration=1.0, **keys):
-    return Rig.from_scenario(make_scenario(nodes, duration, **keys))
+    return rig_of(make_scenario(nodes, duration, **keys))
 
 
 def params(executable, **parameters):
@@ -224,9 +224,9 @@ def test_ctrl_c_stops_all_nodes(tmp_path):
         import sys; sys.path.insert(0, {str(Path(__file__).parents[1])!r})
         from conftest import make_scenario
         from softrig_core.rig.rig import Rig
-        from softrig_core.rig.processes import run_processes
+        from softrig_core.processes.processes import run_processes
         from pathlib import Path
-        wired = Rig.from_scenario(make_scenario({BASIC!r}, 1e5))
+        wired = rig_of(make_scenario({BASIC!r}, 1e5))
         run_processes(wired, 0, Path({str(tmp_path)!r}), progress=lambda t: print(t, flush=True))
     """)
     process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True, start_new_session=True)
@@ -242,9 +242,9 @@ def test_nodes_die_with_a_killed_runner(tmp_path):
         import sys; sys.path.insert(0, {str(Path(__file__).parents[1])!r})
         from conftest import make_scenario
         from softrig_core.rig.rig import Rig
-        from softrig_core.rig.processes import run_processes
+        from softrig_core.processes.processes import run_processes
         from pathlib import Path
-        wired = Rig.from_scenario(make_scenario({BASIC!r}, 1e5))
+        wired = rig_of(make_scenario({BASIC!r}, 1e5))
         run_processes(wired, 0, Path({str(tmp_path)!r}), progress=lambda t: print(t, flush=True))
     """)
     process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)

@@ -12,10 +12,10 @@ from outside import script
 from rcl_interfaces.msg import ParameterType
 from softrig_bags.read import read_bag
 from softrig_bags.write import write_bag
-from softrig_core import Rig, load_scenario
-from softrig_core.model.params import flatten
-from softrig_core.rig.domain import free_domain
-from softrig_core.rig.executables import find_executable
+from softrig_core import load_scenario, rig_of
+from softrig_core.block.params import flatten
+from softrig_core.processes.domain import free_domain
+from softrig_core.processes.executables import find_executable
 
 pytestmark = pytest.mark.processes
 
@@ -117,7 +117,7 @@ def test_a_replay_into_one_node_sets_what_the_bag_has_changed(tmp_path):
     entries = [{"at": 0.05, "set": {"dc_motor_smc.k": 60.0}},
                {"at": 0.1011, "set": {"dc_motor_smc.delta": 0.5, "dc_motor_smc.c": 6.0}}]  # fmt: skip
     scenario = load_scenario("dc_motor_smc_b2").changed(duration=0.3)
-    rig = Rig.from_scenario(type(scenario).model_validate({**dict(scenario), "changes": entries}))
+    rig = rig_of(type(scenario).model_validate({**dict(scenario), "changes": entries}))
     recording = in_process(rig)
     write_bag(tmp_path / "bag", recording)
     law = next(m for m in rig.members if m.name == "dc_motor_smc")

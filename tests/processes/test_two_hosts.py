@@ -13,7 +13,7 @@ from conftest import PATIENCE, differences, in_process
 from softrig_bags.read import read_bag
 from softrig_bags.repair import repair
 from softrig_bringup.cli import main
-from softrig_core.rig.domain import free_domain
+from softrig_core.processes.domain import free_domain
 from test_processes import BASIC, rig
 
 pytestmark = pytest.mark.processes

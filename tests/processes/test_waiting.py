@@ -11,11 +11,11 @@ from faultrig import COMMAND, Gain
 from rclpy._rclpy_pybind11 import RCLError
 from simulated import Discovery, SimulatedNode, SimulatedRig, World
 from simulated_outside import SimulatedOutside
-from softrig_core import Rig
-from softrig_core.node.adapter import Adapter
+from softrig_core import rig_of
+from softrig_core.node.adapter.adapter import Adapter
 from softrig_core.node.group import Group
-from softrig_core.node.ros import RosMiddleware, quiet_after_shutdown
-from softrig_core.rig.guests import Guests
+from softrig_core.node.ros.ros import RosMiddleware, quiet_after_shutdown
+from softrig_core.processes.guests import Guests
 from softrig_core.rig.options import RunOptions
 from test_discovery import KINDS, rig_and_record, with_guests
 
@@ -98,7 +98,7 @@ def test_a_topic_of_an_outside_node_is_not_remapped_by_who_looks_for_it():
     elsewhere = {"lag/command": "other/command"}
     nodes |= {"other": nodes["gain"] | {"external": False, "remap": elsewhere},
               "watcher": nodes["gain"] | {"external": False, "executable": "watcher", "remap": elsewhere}}  # fmt: skip
-    run = SimulatedRig(Rig.from_scenario(make_scenario(nodes)), World(), "lockstep", start_timeout=0.0)
+    run = SimulatedRig(rig_of(make_scenario(nodes)), World(), "lockstep", start_timeout=0.0)
     run.run(100.0)
     assert {a.state for a in run.adapters.values()} == {"starting"}
     assert {tuple(a.lacking) for a in run.adapters.values()} == {("lag/command",)}
@@ -131,7 +131,7 @@ def test_a_node_by_hand_does_not_take_a_stamp_from_the_future_for_the_beginning(
 def test_a_system_clock_that_jumps_decides_nothing_in_lockstep(monkeypatch):
     rng = random.Random(0)
     monkeypatch.setattr(SimulatedNode, "now", lambda self: self.world.now + rng.randrange(-HOUR, HOUR))
-    rig = Rig.from_scenario(make_scenario({"plant": "plant", "source": "source", "gain": "gain"}, 0.2))
+    rig = rig_of(make_scenario({"plant": "plant", "source": "source", "gain": "gain"}, 0.2))
     run = SimulatedRig(rig, World(), "lockstep")
     assert set(run.run().values()) == {"done"}
     assert differences(in_process(rig), run.recording) == []

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 from softrig_core import simulate, to_ns
-from softrig_core.model.params import build
+from softrig_core.block.params import build
 from softrig_drives.dc_axis.plant import DcAxisPlant
 from softrig_drives.dc_motor.plant import DcMotorPlant
 from softrig_drives.induction_dtc.plant import ImPlant

@@ -11,15 +11,15 @@ from scipy.optimize import brentq
 from softrig_core import (
     Level,
     ParameterError,
-    Rig,
     Sample,
     ScenarioError,
     Signals,
     evaluate,
     list_scenarios,
     load_scenario,
+    rig_of,
 )
-from softrig_core.rig import measures
+from softrig_core.judge import measures
 from softrig_drives.dc_axis.buttons import StepButtons
 from softrig_drives.dc_axis.controller import FsfbController, design
 from softrig_drives.dc_axis.plant import DcAxisPlant
@@ -36,7 +36,7 @@ AXIS_SCENARIOS = [n for n in list_scenarios() if n.startswith("dc_motor_fsfb")]
 
 @functools.cache
 def run(name, overrides=(), seed=0):
-    return Signals(in_process(Rig.from_scenario(load_scenario(name, dict(overrides))), seed))
+    return Signals(in_process(rig_of(load_scenario(name, dict(overrides))), seed))
 
 
 def axis(name="dc_motor_fsfb", seed=0, **overrides):
@@ -76,7 +76,7 @@ def unsettled(signals, step):
 
 @pytest.mark.parametrize("name", AXIS_SCENARIOS)
 def test_every_scenario_meets_its_figures(name):
-    results = evaluate(Rig.from_scenario(load_scenario(name)), run(name))
+    results = evaluate(rig_of(name), run(name))
     assert any(r.judged for r in results)
     assert [r for r in results if not r.passed] == []
 
@@ -395,7 +395,7 @@ def test_friction_step_size(monkeypatch):
     coarse = {n: run(n) for n in ("dc_motor_fsfb_s8", "dc_motor_fsfb_s8_40mm")}
     monkeypatch.setattr("softrig_drives.dc_axis.plant.SUBSTEP", 0.5e-3)
     for name, signals in coarse.items():
-        fine = Signals(in_process(Rig.from_scenario(load_scenario(name))))
+        fine = Signals(in_process(rig_of(name)))
         step = signals[SET_POINT].x[-1]
         assert overshoot(fine, step) == pytest.approx(overshoot(signals, step), abs=0.2)
         swings = [measures.peak_to_peak(s, Y, start=8.0) for s in (fine, signals)]
@@ -468,7 +468,7 @@ def test_reference_topic_moves_the_axis():
                              "times": [0.0, 1.0]}}  # fmt: skip
     nodes = {n: e.model_dump() for n, e in base.nodes.items() if n != "step_buttons"} | {"source": source}
     scenario = type(base).model_validate(base.model_dump() | {"nodes": nodes, "duration": 9.0})
-    signals = Signals(in_process(Rig.from_scenario(scenario)))
+    signals = Signals(in_process(rig_of(scenario)))
     assert (signals[Y].x[100:] == run("dc_motor_fsfb")[Y].x).all()
     assert not signals[Y].x[:100].any()
 
@@ -637,4 +637,4 @@ def test_bad_parameters_are_refused(block, parameters, text):
 
 def test_an_unstable_design_is_refused_before_a_run_naming_node_and_poles():
     with pytest.raises(ScenarioError, match=r"node fsfb_controller: .*not stable: pole .* among .* 1/s"):
-        Rig.from_scenario(load_scenario("dc_motor_fsfb", {"fsfb_controller.kp": -1.0}))
+        rig_of(load_scenario("dc_motor_fsfb", {"fsfb_controller.kp": -1.0}))

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from conftest import differences, in_process
 from outside import go, outside
-from softrig_core import Rig, Signals, load_scenario, run_processes
-from softrig_core.rig import measures
+from softrig_core import Signals, load_scenario, rig_of, run_processes
+from softrig_core.judge import measures
 
 pytestmark = pytest.mark.processes
 
@@ -20,7 +20,7 @@ SET_POINT = "axis/controller_state/set_point/position"
        for n in ("", "_s1_none", "_s1_velocity", "_s2", "_s3"))],
 )  # fmt: skip
 def test_processes_equal_in_process_bit_for_bit(name, tmp_path):
-    rig = Rig.from_scenario(load_scenario(name))
+    rig = rig_of(name)
     outcome = run_processes(rig, 3, tmp_path)
     assert outcome.error == ""
     assert differences(in_process(rig, 3), outcome.recording) == []
@@ -31,7 +31,7 @@ def test_processes_equal_in_process_bit_for_bit(name, tmp_path):
 def test_real_time_reaches_the_same_result_with_the_delay_read_from_the_stamps(tmp_path):
     """Missed periods of a busy host may move the figures; delay, end and absence of a large overshoot may not move."""
     long_press = {"step_buttons.forward": [1.0], "step_buttons.hold": 3.0}  # seen also by a node that starts late
-    rig = Rig.from_scenario(load_scenario("dc_motor_fsfb", long_press)).changed(duration=5.0)
+    rig = rig_of(load_scenario("dc_motor_fsfb", long_press), duration=5.0)
     outcome = run_processes(rig, 0, tmp_path, mode="realtime")
     assert outcome.error == ""
     signals = Signals(outcome.recording, outcome.epoch)

@@ -14,11 +14,11 @@ from softrig_control.sliding_mode import switching
 from softrig_core import (
     Level,
     ParameterError,
-    Rig,
     Signals,
     evaluate,
     list_scenarios,
     load_scenario,
+    rig_of,
     run_processes,
 )
 from softrig_drives.dc_motor.kalman_surface import DcMotorSmcKalman
@@ -93,7 +93,7 @@ LOADED = {
 
 @functools.cache
 def run(name, **overrides):
-    rig = Rig.from_scenario(load_scenario(name, {k.replace("__", "."): v for k, v in overrides.items()}))
+    rig = rig_of(load_scenario(name, {k.replace("__", "."): v for k, v in overrides.items()}))
     return rig, Signals(in_process(rig))
 
 
@@ -342,7 +342,7 @@ def test_a_refused_reference_gives_the_surface_too():
     "name", ["dc_motor_smc_b4", pytest.param("dc_motor_smc_stretch_b", marks=pytest.mark.long)]
 )
 def test_processes_give_the_same_bits(name, tmp_path):
-    rig = Rig.from_scenario(load_scenario(name).model_copy(update={"duration": 1.0}))
+    rig = rig_of(load_scenario(name).model_copy(update={"duration": 1.0}))
     outcome = run_processes(rig, 3, tmp_path)
     assert outcome.error == ""
     assert differences(in_process(rig, 3), outcome.recording) == []

@@ -5,7 +5,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from conftest import differences, in_process
-from softrig_core import Level, ParameterError, Rig, list_scenarios, load_scenario, run_processes, simulate
+from softrig_core import Level, ParameterError, list_scenarios, load_scenario, rig_of, run_processes, simulate
 from softrig_power.dispatch.baselines import lambda_iteration, swarm, without_ripples
 from softrig_power.dispatch.branch import branch_and_bound, chord_excess
 from softrig_power.dispatch.certify import InfeasibleError, Optimiser, lowering
@@ -463,5 +463,5 @@ def test_the_fleet_follows_within_limits_and_ramp():
 @pytest.mark.processes
 def test_following_through_processes_gives_the_bytes_of_in_process(tmp_path):
     """The loop waits for the solver's other process at each new demand."""
-    rig = Rig.from_scenario(load_scenario("economic_dispatch_e2").model_copy(update={"duration": 4.0}))
+    rig = rig_of(load_scenario("economic_dispatch_e2").model_copy(update={"duration": 4.0}))
     assert not differences(in_process(rig), run_processes(rig, 0, tmp_path).recording)

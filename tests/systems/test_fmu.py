@@ -10,8 +10,17 @@ from pathlib import Path
 import pytest
 from conftest import differences, in_process, make_scenario, no_process_left
 from simulated import SimulatedRig, World
-from softrig_core import ParameterError, Rig, RunError, ScenarioError, Signals, load_scenario, run_processes, simulate
-from softrig_core.model.change import check
+from softrig_core import (
+    ParameterError,
+    RunError,
+    ScenarioError,
+    Signals,
+    load_scenario,
+    rig_of,
+    run_processes,
+    simulate,
+)
+from softrig_core.block.change import check
 from softrig_drives.dc_motor.plant import DcMotorPlant
 
 pytest.importorskip("fmpy")
@@ -309,7 +318,7 @@ def test_a_run_says_which_fmu_it_had(page, tmp_path):
 
 @pytest.mark.parametrize("name", ["plant", "law"])
 def test_real_time_gives_the_numbers_of_lockstep(page, name):
-    wired = Rig.from_scenario(load_scenario(str(page / f"{name}.yaml"))).changed(duration=0.2)
+    wired = rig_of(load_scenario(str(page / f"{name}.yaml")), duration=0.2)
     rng = random.Random(1)
     run = SimulatedRig(wired, World(lambda *_: rng.randrange(1_000, 200_000)), "realtime")
     assert set(run.run().values()) == {"done"}
@@ -325,7 +334,7 @@ def test_real_time_gives_the_numbers_of_lockstep(page, name):
 @pytest.mark.processes
 def test_nodes_and_a_container_give_the_bytes_of_the_run_in_process(page, tmp_path):
     for name in ("plant", "law"):
-        wired = Rig.from_scenario(load_scenario(str(page / f"{name}.yaml"))).changed(duration=0.2)
+        wired = rig_of(load_scenario(str(page / f"{name}.yaml")), duration=0.2)
         expected = in_process(wired)
         for groups in ([], [[m.name for m in wired.members]]):
             outcome = run_processes(wired, 0, tmp_path / f"{name}{len(groups)}", containers=groups)
@@ -337,7 +346,7 @@ def test_nodes_and_a_container_give_the_bytes_of_the_run_in_process(page, tmp_pa
 def test_a_crash_ends_a_run_by_name_and_the_bag_stays(page, tmp_path):
     text = (page / "plant.yaml").read_text().replace("R = 0.5", "fault = 1")
     (page / "plant.yaml").write_text(text)
-    wired = Rig.from_scenario(load_scenario(str(page / "plant.yaml")))
+    wired = rig_of(load_scenario(str(page / "plant.yaml")))
     outcome = run_processes(wired, 0, tmp_path / "out", containers=[[m.name for m in wired.members]])
     crash = "motor_plant: the FMU motor2.fmu at 0.5 s of its time: crashed: its process was killed by SIGSEGV"
     assert crash in outcome.error

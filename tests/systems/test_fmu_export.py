@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from ruamel.yaml import YAML
 from softrig_bringup.cli import main
-from softrig_core import Rig, RunError, ScenarioError, load_scenario, simulate
+from softrig_core import RunError, ScenarioError, load_scenario, rig_of, simulate
 from softrig_drives.dc_motor.plant import DcMotorPlant
 
 fmpy = pytest.importorskip("fmpy")
@@ -67,7 +67,7 @@ def test_the_description_has_names_units_bounds_and_texts(exported):
 
 def through_fmus(scenario, nodes, folder):
     """A scenario file in which some nodes are replaced by their exports."""
-    rig = Rig.from_scenario(scenario)
+    rig = rig_of(scenario)
     entries = {}
     for member in (m for m in rig.members if m.name in nodes):
         given = {"period": member.params.period, "fmu": str(export(rig, member.name, folder)), "vectors": [],
@@ -129,6 +129,6 @@ def test_what_it_cannot_do_is_told_by_name(exported, tmp_path):
         motor(exported).advance(0, u=(2e7,))
     with pytest.raises(RunError, match="parameter L = 0"):
         motor(exported, values=("L = 0",)).advance(0, u=(5.0,))
-    rig = Rig.from_scenario(load_scenario("dc_motor_smc"))
+    rig = rig_of("dc_motor_smc")
     with pytest.raises(ScenarioError, match=r"has no node 'dc_motor_plan' \(did you mean 'dc_motor_plant'\?\)"):
         export(rig, "dc_motor_plan", tmp_path)

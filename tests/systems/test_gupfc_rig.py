@@ -16,9 +16,9 @@ from scipy.sparse import lil_matrix
 from scipy.sparse.linalg import spsolve
 from softrig_control.filters import SecondOrderFilter
 from softrig_control.phase_locked_loop import PhaseLockedLoop, PllParams
-from softrig_core import Level, ParameterError, Rig, Signals, load_scenario, rig_of, run_processes, simulate
-from softrig_core.rig.domain import free_domain
-from softrig_core.rig.executables import environment
+from softrig_core import Level, ParameterError, Signals, load_scenario, rig_of, run_processes, simulate
+from softrig_core.processes.domain import free_domain
+from softrig_core.processes.executables import environment
 from softrig_power.gupfc import circuit as steps
 from softrig_power.gupfc.figures import cycles
 from softrig_power.gupfc.network import BUSES, Network, NetworkParams
@@ -669,7 +669,7 @@ def test_a_plain_node_takes_the_place_of_a_series_controller(tmp_path):
     nodes = scenario.nodes | {
         "series_controller_2": scenario.nodes["series_controller_2"].model_copy(update={"external": True})
     }
-    wired = Rig.from_scenario(scenario.model_copy(update={"duration": 0.1, "nodes": nodes}))
+    wired = rig_of(scenario.model_copy(update={"duration": 0.1, "nodes": nodes}))
     script = tmp_path / "plain.py"
     script.write_text(PLAIN)
     outside = []

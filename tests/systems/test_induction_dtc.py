@@ -10,12 +10,11 @@ from hypothesis import given, strategies as st
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 from softrig_bringup.plots import figures as plots
-from softrig_bringup.run import checked, execute
+from softrig_bringup.run.run import checked, execute
 from softrig_core import (
     Level,
     ParameterError,
     Refused,
-    Rig,
     Scenario,
     ScenarioError,
     Signals,
@@ -26,8 +25,8 @@ from softrig_core import (
     run_inprocess,
     simulate,
 )
-from softrig_core.model import compiled
-from softrig_core.model.codec import Decoder
+from softrig_core.block.codec import Decoder
+from softrig_core.kit import compiled
 from softrig_core.wire.cdr import Layout
 from softrig_drives.induction_dtc.adc import AdcParams, Converter
 from softrig_drives.induction_dtc.dtc import DtcController
@@ -83,7 +82,7 @@ ACCEPTANCE = {
 
 
 def recorded(scenario):
-    return Signals(in_process(Rig.from_scenario(scenario), scenario.seed))
+    return Signals(in_process(rig_of(scenario), scenario.seed))
 
 
 # runs of 10 s, and those that differ from others in a number; ideal, truncating and dithered converters are daily
@@ -101,7 +100,7 @@ LATER = ("e1", "e2", "e2_3_lsb", "s1", "s4", "s5", "s6_offset", "s7", "s8_half",
 )
 def test_scenario_meets_its_numbers(name):
     scenario = load_scenario(name)
-    rows = {row.name: row for row in evaluate(Rig.from_scenario(scenario), recorded(scenario))}
+    rows = {row.name: row for row in evaluate(rig_of(scenario), recorded(scenario))}
     for metric, (expected, tolerance) in ACCEPTANCE.get(name, {}).items():
         value = rows[metric].value
         if expected is None:
@@ -118,7 +117,7 @@ def end_errors(name, runs):
     errors = []
     for seed, load in runs:
         loaded = source.model_copy(update={"parameters": source.parameters | {"values": [0.0, load]}})
-        rig = Rig.from_scenario(scenario.model_copy(update={"nodes": scenario.nodes | {"load_source": loaded}}))
+        rig = rig_of(scenario.model_copy(update={"nodes": scenario.nodes | {"load_source": loaded}}))
         errors.append(run_inprocess(rig, seed)["flux_monitor"].status()["flux_error"][0])
     return np.array(errors)
 
@@ -223,7 +222,7 @@ def test_electrical_part_at_standstill_is_the_matrix_exponential():
 
 
 def test_virtual_machine_gives_the_same_bits_as_compiled_code(monkeypatch):
-    rig = rig_of("induction_dtc").changed(duration=0.3)
+    rig = rig_of("induction_dtc", duration=0.3)
     native = run_inprocess(rig, 1)["im_plant"]
     monkeypatch.setattr(compiled, "build", lambda function: None)
     assert run_inprocess(rig, 1)["im_plant"].state == native.state
@@ -347,7 +346,7 @@ def test_controller_starts_by_magnetising():
 def test_controller_reproduces_its_record():
     scenario = load_scenario("induction_dtc_short")
     signals = recorded(scenario)
-    params = next(m.params for m in Rig.from_scenario(scenario).members if m.name == "dtc_controller")
+    params = next(m.params for m in rig_of(scenario).members if m.name == "dtc_controller")
     controller = DtcController(params, "another name")
     currents = np.column_stack([signals[f"currents_meas/{c}"].x for c in "xyz"]).tolist()
     torque_ref = signals["torque_ref/shaft/effort"].x.tolist()
@@ -408,7 +407,7 @@ def test_monitor_agrees_with_the_recording():
 def test_flux_error_is_drawn_as_a_difference(monkeypatch, tmp_path):
     scenario = load_scenario("induction_dtc_short", {"im_plant.adc_mode": "offset"})
     entry = next(p for p in load_scenario("induction_dtc").plots if p.title == "Flux error")
-    rig = Rig.from_scenario(scenario.model_copy(update={"plots": (entry,)}))
+    rig = rig_of(scenario.model_copy(update={"plots": (entry,)}))
     signals = Signals(in_process(rig, 1))
     figures = []
     monkeypatch.setattr(plots, "save_figure", lambda figure, *_: figures.append(figure))
@@ -454,7 +453,7 @@ def test_bad_parameter_is_named(block, values, text):
 
 def test_periods_that_do_not_fit_are_refused():
     with pytest.raises(ScenarioError, match=r"speed_controller: period 0\.00103 s is not a multiple"):
-        Rig.from_scenario(load_scenario("induction_dtc", {"speed_controller.period": 0.00103}))
+        rig_of(load_scenario("induction_dtc", {"speed_controller.period": 0.00103}))
 
 
 def test_seed_is_a_whole_number():
@@ -525,7 +524,7 @@ def test_lost_flux_warns():
     signals_of = load_scenario(
         "induction_dtc_s0", {"speed_source.velocities": [0.0, 0.0], "load_source.values": [0, 0]}
     )
-    blocks = run_inprocess(Rig.from_scenario(signals_of), 0)
+    blocks = run_inprocess(rig_of(signals_of), 0)
     assert blocks["dtc_controller"].reports["flux_lost"][0] == Level.WARN
     assert abs(complex(*blocks["im_plant"].state[:2])) < 0.09
 
@@ -536,7 +535,7 @@ def test_the_same_bits_over_topics(tmp_path):
     scenario = load_scenario("induction_dtc_short")
     run = execute(checked(scenario), "processes", tmp_path)
     assert run.error == ""
-    assert differences(in_process(Rig.from_scenario(scenario), scenario.seed), run.recording) == []
+    assert differences(in_process(rig_of(scenario), scenario.seed), run.recording) == []
 
 
 def test_a_refused_current_holds_the_switches_and_the_flux_is_integrated_all_the_same():

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from conftest import differences, in_process
 from simulated import SimulatedRig, World
-from softrig_core import ParameterError, Rig, Signals, feed, load_scenario
-from softrig_core.model.change import Change, changeable, check
-from softrig_core.model.params import flatten
-from softrig_core.model.step import Step
+from softrig_core import ParameterError, Signals, feed, load_scenario, rig_of
+from softrig_core.block.change import Change, changeable, check
+from softrig_core.block.params import flatten
+from softrig_core.block.step import Step
 
 CASES = {  # scenario: duration, time of the change; what is there to change must have begun
     "dc_motor_smc_b5_pid": (0.3, 0.1), "dc_motor_smc_stretch_b_delta2": (0.3, 0.1), "dc_motor_smc_faults": (0.3, 0.1),
@@ -36,7 +36,7 @@ EVERY = [*CASES, *(pytest.param(name, marks=pytest.mark.long) for name in MORE)]
 @functools.cache
 def run_of(name, overrides="{}"):
     """The rig of a case, and its run without a change."""
-    rig = Rig.from_scenario(load_scenario(name, json.loads(overrides)).changed(duration=TIMES[name][0]))
+    rig = rig_of(load_scenario(name, json.loads(overrides)).changed(duration=TIMES[name][0]))
     return rig, in_process(rig, rig.scenario.seed)
 
 
@@ -138,7 +138,7 @@ def test_a_change_to_the_same_values_changes_no_byte(name):
             if k in changeable(m.block_class.Params)}  # fmt: skip
     scenario = rig.scenario
     entries = [{"at": part * scenario.duration, "set": same} for part in (0.31, 0.7)]
-    again = Rig.from_scenario(type(scenario).model_validate({**dict(scenario), "changes": entries}))
+    again = rig_of(type(scenario).model_validate({**dict(scenario), "changes": entries}))
     assert not differences(recording, in_process(again, scenario.seed))
 
 
@@ -157,7 +157,7 @@ def test_many_changes_at_once_give_the_same_bytes_in_every_placement(name):
     assert entries
     scenario = rig.scenario
     changed = type(scenario).model_validate({**dict(scenario), "changes": [{"at": TIMES[name][1], "set": entries}]})
-    changed = Rig.from_scenario(changed)
+    changed = rig_of(changed)
     here = in_process(changed, scenario.seed)
     assert differences(recording, here), "nothing of what was changed has an effect"
     names = [m.name for m in rig.members]

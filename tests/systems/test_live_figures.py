@@ -1,8 +1,8 @@
 """The node `figures`: what it says of a rig while it runs is what is measured of the recording."""
 
 import pytest
-from softrig_core import Rig, Scenario, ScenarioError, load_scenario, rig_of, simulate
-from softrig_core.node.figures import Figures
+from softrig_core import Scenario, ScenarioError, load_scenario, rig_of, simulate
+from softrig_core.node.live_figures import Figures
 
 SPEED = "motor/true_state/shaft/velocity"
 NODE = {"package": "softrig_core", "executable": "figures"}
@@ -73,7 +73,7 @@ def test_it_follows_a_parameter_that_its_figures_refer_to():
     rig = rig_of("dc_motor_smc_stretch_b")
     assert rig.scenario.nodes["dc_motor_metrics"].parameters == {}  # what it is told stands nowhere else
     node = next(
-        m for m in rig.changed(overrides={"motor_reference.velocities": [5.0]}).members if m.name[-7:] == "metrics"
+        m for m in rig_of(rig, overrides={"motor_reference.velocities": [5.0]}).members if m.name[-7:] == "metrics"
     )
     assert {f.name: f.arguments["reference"] for f in Figures(node.params).figures() if f.name == "load_dip"} == {
         "load_dip": 5.0
@@ -96,4 +96,4 @@ def test_what_cannot_be_counted_from_a_step_is_refused_before_the_run(changes, t
     scenario = load_scenario("dc_motor_smc_b1")
     entry = scenario.figures["rise_time"].model_copy(update=changes)
     with pytest.raises(ScenarioError, match=text):
-        Rig.from_scenario(scenario.model_copy(update={"figures": {"rise_time": entry}}))
+        rig_of(scenario.model_copy(update={"figures": {"rise_time": entry}}))

@@ -13,7 +13,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import solve_continuous_are
 from softrig_control.fuzzy import TakagiSugeno, sum_rules
 from softrig_core import Level, ParameterError, Refused, list_scenarios, load_scenario, simulate
-from softrig_core.model.codec import Decoder
+from softrig_core.block.codec import Decoder
 from softrig_core.wire.cdr import Layout
 from softrig_drives.lsrm.current_controller import CurrentController
 from softrig_drives.lsrm.figures import FORCE, POSITION, SPEED, arrival, overshoot, peak_force
@@ -212,7 +212,7 @@ def test_flux_ends_at_zero():
 
 def test_without_numba_the_same_bits():
     code = (
-        "from softrig_core.rig.simulate import simulate\n"
+        "from softrig_core.run.simulate import simulate\n"
         "plant = simulate('lsrm_fuzzy', duration=0.02).blocks['lsrm_plant']\n"
         "print([float(x).hex() for x in plant.state])\n"
     )

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from conftest import differences, in_process
 from outside import SPIN, go, outside
-from softrig_bringup.run import checked, execute
-from softrig_core import Rig, load_scenario
+from softrig_bringup.run.run import checked, execute
+from softrig_core import load_scenario, rig_of
 
 pytestmark = pytest.mark.processes
 
@@ -18,7 +18,7 @@ def test_the_same_bits_over_topics(name, tmp_path):
     scenario = load_scenario(name)
     run = execute(checked(scenario), "processes", tmp_path)
     assert run.error == ""
-    assert differences(in_process(Rig.from_scenario(scenario), scenario.seed), run.recording) == []
+    assert differences(in_process(rig_of(scenario), scenario.seed), run.recording) == []
 
 
 def test_overcurrent_trips_in_a_process(tmp_path):
@@ -33,7 +33,7 @@ def test_overcurrent_trips_in_a_process(tmp_path):
     assert currents[:, tripped + 60 :].max() == 0.0  # 3 ms later
     assert run.signals["phase_voltage/a/effort"].x.min() == 150.0  # commanded all the time
     assert run.status["lsrm_plant"]["reports"]["overcurrent"][2] == 1
-    assert differences(in_process(Rig.from_scenario(scenario), scenario.seed), run.recording) == []
+    assert differences(in_process(rig_of(scenario), scenario.seed), run.recording) == []
 
 
 # Sends one command again and again.

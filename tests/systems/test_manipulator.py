@@ -15,7 +15,6 @@ from simulated import SimulatedRig, World
 from softrig_core import (
     Level,
     ParameterError,
-    Rig,
     RunError,
     ScenarioError,
     Signals,
@@ -24,10 +23,10 @@ from softrig_core import (
     load_scenario,
     rig_of,
 )
-from softrig_core.model import compiled
-from softrig_core.model.params import build
-from softrig_core.node.messages import marker_array
-from softrig_core.rig import measures
+from softrig_core.block.params import build
+from softrig_core.judge import measures
+from softrig_core.kit import compiled
+from softrig_core.node.ros.messages import marker_array
 from softrig_robots.driven_robot import compile_robot
 from softrig_robots.dynamics import RobotDynamics
 from softrig_robots.manipulator.controller import VcsController
@@ -358,7 +357,7 @@ def run(name, duration=None, **overrides):
     scenario = load_scenario(name, {k.replace("__", "."): v for k, v in overrides.items()})
     if duration:
         scenario = scenario.model_copy(update={"duration": duration})
-    return Signals(in_process(Rig.from_scenario(scenario)))
+    return Signals(in_process(rig_of(scenario)))
 
 
 # each law, the published voltages, two links and the stretch are daily; the rest differs in numbers only
@@ -369,7 +368,7 @@ NAMES = sorted(n for n in list_scenarios() if n.startswith("manipulator_adsmc"))
 
 @pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.long] * (n in LATER)) for n in NAMES])
 def test_scenario_meets_its_numbers(name):
-    found = evaluate(Rig.from_scenario(load_scenario(name)), run(name))
+    found = evaluate(rig_of(name), run(name))
     assert any(m.judged for m in found)
     assert [f"{m.name} = {m.value}" for m in found if not m.passed] == []
 
@@ -418,7 +417,7 @@ def test_replayed_commands_reproduce_the_motion():
 
 def test_equal_runs_are_equal_bit_for_bit():
     scenario = load_scenario("manipulator_adsmc").model_copy(update={"duration": 0.5})
-    first, second = (in_process(Rig.from_scenario(scenario)) for _ in range(2))
+    first, second = (in_process(rig_of(scenario)) for _ in range(2))
     assert differences(first, second) == []
 
 
@@ -501,7 +500,7 @@ def test_reference_without_accelerations_is_refused():
     )  # fmt: skip
     nodes = scenario.nodes | {"trajectory_source": source}
     with pytest.raises(ScenarioError, match="lack acceleration"):
-        Rig.from_scenario(scenario.model_copy(update={"nodes": nodes}))
+        rig_of(scenario.model_copy(update={"nodes": nodes}))
 
 
 def test_overspeed_ends_the_run_at_the_last_good_state():

@@ -10,14 +10,14 @@ from softrig_core import (
     Level,
     ParameterError,
     Result,
-    Rig,
     RunError,
     list_scenarios,
     load_scenario,
+    rig_of,
     run_processes,
     simulate,
 )
-from softrig_core.model.answer import check
+from softrig_core.block.answer import check
 from softrig_systems.optimal_control import collocation
 from softrig_systems.optimal_control.collocation_planner import CollocationPlanner
 from softrig_systems.optimal_control.evaluator import FIGURES, OcpEvaluator
@@ -374,7 +374,7 @@ def test_a_plan_for_the_rest_of_the_way_starts_warm():
     "name", [pytest.param("optimal_control_mvim", marks=pytest.mark.long), "optimal_control_mvim_s4_1s"]
 )
 def test_processes_give_the_bits_of_in_process(name, tmp_path):
-    rig = Rig.from_scenario(load_scenario(name).changed(duration=20.0))
+    rig = rig_of(load_scenario(name).changed(duration=20.0))
     outcome = run_processes(rig, 1, tmp_path)
     assert outcome.error == ""
     assert differences(in_process(rig, 1), outcome.recording) == []

@@ -18,15 +18,15 @@ from softrig_bringup.study.work import Work, run as run_case
 from softrig_core import (
     Level,
     ParameterError,
-    Rig,
     Signals,
     evaluate,
     list_scenarios,
     load_scenario,
+    rig_of,
     run_processes,
     simulate,
 )
-from softrig_core.rig.measures import mean
+from softrig_core.judge.measures import mean
 from softrig_optim.algorithms import AlgorithmParams, make
 from softrig_optim.search import run
 from softrig_power.pv import figures as pv_figures
@@ -67,7 +67,7 @@ def duty_for(p, R):
 def result(name, seed=None):
     """Signals and metrics of a scenario."""
     scenario = load_scenario(name)
-    rig = Rig.from_scenario(scenario)
+    rig = rig_of(scenario)
     signals = Signals(in_process(rig, scenario.seed if seed is None else seed))
     return signals, {m.name: m for m in evaluate(rig, signals)}
 
@@ -435,7 +435,7 @@ def test_what_one_characteristic_gives_contradicts_nothing():
 
 def test_same_seed_same_bits():
     """Acceptance 7, in process: every message of every topic; another seed draws other conditions."""
-    rig = Rig.from_scenario(load_scenario("pv_mppt_s4_issa"))
+    rig = rig_of("pv_mppt_s4_issa")
     first, again, other = (in_process(rig, seed) for seed in (5, 5, 6))
     assert differences(first, again) == []
     assert "pv/environment" in differences(first, other)
@@ -447,7 +447,7 @@ def test_same_seed_same_bits():
 @pytest.mark.parametrize("name", ["pv_mppt", "pv_mppt_certified_transients"])
 def test_processes_give_the_same_bits(name, tmp_path):
     """Acceptance 7, in lockstep."""
-    rig = Rig.from_scenario(load_scenario(name).model_copy(update={"duration": 0.3}))
+    rig = rig_of(load_scenario(name).model_copy(update={"duration": 0.3}))
     outcome = run_processes(rig, 3, tmp_path)
     assert outcome.error == ""
     assert differences(in_process(rig, 3), outcome.recording) == []
@@ -561,7 +561,7 @@ def test_bad_duty():
 def test_plant_waits_for_a_slow_tracker(gap, stale):
     """In real time a duty is stale after 0.2 s, not after a few samples of the sensors."""
     world = World()
-    rig = Rig.from_scenario(load_scenario("pv_mppt").changed(duration=0.8))
+    rig = rig_of(load_scenario("pv_mppt").changed(duration=0.8))
     run = SimulatedRig(rig, world, "realtime")
     begin, end = run.epoch + 300_000_000, run.epoch + 300_000_000 + round(gap * 1e9)
     world.latency = lambda topic, *_: (
@@ -634,7 +634,7 @@ def in_changing_light(light, duration, *, seed=0, **values):
     return plant.x.v * plant.source.current(plant.x.v), states, tracker
 
 
-SHIPPED = next(m.params for m in Rig.from_scenario(load_scenario("pv_mppt")).members if m.name == "mppt_optimizer")
+SHIPPED = next(m.params for m in rig_of("pv_mppt").members if m.name == "mppt_optimizer")
 
 
 @pytest.mark.parametrize("dark", [(0.0, 0.5), (0.3, 0.9), (1.7, 1.9), (0.5, 1.6)])

@@ -17,11 +17,12 @@ from softrig_core import (
     ScenarioError,
     list_scenarios,
     load_scenario,
+    rig_of,
     run_processes,
     simulate,
 )
-from softrig_core.model.dde import trajectory
-from softrig_core.rig.findings import findings, values
+from softrig_core.kit.dde import trajectory
+from softrig_core.verdict.findings import findings, values
 from softrig_systems.pwa_delay import search
 from softrig_systems.pwa_delay.applicability import NotApplicable, require_no_sliding
 from softrig_systems.pwa_delay.bessel import bessel
@@ -223,7 +224,7 @@ def test_every_parameter_of_the_tank_is_held_against_its_certificate():
 )  # fmt: skip
 def test_level_certificate_is_of_the_tank_and_law_that_the_rig_has(parameter, value):
     """With each other value the certified delay keeps the tank from running empty, however it jumps below it."""
-    rig = Rig.from_scenario(load_scenario("pwa_delay_p2", {parameter: value}))
+    rig = rig_of(load_scenario("pwa_delay_p2", {parameter: value}))
     asked = next(m.params for m in rig.members if m.name == "certificate")
     h = CertificateNode.solve(asked, None).certificate.h
     assert h == pytest.approx(level_margin(**asked.tank))
@@ -246,7 +247,7 @@ def test_certificate_does_not_cover_a_tank_that_runs_dry():
 @pytest.mark.parametrize(("parameter", "value"), REFUSED_OF_THE_LEVEL.items())
 def test_certificate_of_another_tank_is_refused_by_name(parameter, value):
     with pytest.raises(ScenarioError, match=r"must agree on tank/.*but tank_plant has "):
-        Rig.from_scenario(load_scenario("pwa_delay_p2", {parameter: value}))
+        rig_of(load_scenario("pwa_delay_p2", {parameter: value}))
 
 
 def test_no_level_is_certified_where_the_drain_outweighs_the_inflow():
@@ -267,7 +268,7 @@ def test_no_level_is_certified_where_the_drain_outweighs_the_inflow():
 )  # fmt: skip
 def test_certificate_of_another_system_is_refused_by_name(scenario, changes, quantity):
     with pytest.raises(ScenarioError, match=f"must agree on {quantity}"):
-        Rig.from_scenario(load_scenario(scenario, changes))
+        rig_of(load_scenario(scenario, changes))
 
 
 def test_certificate_of_the_pendulum_is_of_its_gains():
@@ -304,7 +305,7 @@ def test_located_switches_converge_and_unlocated_do_not():
     assert ends[0] == pytest.approx(ends[1], abs=1e-6)
     assert ends[1] == pytest.approx([1.9811344, 0.1155911], abs=2e-5)  # 6400 steps without location, itself off by 1e-5
     assert ends[1] == pytest.approx([1.98112413, 0.11559048], abs=3e-7)  # 25,600 steps without location
-    from softrig_core.model.dde import integrator
+    from softrig_core.kit.dde import integrator
     from softrig_systems.pwa_delay.motion import pwa_slopes
 
     free, x = constants(switched(), profile("constant", 0.02)), np.array([-2.0, 0.0])
@@ -625,7 +626,7 @@ def test_constant_criterion_grows_with_the_state(n):
 @pytest.mark.processes
 @pytest.mark.parametrize("name", ["pwa_delay_p2_d2", pytest.param("pwa_delay_p2c", marks=pytest.mark.long)])
 def test_processes_give_the_bits_of_in_process(name, tmp_path):
-    rig = Rig.from_scenario(load_scenario(name).model_copy(update={"duration": 20.0}))
+    rig = rig_of(load_scenario(name).model_copy(update={"duration": 20.0}))
     outcome = run_processes(rig, 1, tmp_path)
     assert outcome.error == ""
     assert differences(in_process(rig, 1), outcome.recording) == []

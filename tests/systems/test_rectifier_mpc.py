@@ -36,8 +36,8 @@ from softrig_core import (
     scalars,
     simulate,
 )
-from softrig_core.model.codec import Decoder
-from softrig_core.rig.findings import findings, values
+from softrig_core.block.codec import Decoder
+from softrig_core.verdict.findings import findings, values
 from softrig_core.wire.cdr import Layout
 from softrig_power.rectifier.averaged import ode_abc
 from softrig_power.rectifier.circuit import INJECTION, SPWM, Circuit, Period, grid, phases

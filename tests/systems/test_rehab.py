@@ -15,18 +15,18 @@ from simulated import SimulatedRig, World
 from softrig_core import (
     Level,
     ParameterError,
-    Rig,
     Sample,
     ScenarioError,
     Signals,
     evaluate,
     list_scenarios,
     load_scenario,
+    rig_of,
     run_inprocess,
     simulate,
 )
-from softrig_core.model.params import build, flatten
-from softrig_core.rig import measures
+from softrig_core.block.params import build, flatten
+from softrig_core.judge import measures
 from softrig_robots.driven_robot import compile_robot
 from softrig_robots.dynamics import RobotDynamics
 from softrig_robots.figures import repeatability
@@ -77,7 +77,7 @@ def _run(name, duration, overrides):
     scenario = load_scenario(name, dict(overrides))
     if duration:
         scenario = scenario.model_copy(update={"duration": duration})
-    return Signals(in_process(Rig.from_scenario(scenario)))
+    return Signals(in_process(rig_of(scenario)))
 
 
 def run(name, duration=None, **overrides):
@@ -225,7 +225,7 @@ NAMES = sorted(n for n in list_scenarios() if n.startswith("rehab_impedance"))
 
 @pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.long] * (n in LATER)) for n in NAMES])
 def test_scenario_meets_its_numbers(name):
-    found = evaluate(Rig.from_scenario(load_scenario(name)), run(name))
+    found = evaluate(rig_of(name), run(name))
     assert any(m.judged for m in found)
     assert [f"{m.name} = {m.value}" for m in found if not m.passed] == []
 
@@ -244,7 +244,7 @@ def test_only_the_ratio_of_alpha_hat_and_period_matters():
 
 
 def test_seconds_at_the_voltage_limit_are_said():
-    rig = Rig.from_scenario(load_scenario("rehab_impedance").model_copy(update={"duration": 1.0}))
+    rig = rig_of(load_scenario("rehab_impedance").model_copy(update={"duration": 1.0}))
     level, text, _ = run_inprocess(rig, 0)["rehab_plant"].reports["saturation"]
     assert level == Level.WARN
     assert text == "motor voltages at their limit of 24 V for [0.008, 0.0] s (motor after motor)"
@@ -379,11 +379,11 @@ def test_every_parameter_of_the_robot_is_held_against_the_stability_limit():
 def test_stability_limit_is_of_the_robot_in_the_rig(name):
     """Old: the published robot's, 5.11, whatever the plant was."""
     change = {f"rehab_plant.{name}": ROBOTS[name][0]}
-    limit, _ = limit_in(Rig.from_scenario(load_scenario("rehab_impedance_b9", change)))
+    limit, _ = limit_in(rig_of(load_scenario("rehab_impedance_b9", change)))
     assert limit != pytest.approx(5.1073, abs=2e-4)
     for share in (0.97, 1.03) if limit > 0.0 else (1.03,):
         gain = {"voltage_controller.emvc.alpha_hat": share * (limit or 1e-2)}
-        _, said = limit_in(Rig.from_scenario(load_scenario("rehab_impedance_b9", change | gain)))
+        _, said = limit_in(rig_of(load_scenario("rehab_impedance_b9", change | gain)))
         assert bool(said) == (share > 1.0)
 
 
@@ -395,7 +395,7 @@ def test_robot_is_quiet_below_its_limit_and_oscillates_above(name):
     value, told = ROBOTS[name]
     change = {f"rehab_plant.{name}": value, "rehab_plant.rom_speed": 1000.0, "rehab_plant.start_outside": True,
               "rehab_plant.drift.duration": 1.0}  # fmt: skip
-    limit, _ = limit_in(Rig.from_scenario(load_scenario("rehab_impedance_b9", change)))
+    limit, _ = limit_in(rig_of(load_scenario("rehab_impedance_b9", change)))
     for share, quiet in ((0.8, True), *((1.3, False),) * told):
         gain = {"voltage_controller.emvc.alpha_hat": share * limit}
         found = simulate("rehab_impedance_b9", overrides=change | gain, duration=6.0).figures
@@ -404,8 +404,8 @@ def test_robot_is_quiet_below_its_limit_and_oscillates_above(name):
 
 def test_stability_limit_of_another_robot_is_refused_by_name():
     with pytest.raises(ScenarioError, match=r"must agree on rehab/motors\.resistance"):
-        Rig.from_scenario(load_scenario("rehab_impedance", {"voltage_controller.robot.motors.resistance": 3.0}))
-    Rig.from_scenario(load_scenario("rehab_impedance_r2", {"voltage_controller.robot.motors.resistance": 3.0}))
+        rig_of(load_scenario("rehab_impedance", {"voltage_controller.robot.motors.resistance": 3.0}))
+    rig_of(load_scenario("rehab_impedance_r2", {"voltage_controller.robot.motors.resistance": 3.0}))
 
 
 def test_each_joint_has_the_limit_of_its_own_motor():
@@ -541,9 +541,9 @@ def test_reference_lost_in_real_time_brings_0_volt_or_stands_still(answer):
     """At 7 s the hip moves at 6.4 degrees a second; the source ends there, all others go on."""
     scenario = load_scenario("rehab_impedance", {"voltage_controller.reference_lost": answer})
     world = World()
-    rig = Rig.from_scenario(scenario.changed(duration=9.0))
+    rig = rig_of(scenario.changed(duration=9.0))
     run = SimulatedRig(rig, world, "realtime", without=("prom_reference",))
-    source = Rig.from_scenario(scenario.changed(duration=7.0))
+    source = rig_of(scenario.changed(duration=7.0))
     others = tuple(m.name for m in source.members if m.name != "prom_reference")
     SimulatedRig(source, world, "realtime", without=others)
     run.run()

@@ -2,13 +2,13 @@
 
 import pytest
 from conftest import differences, in_process
-from softrig_core import Rig, Signals, load_scenario, run_processes
+from softrig_core import Signals, load_scenario, rig_of, run_processes
 
 pytestmark = pytest.mark.processes
 
 
 def rig(name, duration, overrides=None):
-    return Rig.from_scenario(load_scenario(name, overrides).model_copy(update={"duration": duration}))
+    return rig_of(load_scenario(name, overrides).model_copy(update={"duration": duration}))
 
 
 @pytest.mark.parametrize(

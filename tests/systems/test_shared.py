@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from softrig_core import Rig, ScenarioError, load_scenario, simulate
+from softrig_core import ScenarioError, load_scenario, rig_of, simulate
 from softrig_power.gupfc.power_flow_node import PowerFlowNode
 
 SHARED = [
@@ -27,7 +27,7 @@ SHARED = [
 @pytest.mark.parametrize(("scenario", "name", "value", "nodes"), SHARED)
 def test_a_shared_value_reaches_all_that_have_it(scenario, name, value, nodes):
     given = list(value) if isinstance(value, tuple) else value
-    rig = Rig.from_scenario(load_scenario(scenario, {name: given}))
+    rig = rig_of(load_scenario(scenario, {name: given}))
     first, _, last = name.partition(".")
     parameter = {"table": "unit_table"}.get(first, first)
     found = {}
@@ -56,13 +56,13 @@ def test_a_shared_value_reaches_all_that_have_it(scenario, name, value, nodes):
 )  # fmt: skip
 def test_nodes_that_must_agree_are_refused_by_name(scenario, change, quantity):
     with pytest.raises(ScenarioError, match=f"must agree on {quantity}, but "):
-        Rig.from_scenario(load_scenario(scenario, change))
+        rig_of(load_scenario(scenario, change))
 
 
 def test_what_a_law_assumes_of_its_plant_may_be_wrong():
     for scenario, change in (("tcp_aqm_smc", {"tcp_fluid.N": 54}), ("optimal_control_mvim_s4", {}),
                              ("tcp_aqm_smc", {"aqm_controller.C": 3000.0})):  # fmt: skip
-        Rig.from_scenario(load_scenario(scenario, change))
+        rig_of(load_scenario(scenario, change))
 
 
 def test_figures_of_the_queue_follow_the_set_point_and_the_network():

@@ -12,15 +12,15 @@ from conftest import PATIENCE, differences, in_process
 from softrig_core import (
     Level,
     ParameterError,
-    Rig,
     Signals,
     evaluate,
     list_scenarios,
     load_scenario,
+    rig_of,
     run_inprocess,
     run_processes,
 )
-from softrig_core.rig.findings import findings, values
+from softrig_core.verdict.findings import findings, values
 from softrig_systems.tcp_aqm.controller import HOLD, AqmController
 from softrig_systems.tcp_aqm.fluid_plant import TcpFluid
 from softrig_systems.tcp_aqm.model import Bottleneck, equilibrium, phi, psi
@@ -33,7 +33,7 @@ QUEUE = "network/truth/queue/position"
 
 @functools.cache
 def run(name, **overrides):
-    rig = Rig.from_scenario(load_scenario(name, {k.replace("__", "."): v for k, v in overrides.items()}))
+    rig = rig_of(load_scenario(name, {k.replace("__", "."): v for k, v in overrides.items()}))
     return rig, Signals(in_process(rig, rig.scenario.seed))
 
 
@@ -264,7 +264,7 @@ def test_sspd_agrees_with_an_adaptive_solver_of_delay_equations(tmp_path, monkey
 @functools.cache
 def seeds(name):
     """Mean of each figure over seeds 1 to 5."""
-    rig = Rig.from_scenario(load_scenario(name))
+    rig = rig_of(name)
     found = []
     for seed in range(1, 6):
         found.append([r.value for r in evaluate(rig, Signals(in_process(rig, seed)))])
@@ -512,7 +512,7 @@ def test_anti_windup_freezes_the_integral_while_clipped():
 
 
 def test_the_metrics_node_gives_the_figures():
-    rig = Rig.from_scenario(load_scenario("tcp_aqm_smc_detuned", {"aqm_metrics.period": 0.001}))
+    rig = rig_of(load_scenario("tcp_aqm_smc_detuned", {"aqm_metrics.period": 0.001}))
     blocks = run_inprocess(rig, 0)
     metrics = next(b for b in blocks.values() if isinstance(b, AqmMonitor))
     found = figures("tcp_aqm_smc_detuned")
@@ -551,7 +551,7 @@ def test_native_and_plain_python_give_the_same_bits():
     ["tcp_aqm_smc_s4", *(pytest.param(n, marks=pytest.mark.long) for n in ("tcp_aqm_smc", "tcp_aqm_smc_10ms"))],
 )
 def test_processes_give_the_bits_of_in_process(name, tmp_path):
-    rig = Rig.from_scenario(load_scenario(name).model_copy(update={"duration": 3.0 if name.endswith("s4") else 0.5}))
+    rig = rig_of(load_scenario(name).model_copy(update={"duration": 3.0 if name.endswith("s4") else 0.5}))
     outcome = run_processes(rig, 1, tmp_path)
     assert outcome.error == ""
     assert differences(in_process(rig, 1), outcome.recording) == []

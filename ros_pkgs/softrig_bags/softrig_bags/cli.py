@@ -12,10 +12,10 @@ from functools import wraps
 from pathlib import Path
 from typing import Any
 
+from softrig_core.block.params import Declaration
 from softrig_core.command_line import Number, Parser
 from softrig_core.guard import guarded, plain
-from softrig_core.model.params import Declaration
-from softrig_core.node.leave import leave
+from softrig_core.node.ros.leave import leave
 from softrig_core.wire.recording import relative
 
 from .errors import BagError

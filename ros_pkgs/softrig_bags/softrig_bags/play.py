@@ -6,9 +6,9 @@ import argparse
 from collections.abc import Sequence
 from typing import Any
 
+from softrig_core.block.params import Declaration
 from softrig_core.guard import say
-from softrig_core.model.params import Declaration
-from softrig_core.node.messages import message_class
+from softrig_core.node.ros.messages import message_class
 
 from .errors import BagError
 from .player import CHANGES, CLOCK, LockstepPlayer, Player, Sender, span

@@ -11,9 +11,9 @@ from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import QoSSubscriptionEventType as Event, SubscriptionEventCallbacks
 from rclpy.subscription import Subscription
 from softrig_core import RunError
-from softrig_core.node.messages import message_class
-from softrig_core.node.recorders import RECORDER, left_out
-from softrig_core.node.tick import TICK
+from softrig_core.node.ros.messages import message_class
+from softrig_core.node.seam.recorders import RECORDER, left_out
+from softrig_core.node.seam.tick import TICK
 
 from .bag import BagWriter
 from .holds import Holds, patience

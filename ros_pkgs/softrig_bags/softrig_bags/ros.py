@@ -22,9 +22,9 @@ from rclpy.subscription import Subscription
 from rclpy.task import Future
 from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 from softrig_core import SECOND
-from softrig_core.model.params import Declaration
-from softrig_core.node.messages import range_descriptor
-from softrig_core.rig.executables import PROFILE
+from softrig_core.block.params import Declaration
+from softrig_core.node.ros.messages import range_descriptor
+from softrig_core.processes.executables import PROFILE
 
 from .errors import BagError
 from .topics import BagTopic
@@ -54,7 +54,7 @@ class Session:
     Attributes
     ----------
     opened : Session or None
-        The session of this process; the two end together (`softrig_core.node.leave`).
+        The session of this process; the two end together (`softrig_core.node.ros.leave`).
     """
 
     opened: ClassVar[Session | None] = None

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from softrig_core import SECOND, Pose, Recording, Scene, Signals
-from softrig_core.model.scene import Point, at_origin
+from softrig_core.block.scene import Point, at_origin
 
 from .topics import typestore
 

@@ -12,8 +12,8 @@ from typing import Any, Self
 
 from pydantic import model_validator
 from softrig_core import Block, BlockParams, Port, Recording, Sample, executable, param
-from softrig_core.model.codec import Decoder
-from softrig_core.model.port import Refused
+from softrig_core.block.codec import Decoder
+from softrig_core.block.port import Refused
 
 from .read import read_bag
 from .reader import BagReader

@@ -15,7 +15,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 from ruamel.yaml import YAML
 from ruamel.yaml.resolver import implicit_resolvers
-from softrig_core.model.resource import prefixes
+from softrig_core.kit.resource import prefixes
 
 FOREVER = QosTime(9223372036, 854775807)  # RMW_DURATION_INFINITE
 

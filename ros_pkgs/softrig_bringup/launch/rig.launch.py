@@ -10,7 +10,7 @@ from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction, Shutdown
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
-from softrig_bringup.launched import ARGUMENTS, Launched
+from softrig_bringup.verbs.launched import ARGUMENTS, Launched
 
 
 def generate_launch_description():

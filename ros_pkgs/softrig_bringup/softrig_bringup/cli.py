@@ -16,7 +16,8 @@ from typing import Any
 from softrig_core.command_line import Number, Parser, without_ros
 from softrig_core.guard import guarded
 
-from . import animate, layouts, run_options, run_verb, set_verb
+from .options import run_options
+from .verbs import animate, layouts, run_verb, set_verb
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # before numpy: sums must not depend on the number of cores
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -31,7 +32,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _verb(arguments: list[str]) -> int:
     asks = "_ARGCOMPLETE" in os.environ  # a shell, with nothing but this: what may the last word become?
     if asks:
-        from . import completion
+        from .terminal import completion
 
         arguments = completion.asked(_FOREIGN)
     if arguments and arguments[0] in _FOREIGN:
@@ -61,7 +62,12 @@ _FOREIGN = {
         "locate the fault in a record of a transmission line",
     ),
 }
-_STOPPABLE = ("results", "study.page", "check", "falsify.outcome")  # others listen to signals where they run a rig
+_STOPPABLE = (
+    "verbs.results",
+    "study.page",
+    "verbs.check",
+    "falsify.outcome",
+)  # others listen to signals where they run a rig
 # verbs of scripts/softrig itself, which never get here
 _SCRIPT = {
     "setup": "only set up what is missing: .venv from the lock files, .ws from ros_pkgs",
@@ -89,18 +95,22 @@ def _parser() -> argparse.ArgumentParser:
         sub.set_defaults(verb=partial(_late, function) if isinstance(function, str) else function)
         return sub
 
-    verb("list", "listing:main", "list scenarios by system, with duration and title").add_argument(
+    verb("list", "terminal.listing:main", "list scenarios by system, with duration and title").add_argument(
         "filter", nargs="?", default="", help="only scenarios or systems with this in their name"
     )
     verb(
-        "signals", "listing:list_signals", "signals of a scenario: unit, message type, who publishes and who reads them"
+        "signals",
+        "terminal.listing:list_signals",
+        "signals of a scenario: unit, message type, who publishes and who reads them",
     ).add_argument("scenario", help="name or YAML file")
     verb(
-        "figures", "listing:list_figures", "functions that figures of a scenario may name, or all about one"
+        "figures", "terminal.listing:list_figures", "functions that figures of a scenario may name, or all about one"
     ).add_argument("name", nargs="?", default="", help="of a function")
     run_options.arguments(verb("run", run_verb.run, "run a scenario: metrics, bag, plots, report"))
     look = verb(
-        "view", "view.verb:view", "look at a run or a bag in the browser, or run a scenario that begins paused there"
+        "view",
+        "verbs.view_verb:view",
+        "look at a run or a bag in the browser, or run a scenario that begins paused there",
     )
     run_options.arguments(look)
     look.set_defaults(mode="container")
@@ -109,12 +119,12 @@ def _parser() -> argparse.ArgumentParser:
     node.add_argument("package")
     node.add_argument("executable")
     node.add_argument("arguments", nargs=argparse.REMAINDER, help="--ros-args ...")
-    report = verb("report", "report:main", "one self-contained HTML page from one or more runs")
+    report = verb("report", "report.report:main", "one self-contained HTML page from one or more runs")
     report.add_argument("runs", nargs="+", type=Path, metavar="DIR")
     report.add_argument("--out", type=Path, default=Path("report.html"))
     report.add_argument("--label", action="append", default=[], metavar="TEXT",
                         help="name of a run, in their order (default: its own, or its folder)")  # fmt: skip
-    plot = verb("plot", "redraw:main", "pictures of a run that is over, for a paper: size, letters, data")
+    plot = verb("plot", "report.redraw:main", "pictures of a run that is over, for a paper: size, letters, data")
     plot.add_argument("run", type=Path, metavar="DIR", help="of a run, or a bag that a run has written")
     plot.add_argument(
         "signals", nargs="*", metavar="SIGNAL", help="one picture of these (default: the scenario's plots)"
@@ -128,7 +138,7 @@ def _parser() -> argparse.ArgumentParser:
     plot.add_argument("--csv", action="store_true", help="the data beside each picture, units in the head")
     animate.arguments(verb("animate", animate.animate, "a run's plant in motion: a short SVG, GIF, WebP or PNG"))
     layouts.arguments(verb("layouts", layouts.layouts, "a scenario's plots as layouts for PlotJuggler, Foxglove, RViz"))
-    results = verb("results", "results:main", "hold every claim of the papers against what is measured now")
+    results = verb("results", "verbs.results:main", "hold every claim of the papers against what is measured now")
     results.add_argument("systems", nargs="*", metavar="SYSTEM", help="default: all")
     results.add_argument("--out", type=Path, default=Path("runs/results"), metavar="DIR",
                          help="results.html and results.md go here (default runs/results)")  # fmt: skip
@@ -161,7 +171,7 @@ def _parser() -> argparse.ArgumentParser:
     study.add_argument("--workers", type=Number(int, 1), metavar="N", help="processes (default: all cores)")
     study.add_argument("--scheduler", default="", metavar="ADDRESS", help="a Dask cluster instead (tcp://host:8786)")
     check = verb(
-        "check", "check:main", "figures, requirements and claims of many scenarios, for continuous integration"
+        "check", "verbs.check:main", "figures, requirements and claims of many scenarios, for continuous integration"
     )
     check.add_argument("scenarios", nargs="+", metavar="SCENARIO", help="names or files")
     check.add_argument("--junit", type=Path, metavar="FILE", help="report as JUnit XML")
@@ -184,13 +194,13 @@ def _parser() -> argparse.ArgumentParser:
     falsify.add_argument("--out", type=Path, metavar="DIR", help="results go here (default runs/falsify_NAME)")
     falsify.add_argument("--workers", type=Number(int, 1), metavar="N", help="processes (default: all cores)")
     falsify.add_argument("--scheduler", default="", metavar="ADDRESS", help="a Dask cluster instead (tcp://host:8786)")
-    linear = verb("linearise", "linear:linearise", "state space, poles and margins, where a run of a scenario is")
+    linear = verb("linearise", "verbs.linear:linearise", "state space, poles and margins, where a run of a scenario is")
     linear.add_argument("--open", metavar="LINK", help="signal at which to open a loop (the only command of a plant)")
     linear.add_argument(
         "--input", action="append", metavar="SIGNAL", help="input of the state space (what sources say)"
     )
     linear.add_argument("--out", type=Path, metavar="DIR", help="numbers and pictures go here")
-    rest = verb("steady", "linear:print_steady", "the operating point of a scenario; status 1 when there is none")
+    rest = verb("steady", "verbs.linear:print_steady", "the operating point of a scenario; status 1 when there is none")
     for sub in (linear, rest):
         sub.add_argument("scenario", help="name or YAML file")
         sub.add_argument("--at", type=Number(float, 0), metavar="S", help="when (the scenario's end)")
@@ -204,7 +214,7 @@ def _parser() -> argparse.ArgumentParser:
     golden.add_argument("--bags", type=Path, default=Path("bags"), metavar="DIR", help="where they are")
     golden.add_argument("--junit", type=Path, metavar="FILE", help="with --check: report as JUnit XML")
     golden.add_argument("--json", type=Path, metavar="FILE", help="with --check: report as JSON")
-    new = verb("new", "new:main", "write a package with a plant, a law, a scenario and tests, to begin with")
+    new = verb("new", "verbs.new:main", "write a package with a plant, a law, a scenario and tests, to begin with")
     new.add_argument("name", metavar="NAME", help="of the package: lower-case letters, digits and _")
     new.add_argument("--into", type=Path, default=Path(), metavar="DIR", help="where its folder is made (here)")
     words = verb("completion", _completion, 'completion in a shell: eval "$(scripts/softrig completion)"')
@@ -218,7 +228,7 @@ def _parser() -> argparse.ArgumentParser:
 
 class _Version(argparse.Action):
     def __call__(self, parser: argparse.ArgumentParser, *_: Any, **__: Any) -> None:
-        from .run import checkout, versions
+        from .run.run import checkout, versions
 
         commit = checkout().get("commit", "")
         print(f"softrig {versions()['softrig_core']}" + (f", commit {commit}" if commit else ""))
@@ -233,7 +243,7 @@ def _late(target: str, options: argparse.Namespace) -> int:
     function = getattr(import_module(f"{__package__}.{module}"), name)
     if module not in _STOPPABLE:
         return int(function(options))
-    from softrig_core.rig.stopping import stoppable
+    from softrig_core.processes.stopping import stoppable
 
     with stoppable():
         return int(function(options))
@@ -253,13 +263,13 @@ def _completion(options: argparse.Namespace) -> int:
 
 
 def _node(options: argparse.Namespace) -> int:
-    from softrig_core.rig.executables import node_main
+    from softrig_core.processes.executables import node_main
 
     return node_main(options.package, options.executable, options.arguments)
 
 
 def _golden(options: argparse.Namespace) -> int:
-    from .golden import main as golden
+    from .verbs.golden import main as golden
 
     return golden(options.names, options.bags, duration=options.duration, seed=options.seed, check=options.check,
                   junit=options.junit, as_json=options.json)  # fmt: skip

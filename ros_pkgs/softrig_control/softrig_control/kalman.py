@@ -31,7 +31,7 @@ def steady_kalman_gain(
         No steady filter exists (a state that is neither measured nor stable).
     """
     import numpy as np
-    from softrig_core.model.dense import product, solve
+    from softrig_core.kit.dense import product, solve
 
     from .riccati import riccati
 

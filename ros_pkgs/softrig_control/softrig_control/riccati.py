@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from softrig_core.model.dense import product, solve
+from softrig_core.kit.dense import product, solve
 
 from .discretise import Matrix
 

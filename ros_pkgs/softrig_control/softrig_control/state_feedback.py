@@ -45,7 +45,7 @@ def place(a: Matrix, b: Sequence[float], c: Sequence[float], poles: Sequence[com
     70.8599...
     """
     import numpy as np
-    from softrig_core.model import dense
+    from softrig_core.kit import dense
 
     n = len(b)
     if len(poles) != n + 1:

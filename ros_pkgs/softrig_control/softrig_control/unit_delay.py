@@ -7,7 +7,7 @@ from typing import Any, Literal, Self
 
 from pydantic import model_validator
 from softrig_core import BlockParams, Plant, Port, executable, param, state_type
-from softrig_core.model.port import XYZ
+from softrig_core.block.port import XYZ
 from softrig_core.wire import types
 
 MessageType = Literal[

@@ -19,22 +19,24 @@ check()
 join_prefix()
 
 if TYPE_CHECKING:
-    from .errors import RunError as RunError, ScenarioError as ScenarioError
-    from .model.block import Block as Block, Level as Level, Observer as Observer, Plant as Plant, Values as Values
-    from .model.compiled import Compiled as Compiled
-    from .model.history import History as History
-    from .model.jit import jit as jit
-    from .model.linear import Sampled as Sampled, equilibrium as equilibrium, linearise as linearise
-    from .model.marker import Marker as Marker
-    from .model.ode import rk4 as rk4, rk4_loop as rk4_loop
-    from .model.params import (
+    from .analysis.environment import RigEnv as RigEnv
+    from .analysis.linear_view import LinearView as LinearView, linear_view as linear_view
+    from .analysis.steady import (
+        NoOperatingPoint as NoOperatingPoint,
+        OperatingPoint as OperatingPoint,
+        steady as steady,
+    )
+    from .block.block import Block as Block, Level as Level, Observer as Observer, Plant as Plant, Values as Values
+    from .block.linear import Sampled as Sampled, equilibrium as equilibrium, linearise as linearise
+    from .block.marker import Marker as Marker
+    from .block.params import (
         BlockParams as BlockParams,
         ParameterError as ParameterError,
         Params as Params,
         check_steps as check_steps,
         param as param,
     )
-    from .model.port import (
+    from .block.port import (
         Port as Port,
         Refused as Refused,
         Sample as Sample,
@@ -49,61 +51,65 @@ if TYPE_CHECKING:
         vector3 as vector3,
         wrench as wrench,
     )
-    from .model.resource import resource as resource
-    from .model.scene import Pose as Pose, Scene as Scene
-    from .model.solver import Result as Result, Solver as Solver, SolverParams as SolverParams
-    from .model.state import state_type as state_type
-    from .model.worker import Work as Work
+    from .block.scene import Pose as Pose, Scene as Scene
+    from .block.state import state_type as state_type
+    from .errors import RunError as RunError, ScenarioError as ScenarioError
+    from .judge.measures import SignalMap as SignalMap, figure as figure, window as window
+    from .kit.compiled import Compiled as Compiled
+    from .kit.history import History as History
+    from .kit.jit import jit as jit
+    from .kit.ode import rk4 as rk4, rk4_loop as rk4_loop
+    from .kit.resource import resource as resource
     from .node import executable as executable
-    from .rig.environment import RigEnv as RigEnv
-    from .rig.figures import Figure as Figure, evaluate as evaluate, figures_of as figures_of
-    from .rig.inprocess import run_inprocess as run_inprocess
-    from .rig.linear_view import LinearView as LinearView, linear_view as linear_view
-    from .rig.measures import SignalMap as SignalMap, figure as figure, window as window
-    from .rig.processes import run_processes as run_processes
-    from .rig.replay import feed as feed
+    from .processes.processes import run_processes as run_processes
     from .rig.rig import Rig as Rig
-    from .rig.scenario import Scenario as Scenario, load_scenario as load_scenario
-    from .rig.scenario_file import list_scenarios as list_scenarios
-    from .rig.simulate import Run as Run, rig_of as rig_of, simulate as simulate
-    from .rig.steady import NoOperatingPoint as NoOperatingPoint, OperatingPoint as OperatingPoint, steady as steady
-    from .rig.watch import Watch as Watch, WatchParams as WatchParams
+    from .run.expand import rig_of as rig_of
+    from .run.inprocess import run_inprocess as run_inprocess
+    from .run.replay import feed as feed
+    from .run.simulate import Run as Run, simulate as simulate
+    from .scenario.scenario import Scenario as Scenario, load_scenario as load_scenario
+    from .scenario.scenario_file import list_scenarios as list_scenarios
+    from .solver.solver import Result as Result, Solver as Solver, SolverParams as SolverParams
+    from .solver.worker import Work as Work
     from .timebase import SECOND as SECOND, to_ns as to_ns, to_s as to_s
+    from .verdict.figures import Figure as Figure, evaluate as evaluate, figures_of as figures_of
+    from .verdict.watch import Watch as Watch, WatchParams as WatchParams
     from .wire.recording import Recording as Recording
     from .wire.signals import Signals as Signals
 else:
     _HOMES = {
         "errors": "RunError ScenarioError",
-        "model.block": "Block Level Observer Plant Values",
-        "model.compiled": "Compiled",
-        "model.history": "History",
-        "model.jit": "jit",
-        "model.linear": "Sampled equilibrium linearise",
-        "model.marker": "Marker",
-        "model.ode": "rk4 rk4_loop",
-        "model.params": "BlockParams ParameterError Params check_steps param",
-        "model.port": "Port Refused Sample array button command joint_state number pose reference scalars vector3 "
+        "block.block": "Block Level Observer Plant Values",
+        "kit.compiled": "Compiled",
+        "kit.history": "History",
+        "kit.jit": "jit",
+        "block.linear": "Sampled equilibrium linearise",
+        "block.marker": "Marker",
+        "kit.ode": "rk4 rk4_loop",
+        "block.params": "BlockParams ParameterError Params check_steps param",
+        "block.port": "Port Refused Sample array button command joint_state number pose reference scalars vector3 "
         "wrench",
-        "model.resource": "resource",
-        "model.scene": "Pose Scene",
-        "model.solver": "Result Solver SolverParams",
-        "model.state": "state_type",
+        "kit.resource": "resource",
+        "block.scene": "Pose Scene",
+        "solver.solver": "Result Solver SolverParams",
+        "block.state": "state_type",
         "timebase": "SECOND to_ns to_s",
-        "model.worker": "Work",
+        "solver.worker": "Work",
         "node": "executable",
-        "rig.environment": "RigEnv",
-        "rig.figures": "Figure evaluate figures_of",
-        "rig.inprocess": "run_inprocess",
-        "rig.linear_view": "LinearView linear_view",
-        "rig.measures": "SignalMap figure window",
-        "rig.processes": "run_processes",
-        "rig.replay": "feed",
+        "analysis.environment": "RigEnv",
+        "verdict.figures": "Figure evaluate figures_of",
+        "run.expand": "rig_of",
+        "run.inprocess": "run_inprocess",
+        "analysis.linear_view": "LinearView linear_view",
+        "judge.measures": "SignalMap figure window",
+        "processes.processes": "run_processes",
+        "run.replay": "feed",
         "rig.rig": "Rig",
-        "rig.scenario": "Scenario load_scenario",
-        "rig.scenario_file": "list_scenarios",
-        "rig.simulate": "Run rig_of simulate",
-        "rig.steady": "NoOperatingPoint OperatingPoint steady",
-        "rig.watch": "Watch WatchParams",
+        "scenario.scenario": "Scenario load_scenario",
+        "scenario.scenario_file": "list_scenarios",
+        "run.simulate": "Run simulate",
+        "analysis.steady": "NoOperatingPoint OperatingPoint steady",
+        "verdict.watch": "Watch WatchParams",
         "wire.recording": "Recording",
         "wire.signals": "Signals",
     }

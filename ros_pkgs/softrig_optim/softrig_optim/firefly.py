@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from typing import Unpack
 
-from softrig_core.model import dense
+from softrig_core.kit import dense
 
 from .search import Moves, Population, PopulationOptions, Seed, points
 

@@ -6,14 +6,14 @@ from collections.abc import Sequence
 from typing import Any
 
 from softrig_core import Pose
-from softrig_core.model.scene import Point
+from softrig_core.block.scene import Point
 
 from .rigid_body import frame_id, load_model
 from .urdf import root_link
 
 
 class RobotScene:
-    """The links of a URDF robot; see `softrig_core.model.scene.Scene`.
+    """The links of a URDF robot; see `softrig_core.block.scene.Scene`.
 
     Parameters
     ----------

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from itertools import pairwise
 from xml.etree.ElementTree import Element, tostring
 
-from ..html import e
+from ..page.html import e
 from .film import FRAMES, Film
 from .shapes import Circle, Line, Point, Polygon, Shape, Text
 from .svg import element, number, points, root

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from xml.etree.ElementTree import Element, tostring
 
-from ..html import e
+from ..page.html import e
 from .base import Drawing
 from .shapes import PALETTE, Circle, Line, Point, Shape, Text
 

@@ -9,9 +9,9 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from softrig_core import ScenarioError, list_scenarios
 from softrig_core.errors import closest
-from softrig_core.rig.expectation import Expected
-from softrig_core.rig.places import explain
-from softrig_core.rig.yaml_file import read_mapping
+from softrig_core.judge.expectation import Expected
+from softrig_core.scenario.places import explain
+from softrig_core.scenario.yaml_file import read_mapping
 
 from ..study.definition import study_folders
 

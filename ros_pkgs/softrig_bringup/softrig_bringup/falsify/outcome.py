@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import Any
 
 import yaml
-from softrig_core import Rig, Run, Scenario, figures_of, list_scenarios
+from softrig_core import Run, Scenario, figures_of, list_scenarios, rig_of
 from softrig_core.extras import need
 
 from ..folder import FALSIFICATION, ResultsFolder, replace
-from ..report import write_report
-from ..run import checked, execute, save, summary
+from ..report.report import write_report
+from ..run.run import checked, execute, save, summary
 from ..study.options import pair
 from .definition import Falsification, falsification_of, list_falsifications
 from .engine import Outcome, falsify
@@ -139,10 +139,10 @@ def content(task: Falsification, outcome: Outcome) -> dict[str, Any]:
 def _print(task: Falsification, outcome: Outcome, out: Path, files: dict[str, Path]) -> None:
     from rich.table import Table
 
-    from ..listing import console as make_console
+    from ..terminal.listing import console as make_console
 
     console = make_console()
-    rig_units = {f.name: f.unit for f in figures_of(Rig.from_scenario(outcome.space.scenario))}
+    rig_units = {f.name: f.unit for f in figures_of(rig_of(outcome.space.scenario))}
     table = Table(title=f"{task.name}: {outcome.found.runs} runs", title_justify="left", box=None, pad_edge=False)
     for name in ("requirement", "nominal margin", "worst", "made small", "unit"):
         table.add_column(name, justify="left" if name in ("requirement", "unit") else "right", overflow="fold")

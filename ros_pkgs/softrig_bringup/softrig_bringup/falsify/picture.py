@@ -7,15 +7,15 @@ from pathlib import Path
 
 import numpy as np
 from softrig_core import Run, figures_of
-from softrig_core.rig.figures import SIGNALS
 from softrig_core.rig.members import signal_units
-from softrig_core.rig.requirements import Judge
+from softrig_core.verdict.figures import SIGNALS
+from softrig_core.verdict.requirements import Judge
 
 from ..plots import style as look
 from ..plots.axes import draw, draw_marks, legend
 from ..plots.curves import Curve
-from ..plots.figures import save_figure, time_scale
 from ..plots.marks import marks_of
+from ..plots.pictures import save_figure, time_scale
 from ..plots.style import axis_title, quantity
 
 

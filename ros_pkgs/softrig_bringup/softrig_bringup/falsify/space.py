@@ -8,11 +8,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from softrig_core import Rig, Scenario, ScenarioError
+from softrig_core import Rig, Scenario, ScenarioError, rig_of
+from softrig_core.block.params import flatten
 from softrig_core.errors import closest
-from softrig_core.model.params import flatten
 from softrig_core.rig.members import signal_units
-from softrig_core.rig.references import pick
+from softrig_core.scenario.references import pick
 from softrig_core.wire.signals import topic_of
 
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
@@ -153,7 +153,7 @@ def space_of(scenario: Scenario, overs: Sequence[Over]) -> Space:
     ScenarioError
         No such parameter or signal, with the nearest name; a parameter that is no number, or a list of another length.
     """
-    rig = Rig.from_scenario(scenario)
+    rig = rig_of(scenario)
     params = {m.name: flatten(m.params) for m in rig.members}
     faults = {n: e.model_dump() for n, e in scenario.faults.items()}
     targets: list[str] = []
@@ -181,7 +181,7 @@ def space_of(scenario: Scenario, overs: Sequence[Over]) -> Space:
     changed = scenario.having(faults=faults)
     space = Space(changed, tuple(overs), tuple(targets), tuple(nominal), tuple(whole))
     for corner in (0.0, 0.5, 1.0):  # what a block refuses is said now, with the parameter's bounds
-        Rig.from_scenario(changed.changed(overrides=space.overrides([corner] * space.size)))
+        rig_of(changed.changed(overrides=space.overrides([corner] * space.size)))
     return space
 
 

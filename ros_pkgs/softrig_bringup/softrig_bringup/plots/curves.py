@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 from softrig_core import Port, Rig, ScenarioError, Signals
+from softrig_core.block.port import XYZ
 from softrig_core.errors import closest
-from softrig_core.model.port import XYZ
 from softrig_core.rig.members import signal_units
-from softrig_core.rig.scenario import PlotEntry
+from softrig_core.scenario.scenario import PlotEntry
 from softrig_core.wire.signals import short_name, topic_of
 
 Array = NDArray[np.float64]

@@ -10,10 +10,10 @@ from typing import Any, Literal
 
 import numpy as np
 from softrig_core import Rig, SignalMap, figures_of
-from softrig_core.rig import measures
-from softrig_core.rig.expectation import Expectation
-from softrig_core.rig.figures import Figure
-from softrig_core.rig.requirements import Judge
+from softrig_core.judge import measures
+from softrig_core.judge.expectation import Expectation
+from softrig_core.verdict.figures import Figure
+from softrig_core.verdict.requirements import Judge
 
 BESIDE = 0.06  # of the window: how far the mark of an extreme reaches to either side
 TOGETHER = 0.01  # of all that is violated: intervals as near as this are drawn as one
@@ -60,7 +60,7 @@ class Mark:
 def marks_of(rig: Rig, signals: SignalMap) -> dict[str, list[Mark]]:
     """Give the marks of each signal that figures of the scenario are measured of.
 
-    Only figures of `softrig_core.rig.measures` that have a place in a picture over time: levels (final value, mean,
+    Only figures of `softrig_core.judge.measures` that have a place in a picture over time: levels (final value, mean,
     extremes, overshoot, peak against a constant) and instants (rise, settling, reaching).
 
     Parameters

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from softrig_core import Signals
-from softrig_core.rig.scenario import PlotEntry
+from softrig_core.scenario.scenario import PlotEntry
 
 from . import style as look
 from .axes import draw, fold_exponents, legend
 from .curves import Array, Curve, Shown, inside
-from .figures import time_scale
+from .pictures import time_scale
 from .style import axis_title, quantity
 
 if TYPE_CHECKING:

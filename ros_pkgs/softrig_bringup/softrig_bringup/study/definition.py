@@ -10,11 +10,11 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 from softrig_core import ScenarioError
 from softrig_core.errors import closest
-from softrig_core.rig.claims import Claim
-from softrig_core.rig.expectation import Expected
-from softrig_core.rig.places import explain
-from softrig_core.rig.references import fill
-from softrig_core.rig.yaml_file import read_mapping
+from softrig_core.judge.claims import Claim
+from softrig_core.judge.expectation import Expected
+from softrig_core.scenario.places import explain
+from softrig_core.scenario.references import fill
+from softrig_core.scenario.yaml_file import read_mapping
 
 MOST = 1_000_000  # seeds, points, candidates: room is made for all of them at once
 
@@ -168,7 +168,7 @@ class Study(_Model):
 
 def study_folders() -> list[Path]:
     """Where study files are looked for: ``studies`` beside each folder of scenarios."""
-    from softrig_core.rig.scenario_file import scenario_folders
+    from softrig_core.scenario.scenario_file import scenario_folders
 
     folders = [folder.parent / "studies" for folder in scenario_folders()]
     given = [Path(p) for p in os.environ.get("SOFTRIG_STUDIES", "").split(os.pathsep) if p]

@@ -13,7 +13,7 @@ from softrig_core import ScenarioError, figures_of, rig_of
 from softrig_core.errors import closest
 from softrig_core.extras import need
 from softrig_core.guard import say
-from softrig_core.rig.expectation import Expectation
+from softrig_core.judge.expectation import Expectation
 from softrig_core.wire.signals import full_name
 from softrig_optim.sweep import progress, stream
 

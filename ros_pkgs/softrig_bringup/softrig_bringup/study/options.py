@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from softrig_core import ScenarioError, list_scenarios
-from softrig_core.rig.scenario_file import locate
-from softrig_core.rig.yaml_file import read_yaml
+from softrig_core.scenario.scenario_file import locate
+from softrig_core.scenario.yaml_file import read_yaml
 
 from .definition import Study, list_studies, load_study, make_study
 

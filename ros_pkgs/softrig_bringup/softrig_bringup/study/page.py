@@ -11,18 +11,18 @@ from typing import Any
 from xml.etree.ElementTree import Element
 
 from softrig_core import figures_of, load_scenario, rig_of
+from softrig_core.block.params import declarations
 from softrig_core.extras import need
-from softrig_core.model.params import declarations
-from softrig_core.rig.figures import Result
-from softrig_core.rig.findings import Finding
 from softrig_core.rig.members import signal_units
+from softrig_core.verdict.figures import Result
+from softrig_core.verdict.findings import Finding
 from softrig_core.wire.signals import short_name
 
-from ..citations import cited, sources
 from ..folder import STUDY, ResultsFolder
-from ..html import NONE, e, mark, picture, table, write_page
+from ..page.citations import cited, sources
+from ..page.html import NONE, e, mark, picture, table, write_page
+from ..page.wording import NEVER, accepted, short
 from ..plots.style import pretty_unit
-from ..wording import NEVER, accepted, short
 from .definition import Study, list_studies
 from .engine import beyond, run_study
 from .options import study_of
@@ -113,7 +113,7 @@ def _figure(row: Row, name: str) -> str:
 def _print(study: Study, rows: Sequence[Row], found: Sequence[Result], held: Sequence[Finding], out: Path) -> None:
     from rich.table import Table
 
-    from ..listing import console as make_console, styled
+    from ..terminal.listing import console as make_console, styled
 
     console = make_console()
     shown = Table(title=study.title, title_justify="left", box=None)

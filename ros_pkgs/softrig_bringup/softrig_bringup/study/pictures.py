@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..plots.figures import note, places, plot_name, save_figure
 from ..plots.overlay import BAND
+from ..plots.pictures import note, places, plot_name, save_figure
 from ..plots.style import COLOURS, DPI, WIDTH, axis_title, quantity, style
 from .definition import Search, Study
 from .work import absent, value_of

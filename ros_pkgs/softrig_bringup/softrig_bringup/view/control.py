@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from softrig_core import Rig
-from softrig_core.model.change import changeable
-from softrig_core.model.params import LARGEST, declarations, flatten
-from softrig_core.rig.faults import EXECUTABLE, PACKAGE
+from softrig_core.block.change import changeable
+from softrig_core.block.params import LARGEST, declarations, flatten
+from softrig_core.scenario.faults import EXECUTABLE, PACKAGE
 
 KEPT = 100  # lines of what was said
 
@@ -66,7 +66,7 @@ class Control:
     ----------
     rig : Rig
     ask : callable
-        Gets a request (`softrig_core.node.remote`) and who wants its answer; None where nothing can be asked.
+        Gets a request (`softrig_core.node.ros.remote`) and who wants its answer; None where nothing can be asked.
     now : callable
         Gives the time of the run, s.
     over : callable

@@ -25,8 +25,8 @@ from bokeh.models import (
 )
 from bokeh.themes import Theme
 from softrig_core import ScenarioError
-from softrig_core.rig.figures import Result
-from softrig_core.rig.yaml_file import read_yaml
+from softrig_core.scenario.yaml_file import read_yaml
+from softrig_core.verdict.figures import Result
 
 from ..drawing import drawing_for
 from ..drawing.film import PAST, rows

@@ -10,7 +10,7 @@ from bokeh.models import ColumnDataSource, CrosshairTool, DataRange1d, HoverTool
 from bokeh.plotting import figure
 from softrig_core import Rig
 from softrig_core.rig.members import signal_units
-from softrig_core.rig.scenario import PlotEntry
+from softrig_core.scenario.scenario import PlotEntry
 
 from ..plots.curves import Curve, Source as Curves, envelope
 from ..plots.style import MANY, axis_title, pretty_unit, quantity

@@ -1,4 +1,4 @@
-"""The process that turns knobs and presses buttons for the pages: `softrig_core.node.remote`, which alone knows ROS."""
+"""The process that turns knobs and presses buttons for the pages: `softrig_core.node.ros.remote`."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
-from softrig_core.rig.executables import environment
+from softrig_core.processes.executables import environment
 
 from .control import Answer
 
@@ -32,7 +32,7 @@ class Remote:
 
     def __init__(self, domain: int, directory: Path, call: Callable[[Callable[[], object]], object]) -> None:
         self._process = subprocess.Popen(
-            [sys.executable, "-P", "-m", "softrig_core.node.remote"], env=environment(domain, directory), text=True,
+            [sys.executable, "-P", "-m", "softrig_core.node.ros.remote"], env=environment(domain, directory), text=True,
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, process_group=0,
         )  # fmt: skip
         self._asked: dict[int, Answer] = {}

@@ -27,9 +27,9 @@ from bokeh.server.auth_provider import AuthProvider, NullAuth
 from bokeh.server.server import Server
 from bokeh.server.util import bind_sockets
 from pydantic import BaseModel, ConfigDict
-from softrig_core import Rig, Scenario, ScenarioError
+from softrig_core import Scenario, ScenarioError, rig_of
 from softrig_core.guard import say
-from softrig_core.rig.figures import Result, evaluate
+from softrig_core.verdict.figures import Result, evaluate
 from tornado.ioloop import IOLoop
 from tornado.web import HTTPError, RequestHandler
 
@@ -210,7 +210,7 @@ def serve(source: Source, how: str, address: str) -> None:
 def beside(watched: Watched, lines: Any) -> None:
     """Show a run under way until it is over and nobody looks any more, or `lines` ends."""
     os.nice(10)  # the loop comes first
-    rig = Rig.from_scenario(Scenario.model_validate(watched.scenario))
+    rig = rig_of(Scenario.model_validate(watched.scenario))
     loop = IOLoop.current()
     directory = Path(watched.directory)
     source = Live(rig, directory, watched.realtime)

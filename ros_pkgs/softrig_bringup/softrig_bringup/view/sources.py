@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from softrig_core import Recording, Rig
-from softrig_core.rig.children import read_status
-from softrig_core.rig.peers import starter
+from softrig_core.processes.children import read_status
+from softrig_core.processes.peers import starter
 from softrig_core.timebase import SECOND
 from softrig_core.wire.parameter_event import recorded
 from softrig_core.wire.recording import ShardTail

@@ -17,8 +17,8 @@ from typing import Any
 from softrig_core import ParameterError, resource
 from softrig_core.errors import closest
 from softrig_core.extras import need
-from softrig_core.model.compiled import cache_folder
-from softrig_core.rig.units import base, powers, text
+from softrig_core.judge.units import base, powers, text
+from softrig_core.kit.compiled import cache_folder
 
 _INDEXED = re.compile(r"(?P<name>.+)\[(?P<at>\d+(,\d+)*)\]")
 BASES = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")  # of the FMI's base units

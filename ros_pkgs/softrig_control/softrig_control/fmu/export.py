@@ -10,7 +10,7 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
-from softrig_core import Rig, ScenarioError, load_scenario
+from softrig_core import Rig, ScenarioError, rig_of
 from softrig_core.command_line import Parser
 from softrig_core.errors import closest
 from softrig_core.extras import need
@@ -91,7 +91,7 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument("nodes", nargs="+", metavar="NODE", help="of the scenario, with its parameters there")
     parser.add_argument("--out", type=Path, default=Path(), metavar="DIR", help="NODE.fmu goes here (.)")
     options = parser.parse_args(arguments)
-    rig = Rig.from_scenario(load_scenario(options.scenario))
+    rig = rig_of(options.scenario)
     for node in options.nodes:
         print(export(rig, node, options.out))
     return 0

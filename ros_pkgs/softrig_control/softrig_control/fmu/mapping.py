@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 from softrig_core import Port, joint_state, reference, vector3
-from softrig_core.model.port import XYZ
+from softrig_core.block.port import XYZ
 
 from .description import Description, Variable, conversion
 

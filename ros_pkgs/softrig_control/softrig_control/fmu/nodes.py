@@ -10,7 +10,7 @@ from typing import Any, Literal, Self
 
 from pydantic import model_validator
 from softrig_core import Block, BlockParams, ParameterError, Plant, Port, RunError, executable, param
-from softrig_core.model.schedule import Schedule, rational
+from softrig_core.block.schedule import Schedule, rational
 
 from .description import Description, Variable, describe, unpacked
 from .instance import Cell, Instance, Plan, Refusal

@@ -10,11 +10,11 @@ from xml.etree.ElementTree import Element, SubElement
 
 import softrig_core
 from softrig_core import Plant, Port
-from softrig_core.model.params import build, declarations, flatten
-from softrig_core.model.schedule import Schedule
-from softrig_core.model.step import Rows, Step
-from softrig_core.rig.rig import load_block
-from softrig_core.rig.units import base
+from softrig_core.block.params import build, declarations, flatten
+from softrig_core.block.schedule import Schedule
+from softrig_core.block.step import Rows, Step
+from softrig_core.judge.units import base
+from softrig_core.rig.installed import load_block
 
 assert softrig_core  # before numpy, which its import pins
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from itertools import zip_longest
 from typing import NamedTuple
 
-from softrig_core.model.dense import total
+from softrig_core.kit.dense import total
 
 from ..discretise import Matrix, matmul, zero_order_hold
 

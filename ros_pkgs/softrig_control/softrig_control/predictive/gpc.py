@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from softrig_core.model import dense
+from softrig_core.kit import dense
 
 from ..discretise import Matrix, matmul
 from .carima import Carima, add, multiply, predict

@@ -6,8 +6,8 @@ import sys
 from collections.abc import Sequence
 from typing import Any, NoReturn
 
+from ..block.block import Block
 from ..interrupt import interrupt
-from ..model.block import Block
 
 
 class _Main:
@@ -18,7 +18,7 @@ class _Main:
 
     def __call__(self, args: Sequence[str] | None = None) -> NoReturn:
         interrupt.install()
-        from .startup import run_node  # rclpy is imported only in a node process
+        from .main import run_node  # rclpy is imported only in a node process
 
         run_node(self.block, sys.argv if args is None else list(args))
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from ..model.block import Plant
-from ..model.params import BlockParams, param
+from ..block.block import Plant
+from ..block.params import BlockParams, param
 from . import executable
 
 

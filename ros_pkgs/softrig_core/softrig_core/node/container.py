@@ -20,18 +20,18 @@ from rclpy.node import Node
 from ..errors import RunError
 from ..guard import secure_streams, tell
 from ..interrupt import interrupt
-from ..rig.rig import load_block
+from ..rig.installed import load_block
 from ..timebase import SECOND
-from .adapter import Adapter
-from .contained import ContainedMiddleware
-from .exchange import Exchange
-from .garbage import Garbage
+from .adapter.adapter import Adapter
+from .adapter.spin import conclude, failure
 from .group import Group
-from .leave import leave
-from .profile import exclusive
-from .ros import ServingNode
-from .spin import conclude, failure
-from .startup import make_adapter
+from .main import make_adapter
+from .ros.contained import ContainedMiddleware
+from .ros.garbage import Garbage
+from .ros.leave import leave
+from .ros.profile import exclusive
+from .ros.ros import ServingNode
+from .seam.exchange import Exchange
 
 LOOK = 100_000_000  # ns: how long a busy container leaves DDS alone: a look takes as long as some ticks
 SPIN = 300_000  # ns: a timer closer than this is waited for awake: to sleep and wake takes half as long

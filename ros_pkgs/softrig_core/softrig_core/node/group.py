@@ -6,17 +6,17 @@ import time
 from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
+from ..block.codec import selection
+from ..block.port import Refused
+from ..block.runner import Runner
 from ..errors import RunError
-from ..model.codec import selection
-from ..model.port import Refused
-from ..model.runner import Runner
 from ..wire.cdr import Pick
-from .adapter import Adapter
-from .beat import Beat
-from .endpoint import Output
-from .feed import Feed
-from .lockstep import Lockstep
-from .realtime import Realtime
+from .adapter.adapter import Adapter
+from .lockstep.lockstep import Lockstep
+from .realtime.beat import Beat
+from .realtime.live import Live
+from .realtime.realtime import Realtime
+from .seam.endpoint import Output
 
 SLICE = 5_000_000  # ns: how long ticks may keep a timer waiting
 
@@ -133,7 +133,7 @@ def _whole(drives: Iterable[Realtime], links: Sequence[_Link]) -> bool:
     fed = [row for row in rows if row.local]
     return (
         bool(fed)
-        and all(row.paired and type(row) is Feed for row in fed)
+        and all(row.paired and type(row) is Live for row in fed)
         and not any(row.awaited or row.schedule is not None for row in rows if not row.local)
         and not any(k.output.port.unchecked for k in links)
         and all(d.node.links.starter or d.node.options.epoch for d in drives)

@@ -1,4 +1,4 @@
-"""What every node needs before it is made, loaded by being imported: the start server does that before it forks.
+"""What every node needs before it is made, loaded by being imported: the fork server does that before it forks.
 
 Half of what is left of a node's start after Python's imports are the C libraries of message types.
 """
@@ -10,8 +10,9 @@ from contextlib import suppress
 from rclpy.type_support import check_for_type_support
 
 from ..wire.types import TYPES
-from . import container, spin, startup  # noqa: F401
-from .messages import message_class
+from . import container, main  # noqa: F401
+from .adapter import spin  # noqa: F401
+from .ros.messages import message_class
 
 # of each node of rclpy's, and of ours
 OWN = (

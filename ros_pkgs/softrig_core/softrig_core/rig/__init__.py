@@ -1,0 +1,1 @@
+"""A rig: the members of a scenario, wired and checked."""

@@ -6,8 +6,8 @@ import math
 from collections.abc import Iterable
 from typing import Any, Protocol
 
+from ..block.block import Block
 from ..errors import ScenarioError
-from ..model.block import Block
 
 
 class Named(Protocol):

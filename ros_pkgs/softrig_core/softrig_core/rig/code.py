@@ -12,8 +12,8 @@ from functools import cache
 from os.path import isfile
 from pathlib import Path
 
-from ..model.block import Block
-from ..model.resource import prefixes
+from ..block.block import Block
+from ..kit.resource import prefixes
 
 LETTERS = 12  # of a fingerprint
 _IMPORT = re.compile(r"^\s*(?:from|import)\s+([A-Za-z_]\w*)", re.MULTILINE)

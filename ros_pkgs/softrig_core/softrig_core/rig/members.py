@@ -5,15 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+from ..block.block import Block, Plant
+from ..block.change import Change
+from ..block.params import BlockParams, ParameterError, flatten
+from ..block.port import CLOCK, Port
+from ..block.schedule import Schedule
 from ..errors import ScenarioError
-from ..model.block import Block, Plant
-from ..model.change import Change
-from ..model.params import BlockParams, ParameterError, flatten
-from ..model.port import CLOCK, Port
-from ..model.schedule import Schedule
+from ..scenario.references import pick
+from ..scenario.scenario import Scenario
 from ..wire.cdr import Pick
-from .references import pick
-from .scenario import Scenario
 
 
 @dataclass(frozen=True)

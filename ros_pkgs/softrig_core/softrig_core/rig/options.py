@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict
 
-from ..model.params import Params, param
+from ..block.params import Params, param
 
 
 class RunOptions(Params):

@@ -7,9 +7,9 @@ from importlib.metadata import EntryPoint
 from itertools import pairwise
 from typing import Any
 
-from ..model.answer import check
-from ..model.block import Plant
-from ..model.params import ParameterError, build
+from ..block.answer import check
+from ..block.block import Plant
+from ..block.params import ParameterError, build
 
 GROUPS = ("console_scripts", "softrig_figures")
 

@@ -2,31 +2,27 @@
 
 from __future__ import annotations
 
-import importlib.metadata
-import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 from pydantic import ValidationError
 
-from ..errors import ScenarioError, closest, describe
-from ..model.block import Block
-from ..model.codec import selection
-from ..model.params import ParameterError, build, flatten
-from ..model.port import Port, Refused
-from ..model.schedule import Schedule
+from ..block.block import Block
+from ..block.codec import selection
+from ..block.params import ParameterError, build, flatten
+from ..block.port import Port, Refused
+from ..block.schedule import Schedule
+from ..errors import ScenarioError
+from ..judge.units import misfit
+from ..scenario.changes import script
+from ..scenario.node_parameters import NodeParameters
+from ..scenario.places import explain
+from ..scenario.scenario import PlotEntry, Scenario
 from ..wire.signals import full_name
 from .agreement import require_agreement
-from .changes import script
-from .faults import insert
-from .figures import told
-from .members import Link, Member, Members, signal_units, unit_of
-from .node_parameters import NodeParameters
-from .places import explain
-from .requirements import watched
-from .scenario import PlotEntry, Scenario
-from .units import misfit
+from .installed import load_block
+from .members import Link, Member, Members, unit_of
 
 TICKS = 10**9  # of the clock in one run: more would take days
 
@@ -37,29 +33,45 @@ class Rig(Members):
 
     @classmethod
     def from_scenario(cls, scenario: Scenario, classes: Mapping[str, type[Block]] | None = None) -> Rig:
-        """Build, wire and check; `classes` gives nodes their block class where no executable does.
+        """Build, wire and check the nodes of a scenario; `classes` gives block classes where no executable does.
+
+        What other entries stand for (faults, live requirements, live figures) is not put among the nodes: `rig_of` does
+        that.
 
         Raises
         ------
         ScenarioError
             Names the node, port or cycle that cannot work.
         """
-        known = dict(classes or {})
-        for name, entry in scenario.nodes.items():
-            if name not in known:
-                known[name] = load_block(entry.package, entry.executable)
-        if live := [n for n, e in scenario.nodes.items() if (e.package, e.executable) == FIGURES
-                    and not {"figures", "scenario"} & e.parameters.keys()]:  # fmt: skip
-            return cls._with_figures(scenario, live, known)
-        params = NodeParameters(scenario, known)
-        members = [_member(scenario, name, known[name], params) for name in scenario.nodes]
-        if scenario.faults:
-            return cls.from_scenario(_with_faults(scenario, members), known)
+        members = members_of(scenario, classes or {})
         if scenario.clock is not None or not any(m.is_plant for m in members):
             members.append(_clock(scenario, members))
-        plants = [m for m in members if m.is_plant]
-        clock = min(plants, key=lambda m: m.schedule.period)
-        for m in members:
+        clock = min((m for m in members if m.is_plant), key=lambda m: m.schedule.period)
+        return cls(scenario, (), clock)._with(scenario, members, members)
+
+    def listened(self, scenario: Scenario, names: Iterable[str]) -> Rig:
+        """Give the rig with more nodes of a scenario, or others in the place of those of their names, that only listen.
+
+        Parameters
+        ----------
+        scenario : Scenario
+            That of the rig, with them.
+        names : iterable of str
+
+        Raises
+        ------
+        ScenarioError
+            As `from_scenario`.
+        """
+        new = {m.name: m for m in members_of(scenario, {m.name: m.block_class for m in self.members}, names)}
+        members = [new.get(m.name, m) for m in self.members]
+        members += [m for m in new.values() if m not in members]
+        return self._with(scenario, members, list(new.values()))
+
+    def _with(self, scenario: Scenario, members: list[Member], new: list[Member]) -> Rig:
+        """Give the rig of all these members, of which the new ones are to be linked."""
+        clock = self.clock
+        for m in new:
             try:
                 m.schedule = Schedule(m.params.period, clock.params.period, scenario.duration,
                                       m.block_class.speaks_at_end())  # fmt: skip
@@ -69,10 +81,14 @@ class Rig(Members):
             raise ScenarioError(f"{scenario.name}: {scenario.duration:g} s are {clock.schedule.ticks:.3g} periods of "
                                 f"{clock.name}, expected at most {TICKS:.0e}")  # fmt: skip
         require_agreement(scenario.name, members)
+        for m in members:
+            m.changes = ()
         script(scenario.name, scenario.changes, members)
-        _wire(scenario, members)
-        rig = cls(_whole_names(scenario, members), (*plants, *_sorted([m for m in members if not m.is_plant])), clock)
-        return cls.from_scenario(_with_watchers(rig), classes) if _live(scenario) else rig
+        _link(scenario, members, new)
+        _check_units(scenario, new)
+        plants = [m for m in members if m.is_plant]
+        others = _sorted([m for m in members if not m.is_plant])
+        return replace(self, scenario=_whole_names(scenario, members), members=(*plants, *others))
 
     @classmethod
     def from_blocks(
@@ -110,85 +126,37 @@ class Rig(Members):
             raise ScenarioError(f"{name}: {explain(error, Scenario)}") from None
         return cls.from_scenario(scenario, {node: type(block) for node, block in blocks.items()})
 
-    @classmethod
-    def _with_figures(cls, scenario: Scenario, live: Sequence[str], known: Mapping[str, type[Block]]) -> Rig:
-        """Build a rig some of whose nodes measure its figures while it runs: they are told which these are.
-
-        They read what the figures name, also where a fault changes it for all others.
-        """
-
-        def rig(scenario: Scenario, told: Mapping[str, Any]) -> Rig:
-            nodes = {n: e.model_copy(update={"parameters": {**told, **own[n]}}) if n in own else e
-                     for n, e in scenario.nodes.items()}  # fmt: skip
-            return cls.from_scenario(scenario.model_copy(update={"nodes": nodes}), known)
-
-        own = {n: scenario.nodes[n].parameters for n in live}
-        bare = rig(scenario, {"figures": "[]", "ports": "[]"})
-        full = rig(bare.scenario, {"period": bare.clock.params.period, **told(bare)})
-        nodes = {**full.scenario.nodes, **{n: scenario.nodes[n] for n in live}}  # what they are told may change
-        return replace(full, scenario=full.scenario.model_copy(update={"nodes": nodes}))
-
-    def changed(self, *, duration: float | None = None, overrides: Mapping[str, Any] | None = None) -> Rig:
-        """Give the rig with another length or other parameters (``node.parameter`` to value)."""
-        scenario = self.scenario.changed(duration=duration, overrides=overrides)
-        return Rig.from_scenario(scenario, {m.name: m.block_class for m in self.members})
-
     def with_plots(self, plots: tuple[PlotEntry, ...]) -> Rig:
         """Give the rig with other plots."""
         changed = self.scenario.model_copy(update={"plots": plots})
         return replace(self, scenario=_whole_names(changed, list(self.members)))
 
 
-_NO_MEMORY = re.compile("annot allocate memory|failed to map segment")  # of the C library and its loader
 CLOCK_NODE = "clock"  # node and executable of a clock that is no plant
-FIGURES = ("softrig_core", "figures")  # package and executable of what measures the figures of its rig
 
 
-def load_main(package: str, executable: str) -> Any:
-    """Import the main function of an installed Python executable; None when the package has none of this name.
+def members_of(
+    scenario: Scenario, classes: Mapping[str, type[Block]], names: Iterable[str] | None = None
+) -> list[Member]:
+    """Make members of a scenario, not yet linked.
 
-    Raises
-    ------
-    ScenarioError
-        Its module cannot be imported; says why and where.
-    """
-    try:
-        points = importlib.metadata.distribution(package).entry_points.select(group="console_scripts")
-    except importlib.metadata.PackageNotFoundError:
-        return None
-    if executable not in points.names:
-        return None
-    try:
-        return points[executable].load()
-    except MemoryError:
-        raise
-    except (Exception, SystemExit) as error:
-        if isinstance(error, OSError | ImportError) and _NO_MEMORY.search(str(error)):
-            raise MemoryError(str(error)) from error
-        raise ScenarioError(f"{package}/{executable} cannot be loaded: {describe(error)}") from error
-
-
-def load_block(package: str, executable: str) -> type[Block]:
-    """Find the block class behind an installed executable.
+    Parameters
+    ----------
+    scenario : Scenario
+    classes : mapping of node name to type of Block
+        Of those that no executable gives.
+    names : iterable of str, optional
+        Only these.
 
     Raises
     ------
     ScenarioError
-        The package or executable is not installed, cannot be imported, or is not a softrig node.
+        Names the node whose executable, parameters or topics are wrong.
     """
-    try:
-        points = importlib.metadata.distribution(package).entry_points.select(group="console_scripts")
-    except importlib.metadata.PackageNotFoundError:
-        near = closest(package, (d.name for d in importlib.metadata.distributions()))
-        raise ScenarioError(f"package {package!r} is not installed in this environment{near}") from None
-    names = sorted(points.names)
-    if executable not in names:
-        raise ScenarioError(f"package {package} has no executable {executable!r}{closest(executable, names)}; it has "
-                            f"{', '.join(names)}")  # fmt: skip
-    block: type[Block] | None = getattr(load_main(package, executable), "block", None)
-    if block is None:
-        raise ScenarioError(f"{package}/{executable} is a tool, not the node of a block")
-    return block
+    entries = scenario.nodes.items()
+    known = {n: classes[n] if n in classes else load_block(e.package, e.executable) for n, e in entries}
+    parameters = NodeParameters(scenario, known)
+    return [_member(scenario, n, known[n], parameters) for n in (known if names is None else names)]
 
 
 def _member(scenario: Scenario, name: str, block: type[Block], parameters: NodeParameters) -> Member:
@@ -210,30 +178,6 @@ def _member(scenario: Scenario, name: str, block: type[Block], parameters: NodeP
                   dict(entry.remap), {}, Schedule(params.period))  # fmt: skip
 
 
-def _with_faults(scenario: Scenario, members: list[Member]) -> Scenario:
-    """Give the scenario with its faults among its nodes."""
-    nodes = insert(
-        scenario.name, scenario.faults, {n: e.model_dump() for n, e in scenario.nodes.items()},
-        {m.name: (m.inputs, m.outputs) for m in members}, {m.name: m.params for m in members},
-    )  # fmt: skip
-    return scenario.having(nodes=nodes, faults={})
-
-
-def _live(scenario: Scenario) -> bool:
-    return any(r.live or r.ends for r in scenario.requirements.values())
-
-
-def _with_watchers(rig: Rig) -> Scenario:
-    """Give the scenario with the nodes that watch its requirements among its nodes."""
-    nodes = {n: e.model_dump() for n, e in rig.scenario.nodes.items()}
-    for name, entry in watched(rig, signal_units(rig)).items():
-        if name in nodes:
-            raise ScenarioError(f"{rig.scenario.name}: node {name}: that is the name of what watches a requirement")
-        nodes[name] = entry
-    quiet = {n: r.model_copy(update={"live": False, "ends": False}) for n, r in rig.scenario.requirements.items()}
-    return rig.scenario.having(nodes=nodes, requirements=quiet)
-
-
 def _clock(scenario: Scenario, members: list[Member]) -> Member:
     """Make the clock of a rig without a plant, or with a period of its own."""
     if any(m.name == CLOCK_NODE for m in members):
@@ -248,7 +192,8 @@ def _clock(scenario: Scenario, members: list[Member]) -> Member:
     return Member(CLOCK_NODE, "softrig_core", CLOCK_NODE, block, params, (), (), False, {}, {}, schedule)
 
 
-def _wire(scenario: Scenario, members: list[Member]) -> None:
+def _link(scenario: Scenario, members: list[Member], new: list[Member]) -> None:
+    """Find the sources of the new members' inputs."""
     sources: dict[str, tuple[Member, Port]] = {}
     for member in members:
         for port in member.outputs:
@@ -256,7 +201,7 @@ def _wire(scenario: Scenario, members: list[Member]) -> None:
                 other = sources[port.topic][0].name
                 raise ScenarioError(f"{scenario.name}: {other} and {member.name} both publish {port.topic}")
             sources[port.topic] = (member, port)
-    for member in members:
+    for member in new:
         for port in member.inputs:
             if port.topic not in sources:
                 if port.held:
@@ -274,7 +219,6 @@ def _wire(scenario: Scenario, members: list[Member]) -> None:
                 raise ScenarioError(
                     f"{scenario.name}: {port.topic} from {source.name} does not fit {member.name}: {error}"
                 ) from None
-    _check_units(scenario, members)
 
 
 def _whole_names(scenario: Scenario, members: list[Member]) -> Scenario:

@@ -1,0 +1,1 @@
+"""Messages as bytes: types, layouts, signals, recordings."""

@@ -1,7 +1,7 @@
 """Figure functions of the drive: flux error, flux circles, converter errors, switching.
 
 A flux is a complex array alpha + j beta in Wb; `start` and `end` (s) limit the samples as in
-`softrig_core.rig.measures`.
+`softrig_core.judge.measures`.
 """
 
 from __future__ import annotations

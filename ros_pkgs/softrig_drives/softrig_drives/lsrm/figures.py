@@ -3,8 +3,8 @@
 They follow the sign of `v_d`, and the force the direction of the motion: a motion backwards has the figures of its
 mirror image, forces with their own sign.
 
-`start` and `end` (s) limit the samples as in `softrig_core.rig.measures`. Of two drives in one rig, `drive` is the name
-before the topics of one (``trapezoid``).
+`start` and `end` (s) limit the samples as in `softrig_core.judge.measures`. Of two drives in one rig, `drive` is the
+name before the topics of one (``trapezoid``).
 """
 
 from __future__ import annotations

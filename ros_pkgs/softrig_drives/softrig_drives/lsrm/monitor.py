@@ -8,7 +8,7 @@ from typing import Any
 
 from pydantic import field_validator
 from softrig_core import Figure, Watch, WatchParams, executable, param
-from softrig_core.rig import measures
+from softrig_core.judge import measures
 
 from .figures import POSITION, REFERENCE, SPEED, dip, iae, itae, overshoot, peak_force
 from .ports import FORCE_CMD, JOINT_STATES, LOAD, PHASE_CURRENTS, PHASE_VOLTAGE, REFERENCE as REFERENCE_PORT

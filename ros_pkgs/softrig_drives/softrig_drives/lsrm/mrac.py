@@ -8,7 +8,7 @@ from typing import Self
 
 from pydantic import model_validator
 from softrig_core import executable, param
-from softrig_core.model.dense import total
+from softrig_core.kit.dense import total
 
 from .machine import Mechanics
 from .ports import FORCE_CMD, REFERENCE, SPEED, THETA

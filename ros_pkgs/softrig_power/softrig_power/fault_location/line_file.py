@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from softrig_core import ScenarioError
-from softrig_core.model.params import build
-from softrig_core.rig.yaml_file import read_yaml
+from softrig_core.block.params import build
+from softrig_core.scenario.yaml_file import read_yaml
 
 from .parameters import LineParams
 

@@ -12,7 +12,7 @@ import numpy as np
 from softrig_bags.read import read_bag
 from softrig_bags.write import write_bag
 from softrig_core import ParameterError, Recording, RunError, ScenarioError, Signals, vector3
-from softrig_core.model.params import build
+from softrig_core.block.params import build
 from softrig_core.wire.cdr import parse
 
 from .comtrade_file import ComtradeFileError, read_comtrade

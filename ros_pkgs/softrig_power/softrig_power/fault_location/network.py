@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from softrig_core.model import dense
+from softrig_core.kit import dense
 
 from ..lines.bergeron import Lines, branch, branch_impedance, discrete_two_port, lines, steady_history
 from ..lines.modal import CLARKE

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from softrig_core import jit
-from softrig_core.model import dense
+from softrig_core.kit import dense
 
 from ..lines.bergeron import histories, store
 from ..lines.modal import CLARKE

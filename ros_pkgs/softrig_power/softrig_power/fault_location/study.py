@@ -9,7 +9,7 @@ from functools import lru_cache
 from typing import Any, get_args
 
 import numpy as np
-from softrig_core.model.params import build
+from softrig_core.block.params import build
 from softrig_optim.sweep import stream
 
 from .cases import PUBLISHED, Case

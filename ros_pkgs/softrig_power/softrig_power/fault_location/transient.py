@@ -6,7 +6,7 @@ import cmath
 import math
 
 import numpy as np
-from softrig_core.model import dense
+from softrig_core.kit import dense
 
 from .objective import Objective
 from .record import RecordError, Status

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from softrig_core.model import dense
+from softrig_core.kit import dense
 
 
 class Weights:

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 from softrig_core import Figure, Watch, WatchParams, executable, param
-from softrig_core.rig import measures
+from softrig_core.judge import measures
 
 from .figures import power_balance
 from .ports import SERIES_REFERENCE, STATUS

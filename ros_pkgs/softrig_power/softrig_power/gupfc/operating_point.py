@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import model_validator
 from softrig_core import BlockParams, param
-from softrig_core.model.params import flatten
+from softrig_core.block.params import flatten
 
 from . import steady
 from .circuit import BUS1, BUS2, BUS4, I12, I34, I_SH, PULSE, SE12, SE34, SH, circuit

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 from softrig_core import Level, Plant, Port, array, executable, param, state_type
-from softrig_core.model import dense
+from softrig_core.kit import dense
 
 from .circuit import BUS1, BUS2, BUS4, I12, I34, I_SH, State, advance, circuit
 from .measurement import Weights

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from softrig_core import Params, param
-from softrig_core.model import dense
+from softrig_core.kit import dense
 
 from .dual import Dual
 from .injection import converter_power, series_power

@@ -30,7 +30,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 from softrig_core import jit
-from softrig_core.model import dense
+from softrig_core.kit import dense
 
 Array = NDArray[np.float64]
 

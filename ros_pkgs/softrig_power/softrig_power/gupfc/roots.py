@@ -24,7 +24,7 @@ from itertools import product
 from typing import NamedTuple
 
 import numpy as np
-from softrig_core.model import dense
+from softrig_core.kit import dense
 
 from .network import NetworkParams
 

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from softrig_core.model import dense
+from softrig_core.kit import dense
 
 from ..lines.bergeron import Lines, delay_factor, history_length
 from .circuit import I12, I34, I_SH, PULSE, SOURCE_A, SOURCE_B, A, B, Circuit, State, mean_voltage

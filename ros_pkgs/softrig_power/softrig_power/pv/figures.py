@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 from softrig_core import SignalMap, figure, window
-from softrig_core.rig.measures import HALF_NS
+from softrig_core.judge.measures import HALF_NS
 
 from .array import split
 from .module import Array, ModuleParams

@@ -8,7 +8,7 @@ from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from softrig_core.model.dense import total
+from softrig_core.kit.dense import total
 
 from .module import STC, Array, Cell, ModuleParams, cell
 

@@ -8,7 +8,7 @@ from itertools import zip_longest
 from typing import Any
 
 from softrig_core import Figure, Watch, WatchParams, executable, param, scalars
-from softrig_core.rig import measures
+from softrig_core.judge import measures
 
 from .parameters import RectifierConstants
 from .ports import DC_LINK, events

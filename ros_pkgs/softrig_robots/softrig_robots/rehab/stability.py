@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pydantic import model_validator
 from softrig_control.discretise import zero_order_hold
 from softrig_core import Params, param
-from softrig_core.model.params import flatten
+from softrig_core.block.params import flatten
 
 from ..joints import PerJoint, require_positive, spread
 from .model import LOWER, UPPER, RehabMotors, Segments

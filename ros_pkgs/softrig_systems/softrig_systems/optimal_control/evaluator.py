@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 from softrig_core import Level, Observer, Port, executable, param, scalars, to_s
-from softrig_core.model import dense
+from softrig_core.kit import dense
 
 from .exact import least_cost
 from .mvim import polynomials

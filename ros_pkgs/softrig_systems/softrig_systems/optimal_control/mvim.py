@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from softrig_core import jit
-from softrig_core.model import dense
+from softrig_core.kit import dense
 
 from .quadrature import gauss_legendre
 from .roots import Root, best, distinct

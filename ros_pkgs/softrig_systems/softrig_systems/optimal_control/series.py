@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from softrig_core import jit
-from softrig_core.model.jit import power
+from softrig_core.kit.jit import power
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 from softrig_core import Block, BlockParams, Level, Port, executable, param, scalars
-from softrig_core.model.dense import product
+from softrig_core.kit.dense import product
 
 from .certificate import VERDICT, CriterionParams
 from .lmi import Array

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from softrig_core import jit
-from softrig_core.model.dde import Trajectory, delayed, integrator
+from softrig_core.kit.dde import Trajectory, delayed, integrator
 
 from .profiles import Profile, delay_at
 
@@ -173,7 +173,7 @@ def located(rhs: Callable[..., None], cell_of: Callable[..., int],
     Parameters
     ----------
     rhs, limit : callable
-        As for `softrig_core.model.dde.integrator`; rhs takes its cell from ``p.cell[0]``.
+        As for `softrig_core.kit.dde.integrator`; rhs takes its cell from ``p.cell[0]``.
     cell_of : callable
         `jit` function (t, x, past, p): the cell that the state is in.
 

@@ -9,7 +9,7 @@ from typing import Any, Literal, NamedTuple, Self
 import numpy as np
 from pydantic import model_validator
 from softrig_core import BlockParams, Level, Plant, Port, check_steps, executable, param, state_type
-from softrig_core.model.dde import trajectory
+from softrig_core.kit.dde import trajectory
 from typing_extensions import TypeVar
 
 from .motion import (

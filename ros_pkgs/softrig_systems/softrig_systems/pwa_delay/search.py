@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from softrig_core.model.dde import trajectory
+from softrig_core.kit.dde import trajectory
 
 from .lmi import Array
 from .motion import FREE, PendulumConstants, TankConstants, constants, run_pendulum, run_pwa, run_tank

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from softrig_core.model import dense
+from softrig_core.kit import dense
 
 Array = NDArray[np.float64]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 from softrig_core import jit
-from softrig_core.model.dde import Trajectory, delayed, integrator
+from softrig_core.kit.dde import Trajectory, delayed, integrator
 
 if TYPE_CHECKING:
     import numpy as np

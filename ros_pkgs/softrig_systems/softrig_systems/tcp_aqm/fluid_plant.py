@@ -7,7 +7,7 @@ from typing import Self
 import numpy as np
 from pydantic import model_validator
 from softrig_core import Level, check_steps, executable, param
-from softrig_core.model.dde import trajectory
+from softrig_core.kit.dde import trajectory
 
 from .fluid import QUEUE, Constants, look_back, period
 from .network import Network, NetworkParams

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from softrig_core import BlockParams, Observer, executable, param
-from softrig_core.model.dense import total
+from softrig_core.kit.dense import total
 
 from .model import Bottleneck, equilibrium
 from .ports import COMMAND, REFERENCE, STATE, TRUTH

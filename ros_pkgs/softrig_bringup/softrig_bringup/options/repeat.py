@@ -1,0 +1,64 @@
+"""The command that repeats a run or a study, from any folder."""
+
+from __future__ import annotations
+
+import os
+import shlex
+from collections.abc import Iterable
+from functools import cache
+from pathlib import Path
+
+from softrig_core import ScenarioError
+from softrig_core.kit.resource import prefixes
+from softrig_core.scenario.scenario_file import locate, scenario_folders
+
+
+@cache
+def workspace(package: str) -> Path | None:
+    """Give the workspace of a package: in which colcon has built it, or which --workspace named."""
+    for prefix in prefixes():
+        if (prefix / "share" / "ament_index" / "resource_index" / "packages" / package).exists():
+            if (prefix / "workspace").is_file():
+                return Path((prefix / "workspace").read_text().strip())
+            install = prefix if prefix.name == "install" else prefix.parent  # merged, or a folder a package
+            return install.parent if (install / "local_setup.sh").is_file() and not _ours(prefix) else None
+    return None
+
+
+def _ours(prefix: Path) -> bool:
+    """Whether a prefix is that of the suite itself, which scripts/softrig sources."""
+    return (prefix / "share" / "ament_index" / "resource_index" / "packages" / "softrig_bringup").exists()
+
+
+def words(packages: Iterable[str], *verb: str) -> list[str]:
+    """Give the beginning of a command: ours by its whole path, with the workspace of people's own packages.
+
+    Parameters
+    ----------
+    packages : iterable of str
+        Those of the nodes.
+    *verb : str
+        What follows.
+    """
+    places = [place for place in dict.fromkeys(map(workspace, packages)) if place is not None]
+    own = ["--workspace", str(places[0].absolute())] if places else []
+    return [os.environ.get("SOFTRIG_COMMAND") or "softrig", *own, *verb]
+
+
+def scenario_word(name: str) -> str:
+    """Give a scenario as any folder finds it: by name, or by the whole path of a file that only this one does."""
+    try:
+        found, path = locate(name)
+    except ScenarioError:
+        return name
+    if found != path.stem:  # a variant has no path of its own
+        return name
+    command = os.environ.get("SOFTRIG_COMMAND", "")
+    home = Path(command).absolute().parent.parent / "config" / "scenarios" if command else None
+    known = [f for f in scenario_folders() if f == home or f.parent.parent.name == "share"]
+    return name if name == found and path.parent in known else str(path.absolute())
+
+
+def joined(parts: Iterable[str]) -> str:
+    """Join words for a shell."""
+    return shlex.join(parts)

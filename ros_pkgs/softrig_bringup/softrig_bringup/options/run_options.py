@@ -1,0 +1,155 @@
+"""The options of the verb `run`: what they change of a scenario, what a run is called, how to say them again."""
+
+from __future__ import annotations
+
+import argparse
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from softrig_core.command_line import Number
+
+if TYPE_CHECKING:
+    from softrig_core import Scenario
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument("scenario", nargs="?", default="", help="name or YAML file")
+    parser.add_argument("--like", type=Path, metavar="RUN", help="instead of a scenario: that run (its folder "
+                        "or bag) once more, with all that was changed while it ran")  # fmt: skip
+    parser.add_argument("--mode", choices=("processes", "container", "inprocess", "realtime"), default="processes",
+                     help="where the nodes live; realtime: processes --realtime")  # fmt: skip
+    parser.add_argument("--realtime", action="store_true", help="against the wall clock, not in lockstep")
+    parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE",
+                        help="change a parameter (node.parameter) or a shared value")  # fmt: skip
+    parser.add_argument("--params-file", type=Path, metavar="FILE",
+                        help="change parameters, in the form of ros2 param dump")  # fmt: skip
+    parser.add_argument("--duration", type=float, metavar="S", help="instead of the scenario's")
+    parser.add_argument("--seed", type=int, metavar="N", help="instead of the scenario's")
+    parser.add_argument("--external", action="append", default=[], metavar="NODE", help="somebody else starts this one")
+    parser.add_argument("--only", action="append", default=[], metavar="NODE",
+                        help="start this one here, the others on another machine; needs --domain")  # fmt: skip
+    parser.add_argument("--wait", type=Number(float, 0), metavar="S", help="limit of the wait for them (default: none)")
+    parser.add_argument("--domain", type=int, metavar="N", help="ROS_DOMAIN_ID (default: a free one)")
+    parser.add_argument(
+        "--out", type=Path, metavar="DIR", help="results go here (default runs/SCENARIO and what was changed)"
+    )
+    parser.add_argument("--strict", action="store_true", help="status 1 also when figures of a changed run differ")
+    parser.add_argument("--max-missed", type=Number(float, 0, 100), metavar="PERCENT",
+                        help="in real time: status 1 when a node misses more of its deadlines")  # fmt: skip
+    parser.add_argument("--label", default="", metavar="TEXT", help="what reports call this run")
+    parser.add_argument("--no-record", action="store_true", help="no bag")
+    parser.add_argument("--format", choices=("svg", "pdf"), default="", help="pictures of this kind beside the PNG")
+    parser.add_argument("--junit", type=Path, metavar="FILE", help="what was judged, as JUnit XML")
+    parser.add_argument("--no-plots", action="store_true", help="only metrics.json and the bag")
+    parser.add_argument("--view", action="store_true", help="a page in the browser beside it, with knobs")
+    parser.add_argument("--view-address", default="127.0.0.1:0", metavar="HOST:PORT", help="of the page (this host, a "
+                        "free port); from other hosts it is seen with the token in its address only")  # fmt: skip
+    parser.add_argument("--paused", action="store_true", help="with --view, in lockstep: begins paused")
+    parser.add_argument("--connect", action="store_true", help="print how nodes of your own see the rig")
+
+
+def scenario_of(options: argparse.Namespace) -> Scenario:
+    """Give the scenario with what the options change of it."""
+    from softrig_core import ScenarioError, load_scenario
+    from softrig_core.scenario.scenario import merge
+
+    if options.like is not None:
+        return _repeated(options)
+    if not options.scenario:
+        raise ScenarioError("expected a scenario, or --like RUN")
+    given = {}
+    if options.params_file is not None:
+        from .params_file import params_of
+
+        given = params_of(options.params_file, load_scenario(options.scenario).nodes)
+    scenario = load_scenario(options.scenario, given | dict(assignment(text) for text in options.set))
+    changes: dict[str, Any] = {}
+    for key in ("duration", "seed"):
+        if getattr(options, key) is not None:
+            changes[key] = getattr(options, key)
+    for name in options.external:
+        changes = merge(changes, {"nodes": {name: {"external": True}}})
+    if changes:
+        scenario = _changed(scenario, changes)
+    return scenario
+
+
+def _repeated(options: argparse.Namespace) -> Scenario:
+    """Give the scenario of the run that --like names, with what was changed of it before and while it ran."""
+    from softrig_core import ScenarioError
+
+    from .like import recall, repeated
+
+    for name in ("scenario", "set", "params_file", "duration", "seed", "external", "only"):
+        if getattr(options, name) not in ("", None, []):
+            word = name if name == "scenario" else f"--{name.replace('_', '-')}"
+            raise ScenarioError(f"--like repeats a run as it was: expected no {word} beside it")
+    parser = argparse.ArgumentParser(exit_on_error=False)
+    arguments(parser)
+    options.recalled = recall(options.like, parser.parse_args)
+    return repeated(scenario_of(options.recalled.options), options.recalled)
+
+
+def changed_words(options: argparse.Namespace) -> list[str]:
+    """Say what of a scenario was changed on the command line, in words."""
+    found = [str(options.params_file)] if options.params_file is not None else []
+    found += [f"like {options.like}"] if options.like is not None else []
+    found += [*options.set, *(f"{name} outside, its parameters unknown" for name in options.external)]
+    return found + [f"{name} {value}" for name in ("duration", "seed") if (value := getattr(options, name)) is not None]
+
+
+def folder_name(scenario: str, options: argparse.Namespace) -> str:
+    """Name the folder of a run so that runs that differ do not replace each other."""
+    parts = [scenario] + (["realtime"] if options.realtime or options.mode == "realtime" else [])
+    parts += [options.params_file.stem] if options.params_file is not None else []
+    parts += ["again"] if options.like is not None else []
+    parts += [*options.set, *(f"external_{name}" for name in options.external)]
+    parts += [f"{name}_{value}" for name in ("duration", "seed") if (value := getattr(options, name)) is not None]
+    return re.sub(r"[^A-Za-z0-9_.=+-]+", "_", "-".join(parts))[:120]
+
+
+def repeat(options: argparse.Namespace) -> list[str]:
+    """Command-line arguments that repeat a run."""
+    from .repeat import scenario_word
+
+    again = ["--like", str(options.like.absolute())] if options.like is not None else [scenario_word(options.scenario)]
+    arguments = [*again, "--mode", options.mode, *(["--realtime"] if options.realtime else [])]
+    arguments += ["--params-file", str(options.params_file.absolute())] if options.params_file is not None else []
+    for text in options.set:
+        arguments += ["--set", text]
+    for name in options.external:
+        arguments += ["--external", name]
+    for name in ("duration", "seed", "domain", "label"):
+        if getattr(options, name) not in (None, ""):
+            arguments += [f"--{name}", str(getattr(options, name))]
+    return arguments + (["--out", str(options.out.absolute())] if options.out else [])
+
+
+def assignment(text: str) -> tuple[str, Any]:
+    """Read ``NAME=VALUE``; a ScenarioError says what is wrong with it."""
+    from softrig_core import ScenarioError
+    from softrig_core.scenario.yaml_file import read_yaml
+
+    key, separator, value = text.partition("=")
+    if not separator:
+        raise ScenarioError(f"--set {text!r}: expected node.parameter=value, or shared_value=value")
+    return key, read_yaml(value, f"--set {text!r}")
+
+
+def _changed(scenario: Scenario, changes: dict[str, Any]) -> Scenario:
+    from pydantic import ValidationError
+    from softrig_core import ScenarioError
+    from softrig_core.errors import closest
+    from softrig_core.scenario.places import explain
+    from softrig_core.scenario.scenario import merge
+
+    for name in changes.get("nodes", {}):
+        if name not in scenario.nodes:
+            raise ScenarioError(f"--external {name}: no such node{closest(name, scenario.nodes)}; the nodes are "
+                                f"{', '.join(scenario.nodes)}")  # fmt: skip
+    try:
+        return type(scenario).model_validate(merge(scenario.model_dump(exclude_unset=True), changes))
+    except ValidationError as error:
+        raise ScenarioError(f"--{explain(error)}") from None

@@ -1,0 +1,1 @@
+"""Pages in parts: HTML, diagrams, citations, words of numbers."""

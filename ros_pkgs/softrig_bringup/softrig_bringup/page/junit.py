@@ -1,0 +1,102 @@
+"""JUnit XML, as continuous integration reads it: a suite a scenario, a case a figure, requirement or claim."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from xml.etree.ElementTree import Element, SubElement, indent, tostring
+
+from ..folder import replace
+
+
+@dataclass(frozen=True)
+class Case:
+    """One thing that was judged.
+
+    Parameters
+    ----------
+    name : str
+    failure : str
+        Why it does not hold; empty when it does.
+    text : str
+        What was measured.
+    """
+
+    name: str
+    failure: str = ""
+    text: str = ""
+
+
+@dataclass(frozen=True)
+class Suite:
+    """What was judged of a run.
+
+    Parameters
+    ----------
+    name : str
+    seconds : float
+        Wall-clock time.
+    cases : sequence of Case
+    error : str
+        Why the run broke; empty when it did not.
+    """
+
+    name: str
+    seconds: float
+    cases: Sequence[Case] = ()
+    error: str = ""
+
+    @property
+    def failures(self) -> list[Case]:
+        """The cases that do not hold."""
+        return [case for case in self.cases if case.failure]
+
+
+def write_reports(junit: Path | None, suites: Sequence[Suite], as_json: Path | None, content: Any) -> None:
+    """Write the reports for machines that are asked for: JUnit XML, and the content as JSON."""
+    if junit is not None:
+        write_junit(junit, suites)
+    if as_json is not None:
+        replace(as_json, json.dumps(content, indent=1) + "\n")
+
+
+def write_junit(path: Path, suites: Sequence[Suite]) -> None:
+    """Write a report that appears whole or not at all.
+
+    Parameters
+    ----------
+    path : Path
+    suites : sequence of Suite
+    """
+    root = Element("testsuites", _counts(suites))
+    for suite in suites:
+        node = SubElement(root, "testsuite", {"name": _printable(suite.name)} | _counts([suite]))
+        for case in suite.cases:
+            about = SubElement(node, "testcase", classname=_printable(suite.name), name=_printable(case.name), time="0")
+            if case.failure:
+                SubElement(about, "failure", message=_printable(case.failure))
+            if case.text:
+                SubElement(about, "system-out").text = _printable(case.text)
+        if suite.error:
+            about = SubElement(
+                node, "testcase", classname=_printable(suite.name), name="run", time=f"{suite.seconds:.3f}"
+            )
+            SubElement(about, "error", message=_printable(suite.error))
+    indent(root)
+    replace(path, tostring(root, encoding="unicode", xml_declaration=True) + "\n")
+
+
+def _counts(suites: Sequence[Suite]) -> dict[str, str]:
+    errors = sum(bool(s.error) for s in suites)
+    return {
+        "tests": str(sum(len(s.cases) for s in suites) + errors), "failures": str(sum(len(s.failures) for s in suites)),
+        "errors": str(errors), "time": f"{sum(s.seconds for s in suites):.3f}",
+    }  # fmt: skip
+
+
+def _printable(text: str) -> str:
+    """XML knows no control characters."""
+    return "".join(c if c in "\t\n" or c >= " " else "?" for c in text)

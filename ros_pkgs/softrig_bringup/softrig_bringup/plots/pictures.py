@@ -1,0 +1,284 @@
+"""The pictures of a run: one a plot entry of its scenario, and an overview of every recorded signal."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from softrig_core import Rig, Signals
+from softrig_core.scenario.scenario import PlotEntry
+
+from . import style as look
+from .axes import UNIT, draw, draw_logic, draw_marks, fold_exponents, is_logic, legend, styles
+from .curves import Curve, Source, by_unit, check_plots
+from .marks import Mark, marks_of
+from .style import axis_title, pretty_unit, quantity
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from matplotlib.gridspec import SubplotSpec
+
+OVERVIEW = "overview.png"
+UNDATED: dict[str, Any] = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}  # equal runs give equal files
+
+
+def plot_name(number: int, title: str) -> str:
+    """File name of a scenario's plot entry, counted from 1."""
+    return f"plot_{number:02d}_{re.sub(r'[^a-z0-9]+', '_', title.lower()).strip('_')[:60]}.png"
+
+
+def plot_entry(
+    signals: Signals, rig: Rig, entry: PlotEntry, *, title: bool = True, font: float | None = None,
+    inches: float | None = None,
+) -> Figure:  # fmt: skip
+    """Draw one plot of a run.
+
+    Parameters
+    ----------
+    signals, rig
+        See `plot_run`.
+    entry : PlotEntry
+    title : bool
+    font : float, optional
+        Size of the letters, points.
+    inches : float, optional
+        Width; the height follows, not below what the rows need.
+    """
+    from matplotlib import rc_context
+
+    source = Source(signals, rig)
+    own = {"font.size": font, "legend.fontsize": font, "axes.titlesize": font} if font else {}
+    with rc_context(look.style() | own):
+        letters = int(110 * (inches or look.WIDTH) / look.WIDTH * 9.0 / (font or 9.0))
+        marks = marks_of(rig, signals)
+        figure = _xy_figure(source, entry) if entry.x else _time_figure(source, entry, marks, letters)
+        if inches:
+            wide, high = figure.get_size_inches()
+            figure.set_size_inches(inches, high * max(inches / wide, 0.7))
+        for ax in figure.axes if font else ():
+            for text in (*ax.texts, *(box.get_texts() if (box := ax.get_legend()) else ())):
+                text.set_fontsize(font)
+        if title:
+            figure.suptitle(entry.title, x=0.008, ha="left", fontsize=font or 12, fontweight="bold")
+        fold_exponents(figure)
+    return figure
+
+
+def plot_run(signals: Signals, rig: Rig, directory: Path, also: str = "", most: int | None = None) -> list[Path]:
+    """Draw the plots of the rig's scenario and the overview.
+
+    Parameters
+    ----------
+    signals : Signals
+        Of the run's recording; topics without a message are named, not drawn.
+    rig : Rig
+        Says units, which topics are held between samples, which are references.
+    directory : Path
+        An existing directory.
+    also : str
+        svg or pdf: a file of this kind beside each PNG; empty: none.
+    most : int, optional
+        Only the first plots, and the overview if there are fewer.
+
+    Returns
+    -------
+    list of Path
+        `plot_name` of each entry in its order, then ``overview.png``. An entry about nothing but what an outside node
+        would publish, and did not, has no picture.
+
+    Raises
+    ------
+    ScenarioError
+        A plot names a signal that the rig does not have.
+    """
+    from matplotlib import rc_context
+
+    check_plots(rig)
+    source = Source(signals, rig)
+    marks = marks_of(rig, signals)
+    paths = []
+    with rc_context(look.style()):
+        outside = {p.topic for m in rig.members if m.external for p in m.outputs} & set(source.silent)
+        for number, entry in enumerate(rig.scenario.plots[:most], 1):
+            parts = [part for name in entry.signals for part in name.split(" - ", 1)]
+            if outside and all(source.topic(part) in outside for part in parts):
+                continue
+            figure = _xy_figure(source, entry) if entry.x else _time_figure(source, entry, marks)
+            paths.append(directory / plot_name(number, entry.title))
+            save_figure(figure, paths[-1], entry.title, rig.scenario.name, also)
+    if most is not None and len(paths) >= most:
+        return paths
+    with rc_context(look.style() | {"lines.linewidth": 1.0}):
+        paths.append(directory / OVERVIEW)
+        save_figure(_overview(source), paths[-1], "Every recorded signal", rig.scenario.name, also)
+    return paths
+
+
+def save_figure(figure: Figure, path: Path, title: str, run: str, also: str = "") -> None:
+    """Write a picture with its title and, small, the name of the run.
+
+    Parameters
+    ----------
+    figure : Figure
+    path : Path
+        The PNG.
+    title, run : str
+    also : str
+        svg, pdf, or empty.
+    """
+    figure.suptitle(title, x=0.008, ha="left", fontsize=12, fontweight="bold")
+    figure.text(0.992, 0.992, run, ha="right", va="top", fontsize=8, color=look.SOFT)
+    fold_exponents(figure)
+    figure.savefig(path)
+    if also:
+        figure.savefig(path.with_suffix(f".{also}"), metadata=UNDATED[also])
+
+
+def _time_figure(source: Source, entry: PlotEntry, marks: Mapping[str, Sequence[Mark]], letters: int = 110) -> Figure:
+    """Signals over time: one row a unit, without those that were never published."""
+    from matplotlib.figure import Figure
+
+    curves = [source.shown(entry, name) for name in entry.signals]
+    rows = by_unit([c for c in curves if len(c.x)])
+    figure = Figure(figsize=(look.WIDTH, 1.6 + 2.3 * max(1, len(rows))), dpi=look.DPI, layout="constrained")
+    axes = figure.subplots(max(1, len(rows)), 1, sharex=True, squeeze=False)[:, 0]
+    scale, time = time_scale(rows.values())
+    for ax, (unit, row) in zip(axes, rows.items(), strict=False):
+        if is_logic(row):
+            draw_logic(ax, row, scale)
+            continue
+        draw(ax, row, scale)
+        _limit_time(ax, entry, scale)
+        entries = draw_marks(ax, [m for c in row for m in marks.get(c.signal, ())], scale)
+        ax.set_ylabel(_value_title(row, unit, entry.quantity))
+        if len(row) > 1 or entries:
+            legend(ax, row, "", letters, entries)
+    _limit_time(axes[-1], entry, scale)
+    if not rows:
+        axes[0].set_axis_off()
+    missing = [c.label for c in curves if not len(c.x)]
+    if missing:
+        note(figure, f"nothing published: {', '.join(missing)}")
+    figure.align_ylabels()
+    axes[-1].set_xlabel(axis_title("Time", time))
+    return figure
+
+
+def _limit_time(ax: Axes, entry: PlotEntry, scale: float) -> None:
+    if entry.window:
+        ax.set_xlim(entry.window[0] * scale, entry.window[1] * scale)
+
+
+def _value_title(row: Sequence[Curve], unit: str, given: str = "") -> str:
+    """Title of a value axis: what the entry says, what the unit stands for, or the only curve's label."""
+    name = given or quantity(unit) or (row[0].label if len(row) == 1 else "") or ("Value" if unit else "")
+    return axis_title(name, unit)
+
+
+def note(figure: Figure, text: str) -> None:
+    """Say below a picture what is not in it."""
+    figure.supxlabel(text, fontsize=9, color=look.SOFT, x=0.008, ha="left")
+
+
+def _xy_figure(source: Source, entry: PlotEntry) -> Figure:
+    """Signals against another signal of their topic; a true shape where both axes have the same unit."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(0.7 * look.WIDTH, 0.64 * look.WIDTH), dpi=look.DPI, layout="constrained")
+    ax = figure.subplots()
+    found = [source.against(entry, name) for name in entry.signals]
+    curves = [curve for _, curve in found]
+    for curve, style in zip(curves, styles(curves), strict=True):
+        ax.plot(curve.x, curve.y, label=curve.label, **style)
+    ax.margins(0.05)
+    over = _joined(source.units[name] for name, _ in found)
+    unit = entry.unit or _joined(c.unit for c in curves)
+    ax.set_xlabel(axis_title(_joined(source.axis(name) for name, _ in found), over))
+    ax.set_ylabel(axis_title(entry.quantity or _joined(source.axis(name) for name in entry.signals), unit))
+    if over == unit:
+        ax.set_aspect("equal", adjustable="datalim")
+    legend(ax, curves, "", 70)
+    return figure
+
+
+def _overview(source: Source) -> Figure:
+    """Every signal over time, one small axes for each unit of each topic, topics down the columns."""
+    from matplotlib.figure import Figure
+
+    panels = list(_panels(source))
+    columns = 1 if len(panels) < 4 else 2
+    rows = max(1, -(-len(panels) // columns))
+    figure = Figure(figsize=(look.WIDTH, 0.9 + 1.55 * rows), dpi=look.DPI, layout="constrained")
+    scale, time = time_scale([row for _, _, row in panels])
+    axes: list[Axes] = []
+    for place, (topic, unit, row) in zip(places(figure, len(panels), columns), panels, strict=True):
+        ax = figure.add_subplot(place, sharex=axes[0] if axes else None)
+        axes.append(ax)
+        ax.tick_params(labelsize=8, labelbottom=False)
+        if place.rowspan.stop == rows:
+            ax.tick_params(labelbottom=True)
+            ax.set_xlabel(axis_title("Time", time), fontsize=9)
+        if is_logic(row):
+            row, title = _without_field(row, topic)
+            draw_logic(ax, row, scale)
+            ax.set_title(title, loc="left", fontsize=9)
+            continue
+        draw(ax, row, scale)
+        ax.set_ylabel(pretty_unit(unit), gid=UNIT)
+        if len(row) == 1:
+            ax.set_title(f"{topic}/{row[0].label}", loc="left", fontsize=9)
+        else:
+            legend(ax, *_without_field(row, topic), 55)
+    figure.align_ylabels()
+    if source.silent:
+        note(figure, f"nothing published on {', '.join(source.silent)}")
+    return figure
+
+
+def places(figure: Figure, count: int, columns: int) -> list[SubplotSpec]:
+    """Divide a figure into columns, none of them with a hole: of an odd number the first takes the whole width.
+
+    Parameters
+    ----------
+    figure : Figure
+    count : int
+        Of axes.
+    columns : {1, 2}
+    """
+    if not count:
+        return []
+    rows = -(-count // columns)
+    grid = figure.add_gridspec(rows, columns)
+    wide = columns * rows - count
+    found = [grid[0, :]] if wide else []
+    return found + [grid[row, column] for column in range(columns) for row in range(wide, rows)]
+
+
+def _panels(source: Source) -> Iterator[tuple[str, str, list[Curve]]]:
+    for topic in source.published:
+        for unit, row in by_unit([source.curve(n, source.axis(n)) for n in source.names(topic)]).items():
+            yield topic, unit, row
+
+
+def _without_field(row: Sequence[Curve], topic: str) -> tuple[list[Curve], str]:
+    """Move the field that all labels end with to the title: ``joint1`` below ``joint_states/*/position``."""
+    fields = {curve.label.partition("/")[2] for curve in row}
+    field = fields.pop() if len(fields) == 1 else ""
+    if not field:
+        return list(row), topic
+    return [replace(curve, label=curve.label.partition("/")[0]) for curve in row], f"{topic}/*/{field}"
+
+
+def time_scale(groups: Iterable[Sequence[Curve]]) -> tuple[float, str]:
+    """Milliseconds for runs that are over at once, seconds for all others: the factor and the unit."""
+    longest = max((c.x[-1] for group in groups for c in group if len(c.x)), default=0.0)
+    return (1e3, "ms") if 0.0 < longest < 0.1 else (1.0, "s")
+
+
+def _joined(words: Iterable[str]) -> str:
+    """The different words, in their order."""
+    return ", ".join(dict.fromkeys(w for w in words if w))

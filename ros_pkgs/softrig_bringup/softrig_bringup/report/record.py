@@ -1,0 +1,115 @@
+"""What ``metrics.json`` says of a run, for the pages about it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, ValidationError, field_validator
+from softrig_core import ScenarioError
+from softrig_core.scenario.scenario import PlotEntry
+from softrig_core.verdict.figures import Result
+
+from ..page.citations import Citation
+from ..page.wiring import Wiring
+from ..page.wording import measured_here
+from ..plots.curves import Shown
+
+
+class _Status(BaseModel):
+    """What the pages read of a node's status by its name; figures may stand beside it."""
+
+    error: str = ""
+    reports: dict[str, tuple[int, str, int]] = {}
+    refused: dict[str, tuple[int, str]] = {}
+
+
+class _Changed(BaseModel):
+    """What changed while it ran: from which tick on, of which node."""
+
+    at_s: float
+    node: str
+    set: dict[str, Any]
+
+
+class RunRecord(BaseModel):
+    """What the pages need of ``metrics.json``."""
+
+    model_config = ConfigDict(frozen=True)
+
+    scenario: str
+    title: str
+    system: str
+    source: str
+    mode: str
+    label: str = ""
+    seed: int
+    duration_s: float
+    reached_s: float | None = None
+    ticks: int
+    wall_s: float
+    error: str = ""
+    stopped: str = ""
+    changed: tuple[str, ...] = ()
+    command: str
+    metrics: tuple[Result, ...]
+    plots: tuple[PlotEntry, ...] = ()
+    parameters: dict[str, dict[str, Any]]
+    changes: tuple[_Changed, ...] = ()
+    units: dict[str, dict[str, str]] = {}
+    versions: dict[str, str]
+    code: dict[str, str] = {}
+    nodes: dict[str, dict[str, Any]] = {}
+    citations: tuple[Citation, ...] = ()
+    wiring: Wiring = Wiring()
+    signals: dict[str, Shown] = {}
+
+    @field_validator("nodes")
+    @classmethod
+    def _readable(cls, nodes: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
+        for status in nodes.values():
+            _Status.model_validate(status)
+        return nodes
+
+    @property
+    def simulated_s(self) -> float:
+        """How far it came, s."""
+        return self.duration_s if self.reached_s is None else self.reached_s
+
+    @property
+    def compared(self) -> bool:
+        """Whether the paper's numbers stand beside it for comparison alone: it was changed, or stopped early."""
+        return bool(self.changed or self.stopped)
+
+    @property
+    def judged(self) -> list[Result]:
+        """The metrics that can pass or miss."""
+        return [m for m in self.metrics if m.judged]
+
+    @property
+    def missed(self) -> list[Result]:
+        """The metrics that missed; of a run that is only compared, those that differ."""
+        if self.stopped:
+            return []
+        return [m for m in self.metrics if not m.passed and (not self.compared or measured_here(m))]
+
+
+def read_run(directory: Path) -> RunRecord:
+    """Read ``metrics.json`` of a run directory.
+
+    Raises
+    ------
+    ScenarioError
+        No such file, not JSON, or a key is missing or of the wrong type; names file and key.
+    """
+    path = directory / "metrics.json"
+    try:
+        return RunRecord.model_validate(json.loads(path.read_text()))
+    except OSError:
+        raise ScenarioError(f"{directory}: no metrics.json in it, expected the directory of a run") from None
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise ScenarioError(f"{path}: {'.'.join(map(str, first['loc']))}: {first['msg'].lower()}") from None
+    except ValueError as error:
+        raise ScenarioError(f"{path}: not valid JSON: {error}") from None

@@ -1,0 +1,70 @@
+"""Runs as one self-contained HTML page: nothing to fetch, no script, for the screen and for paper."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+
+from softrig_core import ScenarioError
+
+from ..page.html import e, write_page
+from .record import read_run
+from .run_page import run_section
+from .several import differences, index, names, overlaid, side_by_side
+
+
+def main(options: argparse.Namespace) -> int:
+    """Write the page that is asked for."""
+    write_report(options.runs, options.out, options.label)
+    print(f"wrote {options.out}")
+    return 0
+
+
+def write_report(directories: Sequence[Path], output: Path, labels: Sequence[str] = ()) -> None:
+    """Write one page about one or more runs.
+
+    Parameters
+    ----------
+    directories : sequence of Path
+        Run directories: ``metrics.json``, the bag, and the pictures of
+        `softrig_bringup.plots.pictures.plot_run`, as far as they are there.
+    output : Path
+        The HTML file; appears complete or not at all.
+    labels : sequence of str
+        What the runs are called, in their order; of those that it does not reach, their own label or folder.
+
+    Raises
+    ------
+    ScenarioError
+        A directory is not that of a run; more labels than runs.
+    """
+    runs, without = [], []
+    for directory in directories:
+        if directory.is_dir() and not (directory / "metrics.json").exists():
+            without.append(str(directory))
+        else:
+            runs.append((directory, read_run(directory)))
+    if not runs:
+        part = any(any(Path(directory, "log").glob("*.shard")) for directory in without)
+        rest = "; of parts of a rig (--only) softrig bag repair makes one bag from their .shard files" if part else ""
+        raise ScenarioError(f"{', '.join(without)}: no metrics.json there, expected directories of runs{rest}")
+    records = [run for _, run in runs]
+    if len(labels) > len(runs):
+        raise ScenarioError(f"--label {labels[len(runs)]!r}: there are {len(labels)} labels for {len(runs)} runs")
+    named = names(runs, labels)
+    if len(runs) == 1:
+        title = records[0].label or records[0].title
+        body = [run_section(*runs[0], title, "h1", "run-1")]
+    else:
+        title = f"{len(runs)} runs"
+        body = [
+            e("header", e("h1", title), index(records, named)),
+            *side_by_side(records, named),
+            *differences(records, named),
+            *overlaid(runs, named),
+        ]
+        body += [run_section(*run, named[i], "h2", f"run-{i + 1}") for i, run in enumerate(runs)]
+    if without:
+        body.append(e("p", f"Left out, for want of a metrics.json: {', '.join(without)}", class_="note"))
+    write_page(output, title, body)

@@ -1,0 +1,241 @@
+"""One run as a section of a page: figures, pictures, block diagram, parameters, sources."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+from xml.etree.ElementTree import Element
+
+from softrig_bags.errors import BagError
+from softrig_core import ScenarioError
+from softrig_core.verdict.figures import Result
+
+from ..page.citations import sources
+from ..page.diagram import draw_diagram
+from ..page.html import NONE, e, mark, picture, table
+from ..page.wording import NEVER, accepted, difference, measured, measured_here, number
+from ..plots.pictures import OVERVIEW, plot_name
+from ..plots.style import pretty_unit
+from .record import RunRecord
+from .redraw import draw_missing
+
+
+def run_section(directory: Path, run: RunRecord, title: str, heading: str, anchor: str) -> Element:
+    """Make the section about a run.
+
+    Parameters
+    ----------
+    directory : Path
+        With its pictures.
+    run : RunRecord
+    title : str
+    heading : {"h1", "h2"}
+    anchor : str
+    """
+    below = f"h{int(heading[1]) + 1}"
+    about = [run.title] if title != run.title else []
+    what = ", ".join([run.scenario, *run.changed])
+    broken = [e("p", f"The run broke: {run.error}", class_="broken")] if run.error else []
+    parts = [
+        ("Figures", [metrics(run)]),
+        ("Signals", list(_pictures(directory, run))),
+        ("Block diagram", list(_rig(run))),
+        ("Repeat this run", [e("pre", run.command)]),
+        ("Parameters", list(_parameters(run))),
+        ("Changed while it ran", list(_changes(run))),
+        ("Nodes", list(_nodes(run))),
+        ("Sources", list(sources(run.citations))),
+        ("Versions", [_pairs(run.versions)]),
+    ]
+    return e(
+        "section",
+        e("header", e(heading, title), *(e("p", text, class_="what") for text in about),
+           e("p", f"{run.system} · ", e("code", what), class_="what"),
+           e("p", run.source, class_="what"), _facts(run), *broken),
+        *(element for name, content in parts if content for element in (e(below, name), *content)),
+        id=anchor, class_="run",
+    )  # fmt: skip
+
+
+def _facts(run: RunRecord) -> Element:
+    """The line of figures below the title: verdict, mode, time, speed."""
+    facts: list[tuple[str, Element | str]] = [
+        ("metrics", verdict(run)),
+        ("mode", run.mode),
+        ("seed", str(run.seed)),
+        ("duration", f"{run.simulated_s:.6g} of {run.duration_s:g} s" if run.stopped or run.error
+         else f"{run.duration_s:g} s"),
+        ("ticks", f"{run.ticks:_}".replace("_", "\u202f")),
+        ("wall time", f"{run.wall_s:.3g} s"),
+    ]  # fmt: skip
+    if run.wall_s > 0.0 and run.simulated_s > 0.0 and not run.error:
+        facts.append(("speed", f"{run.simulated_s / run.wall_s:.3g} × real time"))
+    return e("dl", *(e("div", e("dt", name), e("dd", value)) for name, value in facts), class_="facts")
+
+
+def verdict(run: RunRecord) -> Element:
+    """Say in a few words how a run did."""
+    if run.error:
+        return mark(False, "broke")
+    if not run.judged:
+        return e("span", NONE)
+    if run.compared:
+        return e("span", "compared, not judged")
+    text = f"{len(run.judged) - len(run.missed)} of {len(run.judged)} pass"
+    return mark(not run.missed, text)
+
+
+def metrics(run: RunRecord) -> Element:
+    """The table of figures, without columns that say nothing."""
+    if not run.metrics:
+        return e("p", "No metrics." if run.error else "This scenario has no metrics.", class_="note")
+    columns: dict[str, tuple[str, Callable[[Result], Element | str]]] = {
+        "Figure": ("", lambda m: m.name.replace("_", " ")),
+        "Published": ("n", lambda m: number(m.published)),
+        "Measured": ("n", measured),
+        "Unit": ("", lambda m: pretty_unit(m.unit)),
+        "Against published": ("n", lambda m: difference(m.value, m.published)),
+        "Accepted": ("n", lambda m: accepted(m) or NONE),
+        "In tolerance": ("", _gauge),
+        "Result": ("", lambda m: "" if run.stopped else _result(m, run.compared)),
+    }
+    cells = {head: [cell(m) for m in run.metrics] for head, (_, cell) in columns.items()}
+    there = [head for head, column in cells.items() if any(c not in ("", NONE) for c in column)]
+    rows = list(zip(*(cells[head] for head in there), strict=True))
+    notes = {"Published": "Published: the number of the source.",
+             "Accepted": "Accepted: what this scenario asks of the run."}  # fmt: skip
+    note = " ".join(text for head, text in notes.items() if head in there)
+    found = table(there, rows, "".join(columns[head][0] or " " for head in there))
+    return e("div", found, *([e("p", note, class_="note")] if note else []))
+
+
+def _result(metric: Result, compared: bool) -> Element | str:
+    if not metric.judged:
+        return NONE
+    if compared and not measured_here(metric):
+        said = e("span", "not measured")
+    elif compared:
+        said = e("span", "agrees" if metric.passed else "differs")
+    else:
+        said = mark(metric.passed, "pass" if metric.passed else "miss")
+    return e("div", said, e("div", metric.error, class_="note")) if metric.error not in ("", NEVER) else said
+
+
+def _gauge(metric: Result) -> Element | str:
+    """The measured value (dot) in its band of tolerance (bar); off the bar means a miss."""
+    if metric.value is None or metric.expected is None or not metric.tolerance:
+        return ""
+    place = (metric.value - metric.expected) / metric.tolerance
+    dot = 40.0 + 26.0 * max(-1.4, min(1.4, place))
+    return e(
+        "svg",
+        e("title", f"{100.0 * place:+.0f} % of the tolerance".replace("-", "−")),
+        e("rect", x="14", y="5", width="52", height="4", rx="2", class_="band"),
+        e("line", x1="40", x2="40", y1="2", y2="12", class_="centre"),
+        e("circle", cx=f"{dot:.1f}", cy="7", r="3.5", class_="pass" if metric.passed else "miss"),
+        width="80", height="14", viewBox="0 0 80 14", role="img", class_="gauge",
+    )  # fmt: skip
+
+
+def _pictures(directory: Path, run: RunRecord) -> Iterator[Element]:
+    wanted = [(plot_name(i, p.title), p.title, ", ".join(p.signals)) for i, p in enumerate(run.plots, 1)]
+    wanted.append((OVERVIEW, "Every recorded signal", ""))
+    found = [(directory / name, title, text) for name, title, text in wanted if (directory / name).is_file()]
+    if not found and (directory / "bag").is_dir():
+        with TemporaryDirectory() as folder, suppress(ScenarioError, BagError):  # its scenario or bag may be gone
+            for path in draw_missing(directory, Path(folder)):
+                title, text = next(((t, x) for name, t, x in wanted if name == path.name), (path.stem, ""))
+                yield e("figure", picture(path.read_bytes(), title), *([e("figcaption", text)] if text else []))
+            return
+    if not found:
+        yield e("p", "This run has no pictures.", class_="note")
+    for path, title, text in found:
+        yield e("figure", picture(path.read_bytes(), title), *([e("figcaption", text)] if text else []))
+
+
+def _rig(run: RunRecord) -> Iterator[Element]:
+    """The block diagram."""
+    wiring = run.wiring
+    if wiring.nodes:
+        yield e("div", draw_diagram(wiring), class_="scroll")
+        notes = ["The plant, shaded, owns time.", "Dashed: a node outside, its parameters unknown.",
+                 "A ring ends a topic that no node of the rig reads."]  # fmt: skip
+        there = [any(n.plant for n in wiring.nodes.values()), any(n.outside for n in wiring.nodes.values()),
+                 any(not w.readers for w in wiring.wires)]  # fmt: skip
+        yield e("p", " ".join(note for note, is_there in zip(notes, there, strict=True) if is_there), class_="note")
+
+
+def _parameters(run: RunRecord) -> Iterator[Element]:
+    for node, values in run.parameters.items():
+        units = run.units.get(node, {})
+        count = f"{len(values)} parameter{'' if len(values) == 1 else 's'}"
+        summary = e("summary", e("code", node), e("span", f" {count}", class_="note"))
+        shown = {name: _value(value, units.get(name, "")) for name, value in values.items()}
+        yield e("details", summary, _pairs(shown))
+
+
+def _changes(run: RunRecord) -> Iterator[Element]:
+    """What was changed while it ran; the parameters above are those of the start."""
+    rows: list[list[Element | str]] = [
+        [f"{change.at_s:.9g}", e("code", f"{change.node}.{name}"),
+         _value(value, run.units.get(change.node, {}).get(name, ""))]
+        for change in run.changes for name, value in change.set.items()
+    ]  # fmt: skip
+    if rows:
+        yield table(["From t, s", "Parameter", "Value"], rows, "n  ")
+
+
+def _value(value: Any, unit: str) -> str:
+    if value is None:
+        return NONE
+    text = value if isinstance(value, str) else json.dumps(value)
+    return f"{text} {pretty_unit(unit)}".rstrip()
+
+
+def _pairs(values: Mapping[str, str]) -> Element:
+    """Names and values, as many columns as fit."""
+    items = (e("div", e("dt", name), e("dd", value)) for name, value in values.items())
+    return e("dl", *items, class_="pairs")
+
+
+def _nodes(run: RunRecord) -> Iterator[Element]:
+    """Run statistics: one row a node, one column a figure that any node has; then what the nodes had to say."""
+    rows = {
+        node: {"refused": sum(count for count, _ in status.get("refused", {}).values())} | _plain(status)
+        for node, status in run.nodes.items()
+        if "state" in status  # a process of its own
+    }
+    if rows:
+        columns = list(dict.fromkeys(name for row in rows.values() for name in row))
+        body: list[list[Element | str]] = [
+            [e("code", node), *(_figure(row.get(name)) for name in columns)] for node, row in rows.items()
+        ]
+        yield table(("Node", *map(_heading, columns)), body, " " + "n" * len(columns))
+    for node, status in run.nodes.items():
+        said = [f"{text} ({count} ×)" for _, text, count in status.get("reports", {}).values()]
+        said += [f"{n} messages refused on {topic}: {text}" for topic, (n, text) in status.get("refused", {}).items()]
+        if status.get("error"):
+            said.append(status["error"])
+        yield from (e("p", e("code", node), f": {text}") for text in said)
+
+
+def _plain(status: Mapping[str, Any]) -> dict[str, Any]:
+    """The figures of a node's status that fit a cell."""
+    return {name: value for name, value in status.items() if isinstance(value, (int, float)) and name != "t"}
+
+
+def _heading(name: str) -> str:
+    """``cpu_s`` as "cpu (s)"."""
+    words, _, last = name.rpartition("_")
+    unit = {"s": "s", "ms": "ms", "mb": "MB"}.get(last)
+    return f"{words} ({unit})".replace("_", " ") if unit else name.replace("_", " ")
+
+
+def _figure(value: float | None) -> str:
+    if value is None:
+        return NONE
+    return str(value) if isinstance(value, int) else f"{value:.3g}"

@@ -1,0 +1,253 @@
+"""Several runs on one page: what differs between them, their figures in tables, their signals laid over each other."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Sequence
+from itertools import takewhile
+from pathlib import Path
+from xml.etree.ElementTree import Element
+
+from softrig_bags.errors import BagError
+from softrig_bags.read import signals
+from softrig_core import Signals
+from softrig_core.verdict.figures import Result
+
+from ..page.html import NONE, e, mark, picture, table
+from ..page.wording import measured
+from ..plots.overlay import LEAST, Overlay, draw_overlay
+from ..plots.style import pretty_unit
+from .record import RunRecord
+from .run_page import verdict
+
+COLUMNS = 8  # figures that a table holds beside each other on a page 1,100 pixels wide
+MOST = 40  # rows of the table of what differs
+APART = 4.0  # runs of which one is so many times longer than the other have no picture in common
+
+
+def names(runs: Sequence[tuple[Path, RunRecord]], given: Sequence[str] = ()) -> list[str]:
+    """Name each run: as the command line says, by its own label, or by its folder.
+
+    Parameters
+    ----------
+    runs : sequence of (Path, RunRecord)
+    given : sequence of str
+        Names of the first runs.
+
+    Returns
+    -------
+    list of str
+        All different: of folders as much of their path as tells them apart, equal labels have the folder behind them.
+    """
+    folders = _tails([path for path, _ in runs])
+    wanted = [run.label for _, run in runs]
+    wanted[: len(given)] = given
+    return [f"{w} ({f})" if w and wanted.count(w) > 1 else w or f for w, f in zip(wanted, folders, strict=True)]
+
+
+def _tails(paths: Sequence[Path]) -> list[str]:
+    """The last parts of each path, as many as make them different."""
+    parts = [path.absolute().parts for path in paths]
+    for n in range(1, max(map(len, parts)) + 1):
+        found = ["/".join(p[-n:]) for p in parts]
+        if len({*found}) == len({*parts}):
+            break
+    return [f"{name} [{k}]" if found.count(name) > 1 else name for k, name in enumerate(found, 1)]
+
+
+def groups(runs: Sequence[RunRecord], named: Sequence[str]) -> list[str]:
+    """Say of each run which draws it belongs to: those of equal code, parameters and machine that all ended.
+
+    Parameters
+    ----------
+    runs : sequence of RunRecord
+    named : sequence of str
+        From `names`.
+
+    Returns
+    -------
+    list of str
+        What such runs have in common of their names, when there are `LEAST` of them, each of another seed; the name
+        itself for any other run.
+    """
+    keys = [_draws(run) for run in runs]
+    found = list(named)
+    for key in dict.fromkeys(keys):
+        mine = [k for k, other in enumerate(keys) if other == key]
+        if key and LEAST <= len(mine) == len({runs[k].seed for k in mine}):
+            letters = zip(*(named[k] for k in mine), strict=False)
+            shared = "".join(c[0] for c in takewhile(lambda c: len({*c}) == 1, letters))
+            shared = shared.rstrip(" -_=,/([").removesuffix("seed").rstrip(" -_")
+            label = shared if shared and found.count(shared) <= (shared in [named[k] for k in mine]) else ""
+            for k in mine:
+                found[k] = label or f"{named[mine[0]]} and others"
+    return found
+
+
+def _draws(run: RunRecord) -> str:
+    """What runs share that differ in their seed alone; empty for one that is no draw of anything."""
+    if run.error or run.stopped or not run.code or any(node.outside for node in run.wiring.nodes.values()):
+        return ""
+    same = (run.scenario, run.mode, run.duration_s, run.code, run.parameters, _machine(run), run.wiring.model_dump())
+    return json.dumps(same, sort_keys=True)
+
+
+def _machine(run: RunRecord) -> dict[str, str]:
+    """Versions, without the commit: the code says which files count."""
+    return {k: v for k, v in run.versions.items() if k not in ("commit", "requirements.lock") or not run.code}
+
+
+def differing(runs: Sequence[RunRecord]) -> dict[str, list[str]]:
+    """Give what differs between runs, by what it is: its value in each of them, as text; empty where it is not there.
+
+    Scenario, mode, length, what ended it, code of each package, nodes, parameters, seed, and what they ran on.
+    """
+    about: dict[str, Callable[[RunRecord], str]] = {
+        "scenario": lambda r: r.scenario,
+        "mode": lambda r: r.mode,
+        "seed": lambda r: str(r.seed),
+        "duration, s": lambda r: f"{r.duration_s:g}",
+        "ended": lambda r: "broke" if r.error else r.stopped,
+    }
+    found = {what: [say(r) for r in runs] for what, say in about.items()}
+    for kind, part in (("code of", lambda r: r.code), ("version of", _machine)):
+        for name in dict.fromkeys(name for r in runs for name in part(r)):
+            found[f"{kind} {name}"] = [part(r).get(name, "") for r in runs]
+    for node in dict.fromkeys(name for r in runs for name in r.wiring.nodes):
+        there = [r.wiring.nodes.get(node) for r in runs]
+        found[f"node {node}"] = [f"{n.executable}{', outside' if n.outside else ''}" if n else "" for n in there]
+        if len({*found[f"node {node}"]}) == 1:
+            values = [r.parameters.get(node, {}) for r in runs]
+            for name in dict.fromkeys(name for v in values for name in v):
+                found[f"{node}.{name}"] = [json.dumps(v[name]).strip('"') if name in v else "" for v in values]
+    return {what: values for what, values in found.items() if len({*values}) > 1}
+
+
+def differences(runs: Sequence[RunRecord], named: Sequence[str]) -> Iterator[Element]:
+    """For each system with several runs: one row for each thing that differs between them."""
+    for system in dict.fromkeys(run.system for run in runs):
+        mine = [(run, name) for run, name in zip(runs, named, strict=True) if run.system == system]
+        if len(mine) < 2:
+            continue
+        found = differing([run for run, _ in mine])
+        yield e("h2", f"{system}: what differs")
+        if not found:
+            yield e("p", "Nothing: equal code, parameters, seed and machine.", class_="note")
+            continue
+        rows = []
+        for what, values in list(found.items())[:MOST]:
+            by = {v: [name for (_, name), own in zip(mine, values, strict=True) if own == v] for v in values}
+            rows.append((what, e("div", *(e("div", e("b", v or NONE), f" in {_listed(of)}") for v, of in by.items()))))
+        yield table(("What", "In which run"), rows)
+        if len(found) > MOST:
+            yield e("p", f"And {len(found) - MOST} more parameters.", class_="note")
+
+
+def _listed(words: Sequence[str]) -> str:
+    return ", ".join(words[:6]) + (f" and {len(words) - 6} more" if len(words) > 6 else "")
+
+
+def index(runs: Sequence[RunRecord], named: Sequence[str]) -> Element:
+    """List the runs, each linked to its section."""
+    rows = [
+        (
+            e("a", named[i - 1], href=f"#run-{i}"),
+            ", ".join([run.scenario, *run.changed]),
+            run.mode,
+            str(run.seed),
+            f"{run.simulated_s:.6g} s",
+            f"{run.wall_s:.3g} s",
+            verdict(run),
+            run.error or ", ".join(m.name.replace("_", " ") for m in run.missed),
+        )
+        for i, run in enumerate(runs, 1)
+    ]
+    header = ("Run", "Scenario", "Mode", "Seed", "Simulated", "Wall time", "Metrics", "Missed or different")
+    return table(header, rows, "   nnn  ")
+
+
+def side_by_side(runs: Sequence[RunRecord], named: Sequence[str]) -> Iterator[Element]:
+    """For each system with several runs: the metrics that at least two of them have, one row a run.
+
+    More than `COLUMNS` metrics of a few runs stand one a row instead, of many runs in several tables.
+    """
+    for system in dict.fromkeys(run.system for run in runs):
+        group = [(i, run) for i, run in enumerate(runs, 1) if run.system == system and run.metrics]
+        measures = [(m.name, m.unit) for _, run in group for m in run.metrics]
+        columns = [key for key in dict.fromkeys(measures) if measures.count(key) > 1]
+        if not columns:
+            continue
+        yield e("h2", f"{system}: side by side")
+        have = [{(m.name, m.unit): m for m in run.metrics} for _, run in group]
+        if len(group) <= COLUMNS < len(columns):
+            rows: list[list[Element | str]] = [
+                [_heading(key), *(_cell(h.get(key), run.compared) for h, (_, run) in zip(have, group, strict=True))]
+                for key in columns
+            ]
+            yield table(("Figure", *(named[i - 1] for i, _ in group)), rows, " " + "n" * len(group))
+            continue
+        for some in (columns[k : k + COLUMNS] for k in range(0, len(columns), COLUMNS)):
+            rows = [
+                [e("a", named[i - 1], href=f"#run-{i}"), *(_cell(h.get(key), run.compared) for key in some)]
+                for (i, run), h in zip(group, have, strict=True)
+            ]
+            yield table(("Run", *map(_heading, some)), rows, " " + "n" * len(some))
+
+
+def _heading(measure: tuple[str, str]) -> str:
+    name, unit = measure[0].replace("_", " "), pretty_unit(measure[1])
+    return f"{name} ({unit})" if unit else name
+
+
+def _cell(metric: Result | None, compared: bool) -> Element | str:
+    if metric is None:
+        return ""
+    text = measured(metric)
+    return text if metric.passed or compared else mark(False, text)
+
+
+def overlaid(runs: Sequence[tuple[Path, RunRecord]], named: Sequence[str]) -> Iterator[Element]:
+    """For each system: the signals of the runs' plots laid over each other, with bands where only the seeds differ.
+
+    Runs of lengths that no axis shows together have pictures of their own (`APART`).
+    """
+    records = [run for _, run in runs]
+    same = groups(records, named)
+    for system in dict.fromkeys(run.system for run in records):
+        mine = [k for k, run in enumerate(records) if run.system == system]
+        found = {k: opened for k in mine if (opened := _signals(runs[k][0] / "bag")) is not None}
+        drawn: list[tuple[str, bytes]] = []
+        alone: list[str] = []
+        for part in _lengths({k: records[k].simulated_s for k in found}):
+            ends = max(records[k].simulated_s for k in part)
+            pictures = list(draw_overlay(
+                [Overlay(named[k], same[k], records[k].plots, records[k].signals, found[k]) for k in part],
+                "" if len(part) == len(found) else f", runs of up to {ends:g} s",
+            ))  # fmt: skip
+            drawn += pictures
+            alone += [] if pictures else [named[k] for k in part]
+        if drawn:
+            yield e("h2", f"{system}: signals")
+        yield from (e("figure", picture(data, title)) for title, data in drawn)
+        lost = [named[k] for k in mine if k not in found]
+        for text, of in (("for want of a bag", lost), ("no other run of about their length has their plots", alone)):
+            if drawn and of:
+                yield e("p", f"Not drawn here, {text}: {', '.join(of)}", class_="note")
+
+
+def _lengths(ends: dict[int, float]) -> list[list[int]]:
+    """Part runs by their length, the longest first, so that each picture shows all of its runs."""
+    parts: list[list[int]] = []
+    for k in sorted(ends, key=lambda k: -ends[k]):
+        if parts and ends[parts[-1][0]] <= APART * ends[k]:
+            parts[-1].append(k)
+        else:
+            parts.append([k])
+    return [sorted(part) for part in parts]
+
+
+def _signals(bag: Path) -> Signals | None:
+    try:
+        return signals(bag) if bag.is_dir() else None
+    except BagError:
+        return None

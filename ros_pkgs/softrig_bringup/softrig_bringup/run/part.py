@@ -1,0 +1,60 @@
+"""One machine's part of a rig: `softrig run SCENARIO --only NODE ... --domain N` on each of them."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from pathlib import Path
+
+from softrig_core import Rig, ScenarioError, run_processes
+from softrig_core.errors import closest
+from softrig_core.guard import say
+from softrig_core.processes.spawning import placed
+
+
+def run_part(rig: Rig, options: argparse.Namespace) -> int:
+    """Run the nodes that `options` name until the rig has ended; what they recorded stays in shards.
+
+    Figures need what all parts have recorded: `softrig bag repair` makes one bag of all shards in a folder.
+
+    Parameters
+    ----------
+    rig : Rig
+        The whole.
+    options : argparse.Namespace
+        Of the verb `run`.
+
+    Returns
+    -------
+    int
+        Exit status.
+
+    Raises
+    ------
+    ScenarioError
+        No such node, no domain, or a placement without processes.
+    """
+    names = [m.name for m in rig.members if not m.external]
+    for name in options.only:
+        if name not in names:
+            raise ScenarioError(f"--only {name}: no such node{closest(name, names)}; those to be started are "
+                                f"{', '.join(names)}")  # fmt: skip
+    if options.domain is None:
+        raise ScenarioError("--only: expected --domain N, the same on all machines of the rig")
+    if options.mode == "inprocess":
+        raise ScenarioError("--only: blocks in process have no other machine; expected --mode processes or container")
+    realtime = options.realtime or options.mode == "realtime"
+    out = (options.out or Path("runs") / f"{rig.scenario.name}-{'-'.join(options.only)}"[:120]).absolute()
+    others = [name for name in names if name not in options.only]
+    say(f"{', '.join(options.only)} here, domain {options.domain}; elsewhere: {', '.join(others) or 'nobody'}")
+    outcome = run_processes(
+        rig, rig.scenario.seed, out / "log", mode="realtime" if realtime else "lockstep", domain=options.domain,
+        wait=options.wait or 0.0, announce=say, containers=placed(rig, options.mode), only=options.only,
+    )  # fmt: skip
+    if outcome.error:
+        say(f"the run broke: {outcome.error}")
+        return 3
+    where = os.path.relpath(out / "log")
+    say(f"recorded in {where}; a bag of the whole rig: the .shard files of all parts in one folder, then "
+        "softrig bag repair FOLDER")  # fmt: skip
+    return 128 + outcome.stopped if outcome.stopped else 0

@@ -1,0 +1,317 @@
+"""One run from scenario to results: run it, check that nothing is missing, bag, figures, plots, report."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.metadata
+import json
+import math
+import os
+import platform
+import subprocess
+import time
+from collections.abc import Callable, Mapping, Sequence
+from functools import cache
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, Literal
+
+from softrig_core import (
+    Block,
+    Observer,
+    Recording,
+    Rig,
+    Run,
+    RunError,
+    Scenario,
+    Scene,
+    figures_of,
+    rig_of,
+    run_inprocess,
+)
+from softrig_core.bits import blas_core, math_digest, simd_level
+from softrig_core.block.params import declarations, flatten
+from softrig_core.block.port import CLOCK
+from softrig_core.guard import naming
+from softrig_core.processes.stopping import signal_of, stoppable, unstopped
+from softrig_core.rig.code import fingerprints
+from softrig_core.timebase import SECOND
+from softrig_core.verdict.figures import Result
+from softrig_core.wire.parameter_event import recorded
+
+from ..folder import ResultsFolder
+from ..page.citations import cited
+from ..page.wiring import wiring_of
+from ..plots.curves import check_plots, shown
+from ..plots.pictures import plot_run
+
+Mode = Literal["processes", "container", "inprocess", "realtime"]
+
+
+def execute(
+    rig: Rig,
+    mode: Mode,
+    directory: Path,
+    *,
+    realtime: bool = False,
+    domain: int | None = None,
+    progress: Callable[[int], object] | None = None,
+    announce: Callable[[str], object] | None = None,
+    wait: float | None = None,
+    opened: Callable[[int], object] | None = None,
+    paused: bool = False,
+) -> Run:
+    """Run a rig; one that broke or was stopped says so in `error` or `stopped` and has what was recorded.
+
+    Parameters
+    ----------
+    rig : Rig
+        As `checked` gives it.
+    mode : {"processes", "container", "inprocess", "realtime"}
+        Where the nodes live; "realtime" is short for processes against the wall clock.
+    directory : Path
+        For the logs of node processes.
+    realtime : bool
+        Against the wall clock.
+    domain : int, optional
+        ROS_DOMAIN_ID instead of a free one.
+    progress, announce, opened : callable, optional
+    wait : float, optional
+    paused : bool
+        See `softrig_core.processes.processes.run_processes`.
+    """
+    started = time.perf_counter()
+    seed = rig.scenario.seed
+    if mode == "inprocess":
+        run = Run(rig, seed, Recording((t, p.msgtype) for t, p in rig.topics.items()))
+        try:
+            with stoppable():
+                run.blocks = run_inprocess(rig, seed, run.recording, progress)
+            run.status = {name: _status(block) for name, block in run.blocks.items()}
+        except RunError as broken:
+            run.error = str(broken)
+        except KeyboardInterrupt as interrupt:
+            run.stopped = signal_of(interrupt)
+        run.wall_s = time.perf_counter() - started
+    else:
+        from softrig_core import run_processes
+        from softrig_core.processes.spawning import placed
+
+        realtime = realtime or mode == "realtime"
+        outcome = run_processes(rig, seed, directory, mode="realtime" if realtime else "lockstep",
+                                domain=domain, progress=progress, announce=announce, wait=wait,
+                                containers=placed(rig, mode), opened=opened, paused=paused)  # fmt: skip
+        run = Run(rig, seed, outcome.recording, time.perf_counter() - started, mode_name(mode, realtime),
+                  outcome.epoch, outcome.status, outcome.error, outcome.stopped)  # fmt: skip
+    if not run.error and not run.stopped and not realtime:
+        run.error = gaps(rig, run.recording)
+    return run
+
+
+def mode_name(mode: str, realtime: bool) -> str:
+    """Say in one word or two where nodes live and what they go by."""
+    if not realtime:
+        return mode
+    return f"{mode}, realtime" if mode == "container" else "realtime"
+
+
+def _status(block: Block) -> dict[str, Any]:
+    """What a block says of itself at the end of a run in process, as a node's status file does."""
+    status: dict[str, Any] = {"reports": {k: [int(level), text, n] for k, (level, text, n) in block.reports.items()}}
+    if isinstance(block, Observer):
+        status["figures"] = {k: [v, unit] for k, (v, unit) in block.status().items() if math.isfinite(v)}
+    return status
+
+
+def checked(scenario: Scenario) -> Rig:
+    """Build the rig of a scenario; what is misspelt or does not fit is found before the run, not after it."""
+    rig = rig_of(scenario)
+    figures_of(rig)
+    check_plots(rig)
+    cited(scenario.cites)
+    return rig
+
+
+def gaps(rig: Rig, recording: Recording) -> str:
+    """Say which topics of a lockstep run lack or double a tick; empty when none does."""
+    found = []
+    expected = {} if rig.clock.external else {CLOCK.topic: rig.clock.schedule}
+    for member in rig.members:
+        readers = {p.name: [m for m, _ in rig.readers(member, p)] for p in member.outputs}
+        read = [p for p in member.outputs if not member.external or any(not m.external for m in readers[p.name])]
+        expected |= {p.topic: member.schedule for p in read}
+    sporadic = {p.topic for m in rig.members for p in m.outputs if p.sporadic}
+    for topic, schedule in expected.items():
+        times = recording.topics[topic].times
+        if topic in sporadic:
+            wrong = next((t for a, t in pairwise([-1, *times]) if t <= a or not schedule.due(t)), None)
+            if wrong is not None:
+                found.append(f"{topic}: a message at t = {wrong / 1e9:.9g} s, which is no tick or not a later one")
+            continue
+        wanted = schedule.count()
+        if len(times) == wanted and times[0] == 0 and times[-1] == schedule.last:
+            continue
+        at = next((i for i, t in enumerate(times) if t != schedule.time(i)), len(times))
+        found.append(f"{topic}: {len(times)} messages of {wanted}, first gap at t = {schedule.time(at) / 1e9:.9g} s")
+    return "; ".join(found)
+
+
+def summary(run: Run, figures: Sequence[Result], command: str, label: str = "") -> dict[str, Any]:
+    """Make the content of metrics.json; `label` is what the run is to be called."""
+    scenario = run.rig.scenario
+    own = [m for m in run.rig.members if not m.external]  # what is outside is not ours to tell
+    return {
+        "scenario": scenario.name,
+        "title": scenario.title,
+        "system": scenario.system,
+        "source": scenario.source,
+        "mode": run.mode,
+        "label": label,
+        "seed": run.seed,
+        "duration_s": scenario.duration,
+        "reached_s": run.reached_s,
+        "ticks": max(0, len(run.recording.topics[CLOCK.topic].times) - 1) or _plant_ticks(run),
+        "wall_s": round(run.wall_s, 3),
+        "error": run.error,
+        "stopped": run.stopped_at,
+        "command": command,
+        "versions": versions() | checkout(),
+        "code": fingerprints(m.block_class for m in own),
+        "contents": {m.name: dict(found) for m in own if (found := m.block_class.contents(m.params))},
+        "parameters": {m.name: flatten(m.params) for m in own},
+        "changes": _changes(run),
+        "units": {m.name: {d.name: d.unit for d in declarations(type(m.params)) if d.unit} for m in own},
+        "metrics": [f.model_dump(by_alias=True) for f in figures],
+        "claims": [f.model_dump() for f in run.claims],
+        "nodes": run.status,
+        "plots": [p.model_dump() for p in scenario.plots],
+        "signals": {name: s.model_dump() for name, s in shown(run.rig).items()},
+        "wiring": wiring_of(run.rig).model_dump(),
+        "citations": [c.model_dump() for c in cited(scenario.cites)],
+    }
+
+
+def _changes(run: Run) -> list[dict[str, Any]]:
+    """The changes of parameters that took effect and were recorded: the tick in s, the node, its new values."""
+    return [{"at_s": t / SECOND, "node": node, "set": values} for t, node, values in recorded(run.recording, run.epoch)]
+
+
+def turned(run: Run) -> list[str]:
+    """Say in words what somebody changed while it ran, the scenario's own changes left out."""
+    scripted = {
+        (m.schedule.next(c.at - 1), m.name, name) for m in run.rig.members for c in m.changes for name in c.values
+    }
+    return [
+        f"{node}.{name}={json.dumps(value)} from {t / SECOND:.9g} s"
+        for t, node, values in recorded(run.recording, run.epoch) for name, value in values.items()
+        if (t, node, name) not in scripted
+    ]  # fmt: skip
+
+
+def _plant_ticks(run: Run) -> int:
+    return int(run.status.get(run.rig.clock.name, {}).get("ticks", 0))
+
+
+def versions() -> dict[str, str]:
+    """Give what a run depends on: versions, the C library's functions by their results, the kernels in use."""
+    found = {"python": platform.python_version(), "machine": platform.machine()}
+    machine = {
+        "libc": " ".join(platform.libc_ver()).strip(),
+        "math": math_digest(),
+        "blas": blas_core(),
+        "simd": simd_level(),
+    }
+    found |= {name: value for name, value in machine.items() if value}
+    for name in ("softrig_core", "numpy", "scipy", "casadi", "pin", "rosbags", "ros-jazzy-rclpy"):
+        try:
+            found[name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            continue
+    return found
+
+
+@cache
+def checkout() -> dict[str, str]:
+    """Give the commit of the checkout that runs, ``+`` behind it when files were changed, and its lock file's hash."""
+    script = Path(os.environ.get("SOFTRIG_COMMAND", ""))
+    lock = script.parent / "locks" / "run.lock"
+    if not lock.is_file():
+        return {}
+    found = {"run.lock": f"sha256:{hashlib.sha256(lock.read_bytes()).hexdigest()}"}
+    git = ["git", "-C", str(script.parent), "-c", "core.fsmonitor=", "--no-optional-locks"]
+    try:
+        said = [
+            subprocess.run([*git, *command], capture_output=True, text=True, timeout=10, check=True).stdout.strip()
+            for command in (["rev-parse", "HEAD"], ["status", "--porcelain", "--untracked-files=no"])
+        ]
+    except (OSError, subprocess.SubprocessError):  # no git, or an archive without its history
+        return found
+    return {"commit": said[0] + ("+" if said[1] else "")} | found
+
+
+def save(
+    run: Run, content: Mapping[str, Any], folder: ResultsFolder, *, record: bool = True, plots: bool = True,
+    also: str = "",
+) -> None:  # fmt: skip
+    """Write bag/, metrics.json, plots and report.html into a folder, and the list of what was written.
+
+    Parameters
+    ----------
+    run : Run
+    content : mapping
+        From `summary`.
+    folder : ResultsFolder
+    record, plots : bool
+        Whether the bag, the pictures with the page are written.
+    also : str
+        See `softrig_bringup.plots.pictures.plot_run`.
+    """
+    directory = folder.path
+    directory.mkdir(parents=True, exist_ok=True)
+    try:
+        with naming(directory):
+            _write(run, content, directory, record=record, plots=plots, also=also)
+    finally:
+        folder.close()
+
+
+def _write(run: Run, content: Mapping[str, Any], directory: Path, *, record: bool, plots: bool, also: str) -> None:
+    with unstopped():
+        # first: if the disk is full, this is what tells why
+        (directory / "metrics.json").write_text(json.dumps(content, indent=1) + "\n")
+        if record:
+            from softrig_bags.scenery import LATCHED, with_scenery
+            from softrig_bags.write import write_bag
+
+            recording = with_scenery(run.recording, _scenes(run.rig))
+            write_bag(directory / "bag", recording, custom_data=_provenance(run, content), latched=LATCHED)
+    if not plots:
+        return
+    from ..report.report import write_report
+
+    if any(topic.times for topic in run.recording.topics.values()):
+        plot_run(run.signals, run.rig, directory, also)
+    write_report([directory], directory / "report.html")
+
+
+def _scenes(rig: Rig) -> dict[str, Scene]:
+    """Give what viewers can be shown of the rig, by the topic that it moves with."""
+    found = {}
+    for member in rig.members:
+        scene = member.block_class.scene(member.params)
+        if scene is not None:
+            found[next(p.topic for p in member.outputs if p.name == scene.port)] = scene
+    return found
+
+
+def _provenance(run: Run, content: Mapping[str, Any]) -> dict[str, str]:
+    keys = ("scenario", "mode", "seed", "versions", "command")
+    from ..options.like import lateness
+
+    epoch = {"epoch": str(run.epoch)} if run.epoch else {}  # of the stamps of a run in real time
+    late = lateness(run.status) if run.epoch else {}
+    epoch |= {"late": json.dumps(late)} if late else {}
+    epoch |= {"contents": json.dumps(content["contents"])} if content["contents"] else {}
+    seen = {name: s["figures"] for name, s in run.status.items() if s.get("figures")}  # what observers said at the end
+    observed = {"observed": json.dumps(seen)} if seen else {}
+    return epoch | observed | {k: v if isinstance(v := content[k], str) else json.dumps(v) for k in keys}

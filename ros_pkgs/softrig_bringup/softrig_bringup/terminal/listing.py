@@ -1,0 +1,118 @@
+"""The list of scenarios: a tree by system on a terminal, one line a scenario in a pipe."""
+
+from __future__ import annotations
+
+import argparse
+import inspect
+import json
+import os
+import sys
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.text import Text
+from rich.tree import Tree
+from softrig_core import Scenario, ScenarioError, list_scenarios, load_scenario, rig_of
+from softrig_core.guard import plain, say
+from softrig_core.rig.members import signal_units
+from softrig_core.wire.signals import short_name
+
+
+def console(**options: Any) -> Console:
+    """Make a console as wide as the terminal or as COLUMNS says; in a pipe, lines are as long as they are."""
+    narrow = sys.stdout.isatty() or os.environ.get("COLUMNS", "").isdigit()
+    return _Console(**{"width": None if narrow else 1000, "highlight": False, "markup": False} | options)
+
+
+def styled(*parts: str | tuple[str, str]) -> Text:
+    """Make a line of texts and of (text, style): no text has a style by itself, whoever wrote it."""
+    return Text.assemble(*(plain(p) if isinstance(p, str) else (plain(p[0]), p[1]) for p in parts))
+
+
+class _Console(Console):
+    """As rich has it, but text is text, and a reader that has gone is told by its own exit status, not by 1."""
+
+    def render_str(self, text: str, **options: Any) -> Text:
+        """Show control characters instead of obeying them."""
+        return super().render_str(plain(text), **options)
+
+    def on_broken_pipe(self) -> None:
+        """Leave it to `guarded`; called while the error is handled."""
+        raise
+
+
+def main(options: argparse.Namespace) -> int:
+    """Print the scenarios with `filter` in their name or system; 2 when there are files that are none."""
+    broken: list[ScenarioError] = []
+    scenarios = []
+    for name in sorted(list_scenarios(broken)):
+        try:
+            scenarios.append(load_scenario(name))
+        except ScenarioError as error:
+            broken.append(error)
+    for what in broken:
+        say(what)
+    chosen = [s for s in scenarios if options.filter in s.name or options.filter in s.system]
+    if not sys.stdout.isatty() and "COLUMNS" not in os.environ:
+        for s in chosen:
+            print(plain(f"{s.name}\t{s.system}\t{s.duration:g} s\t{s.title}\t{s.source}"))
+        return 2 if broken else 0
+    show = console()
+    for system in sorted({s.system for s in chosen}):
+        show.print(_tree(system, [s for s in chosen if s.system == system]))
+    return 2 if broken else 0
+
+
+def _tree(system: str, scenarios: list[Scenario]) -> Tree:
+    sources = {s.source for s in scenarios}
+    tree = Tree(styled((system, "bold"), *(("  ", (sources.pop(), "dim")) if len(sources) == 1 else ())))
+    branches: list[tuple[str, Tree]] = []
+    for s in scenarios:  # sorted, so that a variant comes after what it is a variant of
+        while branches and not s.name.startswith(f"{branches[-1][0]}_"):
+            branches.pop()
+        facts = ", ".join([f"{s.duration:g} s", *_took(s.name)])
+        label = styled(f"{s.name}  ", (facts, "dim"), f"  {s.title}")
+        branches.append((s.name, (branches[-1][1] if branches else tree).add(label)))
+    return tree
+
+
+def _took(name: str) -> list[str]:
+    """How long the last run took here, if there is one."""
+    try:
+        content = json.loads((Path("runs") / name / "metrics.json").read_text())
+        return [f"took {float(content['wall_s']):.2g} s ({content['mode']})"]
+    except (OSError, ValueError, KeyError, TypeError):
+        return []
+
+
+def list_figures(options: argparse.Namespace) -> int:
+    """Print the figure functions that scenarios may name, or what one of them says of itself."""
+    from softrig_core.judge.registry import find, registered
+
+    if options.name:
+        function = find(options.name)
+        print(f"{options.name}{inspect.signature(function)}\n\n{inspect.getdoc(function) or ''}\n")
+        print(f"unit: {getattr(function, 'unit', None) or 'as the scenario says'}")
+        return 0
+    for one in registered():
+        first = (inspect.getdoc(find(one)) or "").partition("\n")[0]
+        print(f"{one}\t{getattr(find(one), 'unit', None) or ''}\t{first}")
+    return 0
+
+
+def list_signals(options: argparse.Namespace) -> int:
+    """Print the signals of a scenario: name, unit, who publishes it, who reads it; a field that is the only one is left
+    out, as it may be wherever a signal is named.
+    """
+    rig = rig_of(options.scenario)
+    units = signal_units(rig)
+    source = {p.topic: (m, p) for m in rig.members for p in m.outputs}
+    for topic, port in rig.topics.items():
+        labels = [f"{topic}/{label}" for label in port.labels]
+        for label in labels:
+            member, own = source.get(topic, (None, port))
+            readers = ", ".join(m.name for m, _ in rig.readers(member, own)) if member else ""
+            said = f"{member.name if member else 'outside'} -> {readers or '-'}"
+            print(f"{short_name(label, units)}\t{units[label] or '1'}\t{port.msgtype.replace('/msg/', '/')}\t{said}")
+    return 0

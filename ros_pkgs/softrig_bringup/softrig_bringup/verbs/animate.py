@@ -1,0 +1,118 @@
+"""The verb `animate`: a run's drawing as a short film."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from softrig_core.command_line import Number
+
+if TYPE_CHECKING:
+    from softrig_core import Rig
+
+    from ..drawing import Drawing
+    from ..drawing.film import Film
+
+FORMS = ("svg", "gif", "webp", "png")
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument("what", metavar="RUN|SCENARIO", help="folder of a run, a bag of one, or a scenario, which is "
+                        "run for it in this process")  # fmt: skip
+    parser.add_argument("-o", "--out", type=Path, metavar="FILE", help="SCENARIO.svg without it; .gif, .webp and .png "
+                        "(animated) for programs that know no SVG")  # fmt: skip
+    parser.add_argument("--from", dest="start", type=Number(float, 0), metavar="S", default=0.0, help="first time, s")
+    parser.add_argument("--to", dest="end", type=Number(float, 0), metavar="S", help="last time, s (the end)")
+    parser.add_argument("--speed", type=Number(float, 1e-9), metavar="X",
+                        help="simulated seconds in one of film (default: 4 to 8 s of film)")  # fmt: skip
+
+
+def animate(options: argparse.Namespace) -> int:
+    """Write the film; gives the exit status."""
+    from softrig_core import ScenarioError
+
+    out: Path | None = options.out
+    if out is not None and out.suffix[1:] not in FORMS:
+        raise ScenarioError(f"{out}: expected a file that ends with .{', .'.join(FORMS)}")
+    made = film_of(options.what, options.start, options.end, options.speed)
+    out = out or Path(f"{made.drawing.rig.scenario.name}.svg")
+    reduced = write(made, out)
+    about = [f"{made.duration:.3g} s", f"{len(made.frames)} frames", f"{out.stat().st_size / 1e6:.2f} MB", reduced]
+    print(f"{out}: {', '.join(filter(None, about))}")
+    return 0
+
+
+def film_of(what: str, start: float = 0.0, end: float | None = None, speed: float | None = None) -> Film:
+    """Make the film of a run or of a scenario.
+
+    Parameters
+    ----------
+    what : str
+        Folder of a run, or name or file of a scenario.
+    start, end : float
+        s; to the end of the run without `end`.
+    speed : float, optional
+        See `softrig_bringup.drawing.film.film`.
+
+    Raises
+    ------
+    ScenarioError
+        Nothing to draw, or nothing in that window.
+    """
+    from softrig_core import rig_of, simulate
+
+    from ..drawing.film import film
+    from ..report.redraw import rig_of_run
+
+    if not Path(what).is_dir():
+        rig = rig_of(what)
+        drawing = _drawing(rig)
+        length = rig.scenario.duration
+        first, last = _window(start, end, length)
+        run = simulate(rig_of(rig, duration=last) if last < length else rig, progress=True)
+        return film(drawing, run.signals, first, last, speed)
+    rig, signals = rig_of_run(Path(what))
+    drawing = _drawing(rig)
+    ends = [float(signals[name].t[-1]) for name in drawing.signals if name in signals and signals[name].t.size]
+    return film(drawing, signals, *_window(start, end, max(ends, default=0.0)), speed)
+
+
+def _drawing(rig: Rig) -> Drawing:
+    from softrig_core import ScenarioError
+
+    from ..drawing import drawing_for
+
+    found = drawing_for(rig)
+    if found is None:
+        plants = ", ".join(f"{m.name} ({m.package}/{m.executable})" for m in rig.members if m.is_plant)
+        raise ScenarioError(f"{rig.scenario.name}: no drawing of {plants or 'a rig without a plant'}")
+    return found
+
+
+def _window(start: float, end: float | None, length: float) -> tuple[float, float]:
+    from softrig_core import ScenarioError
+
+    last = length if end is None else min(end, length)
+    if not start < last:
+        raise ScenarioError(
+            f"--from {start:g} s to {last:g} s: expected a stretch of the run, which is {length:g} s long"
+        )
+    return start, last
+
+
+def write(made: Film, out: Path) -> str:
+    """Write a film in the form that the file's name ends with, whole or not at all; gives what it was reduced to."""
+    from ..folder import replace
+
+    if out.suffix == ".svg":
+        from ..drawing.smil import animated
+
+        replace(out, animated(made))
+        return ""
+    from ..drawing.raster import pixels
+
+    content, reduced = pixels(made, out.suffix[1:])
+    replace(out, content)
+    return reduced

@@ -1,0 +1,312 @@
+"""Golden bags: a short recorded run of a scenario that later versions must reproduce.
+
+``bags/NAME/`` holds ``bag/`` and ``golden.yaml``, which says how it was made and what may differ.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from io import StringIO
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from softrig_bags.compare import Comparison, Tolerance, compare
+from softrig_bags.read import read_bag
+from softrig_bags.write import write_bag
+from softrig_core import Recording, Rig, RunError, ScenarioError, Signals, feed, load_scenario, rig_of, simulate
+from softrig_core.block.params import flatten
+from softrig_core.scenario.places import explain
+from softrig_core.scenario.yaml_file import read_yaml
+from softrig_core.wire.signals import topic_of
+
+from ..folder import replace
+from ..page.junit import Case, Suite, write_reports
+from ..run.run import versions
+
+DECIDE = ("machine", "math", "numpy", "scipy", "casadi", "pin")  # of the versions: the bits of a run
+
+
+class Allowed(BaseModel):
+    """How far a number may be off: ``max(absolute, relative |golden|)``."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    absolute: float = Field(1e-9, ge=0)
+    relative: float = Field(1e-9, ge=0)
+
+
+class Recipe(BaseModel):
+    """Content of golden.yaml.
+
+    Parameters
+    ----------
+    scenario : str
+    duration : float
+        Length of the golden run, s; usually shorter than the scenario's.
+    seed : int
+    default : Allowed
+        For every signal without a pattern of its own. Tolerances are for other versions than those that wrote the bag
+        (another C library, numpy, casadi, machine; never another Python); with the same ones bytes are compared.
+    tolerances : dict of str to Allowed
+        By pattern of the signal name (``motor/state/*``).
+    elsewhere : dict of str to Allowed
+        As `tolerances`: what a change of the last bits does to this rig, measured when the bag was made.
+    why : str
+        Why the tolerances are what they are.
+    made_with : dict of str to str
+        Versions that wrote the bag.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    scenario: str
+    duration: float = Field(gt=0)
+    seed: int = Field(0, ge=0)
+    default: Allowed = Allowed()
+    tolerances: dict[str, Allowed] = {}
+    elsewhere: dict[str, Allowed] = {}
+    why: str = ""
+    made_with: dict[str, str] = {}
+
+
+@dataclass(frozen=True)
+class Golden:
+    """A recipe, its rig and, once made, the golden recording."""
+
+    folder: Path
+    recipe: Recipe
+    rig: Rig
+
+    @property
+    def bag(self) -> Path:
+        """Where the bag is."""
+        return self.folder / "bag"
+
+    def recording(self) -> Recording:
+        """Read the golden bag."""
+        return read_bag(self.bag)
+
+    def rerun(self) -> Recording:
+        """Run the scenario as it is now."""
+        return simulate(self.rig, seed=self.recipe.seed).recording
+
+    def shaken(self, bits: float) -> Recording:
+        """Run the scenario with the parameters of its plants changed by `bits` of their last place.
+
+        Another build of a library changes results by about as much.
+        """
+        changed: dict[str, Any] = {}
+        for member in self.rig.members:
+            for name, value in flatten(member.params).items() if member.is_plant else ():
+                if isinstance(value, float) and value and name != "period":
+                    new = value * (1.0 + bits * 2.0**-52)
+                    if _allowed(self.rig, f"{member.name}.{name}", new):
+                        changed[f"{member.name}.{name}"] = new
+        return simulate(self.rig, seed=self.recipe.seed, overrides=changed).recording
+
+    def sensitivity(self) -> dict[str, Allowed]:
+        """Measure what a change of the last bits does: ten times the largest deviation of each topic, above 1e-9."""
+        first = Signals(self.rerun())
+        largest: dict[str, float] = {}
+        for bits in (4.0, -4.0):
+            other = Signals(self.shaken(bits))
+            for name in first:
+                a, b = first[name].x, other[name].x
+                if a.size and a.size == b.size:
+                    topic = topic_of(name, self.rig.topics)
+                    largest[topic] = max(largest.get(topic, 0.0), float(np.nanmax(np.abs(a - b), initial=0.0)))
+        return {f"{topic}/*": Allowed(absolute=float(f"{10.0 * d:.1e}")) for topic, d in sorted(largest.items())
+                if 10.0 * d > 1e-9}  # fmt: skip
+
+    @property
+    def others(self) -> dict[str, tuple[str, str]]:
+        """What decides the bits and is not as it was when the bag was made: name to there and here."""
+        now, there = versions(), self.recipe.made_with
+        pairs = {name: (there.get(name, "unknown"), now.get(name, "unknown")) for name in DECIDE}
+        return {name: pair for name, pair in pairs.items() if pair[0] != pair[1]}
+
+    @property
+    def made_here(self) -> bool:
+        """Whether all that decides the bits is as it was when the bag was made: then bytes are compared."""
+        return not self.others
+
+    @property
+    def how(self) -> str:
+        """How a new recording is compared, and why."""
+        differing = ", ".join(f"{name} {there} there, {here} here" for name, (there, here) in self.others.items())
+        return f"within tolerances: {differing}" if differing else "byte for byte"
+
+    def compare(
+        self, new: Recording, topics: Sequence[str] | None = None, *, elsewhere: bool | None = None
+    ) -> Comparison:
+        """Compare a new recording with the golden one: byte for byte, or elsewhere within the recipe's tolerances.
+
+        Parameters
+        ----------
+        new : Recording
+        topics : sequence of str, optional
+        elsewhere : bool, optional
+            Whether to allow what another build may change; found out when absent.
+        """
+        old, found = Signals(self.recording()), Signals(new)
+        if not (bool(self.others) if elsewhere is None else elsewhere):
+            return compare(old, found, bitwise=True, topics=topics)
+        allowed = self.recipe.elsewhere | self.recipe.tolerances
+        limits = {name: Tolerance(a.absolute, a.relative) for name, a in allowed.items()}
+        default = Tolerance(self.recipe.default.absolute, self.recipe.default.relative)
+        return compare(old, found, default=default, tolerances=limits, topics=topics)
+
+    def open_loop(self, node: str) -> Comparison:
+        """Feed one node with the golden inputs and compare what it answers."""
+        member = next(m for m in self.rig.members if m.name == node)
+        answers = feed(member, self.recipe.seed, self.recording())
+        return self.compare(answers, list(answers.topics))
+
+    def make(self) -> Comparison | None:
+        """Write the golden bag anew; gives the comparison of the new with the old, if there was one.
+
+        The old one is there until the new one is written.
+
+        Raises
+        ------
+        ScenarioError
+            What is there was not made as a golden bag.
+        RunError
+            The new bag could not be written.
+        """
+        _ours(self.bag)
+        new = self.rerun()
+        difference = self.compare(new) if self.bag.exists() else None
+        recipe = self.recipe.model_copy(update={"made_with": versions(), "elsewhere": self.sensitivity()})
+        with TemporaryDirectory(prefix=".new_", dir=self.folder) as aside:
+            write_bag(Path(aside) / self.bag.name, new, compression="zstd")
+            if self.bag.exists():
+                self.bag.replace(Path(aside) / "old")
+            (Path(aside) / self.bag.name).replace(self.bag)
+        _write(self.folder / "golden.yaml", recipe)
+        return difference
+
+
+def _ours(bag: Path) -> None:
+    """Make sure that a folder holds a bag and nothing else, if it is there.
+
+    Raises
+    ------
+    ScenarioError
+        Names what is not of a bag.
+    """
+    other = [p for p in bag.glob("*") if not re.fullmatch(r"metadata\.yaml|bag_\d+\.mcap", p.name) or p.is_symlink()]
+    if bag.is_symlink() or other or (bag.exists() and not bag.is_dir()):
+        raise ScenarioError(f"{other[0] if other else bag} was not made by `softrig golden`; move it away")
+
+
+def _allowed(rig: Rig, name: str, value: float) -> bool:
+    """Whether a changed parameter is still within its bounds."""
+    try:
+        rig_of(rig, overrides={name: value})
+    except ScenarioError:
+        return False
+    return True
+
+
+def load(folder: Path, **changes: Any) -> Golden:
+    """Read a golden folder.
+
+    Parameters
+    ----------
+    folder : Path
+    **changes
+        Keys of the recipe that are to differ from golden.yaml.
+
+    Raises
+    ------
+    ScenarioError
+        golden.yaml is missing or wrong; names file and key.
+    """
+    file = folder / "golden.yaml"
+    if not file.is_file():
+        raise ScenarioError(f"{folder} has no golden.yaml; --bags DIR says where golden bags are")
+    content = read_yaml(file.read_text(errors="replace"), str(file))
+    recipe = _recipe(file, content | changes if isinstance(content, dict) else content)
+    return Golden(folder, recipe, _rig(recipe))
+
+
+def create(folder: Path, scenario: str, duration: float | None = None, seed: int = 0) -> Golden:
+    """Make the recipe of a new golden bag; it lasts as long as the scenario when no duration is given."""
+    file = folder / "golden.yaml"
+    duration = load_scenario(scenario).duration if duration is None else duration
+    recipe = _recipe(file, {"scenario": scenario, "duration": duration, "seed": seed})
+    rig = _rig(recipe)
+    if (folder / "bag").exists():
+        raise ScenarioError(f"{folder} has a bag and no golden.yaml: it was not made by `softrig golden`; move it away")
+    folder.mkdir(parents=True, exist_ok=True)
+    _write(file, recipe)
+    return Golden(folder, recipe, rig)
+
+
+def _recipe(file: Path, content: Any) -> Recipe:
+    try:
+        return Recipe.model_validate(content)
+    except ValidationError as error:
+        raise ScenarioError(f"{file}: {explain(error, Recipe)}") from None
+
+
+def _rig(recipe: Recipe) -> Rig:
+    scenario = load_scenario(recipe.scenario)
+    return rig_of(scenario.model_copy(update={"duration": recipe.duration}))
+
+
+def _write(file: Path, recipe: Recipe) -> None:
+    from ruamel.yaml import YAML
+
+    yaml = YAML()
+    yaml.width = 110
+    content: dict[str, Any] = recipe.model_dump()
+    stream = StringIO()
+    stream.write(f"# Made by `scripts/softrig golden {file.parent.name}`; edit the tolerances by hand.\n")
+    yaml.dump(content, stream)
+    replace(file, stream.getvalue())
+
+
+def main(names: Sequence[str], folder: Path, *, duration: float | None, seed: int | None, check: bool,
+         junit: Path | None = None, as_json: Path | None = None) -> int:  # fmt: skip
+    """Regenerate golden bags (all of the folder when none is named), or only check them.
+
+    A duration or seed changes the recipes that are there and leaves the rest of them, which was edited by hand.
+    `junit` and `as_json` are files that a check writes: whether each bag agrees, and how it was compared.
+    """
+    changes: dict[str, Any] = {k: v for k, v in {"duration": duration, "seed": seed}.items() if v is not None}
+    if check and changes:
+        given = " and ".join(f"--{key}" for key in changes)
+        raise ScenarioError(f"golden --check with {given}: expected --check alone, a bag is checked as it was made")
+    for option, file in (("junit", junit), ("json", as_json)):
+        if file is not None and not check:
+            raise ScenarioError(f"golden --{option}: goes with --check")
+    chosen = list(names) or sorted(p.parent.name for p in folder.glob("*/golden.yaml"))
+    if not chosen:
+        raise ScenarioError(f"{folder} has no golden bags yet; name the scenarios to make them of")
+    status, suites, content = 0, [], []
+    for name in chosen:
+        there = (folder / name / "golden.yaml").is_file()
+        golden = load(folder / name, **changes) if there or check else create(folder / name, name, **changes)
+        how = golden.how if golden.bag.exists() else ""
+        try:
+            result = golden.compare(golden.rerun()) if check else golden.make()
+        except RunError as error:
+            raise RunError(f"{name}: {error}") from error
+        size = sum(f.stat().st_size for f in golden.bag.glob("*")) / 1e3
+        print(f"{name}: {golden.recipe.duration:g} s, {size:.0f} kB, "
+              + ("new" if result is None else f"{'agrees' if result.equal else 'DIFFERS'} {how}"))  # fmt: skip
+        if result is not None and not result.equal:
+            print(result)
+            status = 1 if check else status
+        differs = "" if result is None or result.equal else str(result)
+        suites.append(Suite(name, 0.0, [Case("bag", differs, f"{golden.recipe.duration:g} s")]))
+        content.append({"bag": name, "scenario": golden.recipe.scenario, "duration_s": golden.recipe.duration,
+                        "seed": golden.recipe.seed, "pass": not differs, "compared": how,
+                        "differs": differs})  # fmt: skip
+    write_reports(junit, suites, as_json, content)
+    return status

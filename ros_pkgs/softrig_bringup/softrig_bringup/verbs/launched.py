@@ -1,0 +1,168 @@
+"""A rig that a launch system starts: the nodes of `softrig run` with its options, and what it does at their end."""
+
+from __future__ import annotations
+
+import argparse
+import atexit
+import os
+import signal
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from shutil import rmtree
+from tempfile import mkdtemp
+
+from softrig_core import Run, ScenarioError
+from softrig_core.processes.children import read_status
+from softrig_core.processes.domain import join_domain
+from softrig_core.processes.peers import starter
+from softrig_core.processes.processes import gathered
+from softrig_core.processes.spawning import container_arguments, groups, node_parameters, parameter_file, placed
+from softrig_core.rig.members import Member
+
+from ..options import run_options
+from ..run.run import checked, gaps, mode_name
+from . import run_verb
+from .viewer import ROOTED, Process, viewer
+
+# name: (default, choices, description); an empty default means: as the scenario says
+ARGUMENTS: dict[str, tuple[str | None, tuple[str, ...], str]] = {
+    "scenario": (None, (), "name of a scenario or path of its YAML file"),
+    "mode": ("realtime", ("realtime", "lockstep"), "against the wall clock, or tick by tick"),
+    "place": ("processes", ("processes", "container"), "a process for each node, or one for all"),
+    "namespace": ("", (), "of all nodes and topics of the rig, /clock as well"),
+    "duration": ("", (), "s, instead of the scenario's"),
+    "seed": ("", (), "instead of the scenario's"),
+    "params_file": ("", (), "parameters in the form of ros2 param dump, instead of the scenario's"),
+    "external": ("", (), "nodes that somebody else starts, names parted by spaces"),
+    "wait_for": ("", (), "recorders that are to have all from t = 0 and do not ask for it, as rosbag2_recorder"),
+    "frames": ("true", ("true", "false"), "/tf and /tf_static from the rig's nodes; false for publishers of your own"),
+    "record": ("false", ("true", "false"), "bag, metrics.json, plots and report at the end, as `softrig run` writes"),
+    "out": ("", (), "folder for them (default: runs/SCENARIO and what was changed, below the working folder)"),
+    "judge": ("false", ("true", "false"), "table of the figures at the end; status 1 of the launch where they miss"),
+    "use_rviz": ("false", ("true", "false"), "RViz with a file for this rig; the launch ends when it is closed"),
+}
+
+
+class Launched:
+    """The processes of a rig, for whoever starts them and says when they have ended.
+
+    Parameters
+    ----------
+    values : mapping of str to str
+        What is given of `ARGUMENTS`.
+
+    Raises
+    ------
+    ScenarioError
+        The scenario, or what is changed of it, is wrong.
+    RunError
+        The domain is a run's own.
+    """
+
+    def __init__(self, values: Mapping[str, str]) -> None:
+        given = {name: values.get(name) or default or "" for name, (default, _, _) in ARGUMENTS.items()}
+        self._options = options = _options(given)
+        self._record, self._judge = given["record"] == "true", given["judge"] == "true"
+        self._frames = given["frames"] == "true"
+        self._rig = rig = checked(run_options.scenario_of(options))
+        self._seed, self._realtime = rig.scenario.seed, given["mode"] == "realtime"
+        join_domain(int(os.environ.get("ROS_DOMAIN_ID") or 0))  # so that no run chooses it
+        self._folder = run_verb.results_folder(options, rig.scenario.name) if self._record else None
+        if self._folder is not None:
+            self._log = self._folder.path / "log"
+            self._log.mkdir(exist_ok=True)
+        else:
+            self._log = Path(mkdtemp(prefix="softrig-launch-"))
+            atexit.register(rmtree, self._log, ignore_errors=True)
+        self._begun = time.monotonic()
+        self._error, self._stopped = "", False
+        self._namespace = given["namespace"].strip("/")
+        self.processes = [
+            self._process(group, self._namespace, given["wait_for"].split())
+            for group in groups(rig, placed(rig, given["place"]))
+        ]
+        self._running = len(self.processes)
+        if given["use_rviz"] == "true":
+            self.processes.append(viewer(rig, self._log, self._namespace, not self._realtime))
+
+    def _process(self, group: list[Member], namespace: str, recorders: list[str]) -> Process:
+        rig, log = self._rig, self._log
+        keep = self._record or self._judge
+        own: dict[str, object] = {"run.start_timeout": 0.0} if any(m.external for m in rig.members) else {}
+        own |= {} if self._frames else {"run.frames": False}
+        given = {
+            m.name: node_parameters(rig, m, self._seed, "realtime" if self._realtime else "lockstep",
+                                    recorders=recorders)
+            | own | {"run.status": str(log / f"{m.name}.status"),
+                     "run.shard": str(log / f"{m.name}.shard") if keep else ""}
+            for m in group
+        }  # fmt: skip
+        # topics that are nowhere below a namespace: two rigs would drive each other
+        moved = {f"/{name}": f"/{namespace}/{name}" for name in ROOTED} if namespace else {}
+        if len(group) > 1:
+            shared = moved | ({"__ns": f"/{namespace}"} if namespace else {})
+            return Process("softrig_core", "container", arguments=container_arguments(group, given, log, shared))
+        m = group[0]
+        file = parameter_file(m, given[m.name], log)
+        return Process(m.package, m.executable, m.name, namespace, parameters=[str(file)],
+                       remappings=[*(m.remap | moved).items()])  # fmt: skip
+
+    def ended(self, name: str, status: int, interrupted: bool) -> str:
+        """Note that a process has ended; when it was the last one, do what `softrig run` does at the end of a run.
+
+        Parameters
+        ----------
+        name : str
+            Of the process.
+        status : int
+            Its exit status.
+        interrupted : bool
+            Whether the launch was being shut down already.
+
+        Returns
+        -------
+        str
+            Why the launch is to end with a failure; empty when it is not.
+        """
+        self._running -= 1
+        self._stopped = self._stopped or interrupted
+        wrong = f"{name} ended with status {status}" if status and not interrupted else ""
+        self._error = self._error or wrong
+        if self._running or not (self._record or self._judge):
+            return wrong
+        found = self._conclude()
+        if self._judge and found and not wrong:
+            return f"judged: status {found}" if not self._error and not self._stopped else ""
+        return wrong
+
+    def _conclude(self) -> int:
+        rig, options = self._rig, self._options
+        names = [m.name for m in rig.members if not m.external]
+        recording, status = gathered(rig, self._log, names, f"{self._namespace}/" if self._namespace else "")
+        epoch = int(read_status(self._log / f"{starter(rig).name}.status").get("epoch", 0))
+        told = [f"{name}: {s['error']}" for name, s in status.items() if s.get("error")]
+        run = Run(rig, self._seed, recording, time.monotonic() - self._begun,
+                  mode_name(options.mode, self._realtime), epoch, status)  # fmt: skip
+        if self._error:
+            run.error = "; ".join([self._error, *told])
+        elif self._stopped:
+            run.stopped = signal.SIGINT
+        elif not self._realtime:
+            run.error = gaps(rig, recording)
+        return run_verb.conclude(options, run, self._folder)
+
+
+def _options(given: Mapping[str, str]) -> argparse.Namespace:
+    """Give the options of `softrig run` that say the same."""
+    words = [given["scenario"], "--mode", given["place"], *(["--realtime"] if given["mode"] == "realtime" else [])]
+    for name, option in (("duration", "duration"), ("seed", "seed"), ("params_file", "params-file"), ("out", "out")):
+        words += [f"--{option}={given[name]}"] if given[name] else []
+    for node in given["external"].split():
+        words += ["--external", node]
+    parser = argparse.ArgumentParser(exit_on_error=False)
+    run_options.arguments(parser)
+    try:
+        return parser.parse_args(words)
+    except argparse.ArgumentError as error:
+        raise ScenarioError(str(error)) from None

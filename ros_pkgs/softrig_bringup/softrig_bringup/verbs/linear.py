@@ -1,0 +1,109 @@
+"""The verbs `linearise` and `steady`: a rig as a control engineer sees it, as numbers and pictures."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+from typing import Any
+
+from softrig_core import LinearView, NoOperatingPoint, linear_view, steady
+
+from ..options.run_options import assignment
+from ..terminal.listing import console
+
+DEGREES = 180.0 / math.pi
+SHOWN = 8  # modes
+
+
+def _overrides(options: argparse.Namespace) -> dict[str, Any]:
+    return dict(assignment(text) for text in options.set)
+
+
+def numbers(view: LinearView) -> dict[str, Any]:
+    """Give a linear view as plain data; None where a margin is infinite.
+
+    Parameters
+    ----------
+    view : LinearView
+    """
+    found: dict[str, Any] = {
+        "scenario": view.rig, "at_s": view.at, "period_s": view.period, "error": view.error, "worst": view.worst,
+        "variation": view.variation, "stable": view.stable, "values": dict(view.values), "units": dict(view.units),
+        "closed": {"states": list(view.states), "inputs": list(view.inputs), "outputs": list(view.outputs),
+                   "A": view.A.tolist(), "B": view.B.tolist(), "C": view.C.tolist(), "D": view.D.tolist()},
+        "modes": [{"pole": [m.pole.real, m.pole.imag], "rate": [m.rate.real, m.rate.imag], "states": m.shares}
+                  for m in view.modes],
+    }  # fmt: skip
+    if view.link:
+        system = view.opened
+        margins = {k: v if math.isfinite(v) else None for k, v in view.margins._asdict().items()}
+        found |= {"link": view.link, "margins": margins, "opened": {
+            "states": list(system.state_labels), "A": system.A.tolist(), "B": system.B.tolist(),
+            "C": system.C.tolist(), "D": system.D.tolist(),
+            "poles": [[p.real, p.imag] for p in view.loop_poles.tolist()]}}  # fmt: skip
+    return found
+
+
+def linearise(options: argparse.Namespace) -> int:
+    """Print poles and margins; with ``--out``, write numbers and pictures."""
+    view = linear_view(
+        options.scenario, options.open, at=options.at, inputs=options.input, outputs=options.output,
+        overrides=_overrides(options),
+    )  # fmt: skip
+    out = console()
+    out.print(f"{view.rig}, t = {view.at:.6g} s: {len(view.states)} states, period {view.period:g} s")
+    rows = [("poles (in z)", "1/s")] if view.modes else []
+    rows += [(_complex(m.pole), f"{_complex(m.rate):22} {_states(m.shares)}") for m in view.modes[:SHOWN]]
+    if len(view.modes) > SHOWN:
+        rows += [("", f"and {len(view.modes) - SHOWN} faster ones")]
+    if view.link:
+        m, value = view.margins, f"{view.values[view.link]:.6g} {view.units[view.link]}".rstrip()
+        rows += [
+            ("opened at", f"{view.link} = {value}"),
+            ("closed", "stable" if view.stable else "unstable: the margins say where that changes"),
+            ("gain margin", f"{m.gain:.4g}" + (f", down to {m.gain_down:.4g}" if m.gain_down else "")),
+            ("phase margin", f"{m.phase * DEGREES:.4g} degrees"),
+            ("delay margin", f"{m.delay:.4g} s, {m.delay / view.period:.4g} periods"),
+            ("disk margin", f"{m.disk:.4g}"),
+            ("crossover", f"{m.crossover:.4g} rad/s"),
+        ]
+    rows += [
+        ("known to", f"{view.error:.1e} of a column, the worst is {view.worst}"),
+        ("varies by", f"{view.variation:.1e} from the rig itself within ten periods"),
+    ]
+    for name, text in rows:
+        out.print(f"  {name:20} {text}", markup=False)
+    if options.out:
+        options.out.mkdir(parents=True, exist_ok=True)
+        (options.out / "linear.json").write_text(json.dumps(numbers(view), indent=1) + "\n")
+        files = "linear.json"
+        if view.link:
+            view.plot().savefig(options.out / "linear.png", dpi=120)
+            files += ", linear.png"
+        out.print(f"  {options.out}/{files}")
+    return 0
+
+
+def _complex(value: complex) -> str:
+    return f"{value.real:.4g}" if not value.imag else f"{value.real:.4g} +- {abs(value.imag):.4g}j"
+
+
+def _states(shares: dict[str, float]) -> str:
+    return ", ".join(f"{name} {share:.0%}" for name, share in list(shares.items())[:3])
+
+
+def print_steady(options: argparse.Namespace) -> int:
+    """Print an operating point; status 1 when there is none."""
+    try:
+        point = steady(options.scenario, at=options.at, outputs=options.output, overrides=_overrides(options))
+    except NoOperatingPoint as error:
+        print(f"softrig: {error}", file=sys.stderr)
+        return 1
+    for name, value in (*point.signals.items(), *point.states.items()):
+        rate = f"\tdrifts by {point.drifting[name]:.6g} a second" if name in point.drifting else ""
+        print(f"{name}\t{value:.9g} {point.units.get(name, '')}".rstrip() + rate)
+    kind = "stable" if point.stable else "unstable"
+    print(f"{kind}, slowest pole {point.slowest:.6g}; {point.steps} steps; a run from there moves by {point.moved:.1g}")
+    return 0

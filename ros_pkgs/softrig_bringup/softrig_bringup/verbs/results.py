@@ -1,0 +1,243 @@
+"""`softrig results`: every claim of the papers held against what is measured now."""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from softrig_core import (
+    Rig,
+    RunError,
+    Scenario,
+    ScenarioError,
+    figures_of,
+    list_scenarios,
+    load_scenario,
+    rig_of,
+    simulate,
+)
+from softrig_core.guard import say
+from softrig_core.rig.code import fingerprints
+from softrig_core.verdict.findings import Finding, findings, needed, values
+from softrig_optim.sweep import progress, stream
+
+from ..folder import ResultsFolder, replace
+from ..page.junit import Case, Suite, write_reports
+from ..run.run import save, summary, versions
+
+
+class Measured(NamedTuple):
+    """Figures of one scenario in process: values, units, which missed what the scenario expects, or why it broke."""
+
+    name: str
+    figures: dict[str, float]
+    units: dict[str, str]
+    missed: list[str]
+    error: str
+    kept: bool = False  # from an earlier call, of the same code and scenario
+
+
+def measure(work: tuple[str, Path | None]) -> Measured:
+    """Run a scenario in this process and measure its figures, or give what was kept of such a run.
+
+    Parameters
+    ----------
+    work : (str, Path or None)
+        Its name, and the folder in which runs are kept by name: the run with pictures and report, and its figures.
+    """
+    from .results_page import command
+
+    name, folder = work
+    try:
+        rig = rig_of(name)
+        place, key = (None, "") if folder is None else (folder / name, _key(rig))
+        if place and (kept := _kept(place, key)):
+            return kept
+        run = simulate(rig)
+    except (RunError, ScenarioError) as error:
+        return Measured(name, {}, {}, [], str(error))
+    results = run.results
+    found = Measured(name, values(results), {r.name: r.unit for r in results}, [r.name for r in run.missed], "")
+    if place:
+        save(run, summary(run, results, command(name)), _cleared(place), record=False)
+        replace(_figures(place), json.dumps({"key": key, "measured": found._asdict()}) + "\n")
+    return found
+
+
+def _cleared(place: Path) -> ResultsFolder:
+    folder = ResultsFolder(place)
+    folder.clear()
+    return folder
+
+
+def _figures(place: Path) -> Path:
+    return place.with_name(f"{place.name}.json")  # beside the run, which lists all that is in its folder
+
+
+def _key(rig: Rig) -> str:
+    """What a run is made of: scenario, code of blocks and figures, libraries, machine."""
+    code = fingerprints((m.block_class for m in rig.members), (f.function.__module__ for f in figures_of(rig)))
+    libraries = {k: v for k, v in versions().items() if k != "commit"}
+    whole = json.dumps([rig.scenario.model_dump(mode="json"), code, libraries], sort_keys=True, default=str)
+    return hashlib.sha256(whole.encode()).hexdigest()
+
+
+def _kept(place: Path, key: str) -> Measured | None:
+    try:
+        content = json.loads(_figures(place).read_text())
+        if content["key"] != key or not (place / "report.html").is_file():
+            return None
+        return Measured(**content["measured"])._replace(kept=True)
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+
+
+def claiming(systems: Sequence[str] = ()) -> list[Scenario]:
+    """Give the scenarios with claims, all or those of some systems.
+
+    Parameters
+    ----------
+    systems : sequence of str
+        Names of systems as scenarios give them, or beginnings of scenario names.
+
+    Raises
+    ------
+    ScenarioError
+        Nothing is called so.
+    """
+    scenarios = [load_scenario(name) for name in list_scenarios()]
+    for system in systems:
+        if not any(_belongs(s, system) for s in scenarios):
+            known = sorted({s.system for s in scenarios})
+            raise ScenarioError(f"no system {system!r}; there are {', '.join(known)}")
+    return [s for s in scenarios if s.claims and (not systems or any(_belongs(s, system) for system in systems))]
+
+
+def _belongs(scenario: Scenario, system: str) -> bool:
+    return scenario.system == system or scenario.name == system or scenario.name.startswith(f"{system}_")
+
+
+def gather(
+    scenarios: Iterable[Scenario], workers: int | None = None, keep: Path | None = None
+) -> tuple[list[Finding], dict[str, Measured]]:
+    """Run what the claims of some scenarios need, on all cores, and hold each claim against it.
+
+    Parameters
+    ----------
+    scenarios : iterable of Scenario
+    workers : int, optional
+        All cores when absent.
+    keep : Path, optional
+        See `measure`.
+
+    Returns
+    -------
+    findings : list of Finding
+        In the order of the scenarios and of the claims in them.
+    measured : dict of str to Measured
+        By scenario, what was run.
+    """
+    scenarios = list(scenarios)
+    names = sorted(set().union(*(needed(s) for s in scenarios)))
+    measured: dict[str, Measured] = {}
+    with progress("scenarios", len(names)) as advance:
+        for _, found in stream(measure, [(name, keep) for name in names], workers=workers):
+            measured[found.name] = found
+            advance()
+
+    def figures(name: str) -> dict[str, float] | None:
+        found = measured.get(name)
+        return None if found is None or found.error else found.figures
+
+    rows = [f for s in scenarios for f in findings(s, figures, measured[s.name].units)]
+    return rows, measured
+
+
+def study_findings(
+    systems: Sequence[str], out: Path, workers: int | None = None
+) -> tuple[list[Scenario], list[Finding]]:
+    """Run the studies with claims, or go on with them, and hold their claims.
+
+    Returns
+    -------
+    scenarios : list of Scenario
+        Each study's scenario under the name of the study.
+    findings : list of Finding
+    """
+    from ..study.definition import list_studies, load_study
+    from ..study.engine import run_study
+    from ..study.table import claims, results, without_signals
+
+    scenarios, rows = [], []
+    for study in map(load_study, list_studies()):
+        scenario = load_scenario(study.scenario)
+        if not study.claims or (systems and not any(_belongs(scenario, system) for system in systems)):
+            continue
+        done = without_signals(run_study(study, out / study.name, workers=workers).rows())
+        rows += claims(study, results(study, done))
+        scenarios.append(scenario.model_copy(update={"name": study.name, "source": study.source or scenario.source}))
+    return scenarios, rows
+
+
+def suites(rows: Sequence[Finding], measured: Mapping[str, Measured]) -> list[Suite]:
+    """Give each scenario's claims as a suite of cases."""
+    found: dict[str, list[Case]] = {}
+    for row in rows:
+        case = Case(
+            f"claim {row.key}", "" if row.holds else row.false, f"{row.verdict}: {row.measured_text} {row.unit}"
+        )
+        found.setdefault(row.scenario, []).append(case)
+    broken = {name: m.error for name, m in measured.items() if m.error}
+    return [Suite(name, 0.0, found.get(name, ()), broken.get(name, "")) for name in dict.fromkeys([*found, *broken])]
+
+
+def left_out(systems: Sequence[str]) -> str:
+    """Say which claims are held by `--studies` alone; empty for none."""
+    from ..study.definition import list_studies, load_study
+
+    found = [s for s in map(load_study, list_studies()) if s.claims]
+    found = [s for s in found if not systems or any(_belongs(load_scenario(s.scenario), name) for name in systems)]
+    more = sum(len(s.claims) for s in found)
+    names = ", ".join(s.name for s in found)
+    return f"{more} more claims are of studies ({names}): hundreds of runs, with --studies" if more else ""
+
+
+def main(options: argparse.Namespace) -> int:
+    """Write results.html and results.md into a directory; 1 when a verdict is false or cannot be checked."""
+    from .results_page import counts, html, markdown
+
+    systems, out = options.systems, options.out
+    scenarios = claiming(systems)
+    if not scenarios:
+        raise ScenarioError("no scenario has claims")
+    (out / "runs").mkdir(parents=True, exist_ok=True)
+    if not os.access(out, os.W_OK | os.X_OK):  # said before the runs, not after them
+        raise ScenarioError(f"{out}: cannot be written into; choose another --out")
+    rows, measured = gather(scenarios, options.workers, out / "runs")
+    without = "" if options.studies else left_out(systems)
+    if options.studies:
+        more, held = study_findings(systems, out / "studies", options.workers)
+        scenarios, rows = scenarios + more, rows + held
+    replace(out / "results.html", html(scenarios, rows, without, out))
+    replace(out / "results.md", markdown(scenarios, rows, without))
+    write_reports(options.junit, suites(rows, measured), options.json, [row.model_dump() for row in rows])
+    kept = sum(m.kept for m in measured.values())
+    if kept:
+        print(f"{kept} of {len(measured)} runs are kept: neither code nor scenario has changed")
+    print(counts(rows) + (f"; {without}" if without else ""))
+    status = 0
+    for found in measured.values():
+        if found.error or found.missed:
+            say(f"{found.name}: {found.error or 'missed: ' + ', '.join(found.missed)}")
+            status = 3 if found.error else max(status, 1)
+    for row in rows:
+        if not row.holds:
+            say(f"{row.scenario}: claim {row.key}: {row.false}")
+            status = max(status, 1)
+    print(f"wrote {out / 'results.html'} and {out / 'results.md'}")
+    return status

@@ -1,0 +1,249 @@
+"""The verb `run`: where the results go, what is printed, the exit status."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shlex
+import sys
+from collections.abc import Mapping, Sequence
+from contextlib import nullcontext, suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from softrig_core.guard import plain, say
+
+from ..options.run_options import changed_words, folder_name, repeat, scenario_of
+
+if TYPE_CHECKING:
+    from softrig_core import Run
+
+    from ..folder import ResultsFolder
+
+MISSED = 10.0  # per cent of missed deadlines that are worth a word
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run a scenario; gives the exit status."""
+    from softrig_core.processes.domain import free_domain
+    from softrig_core.processes.stopping import stoppable
+
+    # before anything of an earlier run is replaced: two runs in one domain would read each other's messages
+    with stoppable(), nullcontext() if options.domain is None or options.only else free_domain(options.domain):
+        return _run_reserved(options)
+
+
+def _run_reserved(options: argparse.Namespace) -> int:
+    from softrig_core import ScenarioError
+    from softrig_core.processes.executables import environment
+    from softrig_core.processes.fork_server import prepare
+
+    from ..run.run import checked, execute, mode_name
+    from ..terminal.progress import progress
+    from ..view.beside import page
+
+    if options.realtime and options.mode == "inprocess":
+        raise ScenarioError("--realtime: blocks in process know no wall clock; expected --mode processes or container")
+    if options.view:
+        _check_view(options)
+    if options.mode != "inprocess":
+        prepare(environment(0, Path()))  # on another core, while this one reads and checks the scenario
+    scenario = scenario_of(options)
+    rig = checked(scenario)  # before anything of an earlier run is replaced
+    if options.only:
+        from ..run.part import run_part
+
+        return run_part(rig, options)
+    folder = results_folder(options, scenario.name)
+    log = folder.path / "log"
+    beside = page(scenario, log, realtime=options.realtime or options.mode == "realtime", paused=options.paused,
+                  how=mode_name(options.mode, options.realtime), address=options.view_address)  # fmt: skip
+    with folder.keeping(), beside as shown:
+
+        def opened(domain: int) -> None:
+            if options.connect:
+                _announce(_how_to_connect(domain, log))
+            if options.view:
+                shown.open(domain)
+
+        with progress(scenario.name, scenario.duration) as tell:
+            done = execute(rig, options.mode, log, realtime=options.realtime, domain=options.domain, progress=tell,
+                           wait=options.wait, announce=_announce, opened=opened, paused=options.paused)  # fmt: skip
+        status = conclude(options, done, folder)
+        shown.over(done, folder.path)
+        return status
+
+
+def _check_view(options: argparse.Namespace) -> None:
+    """Refuse what has no page; bring the library."""
+    from softrig_core import ScenarioError
+    from softrig_core.extras import need
+
+    if options.mode == "inprocess" or options.only:
+        what = "--mode inprocess" if options.mode == "inprocess" else "--only"
+        raise ScenarioError(f"--view shows a whole rig of nodes, which {what} is not; expected --mode container or "
+                            "processes")  # fmt: skip
+    need("bokeh", "--view")
+
+
+def _how_to_connect(domain: int, directory: Path) -> str:
+    """Say what nodes outside need in their environment."""
+    from softrig_core.processes.executables import environment
+
+    found = environment(domain, directory)
+    names = ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE", "RMW_IMPLEMENTATION")
+    return "to connect: export " + " ".join(f"{name}={found[name]}" for name in names)
+
+
+def results_folder(options: argparse.Namespace, scenario: str) -> ResultsFolder:
+    """Clear the folder for the results of a run, and say what it replaces."""
+    from softrig_core import ScenarioError
+
+    from ..folder import ResultsFolder
+
+    out = (options.out or Path("runs") / folder_name(scenario, options)).absolute()
+    if options.like is not None and out in (options.like.absolute(), options.like.absolute().parent):
+        if options.out is not None:
+            raise ScenarioError(f"--out {options.out}: it holds the run that --like repeats, expected another folder")
+        out = out.with_name(f"{out.name}-again")
+    folder = ResultsFolder(out)
+    if folder.replaced:
+        say(f"replacing {folder.replaced} in {_shown(out)}")
+    folder.clear()
+    return folder
+
+
+def conclude(options: argparse.Namespace, done: Run, folder: ResultsFolder | None) -> int:
+    """Write what a run has brought, print its figures, judge it.
+
+    Parameters
+    ----------
+    options : argparse.Namespace
+        Of the verb `run`.
+    done : Run
+    folder : ResultsFolder or None
+        None: nothing is written.
+
+    Returns
+    -------
+    int
+        Exit status.
+    """
+    from ..options.repeat import words
+    from ..run.run import save, summary, turned
+
+    rig, scenario = done.rig, done.rig.scenario
+    changed = changed_words(options) + turned(done) + ([done.stopped_at] if done.stopped else [])
+    figures = [] if done.error else done.results
+    command = shlex.join([*words((m.package for m in rig.members), "run"), *repeat(options)])
+    content = summary(done, figures, command, options.label) | {"changed": changed}
+    if options.external:  # the title of the scenario is about what did not run
+        content["title"] = f"{scenario.name} with {', '.join(options.external)} from outside"
+    same, told = True, list[str]()
+    if options.like is not None:
+        from ..options.like import compared
+
+        same, told = compared(options.recalled, done)
+        content["repeats"] = told
+        same = same or bool(options.recalled.late) or bool(done.epoch)
+    if folder is not None:
+        save(done, content, folder, record=not options.no_record, plots=not options.no_plots, also=options.format)
+    out = folder.path if folder is not None else None
+    if options.junit is not None:
+        from ..page.junit import write_junit
+        from .check import outcome_of, suite_of
+
+        suite = suite_of(outcome_of(done, done.wall_s))
+        if changed and not options.strict:  # compared, not judged
+            suite = replace(suite, cases=[replace(case, failure="") for case in suite.cases])
+        write_junit(options.junit, [replace(suite, error=suite.error or done.stopped_at)])
+    if done.error:
+        say(f"the run broke: {done.error}")
+        if out is not None:
+            say(f"what was recorded up to there is in {_shown(out)}, what the nodes said in its log/")
+        return 3
+    _print_figures(content, done, out)
+    for line in told:
+        say(line)
+    if done.stopped:
+        say(done.stopped_at)
+        return 128 + done.stopped
+    late = _missed(done.status)
+    for node, share in late.items():
+        if share > (MISSED if options.max_missed is None else options.max_missed):
+            say(f"{node} missed {share:.3g} % of its deadlines: this machine does not keep up, the figures are of a "
+                "slower loop; --mode container is faster")  # fmt: skip
+    if options.max_missed is not None and any(share > options.max_missed for share in late.values()):
+        return 1
+    if not same:
+        return 1
+    if changed and not options.strict:  # the paper's numbers are for its own set-up: compared, not judged
+        return 0
+    return 0 if all(f.passed for f in figures) and all(c.holds is not False for c in done.claims) else 1
+
+
+def _missed(status: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
+    """Share of its deadlines that each node has missed in real time, per cent."""
+    return {name: 100.0 * s["missed_deadlines"] / s["ticks"] for name, s in status.items()
+            if s.get("missed_deadlines") and s.get("ticks")}  # fmt: skip
+
+
+def _announce(text: str) -> None:
+    """Say what a run waits for, whole and with its lines: they are instructions."""
+    with suppress(OSError):
+        print(f"softrig: {plain(text)}", file=sys.stderr, flush=True)
+
+
+def _print_figures(content: Mapping[str, Any], run: Run, out: Path | None) -> None:
+    from rich.table import Table
+
+    from ..page.wording import NEVER, accepted, in_words, measured_here, short, spans
+    from ..terminal.listing import console as make_console, styled
+
+    console = make_console()
+    changed: Sequence[str] = content["changed"]
+    title = f"{content['scenario']}: {content['label'] or content['title']}"
+    title += f", changed: {', '.join(changed)}" if changed else ""
+    # on a narrow terminal names are folded and tolerances go on a line of their own; numbers stay whole
+    table = Table(title=title, title_justify="left", box=None, pad_edge=False)
+    table.add_column("figure", overflow="fold", min_width=10)
+    published = any(f.published is not None for f in run.results)
+    for name in (["published"] if published else []) + ["measured", "expected", "unit", ""]:
+        table.add_column(name, justify="left" if name in ("unit", "") else "right", overflow="fold",
+                         no_wrap=name in ("published", "measured"))  # fmt: skip
+    for f in run.results:
+        missed = ("MISS", "red") if not changed else ("differs" if measured_here(f) else "", "yellow")
+        mark = styled(("pass" if f.judged else "", "green") if f.passed else missed)
+        row = [f.name, *([short(f.published)] if published else []), in_words(f) or short(f.value), accepted(f)]
+        table.add_row(*row, f.unit, "" if run.stopped else mark)
+    console.print(table)
+    for f in run.results:
+        if f.error and f.error != NEVER:
+            console.print(f"{f.name}: {f.error}")
+        if f.violated_s:
+            console.print(f"{f.name}: violated {spans(f.violated_s)}; its margin is least at {f.at_s:.6g} s")
+    for claim in run.claims:
+        if claim.holds is False and not changed:
+            console.print(styled((f"claim {claim.key}", "red"), f": {claim.false}"))
+    reached, whole = content["reached_s"], content["duration_s"]
+    speed = "" if run.epoch or not reached else f" ({reached / run.wall_s:.3g} x real time)"
+    of = f" of {whole:g}" if run.stopped else ""
+    console.print(f"{run.mode}: {content['ticks']} ticks, {reached:.6g}{of} s simulated in {run.wall_s:.2f} s with "
+                  f"start-up{speed}")  # fmt: skip
+    for name, status in run.status.items():
+        for _, text, count in status.get("reports", {}).values():
+            console.print(f"{name}: {text} ({count} x)")
+        for topic, (count, text) in status.get("refused", {}).items():
+            console.print(f"{name}: {count} messages refused on {topic}: {text}")
+        if "missed_deadlines" in status:
+            figures = {k: v for k, v in status.items() if k.endswith("_ms") or k == "missed_deadlines"}
+            console.print(f"{name}: " + ", ".join(f"{k} {v:.3g}" for k, v in figures.items()))
+    if out is not None:
+        console.print(f"results in {_shown(out)}")
+
+
+def _shown(path: Path) -> str:
+    """Give a path as the reader would type it."""
+    relative = os.path.relpath(path)
+    return str(path) if relative.startswith("..") else relative

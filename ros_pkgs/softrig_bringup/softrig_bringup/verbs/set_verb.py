@@ -1,0 +1,53 @@
+"""The verb `set`: live parameters of running nodes, where ros2cli is not there."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from typing import Any
+
+from softrig_core.command_line import Number
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument("values", nargs="+", metavar="NODE.PARAM VALUE", help="several of one node: all or none")
+    parser.add_argument("--domain", type=int, metavar="N", help="ROS_DOMAIN_ID (default: that of the environment)")
+    parser.add_argument(
+        "--wait", type=Number(float, 0), default=10.0, metavar="S", help="for the node to be there (10)"
+    )
+
+
+def set_values(options: argparse.Namespace) -> int:
+    """Set parameters of running nodes, node by node; gives the exit status: 1 when a node refuses."""
+    from softrig_core.guard import say
+    from softrig_core.node.ros.remote import set_parameters
+
+    wanted = _by_node(options.values)
+    if options.domain is not None:
+        os.environ["ROS_DOMAIN_ID"] = str(options.domain)
+    refusals = set_parameters(wanted, options.wait)
+    for text in refusals:
+        say(f"set: {text}")
+    return 1 if refusals else 0
+
+
+def _by_node(words: list[str]) -> dict[str, dict[str, Any]]:
+    """Sort pairs of words by node, values read as YAML."""
+    from softrig_core import ScenarioError
+    from softrig_core.scenario.yaml_file import read_yaml
+
+    if len(words) % 2:
+        raise ScenarioError(f"set: {words[-1]!r} has no value, expected NODE.PARAM VALUE")
+    found: dict[str, dict[str, Any]] = {}
+    for key, text in zip(words[::2], words[1::2], strict=True):
+        node, _, parameter = key.partition(".")
+        value = read_yaml(text, f"set {key}")
+        if not node or not parameter:
+            raise ScenarioError(f"set: {key!r}: expected NODE.PARAM")
+        if not isinstance(value, bool | int | float | str | list) or isinstance(value, dict):
+            raise ScenarioError(f"set {key}: {text!r} is no value of a parameter")
+        if isinstance(value, list) and any(isinstance(x, float) for x in value):
+            value = [float(x) if isinstance(x, int) else x for x in value]
+        found.setdefault(node, {})[parameter] = value
+    return found

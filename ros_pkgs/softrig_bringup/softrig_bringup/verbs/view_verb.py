@@ -1,0 +1,45 @@
+"""The verb `view`: a run or a bag to look through, or a scenario that begins paused."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+
+from softrig_core.extras import need
+
+from ..report.redraw import rig_of_run
+from . import run_verb
+
+
+def view(options: argparse.Namespace) -> int:
+    """Show what is named; gives the exit status."""
+    path = Path(options.scenario)
+    if options.like is None and path.is_dir():
+        return _recorded(path, options.view_address)
+    options.view = options.paused = True
+    if options.mode == "realtime" or options.realtime:
+        options.paused = False
+    return run_verb.run(options)
+
+
+def _recorded(path: Path, address: str) -> int:
+    from softrig_core.processes.stopping import stoppable
+
+    need("bokeh", "view")
+    from ..view.serve import serve
+    from ..view.sources import Recorded
+
+    rig, signals = rig_of_run(path)
+    directory = path if (path / "metrics.json").is_file() else path.absolute().parent
+    try:
+        content = json.loads((directory / "metrics.json").read_text())
+    except (OSError, ValueError):  # a bag by itself
+        content = {}
+    how = str(content.get("mode", "bag"))
+    with stoppable():
+        try:
+            serve(Recorded(rig, signals, content), how, address)
+        except KeyboardInterrupt:
+            return 0
+    return 0

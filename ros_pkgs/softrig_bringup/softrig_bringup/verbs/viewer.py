@@ -1,0 +1,119 @@
+"""RViz beside a launched rig, and its file, written for the rig."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from softrig_core import Block, Rig
+from softrig_core.block.port import WORLD
+
+ROOTED = ("clock", "tf", "tf_static")  # topics whose names are absolute
+
+
+@dataclass(frozen=True)
+class Process:
+    """What is to be started.
+
+    Parameters
+    ----------
+    package, executable : str
+    name : str
+        Of the node; empty for a container.
+    namespace : str
+    arguments : list of str
+        Of a container: its nodes.
+    parameters : list of str
+        Files.
+    remappings : list of (str, str)
+    kind : {"rig", "viewer"}
+        A node of the rig, or one whose end is the end of the launch.
+    """
+
+    package: str
+    executable: str
+    name: str = ""
+    namespace: str = ""
+    arguments: list[str] = field(default_factory=list)
+    parameters: list[str] = field(default_factory=list)
+    remappings: list[tuple[str, str]] = field(default_factory=list)
+    kind: str = "rig"
+
+
+def viewer(rig: Rig, folder: Path, namespace: str, simulated: bool) -> Process:
+    """Give RViz with its file: the first robot, and what blocks draw.
+
+    Parameters
+    ----------
+    rig : Rig
+    folder : Path
+        For files.
+    namespace : str
+        Of the rig, without slashes; empty for the root.
+    simulated : bool
+        Whether the stamps are those of /clock.
+    """
+    own = f"/{namespace}" if namespace else ""
+    moved = [(f"/{name}", f"{own}/{name}") for name in ROOTED] if namespace else []
+    (folder / "rig.rviz").write_text(rviz_file(rig, own))
+    return Process("rviz2", "rviz2", arguments=["-d", str(folder / "rig.rviz")],
+                   parameters=[_parameters(folder / "rviz2.yaml", {"use_sim_time": simulated})], remappings=moved,
+                   kind="viewer")  # fmt: skip
+
+
+def rviz_file(rig: Rig, namespace: str = "") -> str:
+    """Give the text of a configuration of RViz for a rig.
+
+    Parameters
+    ----------
+    rig : Rig
+    namespace : str
+        That its nodes are in, with a leading slash.
+    """
+    robot, drawn = seen(rig)
+    shown = _rviz(f"{namespace}/robot_description" if robot else "", [f"{namespace}/{n}/markers" for n in drawn])
+    return json.dumps(shown, indent=1) + "\n"  # JSON is YAML
+
+
+def seen(rig: Rig) -> tuple[bool, list[str]]:
+    """Tell whether a rig has a robot, and name its nodes that draw markers."""
+    robot = any(m.block_class.scene(m.params) is not None for m in rig.members)
+    return robot, [m.name for m in rig.members if m.block_class.markers is not Block.markers]
+
+
+def _parameters(file: Path, values: Mapping[str, Any]) -> str:
+    file.write_text(json.dumps({"/**": {"ros__parameters": dict(values)}}) + "\n")
+    return str(file)
+
+
+def _rviz(description: str, markers: Sequence[str]) -> dict[str, Any]:
+    """Give a configuration of RViz 2."""
+
+    def display(kind: str, name: str, **keys: Any) -> dict[str, Any]:
+        return {"Class": f"rviz_default_plugins/{kind}", "Name": name, "Enabled": True, "Value": True} | keys
+
+    def topic(name: str, durability: str) -> dict[str, Any]:
+        return {"Value": name, "Depth": 5, "History Policy": "Keep Last", "Reliability Policy": "Reliable",
+                "Durability Policy": durability}  # fmt: skip
+
+    displays = [display("Grid", "Grid"), display("TF", "TF")]
+    if description:
+        latched = {"Description Source": "Topic", "Description Topic": topic(description, "Transient Local")}
+        displays.append(display("RobotModel", "RobotModel", **latched))
+    displays += [display("MarkerArray", name, Topic=topic(name, "Volatile")) for name in markers]
+    return {
+        "Panels": [{"Class": "rviz_common/Displays", "Name": "Displays"}],
+        "Visualization Manager": {
+            "Class": "",
+            "Displays": displays,
+            "Enabled": True,
+            "Global Options": {"Fixed Frame": WORLD, "Frame Rate": 30},
+            "Name": "root",
+            "Tools": [{"Class": f"rviz_default_plugins/{name}"} for name in ("Interact", "MoveCamera", "Select")],
+            "Value": True,
+            "Views": {"Current": {"Class": "rviz_default_plugins/Orbit", "Name": "Current View", "Distance": 3}},
+        },
+    }

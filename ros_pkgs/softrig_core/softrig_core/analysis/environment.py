@@ -1,0 +1,389 @@
+"""A rig as an environment of the Gymnasium library: an agent in the place of a law."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any
+
+from ..block.params import flatten
+from ..block.port import Port, Sample
+from ..block.port_text import ports_text, reader
+from ..block.runner import Runner
+from ..block.step import Rows, Step
+from ..errors import RunError, ScenarioError, closest
+from ..extras import need
+from ..rig.members import Member, signal_units
+from ..rig.rig import Rig
+from ..run.expand import rig_of
+from ..run.inprocess import record, wired
+from ..run.simulate import Run
+from ..scenario.references import fill_parameters, pick
+from ..scenario.scenario import NodeEntry, Scenario
+from ..timebase import SECOND
+from ..verdict.requirements import names_of
+from ..wire.recording import Recording
+from ..wire.signals import full_name
+
+need("gymnasium", "RigEnv")
+
+import gymnasium as gym  # noqa: E402
+import numpy as np  # noqa: E402
+from numpy.typing import NDArray  # noqa: E402
+
+Array = NDArray[np.float64]
+Signals = Sequence[str] | Mapping[str, tuple[float, float]]
+
+
+class Now(Mapping[str, float]):
+    """The newest value of each signal of a rig, by ``topic/channel/field`` or the scenario's shared name."""
+
+    def __init__(self, rig: Rig) -> None:
+        self._known = {f"{t}/{label}": (t, k) for t, p in rig.topics.items() for k, label in enumerate(p.labels)}
+        self._shared = names_of(rig, signal_units(rig))
+        self._rows: dict[str, Any] = {}
+
+    def watch(self, step: Step) -> None:
+        """Keep what a step says, besides what its `send` does."""
+        topics, send = [p.topic for p in step.outputs], step.send
+
+        def keep(t: int, rows: Rows) -> None:
+            for topic, row in zip(topics, rows, strict=True):
+                if row is not None:
+                    self._rows[topic] = row
+            if send is not None:
+                send(t, rows)
+
+        step.send = keep
+
+    def whole(self, name: str) -> str:
+        """Give the whole name of a signal, called by its own or a shared name.
+
+        Raises
+        ------
+        ScenarioError
+            There is no such signal.
+        """
+        found = full_name(self._shared[1].get(name, name), self._known)
+        if found not in self._known:
+            raise ScenarioError(f"no signal {name!r}{closest(name, [*self._known, *self._shared[1]])}")
+        return found
+
+    def __getitem__(self, name: str) -> float:
+        """Give the newest value of a signal, or a shared number; a KeyError says that nothing has come of it yet."""
+        if name in self._shared[0]:
+            return self._shared[0][name]
+        topic, k = self._known[self.whole(name)]
+        row = self._rows[topic]
+        return float((row.data if isinstance(row, Sample) else row)[k])
+
+    def __iter__(self) -> Iterator[str]:
+        """Go through the signals that have said something."""
+        return (name for name, (topic, _) in self._known.items() if topic in self._rows)
+
+    def __len__(self) -> int:
+        """Count them."""
+        return sum(1 for _ in self)
+
+
+class RigEnv(gym.Env[Array, Array]):
+    """A rig one of whose laws is an agent's part.
+
+    A step of the environment is a period of that law. The agent stands where the node ``softrig_control/policy`` would:
+    what it trained there can be put back as that node (`scenario`) and gives the same numbers.
+
+    Parameters
+    ----------
+    what : str, Scenario or Rig
+        As in `simulate`.
+    replace : str
+        Node whose part the agent takes; no plant.
+    observe : sequence of str, or mapping to (low, high), optional
+        Signals of an observation, by their own or shared names, and their bounds; default: all that the law reads,
+        within the limits of its ports.
+    act : sequence of str, or mapping to (low, high), optional
+        Signals of an action among those that the law says; default: all of them. The others keep their ports' safe
+        values. An action is cut at its bounds, and these at the limits of the ports.
+    reward : callable
+        Gets `Now`, the newest values by name, after each step; gives its reward.
+    terminate : sequence of str
+        Requirements of the scenario whose violation ends an episode.
+    penalty : float
+        Added to the reward of the step at which an episode was terminated: a requirement was violated, a value left
+        its port's limits, or a node failed.
+    record : bool
+        Keep all messages of an episode for `run`.
+    duration, overrides
+        See `rig_of`.
+
+    Attributes
+    ----------
+    rig : Rig
+        With the node ``policy`` in the place of the law.
+    now : Now
+        Of the episode under way.
+
+    Raises
+    ------
+    ScenarioError
+        No such node, signal or requirement, or a value that is both what the agent says and observes at one tick.
+
+    Notes
+    -----
+    ``reset(seed=n)`` runs the rig with its seed `n`; without, the seed is drawn from ``np_random``. An episode is
+    truncated at the end of the run. ``info["t"]`` is the time in s, ``info["error"]`` why an episode was terminated.
+
+    Examples
+    --------
+    >>> env = RigEnv("induction_dtc", "dtc_controller", reward=lambda now: -abs(now["speed"] - now["set_speed"]))
+    """
+
+    metadata: dict[str, Any] = {"render_modes": []}
+
+    def __init__(
+        self, what: str | Scenario | Rig, replace: str, *, reward: Callable[[Now], float],
+        observe: Signals | None = None, act: Signals | None = None, terminate: Sequence[str] = (),
+        penalty: float = 0.0, record: bool = False,
+        duration: float | None = None, overrides: Mapping[str, Any] | None = None,
+    ) -> None:  # fmt: skip
+        self._whole = rig_of(what, duration=duration, overrides=overrides)
+        self._law = _law(self._whole, replace)
+        self._reward, self._penalty, self._record = reward, penalty, record
+        self._entry = _entry(self._whole, self._law, observe, act)
+        self.rig = self._with(self._entry, terminate)
+        member = next(m for m in self.rig.members if m.name == replace)
+        params: Any = member.params
+        self.observation_space = _box(_bounds(observe, params.observe, _limits(member.inputs)))
+        self.action_space = _box(params.bounds())
+        self._blocks: dict[str, Any] = {}
+        self._ticks: Iterator[int | None] | None = None
+        self._action: Array | None = None
+        self._held: Array = np.zeros(self.observation_space.shape or (0,))
+        self.now = Now(self.rig)
+        self.run: Run | None = None
+
+    # Gymnasium's own ----------------------------------------------------------------------------------------------
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
+        """Begin an episode.
+
+        Parameters
+        ----------
+        seed : int, optional
+            Of the rig; drawn when there is none.
+        options : dict, optional
+            None are known.
+        """
+        super().reset(seed=seed)
+        number = int(self.np_random.integers(2**31)) if seed is None else seed
+        if self._blocks:
+            for block in self._blocks.values():
+                block.reset(number)
+        else:
+            self._blocks = {m.name: m.block(number) for m in self.rig.members}
+        self._blocks[self._law.name].act = self._take
+        steps = wired(self.rig, self._blocks)
+        self._agent, self._clock = steps[self._law.name], steps[self.rig.clock.name]
+        for step in steps.values():
+            step.lacks = _never
+        self._agent.lacks = lambda t: self._action is None
+        self.now = Now(self.rig)
+        self.run = None
+        if self._record:
+            recording = Recording((topic, port.msgtype) for topic, port in self.rig.topics.items())
+            record(self.rig, steps, recording)
+            self.run = Run(self.rig, number, recording, blocks=self._blocks)
+        for step in steps.values():
+            self.now.watch(step)
+        self._action, self._started = None, time.perf_counter()
+        self._ticks = Runner(list(steps.values())).run()
+        ended = self._go_on()
+        if ended:
+            raise RunError(ended if isinstance(ended, str) else f"{self._law.name} has no tick in this run")
+        return self._held.copy(), self._info()
+
+    def step(self, action: Array) -> tuple[Array, float, bool, bool, dict[str, Any]]:
+        """Let the agent's action count until its next tick.
+
+        Parameters
+        ----------
+        action : array, shape (actions,)
+            In the units of its signals.
+
+        Raises
+        ------
+        ValueError
+            Another number of values, or one that is not finite.
+        RuntimeError
+            No episode is under way.
+        """
+        if self._ticks is None:
+            raise RuntimeError("no episode is under way: reset() begins one")
+        given = np.asarray(action, dtype=np.float64)
+        if given.shape != self.action_space.shape or not np.isfinite(given).all():
+            raise ValueError(f"expected an action of {self.action_space.shape} finite numbers, got {action!r}")
+        self._action = given
+        ended = self._go_on()
+        terminated = isinstance(ended, str)
+        info = self._info() | ({"error": ended} if terminated else {})
+        if ended:
+            self._ticks = None
+            if self.run is not None:
+                self.run.wall_s = time.perf_counter() - self._started
+                self.run.error = info.get("error", "")
+        reward = float(self._reward(self.now)) + (self._penalty if terminated else 0.0)
+        if not math.isfinite(reward):
+            raise ValueError(f"the reward became {reward} at t = {info['t']:.9g} s")
+        return self._held.copy(), reward, terminated, ended is True, info
+
+    # the rig around the agent -------------------------------------------------------------------------------------
+
+    def published(self) -> Callable[[Array], Array]:
+        """Give the law itself as an agent, of the episode under way; its actions are all that the law says.
+
+        It reads the ports, as an observation cannot say that nothing has come yet.
+
+        Raises
+        ------
+        ScenarioError
+            The actions are only some of what the law says, or it may be silent.
+        """
+        outputs = self._law.outputs
+        if self.action_space.shape != (sum(p.size for p in outputs),) or any(p.sporadic for p in outputs):
+            raise ScenarioError(f"{self._law.name} says more than the actions of this environment can")
+        law = self._law.block(self._blocks[self._law.name]._seed)
+        law.ages = self._agent.age
+        names = [p.name for p in self._law.inputs]
+
+        def agent(_: Array) -> Array:
+            said = law.update(self._clock.t, **{name: self._agent.values[name] for name in names})
+            rows = [said[p.name] for p in outputs]
+            return np.array([x for row in rows for x in (row.data if isinstance(row, Sample) else row or ())])
+
+        return agent
+
+    def scenario(self, policy: str, weights: Sequence[float], name: str = "") -> Scenario:
+        """Give the scenario with a trained policy as the node in the law's place.
+
+        Parameters
+        ----------
+        policy : str
+            ``linear``, or the name of an entry point ``module:callable`` in the group softrig_policies.
+        weights : sequence of float
+            What it has learned.
+        name : str
+            Of the scenario; default: its own.
+        """
+        learned = {"policy": policy, "weights": [float(w) for w in weights]}
+        entry = self._entry.model_copy(update={"parameters": {**self._entry.parameters, **learned}})
+        found = self._with(entry, ()).scenario
+        return found.model_copy(update={"name": name} if name else {})
+
+    def _with(self, entry: NodeEntry, terminate: Sequence[str]) -> Rig:
+        """Give the rig with another node in the law's place, and requirements that end a run."""
+        scenario = self._whole.scenario
+        for name in terminate:
+            if name not in scenario.requirements:
+                known = ", ".join(scenario.requirements) or "it has none"
+                raise ScenarioError(f"{scenario.name}: no requirement {name!r}; expected one of {known}")
+        data = _without(self._law, scenario.model_dump())
+        data["nodes"][self._law.name] = entry.model_dump()
+        for name in terminate:
+            data["requirements"][name]["ends"] = True
+        classes = {m.name: m.block_class for m in self._whole.members if m.name != self._law.name}
+        return rig_of(Scenario.model_validate(data), classes=classes)
+
+    def _take(self, _: Sequence[float]) -> list[float]:
+        """Be the policy of the agent's node: what the next step was given, once."""
+        action, self._action = self._action, None
+        assert action is not None
+        return [float(a) for a in action]
+
+    def _go_on(self) -> str | bool:
+        """Run up to the agent's next tick; give whether it was the last, or why the rig broke."""
+        assert self._ticks is not None
+        try:
+            for t in self._ticks:
+                if t is None:
+                    self._observe()
+                    return False
+        except RunError as error:
+            return str(error)
+        self._observe()
+        return True
+
+    def _observe(self) -> None:
+        block: Any = self._agent.block
+        self._held = np.array(block.observation(self._agent.values), dtype=np.float64)
+
+    def _info(self) -> dict[str, Any]:
+        return {"t": self._clock.t / SECOND}
+
+
+def _never(t: int) -> bool:
+    return False
+
+
+def _law(rig: Rig, name: str) -> Member:
+    laws = [m.name for m in rig.members if not m.is_plant and m.outputs]
+    for member in rig.members:
+        if member.name == name and name in laws:
+            return member
+    what = "is a plant or says nothing" if any(m.name == name for m in rig.members) else "is not there"
+    raise ScenarioError(f"{rig.scenario.name}: replace {name!r}: it {what}; expected one of "
+                        f"{', '.join(laws)}")  # fmt: skip
+
+
+def _without(law: Member, value: Any) -> Any:
+    """Copy plain data with the numbers of a law in place of references to its parameters."""
+    if isinstance(value, str):
+        own = value.startswith(f"${law.name}.")
+        return fill_parameters(value, lambda _, name: pick(flatten(law.params), name)) if own else value
+    if isinstance(value, Mapping):
+        return {k: _without(law, v) for k, v in value.items()}
+    return [_without(law, v) for v in value] if isinstance(value, list | tuple) else value
+
+
+def _entry(rig: Rig, law: Member, observe: Signals | None, act: Signals | None) -> NodeEntry:
+    """Give the node that takes a law's place: its ports, and what else is observed."""
+    now, come = Now(rig), list(law.inputs)
+    observed = None if observe is None else [now.whole(name) for name in observe]
+    for signal in observed or ():
+        if signal not in _limits(come):
+            port = next(p for p in rig.topics.values() if signal in _limits([p]))
+            come.append(reader(port, f"observed_{len(come)}"))
+    observed = list(_limits(come)) if observed is None else observed
+    acted = [now.whole(name) for name in act] if act is not None else list(_limits(law.outputs))
+    for signal in acted:
+        if signal not in _limits(law.outputs):
+            raise ScenarioError(f"{rig.scenario.name}: act: {law.name} does not say {signal}; it says "
+                                f"{', '.join(_limits(law.outputs))}")  # fmt: skip
+    parameters: dict[str, Any] = {
+        "period": flatten(law.params)["period"], "policy": "linear",
+        "weights": [0.0] * (len(acted) * (len(observed) + 1)), "inputs": ports_text(come),
+        "outputs": ports_text(law.outputs), "observe": observed, "act": acted,
+    }  # fmt: skip
+    bounds = _bounds(act, acted, _limits(law.outputs))
+    parameters |= {"low": [low for low, _ in bounds], "high": [high for _, high in bounds]}
+    return NodeEntry(package="softrig_control", executable="policy", parameters=parameters)
+
+
+def _limits(ports: Sequence[Port]) -> dict[str, float]:
+    """Give the limit of each signal of some ports."""
+    return {f"{p.topic}/{label}": m for p in ports for label, m in zip(p.labels, p.limits, strict=True)}
+
+
+def _bounds(given: Signals | None, signals: Sequence[str], limits: Mapping[str, float]) -> list[tuple[float, float]]:
+    """Give the bounds of signals: what a mapping says of them in its order, or the limits of their ports."""
+    if isinstance(given, Mapping):
+        return [(float(low), float(high)) for low, high in given.values()]
+    return [(-limits[s], limits[s]) for s in signals]
+
+
+def _box(bounds: Sequence[tuple[float, float]]) -> Any:
+    low, high = (np.array(side, dtype=np.float64) for side in zip(*bounds, strict=True))
+    return gym.spaces.Box(low, high, dtype=np.float64)
+
+
+gym.register("softrig/Rig-v0", entry_point=f"{__name__}:RigEnv")

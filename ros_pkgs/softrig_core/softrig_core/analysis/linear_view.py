@@ -1,0 +1,548 @@
+r"""The linear view of a rig: its state space with named states where a run is, and any loop opened at a link.
+
+The columns are two-sided differences of the rig as a map (`state_map`), each with a step of its own: where two
+neighbouring steps agree best. A map that is linear in a state (a linear block, a delay) is met to rounding by the
+largest step, and copies exactly. With the loop opened at a link, what its readers get is held:
+
+.. math:: x_{k+1} = A x_k + b v_k, \quad s_k = c x_k + d v_k, \quad L(z) = -c (z - A)^{-1} b - d
+
+is the opened loop of negative feedback, and the rig is it with :math:`v = s`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import RunError, ScenarioError
+from ..rig.members import signal_units
+from ..rig.rig import Rig
+from ..run.expand import rig_of
+from ..scenario.scenario import Scenario
+from .state_map import StateMap, is_source, place_of, signal_of, upstream
+
+if TYPE_CHECKING:
+    import control
+
+Array = NDArray[np.float64]
+STEPS = tuple(2.0**-n for n in range(4, 33, 4))  # of the size of what is moved
+AGREED = 1e-11  # neighbouring steps that agree so well need no smaller one
+CHECKED = 10  # periods of the whole over which the linear rig is held against the rig
+NEARER = 2.0**-8  # of the steps of the columns, how far all states together are moved off there
+ROUNDS = 5  # in which sizes of states are found that are at zero in the run
+POINTS = 1000  # frequencies
+MOST = 800  # states
+TRIED = 5000  # numbers that may be moved to see whether they are states
+DEAD = 1e-4  # magnitude of a pole below which it is gone within a period
+
+
+class Margins(NamedTuple):
+    """How far a loop is from a change of its stability; infinite where nothing crosses."""
+
+    gain: float
+    """Factor by which the loop's gain may grow, 1."""
+
+    gain_down: float
+    """Factor down to which it may fall, 1; 0 where it may vanish."""
+
+    phase: float
+    """Phase that may be lost, rad."""
+
+    delay: float
+    """Delay that may be added, s."""
+
+    disk: float
+    """Diameter of the largest disk of gain and phase together (skew 0), 1."""
+
+    crossover: float
+    """Highest frequency at which the gain is one, rad/s; NaN where it never is."""
+
+
+class Mode(NamedTuple):
+    """A pole and the states that take part in it."""
+
+    pole: complex
+    """In z."""
+
+    rate: complex
+    """log(pole) / period, rad/s: the pole in s that it stands for."""
+
+    shares: dict[str, float]
+    """Participation of each state (left times right eigenvector, magnitudes that add up to 1), the largest first."""
+
+
+@dataclass(frozen=True)
+class LinearView:
+    """A rig, linear around where a run is.
+
+    Parameters
+    ----------
+    rig : str
+        Name of the scenario.
+    at : float
+        When, s.
+    period : float
+        Of the whole rig: the sample time of the state space, s.
+    states, inputs, outputs : tuple of str
+        States are ``member.attribute``, the others signals.
+    units : dict of str to str
+        Of each signal.
+    values : dict of str to float
+        Of states and signals there.
+    A, B, C, D : array
+        Of the whole rig, shapes (n, n), (n, inputs), (outputs, n), (outputs, inputs).
+    link : str
+        Where the loop is opened; empty: nowhere.
+    a, b, c, d : array
+        Of the rig opened there: shapes (n, n), (n,), (n,), ().
+    error : float
+        Largest difference of a column between its step and the neighbouring one, of its largest entry.
+    worst : str
+        Of which state or input.
+    variation : float
+        Largest difference between the linear rig and the rig after each of ten periods, both moved a little off; of the
+        largest difference to the run that is not moved. A rig that is another one each period has it large.
+    """
+
+    rig: str
+    at: float
+    period: float
+    states: tuple[str, ...]
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    units: Mapping[str, str]
+    values: Mapping[str, float]
+    A: Array
+    B: Array
+    C: Array
+    D: Array
+    link: str
+    a: Array
+    b: Array
+    c: Array
+    d: float
+    error: float
+    worst: str
+    variation: float
+
+    @cached_property
+    def closed(self) -> control.StateSpace:
+        """The whole rig, of the python-control library, with the names of its states and signals."""
+        import control
+
+        return control.ss(self.A, self.B, self.C, self.D, self.period, states=list(self.states),
+                          inputs=list(self.inputs), outputs=list(self.outputs))  # fmt: skip
+
+    @cached_property
+    def opened(self) -> control.StateSpace:
+        """The loop L opened at the link, with the states that hear of the link and that it hears of."""
+        import control
+
+        A, b, c, d, names = self._loop
+        return control.ss(A, b[:, None], -c[None, :], -d, self.period, states=names, inputs=["in"], outputs=["out"])
+
+    @cached_property
+    def _loop(self) -> tuple[Array, Array, Array, float, list[str]]:
+        if not self.link:
+            raise ScenarioError(f"{self.rig}: no link is opened")
+        on = _reach(self.a, self.b != 0.0) & _reach(self.a.T, self.c != 0.0)
+        names = [name for name, there in zip(self.states, on, strict=True) if there]
+        return self.a[np.ix_(on, on)], self.b[on], self.c[on], self.d, names
+
+    @cached_property
+    def loop_poles(self) -> NDArray[np.complex128]:
+        """Poles of the loop closed at the link."""
+        A, b, c, d, _ = self._loop
+        found: NDArray[np.complex128] = np.linalg.eigvals(A + np.outer(b, c) / (1.0 - d)).astype(complex)
+        return found
+
+    @property
+    def stable(self) -> bool:
+        """Whether the loop at the link is stable; without a link, whether the rig is."""
+        poles = self.loop_poles if self.link else np.linalg.eigvals(self.A)
+        return bool(np.abs(poles).max(initial=0.0) < 1.0)
+
+    @cached_property
+    def modes(self) -> list[Mode]:
+        """Poles of the whole rig with the states that take part, the slowest first; those gone in a period left out."""
+        poles, right = np.linalg.eig(self.A) if self.states else (np.empty(0), np.empty((0, 0)))
+        left = np.linalg.pinv(right)
+        found = []
+        for k in np.argsort(-np.abs(poles)):
+            if abs(poles[k]) < DEAD or poles[k].imag < 0.0:
+                continue
+            shares = np.abs(left[k] * right[:, k])
+            shares /= shares.sum()
+            order = [i for i in np.argsort(-shares) if shares[i] > 0.01]
+            found.append(Mode(complex(poles[k]), complex(np.log(complex(poles[k]))) / self.period,
+                              {self.states[i]: float(shares[i]) for i in order}))  # fmt: skip
+        return found
+
+    @cached_property
+    def omega(self) -> Array:
+        """Frequencies up to that of Nyquist, rad/s, dense where poles of the opened or closed loop are near."""
+        top = np.pi / self.period * (1.0 - 1e-9)
+        poles = np.concatenate([np.linalg.eigvals(self._loop[0]).astype(complex), self.loop_poles])
+        rates = np.log(poles[np.abs(poles) > DEAD]) / self.period
+        slow = np.abs(rates[np.abs(rates) > 1e-9 * top])
+        low = max(1e-7 * top, min(0.01 * slow.min(initial=top), 1e-2 * top))
+        found = [np.geomspace(low, top, POINTS)]
+        for rate in rates:
+            width = max(abs(rate.real), 1e-6 * abs(rate.imag))
+            if 0.0 < width < 0.1 * abs(rate.imag):
+                found.append(abs(rate.imag) + width * np.linspace(-5.0, 5.0, 41))
+        whole = np.unique(np.concatenate(found))
+        return whole[(whole >= low) & (whole <= top)]
+
+    def at_frequencies(self, omega: Array) -> NDArray[np.complex128]:
+        """Give the opened loop L(exp(j omega T)).
+
+        Parameters
+        ----------
+        omega : array, shape (n,)
+            rad/s.
+        """
+        A, b, c, d, _ = self._loop
+        if not len(b):
+            return np.full(len(omega), -d, dtype=complex)
+        import scipy.linalg
+
+        T, Z = scipy.linalg.schur(A, "complex")
+        right, left, one = Z.conj().T @ b, c @ Z, np.eye(len(b))
+        points = np.exp(1j * np.asarray(omega) * self.period)
+        return np.array([-left @ scipy.linalg.solve_triangular(z * one - T, right) - d for z in points])
+
+    @cached_property
+    def loop(self) -> control.FrequencyResponseData:
+        """Give the opened loop at `omega`, of the python-control library."""
+        import control
+
+        return control.frd(self.at_frequencies(self.omega), self.omega, smooth=True)
+
+    @cached_property
+    def margins(self) -> Margins:
+        """Measure the margins by python-control; that of the disk on the frequencies alone."""
+        import control
+
+        gains, phases, _, _, crossings, _ = control.stability_margins(self.loop, returnall=True)
+        gains, crossings = np.atleast_1d(gains), np.atleast_1d(crossings)
+        lost = np.radians(np.atleast_1d(phases)) % (2.0 * np.pi)  # all crossings turn towards -1 with a delay
+        up, down = gains[gains > 1.0], gains[gains < 1.0]
+        S = 1.0 / (1.0 + self.at_frequencies(self.omega))
+        return Margins(
+            float(up.min(initial=np.inf)), float(down.max(initial=0.0)), float(lost.min(initial=np.inf)),
+            float((lost / crossings).min(initial=np.inf)) if crossings.size else np.inf,
+            float(1.0 / np.abs(S - 0.5).max()), float(crossings.max()) if crossings.size else np.nan,
+        )  # fmt: skip
+
+    def plot(self) -> Any:
+        """Draw Bode and Nyquist diagrams of the opened loop.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+        """
+        from matplotlib.figure import Figure
+
+        L, f = self.at_frequencies(self.omega), self.omega
+        figure = Figure(figsize=(9.0, 4.5), layout="constrained")
+        panes = figure.subplot_mosaic([["gain", "nyquist"], ["phase", "nyquist"]])
+        panes["gain"].loglog(f, np.abs(L))
+        panes["gain"].axhline(1.0, color="0.7", lw=0.8)
+        panes["phase"].semilogx(f, np.degrees(np.unwrap(np.angle(L))))
+        panes["gain"].set(ylabel="|L|")
+        panes["phase"].set(xlabel="frequency (rad/s)", ylabel="phase (degrees)")
+        panes["nyquist"].plot(L.real, L.imag, L.real, -L.imag, "C0:")
+        panes["nyquist"].plot(-1.0, 0.0, "k+")
+        panes["nyquist"].set(xlim=(-3, 1), ylim=(-2, 2), aspect="equal", xlabel="Re L", ylabel="Im L")
+        state = "" if self.stable else ", unstable when closed"
+        figure.suptitle(f"{self.rig}, opened at {self.link}, t = {self.at:g} s{state}")
+        return figure
+
+
+def linear_view(
+    what: str | Scenario | Rig, link: str | None = None, *, at: float | None = None,
+    inputs: Sequence[str] | None = None, outputs: Sequence[str] | None = None, duration: float | None = None,
+    overrides: Mapping[str, Any] | None = None, seed: int | None = None,
+) -> LinearView:  # fmt: skip
+    """Linearise a rig where a run of it is.
+
+    Parameters
+    ----------
+    what, duration, overrides
+        See `rig_of`.
+    link : str, optional
+        Signal at which a loop is opened, by its own or a shared name; default: the only value that a plant is
+        commanded; with several of them, and with ``""``, none.
+    at : float, optional
+        When, s; default: the end of the scenario.
+    inputs : sequence of str, optional
+        Signals to which something is added; default: what sources (references, disturbances) say at each period.
+    outputs : sequence of str, optional
+        Default: what the plants say.
+    seed : int, optional
+        Of the rig.
+
+    Raises
+    ------
+    ScenarioError
+        No such signal; the rig's periods do not fit each other, or that of the link is not that of the whole.
+    RunError
+        There is no loop at the link, the rig broke, what it remembers cannot be put back, or there are too many states.
+    """
+    rig = rig_of(what, duration=duration, overrides=overrides)
+    at = rig.scenario.duration if at is None else at
+    if not (math.isfinite(at) and at >= 0.0):
+        raise ScenarioError(f"at = {at:g} s: expected 0 or more")
+    opened = _command(rig) if link is None else signal_of(rig, link) if link else ""
+    told = [signal_of(rig, name) for name in outputs or ()]
+    if opened and outputs is None:
+        whole = upstream(place_of(rig, opened).member)
+        told = [s for s in plants_say(rig) if place_of(rig, s).member.name in whole]
+    elif outputs is None:
+        told = plants_say(rig)
+    said = list(dict.fromkeys([*told, *([opened] if opened else [])]))
+    if not said:
+        raise ScenarioError(f"{rig.scenario.name}: no plant says anything at each of its ticks; name outputs")
+    number = rig.scenario.seed if seed is None else seed
+    given = [signal_of(rig, name) for name in inputs] if inputs is not None else _sources_say(rig, said)
+    found = StateMap(rig, at, number, said, [*given, *([opened] if opened else [])], CHECKED)
+    if opened:
+        _check_link(found, opened)
+    return Differences(found, told, given, opened).view()
+
+
+def _command(rig: Rig) -> str:
+    """Give the only value that a plant is commanded; empty when there are several."""
+    commands = {
+        f"{link.port.topic}/{label}": None
+        for m in rig.members if m.is_plant
+        for link in m.links.values() if link.source.links and not link.source.is_plant and not link.port.sporadic
+        for label in link.port.labels
+    }  # fmt: skip
+    return next(iter(commands)) if len(commands) == 1 else ""
+
+
+def plants_say(rig: Rig) -> list[str]:
+    """Give the signals that plants say at each of their ticks."""
+    return [f"{p.topic}/{x}" for m in rig.members if m.is_plant for p in m.outputs if not p.sporadic for x in p.labels]
+
+
+def _sources_say(rig: Rig, said: Sequence[str]) -> list[str]:
+    """Give what sources say to those that count, and not more seldom than those are due."""
+    whole: dict[str, Any] = {}
+    for name in said:
+        upstream(place_of(rig, name).member, whole)
+    every = math.lcm(*(m.schedule.every for m in whole.values() if not is_source(m)))
+    return [
+        f"{p.topic}/{x}" for m in rig.members if m.name in whole and is_source(m) and every % m.schedule.every == 0
+        for p in m.outputs if not p.sporadic for x in p.labels
+    ]  # fmt: skip
+
+
+def _check_link(found: StateMap, link: str) -> None:
+    member, port, _ = found.places[link]
+    if port.sporadic:
+        raise ScenarioError(f"{found.rig.scenario.name}: {link} is not said at each tick: it cannot be opened")
+    if member.params.period < found.period * (1.0 - 1e-9):
+        slow = [
+            f"{p.topic}/{x}" for name in found.step_names() for m in found.rig.members
+            if m.name == name and not is_source(m) and m.params.period > found.period * (1.0 - 1e-9)
+            for p in m.outputs if not p.sporadic for x in p.labels
+        ]  # fmt: skip
+        raise ScenarioError(
+            f"{found.rig.scenario.name}: {link} is said every {member.params.period:g} s, the rig repeats itself every "
+            f"{found.period:g} s only; open the loop where it is slow: {', '.join(slow) or 'no such link'}, or "
+            "give all the same period by --set"
+        )
+
+
+class Differences:
+    """The columns of a rig's map, found from what moves: a state is what moves, or is moved by what does."""
+
+    def __init__(self, found: StateMap, outputs: Sequence[str], inputs: Sequence[str], link: str) -> None:
+        self.map, self.outputs, self.inputs, self.link = found, list(outputs), list(inputs), link
+        _, self.said = found(found.start, {})
+        self.fixed = {link: self.said[link]} if link else {}
+        self.heard = [*outputs, *([link] if link else [])]
+        self.finite = np.isfinite(found.start)  # a limit may be without one
+        self.columns: dict[int | str, tuple[Array, Array]] = {}  # of numbers by place and signals by name
+        self.errors: dict[int | str, float] = {}
+        self.steps: dict[int, float] = {}
+
+    def states(self) -> tuple[list[int], Array, Array]:
+        """Give the places of the states, A, and the rows of what is heard: those that what is heard depends on."""
+        m, rounds = self.map, 0
+        for name in [*self.inputs, *([self.link] if self.link else [])]:
+            self._signal(name)
+        waiting = {int(i) for i in np.flatnonzero(m.moved & self.finite & ~m.whole)}  # stamps move as well
+        waiting |= {int(i) for column, _ in self.columns.values() for i in np.flatnonzero(column)}
+        while waiting:
+            if len(waiting) + len(self.columns) > TRIED:
+                self._too_many(len(waiting) + len(self.columns))
+            i = waiting.pop()
+            self._number(i)
+            waiting |= {int(j) for j in np.flatnonzero(self.columns[i][0])} - self.columns.keys()
+            if not waiting and rounds < ROUNDS:
+                waiting, rounds = self._dwarfed(), rounds + 1
+        on = sorted(i for i in self.columns if isinstance(i, int))
+        whole = self._square(on)
+        heard = np.array([self.columns[i][1] for i in on]).T.reshape(len(self.heard), len(on))
+        counts = _reach(whole.T, (heard != 0.0).any(axis=0))
+        held = (whole == np.eye(len(on))).all(axis=1)  # nothing moves them here: as good as parameters
+        for key, (column, _) in self.columns.items():
+            if isinstance(key, str):
+                held &= column[on] == 0.0
+        counts &= ~held
+        kept = [i for i, there in zip(on, counts, strict=True) if there]
+        if len(kept) > MOST:
+            self._too_many(len(kept))
+        return kept, whole[np.ix_(counts, counts)], heard[:, counts]
+
+    def _dwarfed(self) -> set[int]:
+        """Which have been moved by far less than others move them: what rests at zero tells no size of its own."""
+        sizes = self.map.sizes
+        natural = np.zeros(len(sizes))
+        for key, (column, _) in self.columns.items():
+            natural = np.maximum(natural, np.abs(column) * (sizes[key] if isinstance(key, int) else 1.0))
+        found = {i for i in self.columns if isinstance(i, int) and sizes[i] < natural[i] / 64.0}
+        for i in found:
+            sizes[i] = natural[i]
+        return found
+
+    def again(self, kept: list[int]) -> Array:
+        """Give A where the map's `start` is now."""
+        for i in kept:
+            self._number(i)
+        return self._square(kept)
+
+    def _square(self, on: list[int]) -> Array:
+        return np.array([self.columns[i][0][on] for i in on]).T.reshape(len(on), len(on))
+
+    def _too_many(self, count: int) -> NoReturn:
+        raise RunError(f"{self.map.rig.scenario.name}: {count} states, expected at most {MOST}: a long delay has "
+                       "one or more for each of its steps; take longer steps by --set")  # fmt: skip
+
+    def view(self) -> LinearView:
+        """Put it together."""
+        m = self.map
+        kept, A, C = self.states()
+        B = np.array([self.columns[n][0][kept] for n in self.inputs]).T.reshape(len(kept), len(self.inputs))
+        D = np.array([self.columns[n][1] for n in self.inputs]).T.reshape(len(self.heard), len(self.inputs))
+        a, b, c, d = A, np.zeros(len(kept)), np.zeros(len(kept)), 0.0
+        if self.link:
+            column, direct = self.columns[self.link]
+            b, c, d = column[kept], C[-1], float(direct[-1])
+            if not c.any() or not b.any():
+                raise RunError(f"{m.rig.scenario.name}: what is added to {self.link} at {m.t:g} s does not come back "
+                               "there: no loop")  # fmt: skip
+            A = a + np.outer(b, c) / (1.0 - d)
+            B = B + np.outer(b, D[-1]) / (1.0 - d)
+            C, D = C + np.outer(direct, c) / (1.0 - d), D + np.outer(direct, D[-1]) / (1.0 - d)
+        names = [m.names[i] for i in kept]
+        used: list[int | str] = [*kept, *self.inputs, *([self.link] if self.link else [])]
+        worst = max(used, key=lambda key: self.errors[key], default="")
+        units = signal_units(m.rig)
+        rows = len(self.outputs)
+        values = dict(zip(names, m.start[kept].tolist(), strict=True)) | self.said
+        return LinearView(
+            m.rig.scenario.name, m.t, m.period, tuple(names), tuple(self.inputs), tuple(self.outputs),
+            {s: units.get(s, "") for s in m.places}, values, A, B, C[:rows], D[:rows], self.link, a, b, c, d,
+            self.errors.get(worst, 0.0), m.names[worst] if isinstance(worst, int) else worst,
+            self._variation(kept, A),
+        )  # fmt: skip
+
+    def _signal(self, name: str) -> None:
+        size = _power(abs(self.said[name]) or 1.0)
+
+        def at(height: float) -> tuple[Array, Array, float]:
+            x, said = self.map(self.map.start, {name: height}, self.fixed)
+            return x, np.array([said[s] for s in self.heard]), height
+
+        self.columns[name], _ = self._column(name, at, size)
+
+    def _number(self, i: int) -> None:
+        begin = self.map.start
+        size = _power(float(self.map.sizes[i]) or 1.0)
+
+        def at(height: float) -> tuple[Array, Array, float]:
+            moved = begin.copy()
+            moved[i] += round(height) if self.map.whole[i] else height
+            x, said = self.map(moved, {}, self.fixed)
+            return x, np.array([said[s] for s in self.heard]), float(moved[i] - begin[i])
+
+        self.columns[i], self.steps[i] = self._column(i, at, size)
+
+    def _column(self, key: int | str, at: Any, size: float) -> tuple[tuple[Array, Array], float]:
+        best: tuple[float, tuple[Array, Array], float] | None = None
+        before: tuple[Array, Array] | None = None
+        for share in STEPS:
+            try:
+                up, down = at(size * share), at(-size * share)
+            except RunError:  # too far: a limit, a domain
+                before = None
+                continue
+            width = up[2] - down[2]
+            if not width:  # a whole number that is moved by less than one
+                break
+            apart_by = np.subtract(up[0], down[0], out=np.zeros(len(up[0])), where=self.finite)
+            now = apart_by / width, (up[1] - down[1]) / width
+            if before is not None:
+                largest = max(np.abs(now[0]).max(initial=0.0), np.abs(now[1]).max(initial=0.0))
+                apart = max(np.abs(now[0] - before[0]).max(initial=0.0), np.abs(now[1] - before[1]).max(initial=0.0))
+                error = float(apart / largest) if largest else float(apart)
+                if best is None or error < best[0]:
+                    best = error, before if error <= AGREED else now, size * share
+                if error <= AGREED:
+                    break
+            before = now
+        if best is None and isinstance(key, int) and self.map.whole[key]:  # a switch
+            best = 0.0, (np.zeros(len(self.map.start)), np.zeros(len(self.heard))), 0.0
+        if best is None:
+            name = self.map.names[key] if isinstance(key, int) else key
+            raise RunError(f"{self.map.rig.scenario.name}: {name} cannot be moved at {self.map.t:g} s, however little")
+        self.errors[key] = best[0]
+        return best[1], best[2]
+
+    def _variation(self, kept: list[int], A: Array) -> float:
+        """Hold the linear rig against the rig, moved off both ways in all states at once."""
+        if not kept:
+            return 0.0
+        m = self.map
+        signs = np.where(np.arange(len(kept)) % 3 == 1, -1.0, 1.0)
+        off = signs * np.array([self.steps[i] for i in kept]) * NEARER
+        sizes = np.maximum(m.sizes[kept], 1e-300)
+        sizes[m.sizes[kept] == 0.0] = 1.0
+        ups, downs = ([], [])  # type: tuple[list[Array], list[Array]]
+        for found, sign in ((ups, 1.0), (downs, -1.0)):
+            start = m.start.copy()
+            start[kept] += sign * off
+            found.extend(x[kept] for x, _ in m.go_on(start, CHECKED))
+        worst = largest = 0.0
+        for up, down in zip(ups, downs, strict=True):
+            off = A @ off
+            seen = 0.5 * (up - down)
+            worst = max(worst, float(np.abs((seen - off) / sizes).max()))
+            largest = max(largest, float(np.abs(seen / sizes).max()))
+        return worst / largest if largest else 0.0
+
+
+def _power(size: float) -> float:
+    """Give the power of two next to a size: a step of it is added without rounding where it can be."""
+    return float(2.0 ** round(math.log2(size)))
+
+
+def _reach(A: Array, start: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Which states can be reached from some, x_k to x_{k+1} by the entries of A that are not zero."""
+    reached, links = start.copy(), A != 0.0
+    while True:
+        wider = reached | links[:, reached].any(axis=1)
+        if (wider == reached).all():
+            return reached
+        reached = wider

@@ -1,0 +1,290 @@
+r"""A rig as a map: from all that its blocks remember at a tick to what they remember one period of the whole later.
+
+.. math:: x_{k+1} = F(x_k, u_k), \quad y_k = h(x_k, u_k)
+
+It is asked from where a run is, as often as wanted, since what blocks remember can be put back.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..block.memory import Memory
+from ..block.port import Port, Sample
+from ..block.runner import Runner
+from ..block.step import Step
+from ..errors import RunError, ScenarioError, closest
+from ..rig.members import Member, signal_units
+from ..rig.rig import Rig
+from ..run.expand import rig_of
+from ..run.inprocess import wired
+from ..verdict.requirements import names_of
+from ..wire.signals import full_name
+
+Array = NDArray[np.float64]
+LONGEST = 20_000  # ticks that one period of the whole may have
+LOOKS = 20  # times before that are looked at to see how large states are
+
+
+class Place(NamedTuple):
+    """Where a signal is said: by whom, at which output, as which of its values."""
+
+    member: Member
+    port: Port
+    k: int
+
+
+def signal_of(rig: Rig, name: str) -> str:
+    """Give the whole name of a signal that a member says, called by its own or a shared name.
+
+    Raises
+    ------
+    ScenarioError
+        There is none.
+    """
+    known = {f"{p.topic}/{label}" for m in rig.members for p in m.outputs for label in p.labels}
+    shared = names_of(rig, signal_units(rig))[1]
+    found = full_name(shared.get(name, name), known)
+    if found not in known:
+        raise ScenarioError(f"{rig.scenario.name}: no signal {name!r}{closest(name, [*known, *shared])}")
+    return found
+
+
+def place_of(rig: Rig, signal: str) -> Place:
+    """Find who says a signal, by its whole name."""
+    return next(
+        Place(m, p, k)
+        for m in rig.members for p in m.outputs for k, label in enumerate(p.labels) if f"{p.topic}/{label}" == signal
+    )  # fmt: skip
+
+
+def upstream(member: Member, seen: dict[str, Member] | None = None) -> dict[str, Member]:
+    """Give a member and all that it hears of, by name."""
+    seen = {} if seen is None else seen
+    if member.name not in seen:
+        seen[member.name] = member
+        for link in member.links.values():
+            upstream(link.source, seen)
+    return seen
+
+
+def is_source(member: Member) -> bool:
+    """Whether a member hears of nobody and is no plant: a reference, a disturbance."""
+    return not member.is_plant and not member.links
+
+
+@dataclass
+class _Probe:
+    """Listens to a value of an output from a tick on, and changes what others get of it."""
+
+    said: float = math.nan
+    fixed: float | None = None
+    added: float = 0.0
+
+    def put_in(self, step: Step, place: Place) -> None:
+        respond, (_, port, k) = step.respond, place
+
+        def probed(t: int, **inputs: Any) -> Any:
+            found = respond(t, **inputs)
+            row: Any = found.get(port.name)
+            if row is None:
+                return found
+            data = tuple(row.data if isinstance(row, Sample) else row)
+            if math.isnan(self.said):
+                self.said = data[k]
+            new = (data[k] if self.fixed is None else self.fixed) + self.added
+            if new == data[k]:
+                return found
+            data = (*data[:k], new, *data[k + 1 :])
+            return {**found, port.name: Sample(row.stamp, data) if isinstance(row, Sample) else data}
+
+        step.respond = probed
+
+
+class StateMap:
+    """A rig where a run of it is.
+
+    Parameters
+    ----------
+    rig : Rig
+    at : float
+        When, s; the first tick from then on at which all members that count are due.
+    seed : int
+    outputs : sequence of str
+        Whole names of signals. Members that none of them hears of are left out.
+    inputs : sequence of str
+        Whole names of signals to which something may be added, or which may be held.
+    periods : int
+        Of the whole, that may be run from there in one go.
+
+    Attributes
+    ----------
+    names : list of str
+        Of all numbers that are remembered, whether they are states or not.
+    start : array
+        Those numbers there.
+    whole : array of bool
+        Which of them are whole numbers.
+    sizes : array
+        Largest magnitude of each, seen on the way there; 0 where it never was anything else.
+    moved : array of bool
+        Which of them have changed on the way.
+    t : float
+        When it is, s.
+    period : float
+        Of the whole, s: the shortest after which all members that count are due again.
+
+    Raises
+    ------
+    ScenarioError
+        The period is too long, or a signal is said less often.
+    RunError
+        The rig broke, or a member does not come back to where it was.
+    """
+
+    def __init__(
+        self, rig: Rig, at: float, seed: int, outputs: Sequence[str], inputs: Sequence[str] = (), periods: int = 1
+    ) -> None:
+        self.places = {name: place_of(rig, name) for name in (*outputs, *inputs)}
+        whole: dict[str, Member] = {}
+        for name in (*outputs, *inputs):
+            upstream(self.places[name].member, whole)
+        told = {self.places[n].member.name for n in (*outputs, *inputs)}
+        due = [m for m in whole.values() if m.name in told or not is_source(m)]
+        every = math.lcm(*(m.schedule.every for m in due))
+        clock = rig.clock.params.period
+        self.period = every * clock
+        if every > LONGEST:
+            rates = ", ".join(f"{m.name} {m.params.period:g} s" for m in sorted(due, key=lambda m: -m.schedule.every))
+            raise ScenarioError(
+                f"{rig.scenario.name}: all members are due together every {self.period:g} s only, {every} ticks, "
+                f"expected at most {LONGEST}: choose periods that divide each other with --set ({rates})"
+            )
+        first = math.ceil(round(at / self.period, 9))
+        rig = rig_of(rig, duration=max((first + periods + 1) * self.period, rig.scenario.duration))
+        self.rig, self.t = rig, first * self.period
+        self._wire(seed, [m.name for m in rig.members if m.name in whole])
+        stride = math.gcd(*(s.schedule.every for s in self._steps.values()))
+        self._first, self._every = first * every // stride, every // stride
+        self._come()
+        self._check()
+
+    def _wire(self, seed: int, names: Sequence[str]) -> None:
+        members = {m.name: m for m in self.rig.members if m.name in names}
+        self._steps = wired(self.rig, {name: m.block(seed) for name, m in members.items()})
+        self._runner = Runner(list(self._steps.values()))
+        self.memory = Memory({name: (step.block, step.values) for name, step in self._steps.items()})
+        self.probes = {name: _Probe() for name in self.places}
+        for name, probe in self.probes.items():
+            probe.put_in(self._steps[self.places[name].member.name], self.places[name])
+
+    def _come(self) -> None:
+        """Run to where it begins, and see on the way what changes."""
+        looks: list[tuple[list[str], Array]] = [(self.memory.names(), self.memory.read())]
+        often = max(1, self._first // LOOKS)
+        if self._first:
+            for k, _ in enumerate(self._runner.run()):
+                if k % often == 0 or k == self._first - 1:
+                    looks.append((self.memory.names(), self.memory.read()))
+                if k == self._first - 1:
+                    break
+        self._saved = self._save()
+        self.names, self.start, self.whole = self.memory.names(), self.memory.read(), self.memory.whole()
+        self._labels = {
+            f"{n}.{p.name}{'.data' if p.delayed else ''}" + (f"[{k}]" if p.size > 1 else ""): f"{n}.{p.name}.{label}"
+            for n, s in self._steps.items() for p in s.inputs for k, label in enumerate(p.labels)
+        }  # fmt: skip
+        last: dict[str, float] = {}
+        size = dict.fromkeys(self.names, 0.0)
+        moved = dict.fromkeys(self.names, False)
+        for names, numbers in looks:
+            for name, x in zip(names, numbers.tolist(), strict=True):
+                if name in size:
+                    size[name] = max(size[name], abs(x))
+                    moved[name] |= last.setdefault(name, x) != x
+        self.names = [self._labels.get(name, name) for name in self.names]
+        sizes = np.array(list(size.values()))
+        self.sizes, self.moved = np.where(np.isfinite(sizes), sizes, 0.0), np.array(list(moved.values()))
+
+    def _check(self) -> None:
+        """Hold two goes from the same place against one another."""
+        once, _ = self(self.start, {})
+        self.moved = self.moved | (once != self.start)
+        again, _ = self(self.start, {})
+        if not np.array_equal(once, again):
+            bad = sorted({n.partition(".")[0] for n, a, b in zip(self.names, once, again, strict=True) if a != b})
+            raise RunError(f"{self.rig.scenario.name}: {', '.join(bad)} cannot be put back to where it was at "
+                           f"{self.t:g} s: what it remembers is not in its attributes")  # fmt: skip
+
+    def step_names(self) -> list[str]:
+        """Give the names of the members that count."""
+        return list(self._steps)
+
+    def _save(self) -> Any:
+        loose = [(s, s.t, s.bad, list(s.spoken), s.said, list(s._changes), s.change_at) for s in self._steps.values()]
+        return self.memory.save(), loose
+
+    def _restore(self) -> None:
+        memory, loose = self._saved
+        self.memory.restore(memory)
+        for step, t, bad, spoken, said, changes, change_at in loose:
+            step.t, step.bad, step.spoken, step.said, step.change_at = t, bad, list(spoken), said, change_at
+            step._changes.clear()
+            step._changes.extend(changes)
+
+    def __call__(
+        self, numbers: Array, added: Mapping[str, float], fixed: Mapping[str, float] | None = None
+    ) -> tuple[Array, dict[str, float]]:
+        """Go one period on.
+
+        Parameters
+        ----------
+        numbers : array
+            Of `names`, where it begins.
+        added : mapping
+            What is added to inputs over the period.
+        fixed : mapping, optional
+            What is held in the place of what is said.
+
+        Returns
+        -------
+        array
+            The numbers after it.
+        dict
+            What each signal said at the beginning, before anything was added.
+        """
+        return next(self.go_on(numbers, 1, added, fixed))
+
+    def go_on(
+        self, numbers: Array, periods: int, added: Mapping[str, float] | None = None,
+        fixed: Mapping[str, float] | None = None,
+    ) -> Iterator[tuple[Array, dict[str, float]]]:  # fmt: skip
+        """Go some periods on; gives what `__call__` gives after each of them."""
+        self._restore()
+        self.memory.write(numbers)
+        added, fixed = added or {}, fixed or {}
+        for name, probe in self.probes.items():
+            probe.said, probe.added, probe.fixed = math.nan, added.get(name, 0.0), fixed.get(name)
+        ticks = self._runner.run(self._first)
+        for _ in range(periods):
+            for probe in self.probes.values():
+                probe.said = math.nan
+            for _ in range(self._every):
+                if next(ticks, None) is None:
+                    raise RunError(f"{self.rig.scenario.name}: the run ends before {periods} periods of the whole")
+            found = self.memory.read()
+            if len(found) != len(self.start):
+                raise RunError(f"{self._grown()}: what it remembers has another length one period after {self.t:g} s; "
+                               "choose a later time")  # fmt: skip
+            yield found, {name: probe.said for name, probe in self.probes.items()}
+
+    def _grown(self) -> str:
+        odd = set(self.names) ^ {self._labels.get(name, name) for name in self.memory.names()}
+        members = sorted({name.partition(".")[0] for name in odd})
+        return f"{self.rig.scenario.name}: {', '.join(members)}"

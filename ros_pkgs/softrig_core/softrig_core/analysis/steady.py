@@ -1,0 +1,197 @@
+r"""Operating points of a rig: where its map leaves its states where they are, found by Newton's method.
+
+.. math:: F(x) - x = 0, \quad (I - A)\, \delta = F(x) - x
+
+What drifts without moving anything else (the angle of a motor that turns) has no such place; its rate is told.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..errors import RunError, ScenarioError
+from ..rig.members import Member, signal_units
+from ..rig.rig import Rig
+from ..run.expand import rig_of
+from ..scenario.scenario import Scenario
+from .linear_view import Array, Differences, plants_say
+from .state_map import StateMap, is_source, place_of, signal_of, upstream
+
+STEPS = 25
+AT_REST = 1e-9  # of its size, what a state at rest may move in a period
+CHECKED = 200  # periods of the whole over which a run from the point is watched
+STAYS = 1e-6  # of its size, what a state may have moved after them
+
+
+class NoOperatingPoint(RunError):
+    """There is none near where the run is, or none was found; says why."""
+
+
+@dataclass(frozen=True)
+class OperatingPoint:
+    """Where a rig rests under what drives it at some time.
+
+    Parameters
+    ----------
+    rig : str
+    at : float
+        When, s: references and disturbances as they are then.
+    period : float
+        Of the whole rig, s.
+    states, signals : dict of str to float
+        Values there.
+    units : dict of str to str
+        Of the signals.
+    drifting : dict of str to float
+        Rate of states that go on and move nothing else, in their unit a second.
+    steps : int
+        Of Newton's method.
+    slowest : float
+        Magnitude of the largest pole there, of states that move others; above 1 it is unstable.
+    moved : float
+        How far a run from there has moved at most after 200 periods of the whole, of the sizes of the states.
+    """
+
+    rig: str
+    at: float
+    period: float
+    states: Mapping[str, float]
+    signals: Mapping[str, float]
+    units: Mapping[str, str]
+    drifting: Mapping[str, float]
+    steps: int
+    slowest: float
+    moved: float
+
+    @property
+    def stable(self) -> bool:
+        """Whether a run that begins near it comes to it."""
+        return self.slowest < 1.0
+
+
+def steady(
+    what: str | Scenario | Rig, *, at: float | None = None, outputs: Sequence[str] | None = None,
+    overrides: Mapping[str, Any] | None = None, seed: int | None = None,
+) -> OperatingPoint:  # fmt: skip
+    """Find the operating point of a rig near where a run of it is.
+
+    Parameters
+    ----------
+    what, overrides
+        See `rig_of`.
+    at : float, optional
+        When, s: Newton's method begins there, and what depends on time stays as it is then. Default: the end of the
+        scenario.
+    outputs : sequence of str, optional
+        Signals that are asked for; default: what the plants say. Who does not move them may move.
+    seed : int, optional
+        Of the rig.
+
+    Raises
+    ------
+    ScenarioError
+        No such signal, or the rig's periods do not fit each other.
+    NoOperatingPoint
+        There is none, or none was found; the reason names the state that moves most.
+    RunError
+        The rig broke.
+    """
+    rig = rig_of(what, overrides=overrides)
+    at = rig.scenario.duration if at is None else at
+    if not (math.isfinite(at) and at >= 0.0):
+        raise ScenarioError(f"at = {at:g} s: expected 0 or more")
+    told = plants_say(rig) if outputs is None else [signal_of(rig, name) for name in outputs]
+    if not told:
+        raise ScenarioError(f"{rig.scenario.name}: no plant says anything at each of its ticks; name outputs")
+    number = rig.scenario.seed if seed is None else seed
+    whole: dict[str, Member] = {}
+    for name in told:
+        upstream(place_of(rig, name).member, whole)
+    commands = [
+        f"{p.topic}/{x}" for n, member in whole.items() if not member.is_plant and not is_source(member)
+        for p in member.outputs if not p.sporadic for x in p.labels
+    ]  # fmt: skip
+    heard = list(dict.fromkeys([*commands, *told]))
+    m = StateMap(rig, at, number, heard, (), CHECKED)
+    found = Differences(m, heard, (), "")
+    kept, A, C = found.states()
+    on = _core(A, (C[: len(commands)] != 0.0).any(axis=0))
+    core, loose = [i for i, x in zip(kept, on, strict=True) if x], [i for i, x in zip(kept, on, strict=True) if not x]
+    A, sizes = A[np.ix_(on, on)], m.sizes[core]
+    sizes = np.where(sizes > 0.0, sizes, 1.0)
+    steps, move = 0, _move(m, core)
+    while steps < STEPS:
+        step = _least_squares(A, move, sizes)
+        if np.abs(step / sizes).max(initial=0.0) <= AT_REST and np.abs(move / sizes).max(initial=0.0) <= AT_REST:
+            break
+        steps += 1
+        _go(m, core, step)
+        move, A = _move(m, core), found.again(core)
+    m.start = m(m.start, {})[0]  # what only tells of the others follows them
+    begin, moved, off = m.start, 0.0, np.zeros(len(m.start))
+    said: dict[str, float] = {}
+    for x, says in m.go_on(begin, CHECKED):
+        said = said or says
+        off = x - begin
+        moved = max(moved, float(np.abs(off[core] / sizes).max(initial=0.0)))
+    slowest = float(np.abs(np.linalg.eigvals(A)).max(initial=0.0)) if core else 0.0
+    span = CHECKED * m.period
+    if steps == STEPS or (moved > STAYS and slowest < 1.0 + AT_REST):
+        worst = core[int(np.argmax(np.abs(off[core]) / sizes))]
+        how = "Newton's method ends nowhere" if steps == STEPS else "what is found does not last"
+        raise NoOperatingPoint(f"{rig.scenario.name}: no operating point near t = {m.t:g} s: {how}; {m.names[worst]} = "
+                               f"{begin[worst]:.6g} moves by {off[worst]:.3g} within {span:g} s")  # fmt: skip
+    units = signal_units(rig)
+    return OperatingPoint(
+        rig.scenario.name, m.t, m.period, {m.names[i]: float(begin[i]) for i in kept}, said,
+        {s: units.get(s, "") for s in said},
+        {m.names[i]: float(off[i]) / span for i in loose if abs(off[i]) > STAYS * (m.sizes[i] or 1.0)},
+        steps, slowest, moved,
+    )  # fmt: skip
+
+
+def _core(A: Array, heard: Any) -> Any:
+    """Which states move others for good: not those that only tell of them, or add them up and no law hears of them."""
+    on = np.ones(len(A), dtype=bool)
+    own = np.diag(A)
+    ends = ~heard & ((own == 0.0) | (np.abs(own - 1.0) < 1e-9))
+    moves = (A != 0.0) & ~np.eye(len(A), dtype=bool)
+    while True:
+        left = on & ~(ends & ~moves[on].any(axis=0))
+        if (left == on).all():
+            return on
+        on = left
+
+
+def _move(m: StateMap, kept: list[int]) -> Array:
+    after, _ = m(m.start, {})
+    found: Array = (after - m.start)[kept]
+    return found
+
+
+def _least_squares(A: Array, move: Array, sizes: Array) -> Array:
+    """Solve (I - A) step = move with each state in its size, the shortest step that comes nearest."""
+    scaled = (np.eye(len(A)) - A) * sizes[None, :] / sizes[:, None]
+    found: Array = np.linalg.lstsq(scaled, move / sizes, rcond=1e-11)[0] * sizes
+    return found
+
+
+def _go(m: StateMap, kept: list[int], step: Array) -> None:
+    """Take a step, or the half of it, and so on, where the rig goes along."""
+    for share in 0.5 ** np.arange(8.0):
+        there = m.start.copy()
+        there[kept] += share * step
+        try:
+            m(there, {})
+        except RunError:
+            continue
+        m.start = there
+        return
+    raise NoOperatingPoint(
+        f"{m.rig.scenario.name}: no operating point near t = {m.t:g} s: the way there leaves the limits"
+    )

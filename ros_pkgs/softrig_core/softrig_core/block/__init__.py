@@ -1,0 +1,1 @@
+"""Blocks, and what a tick of one is: ports, parameters, schedule, step, runner."""

@@ -1,0 +1,269 @@
+"""Blocks: pure numerics with named ports, usable from a Python prompt and the same in every runner."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Callable, Mapping, Sequence
+from enum import IntEnum
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, get_args
+
+from typing_extensions import TypeVar
+
+from ..errors import RunError, ScenarioError
+from .params import BlockParams, ParameterError, build, differing
+from .port import Port, Sample
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from .marker import Marker
+    from .scene import Scene
+
+Values = Mapping[str, "Sequence[float] | Sample | None"]
+P = TypeVar("P", bound=BlockParams, default=Any)
+
+
+class Level(IntEnum):
+    """Severity, the numbers of diagnostic_msgs/DiagnosticStatus."""
+
+    OK = 0
+    WARN = 1
+    ERROR = 2
+
+
+class Block(Generic[P]):
+    """A controller, reference, observer, delay or other block with `update`.
+
+    ``class Lag(Block[LagParams])`` has parameters of that type, as `Params` and as type of ``self.p``. A base of
+    several blocks leaves it open, ``class Law(Block[P])``; by itself it has the default of `P`, or what binds it.
+
+    Parameters
+    ----------
+    params : BlockParams, optional
+        Validated parameters; the published values when absent.
+    name : str
+        Name of the node; together with the seed it fixes the random numbers.
+    **values
+        Instead of `params`: single parameters by name.
+
+    Raises
+    ------
+    softrig_core.block.params.ParameterError
+        A parameter is unknown or out of bounds, or the block cannot be set up with them; names those that differ from
+        the published ones.
+    """
+
+    Params: ClassVar[type[BlockParams]] = BlockParams
+    INPUTS: ClassVar[tuple[Port, ...]] = ()
+    OUTPUTS: ClassVar[tuple[Port, ...]] = ()
+    realtime = False  # whether the wall clock drives it, as its runner says: nothing may then wait in `update`
+    STALE_PERIODS: ClassVar[int] = 5  # realtime: age in its own periods at which a plant no longer trusts a command
+
+    def __init_subclass__(cls, **keywords: Any) -> None:
+        super().__init_subclass__(**keywords)
+        for base in cls.__dict__.get("__orig_bases__", ()):
+            for argument in get_args(base):
+                of = (argument, getattr(argument, "__default__", None), getattr(argument, "__bound__", None))
+                cls.Params = next((p for p in of if isinstance(p, type) and issubclass(p, BlockParams)), cls.Params)
+
+    def __init__(self, params: P | None = None, name: str = "", **values: Any) -> None:
+        self.p: P = build(self.Params, values) if params is None else params  # type: ignore[assignment]
+        self.name = name
+        self.ages: Callable[[str], int | None] | None = None  # set by who runs the block
+        self.reports: dict[str, tuple[Level, str, int]] = {}
+        self.anew: set[str] = set()  # keys of reports to be logged once more
+        try:
+            self.setup()
+            self.reset(0)
+        except (ParameterError, ScenarioError, RunError):
+            raise
+        except (
+            Exception
+        ) as error:  # an overflow, a singular matrix, no memory: each value is in bounds, but not together
+            raise ParameterError(f"set-up failed{differing(self.p)}: {type(error).__name__}: {error}") from error
+
+    @classmethod
+    def ports(cls, params: Any) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
+        """Give (inputs, outputs) for these parameters; override when channels depend on them. Must stay cheap."""
+        return cls.INPUTS, cls.OUTPUTS
+
+    @classmethod
+    def agreed(cls, params: Any) -> Mapping[str, Any]:
+        """Give what must be equal in all nodes of a rig that name it: quantity (``tank/k_high``) to value.
+
+        For a plant, for those that judge it (figures, monitors, certificates, proofs), and for what they say of a law.
+        What a law assumes of its plant is its own: it may be wrong, that is an experiment.
+        """
+        return {}
+
+    @classmethod
+    def fixed(cls, params: Any) -> Any:
+        """Give what of its live parameters may not change all the same, to be compared."""
+        return None
+
+    @classmethod
+    def contents(cls, params: Any) -> Mapping[str, str]:
+        """Give name to hash of files that decide what it does beside its code, for the record of a run."""
+        return {}
+
+    def setup(self) -> None:
+        """Compute what depends on the parameters only; called once. Import heavy libraries here."""
+
+    def change(self, params: P) -> None:
+        """Go on with other parameters, between two ticks; the state stays as it is.
+
+        By default `setup` is called again, which must then make nothing that holds state. A block whose state means
+        something else under other parameters overrides it and says in its docstring what happens to that state: where
+        the field expects it, the output does not jump. Only parameters declared ``live=True`` differ; the values were
+        checked on a spare block.
+
+        Parameters
+        ----------
+        params : BlockParams
+            Those to go on with; `p` are still those of before.
+        """
+        self.p = params
+        self.setup()
+
+    def warm_up(self) -> None:
+        """Call native code that a tick on first values does not reach; asked before a node begins, of a spare block."""
+
+    def reset(self, seed: int) -> None:
+        """Go back to the initial state; override `start` for the block's own state."""
+        self._seed = seed
+        self.__dict__.pop("rng", None)
+        self.reports.clear()
+        self.anew.clear()
+        self.start()
+
+    def start(self) -> None:
+        """Set the initial state."""
+
+    @cached_property
+    def rng(self) -> np.random.Generator:
+        """Random numbers seeded by (rig seed, block name)."""
+        import numpy as np
+
+        return np.random.default_rng([self._seed, zlib.crc32(self.name.encode())])
+
+    def report(self, level: Level, key: str, text: str, *, anew: bool = False) -> None:
+        """Note an event for /diagnostics: logged the first time a key appears or when it is `anew`, counted always."""
+        if anew:
+            self.anew.add(key)
+        count = self.reports[key][2] if key in self.reports else 0
+        self.reports[key] = (level, text, count + 1)
+
+    def age(self, name: str) -> int | None:
+        """Give the age of an input in ns at the tick under way: how long ago its newest message was stamped.
+
+        None when none has come yet. Outside of a run every input is new.
+        """
+        return 0 if self.ages is None else self.ages(name)
+
+    @classmethod
+    def finishes(cls) -> bool:
+        """Whether the block has a last word."""
+        return cls.finish is not Block.finish
+
+    @classmethod
+    def speaks_at_end(cls) -> bool:
+        """Whether the block has a tick at the end time of a run: plants, observers and who has a last word."""
+        return issubclass(cls, (Plant, Observer)) or cls.finishes()
+
+    def health(self) -> Mapping[str, str]:
+        """Give name to text of what /diagnostics shows beside the reports, about once a second."""
+        return {}
+
+    def latched(self) -> Mapping[str, str]:
+        """Give topic to text (such as ``robot_description``) that a node publishes once, also for late joiners."""
+        return {}
+
+    @classmethod
+    def scene(cls, params: Any) -> Scene | None:
+        """Give what a viewer needs to show what the block moves, with these parameters; most move nothing."""
+        return None
+
+    def markers(self) -> Sequence[Marker]:
+        """Give something to look at, drawn from the newest state; a node asks a few times a second."""
+        return ()
+
+    def update(self, t: int, **inputs: Any) -> Values:
+        """Answer one tick.
+
+        Parameters
+        ----------
+        t : int
+            Time in ns, a multiple of the period.
+        **inputs
+            One keyword an input port: a tuple of floats; a `Sample` on a delayed port; None on a held
+            port that has no value yet.
+
+        Returns
+        -------
+        mapping of output port name to values (a `Sample` on a delayed port; None or nothing for silence on a
+        sporadic one)
+        """
+        raise NotImplementedError
+
+    def finish(self, t: int, **inputs: Any) -> Values:
+        """Answer the last tick not after the end of a run, in place of `update`: what is said of a whole record.
+
+        A block that overrides it sees the last outputs of the plants and the commands of the tick before.
+        """
+        raise NotImplementedError
+
+    def refused(self, t: int) -> Values | None:
+        """Answer a tick one of whose inputs a node has refused (NaN, wrong names); called in place of `update`.
+
+        Returns
+        -------
+        mapping or None
+            As `update`; None, the default: the values given last are held, at first the ports' safe ones, and
+            sporadic ports are silent.
+        """
+        return None
+
+
+class Plant(Block[P]):
+    """A block with state that owns time: `outputs` at t_k, then `advance` to t_{k+1}.
+
+    The outputs at t_k never depend on the inputs of t_k.
+    """
+
+    @property
+    def state(self) -> tuple[float, ...]:
+        """Give the state of now as a named tuple, with the names of the paper and in SI units."""
+        raise NotImplementedError(f"{type(self).__name__} does not tell its state")
+
+    def put(self, state: Sequence[float]) -> None:
+        """Go on from another state, in the order of `state`; faults, loads and commands before it stay as they are.
+
+        Only plants whose state is all that counts of their past have it: a delay, a travelling wave or packets under
+        way are more than that.
+        """
+        raise NotImplementedError(f"{type(self).__name__} cannot be put into a state")
+
+    @classmethod
+    def can_be_put(cls) -> bool:
+        """Whether `put` is there."""
+        return cls.put is not Plant.put
+
+    def outputs(self, t: int) -> Values:
+        """Give the outputs at t (ns)."""
+        raise NotImplementedError
+
+    def advance(self, t: int, **inputs: Any) -> None:
+        """Move the state from t to t + period with the inputs held."""
+        raise NotImplementedError
+
+
+class Observer(Block[P]):
+    """A block that only watches; `status` gives its figures, which the node publishes as a DiagnosticArray.
+
+    An observer also sees the last plant outputs, at the end time of a run.
+    """
+
+    def status(self) -> Mapping[str, tuple[float, str]]:
+        """Give name to (value, unit) of the figures so far."""
+        raise NotImplementedError

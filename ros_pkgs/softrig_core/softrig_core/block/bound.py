@@ -1,0 +1,117 @@
+"""The functions by which a step answers its ticks and moves on, made for it: what they read and write is bound once.
+
+A function that goes through tables of ports at each tick takes a third longer than one whose text names them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from functools import cache
+from keyword import iskeyword
+from types import CodeType
+from typing import Any
+
+from ..errors import RunError
+from .answer import sum_of_products
+
+Step = Any  # `softrig_core.block.step.Step`, which imports this
+
+SAY = """
+def say(t):
+    step.t = t
+    try:
+        if step.bad or t >= step.change_at:
+            found = step.asked(t)
+        else:
+            found = respond(t{inputs})
+        step.said = found
+{checked}
+{failed}
+{handed}
+"""
+
+ADVANCE = """
+def advance(t, values=values):
+    step.t = t
+    try:
+        move(t{inputs})
+{failed}
+    if step.moved is not None:
+        step.moved()
+"""
+
+FAILED = """
+    except RunError as error:
+        error.node = step.name
+        raise
+    except Exception as error:
+        raise step.failure(error) from error
+"""
+
+# of a block that says something on each output at each tick: nearly always the right number of floats
+PLAIN = """
+        try:
+            {rows} = rows = {found}
+            step.numbers = numbers = {numbers}
+            fits = {sizes} and type(size := sum_of_products(numbers, numbers)) is float and size <= bound
+        except (KeyError, TypeError, OverflowError):  # told by `checked`
+            fits = False
+        if not fits:
+            {rows} = rows = step.checked(found)
+"""
+
+
+def sayer(step: Step) -> Callable[[int], None]:
+    """Make the function that answers a tick (ns) of a step as it is wired by now; see `Step.say`."""
+    known: dict[str, Any] = {"respond": step.respond, "values": step.values, "send": step.send}
+    checked, handed = "        rows = ()", []
+    if step.outputs and step.plain:
+        rows = [f"row{k}" for k, _ in enumerate(step.outputs)]
+        sizes = [f"type({row}) is tuple and len({row}) == {p.size}" for row, p in zip(rows, step.outputs, strict=True)]
+        checked = PLAIN.format(
+            rows="".join(f"{row}, " for row in rows),
+            found="".join(f"found[{port.name!r}], " for port in step.outputs),
+            numbers=rows[0] if len(rows) == 1 else f"({', '.join(f'*{row}' for row in rows)})",
+            sizes=" and ".join(sizes),
+        )
+        known["bound"] = min(port.bound for port in step.outputs)
+        for number, (k, values, name, take) in enumerate(step.readers):
+            known |= {f"values{number}": values, f"take{number}": take}
+            row = rows[k] if take is None else f"take{number}({rows[k]})"
+            handed.append(f"    values{number}[{name!r}] = {row}")
+    elif step.outputs:
+        checked = "        rows = step.checked(found)"
+    if step.send is not None:
+        handed.append("    send(t, rows)")
+    if step.outputs and (step.doubters or not step.plain):
+        handed = ["    step.hand_on(t, rows)"]
+    inputs = _inputs(step.asked_for)
+    return _made(
+        "say", SAY.format(inputs=inputs, checked=checked, failed=FAILED, handed="\n".join(handed)), step, known
+    )
+
+
+def mover(step: Step) -> Callable[..., None]:
+    """Make the function that moves a plant on; see `Step.advance`."""
+    known = {"move": step.block.advance, "values": step.values}
+    return _made("advance", ADVANCE.format(inputs=_inputs(step.values), failed=FAILED), step, known)
+
+
+def _inputs(names: Iterable[str]) -> str:
+    """Write the keywords of a call; a name that is no word of Python goes in as a text."""
+    return "".join(
+        f", {name}=values[{name!r}]" if name.isidentifier() and not iskeyword(name)
+        else f", **{{{name!r}: values[{name!r}]}}" for name in names
+    )  # fmt: skip
+
+
+def _made(name: str, text: str, step: Step, known: dict[str, Any]) -> Callable[..., None]:
+    known |= {"step": step, "RunError": RunError, "sum_of_products": sum_of_products}
+    exec(_compiled(text), known)
+    found: Callable[..., None] = known[name]
+    return found
+
+
+@cache
+def _compiled(text: str) -> CodeType:
+    return compile(text, "<tick>", "exec")

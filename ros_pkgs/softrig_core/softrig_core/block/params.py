@@ -1,0 +1,236 @@
+"""Immutable, validated block parameters: one declaration gives the Python model and the ROS parameters."""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, get_args
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidationInfo, field_validator
+
+from .schedule import rational
+
+LARGEST = 1e12  # of any number in SI units: what lies beyond is a slip, and its square or cube soon no number any more
+LONGEST = 10_000  # values of one list, characters of one text
+STEPS = 100_000  # of integration in one period
+_UPPER = ("le", "lt", "max_length")
+
+
+class ParameterError(ValueError):
+    """A parameter is unknown, of the wrong type or out of bounds; the message names it."""
+
+
+def param(
+    default: Any, doc: str, unit: str = "", *, each: tuple[float, float] | None = None, live: bool = False,
+    **bounds: Any,
+) -> Any:  # fmt: skip
+    """Declare one field of a `Params` class.
+
+    Parameters
+    ----------
+    default : Any
+        Published value.
+    doc : str
+        What it is, with its symbol and source where there is one.
+    unit : str
+        SI unit, empty for a pure number.
+    each : (float, float), optional
+        Least and largest value of every element of a list.
+    live : bool
+        Whether it may change while the block runs (`softrig_core.block.block.Block.change`): gains, limits, set
+        points, switches; not what sets a size, a port or the period.
+    **bounds
+        ``gt``, ``ge``, ``lt``, ``le``, ``min_length``, ``max_length`` as in pydantic. A number without them is bounded
+        by `LARGEST` alone; a count that sets an effort or a size needs its own.
+    """
+    extra: dict[str, Any] = {"unit": unit} | ({} if each is None else {"each": each}) | ({"live": True} if live else {})
+    return Field(default, description=doc, json_schema_extra=extra, **bounds)
+
+
+class Params(BaseModel):
+    """Base of every parameter model: frozen, no unknown names, no NaN or infinity.
+
+    Nested models are written with dots outside (``rig.pwm_bits``).
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    @field_validator("*")
+    @classmethod
+    def _no_slips(cls, value: Any, info: ValidationInfo) -> Any:
+        own = {key for rule in cls.model_fields[str(info.field_name)].metadata for key in _UPPER if hasattr(rule, key)}
+        if isinstance(value, str | tuple) and "max_length" not in own and len(value) > LONGEST:
+            raise ValueError(f"expected at most {LONGEST} {'characters' if isinstance(value, str) else 'values'}")
+        if own & {"le", "lt"}:
+            return value
+        low, high = _each(cls.model_fields[str(info.field_name)])
+        for number in value if isinstance(value, tuple) else (value,):
+            if isinstance(number, int | float) and not low <= number <= high:
+                if high == LARGEST == -low:
+                    raise ValueError(f"expected at most {LARGEST:g} in magnitude")
+                raise ValueError(f"expected {low:g} to {high:g}, got {_shown(number)}")
+        return value
+
+
+def _each(field: Any) -> tuple[float, float]:
+    """Give the bounds of a field's elements."""
+    extra = field.json_schema_extra
+    low, high = (isinstance(extra, dict) and extra.get("each")) or (-LARGEST, LARGEST)
+    return low, high
+
+
+class BlockParams(Params):
+    """Parameters that every block has."""
+
+    period: float = param(0.01, "sampling period; also a fraction as text: 1/2880", "s", gt=0.0, le=100.0)
+
+    @field_validator("period", mode="before")
+    @classmethod
+    def _period_as_fraction(cls, period: Any) -> Any:
+        return float(rational(period)) if isinstance(period, str) and "/" in period else period
+
+    @field_validator("period")  # a block that has a default of its own inherits this
+    @classmethod
+    def _period_in_ns(cls, period: float) -> float:
+        if period < 1e-9:
+            raise ValueError("expected at least 1e-9, the unit of time is the nanosecond")
+        return period
+
+
+def check_steps(period: float, step: float, name: str) -> None:
+    """Limit the integration steps in a period, for the validator of a model whose step is a parameter.
+
+    Raises
+    ------
+    ValueError
+        More than `STEPS`: one tick would take for ever.
+    """
+    if period > STEPS * step:
+        raise ValueError(f"period = {period:g} s takes {period / step:.3g} steps of {name} = {step:g} s, expected at "
+                         f"most {STEPS}")  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Declaration:
+    """What a ROS parameter declaration needs to know about one field."""
+
+    name: str
+    default: Any
+    type: type
+    doc: str
+    unit: str
+    lower: float | None
+    upper: float | None
+    live: bool = False
+
+
+def declarations(model: type[Params], prefix: str = "") -> list[Declaration]:
+    """List the fields of a model with dotted names, nested models flattened."""
+    found = []
+    for name, field in model.model_fields.items():
+        kind = field.annotation
+        if isinstance(kind, type) and issubclass(kind, Params):
+            found += declarations(kind, f"{prefix}{name}.")
+            continue
+        bounds: dict[str, float] = {}
+        for rule in field.metadata:
+            bounds |= {key: getattr(rule, key) for key in ("gt", "ge", "lt", "le") if hasattr(rule, key)}
+        kinds = [k for k in get_args(kind) if k is not type(None)]
+        extra = field.json_schema_extra
+        plain = kind in (int, float) or any(k in (int, float) for k in kinds)
+        lower = bounds.get("ge", bounds.get("gt", -LARGEST if plain else None))
+        upper = bounds.get("le", bounds.get("lt", LARGEST if plain else None))
+        found.append(
+            Declaration(
+                prefix + name,
+                field.get_default(call_default_factory=True),
+                kind if isinstance(kind, type) else (kinds[0] if kinds and isinstance(kinds[0], type) else str),
+                field.description or "",
+                str(extra.get("unit", "")) if isinstance(extra, dict) else "",
+                lower,
+                upper,
+                isinstance(extra, dict) and bool(extra.get("live")),
+            )
+        )
+    return found
+
+
+def flatten(params: Params, prefix: str = "") -> dict[str, Any]:
+    """Give the values of a model under dotted names."""
+    flat: dict[str, Any] = {}
+    for name in type(params).model_fields:
+        value = getattr(params, name)
+        if isinstance(value, Params):
+            flat |= flatten(value, f"{prefix}{name}.")
+        else:
+            flat[prefix + name] = list(value) if isinstance(value, tuple) else value
+    return flat
+
+
+def differing(params: Params) -> str:
+    """Say which parameters differ from the published ones, as the middle of a message; empty when none does."""
+    try:
+        published = flatten(type(params)())
+    except ValidationError:  # no defaults: all were given
+        published = {}
+    found = [f"{k} = {_shown(v)}" for k, v in flatten(params).items() if k not in published or v != published[k]]
+    return f" with {', '.join(found)}"[:400] if found else ""
+
+
+def build(model: type[Params], values: Mapping[str, Any]) -> Params:
+    """Make a parameter model from dotted (or nested) names.
+
+    Raises
+    ------
+    ParameterError
+        One line: which parameter, what was given, what is allowed.
+    """
+    nested: dict[str, Any] = {}
+    for name, value in values.items():
+        level = nested
+        *path, last = name.split(".")
+        for part in path:
+            level = level.setdefault(part, {})
+            if not isinstance(level, dict):
+                raise ParameterError(f"parameter {name}: {part} has the value {level!r} as well")
+        if isinstance(value, Mapping) and isinstance(level.get(last), dict):
+            level[last] |= value
+        else:
+            level[last] = dict(value) if isinstance(value, Mapping) else value
+    try:
+        return model(**nested)
+    except ValidationError as error:
+        text = "; ".join(_explain(model, e) for e in error.errors())
+    except (ArithmeticError, MemoryError) as error:  # of a check that reckons with them
+        text = f"parameters: {error or 'out of memory'}"
+    if values and not any(_named(name, text) for name in values):  # what follows from them does not fit together
+        given = ", ".join(f"{name} = {_shown(value)}" for name, value in values.items())
+        text += f" (with {given if len(given) < 400 else given[:400] + ' ...'})"
+    raise ParameterError(text)
+
+
+def _named(parameter: str, text: str) -> bool:
+    return re.search(rf"(?<![\w.]){re.escape(parameter)}(?![\w.])", text) is not None
+
+
+def _explain(model: type[Params], error: Any) -> str:
+    name = ".".join(str(part) for part in error["loc"]) or model.__qualname__
+    if error["type"] == "extra_forbidden":
+        known = [d.name for d in declarations(model)]
+        near = difflib.get_close_matches(name, known, 1)
+        hint = f" (did you mean {near[0]!r}?)" if near else ""
+        return f"parameter {name} is unknown{hint}; this block has {', '.join(known)}"
+    message = error["msg"].removeprefix("Value error, ")
+    if error["type"] == "value_error" and not error["loc"]:
+        return f"parameters: {message}"
+    return f"parameter {name} = {_shown(error['input'])}: {message[:1].lower()}{message[1:]}"
+
+
+def _shown(value: Any) -> str:
+    try:
+        text = repr(value)
+    except ValueError:  # an integer of more digits than Python prints
+        return "a number of thousands of digits"
+    return text if len(text) <= 100 else f"{text[:100]} ..."

@@ -1,0 +1,250 @@
+"""A step: one member of a rig at its ticks, the same in every runner.
+
+It knows what the inputs of a tick are and how old, asks the block, and lets nothing out of it that may not leave.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any
+
+from ..errors import RunError, describe
+from .answer import Row, check, flat
+from .block import Block, Level, Plant
+from .bound import mover, sayer
+from .change import Change, check as check_change, revise
+from .params import flatten
+from .port import Port, Sample
+from .schedule import Schedule
+
+Rows = tuple["Row | None", ...]  # of each output: what is said; None for the silence of a sporadic one
+
+
+class Step:
+    """One member at its ticks.
+
+    Parameters
+    ----------
+    name : str
+        Node name, for errors.
+    block : Block
+    schedule : Schedule
+    inputs, outputs : sequence of Port
+    changes : iterable of Change
+        Of the block's parameters, in the order of their times.
+
+    Attributes
+    ----------
+    values : dict of str to value
+        What each input holds: the keywords of the block's methods. Who brings a message writes it here.
+    stamps : dict of str to callable
+        By input: gives the stamp of the newest message, ns, None before the first; missing: nothing ever comes.
+    bad : bool
+        Whether something was refused that the next answer would have used.
+    t : int
+        The tick under way, or the newest that is over, ns.
+    sources : list of Step
+        Those of this process that it reads.
+    plain : bool
+        Whether every output says something at each tick, at its stamp.
+    numbers : tuple of float
+        Of one that is plain: all that the newest answer says.
+    say : callable
+        Gets t, ns: answers that tick, hands the answer to the readers here, and sends it. A RunError whose `node` is
+        the name of this step: the block failed, or gave what may not leave it. Made with the first tick (`bound.py`):
+        what is read and written must be wired by then, `send` and `respond` set.
+    advance : callable
+        Gets t, ns, and by choice the values of the inputs: moves a plant from t over one period, or a RunError.
+    send : callable or None
+        Gets (t, rows) of each answer: what carries it out of this process, or records it.
+    lacks : callable or None
+        Gets t, the tick that is to be answered: whether something that it needs has not come; None: never.
+    moved : callable or None
+        Called when a plant has moved on.
+    changed : callable or None
+        Gets (t, values by name) of each tick before which parameters were changed, and how.
+    """
+
+    send: Callable[[int, Rows], object] | None = None
+    lacks: Callable[[int], bool] | None = None
+    moved: Callable[[], object] | None = None
+    changed: Callable[[int, Mapping[str, Any]], object] | None = None
+
+    say: Callable[[int], None]
+    advance: Callable[..., None]
+
+    def __init__(
+        self, name: str, block: Block, schedule: Schedule, inputs: tuple[Port, ...], outputs: tuple[Port, ...],
+        changes: Iterable[Change] = (),
+    ) -> None:  # fmt: skip
+        self.name, self.block, self.schedule = name, block, schedule
+        self.inputs, self.outputs = inputs, outputs
+        self.values: dict[str, Any] = {p.name: p.initial for p in inputs}
+        self.stamps: dict[str, Callable[[], int | None]] = {}
+        self.sources: list[Step] = []
+        self.bad = False
+        self.t = 0
+        self.plain = not any(p.sporadic or p.delayed for p in outputs)
+        self.spoken: list[int | None] = [None] * len(outputs)  # of one that is not plain: when each output spoke last
+        self.numbers: tuple[float, ...] = ()
+        self.said: Any = {}  # the newest answer: what is held when an input is refused
+        self.doubters: list[tuple[int, Step, Port, Callable[[Any], Any] | None]] = []
+        self.readers: list[tuple[int, dict[str, Any], str, Callable[[Any], Any] | None]] = []
+        self.asked_for = () if isinstance(block, Plant) else tuple(self.values)
+        self.respond = block.outputs if isinstance(block, Plant) else block.update
+        if not isinstance(block, Plant) and block.finishes():
+            self.respond = self._finish_or_update
+        block.ages = self.age
+        self.say, self.advance = self._first_say, self._first_advance  # made when all is wired: with the first tick
+        self._changes = deque(changes)
+        self.change_at = self._changes[0].at if self._changes else math.inf
+
+    # what a tick is -----------------------------------------------------------------------------------------------
+
+    def _first_say(self, t: int) -> None:
+        self.say = sayer(self)
+        self.say(t)
+
+    def _first_advance(self, t: int, values: Mapping[str, Any] | None = None) -> None:
+        self.advance = mover(self)
+        self.advance(t) if values is None else self.advance(t, values)
+
+    def asked(self, t: int) -> Any:
+        """Ask the block for its answer, of a tick that is not as most are."""
+        if t >= self.change_at:
+            self._change(t)
+        return self.refused(t) if self.bad else self.respond(t, **{name: self.values[name] for name in self.asked_for})
+
+    def hand_on(self, t: int, rows: Rows) -> None:
+        """Let the readers here and those elsewhere have an answer."""
+        if not self.plain:
+            self.spoken = [s if row is None else t for s, row in zip(self.spoken, rows, strict=True)]
+        for k, values, name, take in self.readers:
+            row = rows[k]
+            if row is not None:
+                values[name] = row if take is None else take(row)
+        for k, reader, port, take in self.doubters:
+            row = rows[k]
+            if row is not None:
+                reader.doubt(t, port, row if take is None else take(row))
+        if self.send is not None:
+            self.send(t, rows)
+
+    def age(self, name: str) -> int | None:
+        """Answer `Block.age`: from the stamp of what an input holds to the tick under way, ns; None: nothing came."""
+        told = self.stamps.get(name)
+        if told is None or (stamp := told()) is None:
+            return None
+        value = self.values[name]
+        age = self.t - (value.stamp if type(value) is Sample else stamp)
+        return age if age > 0 else 0
+
+    def held(self) -> Mapping[str, Any]:
+        """Give what was said last, at first the safe values; silence on sporadic ports."""
+        return {
+            p.name: self.said.get(p.name) or (Sample(self.t, p.safe) if p.delayed else p.safe)
+            for p in self.outputs if not p.sporadic
+        }  # fmt: skip
+
+    def refused(self, t: int) -> Any:
+        """Answer a tick of which something was refused."""
+        self.bad = False
+        own = self.block.refused(t)
+        return self.held() if own is None else own
+
+    def set(self, values: Mapping[str, Any]) -> None:
+        """Change parameters at the next tick, all or none.
+
+        Raises
+        ------
+        ParameterError
+            See `softrig_core.block.change.check`.
+        """
+        now, due = self.block.p, sum(c.at <= self.t for c in self._changes)
+        for k in range(due):
+            now = revise(now, self._changes[k].values)
+        known = flatten(check_change(type(self.block), now, values, self.name))
+        self._changes.insert(due, Change(self.t, {name: known[name] for name in values}))
+        self.change_at = self._changes[0].at
+
+    def _change(self, t: int) -> None:
+        """Take the changes that are due: those up to `t`."""
+        changes = self._changes
+        taken: dict[str, Any] = {}
+        while changes and changes[0].at <= t:
+            revised = revise(self.block.p, changes[0].values)
+            self.block.change(revised)
+            known = flatten(revised)
+            taken |= {name: known[name] for name in changes.popleft().values}
+        self.change_at = changes[0].at if changes else math.inf
+        if self.changed is not None:
+            self.changed(t, taken)
+
+    # its parts ----------------------------------------------------------------------------------------------------
+
+    def _finish_or_update(self, t: int, **inputs: Any) -> Any:
+        last = self.schedule.last
+        return (self.block.update if last is None or t < last else self.block.finish)(t, **inputs)
+
+    def checked(self, found: Any) -> Rows:
+        """Give what each output says, checked."""
+        rows = tuple([check(found, port, self.name, self.t) for port in self.outputs])
+        if self.plain and rows:
+            self.numbers = flat(rows)
+        return rows
+
+    def feeds(self, output: str, reader: Step, name: str, pick: Callable[[Any], Any] | None) -> None:
+        """Have an output fill an input of another step of this process.
+
+        Parameters
+        ----------
+        output : str
+        reader : Step
+        name : str
+            Of its input.
+        pick : callable or None
+            How the values of the one become those of the other.
+        """
+        k = next(i for i, p in enumerate(self.outputs) if p.name == output)
+        port = next(p for p in reader.inputs if p.name == name)
+        take = pick
+        if self.outputs[k].delayed and pick is not None:
+
+            def take(found: Sample) -> Sample:
+                return Sample(found.stamp, pick(found.data))
+        elif port.delayed and not self.outputs[k].delayed:
+
+            def take(found: Any) -> Sample:
+                return Sample(self.t, found if pick is None else pick(found))
+
+        if self.outputs[k].unchecked:
+            self.doubters.append((k, reader, port, take))
+        else:
+            self.readers.append((k, reader.values, name, take))
+        reader.sources.append(self)
+        reader.stamps[name] = (lambda: self.t) if self.plain else (lambda: self.spoken[k])
+
+    def doubt(self, t: int, port: Port, found: Row) -> None:
+        """Take a message that may be bad, as one that comes over a wire: what an input refuses never reaches the block.
+
+        Raises
+        ------
+        RunError
+            A plant has no command for its tick.
+        """
+        reason = port.beyond(found.data if isinstance(found, Sample) else found)
+        if not reason:
+            self.values[port.name] = found
+        elif isinstance(self.block, Plant):
+            raise RunError(f"{self.name} refuses {port.topic} at t = {t / 1e9:.9g} s: {reason}")
+        else:
+            self.bad = True
+            self.block.report(Level.WARN, f"refused {port.name}", f"{port.topic}: {reason}")
+
+    def failure(self, error: Exception) -> RunError:
+        """Say that the block has failed, where, and why."""
+        found = RunError(f"{self.name}: failed at t = {self.t / 1e9:.9g} s: {describe(error)}")
+        found.node = self.name
+        return found

@@ -1,0 +1,44 @@
+"""Figure functions: those of `softrig_core.judge.measures` and the entry points of group ``softrig_figures``."""
+
+from __future__ import annotations
+
+import importlib.metadata
+from functools import cache
+from typing import Any
+
+from ..errors import ScenarioError, closest
+from . import measures
+from .measures import Function
+
+GROUP = "softrig_figures"
+
+
+@cache
+def _points() -> dict[str, importlib.metadata.EntryPoint]:
+    return {p.name: p for p in importlib.metadata.entry_points(group=GROUP)}
+
+
+def registered() -> list[str]:
+    """Names of all figure functions that are installed."""
+    return sorted({*measures.__all__, *_points()})
+
+
+def find(name: str) -> Function:
+    """Give a figure function by its registered name; nothing else is ever called.
+
+    Raises
+    ------
+    ScenarioError
+        Not registered, or its module cannot be imported.
+    """
+    if name in measures.__all__:
+        return getattr(measures, name)
+    point = _points().get(name)
+    if point is None:
+        raise ScenarioError(f"no figure function {name!r} is registered{closest(name, registered())}; "
+                            f"a package registers its own in the group {GROUP}")  # fmt: skip
+    try:
+        function: Any = point.load()
+    except (ImportError, AttributeError) as error:
+        raise ScenarioError(f"figure function {name} ({point.value}) cannot be loaded: {error}") from None
+    return function

@@ -1,0 +1,1 @@
+"""What every node does with its step, in lockstep and in real time."""

@@ -1,0 +1,111 @@
+"""The start of a node of a rig: nobody sends before all readers of a message are matched, as the writer sees them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence, Set
+
+from ..seam.endpoint import Input, Output
+from ..seam.middleware import Peer, other_types
+from ..seam.recorders import Recorders
+from .adapter import Adapter
+
+CHECK = 1_000_000_000 // 50  # ns between two checks
+SETTLED = 25  # checks in a row in which what the graph says has not changed
+
+
+class Handshake:
+    """Says who is not there yet.
+
+    Parameters
+    ----------
+    node : Adapter
+    awaited : sequence of (Input, str)
+        What must have a writer, and whose.
+    wanted : sequence of (Output, list of str)
+        What must be matched with its readers, and the readers that the rig names.
+    local : set of str
+        Nodes of the same process, which are there.
+
+    Attributes
+    ----------
+    lacking : list of str
+        Topics of external nodes that nobody publishes yet.
+    missing : list of str
+        Nodes that do not publish or subscribe yet what they are to.
+    """
+
+    def __init__(
+        self, node: Adapter, awaited: Sequence[tuple[Input, str]], wanted: Sequence[tuple[Output, list[str]]],
+        local: Set[str],
+    ) -> None:  # fmt: skip
+        self._node = node
+        self._awaited = awaited
+        self._wanted = [(output, [name for name in names if name not in local]) for output, names in wanted]
+        self._local = local
+        self._settled = 0
+        self._seen: list[tuple[str, str]] = []
+        self.lacking: list[str] = []
+        self.missing: list[str] = []
+        alone = not node.options.links  # in a domain where others live, as what is launched is
+        self._recorders = Recorders(node.middleware, node.links.recorders) if alone or node.links.public else None
+
+    def absent(self) -> list[str]:
+        """Describe the peers that are not there yet; nothing when the node may begin."""
+        node = self._node
+        self.missing = [sender for i, sender in self._awaited if not i.publishers and not i.heard]
+        absent = [
+            f"no publisher on {i.port.topic} (expected from {sender}{self._other_type(i)})"
+            for i, sender in self._awaited if not i.publishers and not i.heard  # who has said all it had to say is gone
+        ]  # fmt: skip
+        found: list[tuple[str, str]] = []
+        for peer in self._outside(absent):
+            topics = node.middleware.subscriptions_of(peer)
+            found += [(o.topic, peer.name) for o, _ in self._wanted if o.topic in topics]
+        for output, known in self._wanted:
+            names = known + [name for topic, name in found if topic == output.topic and name not in known]
+            names += self._recorders.of(output.topic) if self._recorders else []
+            there = [i.name for i in node.middleware.subscribers(output.topic) if i.msgtype == output.port.msgtype]
+            there = [name for name in there if name not in self._local]
+            unmatched = [name for name in names if name not in there]
+            self.missing += unmatched
+            absent += [f"{name} does not subscribe {output.topic}" for name in unmatched]
+            # The graph knows a reader before the writer is matched with it; only what the writer says counts.
+            if names and output.readers < len(there):
+                absent.append(f"{output.topic} has {output.readers} readers of {len(there)}")
+        unread = [] if node.options.links or self._local else [o.topic for o in node.outputs if not o.readers]
+        seen = [*found, *((topic, "") for topic in unread)]
+        # A node announces its endpoints one by one, and by hand nobody says who reads what: what is seen counts when
+        # all senders have come and it has not changed for a while.
+        self._settled = self._settled + 1 if seen == self._seen and not absent else 0
+        self._seen = seen
+        if absent or self._settled >= SETTLED or self._knows_all():
+            if len(unread) == len(node.outputs) and not node.is_plant:  # only a plant may do without any reader
+                absent += [f"nobody subscribes {topic}" for topic in unread]
+            return absent
+        return [f"nobody subscribes {topic}" for topic in unread] or ["outside nodes are still announcing themselves"]
+
+    def _knows_all(self) -> bool:
+        """Whether the rig names all who may be there."""
+        links = self._node.links
+        return bool(self._node.options.links) and not links.outside and not links.public
+
+    def _outside(self, absent: list[str]) -> list[Peer]:
+        """Give the external nodes behind the topics that they publish."""
+        peers = []
+        self.lacking = []
+        resolve = self._node.middleware.resolve
+        unmatched = {resolve(i.port.topic) for i, _ in self._awaited if not i.publishers and not i.heard}
+        for name in self._node.links.outside:
+            # a name of the rig, not one of the node's own to be remapped
+            topic = name if name.startswith("/") else f"{self._node.namespace}/{name}"
+            found = self._node.middleware.publishers(topic)
+            if not found or topic in unmatched:
+                self.lacking.append(name)
+            if not found:
+                absent.append(f"no publisher on {name} (expected from an external node)")
+            peers += found[:1]
+        return list(dict.fromkeys(peers))
+
+    def _other_type(self, item: Input) -> str:
+        other = other_types(self._node.middleware, item.port)
+        return f"; the topic exists with type {other}" if other else ""

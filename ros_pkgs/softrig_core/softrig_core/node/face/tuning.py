@@ -1,0 +1,50 @@
+"""Parameters of a running node: what is set by the usual ROS services is checked, and holds from the next tick on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from ...block.params import ParameterError, flatten
+from ..adapter.adapter import Adapter
+
+
+class Tuning:
+    """Hands changed parameters to the step of a node, all of a call or none.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+        Whose parameters are declared.
+    adapter : Adapter
+    """
+
+    def __init__(self, node: Node, adapter: Adapter) -> None:
+        self._adapter = adapter
+        self._own = flatten(adapter.block.p).keys()
+        node.add_on_set_parameters_callback(self._set)
+
+    def _set(self, parameters: Sequence[Parameter]) -> SetParametersResult:
+        adapter = self._adapter
+        values = {p.name: _plain(p) for p in parameters if p.name in self._own}
+        try:
+            if adapter.state in ("done", "failed"):
+                raise ParameterError("the run is over")
+            removed = [p.name for p in parameters if p.name in values and p.type_ == Parameter.Type.NOT_SET]
+            if removed:
+                raise ParameterError(f"parameter {removed[0]} has no value, expected one")
+            if values:
+                adapter.step.set(values)
+        except ParameterError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+
+def _plain(parameter: Parameter) -> Any:
+    """Give a value as the block's parameters take it: arrays as lists."""
+    value = parameter.value
+    return value if value is None or isinstance(value, bool | int | float | str) else list(value)

@@ -1,0 +1,1 @@
+"""Nodes whose ticks end when everything due has been exchanged."""

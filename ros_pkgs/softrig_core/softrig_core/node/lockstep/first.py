@@ -1,0 +1,41 @@
+"""A node's messages of t = 0, said again to readers that come late.
+
+An outside node announces its endpoints one by one, and nobody knows which of our topics it is going to read. As long
+as the rig stands at t = 0, who gets a new reader says its first message again; our nodes take it once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+
+from ..seam.endpoint import Output
+
+
+def repeat_first(outputs: Iterable[Output], may_repeat: Callable[[], bool]) -> None:
+    """Have outputs keep their first message and publish it again when a reader comes.
+
+    Parameters
+    ----------
+    outputs : iterable of Output
+        Advertised ones, with stamps by which a reader knows what it has.
+    may_repeat : callable
+        Whether the node is still at its first tick.
+    """
+    for output in outputs:
+        _keep(output, may_repeat)
+
+
+def _keep(output: Output, may_repeat: Callable[[], bool]) -> None:
+    send = output.send
+    kept: list[tuple[int, tuple[float, ...]]] = []
+
+    def first(mark: int, values: tuple[float, ...]) -> None:
+        output.send = send
+        kept.append((mark, values))
+        send(mark, values)
+
+    def again() -> None:
+        if kept and may_repeat():
+            send(*kept[0])
+
+    output.send, output.joined = first, again

@@ -1,0 +1,215 @@
+"""Lockstep: a node answers tick k when everything stamped t_k has arrived, at any speed of the host.
+
+Nothing here looks at a clock to decide a number; wall-clock time only ends a run that makes no progress.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import deque
+from collections.abc import Callable, Set
+from typing import Any
+
+from ...block.block import Level
+from ...block.port import Port
+from ...block.step import Rows
+from ...solver.solver import Solver
+from ...timebase import SECOND
+from ..adapter.adapter import Adapter
+from ..adapter.handshake import CHECK, Handshake
+from ..adapter.sender import Sender
+from ..seam.endpoint import Input
+from ..seam.health import percentiles
+from ..seam.solving import Solving, hear_busy
+from .first import repeat_first
+from .paired import PairedSenders
+from .stalls import Stalls
+
+SAY_AFTER = 5 * SECOND // CHECK  # checks after which a node that cannot begin says what it lacks
+
+
+class Lockstep:
+    """What makes the ticks of a node ready: the messages of its peers in other processes.
+
+    Parameters
+    ----------
+    node : Adapter
+    turn : callable
+        Has the runner of this process go on.
+    """
+
+    status_every = 1
+
+    def __init__(self, node: Adapter, turn: Callable[[], object]) -> None:
+        self.node = node
+        self.ready = False  # whether all peers are there
+        self._turn = turn
+        self.senders = PairedSenders(node, turn)
+        self._stalls = Stalls(self.senders)
+        self._checks = 0  # of the start
+        self._over = False  # the last tick is answered
+        self._awaited = 0  # tick whose wants are set
+        self._last = math.inf if node.schedule.last is None else node.schedule.last
+        self._durations: deque[int] = deque(maxlen=100_000)
+        self._sent = self._first = 0
+        self._solving: Solving | None = None
+        step = node.step
+        step.send, step.lacks = self._send, self._lacks
+        if node.is_plant:
+            step.moved = self._ticked
+        node.begin(self)
+
+    def join(self, local: Set[str], begin: Callable[[], object]) -> None:
+        """Wait for the peers that are not in this process.
+
+        Parameters
+        ----------
+        local : set of str
+            Names of the other nodes of this process.
+        begin : callable
+            Called when all peers are there.
+        """
+        node, senders, links = self.node, self.senders, self.node.links
+        senders.without(local)
+        if links.clock is not None and links.clock.node not in local:
+            senders.follow_clock(links.clock)
+        if links.hears_clock:
+            node.middleware.subscribe("/clock", "rosgraph_msgs/msg/Clock", lambda data: None, lambda count: None)
+        if links.guests:
+            stamped = [o for o in node.outputs if o.port.stamped and not o.port.delayed]
+            first = 0 if node.is_plant else 1
+            repeat_first([*stamped, node.clock_output], lambda: node.state == "running" and node.ticks == first)
+        senders.follow_ticks({*local, node.middleware.name}, self._heard_of_tick)
+        senders.await_tick(0)
+        wanted = [(o, list(links.readers.get(o.name, []))) for o in node.outputs]
+        if links.owns_clock:
+            wanted.append((node.clock_output, links.clock_readers))
+            node.hold.begin(node.middleware, self._turn)
+        if links.acknowledges:
+            wanted.append((node.tick_output, links.tick_readers))
+        awaited: list[tuple[Input, str]] = [(row, row.who) for row in [*senders.rows, *senders.unpaced]]
+        # a node by itself hears itself, one in a container does not
+        here = {*local, node.middleware.name} if local else set()
+        solvers = [name for name in links.solvers if name not in here]
+        busy = hear_busy(node.middleware, max(1, len(solvers)), self._patient)  # an outside node may be one, too
+        awaited += [(busy, name) for name in solvers]
+        if isinstance(node.block, Solver):
+            self._solving = Solving(node.middleware, node.block, self._turn)
+            node.step.respond = lambda t, **inputs: node.block.end(t)  # type: ignore[attr-defined]
+        if not senders.rows and self._solving is None:
+            # all that it needs is said in this process
+            node.step.lacks = node.hold.holds if links.owns_clock else None  # type: ignore[attr-defined]
+        self.handshake = Handshake(node, awaited, wanted, local)
+        self._stalls.handshake = self.handshake
+        self._begin = begin
+        self._starter = node.middleware.timer(CHECK, self._start)
+
+    # peers -----------------------------------------------------------------------------------------------------
+
+    def row(self, port: Port) -> Sender:
+        """Make the row of an input."""
+        return self.senders.row(port)
+
+    @property
+    def t(self) -> int:
+        """Time of the tick under way."""
+        return self.node.schedule.time(self.node.ticks)
+
+    def now(self) -> int:
+        """Time of the tick under way."""
+        return self.t
+
+    def record(self, number: int, data: bytes) -> None:
+        """Record a message from outside at the tick that uses it."""
+        if self.node.sink is not None:
+            self.node.sink.add(number, self.t, data)
+
+    def on_matched(self, item: Input) -> None:
+        """A second publisher on a paired topic makes the run ambiguous: it ends, naming both."""
+        node = self.node
+        if item.publishers > 1 and node.state != "done" and (item.local or item in self.senders.rows):
+            self._stalls.rivals = item
+            node.state = "failed"  # from here on no message counts; `progress` ends the run when the names are known
+
+    def _start(self) -> None:
+        """Begin when every declared peer is matched, both ways."""
+        if self.ready or self.node.state != "starting":
+            return
+        self.node.absent = absent = self.handshake.absent()
+        self.node.lacking = self.handshake.lacking
+        if absent:
+            self._checks += 1
+            if self._checks == SAY_AFTER:
+                self.node.middleware.log(Level.WARN, f"cannot begin yet: {'; '.join(absent)}")
+        else:
+            self._starter.cancel()
+            self.ready = True
+            self._stalls.restart()
+            self._begin()
+
+    def _patient(self) -> None:
+        """A solver is at work somewhere in the rig: the time without progress begins anew."""
+        self.senders.heard += 1
+
+    def _heard_of_tick(self) -> None:
+        if self._over and self.node.state == "running":
+            self._leave()
+
+    # ticks -----------------------------------------------------------------------------------------------------
+
+    def _lacks(self, t: int) -> bool:
+        """Whether something that tick `t` needs has not come."""
+        senders = self.senders
+        if t != self._awaited:
+            self._awaited = t
+            senders.await_tick(t)
+        if senders.missing or self._solving is None:
+            return senders.missing > 0 or self.node.hold.holds(t)
+        step = self.node.step
+        return not self._solving.finished(t, None if step.bad else step.values)
+
+    def _send(self, t: int, rows: Rows) -> None:
+        """Publish an answer; note when a plant has spoken."""
+        node = self.node
+        node.publish(t, rows)
+        if node.is_plant:
+            now = time.perf_counter_ns()
+            if self._sent:
+                self._durations.append(now - self._sent)
+            else:
+                self._first = now
+            self._sent = now
+        else:
+            self._ticked()
+        if t >= self._last:
+            self._leave()
+
+    def _ticked(self) -> None:
+        self.node.ticks += 1
+        if self.node.buttons.pressed:
+            self.node.buttons.release()
+
+    def _leave(self) -> None:
+        """Finish when all who tell us of their ticks have begun: they may still wait for us to be there."""
+        self._over = True
+        if all(row.heard for row in self.senders.rows if row.earlier):
+            self.node.finish()
+
+    def busy(self) -> bool:
+        """Whether a solver is at work, or somebody holds the run."""
+        return self.node.hold.held or (self._solving is not None and self._solving.block.working)
+
+    def counts(self) -> dict[str, int]:
+        """Nothing is ever late."""
+        return {}
+
+    def statistics(self) -> dict[str, Any]:
+        """Wall-clock time of a plant's ticks: all in s, each in ms; once they are over, for sorting them takes time."""
+        if self.node.state == "running":
+            return {}
+        return {"running_s": (self._sent - self._first) / 1e9} | percentiles("tick", self._durations)
+
+    def progress(self) -> None:
+        """End the run when a peer is gone, stalls or never came."""
+        self._stalls.look()

@@ -1,0 +1,1 @@
+"""Nodes against the wall clock."""

@@ -1,0 +1,206 @@
+"""ROS 2 behind the seam `Middleware`: one rclpy node."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from copy import copy
+from functools import wraps
+from typing import Any, ParamSpec
+
+import rclpy
+from rcl_interfaces.msg import SetParametersResult
+from rcl_interfaces.srv import SetParameters, SetParametersAtomically
+from rclpy._rclpy_pybind11 import RCLError
+from rclpy.clock import Clock, ClockType
+from rclpy.duration import Duration
+from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
+from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
+from rclpy.logging import LoggingSeverity
+from rclpy.node import Node, NodeNameNonExistentError
+from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.qos_overriding_options import QoSOverridingOptions, QoSPolicyKind
+
+from ...block.block import Level
+from ..seam.middleware import Matched, Middleware, Peer, Receive
+from .messages import message_class
+
+# Depth 10: in lockstep at most two messages of a topic are ever under way; outside readers get some slack.
+QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
+
+POLICIES = (
+    QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH, QoSPolicyKind.RELIABILITY, QoSPolicyKind.DURABILITY,
+    QoSPolicyKind.LIFESPAN, QoSPolicyKind.DEADLINE,
+)  # fmt: skip
+
+PAUSE = 1_000_000  # ns: this executor looks at no other timer while one is always due
+
+SEVERITY = {Level.OK: LoggingSeverity.INFO, Level.WARN: LoggingSeverity.WARN, Level.ERROR: LoggingSeverity.ERROR}
+
+
+class ServingNode(Node):  # type: ignore[misc]
+    """A node whose services outlive what they are asked: rclpy's own end it at a parameter of an unknown type."""
+
+    def create_service(self, srv_type: Any, srv_name: str, callback: Callable[[Any, Any], Any], **options: Any) -> Any:
+        """Offer a service; a call that fails is refused with the reason."""
+
+        def answer(request: Any, response: Any) -> Any:
+            try:
+                if srv_type is SetParameters and len(request.parameters) > 1:  # all or none: rclpy goes one by one
+                    together = [Parameter.from_parameter_msg(p) for p in request.parameters]
+                    response.results = [self.set_parameters_atomically(together)] * len(together)
+                    return response
+                return callback(request, response)
+            except Exception as error:
+                self.get_logger().error(f"{srv_name}: {type(error).__name__}: {error}", once=True)
+                refusal = SetParametersResult(successful=False, reason=str(error))
+                if srv_type is SetParameters:
+                    response.results = [refusal] * len(request.parameters)
+                elif srv_type is SetParametersAtomically:
+                    response.result = refusal
+                return response
+
+        return super().create_service(srv_type, srv_name, answer, **options)
+
+
+Arguments = ParamSpec("Arguments")
+
+
+def quiet_after_shutdown(callback: Callable[Arguments, None]) -> Callable[Arguments, None]:
+    """Let a callback end without a word in which a signal has shut the context down; the executor would log its stack.
+
+    Parameters
+    ----------
+    callback : callable
+        Of a timer or a subscription; it may publish.
+    """
+
+    @wraps(callback)  # rclpy asks for the signature
+    def call(*data: Arguments.args, **named: Arguments.kwargs) -> None:
+        try:
+            callback(*data, **named)
+        except RCLError:
+            if rclpy.ok():
+                raise
+
+    return call
+
+
+class _RosTimer:
+    def __init__(self, timer: Any) -> None:
+        self._timer = timer
+
+    def again(self, ns: int) -> None:
+        self._timer.timer_period_ns = max(1000, ns)
+        self._timer.reset()
+
+    def cancel(self) -> None:
+        self._timer.cancel()
+
+
+class RosMiddleware(Middleware):
+    """One rclpy node; see `Middleware` for the methods."""
+
+    def __init__(self, node: Node) -> None:
+        self.node = node
+        self.name: str = node.get_name()
+        self.full_name: str = node.get_fully_qualified_name()
+        self._posted: list[Callable[[], object]] = []
+        self._poster: _RosTimer | None = None
+        self._steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._behind = time.time_ns() - time.monotonic_ns()  # once: a system clock that is set later stalls nothing
+
+    def resolve(self, topic: str) -> str:
+        """Give the full name of a topic, remapping applied."""
+        return str(self.node.resolve_topic_name(topic))
+
+    def publisher(self, topic: str, msgtype: str, matched: Matched) -> Callable[[bytes], None]:
+        """Offer a topic."""
+        events = PublisherEventCallbacks(matched=lambda status: matched(status.current_count))
+        made = self.node.create_publisher(message_class(msgtype), topic, copy(QOS), event_callbacks=events,
+                                          qos_overriding_options=self._overrides(topic))  # fmt: skip
+        # what publish(bytes) ends in, without its type checks: worth 5 % of a lockstep loop
+        publish: Callable[[bytes], None] = made.handle.publish_raw
+        return publish
+
+    def subscribe(self, topic: str, msgtype: str, receive: Receive, matched: Matched) -> None:
+        """Read the bytes of a topic."""
+        events = SubscriptionEventCallbacks(matched=lambda status: matched(status.current_count))
+        take = quiet_after_shutdown(receive)
+        self.node.create_subscription(message_class(msgtype), topic, take, copy(QOS), raw=True, event_callbacks=events,
+                                      qos_overriding_options=self._overrides(topic))  # fmt: skip
+
+    def _overrides(self, topic: str) -> QoSOverridingOptions | None:
+        """Have rclpy read what is given of a topic's profile, into the profile that it got: a copy is made for each.
+
+        Without anything given there are no six parameters for each.
+        """
+        prefix = f"qos_overrides.{self.resolve(topic)}."
+        given = any(name.startswith(prefix) for name in self.node._parameter_overrides)
+        return QoSOverridingOptions(POLICIES) if given else None
+
+    def post(self, call: Callable[[], object]) -> None:
+        """Call a function when whatever is under way has returned: a node by itself has that only of a person's."""
+        self._posted.append(call)
+        if self._poster is None:
+            self._poster = self.timer(PAUSE, self._call_posted)
+        self._poster.again(PAUSE)
+
+    def _call_posted(self) -> None:
+        assert self._poster is not None
+        self._poster.cancel()
+        posted, self._posted = self._posted, []
+        for call in posted:
+            call()
+
+    def timer(self, ns: int, callback: Callable[[], None]) -> _RosTimer:
+        """Call back every `ns`."""
+        fire = quiet_after_shutdown(callback)
+        return _RosTimer(self.node.create_timer(ns / 1e9, fire, clock=self._steady))
+
+    def now(self) -> int:
+        """Wall-clock time in ns."""
+        return self._behind + time.monotonic_ns()
+
+    def steady(self) -> float:
+        """Monotonic time in s."""
+        return time.monotonic()
+
+    def publishers(self, topic: str) -> list[Peer]:
+        """Writers of a topic, as the graph shows them."""
+        return self._endpoints(_rclpy.rclpy_get_publishers_info_by_topic, topic)
+
+    def subscribers(self, topic: str) -> list[Peer]:
+        """Readers of a topic, as the graph shows them."""
+        return self._endpoints(_rclpy.rclpy_get_subscriptions_info_by_topic, topic)
+
+    def _endpoints(self, ask: Callable[..., list[dict[str, Any]]], topic: str) -> list[Peer]:
+        # rclpy's own method would apply this node's remaps to a name that is one already
+        with self.node.handle:
+            found = ask(self.node.handle, topic, False)
+        return [Peer(i["node_name"], i["node_namespace"], i["topic_type"]) for i in found]
+
+    def subscriptions_of(self, peer: Peer) -> list[str]:
+        """Topics that a node reads."""
+        with suppress(NodeNameNonExistentError, RCLError):  # discovery knows a topic before its node
+            return [t for t, _ in self.node.get_subscriber_names_and_types_by_node(peer.name, peer.namespace)]
+        return []
+
+    def topics(self) -> dict[str, list[str]]:
+        """Message types under which each topic exists."""
+        return dict(self.node.get_topic_names_and_types())
+
+    def log(self, level: Level, text: str) -> None:
+        """Log by the node's logger: terminal, log file and /rosout."""
+        logger, severity = self.node.get_logger(), SEVERITY[level]
+        if logger.is_enabled_for(severity):
+            # what logger.error(text) ends in; on the way there rclpy reads source files to name the caller: 13 to 30 ms
+            # at the first text, 0.25 ms at each other one, and a node says something when it is late already
+            _rclpy.rclpy_logging_rcutils_log(severity, logger.name, text, "", "", 0)
+
+    def drain(self) -> None:
+        """Wait until every reader has the last messages, 2 s at most for each publisher."""
+        for publisher in self.node.publishers:
+            publisher.wait_for_all_acked(Duration(seconds=2))

@@ -1,0 +1,114 @@
+"""The seam between a node's logic and what carries its messages.
+
+Nodes know nothing but this: bytes out, bytes in, who is matched, timers and two clocks. ROS stands
+behind it in `ros.RosMiddleware`; a test, a simulation or a container hands over its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple, Protocol
+
+from ...block.block import Level
+from ...block.port import Port
+from ...wire.cdr import Layout
+
+Receive = Callable[[bytes], None]
+Matched = Callable[[int], None]
+Send = Callable[[int, tuple[float, ...]], None]  # gets the stamp in ns, or the number of an array, and all numbers
+
+
+class Peer(NamedTuple):
+    """An endpoint as the graph shows it."""
+
+    name: str
+    namespace: str
+    msgtype: str
+
+    @property
+    def full_name(self) -> str:
+        """Namespace and name."""
+        return f"{self.namespace.rstrip('/')}/{self.name}"
+
+
+class Timer(Protocol):
+    """A timer that repeats until it is cancelled."""
+
+    def again(self, ns: int) -> None:
+        """Fire after `ns`, counted from now, and then with that period."""
+
+    def cancel(self) -> None:
+        """Never fire again, unless `again` is called."""
+
+
+class Middleware(Protocol):
+    """What one node needs of the world.
+
+    No method calls back before it returns: a message that a node sends reaches a reader, be it in the same process,
+    only after `publish` has returned. That is what keeps a tick from running inside another one.
+
+    Attributes
+    ----------
+    mute : bool
+        Whether what is published goes nowhere while the number of readers that `matched` has got is 0.
+    """
+
+    name: str
+    full_name: str
+    mute: bool = False
+
+    def resolve(self, topic: str) -> str:
+        """Give the full name of a topic, remapping applied."""
+
+    def publisher(self, topic: str, msgtype: str, matched: Matched) -> Callable[[bytes], None]:
+        """Offer a topic and give the function that publishes; `matched` gets the number of readers at each change."""
+
+    def subscribe(self, topic: str, msgtype: str, receive: Receive, matched: Matched) -> None:
+        """Read a topic; `matched` gets the number of writers at each change."""
+
+    def sender(self, topic: str, layout: Layout, matched: Matched) -> Send:
+        """Offer a topic all of whose messages have one layout."""
+        publish, encode = self.publisher(topic, layout.msgtype, matched), layout.encode
+        return lambda mark, values: publish(encode(mark, values))
+
+    def post(self, call: Callable[[], object]) -> None:
+        """Call a function when whatever is under way has returned: how nodes of one process follow each other."""
+
+    def timer(self, ns: int, callback: Callable[[], None]) -> Timer:
+        """Call back every `ns`."""
+
+    def now(self) -> int:
+        """Wall-clock time in ns: the stamps of real time."""
+
+    def steady(self) -> float:
+        """Time in s that nobody sets, for limits."""
+
+    def publishers(self, topic: str) -> list[Peer]:
+        """Writers of a topic, by its full name, as the graph shows them."""
+
+    def subscribers(self, topic: str) -> list[Peer]:
+        """Readers of a topic, by its full name, as the graph shows them."""
+
+    def subscriptions_of(self, peer: Peer) -> list[str]:
+        """Topics that a node reads; empty while the graph does not know the node."""
+
+    def topics(self) -> dict[str, list[str]]:
+        """Message types under which each topic exists, by its full name."""
+
+    def log(self, level: Level, text: str) -> None:
+        """Say something to whoever operates the node."""
+
+    def drain(self) -> None:
+        """Wait, in bounded time, until every reader has what was sent."""
+
+
+def other_types(middleware: Middleware, port: Port) -> str:
+    """Name the types other than a port's own under which its topic exists: such endpoints never match.
+
+    Parameters
+    ----------
+    middleware : Middleware
+    port : Port
+    """
+    there = middleware.topics().get(middleware.resolve(port.topic), ())
+    return ", ".join(t for t in there if t != port.msgtype)

@@ -1,0 +1,1 @@
+"""A rig as processes: started, watched, ended."""

@@ -1,0 +1,73 @@
+"""Executables of ROS packages: where they are, in what environment they run, and becoming one."""
+
+from __future__ import annotations
+
+import os
+import sys
+from os.path import isfile
+from pathlib import Path
+
+from ..errors import ScenarioError, closest
+from ..kit.resource import prefixes
+from ..rig.installed import load_main
+
+PROFILE = Path(__file__).parent.with_name("fastdds_profile.xml")
+
+
+def find_executable(package: str, executable: str) -> Path:
+    """Find ``lib/<package>/<executable>`` of a sourced workspace.
+
+    Raises
+    ------
+    ScenarioError
+        It is not there; lists what the package has.
+    """
+    installed = prefixes()
+    for prefix in installed:
+        path = prefix / "lib" / package / executable
+        if isfile(path) and os.access(path, os.X_OK):
+            return path
+    there = sorted({p.name for prefix in installed for p in (prefix / "lib" / package).glob("*") if p.is_file()})
+    if not there:
+        packages = [folder.name for prefix in installed for folder in (prefix / "lib").glob("*") if folder.is_dir()]
+        raise ScenarioError(f"package {package!r} has no executables here{closest(package, packages)}; one of your own "
+                            "is in the folder that --workspace DIR names before the verb")  # fmt: skip
+    raise ScenarioError(f"package {package} has no executable {executable!r}{closest(executable, there)}; it has "
+                        f"{', '.join(there)}")  # fmt: skip
+
+
+def environment(domain: int, directory: Path, *, discovery: str = "LOCALHOST") -> dict[str, str]:
+    """Give the environment of a node process: its domain, as far as `discovery` reaches, its logs in a directory."""
+    variables = dict(os.environ)
+    variables |= {
+        "ROS_DOMAIN_ID": str(domain),
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": discovery,
+        "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp",
+        "ROS_LOG_DIR": str(directory / "log"),
+        "PYTHONUNBUFFERED": "1",
+        # one thread each: a BLAS that splits sums by the number of cores would change last bits
+        "OMP_NUM_THREADS": "1",
+        "OPENBLAS_NUM_THREADS": "1",
+    }
+    variables.pop("ROS_LOCALHOST_ONLY", None)  # deprecated, would override the discovery range
+    variables.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(PROFILE))
+    return variables
+
+
+def node_main(package: str, executable: str, arguments: list[str]) -> int:
+    """Become an executable: what ``ros2 run`` does. One of Python runs in this process, so that what stops its module
+    from being imported is told with its place; any other replaces it.
+
+    Raises
+    ------
+    ScenarioError
+        No such executable, or its module cannot be imported.
+    """
+    path = find_executable(package, executable)
+    os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(PROFILE))
+    main = load_main(package, executable)
+    sys.stdout.flush()
+    if main is None:
+        os.execv(path, [str(path), *arguments])
+    sys.argv = [str(path), *arguments]
+    return int(main() or 0)

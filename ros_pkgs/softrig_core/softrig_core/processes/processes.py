@@ -1,0 +1,172 @@
+"""The processes runner: every node of a rig in its own OS process, over DDS, watched until all have ended."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from ..errors import ScenarioError
+from ..rig.rig import Rig
+from ..wire.recording import Recording
+from .children import Child, last_line, read_status, stop
+from .domain import free_domain, require_loopback
+from .executables import environment
+from .guests import Guests
+from .peers import starter
+from .shared_memory import remove_leftovers
+from .spawning import groups, start
+from .stopping import signal_of, stoppable, unstopped
+from .supervision import supervise
+
+
+@dataclass
+class Outcome:
+    """What a run through processes left behind.
+
+    Parameters
+    ----------
+    recording : Recording
+    status : dict
+        Status file of each node (`adapter.Adapter.write_status`).
+    domain : int
+        ROS_DOMAIN_ID of the run.
+    epoch : int
+        Wall-clock ns of t = 0 (realtime), 0 in lockstep.
+    error : str
+        Why the run broke, naming the node; empty when it did not.
+    stopped : int
+        Number of the signal that ended it before its time; 0 when none did.
+    """
+
+    recording: Recording
+    status: dict[str, dict[str, Any]]
+    domain: int
+    epoch: int = 0
+    error: str = ""
+    stopped: int = 0
+
+
+def run_processes(
+    rig: Rig,
+    seed: int,
+    directory: Path,
+    *,
+    mode: Literal["lockstep", "realtime"] = "lockstep",
+    domain: int | None = None,
+    record: bool = True,
+    progress: Callable[[int], object] | None = None,
+    announce: Callable[[str], object] | None = None,
+    wait: float | None = None,
+    containers: Iterable[Sequence[str]] = (),
+    only: Sequence[str] = (),
+    opened: Callable[[int], object] | None = None,
+    paused: bool = False,
+) -> Outcome:
+    """Start all nodes of a rig, wait for them, gather what they recorded.
+
+    Parameters
+    ----------
+    rig : Rig
+    seed : int
+    directory : Path
+        For logs, parameter files, shards and status files.
+    mode : {"lockstep", "realtime"}
+    domain : int, optional
+        ROS_DOMAIN_ID; a free one when absent.
+    record : bool
+        Whether nodes record what they publish; without, the recording is empty.
+    progress : callable, optional
+        Called with the plant's time in ns.
+    announce : callable, optional
+        Called with a text when an external node is waited for, and when it has come.
+    wait : float, optional
+        Limit in s of the wait for all nodes, 0 for none; by default the scenario's, and none for external nodes.
+    containers : iterable of sequences of str
+        Names of nodes that share a process; every other node has one of its own.
+    only : sequence of str
+        Names of the nodes that are started here, when the others run on another machine; all when empty.
+    opened : callable, optional
+        Gets the domain before the first node is started.
+    paused : bool
+        In lockstep: the run is held at t = 0 until its clock is told to resume.
+
+    Returns
+    -------
+    Outcome
+        With `error` set when a node failed and `stopped` when a signal or an interrupt ended the run; what was
+        recorded up to there is in it.
+
+    Raises
+    ------
+    ScenarioError
+        A node refused its parameters.
+    """
+    directory.mkdir(parents=True, exist_ok=True)
+    if not only:  # parts on several hosts find each other over their network
+        require_loopback()
+    children: list[Child] = []
+    external = [m for m in rig.members if m.external]
+    if wait is None:
+        wait = 0.0 if external else rig.scenario.start_timeout
+    error, stopped = "", 0
+    with ExitStack() as stack:
+        own_domain = domain is None
+        domain = stack.enter_context(free_domain()) if domain is None else domain
+        remove_leftovers()
+        variables = environment(domain, directory, discovery="SUBNET" if only else "LOCALHOST")
+        guests = Guests(rig, announce)
+        if opened is not None:
+            opened(domain)
+        try:
+            with stoppable() as stopping:
+                try:
+                    guests.invite(domain)
+                    options = {"run.mode": mode, "run.start_timeout": wait, "run.paused": paused}
+                    for group in groups(rig, containers, only):
+                        # A signal waits until it is known who has been started; what Python does at a fork would
+                        # swallow it with a traceback, besides.
+                        with unstopped():
+                            children += start(rig, group, seed, directory, options, record, variables,
+                                              None if own_domain else ())  # fmt: skip
+                    error = supervise(rig, children, progress, guests, mode == "realtime", stopping)
+                except KeyboardInterrupt as interrupt:
+                    stopped = signal_of(interrupt)
+                finally:
+                    stop(children)
+        finally:
+            for child in children:
+                os.close(child.end)
+        remove_leftovers(domain if own_domain and not external else None)
+    recording, status = gathered(rig, directory, [c.member.name for c in children])
+    refused = next((c for c in children if c.process.returncode == 2 and not c.interrupted), None)
+    if refused is not None:
+        raise ScenarioError(last_line(refused.log))
+    epoch = int(status.get(starter(rig).name, {}).get("epoch", 0))
+    return Outcome(recording, status, domain, epoch, error, stopped)
+
+
+def gathered(rig: Rig, directory: Path, names: Iterable[str],
+             namespace: str = "") -> tuple[Recording, dict[str, dict[str, Any]]]:  # fmt: skip
+    """Give what the nodes of a run have recorded and what each said of itself.
+
+    Parameters
+    ----------
+    rig : Rig
+    directory : Path
+        Of the `FILES` that the nodes wrote.
+    names : iterable of str
+        Of the nodes.
+    namespace : str
+        See `Recording.read_shard`.
+    """
+    recording = Recording((t, p.msgtype) for t, p in rig.topics.items())
+    status = {}
+    for name in names:
+        status[name] = read_status(directory / f"{name}.status")
+        if (shard := directory / f"{name}.shard").exists():
+            recording.read_shard(shard, namespace)
+    return recording, status

@@ -1,0 +1,155 @@
+"""Starting the nodes of a rig: their parameters, their command lines, their processes."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from ..block.change import dumps
+from ..block.params import flatten
+from ..rig.members import Member
+from ..rig.rig import Rig
+from .children import Child
+from .executables import find_executable
+from .fork_server import LIBC, PR_SET_PDEATHSIG, start_node
+from .peers import links
+
+FILES = ("status", "shard")  # that a node writes
+
+
+def placed(rig: Rig, place: str) -> Iterable[Sequence[str]]:
+    """Give the containers of a rig: none through processes, all nodes together when the scenario names none."""
+    return (rig.scenario.containers or [[m.name for m in rig.members]]) if place == "container" else ()
+
+
+def groups(rig: Rig, containers: Iterable[Sequence[str]], only: Sequence[str] = ()) -> list[list[Member]]:
+    """Give our nodes by process, only those that are named if some are."""
+    own = {m.name: m for m in rig.members if not m.external and (not only or m.name in only)}
+    shared = [[own.pop(name) for name in names if name in own] for names in containers]
+    return [g for g in shared if g] + [[m] for m in own.values()]
+
+
+def node_parameters(rig: Rig, member: Member, seed: int, mode: str, *,
+                    recorders: Sequence[str] | None = None) -> dict[str, Any]:  # fmt: skip
+    """Give the ROS parameters that start a member of a rig: those of its block that differ, and how it runs.
+
+    Parameters
+    ----------
+    rig : Rig
+    member : Member
+    seed : int
+    mode : {"lockstep", "realtime"}
+    recorders : sequence of str, optional
+        Nodes outside the rig that read everything and are awaited, besides those that ask for it; None: the domain is
+        the rig's own, nobody else is in it.
+    """
+    default = flatten(member.block_class.Params())
+    own = {k: v for k, v in flatten(member.params).items() if v != default.get(k)}
+    others = {} if recorders is None else {"public": True, "recorders": list(recorders)}
+    return own | {
+        "run.mode": mode,
+        "run.seed": seed,
+        "run.duration": rig.scenario.duration,
+        "run.timeout": rig.scenario.timeout,
+        "run.start_timeout": rig.scenario.start_timeout,
+        "run.links": links(rig, member).model_copy(update=others).model_dump_json(),
+        "run.changes": dumps(member.changes),
+    }
+
+
+def start(rig: Rig, group: list[Member], seed: int, directory: Path, options: dict[str, Any],
+           record: bool, variables: dict[str, str], recorders: Sequence[str] | None = None) -> list[Child]:  # fmt: skip
+    """Start a node, or several in a container; `recorders` as `node_parameters` takes them."""
+    log = directory / f"{'+'.join(m.name for m in group)[:200]}.log"
+    given = {}
+    for member in group:
+        stem = directory / member.name
+        for kind in FILES:
+            stem.with_suffix(f".{kind}").unlink(missing_ok=True)
+        given[member.name] = node_parameters(
+            rig, member, seed, options["run.mode"], recorders=recorders
+        ) | options | {
+            "run.shard": str(stem.with_suffix(".shard")) if record else "",
+            "run.status": str(stem.with_suffix(".status")),
+        }  # fmt: skip
+    if len(group) == 1:
+        executable = find_executable(group[0].package, group[0].executable)
+        arguments = _ros_arguments(group[0], given[group[0].name], directory)
+    else:
+        executable = find_executable("softrig_core", "container")
+        arguments = container_arguments(group, given, directory)
+    # A process group of its own, so that Ctrl-C reaches the runner alone; not a session of its own, because Linux
+    # schedules sessions against each other and a loop across them runs a fifth slower.
+    command = [str(executable), *arguments]
+    with log.open("wb") as output:
+        process = start_node(
+            executable.parent.name, executable.name, command, variables, output.fileno()
+        ) or subprocess.Popen(
+            command, stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT, env=variables,
+            process_group=0, preexec_fn=_die_with_parent,
+        )  # fmt: skip
+    return [
+        Child(
+            m, process, os.pidfd_open(process.pid), log, directory / f"{m.name}.status", directory / f"{m.name}.shard"
+        )
+        for m in group
+    ]
+
+
+def container_arguments(
+    group: Sequence[Member], given: Mapping[str, dict[str, Any]], directory: Path,
+    shared: Mapping[str, str] | None = None,
+) -> list[str]:  # fmt: skip
+    """Write the parameter files of nodes that share a process and give the command line of their container.
+
+    Parameters
+    ----------
+    group : sequence of Member
+    given : mapping
+        Parameters by node, as `node_parameters` gives them.
+    directory : Path
+    shared : mapping of str to str, optional
+        Remaps of all of them.
+    """
+    arguments: list[str] = []
+    for member in group:
+        arguments += ["--"] if arguments else []
+        arguments += [member.package, member.executable, *_ros_arguments(member, given[member.name], directory)]
+        for old, new in (shared or {}).items():
+            arguments += ["-r", f"{old}:={new}"]
+    return arguments
+
+
+def _ros_arguments(member: Member, parameters: dict[str, Any], directory: Path) -> list[str]:
+    """Write a node's parameter file and give the arguments that name it, the node and its remaps."""
+    file = parameter_file(member, parameters, directory)
+    arguments = ["--ros-args", "-r", f"__node:={member.name}", "--params-file", str(file)]
+    for old, new in member.remap.items():
+        arguments += ["-r", f"{old}:={new}"]
+    return arguments
+
+
+def parameter_file(member: Member, parameters: Mapping[str, Any], directory: Path) -> Path:
+    """Write the parameters of a node as `--params-file` takes them.
+
+    Parameters
+    ----------
+    member : Member
+    parameters : mapping
+        As `node_parameters` gives them.
+    directory : Path
+    """
+    file = directory / f"{member.name}.params.yaml"
+    lines = [f"    {name}: {json.dumps(value)}" for name, value in parameters.items()]
+    file.write_text("/**:\n  ros__parameters:\n" + "\n".join(lines) + "\n")
+    return file
+
+
+def _die_with_parent() -> None:
+    """Linux kills the node when the runner dies, whatever killed the runner."""
+    LIBC.prctl(PR_SET_PDEATHSIG, signal.SIGKILL)

@@ -1,0 +1,59 @@
+"""Installed executables of Python packages, and the block classes behind them."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import re
+from typing import Any
+
+from ..block.block import Block
+from ..errors import ScenarioError, closest, describe
+
+_NO_MEMORY = re.compile("annot allocate memory|failed to map segment")  # of the C library and its loader
+
+
+def load_main(package: str, executable: str) -> Any:
+    """Import the main function of an installed Python executable; None when the package has none of this name.
+
+    Raises
+    ------
+    ScenarioError
+        Its module cannot be imported; says why and where.
+    """
+    try:
+        points = importlib.metadata.distribution(package).entry_points.select(group="console_scripts")
+    except importlib.metadata.PackageNotFoundError:
+        return None
+    if executable not in points.names:
+        return None
+    try:
+        return points[executable].load()
+    except MemoryError:
+        raise
+    except (Exception, SystemExit) as error:
+        if isinstance(error, OSError | ImportError) and _NO_MEMORY.search(str(error)):
+            raise MemoryError(str(error)) from error
+        raise ScenarioError(f"{package}/{executable} cannot be loaded: {describe(error)}") from error
+
+
+def load_block(package: str, executable: str) -> type[Block]:
+    """Find the block class behind an installed executable.
+
+    Raises
+    ------
+    ScenarioError
+        The package or executable is not installed, cannot be imported, or is not a softrig node.
+    """
+    try:
+        points = importlib.metadata.distribution(package).entry_points.select(group="console_scripts")
+    except importlib.metadata.PackageNotFoundError:
+        near = closest(package, (d.name for d in importlib.metadata.distributions()))
+        raise ScenarioError(f"package {package!r} is not installed in this environment{near}") from None
+    names = sorted(points.names)
+    if executable not in names:
+        raise ScenarioError(f"package {package} has no executable {executable!r}{closest(executable, names)}; it has "
+                            f"{', '.join(names)}")  # fmt: skip
+    block: type[Block] | None = getattr(load_main(package, executable), "block", None)
+    if block is None:
+        raise ScenarioError(f"{package}/{executable} is a tool, not the node of a block")
+    return block

@@ -1,0 +1,1 @@
+"""A rig that runs in this process: live, or fed by a recording."""

@@ -1,0 +1,99 @@
+"""From a scenario to the rig that runs: what its entries stand for is put among its nodes.
+
+A fault is a node between a sender and its readers, so it is there before anything is wired. What watches a requirement
+or measures figures while the rig runs only listens: it joins the rig that is wired.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from ..block.block import Block
+from ..errors import ScenarioError
+from ..rig.members import signal_units
+from ..rig.rig import Rig, members_of
+from ..scenario.faults import insert
+from ..scenario.scenario import NodeEntry, Scenario, load_scenario
+from ..verdict.figures import told
+from ..verdict.requirements import watched
+
+FIGURES = ("softrig_core", "figures")  # package and executable of what measures the figures of its rig
+Classes = Mapping[str, type[Block]]
+
+
+def rig_of(
+    what: str | Path | Scenario | Rig, *, duration: float | None = None, overrides: Mapping[str, Any] | None = None,
+    classes: Classes | None = None,
+) -> Rig:  # fmt: skip
+    """Build the rig of a scenario's name or file, of a scenario, or of a rig with changes.
+
+    Parameters
+    ----------
+    what : str, Path, Scenario or Rig
+    duration : float, optional
+        In s, instead of the scenario's.
+    overrides : mapping, optional
+        ``node.parameter``, or for a scenario by its name also a shared value's name, to value.
+    classes : mapping of node name to type of Block, optional
+        Of nodes whose class no executable gives.
+
+    Raises
+    ------
+    ScenarioError
+        Bad input of any kind, in one line.
+    """
+    if isinstance(what, Rig):
+        classes = {m.name: m.block_class for m in what.members} | dict(classes or {})
+        what = what.scenario
+    scenario = (
+        load_scenario(str(what), overrides) if isinstance(what, str | Path) else what.changed(overrides=overrides)
+    )
+    return _expanded(scenario.changed(duration=duration), classes or {})
+
+
+def _expanded(scenario: Scenario, classes: Classes) -> Rig:
+    live = {n: e for n, e in scenario.nodes.items() if (e.package, e.executable) == FIGURES
+            and not {"figures", "scenario"} & e.parameters.keys()}  # fmt: skip
+    bare = _telling(scenario, live, {"figures": "[]", "ports": "[]"})
+    rig = _watched(Rig.from_scenario(_faulty(bare, classes), classes))
+    if not live:
+        return rig
+    # they read what the figures name, also where a fault changes it for all others
+    full = _telling(rig.scenario, live, {"period": rig.clock.params.period, **told(rig)})
+    rig = rig.listened(full, live)
+    nodes = {**rig.scenario.nodes, **live}  # what they are told may change
+    return replace(rig, scenario=rig.scenario.model_copy(update={"nodes": nodes}))
+
+
+def _telling(scenario: Scenario, live: Mapping[str, NodeEntry], told: Mapping[str, Any]) -> Scenario:
+    """Give the scenario with parameters of live nodes where these do not say them."""
+    nodes = {n: e.model_copy(update={"parameters": {**told, **e.parameters}}) for n, e in live.items()}
+    return scenario.model_copy(update={"nodes": {**scenario.nodes, **nodes}}) if live else scenario
+
+
+def _faulty(scenario: Scenario, classes: Classes) -> Scenario:
+    """Give the scenario with its faults among its nodes."""
+    if not scenario.faults:
+        return scenario
+    members = members_of(scenario, classes)
+    nodes = insert(
+        scenario.name, scenario.faults, {n: e.model_dump() for n, e in scenario.nodes.items()},
+        {m.name: (m.inputs, m.outputs) for m in members}, {m.name: m.params for m in members},
+    )  # fmt: skip
+    return scenario.having(nodes=nodes, faults={})
+
+
+def _watched(rig: Rig) -> Rig:
+    """Give the rig with the nodes that watch its requirements while it runs."""
+    scenario = rig.scenario
+    new = watched(rig, signal_units(rig))
+    if not new:
+        return rig
+    for name in new.keys() & scenario.nodes.keys():
+        raise ScenarioError(f"{scenario.name}: node {name}: that is the name of what watches a requirement")
+    quiet = {n: r.model_copy(update={"live": False, "ends": False}) for n, r in scenario.requirements.items()}
+    nodes = {n: e.model_dump() for n, e in scenario.nodes.items()}
+    return rig.listened(scenario.having(nodes=nodes | new, requirements=quiet), new)

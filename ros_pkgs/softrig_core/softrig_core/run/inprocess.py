@@ -1,0 +1,144 @@
+"""A rig in this process: all its members in one runner, no DDS, the same numbers and bytes."""
+
+from __future__ import annotations
+
+import gc
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+from ..block.block import Block
+from ..block.codec import encoder
+from ..block.port import CLOCK, Port, Sample
+from ..block.runner import YOUNG, Runner
+from ..block.step import Rows, Step
+from ..errors import ScenarioError
+from ..rig.members import Member
+from ..rig.rig import Rig
+from ..solver.solver import Solver
+from ..wire import parameter_event
+from ..wire.recording import Sink
+
+
+def run_inprocess(
+    rig: Rig, seed: int, sink: Sink | None = None, progress: Callable[[int], object] | None = None
+) -> dict[str, Block]:
+    """Run a rig in this process.
+
+    Parameters
+    ----------
+    rig : Rig
+    seed : int
+        Rig seed.
+    sink : Sink, optional
+        Gets every message as the bytes that DDS would carry.
+    progress : callable, optional
+        Called with the time in ns about a hundred times.
+
+    Returns
+    -------
+    dict of str to Block
+        The blocks in their final state.
+
+    Raises
+    ------
+    ScenarioError
+        A node of the rig is external.
+    RunError
+        A block raised, or gave what may not leave it (NaN, infinity, beyond `Port.limits`, a wrong number of values);
+        names node, port and time.
+    """
+    for member in rig.members:
+        if member.external:
+            raise ScenarioError(f"node {member.name} is external: in-process runs have no place for it")
+    steps = wired(rig, {m.name: m.block(seed) for m in rig.members})
+    if sink is not None:
+        record(rig, steps, sink)
+    stride = max(1, rig.ticks // 100)
+    blocks = {name: step.block for name, step in steps.items()}
+    try:
+        with _searched_seldom():
+            for k, t in enumerate(Runner(list(steps.values())).run()):
+                if progress is not None and (k % stride == 0 or k == rig.ticks):
+                    progress(t or 0)
+    finally:
+        for block in blocks.values():
+            if isinstance(block, Solver):
+                block.rest()
+    return blocks
+
+
+@contextmanager
+def _searched_seldom() -> Iterator[None]:
+    """Have Python look for reference cycles seldom, which takes up to a tenth of a tick; where it does so at all."""
+    usual = gc.get_threshold()
+    if usual[0]:
+        gc.set_threshold(max(YOUNG, usual[0]), *usual[1:])
+    try:
+        yield
+    finally:
+        gc.set_threshold(*usual)
+
+
+def wired(rig: Rig, blocks: dict[str, Block]) -> dict[str, Step]:
+    """Make the steps of a rig's members, each handing what it says to those that read it.
+
+    Parameters
+    ----------
+    rig : Rig
+    blocks : dict of str to Block
+        Of the members that live here, by name.
+    """
+    members = [m for m in rig.members if m.name in blocks]
+    steps = {m.name: step_of(m, blocks[m.name]) for m in members}
+    for member in members:
+        for name, link in member.links.items():
+            if link.source.name in steps:
+                steps[link.source.name].feeds(link.port.name, steps[member.name], name, link.pick)
+    return steps
+
+
+def step_of(member: Member, block: Block) -> Step:
+    """Make the step of a member."""
+    return Step(member.name, block, member.schedule, member.inputs, member.outputs, member.changes)
+
+
+def record(rig: Rig, steps: Mapping[str, Step], sink: Sink) -> None:
+    """Have a sink get every message of the steps of a rig."""
+    numbers = {topic: number for number, topic in enumerate(rig.topics)}
+    for step in steps.values():
+        ports = [*step.outputs, CLOCK] if step.name == rig.clock.name else step.outputs
+        step.send = recorder(sink, step, ports, [numbers[p.topic] for p in ports])
+        step.changed = noter(sink, step.name)
+
+
+def noter(sink: Sink, name: str) -> Callable[[int, Mapping[str, Any]], object]:
+    """Give what records the changes of a node's parameters."""
+    return lambda t, values: sink.note(t, parameter_event.encode(t, f"/{name}", values))
+
+
+def recorder(sink: Sink, step: Step, ports: Sequence[Port],
+             numbers: Sequence[int]) -> Callable[[int, Rows], object]:  # fmt: skip
+    """Give what records the answers of a step.
+
+    Parameters
+    ----------
+    sink : Sink
+    step : Step
+    ports : sequence of Port
+        Its outputs; with /clock after them when it is the clock.
+    numbers : sequence of int
+        Of their topics in the sink.
+    """
+    layouts = [p.layout() for p in ports]
+    if step.plain:
+        add_row = sink.row(dict(zip(numbers, layouts, strict=True)))
+        return lambda t, rows: add_row(t, step.numbers)
+    encoders, silent = [encoder(layout) for layout in layouts], ((),) * (len(ports) - len(step.outputs))
+
+    def record(t: int, rows: Rows) -> None:
+        for number, encode, row in zip(numbers, encoders, (*rows, *silent), strict=True):
+            if row is not None:
+                sink.add(number, t, encode(row.stamp, row.data) if isinstance(row, Sample) else encode(t, row))
+
+    return record

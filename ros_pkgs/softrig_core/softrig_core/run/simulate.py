@@ -1,0 +1,230 @@
+"""The front door: run a scenario or a rig in this process and look at what it did."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import math
+import signal
+import time
+from collections.abc import Callable, Mapping
+from contextlib import nullcontext
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+from ..block.block import Block
+from ..errors import ScenarioError
+from ..extras import need
+from ..judge.claims import NEVER
+from ..rig.members import signal_units
+from ..rig.rig import Rig
+from ..scenario.scenario import Scenario
+from ..timebase import SECOND
+from ..verdict.figures import Result, evaluate, figures_of
+from ..verdict.findings import Finding, findings, values
+from ..wire.recording import Recording
+from ..wire.signals import Signals
+from .expand import rig_of
+from .inprocess import run_inprocess
+
+
+def _view(name: str) -> Callable[..., Any]:
+    """Find a function of the package that draws; the core draws nothing by itself."""
+    point = next(iter(importlib.metadata.entry_points(group="softrig_views", name=name)), None)
+    if point is None:
+        raise ScenarioError("nothing that draws is installed: expected the package softrig_bringup")
+    view: Callable[..., Any] = point.load()
+    return view
+
+
+@dataclass(repr=False)
+class Run:
+    """A finished run.
+
+    Parameters
+    ----------
+    rig : Rig
+    seed : int
+    recording : Recording
+        All messages, as a bag holds them: ``softrig_bags.write.write_bag(folder, run.recording)``.
+    wall_s : float
+        Wall-clock time, with the start and end of processes, s.
+    mode : str
+    epoch : int
+        Wall-clock ns of t = 0 in realtime, else 0.
+    status : dict
+        What each node said of itself.
+    error : str
+        Why it broke; empty when it did not.
+    stopped : int
+        Number of the signal that ended it before its time; 0 when none did.
+    blocks : dict of str to Block
+        The blocks in their final state, after a run in process.
+    """
+
+    rig: Rig
+    seed: int
+    recording: Recording
+    wall_s: float = 0.0
+    mode: str = "inprocess"
+    epoch: int = 0
+    status: dict[str, dict[str, Any]] = field(default_factory=dict)
+    error: str = ""
+    stopped: int = 0
+    blocks: dict[str, Block] = field(default_factory=dict)
+
+    @property
+    def stopped_at(self) -> str:
+        """How far a run came that was stopped from outside, in words; empty when it was not."""
+        if not self.stopped:
+            return ""
+        return f"stopped by {signal.Signals(self.stopped).name} at t = {self.reached_s:.9g} s"
+
+    @property
+    def reached_s(self) -> float:
+        """How far it came: time of the newest message, s."""
+        newest = max((t.times[-1] for t in self.recording.topics.values() if t.times), default=self.epoch)
+        return (newest - self.epoch) / SECOND
+
+    @cached_property
+    def signals(self) -> Signals:
+        """Signals by name ``topic/channel/field``; decoded once."""
+        return Signals(self.recording, self.epoch)
+
+    @cached_property
+    def results(self) -> list[Result]:
+        """The figures of the scenario, measured and judged; a run that was stopped cannot say "never"."""
+        found = evaluate(self.rig, self.signals)
+        if not self.stopped:
+            return found
+        late = f"not until {self.reached_s:.9g} s, when the run was stopped"
+        return [r.model_copy(update={"error": late, "number": math.nan}) if r.error == NEVER else r for r in found]
+
+    @property
+    def figures(self) -> dict[str, float | None]:
+        """Measured value of each figure by name; None for what could not be measured."""
+        return {r.name: r.value for r in self.results}
+
+    @cached_property
+    def claims(self) -> list[Finding]:
+        """The scenario's claims held against this run; those that need another scenario's figures stay open."""
+        own, units = values(self.results), {r.name: r.unit for r in self.results}
+        name = self.rig.scenario.name
+        return findings(self.rig.scenario, lambda other: own if other == name else None, units)
+
+    def __repr__(self) -> str:
+        """Say what it was, how far it came and how its figures did."""
+        end = self.error or self.stopped_at or f"{self.reached_s:g} s in {self.wall_s:.3g} s"
+        judged = [r for r in self.results if r.judged] if not self.error else []
+        passed = f", {sum(r.passed for r in judged)} of {len(judged)} figures pass" if judged else ""
+        return f"<Run of {self.rig.scenario.name} ({self.mode}, seed {self.seed}): {end}{passed}>"
+
+    def _repr_html_(self) -> str:
+        """Figures and pictures, for a notebook."""
+        return str(_view("html")(self))
+
+    def plot(self, *names: str, window: tuple[float, float] | None = None) -> Any:
+        """Draw signals over time.
+
+        Parameters
+        ----------
+        *names : str
+            Signals, each unit in its own axes; those of the scenario's first plot when there are none.
+        window : (float, float), optional
+            First and last time, s.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            Shown by a notebook; ``figure.savefig("speed.pdf")`` keeps it.
+
+        Raises
+        ------
+        ScenarioError
+            No such signal, or softrig_bringup, which draws, is not installed.
+        """
+        return _view("plot")(self, names, window)
+
+    def to_pandas(self, topic: str = "") -> Any:
+        """Give the signals of a topic, or each signal's newest value at all times of the clock, as a data frame.
+
+        Parameters
+        ----------
+        topic : str
+            All topics when empty.
+
+        Returns
+        -------
+        pandas.DataFrame
+            Index: time in s. Columns: signals by name; ``attrs["units"]`` has their units.
+
+        Raises
+        ------
+        ScenarioError
+            pandas is not installed and could not be added.
+        KeyError
+            No such topic.
+        """
+        need("pandas", "to_pandas")
+        import pandas
+
+        names = [name for name in self.signals if not topic or name.startswith(f"{topic}/")]
+        if not names:
+            self.signals.table(topic)
+        units = signal_units(self.rig)
+        columns = {name: pandas.Series(x, index=t) for name in names for t, x in [self.signals[name]] if t.size}
+        frame = pandas.DataFrame(columns).rename_axis("t, s").ffill()
+        frame.attrs["units"] = {name: units.get(name, "") for name in columns}
+        return frame
+
+    @property
+    def missed(self) -> list[Result]:
+        """The figures that are not what is expected."""
+        return [r for r in self.results if not r.passed]
+
+
+def simulate(
+    what: str | Scenario | Rig,
+    *,
+    seed: int | None = None,
+    duration: float | None = None,
+    overrides: Mapping[str, Any] | None = None,
+    progress: Callable[[int], object] | bool | None = None,
+) -> Run:
+    """Run a scenario or rig in this process: the same numbers and bytes as with nodes over DDS.
+
+    Parameters
+    ----------
+    what : str, Scenario or Rig
+        Name or file of a scenario, a scenario, or a rig (`Rig.from_blocks` wires one from block objects).
+    seed : int, optional
+        Instead of the scenario's.
+    duration, overrides
+        See `rig_of`.
+    progress : callable or bool, optional
+        Called with the time in ns about a hundred times. True: a bar on a terminal or in a notebook, drawn by
+        softrig_bringup.
+
+    Raises
+    ------
+    ScenarioError
+        Bad input; nothing has run.
+    RunError
+        A block raised, or gave NaN, infinity or a wrong number of values.
+
+    Examples
+    --------
+    >>> run = simulate("dc_motor_smc", overrides={"dc_motor_smc.delta": 0.5})
+    >>> run.figures["rise_time"]
+    0.6941...
+    >>> t, speed = run.signals["motor/state/shaft/velocity"]
+    """
+    rig = rig_of(what, duration=duration, overrides=overrides)
+    figures_of(rig)  # what does not fit is found before the run, not after it
+    number = rig.scenario.seed if seed is None else seed
+    recording = Recording((topic, port.msgtype) for topic, port in rig.topics.items())
+    started = time.perf_counter()
+    bar = _view("progress")(rig.scenario.name, rig.scenario.duration) if progress is True else nullcontext(progress)
+    with bar as tell:
+        blocks = run_inprocess(rig, number, recording, tell or None)
+    return Run(rig, number, recording, time.perf_counter() - started, blocks=blocks)

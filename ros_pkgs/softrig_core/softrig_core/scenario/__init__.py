@@ -1,0 +1,1 @@
+"""Scenarios: one experiment as validated data, from files or from code."""

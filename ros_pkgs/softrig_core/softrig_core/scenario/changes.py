@@ -1,0 +1,96 @@
+"""Changes that a scenario makes to parameters of its nodes while it runs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from functools import partial
+from typing import Any, Protocol
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from ..block.block import Block
+from ..block.change import Change, check
+from ..block.params import ParameterError, flatten
+from ..errors import ScenarioError, closest
+from ..timebase import to_ns
+from .faults import EXECUTABLE, PACKAGE, WORDS
+from .references import fill_parameters, pick
+
+
+class ChangeEntry(BaseModel):
+    """New values of parameters from a time on.
+
+    Parameters
+    ----------
+    at : float
+        In s. Each node takes its own at its first tick that is not earlier.
+    set : dict
+        ``node.parameter`` to value; of a fault, ``fault.active``. ``$node.parameter`` is what a parameter is at first.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    at: float = Field(ge=0, le=1e9)
+    set: dict[str, Any] = Field(min_length=1)
+
+
+class Changing(Protocol):
+    """What is needed of a member."""
+
+    name: str
+    package: str
+    executable: str
+    block_class: type[Block]
+    params: Any
+    external: bool
+    changes: tuple[Change, ...]
+
+
+def script(where: str, entries: Sequence[ChangeEntry], members: Iterable[Changing]) -> None:
+    """Give each member its changes, in the order of their times, each checked against those before it.
+
+    Parameters
+    ----------
+    where : str
+        Name of the scenario, for errors.
+    entries : sequence of ChangeEntry
+    members : iterable
+        The nodes of the rig.
+
+    Raises
+    ------
+    ScenarioError
+        No such node, a node of somebody else, or values that `softrig_core.block.change.check` refuses.
+    """
+    known = {m.name: m for m in members}
+
+    def at_start(at: str, node: str, parameter: str) -> Any:
+        if node not in known:
+            raise ScenarioError(f"{at}: ${node}.{parameter}: the nodes are {', '.join(known)}")
+        values = flatten(known[node].params)
+        try:
+            return pick(values, parameter)
+        except KeyError:
+            raise ScenarioError(f"{at}: ${node}.{parameter}: {node} has {', '.join(values)}") from None
+
+    now = {m.name: m.params for m in known.values()}
+    for entry in sorted(entries, key=lambda e: e.at):
+        at = f"{where}: change at {entry.at:g} s"
+        by_node: dict[str, dict[str, Any]] = {}
+        for key, value in entry.set.items():
+            node, _, parameter = key.partition(".")
+            if node not in known or not parameter:
+                raise ScenarioError(f"{at}: {key!r}{closest(node, known)}: expected node.parameter with node one of "
+                                    f"{', '.join(known)}")  # fmt: skip
+            if (known[node].package, known[node].executable) == (PACKAGE, EXECUTABLE):
+                parameter = WORDS.get(parameter, parameter)
+            by_node.setdefault(node, {})[parameter] = fill_parameters(value, partial(at_start, at))
+        for node, values in by_node.items():
+            member = known[node]
+            if member.external:
+                raise ScenarioError(f"{at}: node {node} is external: its parameters are not ours to change")
+            try:
+                now[node] = check(member.block_class, now[node], values, node)
+            except (ParameterError, ValueError) as error:
+                raise ScenarioError(f"{at}: node {node}: {error}") from None
+            member.changes = (*member.changes, Change(to_ns(entry.at), values))

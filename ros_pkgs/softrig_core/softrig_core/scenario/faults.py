@@ -1,0 +1,118 @@
+"""Faults of a scenario: each becomes a node of its own between a sender and its readers, put in by remapping."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, Field, field_validator
+
+from ..block.params import BlockParams
+from ..block.port import Port
+from ..errors import ScenarioError, closest
+
+PACKAGE, EXECUTABLE = "softrig_control", "fault"
+WORDS = {"from": "start", "to": "stop", "channels": "affects"}  # as scenarios say it: the node's parameter
+Ports = tuple[tuple[Port, ...], tuple[Port, ...]]
+
+
+class FaultEntry(BaseModel):
+    """A fault on a link.
+
+    Parameters
+    ----------
+    link : str
+        The topic, for all its readers, or ``topic -> reader`` for one node.
+    **parameters
+        Of the node `softrig_control` ``fault``: kind, value, ...; ``from``, ``to`` and ``channels`` are its `start`,
+        `stop` and `affects`.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="allow")
+
+    link: str = Field(pattern=r"^\s*[\w/]+\s*(->\s*\w+\s*)?$")
+
+    @field_validator("link")
+    @classmethod
+    def _spaced(cls, link: str) -> str:
+        return " -> ".join(part.strip() for part in link.split("->"))
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """What it says beside the link."""
+        return {WORDS.get(name, name): value for name, value in (self.model_extra or {}).items()}
+
+
+def insert(
+    where: str, faults: Mapping[str, FaultEntry], nodes: Mapping[str, Any], ports: Mapping[str, Ports],
+    params: Mapping[str, BlockParams],
+) -> dict[str, Any]:  # fmt: skip
+    """Put the faults of a scenario between its nodes, in the order in which they stand.
+
+    Parameters
+    ----------
+    where : str
+        Name of the scenario, for errors.
+    faults : mapping of str to FaultEntry
+        By the name of the node that each becomes.
+    nodes : mapping of str to mapping
+        Package, executable, parameters, remap and external of each node.
+    ports, params : mapping
+        Of each node; topics of ports as remapped in `nodes`.
+
+    Returns
+    -------
+    dict
+        The nodes with those of the faults, remapped.
+
+    Raises
+    ------
+    ScenarioError
+        Names the fault: no such link or reader, a type of message that faults do not know, a name that is taken.
+    """
+    found = {name: {**entry, "remap": dict(entry["remap"])} for name, entry in nodes.items()}
+    sources = {port.topic: (name, port) for name, (_, outputs) in ports.items() for port in outputs}
+    # where each reader reads what: (node, its own topic) to the topic that it is at now and the one that it began with
+    readers = {(name, port.topic): port.topic for name, (inputs, _) in ports.items() for port in inputs}
+    for name, fault in faults.items():
+        topic, _, reader = fault.link.partition(" -> ")
+        at = f"{where}: fault {name}"
+        if name in found:
+            raise ScenarioError(f"{at}: that is the name of a node, too")
+        if topic not in sources:
+            raise ScenarioError(f"{at}: nobody publishes {topic!r}{closest(topic, sources)}; "
+                                f"published are {', '.join(sources)}")  # fmt: skip
+        concerned = [key for key in readers if key[1] == topic and reader in ("", key[0])]
+        if not concerned:
+            who = ", ".join(n for n, t in readers if t == topic) or "nobody"
+            raise ScenarioError(f"{at}: {reader or 'nobody'} does not read {topic}; {who} does")
+        before = {readers[key] for key in concerned}
+        if len(before) > 1:
+            raise ScenarioError(f"{at}: the readers of {topic} have other faults already "
+                                f"({', '.join(sorted(before))}); put the fault that all share first")  # fmt: skip
+        sender, port = sources[topic]
+        begins, ends = before.pop(), f"{topic}/{name}"
+        about = {
+            "topic_in": begins, "topic_out": ends, "message": port.msgtype, "channels": list(port.channels),
+            "fields": list(port.fields), "units": list(port.units), "frame_id": port.frame_id,
+            "period": params[sender].period,
+        }  # fmt: skip
+        if any(nodes[reader]["external"] for reader, _ in concerned):
+            about["holds"] = True  # an outside node is not told of silence, and would be waited for
+        for key in sorted(about.keys() & fault.parameters.keys() - {"period", "holds"}):
+            raise ScenarioError(f"{at}: {key} is that of the link and not to be said")
+        if port.delayed or port.dims or not port.stamped:
+            what = "a delayed topic" if port.delayed else port.msgtype
+            raise ScenarioError(f"{at}: {topic} is {what}, which faults do not carry")
+        found[name] = {"package": PACKAGE, "executable": EXECUTABLE, "parameters": about | fault.parameters,
+                       "remap": {}, "external": False}  # fmt: skip
+        for place in concerned:
+            readers[place] = ends
+            found[place[0]]["remap"] |= _remap(nodes[place[0]]["remap"], topic, ends)
+    return found
+
+
+def _remap(given: Mapping[str, str], topic: str, ends: str) -> dict[str, str]:
+    """What a reader's own name of a topic is to become."""
+    own = [name for name, target in given.items() if target == topic]
+    return dict.fromkeys(own or [topic], ends)

@@ -1,0 +1,51 @@
+"""Parameters of the nodes of a scenario, where one may refer to another's."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from typing import Any
+
+from ..block.block import Block
+from ..block.params import ParameterError, build, flatten
+from ..errors import ScenarioError
+from .references import fill_parameters, pick
+from .scenario import Scenario
+
+
+class NodeParameters:
+    """Validated parameters of a scenario's nodes, with ``$node.parameter`` filled in."""
+
+    def __init__(self, scenario: Scenario, classes: Mapping[str, type[Block]]) -> None:
+        self._scenario = scenario
+        self._classes = classes
+        self._known: dict[str, Any] = {}
+        self._open: list[str] = []
+
+    def __call__(self, name: str) -> Any:
+        """Give the parameters of a node."""
+        where = f"{self._scenario.name}: node {name}"
+        if name in self._open:
+            raise ScenarioError(f"{where}: its parameters refer to themselves: {' -> '.join((*self._open, name))}")
+        if name not in self._known:
+            entry = self._scenario.nodes[name]
+            self._open.append(name)
+            values = fill_parameters(entry.parameters, self._of)
+            self._open.pop()
+            try:
+                self._known[name] = build(self._classes[name].Params, values)
+            except ParameterError as error:
+                wrong = [k for k in entry.parameters if re.search(rf"\bparameter {re.escape(k)}(?![\w.])", str(error))]
+                at = self._scenario.written("nodes", name, "parameters", *wrong[:1])
+                raise ScenarioError(f"{where}: {error}{at}") from None
+        return self._known[name]
+
+    def _of(self, node: str, parameter: str) -> Any:
+        where = f"{self._scenario.name}: node {self._open[-1]}: ${node}.{parameter}"
+        if node not in self._scenario.nodes:
+            raise ScenarioError(f"{where}: the nodes are {', '.join(self._scenario.nodes)}")
+        values = flatten(self(node))
+        try:
+            return pick(values, parameter)
+        except KeyError:
+            raise ScenarioError(f"{where}: {node} has {', '.join(values)}") from None

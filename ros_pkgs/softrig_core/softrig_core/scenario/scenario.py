@@ -1,0 +1,260 @@
+"""Scenarios: one experiment as validated data, from a YAML file with inheritance and variants or from code."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PrivateAttr, ValidationError, model_validator
+
+from ..errors import ScenarioError, closest
+from ..judge.claims import Claim
+from ..judge.expectation import Expected
+from ..judge.requirement_entry import Required, check_lengths
+from .changes import ChangeEntry
+from .faults import WORDS, FaultEntry
+from .places import explain, place
+from .references import fill
+from .scenario_file import list_scenarios, locate, merge, resolve
+
+__all__ = ["FigureEntry", "NodeEntry", "PlotEntry", "Scenario", "list_scenarios", "load_scenario", "merge"]
+
+
+# What ROS takes for names; they become names of files and of topics, so nothing else may be in them.
+NodeName = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_]*$", max_length=200)]
+TopicName = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*$", max_length=200)]
+
+
+class _Model(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class NodeEntry(_Model):
+    """One node: which executable, with which parameters and remapped topics."""
+
+    package: str = Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")
+    executable: str = Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*$")
+    parameters: dict[str, Any] = {}
+    remap: dict[str, TopicName] = {}
+    external: bool = Field(False, description="somebody else starts it; our executable only tells its ports")
+
+
+class FigureEntry(_Model):
+    """What is measured of a run.
+
+    Parameters
+    ----------
+    function : str
+        Name of a registered figure function; the figure's own name when absent.
+    arguments : dict
+        Its arguments; ``$node.parameter`` stands for a parameter of the rig.
+    unit : str
+        Unit of the figure; that of the function and its signal when absent.
+    since : str
+        A signal from whose newest step on it is measured: `start` and `end` count from there, `final` is the signal's
+        value after it, `initial` what is measured then, unless `final` is given. Empty: the whole run.
+    """
+
+    function: str = ""
+    arguments: dict[str, Any] = {}
+    unit: str | None = None
+    since: str = ""
+
+
+class PlotEntry(_Model):
+    """One picture: signals as ``topic/channel/field`` with an optional label.
+
+    Parameters
+    ----------
+    title : str
+    signals : dict of str to str
+        Signal name to label (empty: the signal's own name). Over time also ``one - other``: a signal less the newest
+        value of another.
+    unit : str
+        Of the y axis; when empty, that of the ports, with one row a unit.
+    quantity : str
+        Title of the y axis, before its unit; when empty, what the unit stands for.
+    x : str
+        Instead of time, the label below each signal's own topic that gives the x axis: ``x`` draws ``flux/y``
+        against ``flux/x``, ``voltage/position`` a power against the voltage of the same topic.
+    window : (float, float)
+        First and last time (s) shown; None: the whole run.
+    """
+
+    title: str
+    signals: dict[str, str] = Field(min_length=1)
+    unit: str = ""
+    quantity: str = ""
+    x: str = ""
+    window: tuple[float, float] | None = None
+
+
+def _or_empty(given: Any) -> Any:
+    return {} if given is None else given
+
+
+class Scenario(_Model):
+    """A rig and its experiment.
+
+    Parameters
+    ----------
+    source : str
+        Where it comes from: paper, table, figure.
+    cites : list of str
+        Keys of entries in ``references.bib``, beside the scenario files.
+    faults : dict of str to FaultEntry
+        What goes wrong on links, by the name of the node that does it.
+    changes : list of ChangeEntry
+        Parameters that change while it runs.
+    figures : dict of str to FigureEntry
+        What is measured, by name.
+    expect : dict of str to Expectation
+        What figures are expected to be.
+    claims : dict of str to Claim
+        What the paper says of figures.
+    requirements : dict of str to Requirement
+        What must hold in a run, as formulas of temporal logic over shared names.
+    containers : list of lists of str
+        Nodes that share a process when the rig runs in containers; when empty, all do.
+    shared : dict
+        Values that other entries name as ``$name``; for the record, they are filled in already.
+    """
+
+    name: str
+    title: str
+    system: str
+    source: str
+    cites: tuple[str, ...] = ()
+    duration: float = Field(gt=0, le=1e9)
+    clock: float | str | None = Field(None, description="period in s of a clock that is no plant, also as 1/2880")
+    seed: int = Field(0, ge=0, lt=2**63)
+    timeout: float = Field(10.0, gt=0, le=1e6, description="wall-clock s without progress before a lockstep run fails")
+    start_timeout: float = Field(120.0, gt=0, le=1e6, description="wall-clock s to wait for all nodes")
+    shared: Annotated[dict[str, Any], BeforeValidator(_or_empty)] = {}
+    nodes: dict[NodeName, NodeEntry] = Field(min_length=1)
+    containers: tuple[tuple[str, ...], ...] = ()
+    faults: Annotated[dict[NodeName, FaultEntry], BeforeValidator(_or_empty)] = {}
+    changes: tuple[ChangeEntry, ...] = ()
+    figures: Annotated[dict[str, FigureEntry], BeforeValidator(_or_empty)] = {}
+    expect: Annotated[dict[str, Expected], BeforeValidator(_or_empty)] = {}
+    claims: Annotated[dict[str, Claim], BeforeValidator(_or_empty)] = {}
+    requirements: Annotated[dict[str, Required], BeforeValidator(_or_empty)] = {}
+    plots: tuple[PlotEntry, ...] = ()
+
+    _file: Path | None = PrivateAttr(None)  # where all that is in it was written; for messages alone
+
+    def written(self, *keys: str) -> str:
+        """Say where one of its keys is written, as the end of a message; empty where that is not known."""
+        at = place(self.name, self._file, keys) if self._file else ""
+        return f" ({at})" if "line" in at else ""
+
+    @model_validator(mode="after")
+    def _contained_once(self) -> Scenario:
+        named = [name for group in self.containers for name in group]
+        for name in named:
+            if name not in self.nodes:
+                raise ValueError(f"containers: no node {name!r}; the nodes are {', '.join(self.nodes)}")
+            if named.count(name) > 1:
+                raise ValueError(f"containers: node {name} is in more than one")
+        return self
+
+    @model_validator(mode="after")
+    def _figures_are_there(self) -> Scenario:
+        for kind, names in (("expect", self.expect), ("claims", self.claimed())):
+            for name in names:
+                if name not in self.figures and name not in self.requirements:
+                    known = ", ".join([*self.figures, *self.requirements]) or "none"
+                    raise ValueError(f"{kind}: no figure {name!r}; the figures are {known}")
+        if both := self.figures.keys() & self.requirements.keys():
+            raise ValueError(f"requirements: {min(both)} is the name of a figure, too")
+        return self
+
+    def changed(
+        self, *, duration: float | None = None, seed: int | None = None, overrides: Mapping[str, Any] | None = None
+    ) -> Scenario:
+        """Give the scenario with another length, seed or parameters (``node.parameter`` to value).
+
+        Raises
+        ------
+        ScenarioError
+            A bad value, or no such node.
+        """
+        raw: dict[str, Any] = {k: {n: e.model_dump() for n, e in getattr(self, k).items()} for k in ("nodes", "faults")}
+        for key, value in (overrides or {}).items():
+            _override(raw, key, value)
+        changes = {k: v for k, v in (("duration", duration), ("seed", seed)) if v is not None}
+        new = self.having(**changes, **(raw if overrides else {}))
+        new._file = None if overrides else self._file
+        return new
+
+    def having(self, **keys: Any) -> Scenario:
+        """Give the scenario with other values of some keys, checked; a ScenarioError says what does not fit."""
+        try:
+            return Scenario.model_validate({**dict(self), **keys})
+        except ValidationError as error:
+            raise ScenarioError(f"{self.name}: {explain(error, Scenario)}") from None
+
+    def claimed(self) -> list[str]:
+        """Names of its own figures that its claims speak of."""
+        spoken = [c.figure or key for key, c in self.claims.items() if c.verdict != "not_checkable" or c.figure]
+        spoken += [r for c in self.claims.values() for r in c.references()]
+        return [name for name in spoken if "." not in name]
+
+
+def load_scenario(name: str, overrides: Mapping[str, Any] | None = None) -> Scenario:
+    """Read a scenario by name or file.
+
+    Parameters
+    ----------
+    name : str
+        ``dc_motor_smc_b2``, a variant ``dc_motor_smc_b2_delta1``, or a path to a YAML file.
+    overrides : mapping, optional
+        ``node.parameter``, or the name of a shared value, to value.
+
+    Raises
+    ------
+    ScenarioError
+        Unknown scenario, YAML error, unknown key or bad value; names file, line and key.
+    """
+    name, path = locate(name)
+    raw = resolve(name, path)
+    if "name" in raw:
+        raise ScenarioError(f"{path.name}: key name: a scenario is named by its file")
+    for key, value in (overrides or {}).items():
+        _override(raw, key, value)
+    try:
+        shared = raw.get("shared") or {}
+        scenario = Scenario.model_validate({**fill(raw, shared if isinstance(shared, dict) else {}), "name": name})
+        check_lengths(scenario.duration, scenario.shared, scenario.requirements)
+        scenario._file = None if overrides else path
+        return scenario
+    except ValidationError as error:
+        at = place(name, path, error.errors()[0]["loc"])
+        raise ScenarioError(f"{at}: {explain(error, Scenario)}") from None
+    except ScenarioError as error:
+        raise ScenarioError(f"{path.name}: {error}") from None
+
+
+def _override(raw: dict[str, Any], key: str, value: Any) -> None:
+    """Lay one changed parameter or shared value over a resolved scenario."""
+    node, _, parameter = key.partition(".")
+    nodes, shared = raw.get("nodes"), raw.get("shared") or {}
+    nodes = nodes if isinstance(nodes, Mapping) else {}
+    if not parameter and key in shared:
+        raw["shared"] = shared | {key: value}
+        return
+    if node not in nodes and isinstance(shared.get(node), Mapping):  # one value of a group
+        raw["shared"] = merge(dict(shared), {node: {parameter: value}})
+        return
+    faults = raw.get("faults") or {}
+    if parameter and node in faults:
+        raw["faults"] = merge(faults, {node: {WORDS.get(parameter, parameter): value}})
+        return
+    nodes_and_faults = (*nodes, *faults)
+    if node not in nodes or not parameter:
+        also = f", or a shared value ({', '.join(shared)})" if shared else ""
+        near = closest(node, nodes_and_faults) if parameter else closest(key, shared)
+        raise ScenarioError(f"override {key!r}{near}: expected node.parameter with node one of "
+                            f"{', '.join(nodes_and_faults)}{also}")  # fmt: skip
+    raw["nodes"] = merge({**nodes, node: nodes[node] or {}}, {node: {"parameters": {parameter: value}}})

@@ -1,0 +1,230 @@
+"""Where scenario files are, what they inherit, and which variants they hold."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterator, Mapping
+from functools import lru_cache
+from itertools import chain
+from os.path import isfile, samefile
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from ..errors import ScenarioError, closest
+from ..kit.resource import prefixes
+from .yaml_file import SIZE, read_mapping
+
+SHARED = re.compile(r"\$([A-Za-z_]\w*)")  # a reference to a shared value
+OWN = ("expect", "requirements", "claims")  # what a scenario is judged by stands in its own entry: never inherited
+
+
+def scenario_folders() -> Iterator[Path]:
+    """Give where scenario files are: SOFTRIG_SCENARIOS, then ``share/PACKAGE/scenarios`` of what is installed."""
+    own = [Path(p) for p in os.environ.get("SOFTRIG_SCENARIOS", "").split(os.pathsep) if p]
+    installed = (folder for prefix in prefixes() for folder in sorted(prefix.glob("share/*/scenarios")))
+    return (f for f in chain(own, installed) if f.is_dir())  # looked for as far as somebody asks
+
+
+def list_scenarios(broken: list[ScenarioError] | None = None) -> dict[str, Path]:
+    """Give every scenario name, variants included, and the file it is in.
+
+    Parameters
+    ----------
+    broken : list, optional
+        Gets what is wrong with files that cannot be read, which are then left out.
+
+    Raises
+    ------
+    ScenarioError
+        A file cannot be read, and `broken` is not given.
+    """
+    found: dict[str, Path] = {}
+    for folder in scenario_folders():
+        for path in sorted(folder.glob("*.yaml")):
+            if path.stem in found and isfile(path) and samefile(path, found[path.stem]):
+                continue  # a checkout's own, which its install folder links to
+            try:
+                for name in list(names(path)):
+                    found.setdefault(name, path)
+            except ScenarioError as error:
+                if broken is None:
+                    raise
+                broken.append(error)
+    return found
+
+
+def locate(name: str) -> tuple[str, Path]:
+    """Find a scenario: its name and the file it is in.
+
+    Parameters
+    ----------
+    name : str
+        A name, a variant's name, or the path of a YAML file.
+
+    Raises
+    ------
+    ScenarioError
+        There is none of that name; gives the closest.
+    """
+    path = Path(name)
+    if path.suffix in (".yaml", ".yml") and isfile(path):
+        return path.stem, path
+    found = _find(name)
+    if found is None and (path.suffix in (".yaml", ".yml") or len(path.parts) > 1):
+        raise ScenarioError(f"{name}: no such file, expected a scenario's YAML file or its name")
+    if found is None:
+        known = list_scenarios()
+        raise ScenarioError(f"scenario {name!r} is unknown{closest(name, known)}; `softrig list` shows all "
+                            f"{len(known)}")  # fmt: skip
+    return name, found
+
+
+def read(path: Path) -> dict[str, Any]:
+    """Read the mapping of a scenario file; a file that has not changed is read once a process.
+
+    Raises
+    ------
+    ScenarioError
+        Cannot be read, not YAML, or not a mapping.
+    """
+    try:
+        state = path.stat()
+    except OSError as error:
+        raise ScenarioError(f"{path.name}: {error.strerror}") from None
+    if state.st_size > SIZE:
+        raise ScenarioError(f"{path.name}: {state.st_size} bytes, expected at most {SIZE}")
+    return dict(_read(path, state.st_mtime_ns, state.st_size))
+
+
+@lru_cache(maxsize=1024)
+def _read(path: Path, changed: int, size: int) -> dict[str, Any]:
+    return read_mapping(path)
+
+
+def names(path: Path) -> Iterator[str]:
+    """Give the names of the scenarios in a file: its own and those of its variants."""
+    yield path.stem
+    for variant in _variants(path, read(path)):
+        yield f"{path.stem}_{variant}"
+
+
+def resolve(name: str, path: Path, seen: tuple[str, ...] = ()) -> dict[str, Any]:
+    """Apply `extends` and the variant that the name asks for; the file's own data stays as it is.
+
+    Raises
+    ------
+    ScenarioError
+        Extends itself or nobody.
+    """
+    if name in seen:
+        raise ScenarioError(f"{path.name}: extends itself: {' -> '.join((*seen, name))}")
+    raw = read(path)
+    variants = _variants(path, raw)
+    raw.pop("variants", None)
+    parent = raw.pop("extends", None)
+    if parent is not None:
+        raw = inherit(resolve(parent, parent_of(path, parent), (*seen, name)), raw)
+    if name != path.stem:
+        raw = inherit(raw, variants[name.removeprefix(f"{path.stem}_")] or {})
+    return raw
+
+
+def inherit(base: Mapping[str, Any], change: Any) -> dict[str, Any]:
+    """Lay a scenario's own entry over what it inherits.
+
+    Mappings merge level by level, null removes, and the keys `OWN` come from the entry alone. A node with another
+    executable loses the inherited parameters, a figure with another function all that is inherited: it would mean
+    nothing.
+
+    Parameters
+    ----------
+    base : mapping
+        What is inherited; left as it is.
+    change : mapping
+        The scenario's own entry, or a variant's.
+    """
+    if not isinstance(change, Mapping):
+        raise ScenarioError(f"a variant is a mapping of changes, got {change!r}")
+    below = {k: v for k, v in base.items() if k not in OWN}
+    for part, what, lost in (
+        ("nodes", "executable", ("parameters",)), ("figures", "function", ("arguments", "unit", "since")),
+    ):  # fmt: skip
+        old, new = below.get(part), change.get(part)
+        if isinstance(old, Mapping) and isinstance(new, Mapping):
+            below[part] = {k: _without(v, new.get(k), what, lost) for k, v in old.items()}
+    return merge(below, change)
+
+
+def _without(old: Any, new: Any, what: str, lost: tuple[str, ...]) -> Any:
+    """Drop the keys `lost` of an entry when the one that goes over it is about another `what`."""
+    if not isinstance(old, Mapping) or not isinstance(new, Mapping) or new.get(what, old.get(what)) == old.get(what):
+        return old
+    return {k: v for k, v in old.items() if k not in lost}
+
+
+class Over(NamedTuple):
+    """Changes to a mapping that is written ``$name``: merged when the shared values are filled in."""
+
+    below: str
+    changes: tuple[Mapping[str, Any], ...]
+
+
+def merge(base: Mapping[str, Any], change: Mapping[str, Any]) -> dict[str, Any]:
+    """Lay one mapping over another, level by level; null removes a key.
+
+    Parameters
+    ----------
+    base : mapping
+        What lies below; left as it is.
+    change : mapping
+        What goes over it. A mapping over a reference ``$name`` becomes an `Over`.
+    """
+    merged = dict(base)
+    for key, value in change.items():
+        if value is None:
+            merged.pop(key, None)
+        elif isinstance(value, Mapping):
+            below = merged.get(key)
+            if isinstance(below, Over):
+                merged[key] = Over(below.below, (*below.changes, value))
+            elif isinstance(below, str) and SHARED.fullmatch(below):
+                merged[key] = Over(below, (value,))
+            else:
+                merged[key] = merge(below if isinstance(below, Mapping) else {}, value)
+        else:
+            merged[key] = value
+    return merged
+
+
+def _variants(path: Path, raw: Mapping[str, Any]) -> dict[str, Any]:
+    variants = raw.get("variants") or {}
+    if not isinstance(variants, dict):
+        raise ScenarioError(f"{path.name}: variants: expected a mapping of name to changes, got {variants!r}")
+    for name in variants:
+        if not re.fullmatch(r"\w+", str(name)):
+            raise ScenarioError(f"{path.name}: variant {name!r}: expected letters, digits and _ only")
+    return {str(name): changes for name, changes in variants.items()}  # YAML reads 40 as a number
+
+
+def parent_of(path: Path, parent: Any) -> Path:
+    """Find the file of the scenario that another one extends; a ScenarioError names the nearest."""
+    if not isinstance(parent, str) or "/" in parent:
+        raise ScenarioError(f"{path.name}: extends: expected the name of a scenario, got {parent!r}"[:200])
+    beside = path.with_name(f"{parent}.yaml")
+    found = beside if isfile(beside) else _find(parent, path.parent)
+    if found is None:
+        raise ScenarioError(f"{path.name}: extends {parent!r}, which is unknown{closest(parent, list_scenarios())}")
+    return found
+
+
+def _find(name: str, first: Path | None = None) -> Path | None:
+    """Find the file of a scenario: that of its own name, else the longest beginning of it that has this variant."""
+    for folder in chain([first] if first else [], scenario_folders()):
+        stem = "" if "/" in name else name
+        while stem:
+            path = folder / f"{stem}.yaml"
+            if isfile(path) and (stem == name or name in names(path)):
+                return path
+            stem = stem.rpartition("_")[0]
+    return None

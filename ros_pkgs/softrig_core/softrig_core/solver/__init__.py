@@ -1,0 +1,1 @@
+"""Blocks whose work runs in a process of its own."""

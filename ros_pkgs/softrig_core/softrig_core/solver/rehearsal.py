@@ -1,0 +1,58 @@
+"""A tick before the first one, thrown away: what a block compiles or loads on first use is there when a run begins."""
+
+from __future__ import annotations
+
+import sys
+import warnings
+from contextlib import suppress
+from typing import Any
+
+from ..block.block import Block, Plant
+from ..kit.jit import Jit
+from .solver import Solver
+
+
+def rehearse(block_class: type[Block], params: Any, name: str, always: bool = False) -> bool:
+    """Answer a tick with a block made for that purpose, if the class uses native code that is made at its first call.
+
+    In lockstep the first tick would take seconds, in real time all the deadlines of these seconds would be missed.
+
+    Parameters
+    ----------
+    block_class : type of Block
+    params : BlockParams
+    name : str
+    always : bool
+        Whatever it uses: against the wall clock an import in the first tick is late, too.
+
+    Returns
+    -------
+    bool
+        Whether there was anything to rehearse. What fails here says so in the run.
+    """
+    if issubclass(block_class, Solver) or not (always or _native(block_class)):
+        return False
+    with suppress(Exception), warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # the values are no real ones
+        block = block_class(params, name)
+        inputs, _ = block.ports(params)
+        values = {port.name: port.initial for port in inputs}
+        if isinstance(block, Plant):
+            block.outputs(0)
+            block.advance(0, **values)
+        else:
+            block.update(0, **values)
+        block.warm_up()
+    return True
+
+
+def _native(block_class: type[Block]) -> bool:
+    """Whether a module of the class, or one that it has a function or class from, has such functions."""
+    seen: set[str] = set()
+    for cls in block_class.__mro__:
+        for value in vars(sys.modules[cls.__module__]).values():
+            seen.add(getattr(value, "__module__", None) or "")
+        seen.add(cls.__module__)
+    own = block_class.__module__.split(".")[0]
+    modules = [sys.modules[m] for m in sorted(seen) if m.split(".")[0] == own and m in sys.modules]
+    return any(isinstance(value, Jit) for module in modules for value in vars(module).values())

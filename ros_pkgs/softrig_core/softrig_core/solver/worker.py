@@ -1,0 +1,333 @@
+"""A process of its own for slow work: one call at a time, told about while it runs, killed when it is not wanted.
+
+`Worker` is the side of the caller; ``python -m softrig_core.solver.worker`` is the process. Both talk in
+pickles over its standard input and output; what the work prints goes to the caller's standard error. The process of
+a worker that is gone while nothing is under way serves the next one of the same function: its imports take a second.
+"""
+
+from __future__ import annotations
+
+import atexit
+import contextlib
+import ctypes
+import importlib
+import os
+import pickle
+import queue
+import signal
+import struct
+import subprocess
+import sys
+import threading
+import time
+import traceback
+import weakref
+from collections.abc import Callable, Mapping
+from typing import IO, Any, ClassVar, Literal
+
+State = Literal["idle", "working", "done", "failed"]
+Figures = Mapping[str, "float | str"]
+LENGTH = struct.Struct("<Q")
+MOST_IDLE = 4  # processes without an owner
+
+
+class Work:
+    """What a function that works in a `Worker` may say while it does."""
+
+    def __init__(self, send: Callable[[str, Any], None]) -> None:
+        self._send = send
+
+    def status(self, **figures: float | str) -> None:
+        """Tell how far it is; seen in the diagnostics of the node (bound, gap, iteration)."""
+        self._send("status", figures)
+
+    def best(self, answer: Any) -> None:
+        """Leave the best answer so far: it is the result when the time limit strikes."""
+        self._send("best", answer)
+
+
+class Worker:
+    """Calls one function in a process of its own.
+
+    Parameters
+    ----------
+    function : callable
+        ``function(request, work)`` of an importable module: request and answer can be pickled, `work` is a `Work`.
+
+    Raises
+    ------
+    ValueError
+        The function cannot be imported by name (defined at a prompt or within another function).
+    """
+
+    def __init__(self, function: Callable[[Any, Work], Any]) -> None:
+        if function.__module__ == "__main__" or "<" in function.__qualname__:
+            raise ValueError(f"{function.__qualname__} of {function.__module__} cannot be imported by another process; "
+                             "expected a function of a module")  # fmt: skip
+        self._call = (function.__module__, function.__qualname__)
+        self._process: _Process | None = None
+        self._changed = threading.Condition()
+        self._forget()
+
+    def _forget(self) -> None:
+        self.state: State = "idle"
+        self.answer: Any = None
+        self.best: Any = None
+        self.has_best = False
+        self.status: Figures = {}
+        self.error = ""
+        self.since: float | None = None
+
+    def elapsed(self) -> float:
+        """Wall-clock time of the work so far, s, without the start of its process."""
+        return 0.0 if self.since is None else time.monotonic() - self.since
+
+    def warm(self) -> None:
+        """Start the process, so that its imports are done when the first request comes."""
+        if self._process is not None and self._process.alive():
+            return
+        process = self._process = _Process.of(*self._call)
+        process.owner = weakref.ref(self)
+        self._end = weakref.finalize(self, process.leave)
+
+    def submit(self, request: Any) -> None:
+        """Begin to work on a request.
+
+        Raises
+        ------
+        RuntimeError
+            It works on another one.
+        """
+        if self.state == "working":
+            raise RuntimeError("a worker does one thing at a time; cancel it first")
+        self.warm()
+        self._forget()
+        self.state = "working"
+        assert self._process is not None
+        self._process.busy = True
+        self._process.write(request)
+
+    def wait(self, seconds: float | None = None) -> bool:
+        """Wait until the work is over, at most so long (None: for ever); tells whether it is."""
+        with self._changed:
+            return self._changed.wait_for(lambda: self.state != "working", seconds)
+
+    def cancel(self) -> None:
+        """Kill the process, wherever it is; the next request gets a new one."""
+        if self._process is not None:
+            self._end.detach()
+            self._process.kill()
+        self._process = None
+        self.state = "idle"
+
+    def rest(self) -> None:
+        """Leave an idle process to others until there is work again."""
+        if self._process is not None and self.state != "working":
+            self._end()
+            self._process = None
+
+    def heard(self, process: _Process, kind: str, content: Any) -> None:
+        """Take what a process says."""
+        with self._changed:
+            if process is not self._process:
+                return  # a killed one's last words
+            if kind == "begun":
+                self.since = time.monotonic()
+            elif kind == "status":
+                self.status = content
+            elif kind == "best":
+                self.best, self.has_best = content, True
+            elif kind == "done":
+                self.answer, self.state = content, "done"
+            elif self.state == "working":
+                self.error, self.state = content, "failed"
+            self._changed.notify_all()
+
+
+class _Process:
+    """The process as its callers see it, one after the other.
+
+    Parameters
+    ----------
+    module, name : str
+        Of the function that it calls.
+    key : hashable
+        What a caller must have in common with the one that it was started for.
+    """
+
+    idle: ClassVar[list[_Process]] = []  # the longest without an owner first
+
+    @classmethod
+    def of(cls, module: str, name: str) -> _Process:
+        """Give one that is idle, or a new one."""
+        # the kernel kills it when the thread that started it ends
+        key = (module, name, os.getpid(), threading.get_ident(), tuple(sys.path), _directory(), _variables())
+        for process in reversed(cls.idle):
+            if process.key == key:
+                with contextlib.suppress(ValueError):  # another thread has taken it
+                    cls.idle.remove(process)
+                    if process.alive():
+                        return process
+                    process.kill()
+        return cls(module, name, key)
+
+    def __init__(self, module: str, name: str, key: object) -> None:
+        self.key = key
+        self._started_by = os.getpid()
+        self.busy = False
+        self.owner: Callable[[], Worker | None] = lambda: None
+        variables = dict(os.environ)
+        # one thread each: a BLAS that splits sums by the number of cores would change last bits
+        for one in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+            variables.setdefault(one, "1")
+        # -P: nothing is imported from the current directory, which is anybody's
+        command = [sys.executable, "-P", "-c", "from softrig_core.solver.worker import main; main()"]
+        self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=variables)
+        self.pid = self._process.pid
+        self.write((os.getpid(), sys.path, module, name))
+        threading.Thread(target=self._listen, daemon=True).start()
+
+    def alive(self) -> bool:
+        """Whether it has not ended."""
+        return self._process.poll() is None
+
+    def write(self, content: Any) -> None:
+        """Send it something."""
+        assert self._process.stdin is not None
+        with contextlib.suppress(BrokenPipeError):  # the listener tells why
+            _send(self._process.stdin, content)
+
+    def leave(self) -> None:
+        """Its owner is gone: it waits for another one, if it has nothing to do."""
+        if self.busy or not self.alive():
+            self.kill()
+            return
+        self.idle.append(self)
+        while len(self.idle) > MOST_IDLE:
+            self.idle.pop(0).kill()
+
+    def kill(self) -> None:
+        """End it, wherever it is; one that came by a fork is the parent's."""
+        if self._started_by != os.getpid():
+            _of_parents.append(self)
+            return
+        self._process.kill()
+        self._process.wait()
+        for pipe in (self._process.stdin, self._process.stdout):
+            if pipe is not None:
+                with contextlib.suppress(OSError):  # a request that it had not read yet
+                    pipe.close()
+
+    def _listen(self) -> None:
+        """Hand on what it says until its end; holds no reference to the worker, whose end must be seen."""
+
+        def tell(kind: str, content: Any) -> None:
+            if (worker := self.owner()) is not None:
+                worker.heard(self, kind, content)
+
+        assert self._process.stdout is not None
+        while True:
+            try:
+                data = _read(self._process.stdout)
+            except (EOFError, OSError, ValueError):  # ValueError: the pipe was closed under the reader
+                code = self._process.wait()
+                how = f"was killed by {signal.Signals(-code).name}" if code < 0 else f"ended with status {code}"
+                tell("failed", f"the process that works {how}")
+                return
+            try:
+                kind, content = pickle.loads(data)
+            except Exception as error:  # whatever an object raises that is made anew here
+                kind, content = "failed", f"its answer cannot be read: {type(error).__name__}: {error}"
+            if kind in ("done", "failed"):
+                self.busy = False
+            tell(kind, content)
+
+
+def _directory() -> str:
+    try:
+        return os.getcwd()
+    except FileNotFoundError:
+        return ""
+
+
+def _variables() -> frozenset[tuple[str, str]]:
+    return frozenset((k, v) for k, v in os.environ.items() if k != "PYTEST_CURRENT_TEST")
+
+
+# What a fork has copied. It is kept: closing a pipe that a thread of the parent was reading waits for ever.
+_of_parents: list[_Process] = []
+
+
+def _after_fork() -> None:
+    _of_parents.extend(_Process.idle)
+    _Process.idle.clear()
+
+
+os.register_at_fork(after_in_child=_after_fork)
+
+
+@atexit.register
+def _end_idle() -> None:
+    while _Process.idle:
+        _Process.idle.pop().kill()
+
+
+def _send(pipe: IO[bytes], content: Any) -> None:
+    data = pickle.dumps(content, pickle.HIGHEST_PROTOCOL)
+    pipe.write(LENGTH.pack(len(data)) + data)
+    pipe.flush()
+
+
+def _read(pipe: IO[bytes]) -> bytes:
+    head = pipe.read(LENGTH.size)
+    if len(head) < LENGTH.size:
+        raise EOFError
+    return pipe.read(LENGTH.unpack(head)[0])
+
+
+def main() -> None:
+    """Be the process: read requests until the caller's end of the pipe is closed."""
+    incoming = os.fdopen(os.dup(0), "rb")
+    outgoing = os.fdopen(os.dup(1), "wb")
+    os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
+    os.dup2(2, 1)  # a solver that prints must not break the pickles
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the caller's; it ends us
+    parent, path, module, name = pickle.loads(_read(incoming))
+    pr_set_pdeathsig = 1
+    ctypes.CDLL(None).prctl(pr_set_pdeathsig, signal.SIGKILL)
+    if os.getppid() != parent:
+        os._exit(0)
+    os.nice(5)  # a loop on the wall clock goes first
+    sys.path[:] = path
+    requests: queue.SimpleQueue[bytes] = queue.SimpleQueue()  # to read one may import modules, and fail
+
+    def listen() -> None:
+        try:
+            while True:
+                requests.put(_read(incoming))
+        except (EOFError, OSError):
+            os._exit(0)
+
+    lock = threading.Lock()
+
+    def send(kind: str, content: Any) -> None:
+        with lock:
+            _send(outgoing, (kind, content))
+
+    function: Any = None
+    threading.Thread(target=listen, daemon=True).start()
+    while True:
+        try:
+            if function is None:
+                function = importlib.import_module(module)
+                for part in name.split("."):
+                    function = getattr(function, part)
+            request = pickle.loads(requests.get())
+            send("begun", None)
+            send("done", function(request, Work(send)))
+        except Exception as error:
+            traceback.print_exc()
+            if function is None:
+                requests.get()
+            place = traceback.extract_tb(error.__traceback__)[-1]
+            send("failed", f"{type(error).__name__}: {error} ({os.path.basename(place.filename)}:{place.lineno})")

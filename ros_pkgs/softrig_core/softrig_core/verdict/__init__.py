@@ -1,0 +1,1 @@
+"""A rig judged: its figures, requirements and claims."""

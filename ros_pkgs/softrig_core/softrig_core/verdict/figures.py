@@ -1,0 +1,281 @@
+"""Figures of a rig: resolved and judged before the run, measured after it."""
+
+from __future__ import annotations
+
+import inspect
+import json
+import math
+import typing
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from functools import cache
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
+
+from ..block.port import CLOCK
+from ..block.port_text import ports_text, reader
+from ..errors import ScenarioError, closest
+from ..judge.claims import NEVER
+from ..judge.expectation import Expectation
+from ..judge.formula import SURE
+from ..judge.measures import Function, SignalMap, final_value, newest_step
+from ..judge.registry import find
+from ..judge.units import compose, factor, powers
+from ..rig.members import Members, signal_units
+from ..scenario.references import fill_parameters
+from .requirements import Judge, judges
+
+DECIDED = "by its conditions alone"  # of a requirement without a distance
+SIGNALS = ("signal", "reference")  # arguments that name a signal, if they are a word
+UNMEASURED = (ArithmeticError, AttributeError, LookupError, TypeError, ValueError)  # what figure functions raise
+
+
+class Result(BaseModel):
+    """A figure of a run: what was measured, what it should be, and whether it is.
+
+    Parameters
+    ----------
+    value : float, optional
+        None when it could not be computed or is not finite; `error` then says why: ``never`` for what does not happen.
+    published : float, optional
+        What the paper says, from the claim about this figure.
+    expected, tolerance, at_most, at_least : float, optional
+        The expectation; none of them: for information.
+    at_s : float, optional
+        Of a requirement: the instant that decides its margin, s.
+    violated_s : tuple of (float, float)
+        Of a requirement: intervals in which it does not hold, s.
+    passed : bool
+        Written as ``pass``. A figure for information passes, whatever it is.
+    """
+
+    model_config = ConfigDict(frozen=True, populate_by_name=True)
+
+    name: str
+    value: float | None
+    unit: str = ""
+    published: float | None = None
+    expected: float | None = None
+    tolerance: float | None = Field(None, ge=0, allow_inf_nan=False)
+    at_most: float | None = None
+    at_least: float | None = None
+    passed: bool = Field(alias="pass")
+    error: str = ""
+    at_s: float | None = None
+    violated_s: tuple[tuple[float, float], ...] = ()
+    number: float = Field(math.nan, exclude=True)  # as measured: infinity too, which JSON cannot hold
+
+    @property
+    def judged(self) -> bool:
+        """Whether anything is expected of it."""
+        return any(x is not None for x in (self.expected, self.at_most, self.at_least))
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A figure with its function found, its arguments filled in and its unit known."""
+
+    name: str
+    function: Function
+    arguments: Mapping[str, Any]
+    unit: str
+    scale: float
+    since: str = ""
+
+    def __call__(self, signals: SignalMap) -> float:
+        """Measure."""
+        return self.scale * float(self.function(signals, **self.at(signals).arguments))
+
+    def at(self, signals: SignalMap) -> Figure:
+        """Give the figure of the newest step of `since`, with what that step says among its arguments.
+
+        Raises
+        ------
+        ValueError
+            There was no step yet, or nothing to measure at it.
+        """
+        if not self.since:
+            return self
+        t, value = newest_step(signals, self.since)
+        given = dict(self.arguments)
+        told: dict[str, Any] = {"start": t + (given.get("start") or 0.0)}
+        if given.get("end") is not None:
+            told["end"] = t + given["end"]
+        if given.get("reference") == self.since:
+            told["reference"] = value  # one number since then
+        if "final" in _model(self.function)[0].model_fields and given.get("final") is None:
+            told |= {"final": value, "initial": final_value(signals, given["signal"], end=t)}
+        return replace(self, arguments=given | told, since="")
+
+
+def figures_of(rig: Members) -> list[Figure]:
+    """Resolve and judge the figures of a rig's scenario.
+
+    Raises
+    ------
+    ScenarioError
+        Names the figure: an unknown function, argument, signal or parameter, a wrong type, a unit that does not fit.
+    """
+    units = signal_units(rig)
+
+    found = []
+    for name, entry in rig.scenario.figures.items():
+        try:
+            function = find(entry.function or name)
+            arguments = _arguments(function, fill_parameters(entry.arguments, rig.parameter))
+            _check_since(function, arguments, units, entry.since)
+            _check_signals(function, arguments, units)
+            unit, scale = _unit(function, arguments, units, entry.unit)
+        except ScenarioError as error:
+            at = rig.scenario.written("figures", name)
+            raise ScenarioError(f"{rig.scenario.name}: figure {name}: {error}{at}") from None
+        found.append(Figure(name, function, arguments, unit, scale, entry.since))
+    found += [Figure(name, judge, {}, judge.unit, 1.0) for name, judge in judges(rig, units).items()]
+    return found
+
+
+def _unit(
+    function: Function, arguments: Mapping[str, Any], units: Mapping[str, str], wanted: str | None
+) -> tuple[str, float]:
+    """Unit of a figure, and the number that turns what the function gives into it."""
+    declared: str | None = getattr(function, "unit", None)
+    if declared is None:
+        return wanted or "", 1.0
+    signal = units.get(str(arguments.get("signal")), "")
+    given = compose(declared, signal)
+    if wanted is None or (declared == "{signal}" and not signal):  # a port that does not know its unit
+        return wanted or given, 1.0
+    scale = factor(given, wanted)
+    if scale is None:
+        raise ScenarioError(f"unit {wanted!r}, but {function.__name__} gives {given or 'a pure number'!r}")
+    return wanted, scale
+
+
+def told(rig: Members) -> dict[str, str]:
+    """Write the figures of a rig's scenario, and the topics that they are on, as parameters of the node `figures`.
+
+    Requirements have nodes of their own.
+    """
+    names, units = rig.scenario.figures, signal_units(rig)
+    figures = [f for f in figures_of(rig) if f.name in names]
+    read = {name for f in figures for name in (*f.arguments.values(), *getattr(f.function, "reads", ()), f.since)
+            if isinstance(name, str) and name in units}  # fmt: skip
+    said = {p.topic for m in rig.members for p in m.outputs}
+    ports = [
+        reader(p, f"input_{k}", held=topic not in said)
+        for k, (topic, p) in enumerate(rig.topics.items())
+        if topic != CLOCK.topic and any(f"{topic}/{label}" in read for label in p.labels)
+    ]
+    written = [asdict(f) | {"function": names[f.name].function or f.name} for f in figures]
+    return {"figures": json.dumps(written), "ports": ports_text(ports)}
+
+
+def figures_in(text: str) -> list[Figure]:
+    """Read what `told` wrote.
+
+    Raises
+    ------
+    ValueError
+        The text is no JSON, or not of figures; says what was expected.
+    """
+    try:
+        return [Figure(**about | {"function": find(about["function"])}) for about in json.loads(text)]
+    except (TypeError, KeyError, ValueError, ScenarioError) as error:
+        raise ValueError(f"figures: {error}; expected a JSON list of name, function, arguments, unit, scale") from None
+
+
+def evaluate(rig: Members, signals: SignalMap) -> list[Result]:
+    """Measure the figures of a rig's scenario and judge them.
+
+    A figure that cannot be computed has value None and the reason; it passes only if nothing is expected of it.
+
+    Parameters
+    ----------
+    rig : Rig
+        Its scenario says what is measured and expected.
+    signals : Signals
+        Of a run of this rig.
+    """
+    published = {c.figure or k: c.published for k, c in rig.scenario.claims.items() if c.published is not None}
+    results = []
+    for figure in figures_of(rig):
+        required = figure.name in rig.scenario.requirements
+        limits = rig.scenario.expect.get(figure.name, Expectation(at_least=0.0) if required else None)
+        about: dict[str, Any] = {"name": figure.name, "unit": figure.unit, "published": published.get(figure.name)}
+        about |= (limits or Expectation()).model_dump()
+        try:
+            if isinstance(figure.function, Judge):
+                value, at, violated = figure.function.margin(signals)
+                about |= {"at_s": at, "violated_s": violated}
+            else:
+                value = figure(signals)
+            error = ""
+            if not math.isfinite(value):
+                decided = f"{'holds' if value > 0 else 'violated'} {DECIDED}"
+                error = decided if required else NEVER if value == math.inf else f"the result is {value}"
+        except UNMEASURED as broken:
+            value, error = math.nan, str(broken) or type(broken).__name__
+        endless = required and math.isinf(value)
+        passed = limits is None or limits.holds(math.copysign(SURE, value) if endless else value)
+        results.append(Result(value=None if error else value, number=value, passed=passed, error=error, **about))
+    return results
+
+
+@cache
+def _model(function: Function) -> tuple[type[BaseModel], bool]:
+    """Validate the keyword arguments of a function by its annotations."""
+    try:
+        hints = typing.get_type_hints(function)
+    except (NameError, TypeError):  # annotations that exist for type checkers only
+        hints = {}
+    fields: dict[str, Any] = {}
+    _, *parameters = inspect.signature(function).parameters.values()
+    for p in parameters:
+        if p.kind is not p.VAR_KEYWORD:
+            fields[p.name] = (hints.get(p.name, Any), ... if p.default is p.empty else p.default)
+    return create_model(function.__name__, __config__=ConfigDict(extra="forbid", frozen=True), **fields), len(
+        fields
+    ) == len(parameters)
+
+
+def _arguments(function: Function, given: dict[str, Any]) -> dict[str, Any]:
+    model, closed = _model(function)
+    if not closed:
+        return given
+    try:
+        checked = model.model_validate(given)
+    except ValidationError as error:
+        first = error.errors()[0]
+        name = ".".join(map(str, first["loc"]))
+        if first["type"] == "extra_forbidden":
+            raise ScenarioError(f"unknown argument {name}; it takes {', '.join(model.model_fields)}") from None
+        if first["type"] == "missing":
+            raise ScenarioError(f"argument {name} is missing") from None
+        raise ScenarioError(f"argument {name} = {first['input']!r}: {first['msg']}") from None
+    return {name: getattr(checked, name) for name in checked.model_fields_set}
+
+
+def _check_signals(function: Function, arguments: Mapping[str, Any], units: Mapping[str, str]) -> None:
+    named = {k: v for k, v in arguments.items() if isinstance(v, str) and (k in SIGNALS or "/" in v)}
+    for name in (*named.values(), *getattr(function, "reads", ())):
+        if name not in units:
+            raise ScenarioError(f"no signal {name!r}{closest(name, units)}; the rig has {', '.join(units)}")
+    both = [units[arguments[k]] for k in SIGNALS if isinstance(arguments.get(k), str)]
+    if len(both) == 2 and powers(both[0]) != powers(both[1]):
+        raise ScenarioError(f"signal in {both[0]!r}, but its reference in {both[1]!r}")
+
+
+def _check_since(function: Function, arguments: Mapping[str, Any], units: Mapping[str, str], since: str) -> None:
+    if not since:
+        return
+    if since not in units:
+        raise ScenarioError(f"since: no signal {since!r}{closest(since, units)}; the rig has {', '.join(units)}")
+    takes = _model(function)[0].model_fields
+    if "start" not in takes:
+        raise ScenarioError(f"since: {function.__name__} takes no start, it is of a whole run")
+    if "final" in takes and arguments.get("final") is None:
+        unit, own = units[since], units[arguments["signal"]]
+        if "initial" in arguments or powers(unit) != powers(own):
+            why = "initial" if "initial" in arguments else f"a signal in {own!r} and a reference in {unit!r}"
+            raise ScenarioError(f"since: with {why} the final value must be given, too")

@@ -1,0 +1,155 @@
+"""Claims held against measurements: of one run, or across scenarios."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping
+
+from pydantic import BaseModel, ConfigDict
+
+from ..errors import ScenarioError
+from ..judge.claims import Claim, Verdict, spoken
+from ..scenario.scenario import Scenario
+from ..scenario.scenario_file import list_scenarios
+from .figures import Result
+
+Figures = Mapping[str, float]
+
+
+class Finding(BaseModel):
+    """A claim and what the measurement says of it.
+
+    Parameters
+    ----------
+    scenario, key : str
+        Where the claim stands.
+    text, where, reason : str
+        What the paper says, where, and why the verdict is what it is.
+    figure, unit : str
+    asked : str
+        What agrees with it: the number with its tolerance, or what it is compared with.
+    published : float, optional
+    measured : float, optional
+        None when the claim cannot be checked or the figure is not finite; `measured_text` is for people.
+    verdict : str
+    holds : bool, optional
+        Whether the verdict fits the measurement; None when nothing was measured for it here.
+    """
+
+    model_config = ConfigDict(frozen=True)
+
+    scenario: str
+    key: str
+    text: str
+    where: str
+    figure: str = ""
+    unit: str = ""
+    published: float | None = None
+    measured: float | None = None
+    measured_text: str = ""
+    asked: str = ""
+    verdict: Verdict
+    reason: str = ""
+    holds: bool | None = None
+
+    @property
+    def false(self) -> str:
+        """Say why its verdict is not borne out."""
+        why = "cannot be checked" if self.holds is None else "does not hold"
+        return f"the verdict {self.verdict} {why}: measured {self.measured_text}, {self.asked} {self.unit}".rstrip()
+
+    @property
+    def statement(self) -> tuple[str, ...]:
+        """What the paper says and how it fared, which may be held against several scenarios, figures and bounds."""
+        if self.text == _words(self.key):
+            return self.scenario, self.key
+        return self.text, self.where, str(self.published), self.verdict
+
+
+def values(results: Iterable[Result]) -> dict[str, float]:
+    """Give the measured value of each figure, infinity for what never happened, NaN for what failed."""
+    return {r.name: r.number for r in results}
+
+
+def findings(scenario: Scenario, figures: Callable[[str], Figures | None], units: Mapping[str, str]) -> list[Finding]:
+    """Hold the claims of a scenario against measurements.
+
+    Parameters
+    ----------
+    scenario : Scenario
+    figures : callable
+        Figures of a scenario by its name; None when it has not been run.
+    units : mapping
+        Unit of the scenario's own figures.
+    """
+    return hold(scenario.name, scenario.claims, figures, units)
+
+
+def hold(
+    name: str, claims: Mapping[str, Claim], figures: Callable[[str], Figures | None], units: Mapping[str, str]
+) -> list[Finding]:
+    """Hold claims, of a scenario or of a study, against measurements; see `findings`.
+
+    Parameters
+    ----------
+    name : str
+        Of the scenario or study.
+    claims : mapping of str to Claim
+        By key.
+    figures : callable
+        Gives the figures of a scenario by its name; None when it was not run or broke.
+    units : mapping of str to str
+        Unit by figure.
+    """
+    return [_finding(name, key, claim, figures, units) for key, claim in claims.items()]
+
+
+def _finding(
+    name: str, key: str, claim: Claim, figures: Callable[[str], Figures | None], units: Mapping[str, str]
+) -> Finding:
+    figure = claim.figure or key
+    value = _value(figure, name, figures)
+    others = {kind: _value(r, name, figures) for kind, r in claim.compared().items()}
+    holds: bool | None = True
+    if claim.verdict != "not_checkable":
+        known = value is not None and all(x is not None for x in others.values())
+        sure = {kind: x for kind, x in others.items() if x is not None}
+        holds = claim.holds(claim.agrees(value, sure)) if known and value is not None else None
+    speaks = claim.verdict != "not_checkable" or bool(claim.figure)
+    return Finding(
+        scenario=name, key=key, text=claim.text or _words(key), where=claim.where,
+        figure=figure if speaks else "", unit=units.get(figure, ""), published=claim.published,
+        measured=value if value is not None and math.isfinite(value) else None,
+        measured_text=("?" if value is None else spoken(value)) if speaks else "", asked=claim.asks(others),
+        verdict=claim.verdict, reason=claim.reason, holds=holds,
+    )  # fmt: skip
+
+
+def _value(reference: float | str, own: str, figures: Callable[[str], Figures | None]) -> float | None:
+    if not isinstance(reference, str):
+        return reference
+    scenario, _, figure = reference.rpartition(".")
+    found = figures(scenario or own)
+    return None if found is None else found.get(figure)
+
+
+def _words(key: str) -> str:
+    return key.replace("_", " ")
+
+
+def needed(scenario: Scenario) -> set[str]:
+    """Names of the scenarios whose figures its claims need, itself included.
+
+    Raises
+    ------
+    ScenarioError
+        A claim names a scenario that is not there.
+    """
+    names = {scenario.name}
+    for key, claim in scenario.claims.items():
+        for reference in (claim.figure, *claim.references()):
+            other = reference.rpartition(".")[0]
+            if other and other not in names and other not in list_scenarios():
+                raise ScenarioError(f"{scenario.name}: claim {key}: scenario {other!r} is unknown")
+            names |= {other} if other else set()
+    return names

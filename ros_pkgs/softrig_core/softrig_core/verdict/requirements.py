@@ -1,0 +1,193 @@
+"""Requirements of a scenario: formulas of signal temporal logic over its shared names, measured like any figure.
+
+A requirement is a figure whose value is its margin (robustness) and whose expectation is: at least zero.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..block.port_text import ports_text, reader
+from ..block.schedule import Schedule
+from ..errors import ScenarioError
+from ..judge.formula import (
+    EDGES,
+    SURE,
+    Array,
+    Condition,
+    Margin,
+    Record,
+    Tree,
+    horizon,
+    intervals,
+    margin_unit,
+    once_there,
+    read,
+    variables,
+)
+from ..judge.measures import SignalMap
+from ..judge.requirement_entry import Requirement
+from ..rig.members import Members
+from ..scenario.references import fill_parameters
+from ..timebase import SECOND
+from ..wire.signals import full_name
+
+
+@dataclass(frozen=True)
+class Judge:
+    """A requirement of a rig: its formula read, its names found, its margin's unit known.
+
+    Called with signals it gives the margin, as a figure function does; `ticker` is a signal that goes to a run's end.
+    """
+
+    tree: Tree
+    signals: Mapping[str, str]
+    conditions: Mapping[str, Condition]
+    unit: str
+    clock: Schedule
+    ticker: str
+    reads: tuple[str, ...] = ()
+
+    def __call__(self, signals: SignalMap) -> float:
+        """Measure the margin; a ValueError says why it cannot be judged."""
+        return self.margin(signals).value
+
+    def margin(self, signals: SignalMap) -> Margin:
+        """Measure the margin, and find where it is least and where the formula is violated.
+
+        Raises
+        ------
+        ValueError
+            Not judged: the record ends before the formula's last window.
+        """
+        found = {name: signals[signal] for name, signal in self.signals.items()}
+        ticks, _ = signals[self.ticker]
+        if not len(ticks):
+            raise ValueError(f"not judged: nothing was recorded of {self.ticker}")
+        grid = _grid(self.clock, ticks[-1])
+        reach = horizon(self.tree)
+        if self.clock.next(int(grid[-1])) <= reach:  # there would have been a tick within the last window
+            raise ValueError(f"not judged: the record ends at {grid[-1] / SECOND:.6g} s, the requirement's last window "
+                             f"at {reach / SECOND:.6g} s")  # fmt: skip
+        tree, values = self.tree, {n: self._variable(n, found, grid) for n in variables(self.tree)}
+        for name, there in [(n, v) for n, v in values.items() if np.isnan(v[0])]:
+            late = np.isnan(there)
+            values[name] = np.where(late, 0.0, there)
+            values[f"_there__{name}"] = np.where(late, -SURE, SURE)
+            tree = once_there(tree, name)
+        return Record(grid, values).margin(tree)
+
+    def _variable(self, name: str, found: Mapping[str, tuple[Array, Array]], grid: Array) -> Array:
+        condition = self.conditions.get(name)
+        times, values = found[condition.signal if condition else name]
+        at = np.searchsorted(np.rint(times * SECOND), grid, side="right") - 1
+        if condition:
+            held = np.where(at < 0, 0.0, values[at]) if len(values) else np.zeros(len(grid))
+            true = EDGES[condition.edge](held, np.concatenate((held[:1], held[:-1]))) if condition.edge else held > 0.5
+            return np.where(true, SURE, -SURE)
+        if not len(values):
+            return np.full(len(grid), math.nan)
+        return np.where(at < 0, math.nan, values[at])
+
+
+def _grid(clock: Schedule, end: float) -> Array:
+    """Ticks of the clock up to the record's end, ns."""
+    last = clock.tick(clock.held(round(end * SECOND)))
+    return np.array([clock.time(k) for k in range(last + 1)], dtype=np.float64)
+
+
+def names_of(rig: Members, units: Mapping[str, str]) -> tuple[dict[str, float], dict[str, str]]:
+    """Give the shared names of a rig's scenario that formulas may use: numbers, and signals.
+
+    Parameters
+    ----------
+    rig : Members
+    units : mapping
+        Of each signal of the rig.
+    """
+    shared = rig.scenario.shared.items()
+    named = {k: fill_parameters(v, rig.parameter) if isinstance(v, str) else v for k, v in shared}
+    numbers = {k: float(v) for k, v in named.items() if isinstance(v, int | float) and not isinstance(v, bool)}
+    signals = {k: full_name(v, units) for k, v in named.items() if isinstance(v, str)}
+    return numbers, {k: v for k, v in signals.items() if v in units}
+
+
+def watched(rig: Members, units: Mapping[str, str]) -> dict[str, dict[str, Any]]:
+    """Give the nodes that watch requirements of a rig's scenario while it runs, as entries of its nodes."""
+    numbers, signals = names_of(rig, units)
+    nodes = {}
+    for name, requirement in rig.scenario.requirements.items():
+        if not (requirement.live or requirement.ends):
+            continue
+        judge = _judge(rig, requirement, {**numbers, **dict.fromkeys(signals)}, signals, units)
+        topics = {t: p for t, p in rig.topics.items() if any(s.startswith(f"{t}/") for s in judge.signals.values())}
+        ports = ports_text([reader(p, f"input_{k}") for k, p in enumerate(topics.values())])
+        nodes[f"requirement_{name}"] = {
+            "package": "softrig_control", "executable": "requirement_monitor",
+            "parameters": {
+                "period": rig.clock.params.period, "formula": requirement.formula, "ports": ports,
+                "names": list(judge.signals), "signals": list(judge.signals.values()), "constants": list(numbers),
+                "values": list(numbers.values()), "scale_units": list(requirement.scale),
+                "scale_values": list(requirement.scale.values()), "topic": f"requirement/{name}",
+                "ends": requirement.ends,
+            },
+        }  # fmt: skip
+    return nodes
+
+
+def judges(rig: Members, units: Mapping[str, str]) -> dict[str, Judge]:
+    """Read the requirements of a rig's scenario.
+
+    Parameters
+    ----------
+    rig : Members
+    units : mapping
+        Of each signal of the rig.
+
+    Raises
+    ------
+    ScenarioError
+        Names the requirement: a formula that does not parse, an unknown name, units that do not fit, an interval
+        without a tick in it.
+    """
+    if not rig.scenario.requirements:
+        return {}
+    numbers, signals = names_of(rig, units)
+    known: dict[str, float | None] = {**numbers, **dict.fromkeys(signals)}
+    found = {}
+    for name, requirement in rig.scenario.requirements.items():
+        try:
+            found[name] = _judge(rig, requirement, known, signals, units)
+        except ScenarioError as error:
+            raise ScenarioError(f"{rig.scenario.name}: requirement {name}: {error}") from None
+    return found
+
+
+def _judge(
+    rig: Members, requirement: Requirement, known: Mapping[str, float | None], signals: Mapping[str, str],
+    units: Mapping[str, str],
+) -> Judge:  # fmt: skip
+    tree, conditions = read(requirement.formula, known)
+    used = variables(tree)
+    period = rig.clock.params.period * SECOND
+    for low, high in intervals(tree):
+        if high is not None and math.floor(high / period + 1e-9) * period < low * (1.0 - 1e-12):
+            raise ScenarioError(f"no tick of {rig.clock.name} (each {period / SECOND:g} s) is within "
+                                f"[{low / SECOND:g}, {high / SECOND:g}] s")  # fmt: skip
+    compared = {name: units[signals[name]] for name in used if name not in conditions}
+    tree, unit = margin_unit(tree, compared, requirement.scale)
+    read_ = {n: signals[n] for n in {conditions[v].signal if v in conditions else v for v in used}}
+    ticker = _ticker(rig)
+    return Judge(tree, read_, conditions, unit, rig.clock.schedule, ticker, (*read_.values(), ticker))
+
+
+def _ticker(rig: Members) -> str:
+    """Give a signal that is sent at each tick of its node, to the end of the run."""
+    ports = [(m, p) for m in rig.members for p in m.outputs if p.labels and not p.sporadic]
+    _, port = max(ports, key=lambda each: (each[0].schedule.last or 0, -each[0].schedule.every))
+    return f"{port.topic}/{port.labels[0]}"
