@@ -8,10 +8,10 @@ from xml.etree import ElementTree
 import pytest
 from docs.gallery import sentences
 from softrig_bringup.cli import main
-from softrig_bringup.drawing import PALETTE, as_dict, drawing_for
-from softrig_bringup.drawing.film import comfortable, film
-from softrig_bringup.drawing.smil import animated
+from softrig_bringup.film.film import comfortable, film
+from softrig_bringup.film.smil import animated
 from softrig_core import Signals, load_scenario, rig_of, simulate
+from softrig_core.drawing import PALETTE, as_dict, drawing_for
 from softrig_core.rig.members import signal_units
 
 # one of each plant that is drawn, and of each of its ways to be wired
@@ -175,7 +175,7 @@ def test_the_verb_writes_every_form(form, tmp_path, capsys, monkeypatch):
 @pytest.mark.long
 def test_a_gif_is_made_small_enough_or_refused(shorted, monkeypatch):
     from PIL import Image
-    from softrig_bringup.drawing import raster
+    from softrig_bringup.film import raster
     from softrig_core import ScenarioError
 
     made = film(drawing_for(shorted.rig), shorted.signals, 0.09, 0.1, 0.02)

@@ -12,7 +12,6 @@ from softrig_bringup.folder import ResultsFolder
 from softrig_bringup.plots import pictures as plots
 from softrig_bringup.plots.curves import envelope
 from softrig_bringup.plots.pictures import OVERVIEW, plot_name, plot_run
-from softrig_bringup.plots.style import pretty_unit
 from softrig_bringup.report.report import write_report
 from softrig_bringup.run.run import save, summary
 from softrig_core import (
@@ -34,6 +33,7 @@ from softrig_core import (
     scalars,
     vector3,
 )
+from softrig_core.judge.units import pretty_unit
 from softrig_core.rig.members import signal_units
 from softrig_core.verdict.figures import Result
 
@@ -109,7 +109,7 @@ BLOCKS = {"drive": Drive, "law": Law, "steps": Steps}
 
 def rigs(patch):
     """What makes a rig of the blocks above, with changes to the scenario's keys."""
-    patch.setattr("softrig_core.rig.installed.load_block", lambda package, executable: BLOCKS[executable])
+    patch.setattr("softrig_core.rig.rig.load_block", lambda package, executable: BLOCKS[executable])
 
     def make(**keys):
         nodes = {name: {"package": "here", "executable": name} for name in BLOCKS}

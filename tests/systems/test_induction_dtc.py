@@ -9,7 +9,7 @@ from conftest import differences, in_process
 from hypothesis import given, strategies as st
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
-from softrig_bringup.plots import figures as plots
+from softrig_bringup.plots import pictures as plots
 from softrig_bringup.run.run import checked, execute
 from softrig_core import (
     Level,

@@ -9,13 +9,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from softrig_core import Rig, Signals
+from softrig_core.judge.units import pretty_unit
 from softrig_core.scenario.scenario import PlotEntry
 
 from . import style as look
 from .axes import UNIT, draw, draw_logic, draw_marks, fold_exponents, is_logic, legend, styles
 from .curves import Curve, Source, by_unit, check_plots
 from .marks import Mark, marks_of
-from .style import axis_title, pretty_unit, quantity
+from .style import axis_title, quantity
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

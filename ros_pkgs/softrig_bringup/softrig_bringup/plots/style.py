@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import re
 from typing import Any
+
+from softrig_core.judge.units import pretty_unit
 
 # Okabe and Ito's colours, which stay apart for every kind of colour vision; yellow is left out (too pale on white).
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7f5539")
@@ -62,19 +63,6 @@ _QUANTITIES = {unit: name for name, units in _UNITS.items() for unit in units.sp
 def quantity(unit: str) -> str:
     """Give the quantity that a unit of the suite stands for; empty where it may be several."""
     return _QUANTITIES.get(unit, "")
-
-
-def pretty_unit(unit: str) -> str:
-    """Set a unit as it is printed: ``kg m^2`` as kg m², ``ohm`` as Ω.
-
-    Examples
-    --------
-    >>> pretty_unit("m/s^2")
-    'm/s²'
-    """
-    raised = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
-    unit = re.sub(r"\^(-?\d+)", lambda power: power[1].translate(raised), unit)
-    return re.sub(r"\bohm\b", "Ω", unit)
 
 
 def axis_title(name: str, unit: str) -> str:

@@ -12,6 +12,7 @@ from xml.etree.ElementTree import Element
 
 from softrig_bags.errors import BagError
 from softrig_core import ScenarioError
+from softrig_core.judge.units import pretty_unit
 from softrig_core.verdict.figures import Result
 
 from ..page.citations import sources
@@ -19,7 +20,6 @@ from ..page.diagram import draw_diagram
 from ..page.html import NONE, e, mark, picture, table
 from ..page.wording import NEVER, accepted, difference, measured, measured_here, number
 from ..plots.pictures import OVERVIEW, plot_name
-from ..plots.style import pretty_unit
 from .record import RunRecord
 from .redraw import draw_missing
 

@@ -11,12 +11,12 @@ from xml.etree.ElementTree import Element
 from softrig_bags.errors import BagError
 from softrig_bags.read import signals
 from softrig_core import Signals
+from softrig_core.judge.units import pretty_unit
 from softrig_core.verdict.figures import Result
 
 from ..page.html import NONE, e, mark, picture, table
 from ..page.wording import measured
 from ..plots.overlay import LEAST, Overlay, draw_overlay
-from ..plots.style import pretty_unit
 from .record import RunRecord
 from .run_page import verdict
 

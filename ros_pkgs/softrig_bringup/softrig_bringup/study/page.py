@@ -13,6 +13,7 @@ from xml.etree.ElementTree import Element
 from softrig_core import figures_of, load_scenario, rig_of
 from softrig_core.block.params import declarations
 from softrig_core.extras import need
+from softrig_core.judge.units import pretty_unit
 from softrig_core.rig.members import signal_units
 from softrig_core.verdict.figures import Result
 from softrig_core.verdict.findings import Finding
@@ -22,7 +23,6 @@ from ..folder import STUDY, ResultsFolder
 from ..page.citations import cited, sources
 from ..page.html import NONE, e, mark, picture, table, write_page
 from ..page.wording import NEVER, accepted, short
-from ..plots.style import pretty_unit
 from .definition import Study, list_studies
 from .engine import beyond, run_study
 from .options import study_of

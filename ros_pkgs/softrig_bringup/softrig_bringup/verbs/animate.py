@@ -10,9 +10,9 @@ from softrig_core.command_line import Number
 
 if TYPE_CHECKING:
     from softrig_core import Rig
+    from softrig_core.drawing import Drawing
 
-    from ..drawing import Drawing
-    from ..drawing.film import Film
+    from ..film.film import Film
 
 FORMS = ("svg", "gif", "webp", "png")
 
@@ -54,7 +54,7 @@ def film_of(what: str, start: float = 0.0, end: float | None = None, speed: floa
     start, end : float
         s; to the end of the run without `end`.
     speed : float, optional
-        See `softrig_bringup.drawing.film.film`.
+        See `softrig_bringup.film.film.film`.
 
     Raises
     ------
@@ -63,7 +63,7 @@ def film_of(what: str, start: float = 0.0, end: float | None = None, speed: floa
     """
     from softrig_core import rig_of, simulate
 
-    from ..drawing.film import film
+    from ..film.film import film
     from ..report.redraw import rig_of_run
 
     if not Path(what).is_dir():
@@ -81,8 +81,7 @@ def film_of(what: str, start: float = 0.0, end: float | None = None, speed: floa
 
 def _drawing(rig: Rig) -> Drawing:
     from softrig_core import ScenarioError
-
-    from ..drawing import drawing_for
+    from softrig_core.drawing import drawing_for
 
     found = drawing_for(rig)
     if found is None:
@@ -107,11 +106,11 @@ def write(made: Film, out: Path) -> str:
     from ..folder import replace
 
     if out.suffix == ".svg":
-        from ..drawing.smil import animated
+        from ..film.smil import animated
 
         replace(out, animated(made))
         return ""
-    from ..drawing.raster import pixels
+    from ..film.raster import pixels
 
     content, reduced = pixels(made, out.suffix[1:])
     replace(out, content)

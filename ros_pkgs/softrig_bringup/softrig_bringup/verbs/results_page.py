@@ -10,6 +10,7 @@ from xml.etree.ElementTree import Element
 
 from softrig_core import Scenario, load_scenario
 from softrig_core.judge.claims import VERDICTS
+from softrig_core.judge.units import pretty_unit
 from softrig_core.verdict.findings import Finding
 
 from ..options.repeat import joined, scenario_word, words
@@ -17,7 +18,6 @@ from ..page.citations import Citation, cited, listed, sources
 from ..page.html import e, mark, page, table
 from ..page.wording import short
 from ..plots.pictures import OVERVIEW
-from ..plots.style import pretty_unit
 from ..study.definition import list_studies
 
 HEADER = ("Claim", "Where", "Published", "Agrees when", "Measured", "Verdict", "Run")

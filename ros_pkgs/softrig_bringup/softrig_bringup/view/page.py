@@ -25,12 +25,12 @@ from bokeh.models import (
 )
 from bokeh.themes import Theme
 from softrig_core import ScenarioError
+from softrig_core.drawing import drawing_for
 from softrig_core.scenario.yaml_file import read_yaml
 from softrig_core.verdict.figures import Result
 
-from ..drawing import drawing_for
-from ..drawing.film import PAST, rows
-from ..drawing.svg import still
+from ..film.film import PAST, rows
+from ..film.svg import still
 from . import words
 from .control import Control, Knob
 from .look import CHANGED, TEMPLATE, WIDGETS, theme

@@ -9,11 +9,12 @@ import numpy as np
 from bokeh.models import ColumnDataSource, CrosshairTool, DataRange1d, HoverTool, Range1d, Span
 from bokeh.plotting import figure
 from softrig_core import Rig
+from softrig_core.judge.units import pretty_unit
 from softrig_core.rig.members import signal_units
 from softrig_core.scenario.scenario import PlotEntry
 
 from ..plots.curves import Curve, Source as Curves, envelope
-from ..plots.style import MANY, axis_title, pretty_unit, quantity
+from ..plots.style import MANY, axis_title, quantity
 from .look import CHANGED, COLOURS, INK, SOFT
 from .tracks import Pane
 

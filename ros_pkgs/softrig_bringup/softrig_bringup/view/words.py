@@ -7,10 +7,10 @@ import math
 from collections.abc import Iterable, Mapping
 from typing import Any
 
+from softrig_core.judge.units import pretty_unit
 from softrig_core.verdict.figures import Result
 
 from ..page.wording import accepted, in_words, measured_here
-from ..plots.style import pretty_unit
 from .control import Said
 from .sources import Source
 

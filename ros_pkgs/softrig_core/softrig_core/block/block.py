@@ -184,6 +184,11 @@ class Block(Generic[P]):
         """Give what a viewer needs to show what the block moves, with these parameters; most move nothing."""
         return None
 
+    @classmethod
+    def drawing(cls) -> Any:
+        """Give the class that draws it, a `softrig_core.drawing.Drawing`; None: its `scene` does, or nothing."""
+        return None
+
     def markers(self) -> Sequence[Marker]:
         """Give something to look at, drawn from the newest state; a node asks a few times a second."""
         return ()

@@ -120,3 +120,16 @@ def factor(given: str, wanted: str) -> float | None:
         return math.degrees(1.0) ** a["rad"]
     (own, of), (other, wants) = base(given), base(wanted)
     return own / other if of == wants else None
+
+
+def pretty_unit(unit: str) -> str:
+    """Set a unit as it is printed: ``kg m^2`` as kg m², ``ohm`` as Ω.
+
+    Examples
+    --------
+    >>> pretty_unit("m/s^2")
+    'm/s²'
+    """
+    raised = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+    unit = re.sub(r"\^(-?\d+)", lambda power: power[1].translate(raised), unit)
+    return re.sub(r"\bohm\b", "Ω", unit)

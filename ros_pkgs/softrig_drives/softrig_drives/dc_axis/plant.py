@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 from pydantic import model_validator
 from softrig_control.hardware import axis_urdf, hardware_tag
@@ -56,6 +56,13 @@ class DcAxisPlant(Plant[DcAxisParams]):
 
     INPUTS = (replace(COMMAND, also=AXIS),)  # ros2_control knows one name for both ways
     OUTPUTS = (STATE, TRUE_STATE)
+
+    @classmethod
+    def drawing(cls) -> Any:
+        """Give what draws it."""
+        from .drawing import DcAxis
+
+        return DcAxis
 
     def latched(self) -> Mapping[str, str]:
         """Give the URDF for ros2_control, whose command is the voltage of the armature."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 from pydantic import model_validator
 from softrig_control.discretise import zero_order_hold
@@ -71,6 +71,13 @@ class DcMotorPlant(Plant[DcMotorPlantParams]):
 
     INPUTS = (replace(COMMAND, also=SHAFT),)  # ros2_control knows one name for both ways
     OUTPUTS = (STATE, SENSORS)
+
+    @classmethod
+    def drawing(cls) -> Any:
+        """Give what draws it."""
+        from .drawing import DcMotor
+
+        return DcMotor
 
     @classmethod
     def ports(cls, params: DcMotorPlantParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:

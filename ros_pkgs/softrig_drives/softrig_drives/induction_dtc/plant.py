@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 from softrig_core import BlockParams, Compiled, Level, Plant, executable, param
 
@@ -42,6 +43,13 @@ class ImPlant(Plant[ImPlantParams]):
 
     INPUTS = (SWITCHES, LOAD_TORQUE)
     OUTPUTS = (JOINT_STATES, CURRENTS_TRUE, CURRENTS_MEAS, FLUX_TRUE, DC_LINK)
+
+    @classmethod
+    def drawing(cls) -> Any:
+        """Give what draws it."""
+        from .drawing import InductionMotor
+
+        return InductionMotor
 
     def setup(self) -> None:
         """Compile the equations, scale the voltages."""

@@ -1,49 +1,98 @@
-"""The motor as lines: stator teeth on both sides, translator poles between them."""
+"""The linear switched reluctance motor: the translator between the stator's teeth, seen from the translator."""
 
 from __future__ import annotations
 
-from softrig_core import Marker
-from softrig_core.block.marker import Point
+import math
+from collections.abc import Sequence
 
-from .machine import Geometry
+from softrig_core.drawing.base import Drawing, Row, held, readings
+from softrig_core.drawing.shapes import Pen
 
-FRAME = "stator"
-STATOR_POLE = 0.021
-TRANSLATOR_POLE = 0.013
-TRANSLATOR_PITCH = 0.039
-TRANSLATOR_POLES = 4
-TEETH = 24
-GAP = 0.002
-DEPTH = 0.026
-HALF_BODY = 0.02
+from .markers import DEPTH, GAP, HALF_BODY, STATOR_POLE, TRANSLATOR_PITCH, TRANSLATOR_POLE
 
-
-def _tooth(x: float, width: float, foot: float, tip: float) -> tuple[Point, ...]:
-    """Outline of a pole around x as pairs of points."""
-    left, right = x - width / 2, x + width / 2
-    a, b, c, d = (left, foot, 0.0), (left, tip, 0.0), (right, tip, 0.0), (right, foot, 0.0)
-    return a, b, b, c, c, d
+SCALE = 2250.0  # units a metre
+AXIS = 128.0  # y of the middle
+LEFT, RIGHT = 20.0, 620.0
+MIDDLE = 320.0
+PHASES = (("a", "accent"), ("b", "second"), ("c", "third"), ("d", "fourth"))
+TEETH = 7  # on each side; one more than is seen comes in while one goes out
 
 
-def stator(geometry: Geometry) -> Marker:
-    """Teeth above and below, one at each multiple of the pitch; phase a is aligned with them at x = 0."""
-    near = HALF_BODY + GAP
-    points: tuple[Point, ...] = ()
-    for n in range(-4, TEETH - 4):
-        for side in (1.0, -1.0):
-            points += _tooth(n * geometry.tau, STATOR_POLE, side * (near + DEPTH), side * near)
-    return Marker(FRAME, "stator", "line_list", points, 0.001, (0.5, 0.5, 0.5, 1.0))
+class ReluctanceMotor(Drawing):
+    """The stator passes the translator, whose poles a to d lie 39 mm apart over a pitch of 52 mm."""
 
+    title = "Linear switched reluctance motor: translator, stator teeth and phase currents"
+    bounds = (0.0, 0.0, 640.0, 400.0)
 
-def translator(geometry: Geometry, x: float) -> Marker:
-    """Body and poles of the moving part at the position x (m)."""
-    points: tuple[Point, ...] = ()
-    for n in range(TRANSLATOR_POLES):
-        for side in (1.0, -1.0):
-            points += _tooth(x + n * TRANSLATOR_PITCH, TRANSLATOR_POLE, side * HALF_BODY / 2, side * HALF_BODY)
-    first, last = x - TRANSLATOR_PITCH / 2, x + (TRANSLATOR_POLES - 0.5) * TRANSLATOR_PITCH
-    half = HALF_BODY / 2
-    corners = ((first, half, 0.0), (last, half, 0.0), (last, -half, 0.0), (first, -half, 0.0))
-    for n, corner in enumerate(corners):
-        points += (corner, corners[(n + 1) % 4])
-    return Marker(FRAME, "translator", "line_list", points, 0.001, (0.8, 0.3, 0.1, 1.0))
+    def setup(self) -> None:
+        """Motion, currents, forces, reference and load."""
+        motion = [self.quantity("joint_states", f"translator/{field}") for field in ("position", "velocity", "effort")]
+        self.position, self.speed, self.force = motion
+        self.currents = [self.quantity("phase_currents", f"{name}/position") for name, _ in PHASES]
+        self.reference = self.quantity("reference", "translator/velocity")
+        self.mass = self.quantity("load", "mass/effort")
+        self.pitch = self.p.tau
+        self.full = self.p.trip_current
+
+    def draw(self, pen: Pen, row: Row, past: Sequence[Row]) -> None:
+        """Stator, translator, then currents and values."""
+        x = self.position(row)
+        self._stator(pen, x)
+        self._translator(pen, row)
+        self._currents(pen, row)
+        rows = [("Position", self.position.said(row, ".4f"), "line"), ("Speed", self.speed.said(row, ".3f"), "line")]
+        rows += [("Reference", self.reference.said(row, ".3f"), "reference")] if self.reference.name else []
+        rows += [("Force", self.force.said(row), "line")]
+        rows += [("Load", self.mass.said(row), "line")] if self.mass.name else []
+        readings(pen, (400.0, 290.0), rows, 210.0)
+
+    def _stator(self, pen: Pen, x: float) -> None:
+        """Two yokes with their teeth, which go to the left when the translator goes to the right."""
+        near, depth = (HALF_BODY + GAP) * SCALE, DEPTH * SCALE
+        pole, pitch = STATOR_POLE * SCALE, self.pitch * SCALE
+        # where pole a is aligned a tooth stands at its place; the pattern repeats with each pitch
+        first = self._place(0) - (x % self.pitch) * SCALE
+        first -= math.floor((self._place(0) - LEFT) / pitch) * pitch
+        for side in (-1.0, 1.0):
+            inner, outer = AXIS + side * near, AXIS + side * (near + depth * 0.62)
+            back = AXIS + side * (near + depth)
+            for n in range(TEETH):
+                left = min(max(first + n * pitch - pole / 2, LEFT), RIGHT)
+                right = min(max(first + n * pitch + pole / 2, LEFT), RIGHT)
+                pen.polygon([(left, outer), (left, inner), (right, inner), (right, outer)], "muted", "faint", 1.2)
+            pen.polygon([(LEFT, outer), (RIGHT, outer), (RIGHT, back), (LEFT, back)], "muted", "faint", 1.2)
+            pen.line([(LEFT, outer), (RIGHT, outer)], "faint", 2.5)  # teeth and yoke are one
+
+    def _place(self, pole: int) -> float:
+        return MIDDLE + (pole - 1.5) * TRANSLATOR_PITCH * SCALE
+
+    def _translator(self, pen: Pen, row: Row) -> None:
+        half, tip, wide = HALF_BODY / 2 * SCALE, HALF_BODY * SCALE, TRANSLATOR_POLE * SCALE
+        left, right = self._place(0) - 44.0, self._place(3) + 44.0
+        for k, (_, role) in enumerate(PHASES):
+            share = held(self.currents[k](row) / self.full, 1.0)
+            for side in (-1.0, 1.0):
+                place = self._place(k)
+                for x in (place - wide / 2 - 13.0, place + wide / 2):
+                    y = AXIS + side * half
+                    pen.box(x, y, 13.0, side * (tip - half - 4.0), role, "paper", 1.0)
+                    pen.box(x, y, 13.0, side * (tip - half - 4.0) * abs(share), role, role, 0)
+                pen.box(place - wide / 2, AXIS + side * (half - 1.0), wide, side * (tip - half + 1.0), "line", "faint")
+        pen.box(left, AXIS - half, right - left, 2 * half, "line", "faint")
+        for k, (name, role) in enumerate(PHASES):
+            pen.line([(self._place(k) - wide / 2 + 1.2, AXIS - half), (self._place(k) + wide / 2 - 1.2, AXIS - half)],
+                     "faint", 3.0)  # fmt: skip
+            pen.line([(self._place(k) - wide / 2 + 1.2, AXIS + half), (self._place(k) + wide / 2 - 1.2, AXIS + half)],
+                     "faint", 3.0)  # fmt: skip
+            pen.text((self._place(k), AXIS - 2.0), name, role, 15.0, "middle")
+        push = held(self.force(row) / 40.0, 1.0) * 110.0
+        pen.arrow((MIDDLE, AXIS + 11.0), (MIDDLE + push, AXIS + 11.0), "alarm", 4.0, 13.0)
+
+    def _currents(self, pen: Pen, row: Row) -> None:
+        pen.text((30.0, 268.0), "Phase currents", "muted")
+        for k, ((name, role), current) in enumerate(zip(PHASES, self.currents, strict=True)):
+            y = 290.0 + 22.0 * k
+            pen.text((30.0, y), name, role)
+            pen.box(50.0, y - 11.0, 200.0, 12.0, "muted", "paper", 1.0)
+            pen.box(50.0, y - 11.0, 200.0 * held(abs(current(row)) / self.full, 1.0), 12.0, role, role, 0)
+            pen.text((330.0, y), current.said(row, ".2f"), role, anchor="end")

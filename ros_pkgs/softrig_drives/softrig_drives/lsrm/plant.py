@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from softrig_control.hardware import axis_urdf, hardware_tag
 from softrig_core import BlockParams, Level, Marker, Plant, executable, jit, param
 
-from .drawing import stator, translator
 from .machine import N_PHASES, STATES, Array, Geometry, Mechanics, V, X, advance, current, force
+from .markers import stator, translator
 from .ports import FORCE_PHASES, JOINT_STATES, LOAD, PHASE_CURRENTS, PHASE_VOLTAGE, TRANSLATOR
 
 Step = tuple[float, float, float, float, float, float, float, float, float, float, float]
@@ -51,6 +51,13 @@ class LsrmPlant(Plant[LsrmPlantParams]):
 
     INPUTS = (PHASE_VOLTAGE, LOAD)
     OUTPUTS = (JOINT_STATES, PHASE_CURRENTS, FORCE_PHASES)
+
+    @classmethod
+    def drawing(cls) -> Any:
+        """Give what draws it."""
+        from .drawing import ReluctanceMotor
+
+        return ReluctanceMotor
 
     def latched(self) -> Mapping[str, str]:
         """Give the URDF for ros2_control: its command, a force, is that of the current controller."""

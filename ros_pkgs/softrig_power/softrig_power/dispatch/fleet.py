@@ -36,6 +36,13 @@ class UnitFleet(Plant[FleetParams]):
     """
 
     @classmethod
+    def drawing(cls) -> Any:
+        """Give what draws it."""
+        from .drawing import Fleet
+
+        return Fleet
+
+    @classmethod
     def agreed(cls, params: FleetParams) -> Mapping[str, Any]:
         """The units."""
         return Units.read(params.unit_table).agreed()

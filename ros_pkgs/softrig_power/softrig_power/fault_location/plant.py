@@ -57,6 +57,13 @@ class LinePlant(Plant[LinePlantParams]):
     """
 
     @classmethod
+    def drawing(cls) -> Any:
+        """Give what draws it."""
+        from .drawing import FaultedLine
+
+        return FaultedLine
+
+    @classmethod
     def ports(cls, params: LinePlantParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
         """The four streams, the current of the fault itself, and the record with as many rows as it has samples."""
         outputs = (*streams(), vector3("fault_current", "line/fault_current", "abc", "A"))

@@ -55,6 +55,13 @@ class GupfcPlant(Plant[GupfcPlantParams]):
     STALE_PERIODS: ClassVar[int] = 3
 
     @classmethod
+    def drawing(cls) -> Any:
+        """Give what draws it."""
+        from .drawing import Gupfc
+
+        return Gupfc
+
+    @classmethod
     def agreed(cls, params: GupfcPlantParams) -> Mapping[str, Any]:
         """The steady state in which all start."""
         return params.agreed()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import ClassVar, Literal, Self
+from typing import Any, ClassVar, Literal, Self
 
 from pydantic import model_validator
 from softrig_core import BlockParams, Level, Plant, Port, check_steps, command, executable, param, scalars
@@ -51,6 +51,13 @@ class PvPlant(Plant[PvPlantParams]):
     """
 
     STALE_PERIODS: ClassVar[int] = 200  # 0.2 s: five periods of a tracker at 25 Hz, not five of the sensors
+
+    @classmethod
+    def drawing(cls) -> Any:
+        """Give what draws it."""
+        from .drawing import PvString
+
+        return PvString
 
     @classmethod
     def ports(cls, params: PvPlantParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:

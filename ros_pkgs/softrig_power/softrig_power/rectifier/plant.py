@@ -96,6 +96,13 @@ class RectifierPlant(Plant[RectifierPlantParams]):
     LATE_PERIODS = 5  # older than this it is held with a warning
 
     @classmethod
+    def drawing(cls) -> Any:
+        """Give what draws it."""
+        from .drawing import Rectifier
+
+        return Rectifier
+
+    @classmethod
     def ports(cls, params: RectifierPlantParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
         """The command's channel depends on the structure."""
         command = ports.I_REF if params.structure == "decoupled" else ports.V_DROP

@@ -55,6 +55,13 @@ class OcpPlant(Plant[P]):
     """
 
     @classmethod
+    def drawing(cls) -> Any:
+        """Give what draws it."""
+        from .drawing import OptimalControl
+
+        return OptimalControl
+
+    @classmethod
     def agreed(cls, params: OcpPlantParams) -> Mapping[str, Any]:
         """The problem."""
         return params.plant_agreed()
@@ -129,6 +136,13 @@ class ScalarPlant(OcpPlant[ScalarPlantParams]):
 
 class SpacecraftPlant(OcpPlant):
     r"""Rates of a rigid spacecraft, :math:`I_1 \dot w_1 = (I_2 - I_3) w_2 w_3 + u_1`, cyclic."""
+
+    @classmethod
+    def drawing(cls) -> Any:
+        """Give what draws it."""
+        from .drawing import Spacecraft
+
+        return Spacecraft
 
     def markers(self) -> tuple[Marker, ...]:
         """Draw the momentum vector I w in axes of the body, 1 m for 1 kg m^2/s, and a ball at its tip."""

@@ -119,6 +119,13 @@ class SwitchedDelayPlant(DelayPlant[SwitchedDelayPlantParams]):
     cell_of = pwa_cell
 
     @classmethod
+    def drawing(cls) -> Any:
+        """Give what draws it."""
+        from softrig_core.drawing.state_plane import StatePlane
+
+        return StatePlane
+
+    @classmethod
     def agreed(cls, params: SwitchedDelayPlantParams) -> Mapping[str, Any]:
         """The system."""
         return params.agreed()
@@ -185,6 +192,13 @@ class TankPlant(DelayPlant[TankPlantParams]):
     loop = run_tank
     cell_of = tank_cell
 
+    @classmethod
+    def drawing(cls) -> Any:
+        """Give what draws it."""
+        from .drawing import Tank
+
+        return Tank
+
     def first(self) -> tuple[float, ...]:
         """The level, and what the law gives for it."""
         p, x = self.p, self.p.x0
@@ -244,6 +258,13 @@ class PendulumPlant(DelayPlant[PendulumPlantParams]):
     OUTPUTS = (PENDULUM, mode("pendulum/mode"))
     loop = run_pendulum
     cell_of = pendulum_cell
+
+    @classmethod
+    def drawing(cls) -> Any:
+        """Give what draws it."""
+        from .drawing import Pendulum
+
+        return Pendulum
 
     def first(self) -> tuple[float, ...]:
         """Angle, speed, no torque."""

@@ -66,6 +66,13 @@ class Network(Plant[P]):
     OUTPUTS = (STATE, TRUTH)
 
     @classmethod
+    def drawing(cls) -> Any:
+        """Give what draws it."""
+        from .drawing import Bottleneck
+
+        return Bottleneck
+
+    @classmethod
     def agreed(cls, params: NetworkParams) -> Mapping[str, Any]:
         """The bottleneck."""
         return params.agreed()

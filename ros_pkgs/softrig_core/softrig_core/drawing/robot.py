@@ -8,8 +8,7 @@ from collections.abc import Sequence
 from random import Random
 from xml.etree import ElementTree
 
-from softrig_core import Scene
-
+from ..block.scene import Scene
 from .base import Drawing, Row, held, readings, tail
 from .projection import Camera, Place, plus, times, turned
 from .shapes import Pen, Point

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from .base import Drawing, Row, held, readings, tail
-from .delay import StatePlane
-from .projection import Camera, Place
-from .shapes import Pen
-from .symbols import meter
+from softrig_core.drawing.base import Drawing, Row, held, readings, tail
+from softrig_core.drawing.projection import Camera, Place
+from softrig_core.drawing.shapes import Pen
+from softrig_core.drawing.state_plane import StatePlane
+from softrig_core.drawing.symbols import meter
 
 CORNERS = [(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]
 EDGES = [(a, b) for a in range(8) for b in range(a + 1, 8) if sum(p != q for p, q in zip(CORNERS[a], CORNERS[b])) == 1]

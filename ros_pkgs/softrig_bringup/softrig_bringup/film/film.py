@@ -9,10 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from softrig_core import ScenarioError
+from softrig_core.drawing.base import Drawing
+from softrig_core.drawing.shapes import Pen, Shape
 from softrig_core.wire.signals import Signal
-
-from .base import Drawing
-from .shapes import Pen, Shape
 
 FRAMES = 20  # a second of the film
 LONGEST = 600  # frames

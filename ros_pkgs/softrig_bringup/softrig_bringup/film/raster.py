@@ -9,9 +9,9 @@ from pathlib import Path
 
 from PIL import Image, ImageDraw, ImageFont
 from softrig_core import ScenarioError
+from softrig_core.drawing.shapes import PALETTE, Circle, Line, Point, Polygon, Shape, Text
 
 from .film import FRAMES, Film
-from .shapes import PALETTE, Circle, Line, Point, Polygon, Shape, Text
 
 FINER = 2  # times as many pixels as are kept: smooth edges
 LARGEST = 2_000_000  # bytes of a GIF: larger ones are not shown, or not at once, where GIFs are used

@@ -7,10 +7,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from softrig_core import Port, Rig
-from softrig_core.rig.members import Member, signal_units
-
-from ..plots.style import pretty_unit
+from ..block.port import Port
+from ..judge.units import pretty_unit
+from ..rig.members import Member, signal_units
+from ..rig.rig import Rig
 from .shapes import Pen, Point, Shape
 
 Row = Mapping[str, float]

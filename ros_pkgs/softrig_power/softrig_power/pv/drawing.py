@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from .base import Drawing, Row, held, readings
-from .scope import plane
-from .shapes import Pen, polar
-from .symbols import diode, resistor
+from softrig_core.drawing.base import Drawing, Row, held, readings
+from softrig_core.drawing.scope import plane
+from softrig_core.drawing.shapes import Pen, polar
+from softrig_core.drawing.symbols import diode, resistor
 
 FULL_SUN = 1000.0  # W/m^2
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from .base import Drawing, Quantity, Row, held, readings, tail
-from .shapes import Pen, Point, polar
+from softrig_core.drawing.base import Drawing, Quantity, Row, held, readings, tail
+from softrig_core.drawing.shapes import Pen, Point, polar
 
 CENTRE = (190.0, 180.0)
 OUTER, INNER, ROTOR = 150.0, 116.0, 108.0

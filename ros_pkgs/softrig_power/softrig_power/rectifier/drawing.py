@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from .base import Drawing, Row, held, readings
-from .scope import scope
-from .shapes import Pen
-from .symbols import capacitor, converter, inductor, meter, resistor, source
+from softrig_core.drawing.base import Drawing, Row, held, readings
+from softrig_core.drawing.scope import scope
+from softrig_core.drawing.shapes import Pen
+from softrig_core.drawing.symbols import capacitor, converter, inductor, meter, resistor, source
 
 PHASES = (("a", "x", "accent"), ("b", "y", "second"), ("c", "z", "third"))
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from xml.etree.ElementTree import Element, tostring
 
+from softrig_core.drawing.base import Drawing
+from softrig_core.drawing.shapes import PALETTE, Circle, Line, Point, Shape, Text
+
 from ..page.html import e
-from .base import Drawing
-from .shapes import PALETTE, Circle, Line, Point, Shape, Text
 
 FONT = "system-ui, 'Segoe UI', Roboto, 'Helvetica Neue', 'DejaVu Sans', sans-serif"
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from .base import Drawing, Row, held, readings
-from .scope import scope
-from .shapes import Pen
+from softrig_core.drawing.base import Drawing, Row, held, readings
+from softrig_core.drawing.scope import scope
+from softrig_core.drawing.shapes import Pen
 
 CELLS = 40
 

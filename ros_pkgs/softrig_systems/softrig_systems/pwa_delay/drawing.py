@@ -1,52 +1,12 @@
-"""Systems with delay: the plane of a piecewise affine one, the tank at the end of a pipe, the pendulum."""
+"""Systems with delay: the tank at the end of a pipe, the pendulum."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 
-from .base import Drawing, Row, held, readings
-from .scope import plane, scope
-from .shapes import Pen, Point
-
-
-class StatePlane(Drawing):
-    """Where the first two states come from and are; a state alone over time."""
-
-    title = "State of a piecewise affine system with delay"
-    trail = 3.0
-
-    def setup(self) -> None:
-        """States, cell, delay."""
-        port = next(p for p in self.plant.outputs if p.name == "state")
-        self.names = [label.rpartition("/")[0] or label for label in port.labels if not label.endswith("/effort")]
-        self.states = [self.quantity("state", label) for label in port.labels if not label.endswith("/effort")]
-        self.cell, self.delay = (self.quantity("mode", f"{name}/position") for name in ("cell", "delay"))
-        self.reach = 1.4 * max([*map(abs, self._start()), 1e-6])
-
-    def _start(self) -> Sequence[float]:
-        return tuple(self.p.x0)
-
-    def draw(self, pen: Pen, row: Row, past: Sequence[Row]) -> None:
-        """Plane or time on the left, values on the right."""
-        r = self.reach
-        if len(self.states) > 1:
-            x, y = self.states[:2]
-            plane(pen, (50.0, 24.0, 300.0, 300.0), past, row, x, y, (-r, r, -r, r), 120)
-            pen.text((200.0, 344.0), self.names[0], "muted", anchor="middle")
-            pen.text((40.0, 178.0), self.names[1], "muted", anchor="end")
-        else:
-            scope(pen, (50.0, 60.0, 330.0, 230.0), past, row, [(self.states[0], "accent")], r, 150)
-            pen.text((50.0, 310.0), f"the last {self.trail:g} s", "muted")
-        pen.text((54.0, 38.0), f"±{r:.3g} {self.states[0].unit}".rstrip(), "muted", 11.0)
-        self.values(pen, row)
-
-    def values(self, pen: Pen, row: Row) -> None:
-        """Write states, cell and delay."""
-        rows = [(n, q.said(row, ".4f"), "accent") for n, q in zip(self.names, self.states, strict=True)]
-        rows += [("Cell", self.cell.said(row, ".0f"), "line")] if self.cell.name else []
-        rows += [("Delay", self.delay.said(row, ".4f"), "line")] if self.delay.name else []
-        readings(pen, (410.0, 120.0), rows, 200.0)
+from softrig_core.drawing.base import Drawing, Row, held, readings
+from softrig_core.drawing.shapes import Pen, Point
 
 
 class Tank(Drawing):

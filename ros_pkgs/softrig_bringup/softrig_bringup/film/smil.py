@@ -6,9 +6,10 @@ from collections.abc import Sequence
 from itertools import pairwise
 from xml.etree.ElementTree import Element, tostring
 
+from softrig_core.drawing.shapes import Circle, Line, Point, Polygon, Shape, Text
+
 from ..page.html import e
 from .film import FRAMES, Film
-from .shapes import Circle, Line, Point, Polygon, Shape, Text
 from .svg import element, number, points, root
 
 JUMP = 40.0  # units in one frame: what moves so far has not moved there, but begun anew

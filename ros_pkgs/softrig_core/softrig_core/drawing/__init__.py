@@ -1,0 +1,41 @@
+"""Plants as drawings: shapes that follow from what a rig publishes, for whoever puts them on a screen.
+
+No drawing library: `drawing_for` gives a `Drawing`, its `frame` a list of shapes for one row of signal values. A plant
+names its own by `Plant.drawing`.
+"""
+
+from __future__ import annotations
+
+from ..rig.members import Member
+from ..rig.rig import Rig
+from ..run.expand import rig_of
+from .base import Drawing
+from .robot import Robot
+from .shapes import PALETTE, Circle, Line, Point, Polygon, Shape, Text, as_dict
+
+__all__ = ["PALETTE", "Circle", "Drawing", "Line", "Point", "Polygon", "Shape", "Text", "as_dict", "drawing_for"]
+
+
+def drawing_for(rig: Rig | str) -> Drawing | None:
+    """Give the drawing of a rig's plant.
+
+    Parameters
+    ----------
+    rig : Rig or str
+        Or name or file of a scenario.
+
+    Returns
+    -------
+    Drawing or None
+        Of the first plant that can be drawn; none where nothing can.
+    """
+    rig = rig_of(rig) if isinstance(rig, str) else rig
+    found = ((kind, m) for m in rig.members if m.is_plant and (kind := _kind(m)) is not None)
+    return next((kind(rig, member) for kind, member in found), None)
+
+
+def _kind(member: Member) -> type[Drawing] | None:
+    kind: type[Drawing] | None = member.block_class.drawing()
+    if kind is None and member.block_class.scene(member.params) is not None:
+        kind = Robot
+    return kind
