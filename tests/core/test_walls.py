@@ -15,7 +15,8 @@ MIDDLEWARE = ("rclpy", "rcl_interfaces", "std_srvs", "rosgraph_msgs", "builtin_i
 ROOMS = {
     "softrig_core": (
         "errors bits timebase guard interrupt needs extras command_line kit wire judge block solver scenario rig "
-        "verdict run drawing processes analysis node.seam node.ros node.adapter node.lockstep node.realtime node.face node"
+        "verdict run drawing processes analysis "
+        "node.seam node.ros node.adapter node.lockstep node.realtime node.face node"
     ),
     "softrig_bringup": "folder terminal options page plots film report run study falsify view verbs cli __main__",
 }
