@@ -18,6 +18,7 @@ from softrig_core import Rig, Scenario, ScenarioError, rig_of, run_processes
 from softrig_core.block.codec import Decoder
 from softrig_core.processes.domain import free_domain
 from softrig_core.processes.executables import environment
+from softrig_core.processes.placement import Placement
 from softrig_core.scenario.scenario import NodeEntry
 from softrig_core.wire.recording import ShardWriter
 
@@ -55,7 +56,7 @@ def ping_pong(kind: str, loops: int = LOOPS) -> dict[str, float]:
 def lockstep(controllers: int = 1, *, record: bool = False) -> dict[str, float]:
     """Measure our loop through processes: the same figures, from the plant's own tick times."""
     with tempfile.TemporaryDirectory() as folder:
-        outcome = run_processes(dc_motor_rig(controllers), 0, Path(folder), record=record)
+        outcome = run_processes(dc_motor_rig(controllers), 0, Path(folder), Placement(record=record))
     if outcome.error:
         raise ScenarioError(outcome.error)
     status = outcome.status["dc_motor_plant"]
@@ -144,7 +145,7 @@ def recording() -> None:
     def whole(record: bool) -> dict[str, float]:
         with tempfile.TemporaryDirectory() as folder:
             start = time.perf_counter()
-            outcome = run_processes(dc_motor_rig(1, 4 * LOOPS), 0, Path(folder), record=record)
+            outcome = run_processes(dc_motor_rig(1, 4 * LOOPS), 0, Path(folder), Placement(record=record))
             if record:
                 write_bag(Path(folder) / "bag", outcome.recording)
             return {"s": time.perf_counter() - start}

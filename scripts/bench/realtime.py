@@ -13,8 +13,8 @@ from rich.table import Table
 from softrig_core import ScenarioError, rig_of, run_processes
 from softrig_core.processes.domain import free_domain
 from softrig_core.processes.executables import environment
+from softrig_core.processes.placement import Placement
 from softrig_core.processes.processes import Outcome
-from softrig_core.processes.spawning import placed
 
 from .console import console
 
@@ -55,8 +55,8 @@ def drive(rate: int, topic: str, duration: float) -> Outcome:
     periods = {f"{node}.period": 1.0 / rate for node in ("im_plant", "dtc_controller", "flux_monitor")}
     rig = rig_of("induction_dtc", duration=duration, overrides=periods)
     with tempfile.TemporaryDirectory() as folder, free_domain() as domain, _reader(topic, domain, Path(folder)):
-        outcome = run_processes(rig, rig.scenario.seed, Path(folder), mode="realtime", domain=domain,
-                                containers=placed(rig, "container"))  # fmt: skip
+        placement = Placement("container", "realtime", domain)
+        outcome = run_processes(rig, rig.scenario.seed, Path(folder), placement)
     if outcome.error:
         raise ScenarioError(outcome.error)
     return outcome

@@ -21,7 +21,7 @@ from softrig_core import (
     run_processes,
 )
 from softrig_core.block.port import CLOCK
-from softrig_core.processes.spawning import placed
+from softrig_core.processes.placement import Placement
 from softrig_core.rig.members import Member
 from softrig_core.solver.rehearsal import rehearse
 from softrig_core.wire.cdr import Layout
@@ -90,7 +90,8 @@ def ticks_a_second(name: str, rounds: int = 3) -> dict[str, float]:
     whole = rig_of(name)
     found = dict.fromkeys(("processes", "container", "inprocess"), 0.0)
     found["nodes"] = len([m for m in whole.members if not m.external])
-    for place, ticks in (("processes", 1000), *rounds * (("container", 10_000), ("inprocess", 10_000))):
+    places: list[tuple[Any, int]] = [("processes", 1000), *rounds * [("container", 10_000), ("inprocess", 10_000)]]
+    for place, ticks in places:
         least = max(ticks * whole.clock.schedule.period, 2 * max(m.schedule.period for m in whole.members))
         rig = rig_of(whole, duration=min(whole.scenario.duration, float(least)))
         if place == "inprocess":
@@ -98,7 +99,7 @@ def ticks_a_second(name: str, rounds: int = 3) -> dict[str, float]:
             rate = float(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
         else:
             with tempfile.TemporaryDirectory() as folder:
-                outcome = run_processes(rig, rig.scenario.seed, Path(folder), containers=placed(rig, place))
+                outcome = run_processes(rig, rig.scenario.seed, Path(folder), Placement(place))
             if outcome.error:
                 raise ScenarioError(outcome.error)
             clock = outcome.status[rig.clock.name]

@@ -12,7 +12,7 @@ from typing import Any, Literal
 from rich.table import Table
 from softrig_bringup.view.beside import Beside, page
 from softrig_core import ScenarioError, rig_of, run_processes
-from softrig_core.processes.spawning import placed
+from softrig_core.processes.placement import Listener, Placement
 
 from .console import console
 
@@ -59,16 +59,15 @@ def _measure(mode: Mode, shown: bool) -> float:
     if mode == "realtime":
         rig = rig_of(rig, overrides={f"{n}.period": PERIOD for n in ("im_plant", "dtc_controller", "flux_monitor")})
     with tempfile.TemporaryDirectory() as name, ExitStack() as stack:
-        folder = Path(name)
+        folder, placement = Path(name), Placement("container", mode)
         beside: Beside | None = None
         if shown:
-            beside = stack.enter_context(page(rig.scenario, folder, realtime=mode == "realtime", paused=False,
-                                              how="bench", address="127.0.0.1:0"))  # fmt: skip
+            beside = stack.enter_context(page(rig.scenario, folder, placement, "127.0.0.1:0"))
             reader: Any = subprocess.Popen([sys.executable, "-c", READER], stdin=subprocess.PIPE)
             stack.callback(reader.kill)
             beside.said = reader.stdin
-        outcome = run_processes(rig, rig.scenario.seed, folder, mode=mode, containers=placed(rig, "container"),
-                                opened=beside.open if beside else None)  # fmt: skip
+        listener = Listener(opened=beside.open if beside else None)
+        outcome = run_processes(rig, rig.scenario.seed, folder, placement, listener)
     if outcome.error:
         raise ScenarioError(outcome.error)
     status = outcome.status["im_plant"]

@@ -12,6 +12,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from conftest import differences, in_process, make_scenario
 from softrig_core import Rig, rig_of, run_processes
+from softrig_core.processes.placement import Placement
 from softrig_core.rig.installed import load_block
 from traces import orphans
 
@@ -103,7 +104,7 @@ def _fork(directory: Path, rig: Rig, containers: list[list[str]], seed: int) -> 
         output = os.open(f"{directory}.said", os.O_WRONLY | os.O_CREAT)
         os.dup2(output, 1)
         os.dup2(output, 2)
-        outcome = run_processes(rig, seed, directory, containers=containers)
+        outcome = run_processes(rig, seed, directory, Placement(containers=containers))
         assert outcome.error == "", outcome.error
         assert (found := differences(in_process(rig, seed), outcome.recording)) == [], f"other bits on {found}"
         status = 0

@@ -14,6 +14,7 @@ from softrig_core import Block, Level, Recording, Refused, Rig, Signals, array, 
 from softrig_core.block.codec import Decoder, selection
 from softrig_core.processes.domain import free_domain
 from softrig_core.processes.executables import environment
+from softrig_core.processes.placement import Listener, Placement
 from softrig_core.wire.cdr import Layout, parse
 
 MATRIX = array("m", "matrix", {"row": 2, "column": 3}, "kg m^2")
@@ -379,7 +380,7 @@ def with_outside_sender(label, twice, directory):
                 outside.append(script(code, environment(domain, directory)))
 
         try:
-            return run_processes(wired, 0, directory, domain=domain, announce=announce, wait=60.0)
+            return run_processes(wired, 0, directory, Placement(domain=domain, wait=60.0), Listener(announce=announce))
         finally:
             for process in outside:
                 process.kill()

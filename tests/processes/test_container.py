@@ -20,6 +20,8 @@ from softrig_core.node.seam.exchange import BURST, Exchange
 from softrig_core.processes.domain import free_domain
 from softrig_core.processes.executables import environment, find_executable
 from softrig_core.processes.fork_server import start_node
+from softrig_core.processes.placement import Listener, Placement
+from softrig_core.processes.processes import NOBODY
 from test_processes import BASIC, OUTSIDE, RIGS, params, rig
 
 pytestmark = pytest.mark.processes
@@ -32,10 +34,10 @@ HEADLINES = [
 DAILY = ("dc_motor_fsfb", "economic_dispatch", "fault_location", "induction_dtc", "pv_mppt", "rectifier_mpc")
 
 
-def run(wired, directory, seed=0, groups=None, **keys):
+def run(wired, directory, seed=0, groups=None, domain=None, listener=NOBODY):
     """Run a rig in one container, or in those that are given."""
     groups = [[m.name for m in wired.members]] if groups is None else groups
-    return run_processes(wired, seed, directory, containers=groups, **keys)
+    return run_processes(wired, seed, directory, Placement(domain=domain, containers=groups), listener)
 
 
 def short(name, ticks):
@@ -139,7 +141,7 @@ def test_each_node_is_on_the_graph_for_everybody_and_the_run_stays_as_it_is(tmp_
             if people and people[0].poll() is not None:
                 raise KeyboardInterrupt
 
-        stopped(lambda: run(wired, tmp_path, domain=domain, progress=progress))
+        stopped(lambda: run(wired, tmp_path, domain=domain, listener=Listener(progress)))
     seen = json.loads(people[0].stdout.read())
     assert seen == {"nodes": ["gain", "person", "plant", "source"], "noise": 0.0, "readers": ["gain", "person"],
                     "health": ["/gain", "/plant", "/source"]}  # fmt: skip
@@ -166,7 +168,7 @@ def test_a_press_by_service_is_recorded_at_the_tick_that_saw_it(tmp_path):
             if people and people[0].poll() is not None:
                 raise KeyboardInterrupt
 
-        stopped(lambda: run(wired, tmp_path, domain=domain, progress=progress))
+        stopped(lambda: run(wired, tmp_path, domain=domain, listener=Listener(progress)))
     assert people[0].returncode == 0
     recording = Recording((t, p.msgtype) for t, p in wired.topics.items())
     recording.read_shard(tmp_path / "plant.shard")
@@ -256,7 +258,7 @@ def test_a_second_publisher_ends_the_run_naming_both(tmp_path):
                 code = OUTSIDE.replace('Node("gain")', 'Node("intruder")').replace("EXTRA", "")
                 intruders.append(script(code, environment(domain, tmp_path)))
 
-        outcome = run(wired, tmp_path, domain=domain, progress=progress)
+        outcome = run(wired, tmp_path, domain=domain, listener=Listener(progress))
         intruders[0].kill()
         intruders[0].wait()
     assert "2 publishers on lag/command (/gain, /intruder), expected exactly one" in outcome.error

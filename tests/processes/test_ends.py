@@ -18,6 +18,7 @@ from softrig_core.processes.children import read_status
 from softrig_core.processes.domain import free_domain
 from softrig_core.processes.executables import environment, find_executable
 from softrig_core.processes.fork_server import start_node
+from softrig_core.processes.placement import Listener, Placement
 from softrig_core.processes.shared_memory import MADE, remove_leftovers
 from softrig_core.processes.spawning import node_parameters, parameter_file
 from softrig_core.processes.stopping import Stopped, stoppable
@@ -151,7 +152,7 @@ def test_an_interrupted_run_gives_what_it_has(mode, tmp_path):
         if t > 100_000_000:
             os.kill(os.getpid(), signal.SIGTERM)
 
-    outcome = run_processes(rig, 0, tmp_path, mode=mode, progress=progress)
+    outcome = run_processes(rig, 0, tmp_path, Placement(clock=mode), Listener(progress=progress))
     assert (outcome.error, outcome.stopped) == ("", signal.SIGTERM)
     assert len(outcome.recording.topics["lag/state"].times) > 10
     assert all("Traceback" not in log.read_text() for log in tmp_path.glob("*.log"))
@@ -188,7 +189,7 @@ def test_nodes_whose_processes_are_held_end_the_run_by_name(containers, tmp_path
                 if b"__node:=plant" in command:
                     os.kill(pid, signal.SIGSTOP)
 
-    outcome = run_processes(rig, 0, tmp_path, progress=progress, containers=containers)
+    outcome = run_processes(rig, 0, tmp_path, Placement(containers=containers), Listener(progress=progress))
     held = "plant, source, gain" if containers else "plant"
     assert outcome.error.startswith(f"node {held}: its process is stopped (SIGSTOP)")
     assert len(outcome.recording.topics["lag/state"].times) > 10

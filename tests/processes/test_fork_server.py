@@ -11,6 +11,7 @@ from conftest import make_scenario, no_process_left, processes_of, until
 from softrig_core import rig_of, run_processes
 from softrig_core.processes import fork_server, spawning
 from softrig_core.processes.fork_server import start_node
+from softrig_core.processes.placement import Listener
 
 BASIC = {"plant": "plant", "source": "source", "gain": "gain"}
 TOOLS = """
@@ -56,7 +57,7 @@ def test_each_node_is_a_process_of_its_own(tmp_path):
         if t and len(seen) == len(BASIC):
             raise KeyboardInterrupt
 
-    outcome = run_processes(rig_of(make_scenario(BASIC, 1e4)), 0, tmp_path, progress=progress)
+    outcome = run_processes(rig_of(make_scenario(BASIC, 1e4)), 0, tmp_path, listener=Listener(progress=progress))
     assert (outcome.error, outcome.stopped) == ("", signal.SIGINT)
     assert sorted(name for name, *_ in seen.values()) == ["gain", "plant", "source"]
     (server,) = {parent for _, parent, *_ in seen.values()}

@@ -13,6 +13,7 @@ from softrig_core import Signals, rig_of, run_processes
 from softrig_core.node.seam.tick import TICK
 from softrig_core.processes.domain import free_domain
 from softrig_core.processes.executables import environment
+from softrig_core.processes.placement import Listener, Placement
 from softrig_core.rig.rig import CLOCK_NODE
 
 pytestmark = pytest.mark.processes
@@ -80,10 +81,8 @@ def with_outside(rig, names, directory, seed=0, realtime=False):
                 outside.extend(subprocess.Popen(c, env=environment(domain, directory)) for c in commands)
 
         try:
-            outcome = run_processes(
-                ours, rig.scenario.seed, directory, domain=domain, announce=announce, wait=60.0,
-                mode="realtime" if realtime else "lockstep",
-            )  # fmt: skip
+            placement = Placement(domain=domain, wait=60.0, clock="realtime" if realtime else "lockstep")
+            outcome = run_processes(ours, rig.scenario.seed, directory, placement, Listener(announce=announce))
         finally:
             for process in outside:
                 process.kill()

@@ -17,6 +17,7 @@ from softrig_core import ScenarioError, Signals, rig_of, run_processes
 from softrig_core.processes import children
 from softrig_core.processes.domain import free_domain
 from softrig_core.processes.executables import environment, find_executable
+from softrig_core.processes.placement import Listener, Placement
 
 pytestmark = pytest.mark.processes
 
@@ -136,7 +137,7 @@ def test_a_node_that_stays_behind_ends_the_run_with_its_name(hasty, tmp_path):
 def test_a_node_that_never_says_anything_ends_the_run_with_its_name(mode, hasty, tmp_path):
     """As one that waits inside of DDS; with an outside node its peers would wait for ever, too."""
     nodes = BASIC | {"gain": params("gain") | {"external": True}, "watcher": params("watcher", comes_up=False)}
-    outcome = run_processes(rig(nodes, 0.3, start_timeout=2.0), 0, tmp_path, mode=mode)
+    outcome = run_processes(rig(nodes, 0.3, start_timeout=2.0), 0, tmp_path, Placement(clock=mode))
     assert outcome.error == "node watcher has said nothing of itself within 2 s of its start"
     assert no_process_left(tmp_path)
 
@@ -173,7 +174,7 @@ def test_a_press_by_service_in_lockstep_is_recorded_at_the_tick_that_saw_it(tmp_
             if people and people[0].poll() is not None:
                 raise KeyboardInterrupt
 
-        outcome = run_processes(wired, 0, tmp_path, domain=domain, progress=progress)
+        outcome = run_processes(wired, 0, tmp_path, Placement(domain=domain), Listener(progress=progress))
     assert people[0].returncode == 0
     assert (outcome.error, outcome.stopped) == ("", signal.SIGINT)
     recording = outcome.recording
@@ -337,7 +338,9 @@ def with_outside_controller(extra, directory, duration=1.0, mode="lockstep", sta
             outside.append((start or by_itself)(code, environment(domain, directory)))
 
         try:
-            outcome = run_processes(wired, 0, directory, domain=domain, announce=announce, mode=mode)
+            outcome = run_processes(
+                wired, 0, directory, Placement(domain=domain, clock=mode), Listener(announce=announce)
+            )
             assert said[1] == "gain is there"
             assert all("refused a message on lag/command" in text for text in said[2:])  # told while the run goes on
             return wired, outcome
@@ -433,7 +436,7 @@ def test_a_link_loses_a_refused_measurement_and_the_run_goes_on(tmp_path):
             outside.append(script(PLANT.replace("BAD", "10"), environment(domain, tmp_path)))
 
         try:
-            outcome = run_processes(wired, 0, tmp_path, domain=domain, announce=announce)
+            outcome = run_processes(wired, 0, tmp_path, Placement(domain=domain), Listener(announce=announce))
         finally:
             for process in outside:
                 process.kill()
@@ -457,7 +460,7 @@ def test_a_second_publisher_ends_the_run_naming_both(tmp_path):
                 code = OUTSIDE.replace('Node("gain")', 'Node("intruder")').replace("EXTRA", "")
                 intruders.append(script(code, variables))
 
-        outcome = run_processes(wired, 0, tmp_path, domain=domain, progress=progress)
+        outcome = run_processes(wired, 0, tmp_path, Placement(domain=domain), Listener(progress=progress))
         intruders[0].kill()
         intruders[0].wait()
     assert "2 publishers on lag/command (/gain, /intruder), expected exactly one" in outcome.error
@@ -465,7 +468,7 @@ def test_a_second_publisher_ends_the_run_naming_both(tmp_path):
 
 def test_a_peer_that_never_comes_is_named(tmp_path):
     wired = rig(BASIC | {"gain": {"executable": "gain", "external": True}})
-    outcome = run_processes(wired, 0, tmp_path, wait=1.0)
+    outcome = run_processes(wired, 0, tmp_path, Placement(wait=1.0))
     assert "not all peers after 1 s" in outcome.error
     assert "gain" in outcome.error
 

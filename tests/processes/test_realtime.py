@@ -4,6 +4,7 @@ import pytest
 from conftest import PRESS, make_scenario
 from outside import SPIN, go, outside
 from softrig_core import Signals, rig_of, run_processes
+from softrig_core.processes.placement import Placement
 
 pytestmark = pytest.mark.processes
 
@@ -150,7 +151,7 @@ def test_a_button_is_also_a_service_that_presses_it_for_one_tick(bench):
 
 def test_a_realtime_rig_keeps_the_rate_of_the_wall_clock(tmp_path):
     rig = rig_of(make_scenario({"plant": "plant", "source": "source", "gain": "gain"}, 2.0))
-    outcome = run_processes(rig, 0, tmp_path, mode="realtime")
+    outcome = run_processes(rig, 0, tmp_path, Placement(clock="realtime"))
     assert outcome.error == ""
     t, x = Signals(outcome.recording, outcome.epoch)["lag/state/x/position"]
     missed = outcome.status["plant"]["missed_deadlines"]

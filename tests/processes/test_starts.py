@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from conftest import differences
 from softrig_core import run_processes
+from softrig_core.processes.placement import Placement
 from test_discovery import KINDS, guests, rig_and_record
 from test_outside import replaced
 
@@ -26,7 +27,7 @@ def trial(seed):
         if outside:
             return f"{kind} with {outside} outside", replaced(rig, outside[0], Path(folder), seed)
         together = [[m.name for m in rig.members]] if what > 0.85 else []
-        outcome = run_processes(rig, 0, Path(folder), containers=together)
+        outcome = run_processes(rig, 0, Path(folder), Placement(containers=together))
         wrong = [outcome.error] if outcome.error else differences(expected, outcome.recording)
         wrong += [f"{n} refused {s['refused']}" for n, s in outcome.status.items() if s.get("refused")]
         return f"{kind}{' in a container' if together else ''}", wrong

@@ -6,6 +6,7 @@ from conftest import differences, in_process
 from outside import go, outside
 from softrig_core import Signals, load_scenario, rig_of, run_processes
 from softrig_core.judge import measures
+from softrig_core.processes.placement import Placement
 
 pytestmark = pytest.mark.processes
 
@@ -32,7 +33,7 @@ def test_real_time_reaches_the_same_result_with_the_delay_read_from_the_stamps(t
     """Missed periods of a busy host may move the figures; delay, end and absence of a large overshoot may not move."""
     long_press = {"step_buttons.forward": [1.0], "step_buttons.hold": 3.0}  # seen also by a node that starts late
     rig = rig_of(load_scenario("dc_motor_fsfb", long_press), duration=5.0)
-    outcome = run_processes(rig, 0, tmp_path, mode="realtime")
+    outcome = run_processes(rig, 0, tmp_path, Placement(clock="realtime"))
     assert outcome.error == ""
     signals = Signals(outcome.recording, outcome.epoch)
     age = signals["axis/controller_state/age/position"].x

@@ -21,6 +21,7 @@ from softrig_core import (
     simulate,
 )
 from softrig_core.block.change import check
+from softrig_core.processes.placement import Placement
 from softrig_drives.dc_motor.plant import DcMotorPlant
 
 pytest.importorskip("fmpy")
@@ -337,7 +338,7 @@ def test_nodes_and_a_container_give_the_bytes_of_the_run_in_process(page, tmp_pa
         wired = rig_of(load_scenario(str(page / f"{name}.yaml")), duration=0.2)
         expected = in_process(wired)
         for groups in ([], [[m.name for m in wired.members]]):
-            outcome = run_processes(wired, 0, tmp_path / f"{name}{len(groups)}", containers=groups)
+            outcome = run_processes(wired, 0, tmp_path / f"{name}{len(groups)}", Placement(containers=groups))
             assert outcome.error == ""
             assert differences(expected, outcome.recording) == []
 
@@ -347,7 +348,7 @@ def test_a_crash_ends_a_run_by_name_and_the_bag_stays(page, tmp_path):
     text = (page / "plant.yaml").read_text().replace("R = 0.5", "fault = 1")
     (page / "plant.yaml").write_text(text)
     wired = rig_of(load_scenario(str(page / "plant.yaml")))
-    outcome = run_processes(wired, 0, tmp_path / "out", containers=[[m.name for m in wired.members]])
+    outcome = run_processes(wired, 0, tmp_path / "out", Placement(containers=[[m.name for m in wired.members]]))
     crash = "motor_plant: the FMU motor2.fmu at 0.5 s of its time: crashed: its process was killed by SIGSEGV"
     assert crash in outcome.error
     t = Signals(outcome.recording)["motor/state/shaft/velocity"].t

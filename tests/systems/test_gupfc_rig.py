@@ -19,6 +19,7 @@ from softrig_control.phase_locked_loop import PhaseLockedLoop, PllParams
 from softrig_core import Level, ParameterError, Signals, load_scenario, rig_of, run_processes, simulate
 from softrig_core.processes.domain import free_domain
 from softrig_core.processes.executables import environment
+from softrig_core.processes.placement import Listener, Placement
 from softrig_power.gupfc import circuit as steps
 from softrig_power.gupfc.figures import cycles
 from softrig_power.gupfc.network import BUSES, Network, NetworkParams
@@ -682,7 +683,7 @@ def test_a_plain_node_takes_the_place_of_a_series_controller(tmp_path):
             outside.append(subprocess.Popen([sys.executable, str(script), json.dumps(given)], env=variables))
 
         try:
-            outcome = run_processes(wired, 0, tmp_path, domain=domain, announce=announce)
+            outcome = run_processes(wired, 0, tmp_path, Placement(domain=domain), Listener(announce=announce))
         finally:
             for process in outside:
                 process.kill()

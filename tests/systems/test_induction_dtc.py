@@ -27,6 +27,7 @@ from softrig_core import (
 )
 from softrig_core.block.codec import Decoder
 from softrig_core.kit import compiled
+from softrig_core.processes.placement import Placement
 from softrig_core.wire.cdr import Layout
 from softrig_drives.induction_dtc.adc import AdcParams, Converter
 from softrig_drives.induction_dtc.dtc import DtcController
@@ -533,7 +534,7 @@ def test_lost_flux_warns():
 @pytest.mark.processes
 def test_the_same_bits_over_topics(tmp_path):
     scenario = load_scenario("induction_dtc_short")
-    run = execute(checked(scenario), "processes", tmp_path)
+    run = execute(checked(scenario), Placement(), tmp_path)
     assert run.error == ""
     assert differences(in_process(rig_of(scenario), scenario.seed), run.recording) == []
 

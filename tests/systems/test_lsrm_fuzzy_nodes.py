@@ -6,6 +6,7 @@ from conftest import differences, in_process
 from outside import SPIN, go, outside
 from softrig_bringup.run.run import checked, execute
 from softrig_core import load_scenario, rig_of
+from softrig_core.processes.placement import Placement
 
 pytestmark = pytest.mark.processes
 
@@ -16,14 +17,14 @@ CURRENT_A = "phase_currents/a/position"
 @pytest.mark.parametrize("name", ["lsrm_fuzzy_short", "lsrm_fuzzy", "lsrm_fuzzy_n2_mrac"])
 def test_the_same_bits_over_topics(name, tmp_path):
     scenario = load_scenario(name)
-    run = execute(checked(scenario), "processes", tmp_path)
+    run = execute(checked(scenario), Placement(), tmp_path)
     assert run.error == ""
     assert differences(in_process(rig_of(scenario), scenario.seed), run.recording) == []
 
 
 def test_overcurrent_trips_in_a_process(tmp_path):
     scenario = load_scenario("lsrm_fuzzy_b5_trip")
-    run = execute(checked(scenario), "processes", tmp_path)
+    run = execute(checked(scenario), Placement(), tmp_path)
     assert run.error == ""
     currents = np.array([run.signals[f"phase_currents/{k}/position"].x for k in "ab"])
     tripped = int(np.argmax(currents.max(axis=0) > 12.0))

@@ -10,6 +10,7 @@ from typing import Any
 import yaml
 from softrig_core import Run, Scenario, figures_of, list_scenarios, rig_of
 from softrig_core.extras import need
+from softrig_core.processes.placement import Placement
 
 from ..folder import FALSIFICATION, ResultsFolder, replace
 from ..report.report import write_report
@@ -81,7 +82,7 @@ def _record(task: Falsification, scenario: Scenario, folder: Path, plots: bool) 
     """Run a case once more and write its bag, figures, pictures and page."""
     place = ResultsFolder(folder)
     place.clear()
-    done = execute(checked(scenario), "inprocess", folder / "log")
+    done = execute(checked(scenario), Placement("inprocess"), folder / "log")
     figures = [] if done.error else done.results
     save(done, summary(done, figures, f"scripts/softrig falsify {task.name}"), place, plots=plots)
     return done

@@ -11,6 +11,7 @@ from softrig_core.command_line import Number
 
 if TYPE_CHECKING:
     from softrig_core import Scenario
+    from softrig_core.processes.placement import Placement
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -90,6 +91,16 @@ def _repeated(options: argparse.Namespace) -> Scenario:
     arguments(parser)
     options.recalled = recall(options.like, parser.parse_args)
     return repeated(scenario_of(options.recalled.options), options.recalled)
+
+
+def placement_of(options: argparse.Namespace) -> Placement:
+    """Give where the nodes live and what they go by."""
+    from softrig_core.processes.placement import Placement
+
+    realtime = options.realtime or options.mode == "realtime"
+    mode: Any = "processes" if options.mode == "realtime" else options.mode
+    return Placement(mode, "realtime" if realtime else "lockstep", options.domain, only=options.only,
+                     wait=options.wait, paused=options.paused)  # fmt: skip
 
 
 def changed_words(options: argparse.Namespace) -> list[str]:

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import argparse
 import os
+from dataclasses import replace
 from pathlib import Path
 
 from softrig_core import Rig, ScenarioError, run_processes
 from softrig_core.errors import closest
 from softrig_core.guard import say
-from softrig_core.processes.spawning import placed
+from softrig_core.processes.placement import Listener
+
+from ..options.run_options import placement_of
 
 
 def run_part(rig: Rig, options: argparse.Namespace) -> int:
@@ -43,14 +46,11 @@ def run_part(rig: Rig, options: argparse.Namespace) -> int:
         raise ScenarioError("--only: expected --domain N, the same on all machines of the rig")
     if options.mode == "inprocess":
         raise ScenarioError("--only: blocks in process have no other machine; expected --mode processes or container")
-    realtime = options.realtime or options.mode == "realtime"
     out = (options.out or Path("runs") / f"{rig.scenario.name}-{'-'.join(options.only)}"[:120]).absolute()
     others = [name for name in names if name not in options.only]
     say(f"{', '.join(options.only)} here, domain {options.domain}; elsewhere: {', '.join(others) or 'nobody'}")
-    outcome = run_processes(
-        rig, rig.scenario.seed, out / "log", mode="realtime" if realtime else "lockstep", domain=options.domain,
-        wait=options.wait or 0.0, announce=say, containers=placed(rig, options.mode), only=options.only,
-    )  # fmt: skip
+    placement = replace(placement_of(options), wait=options.wait or 0.0)
+    outcome = run_processes(rig, rig.scenario.seed, out / "log", placement, Listener(announce=say))
     if outcome.error:
         say(f"the run broke: {outcome.error}")
         return 3

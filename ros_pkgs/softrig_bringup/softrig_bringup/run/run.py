@@ -10,11 +10,11 @@ import os
 import platform
 import subprocess
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from softrig_core import (
     Block,
@@ -28,11 +28,14 @@ from softrig_core import (
     figures_of,
     rig_of,
     run_inprocess,
+    run_processes,
 )
 from softrig_core.bits import blas_core, math_digest, simd_level
 from softrig_core.block.params import declarations, flatten
 from softrig_core.block.port import CLOCK
 from softrig_core.guard import naming
+from softrig_core.processes.placement import Listener, Placement
+from softrig_core.processes.processes import NOBODY
 from softrig_core.processes.stopping import signal_of, stoppable, unstopped
 from softrig_core.rig.code import fingerprints
 from softrig_core.timebase import SECOND
@@ -45,74 +48,38 @@ from ..page.wiring import wiring_of
 from ..plots.curves import check_plots, shown
 from ..plots.pictures import plot_run
 
-Mode = Literal["processes", "container", "inprocess", "realtime"]
 
-
-def execute(
-    rig: Rig,
-    mode: Mode,
-    directory: Path,
-    *,
-    realtime: bool = False,
-    domain: int | None = None,
-    progress: Callable[[int], object] | None = None,
-    announce: Callable[[str], object] | None = None,
-    wait: float | None = None,
-    opened: Callable[[int], object] | None = None,
-    paused: bool = False,
-) -> Run:
+def execute(rig: Rig, placement: Placement, directory: Path, listener: Listener = NOBODY) -> Run:
     """Run a rig; one that broke or was stopped says so in `error` or `stopped` and has what was recorded.
 
     Parameters
     ----------
     rig : Rig
         As `checked` gives it.
-    mode : {"processes", "container", "inprocess", "realtime"}
-        Where the nodes live; "realtime" is short for processes against the wall clock.
+    placement : Placement
     directory : Path
         For the logs of node processes.
-    realtime : bool
-        Against the wall clock.
-    domain : int, optional
-        ROS_DOMAIN_ID instead of a free one.
-    progress, announce, opened : callable, optional
-    wait : float, optional
-    paused : bool
-        See `softrig_core.processes.processes.run_processes`.
+    listener : Listener
     """
-    started = time.perf_counter()
-    seed = rig.scenario.seed
-    if mode == "inprocess":
-        run = Run(rig, seed, Recording((t, p.msgtype) for t, p in rig.topics.items()))
+    started, seed = time.perf_counter(), rig.scenario.seed
+    run = Run(rig, seed, Recording((t, p.msgtype) for t, p in rig.topics.items()), mode=str(placement))
+    if placement.mode == "inprocess":
         try:
             with stoppable():
-                run.blocks = run_inprocess(rig, seed, run.recording, progress)
+                run.blocks = run_inprocess(rig, seed, run.recording, listener.progress)
             run.status = {name: _status(block) for name, block in run.blocks.items()}
         except RunError as broken:
             run.error = str(broken)
         except KeyboardInterrupt as interrupt:
             run.stopped = signal_of(interrupt)
-        run.wall_s = time.perf_counter() - started
     else:
-        from softrig_core import run_processes
-        from softrig_core.processes.spawning import placed
-
-        realtime = realtime or mode == "realtime"
-        outcome = run_processes(rig, seed, directory, mode="realtime" if realtime else "lockstep",
-                                domain=domain, progress=progress, announce=announce, wait=wait,
-                                containers=placed(rig, mode), opened=opened, paused=paused)  # fmt: skip
-        run = Run(rig, seed, outcome.recording, time.perf_counter() - started, mode_name(mode, realtime),
-                  outcome.epoch, outcome.status, outcome.error, outcome.stopped)  # fmt: skip
-    if not run.error and not run.stopped and not realtime:
+        outcome = run_processes(rig, seed, directory, placement, listener)
+        run.recording, run.status, run.epoch = outcome.recording, outcome.status, outcome.epoch
+        run.error, run.stopped = outcome.error, outcome.stopped
+    run.wall_s = time.perf_counter() - started
+    if not run.error and not run.stopped and placement.clock == "lockstep":
         run.error = gaps(rig, run.recording)
     return run
-
-
-def mode_name(mode: str, realtime: bool) -> str:
-    """Say in one word or two where nodes live and what they go by."""
-    if not realtime:
-        return mode
-    return f"{mode}, realtime" if mode == "container" else "realtime"
 
 
 def _status(block: Block) -> dict[str, Any]:

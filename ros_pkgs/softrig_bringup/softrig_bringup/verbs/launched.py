@@ -17,11 +17,11 @@ from softrig_core.processes.children import read_status
 from softrig_core.processes.domain import join_domain
 from softrig_core.processes.peers import starter
 from softrig_core.processes.processes import gathered
-from softrig_core.processes.spawning import container_arguments, groups, node_parameters, parameter_file, placed
+from softrig_core.processes.spawning import container_arguments, groups, node_parameters, parameter_file
 from softrig_core.rig.members import Member
 
 from ..options import run_options
-from ..run.run import checked, gaps, mode_name
+from ..run.run import checked, gaps
 from . import run_verb
 from .viewer import ROOTED, Process, viewer
 
@@ -66,7 +66,8 @@ class Launched:
         self._record, self._judge = given["record"] == "true", given["judge"] == "true"
         self._frames = given["frames"] == "true"
         self._rig = rig = checked(run_options.scenario_of(options))
-        self._seed, self._realtime = rig.scenario.seed, given["mode"] == "realtime"
+        self._seed, self._placement = rig.scenario.seed, run_options.placement_of(options)
+        self._realtime = self._placement.clock == "realtime"
         join_domain(int(os.environ.get("ROS_DOMAIN_ID") or 0))  # so that no run chooses it
         self._folder = run_verb.results_folder(options, rig.scenario.name) if self._record else None
         if self._folder is not None:
@@ -80,7 +81,7 @@ class Launched:
         self._namespace = given["namespace"].strip("/")
         self.processes = [
             self._process(group, self._namespace, given["wait_for"].split())
-            for group in groups(rig, placed(rig, given["place"]))
+            for group in groups(rig, self._placement.shared(rig))
         ]
         self._running = len(self.processes)
         if given["use_rviz"] == "true":
@@ -142,8 +143,7 @@ class Launched:
         recording, status = gathered(rig, self._log, names, f"{self._namespace}/" if self._namespace else "")
         epoch = int(read_status(self._log / f"{starter(rig).name}.status").get("epoch", 0))
         told = [f"{name}: {s['error']}" for name, s in status.items() if s.get("error")]
-        run = Run(rig, self._seed, recording, time.monotonic() - self._begun,
-                  mode_name(options.mode, self._realtime), epoch, status)  # fmt: skip
+        run = Run(rig, self._seed, recording, time.monotonic() - self._begun, str(self._placement), epoch, status)
         if self._error:
             run.error = "; ".join([self._error, *told])
         elif self._stopped:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from softrig_core.guard import plain, say
 
-from ..options.run_options import changed_words, folder_name, repeat, scenario_of
+from ..options.run_options import changed_words, folder_name, placement_of, repeat, scenario_of
 
 if TYPE_CHECKING:
     from softrig_core import Run
@@ -38,8 +38,9 @@ def _run_reserved(options: argparse.Namespace) -> int:
     from softrig_core import ScenarioError
     from softrig_core.processes.executables import environment
     from softrig_core.processes.fork_server import prepare
+    from softrig_core.processes.placement import Listener
 
-    from ..run.run import checked, execute, mode_name
+    from ..run.run import checked, execute
     from ..terminal.progress import progress
     from ..view.beside import page
 
@@ -57,8 +58,8 @@ def _run_reserved(options: argparse.Namespace) -> int:
         return run_part(rig, options)
     folder = results_folder(options, scenario.name)
     log = folder.path / "log"
-    beside = page(scenario, log, realtime=options.realtime or options.mode == "realtime", paused=options.paused,
-                  how=mode_name(options.mode, options.realtime), address=options.view_address)  # fmt: skip
+    placement = placement_of(options)
+    beside = page(scenario, log, placement, options.view_address)
     with folder.keeping(), beside as shown:
 
         def opened(domain: int) -> None:
@@ -68,8 +69,7 @@ def _run_reserved(options: argparse.Namespace) -> int:
                 shown.open(domain)
 
         with progress(scenario.name, scenario.duration) as tell:
-            done = execute(rig, options.mode, log, realtime=options.realtime, domain=options.domain, progress=tell,
-                           wait=options.wait, announce=_announce, opened=opened, paused=options.paused)  # fmt: skip
+            done = execute(rig, placement, log, Listener(tell, _announce, opened))
         status = conclude(options, done, folder)
         shown.over(done, folder.path)
         return status

@@ -12,6 +12,7 @@ from typing import Any
 
 from softrig_core import Run, Scenario
 from softrig_core.guard import say
+from softrig_core.processes.placement import Placement
 
 from .remote import let_go
 
@@ -24,19 +25,17 @@ class Beside:
     scenario : Scenario
     directory : Path
         Where the nodes write their files.
-    realtime, paused : bool
-    how : str
-        Mode and place, in words.
+    placement : Placement
     address : str
         ``host:port``.
     """
 
-    def __init__(self, scenario: Scenario, directory: Path, *, realtime: bool, paused: bool, how: str,
-                 address: str) -> None:  # fmt: skip
+    def __init__(self, scenario: Scenario, directory: Path, placement: Placement, address: str) -> None:
         self._directory = directory
         self._told = {
             "scenario": scenario.model_dump(mode="json", exclude_unset=True), "directory": str(directory),
-            "realtime": realtime, "paused": paused, "how": how, "address": address,
+            "realtime": placement.clock == "realtime", "paused": placement.paused, "how": str(placement),
+            "address": address,
         }  # fmt: skip
         self._process: subprocess.Popen[str] | None = None
         self.said: Any = None  # where it says its address; this process's own error stream if that is nowhere
@@ -70,11 +69,9 @@ class Beside:
 
 
 @contextmanager
-def page(
-    scenario: Scenario, directory: Path, *, realtime: bool, paused: bool, how: str, address: str
-) -> Iterator[Beside]:
+def page(scenario: Scenario, directory: Path, placement: Placement, address: str) -> Iterator[Beside]:
     """Give a page that can be opened beside a run; see `Beside`."""
-    found = Beside(scenario, directory, realtime=realtime, paused=paused, how=how, address=address)
+    found = Beside(scenario, directory, placement, address)
     try:
         yield found
     finally:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from ..errors import ScenarioError
 from ..rig.rig import Rig
@@ -17,10 +17,13 @@ from .domain import free_domain, require_loopback
 from .executables import environment
 from .guests import Guests
 from .peers import starter
+from .placement import Listener, Placement
 from .shared_memory import remove_leftovers
 from .spawning import groups, start
 from .stopping import signal_of, stoppable, unstopped
 from .supervision import supervise
+
+EVERYWHERE, NOBODY = Placement(), Listener()
 
 
 @dataclass
@@ -54,17 +57,8 @@ def run_processes(
     rig: Rig,
     seed: int,
     directory: Path,
-    *,
-    mode: Literal["lockstep", "realtime"] = "lockstep",
-    domain: int | None = None,
-    record: bool = True,
-    progress: Callable[[int], object] | None = None,
-    announce: Callable[[str], object] | None = None,
-    wait: float | None = None,
-    containers: Iterable[Sequence[str]] = (),
-    only: Sequence[str] = (),
-    opened: Callable[[int], object] | None = None,
-    paused: bool = False,
+    placement: Placement = EVERYWHERE,
+    listener: Listener = NOBODY,
 ) -> Outcome:
     """Start all nodes of a rig, wait for them, gather what they recorded.
 
@@ -74,25 +68,8 @@ def run_processes(
     seed : int
     directory : Path
         For logs, parameter files, shards and status files.
-    mode : {"lockstep", "realtime"}
-    domain : int, optional
-        ROS_DOMAIN_ID; a free one when absent.
-    record : bool
-        Whether nodes record what they publish; without, the recording is empty.
-    progress : callable, optional
-        Called with the plant's time in ns.
-    announce : callable, optional
-        Called with a text when an external node is waited for, and when it has come.
-    wait : float, optional
-        Limit in s of the wait for all nodes, 0 for none; by default the scenario's, and none for external nodes.
-    containers : iterable of sequences of str
-        Names of nodes that share a process; every other node has one of its own.
-    only : sequence of str
-        Names of the nodes that are started here, when the others run on another machine; all when empty.
-    opened : callable, optional
-        Gets the domain before the first node is started.
-    paused : bool
-        In lockstep: the run is held at t = 0 until its clock is told to resume.
+    placement : Placement
+    listener : Listener
 
     Returns
     -------
@@ -106,6 +83,7 @@ def run_processes(
         A node refused its parameters.
     """
     directory.mkdir(parents=True, exist_ok=True)
+    domain, only, wait = placement.domain, placement.only, placement.wait
     if not only:  # parts on several hosts find each other over their network
         require_loopback()
     children: list[Child] = []
@@ -118,21 +96,21 @@ def run_processes(
         domain = stack.enter_context(free_domain()) if domain is None else domain
         remove_leftovers()
         variables = environment(domain, directory, discovery="SUBNET" if only else "LOCALHOST")
-        guests = Guests(rig, announce)
-        if opened is not None:
-            opened(domain)
+        guests = Guests(rig, listener.announce)
+        if listener.opened is not None:
+            listener.opened(domain)
         try:
             with stoppable() as stopping:
                 try:
                     guests.invite(domain)
-                    options = {"run.mode": mode, "run.start_timeout": wait, "run.paused": paused}
-                    for group in groups(rig, containers, only):
+                    options = {"run.mode": placement.clock, "run.start_timeout": wait, "run.paused": placement.paused}
+                    for group in groups(rig, placement.shared(rig), only):
                         # A signal waits until it is known who has been started; what Python does at a fork would
                         # swallow it with a traceback, besides.
                         with unstopped():
-                            children += start(rig, group, seed, directory, options, record, variables,
+                            children += start(rig, group, seed, directory, options, placement.record, variables,
                                               None if own_domain else ())  # fmt: skip
-                    error = supervise(rig, children, progress, guests, mode == "realtime", stopping)
+                    error = supervise(rig, children, listener.progress, guests, placement.clock == "realtime", stopping)
                 except KeyboardInterrupt as interrupt:
                     stopped = signal_of(interrupt)
                 finally:

@@ -22,11 +22,6 @@ from .peers import links
 FILES = ("status", "shard")  # that a node writes
 
 
-def placed(rig: Rig, place: str) -> Iterable[Sequence[str]]:
-    """Give the containers of a rig: none through processes, all nodes together when the scenario names none."""
-    return (rig.scenario.containers or [[m.name for m in rig.members]]) if place == "container" else ()
-
-
 def groups(rig: Rig, containers: Iterable[Sequence[str]], only: Sequence[str] = ()) -> list[list[Member]]:
     """Give our nodes by process, only those that are named if some are."""
     own = {m.name: m for m in rig.members if not m.external and (not only or m.name in only)}
