@@ -43,7 +43,7 @@ def _cell(text: object) -> str:
 
 def verbs() -> str:
     """Every verb with what it takes, from its parser."""
-    parser = cli._parser()
+    parser = cli.make_parser()
     head = "Every command of `softrig` with all that it takes; `softrig COMMAND --help` prints the same."
     parts = ["# Commands", "", head, "", parser.epilog or "", ""]
     (subparsers,) = (a for a in parser._actions if isinstance(a, argparse._SubParsersAction))
@@ -52,10 +52,13 @@ def verbs() -> str:
     parts += [f"| [`{name}`](#{name}) | {_cell(helps[name])} |" for name in subparsers.choices] + [""]
     for name, sub in subparsers.choices.items():
         own = sub
-        if name in cli._FOREIGN:
-            module, function, _ = cli._FOREIGN[name]
+        if name in cli.FOREIGN:
+            module, function, _ = cli.FOREIGN[name]
             own = _parser_of(getattr(importlib.import_module(module), function))
         parts += _verb(name, own, helps[name], "##")
+        for part, (module, function, text) in cli.FOREIGN.items():
+            if part.startswith(f"{name} "):
+                parts += _verb(part, _parser_of(getattr(importlib.import_module(module), function)), text, "###")
     return "\n".join(parts)
 
 
@@ -127,7 +130,7 @@ def all_nodes() -> str:
 def figures() -> str:
     """Every figure function, from its signature and docstring."""
     parts = ["# Figures", "", "What a scenario can measure: functions that its `figures` name.",
-             "`scripts/softrig figures NAME` prints the same.", ""]  # fmt: skip
+             "`scripts/softrig list --figures NAME` prints the same.", ""]  # fmt: skip
     for name in registered():
         function = find(name)
         parts += [f"## {name}", "", f"Unit: {getattr(function, 'unit', None) or 'as the scenario says'}.", "",

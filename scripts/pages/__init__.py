@@ -1,1 +1,1 @@
-"""What makes the doc pages, and holds them to the code: ``scripts/softrig pages``, from a checkout."""
+"""What makes the doc pages, and holds them to the code: ``scripts/softrig docs pages``, from a checkout."""

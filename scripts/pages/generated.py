@@ -1,4 +1,4 @@
-"""The generated parts of the doc pages: ``scripts/softrig pages [--check] [--runs] [--pictures] PAGE...``.
+"""The generated parts of the doc pages: ``scripts/softrig docs pages [--check] [--runs] [--pictures] PAGE...``.
 
 A page holds pairs of markers; what stands between them is made from the code and the scenario files::
 
@@ -211,7 +211,7 @@ def untrue(page: str, path: Path, runs: bool = False) -> list[str]:
 
 def main(args: Sequence[str] | None = None) -> int:
     """Write the generated parts of pages, or check that they are as the code says, and the numbers of the rest."""
-    parser = argparse.ArgumentParser(prog="scripts/softrig pages", description=main.__doc__)
+    parser = argparse.ArgumentParser(prog="scripts/softrig docs pages", description=main.__doc__)
     parser.add_argument("pages", nargs="+", type=Path, metavar="PAGE")
     parser.add_argument("--check", action="store_true")
     parser.add_argument("--runs", action="store_true", help="also what is measured: takes as long as the runs")

@@ -16,7 +16,7 @@ from xml.etree import ElementTree
 import pytest
 from conftest import PATIENCE
 from softrig_bags.reader import BagReader
-from softrig_bringup.cli import _parser, main
+from softrig_bringup.cli import main, make_parser
 from softrig_bringup.options.run_options import folder_name, repeat
 from softrig_bringup.plots.pictures import plot_run
 from softrig_bringup.run.run import checkout, gaps, summary
@@ -135,7 +135,7 @@ def test_exit_status_tells_a_miss_from_a_mistake_from_a_break(folder, capsys):
 
 
 def test_the_command_takes_what_launch_gives_to_every_executable(folder, capsys):
-    assert main(["signals", "lag", "--ros-args", "--log-level", "info", "-r", "__node:=softrig"]) == 0
+    assert main(["list", "--signals", "lag", "--ros-args", "--log-level", "info", "-r", "__node:=softrig"]) == 0
     assert "lag/state/x/position" in capsys.readouterr().out
 
 
@@ -180,11 +180,11 @@ def test_metrics_and_pictures_share_the_decoded_signals(monkeypatch, undrawn):
 
 
 def test_the_command_of_a_run_repeats_it_from_any_folder(folder):
-    arguments = ["lag", "--mode", "realtime", "--set", "gain.k=2", "--external", "gain", "--duration", "0.5",
-                 "--seed", "3", "--domain", "42"]  # fmt: skip
-    found = repeat(_parser().parse_args(["run", *arguments, "--out", "x"]))
+    arguments = ["lag", "--mode", "container", "--realtime", "--set", "gain.k=2", "--external", "gain",
+                 "--duration", "0.5", "--seed", "3", "--domain", "42"]  # fmt: skip
+    found = repeat(make_parser().parse_args(["run", *arguments, "--out", "x"]))
     assert found == [str(folder / "lag.yaml"), *arguments[1:], "--out", str(folder / "x")]
-    assert repeat(_parser().parse_args(["run", "dc_motor_smc_b2"]))[0] == "dc_motor_smc_b2"  # every folder knows it
+    assert repeat(make_parser().parse_args(["run", "dc_motor_smc_b2"]))[0] == "dc_motor_smc_b2"  # every folder knows it
 
 
 def test_a_domain_that_is_none_or_taken_is_one_line(capsys):
@@ -204,7 +204,7 @@ def test_processes_and_inprocess_leave_the_same_bag(folder):
     assert run("lag", "--out", "b", "--mode", "inprocess", "--no-plots") == 0
     bags = [sorted((folder / name / "bag").glob("*.mcap")) for name in "ab"]
     assert [f.name for f in bags[0]] == [f.name for f in bags[1]]
-    assert main(["compare", "--bitwise", "a/bag", "b/bag"]) == 0
+    assert main(["bag", "compare", "--bitwise", "a/bag", "b/bag"]) == 0
 
 
 @pytest.mark.processes
@@ -300,7 +300,7 @@ def test_strict_and_junit_judge_a_changed_run(folder):
 
 @pytest.mark.parametrize(("options", "status"), [([], 0), (["--max-missed", "50"], 1), (["--max-missed", "90"], 0)])
 def test_most_deadlines_missed_is_no_silent_success(folder, monkeypatch, capsys, options, status):
-    def late(scenario, mode, directory, **_):
+    def late(scenario, *_):
         done = simulate(scenario)
         done.status = {"plant": {"state": "done", "ticks": 1000, "missed_deadlines": 768}, "gain": {"ticks": 100}}
         return done
@@ -438,13 +438,13 @@ def test_pip_does_it_where_uv_cannot_be_had_and_a_shared_environment_is_not_inst
     assert softrig("setup", SOFTRIG_WHEELS="bin").returncode == 0  # by uv, nothing from the network either
     (call,) = [c for c in (tmp_path / "calls").read_text().splitlines() if c.startswith("uv ")]
     assert f"--require-hashes --build-constraints {tmp_path}/.ws/run.txt --require-build-hashes --no-index" in call
-    said = softrig("add", "tables")
+    said = softrig("setup", "tables")
     assert said.returncode == 2
-    assert "add tables: no such set; there are run uv" in said.stderr
+    assert "setup tables: no such set; there are run uv" in said.stderr
     python = tmp_path / ".venv" / "bin" / "python"
     for gone in (lambda: shutil.rmtree(tmp_path / ".venv"), lambda: (python.unlink(), python.symlink_to("/gone"))):
         gone()  # .venv removed by hand; the Python that it was made of uninstalled
-        said = softrig("add", "run")
+        said = softrig("setup", "run")
         assert (said.returncode, python.is_file()) == (0, True), said.stderr
 
 
@@ -519,7 +519,7 @@ def test_closed_streams_are_opened_before_a_file_gets_their_number(folder):
         found = command("run", "lag", "--mode", "inprocess", "--out", "a", "--no-plots", preexec_fn=close)
         assert found.returncode == 0
         assert (folder / "a/metrics.json").read_bytes()[:1] == b"{"
-        assert main(["compare", "a/bag", "b/bag", "--bitwise"]) == 0
+        assert main(["bag", "compare", "a/bag", "b/bag", "--bitwise"]) == 0
 
 
 def test_a_full_disk_behind_the_output_and_a_reader_that_has_gone(folder):
@@ -557,7 +557,7 @@ def test_a_signal_while_the_bag_is_written_waits_until_it_is_whole(folder, monke
     assert capsys.readouterr().err == "softrig: stopped\n"
     monkeypatch.setattr(write, "write_bag", whole)
     assert run("lag", "--mode", "inprocess", "--out", "b", "--no-plots") == 0
-    assert main(["compare", "a/bag", "b/bag", "--bitwise"]) == 0
+    assert main(["bag", "compare", "a/bag", "b/bag", "--bitwise"]) == 0
     assert run("lag", "--mode", "inprocess", "--out", "a", "--no-plots") == 0  # its list of files was closed too
 
 
@@ -636,7 +636,7 @@ def test_a_full_disk_names_the_folder(folder):
     pytest.param(1000, ["study", "lag", "--seeds", "30", "--workers", "1", "--out", "a"], "a/rows.jsonl",
                  marks=pytest.mark.long),
     (5000, ["study", "lag", "--seeds", "3", "--workers", "1", "--out", "a"], "a/.new/report.html"),
-    (100_000, ["record", "--output", "a", "/x"], "a"),
+    (100_000, ["bag", "record", "--output", "a", "/x"], "a"),
 ])  # fmt: skip
 def test_a_full_disk_names_the_file_and_nothing_half_stays(limit, words, path, folder):
     done = on_a_full_disk(limit, *words)
@@ -653,7 +653,9 @@ def test_what_a_run_waits_for_is_told_whole_and_in_lines(capsys):
 
 
 def test_a_results_folder_is_named_after_what_was_changed():
-    parsed = _parser().parse_args(["run", "lag", "--external", "gain", "--duration", "0.5", "--set", "gain.k=[1, 2]"])
+    parsed = make_parser().parse_args(
+        ["run", "lag", "--external", "gain", "--duration", "0.5", "--set", "gain.k=[1, 2]"]
+    )
     assert folder_name("lag", parsed) == "lag-gain.k=_1_2_-external_gain-duration_0.5"
-    parsed = _parser().parse_args(["run", "lag", "--mode", "container", "--realtime"])
+    parsed = make_parser().parse_args(["run", "lag", "--mode", "container", "--realtime"])
     assert folder_name("lag", parsed) == "lag-realtime"

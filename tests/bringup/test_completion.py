@@ -41,6 +41,7 @@ def test_each_place_of_a_command_is_completed(tmp_path):
         "study lsrm_fuzzy --grid v_": {"v_d="},
         "run no_such --set ": set(),
         "bag inf": {"info"},
+        "bag pla": {"play"},
         "bag inf'": set(),
     }
     among = {
@@ -49,7 +50,7 @@ def test_each_place_of_a_command_is_completed(tmp_path):
         "run dc_motor_smc_b2 --external ": {"motor_reference"},
         "node soft": {"softrig_drives"},
         "check dc_motor_smc lsrm": {"lsrm_fuzzy"},
-        "play --": {"--remap"},
+        "bag play --": {"--remap"},
     }
     lines = [f"softrig {line}" for line in [*exactly, *among]]
     subprocess.run([sys.executable, "-c", ASK, str(tmp_path)], input=json.dumps(lines), text=True, timeout=PATIENCE,
@@ -62,7 +63,7 @@ def test_each_place_of_a_command_is_completed(tmp_path):
 
 def test_bash_uses_it_for_the_scenarios_of_an_own_package_too(tmp_path):
     assert main(["new", "heater", "--into", str(tmp_path)]) == 0
-    script = f"""eval "$('{SOFTRIG}' completion)"; COMP_WORDBREAKS=$' ='; compopt() {{ :; }}
+    script = f"""eval "$('{SOFTRIG}' env --completion)"; COMP_WORDBREAKS=$' ='; compopt() {{ :; }}
         for COMP_LINE in 'softrig run dc_motor_smc_b5_p' 'softrig run heate'; do
             COMP_POINT=${{#COMP_LINE}}; _python_argcomplete '{SOFTRIG}'; echo "${{COMPREPLY[@]}}"
         done"""
@@ -73,7 +74,7 @@ def test_bash_uses_it_for_the_scenarios_of_an_own_package_too(tmp_path):
 
 @pytest.mark.parametrize("shell", ["zsh", "fish"])
 def test_other_shells_get_a_script_that_they_can_read(shell, capsys):
-    assert main(["completion", shell]) == 0
+    assert main(["env", "--completion", shell]) == 0
     said = capsys.readouterr().out
     assert "softrig" in said
     if shutil.which(shell):

@@ -15,14 +15,14 @@ from pathlib import Path
 
 import pytest
 import yaml
-from softrig_bringup.cli import _parser
+from softrig_bringup.cli import make_parser
 from softrig_core import list_scenarios
 
 ROOT = Path(__file__).parents[2]
 DOCKERFILE = ROOT / ".devcontainer" / "Dockerfile"
 DEVCONTAINER = json.loads((ROOT / ".devcontainer" / "devcontainer.json").read_text())
 WORKFLOW = yaml.load((ROOT / ".github" / "workflows" / "rigs.yml").read_text(), yaml.BaseLoader)  # `on` is a word
-SET_UP = ("setup", "add", "fetch")  # verbs of scripts/softrig itself
+SET_UP = ("setup",)  # verbs of scripts/softrig itself
 OF_THE_IMAGE = ("apt-get", "useradd")
 
 
@@ -72,7 +72,7 @@ def test_every_command_is_one_that_softrig_knows(command):
     assert os.access(ROOT / script, os.X_OK)
     if script == "scripts/test" or words[0] in SET_UP:
         return
-    options = _parser().parse_args(words)  # ends the test where an option is unknown
+    options = make_parser().parse_args(words)  # ends the test where an option is unknown
     scenarios = {"check": "scenarios", "golden": "names"}.get(words[0], "scenario")
     named = getattr(options, scenarios)
     assert ({named} if isinstance(named, str) else set(named)) <= set(list_scenarios())

@@ -162,7 +162,9 @@ def test_an_svg_moves_by_itself_and_says_everything_once(shorted):
 @pytest.mark.parametrize("form", ["svg", "gif", "webp", "png"])
 def test_the_verb_writes_every_form(form, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert main(["animate", "induction_dtc_short", "--from", "0.09", "--speed", "0.05", "-o", f"film.{form}"]) == 0
+    assert (
+        main(["draw", "animate", "induction_dtc_short", "--from", "0.09", "--speed", "0.05", "-o", f"film.{form}"]) == 0
+    )
     assert capsys.readouterr().out.startswith(f"film.{form}: 0.25 s, 5 frames, 0.")
     assert [p.name for p in tmp_path.iterdir()] == [f"film.{form}"]
     if form != "svg":
@@ -208,7 +210,7 @@ def test_a_gif_is_made_small_enough_or_refused(shorted, monkeypatch):
 )
 def test_what_cannot_be_animated_is_said(words, said, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert main(["animate", *words]) == 2
+    assert main(["draw", "animate", *words]) == 2
     assert said in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
 

@@ -257,7 +257,7 @@ def test_a_mistake_in_ones_own_code_says_file_and_line(user, package, mistake, m
 
 @pytest.mark.long
 def test_the_package_runs_in_real_time_and_passes_its_own_tests(user, package):
-    user(f"cd heater && '{SOFTRIG}' --workspace . run heater --mode realtime")
+    user(f"cd heater && '{SOFTRIG}' --workspace . run heater --realtime")
     out, _ = user(f"""cd heater && '{SOFTRIG}' colcon test && '{SOFTRIG}' colcon test-result""")
     assert "3 tests, 0 errors, 0 failures, 0 skipped" in out
 
@@ -280,5 +280,5 @@ def test_help_names_every_verb(capsys):
     with pytest.raises(SystemExit):
         main(["--help"])
     out = capsys.readouterr().out
-    for verb in ("env", "setup", "python", "new", "record", "bag", "--workspace"):
+    for verb in ("env", "setup", "python", "new", "bag", "--workspace"):
         assert verb in out

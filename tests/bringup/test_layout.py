@@ -91,7 +91,9 @@ def test_a_set_up_without_a_network(tmp_path):
     ours = ("AMENT_", "PYTHON", "VIRTUAL_ENV", "COLCON_", "SOFTRIG_", "LD_", "_ROS_")
     user = {k: v for k, v in os.environ.items() if not k.startswith(ours)}
     user |= {"HOME": str(tmp_path), "PATH": f"{sys.base_prefix}/bin:/usr/bin:/bin"}
-    subprocess.run([ROOT / "scripts" / "softrig", "fetch", tmp_path / "wheels", "tables"], check=True, env=user)
+    subprocess.run(
+        [ROOT / "scripts" / "softrig", "setup", "--fetch", tmp_path / "wheels", "tables"], check=True, env=user
+    )
     nowhere = dict.fromkeys(("HTTP_PROXY", "HTTPS_PROXY", "ALL_PROXY"), "http://127.0.0.1:9")
     cut_off = user | {k: v for name in nowhere for k, v in ((name, nowhere[name]), (name.lower(), nowhere[name]))}
 
@@ -102,8 +104,8 @@ def test_a_set_up_without_a_network(tmp_path):
     done = softrig("run", "dc_motor_smc_b2", "--mode", "inprocess", SOFTRIG_WHEELS=str(tmp_path / "wheels"))
     assert done.returncode == 0, done.stderr
     assert "uv could not" not in (there / ".ws" / "setup.log").read_text()
-    assert softrig("add", "tables", SOFTRIG_WHEELS=str(tmp_path / "wheels")).returncode == 0
-    assert softrig("add", "search", SOFTRIG_WHEELS=str(tmp_path / "wheels")).returncode == 2  # not fetched
+    assert softrig("setup", "tables", SOFTRIG_WHEELS=str(tmp_path / "wheels")).returncode == 0
+    assert softrig("setup", "search", SOFTRIG_WHEELS=str(tmp_path / "wheels")).returncode == 2  # not fetched
     assert softrig("python", "-c", "import pyarrow").returncode == 0
 
 

@@ -27,7 +27,7 @@ def folder(name):
 def test_layouts_of_a_package_are_as_the_plots_of_its_scenarios_say(name):
     made = files(rig_of(SHOWN[name]))
     held = {p.name: p.read_text() for p in folder(name).glob(f"{SHOWN[name]}.*")}
-    write = f"scripts/softrig layouts --out {folder(name).relative_to(ROOT)} {SHOWN[name]}"
+    write = f"scripts/softrig draw layouts --out {folder(name).relative_to(ROOT)} {SHOWN[name]}"
     assert held == made, f"out of date: run {write}"
 
 
@@ -86,13 +86,13 @@ def test_plotjuggler_reads_a_joint_state_by_its_channels_and_a_trajectory_by_its
 
 def test_the_verb_writes_layouts_and_says_what_it_cannot(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert main(["layouts", "lsrm_fuzzy"]) == 0
+    assert main(["draw", "layouts", "lsrm_fuzzy"]) == 0
     names = ["lsrm_fuzzy.foxglove.json", "lsrm_fuzzy.plotjuggler.xml", "lsrm_fuzzy.rviz"]
     assert sorted(p.name for p in (tmp_path / "layouts").iterdir()) == names
     rviz = json.loads((tmp_path / "layouts" / "lsrm_fuzzy.rviz").read_text())["Visualization Manager"]
     assert rviz["Global Options"]["Fixed Frame"] == "world"
     assert "/lsrm_plant/markers" in [d["Name"] for d in rviz["Displays"]]
-    assert main(["layouts", "pwa_delay_margin"]) == 2
+    assert main(["draw", "layouts", "pwa_delay_margin"]) == 2
     assert "pwa_delay_margin has no plots, from which layouts are made" in capsys.readouterr().err
     with pytest.raises(ScenarioError, match="no plots"):
         files(rig_of("pwa_delay_margin"))

@@ -111,13 +111,13 @@ def test_the_only_field_of_a_channel_may_be_left_out(run):
 
 
 def test_signals_and_figures_are_listed(capsys):
-    assert main(["signals", "dc_motor_smc_b2"]) == 0
+    assert main(["list", "--signals", "dc_motor_smc_b2"]) == 0
     rows = {line.split("\t")[0]: line.split("\t")[1:] for line in capsys.readouterr().out.splitlines()}
     assert rows[SHORT] == ["V", "sensor_msgs/JointState", "dc_motor_plant -> dc_motor_metrics"]
     assert rows["motor/state/shaft/velocity"][0] == "rad/s"
-    assert main(["figures"]) == 0
+    assert main(["list", "--figures"]) == 0
     assert "rise_time\ts\tTime in s from the first crossing" in capsys.readouterr().out
-    assert main(["figures", "rise_time"]) == 0
+    assert main(["list", "--figures", "rise_time"]) == 0
     assert "low, high : float" in capsys.readouterr().out
-    assert main(["figures", "rise_tim"]) == 2
+    assert main(["list", "--figures", "rise_tim"]) == 2
     assert "did you mean 'rise_time'?" in capsys.readouterr().err

@@ -25,8 +25,8 @@ from softrig_bringup.plots.marks import marks_of
 from softrig_bringup.plots.overlay import BAND, Overlay, band, draw_overlay
 from softrig_bringup.plots.pictures import places, plot_run
 from softrig_bringup.plots.style import ACCEPTED, PUBLISHED, axis_title, style
-from softrig_bringup.report.report.record import RunRecord, read_run
-from softrig_bringup.report.report.several import differences, differing, groups, names, overlaid, side_by_side
+from softrig_bringup.report.record import RunRecord, read_run
+from softrig_bringup.report.several import differences, differing, groups, names, overlaid, side_by_side
 from softrig_core import ScenarioError, list_scenarios, load_scenario, rig_of, simulate
 from softrig_core.rig import code
 from softrig_core.scenario.scenario import PlotEntry

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from softrig_bringup.cli import _FOREIGN, _SCRIPT, _parser, main
+from softrig_bringup.cli import main, make_parser
 from softrig_core import list_scenarios
 from softrig_core.processes.domain import free_domain
 from softrig_core.processes.executables import PROFILE, find_executable
@@ -45,7 +45,7 @@ def test_the_controller_of_the_tutorial_takes_the_place_of_ours(tmp_path, monkey
 
 
 def test_every_command_of_the_readme_exists():
-    verbs = set(_FOREIGN) | set(_parser()._subparsers._group_actions[0].choices) | set(_SCRIPT)
+    verbs = set(make_parser()._subparsers._group_actions[0].choices)
     scenarios = set(list_scenarios())
     for verb, rest in re.findall(r"scripts/softrig (\w+)([^#\n]*)", README):
         assert verb in verbs, verb

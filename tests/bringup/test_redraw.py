@@ -35,11 +35,11 @@ def test_a_run_is_drawn_again_as_it_ran(run, tmp_path, capsys):
     assert rig.scenario.duration == 0.2
     assert next(m for m in rig.members if m.name == "dc_motor_smc").params.delta == 1.5
     capsys.readouterr()
-    assert main(["plot", str(run), "--out", str(tmp_path), "--width", "88", "--font", "8", "--no-title"]) == 0
+    assert main(["draw", "plot", str(run), "--out", str(tmp_path), "--width", "88", "--font", "8", "--no-title"]) == 0
     written = capsys.readouterr().out.split()
     assert len(written) == len(rig.scenario.plots)
     assert all(Path(path).read_bytes().startswith(b"%PDF") for path in written)
-    assert main(["plot", str(run / "bag"), SIGNAL, "--out", str(tmp_path / "bag")]) == 0  # a bag by itself
+    assert main(["draw", "plot", str(run / "bag"), SIGNAL, "--out", str(tmp_path / "bag")]) == 0  # a bag by itself
 
 
 def test_width_letters_and_title_are_as_asked(run, tmp_path):
@@ -50,14 +50,14 @@ def test_width_letters_and_title_are_as_asked(run, tmp_path):
     assert not figure._suptitle
     sizes = {t.get_fontsize() for ax in figure.axes for t in (*ax.get_legend().get_texts(), ax.yaxis.label)}
     assert sizes == {8.0}
-    assert main(["plot", str(run), SIGNAL, "--format", "png", "--width", "100", "--out", str(tmp_path)]) == 0
+    assert main(["draw", "plot", str(run), SIGNAL, "--format", "png", "--width", "100", "--out", str(tmp_path)]) == 0
     (picture,) = tmp_path.glob("*.png")
     assert imread(picture).shape[1] == pytest.approx(300 * 100 / 25.4, abs=1)
 
 
 def test_the_data_of_a_picture_has_units_in_its_head(run, tmp_path):
     options = [SIGNAL, "motor/true_state/shaft/velocity", "--csv", "--window", "0.05", "0.1", "--out", str(tmp_path)]
-    assert main(["plot", str(run), *options]) == 0
+    assert main(["draw", "plot", str(run), *options]) == 0
     (table,) = tmp_path.glob("*.csv")
     head, *rows = csv.reader(table.open())
     assert head == ["t (s)", "motor/applied/armature (V)", "motor/true_state/shaft/velocity (rad/s)"]
@@ -76,15 +76,15 @@ def test_a_report_draws_what_the_run_did_not(run, tmp_path):
 
 
 def test_what_cannot_be_drawn_is_one_line(run, tmp_path, capsys):
-    assert main(["plot", str(tmp_path / "nowhere")]) == 2
+    assert main(["draw", "plot", str(tmp_path / "nowhere")]) == 2
     assert "no bag in it" in capsys.readouterr().err
-    assert main(["plot", str(run), "motor/speed", "--out", str(tmp_path)]) == 2
+    assert main(["draw", "plot", str(run), "motor/speed", "--out", str(tmp_path)]) == 2
     assert "no signal 'motor/speed'" in capsys.readouterr().err
     edited = Path(shutil.copytree(run, tmp_path / "edited"))
     content = json.loads((edited / "metrics.json").read_text())
     for command in ("make all", "softrig 'run"):
         (edited / "metrics.json").write_text(json.dumps(content | {"command": command}))
-        assert main(["plot", str(edited)]) == 2
+        assert main(["draw", "plot", str(edited)]) == 2
         assert f"command: expected that of a run, got {command!r}" in capsys.readouterr().err
         assert main(["report", str(edited), "--out", str(tmp_path / "edited.html")]) == 0
         assert "This run has no pictures" in (tmp_path / "edited.html").read_text()

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import pytest
 from docs.outline import KINDS, ROOT, pages
-from softrig_bringup.cli import _FOREIGN, _SCRIPT, _parser
+from softrig_bringup.cli import FOREIGN, SCRIPT, make_parser
 from softrig_core import simulate
 from softrig_core.processes.domain import free_domain
 
@@ -104,7 +104,7 @@ def test_a_tutorial_does_what_it_says(name, tmp_path):
 
 @pytest.mark.parametrize("name", TUTORIALS)
 def test_the_commands_of_a_tutorial_are_commands(name):
-    verbs = _parser()
+    verbs = make_parser()
     known = set(verbs._subparsers._group_actions[0].choices)
     for block in blocks(pages()[name].read_text()):
         if block.kind == "commands" and "<<" not in block.text:
@@ -113,8 +113,8 @@ def test_the_commands_of_a_tutorial_are_commands(name):
                 if words[0] != "softrig":
                     continue
                 words = words[3:] if words[1] == "--workspace" else words[1:]
-                assert words[0] in known | {*_FOREIGN, *_SCRIPT}, line
-                if words[0] not in {*_FOREIGN, *_SCRIPT}:
+                assert words[0] in known, line
+                if words[0] not in {*FOREIGN, *SCRIPT}:
                     verbs.parse_args(words)
 
 

@@ -116,7 +116,7 @@ def test_a_run_is_held_stepped_and_turned_from_its_page_and_its_bag_is_that_of_t
 def test_on_another_address_only_who_says_the_token_is_let_in(tmp_path):
     assert main(["run", "dc_motor_smc", "--mode", "inprocess", "--duration", "0.05", "--no-plots", "--out",
                  str(tmp_path / "run")]) in (0, 1)  # fmt: skip
-    with running("view", tmp_path / "run", "--view-address", "0.0.0.0:0") as process:
+    with running("view", tmp_path / "run", "--address", "0.0.0.0:0") as process:
         base, token = address(process).split("?token=")
         for wanted in (
             "",

@@ -70,7 +70,7 @@ class Chromium:
 def test_a_person_at_the_page_of_the_induction_motor(tmp_path, capsys, pace):
     file, out = tmp_path / "drive.yaml", tmp_path / "run"
     file.write_text(SCENARIO.format(slow=SLOW_DRIVE if pace == "real time" else ""))
-    live = ("run", file, "--mode", "container", "--realtime", "--view", "--duration", 30)
+    live = ("view", file, "--realtime", "--duration", 30)
     with running(*(live if pace == "real time" else ("view", file)), "--no-plots", "--out", out) as process:
         browser = Chromium(address(process))
         try:

@@ -69,7 +69,7 @@ def commands(chance: random.Random) -> list[str]:
               ["compare", str(sound() / "bag"), str(sound() / "bag")], ["report", str(sound())],
               ["bag", "export", str(sound() / "bag"), "--out", "tables"], ["run", "no_such"],
               ["node", "softrig_drives", "dc_motor_plant", "--help"], ["node", "softrig_drives", "dc_motor_plant"],
-              ["record", "--output", "out"]]  # fmt: skip
+              ["bag", "record", "--output", "out"]]  # fmt: skip
     return chance.choice(runs if chance.random() < 0.5 else others)
 
 
@@ -298,7 +298,7 @@ def run(case: Case, command: list[str]) -> tuple[int, str]:
         )  # fmt: skip
         for number in {case.stdout, case.stderr} - {None}:
             os.close(number)
-        endless = case.command[0] in ("node", "record")
+        endless = case.command[0] == "node" or case.command[:2] == ["bag", "record"]
         deadline = time.monotonic() + LIMIT
         stop = time.monotonic() + 4.0 if endless else deadline
         try:

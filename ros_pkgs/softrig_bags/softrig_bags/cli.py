@@ -86,7 +86,7 @@ def _selection_arguments(parser: argparse.ArgumentParser) -> None:
 def main_record(argv: list[str]) -> int:
     """Record topics into a bag until SIGINT or SIGTERM; exit status 1 when messages are missing, or may be."""
     parser = Parser(
-        prog="softrig record",
+        prog="softrig bag record",
         description="Record topics into a rosbag2 bag until Ctrl-C. Topics are picked up as they appear.",
     )
     parser.add_argument("topics", nargs="*", metavar="TOPIC", help="names (default: all but hidden ones)")
@@ -134,7 +134,7 @@ def main_record(argv: list[str]) -> int:
 def main_play(argv: list[str]) -> int:
     """Play a bag against the wall clock, or in lockstep with a node."""
     parser = Parser(
-        prog="softrig play",
+        prog="softrig bag play",
         description="Play a rosbag2 bag: against the wall clock, or in lockstep with a node that answers.",
         epilog="Services while playing: ~/pause, ~/resume, ~/step (std_srvs/Trigger).",
     )
@@ -175,7 +175,7 @@ def main_play(argv: list[str]) -> int:
 def main_compare(argv: list[str]) -> int:
     """Compare two bags; exit status 0 when they agree, 1 when not."""
     parser = Parser(
-        prog="softrig compare",
+        prog="softrig bag compare",
         description="Compare bag B with its reference A, messages paired by stamp; a run in real time with one in "
         "lockstep signal by signal. Exit status 0: they agree, 1: not.",
     )
@@ -220,11 +220,22 @@ def main_compare(argv: list[str]) -> int:
     return 0 if result.equal else 1
 
 
+TOOLS = {
+    "record": (main_record, "record topics of a running graph"),
+    "play": (main_play, "play a bag back"),
+    "compare": (main_compare, "find the first difference between two bags"),
+}
+
+
 @_command
 def main_bag(argv: list[str]) -> int:
-    """Tools for a bag: info, repair, export."""
-    parser = Parser(prog="softrig bag", description="Look into, repair or export a rosbag2 bag.")
+    """Tools for a bag: info, repair, export; record, play and compare have parsers of their own."""
+    parser = Parser(prog="softrig bag", description="Record, play, compare, look into, repair or export rosbag2 bags.")
     verbs = parser.add_subparsers(required=True, metavar="VERB", dest="verb")
+    for name, (_, text) in TOOLS.items():
+        verbs.add_parser(name, help=text)
+    if argv and argv[0] in TOOLS:
+        return TOOLS[argv[0]][0](argv[1:])
     info = verbs.add_parser("info", help="what is in a bag")
     info.add_argument("bag", type=Path)
     mend = verbs.add_parser("repair", help="save what a crash left, restore index and metadata")

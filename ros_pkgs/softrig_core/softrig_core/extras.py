@@ -44,11 +44,11 @@ def need(package: str, what: str) -> None:
     if _there(package):
         return
     if command := os.environ.get("SOFTRIG_COMMAND"):
-        subprocess.run([command, "add", extra], stdin=subprocess.DEVNULL, check=False)  # prints its own lines
+        subprocess.run([command, "setup", extra], stdin=subprocess.DEVNULL, check=False)  # prints its own lines
         importlib.invalidate_caches()
         if _there(package):
             return
-        raise ScenarioError(f"{what} needs the package {package!r}: {command} add {extra} (see above why it failed)")
+        raise ScenarioError(f"{what} needs the package {package!r}: {command} setup {extra} (see above why it failed)")
     raise ScenarioError(f"{what} needs the package {package!r}: pip install 'softrig[{extra}]', or {package} by itself")
 
 

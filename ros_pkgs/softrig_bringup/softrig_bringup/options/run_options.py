@@ -19,8 +19,8 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("scenario", nargs="?", default="", help="name or YAML file")
     parser.add_argument("--like", type=Path, metavar="RUN", help="instead of a scenario: that run (its folder "
                         "or bag) once more, with all that was changed while it ran")  # fmt: skip
-    parser.add_argument("--mode", choices=("processes", "container", "inprocess", "realtime"), default="processes",
-                     help="where the nodes live; realtime: processes --realtime")  # fmt: skip
+    parser.add_argument("--mode", choices=("processes", "container", "inprocess"), default="processes", type=_mode,
+                        help="where the nodes live")  # fmt: skip
     parser.add_argument("--realtime", action="store_true", help="against the wall clock, not in lockstep")
     parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE",
                         help="change a parameter (node.parameter) or a shared value")  # fmt: skip
@@ -44,11 +44,14 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--format", choices=("svg", "pdf"), default="", help="pictures of this kind beside the PNG")
     parser.add_argument("--junit", type=Path, metavar="FILE", help="what was judged, as JUnit XML")
     parser.add_argument("--no-plots", action="store_true", help="only metrics.json and the bag")
-    parser.add_argument("--view", action="store_true", help="a page in the browser beside it, with knobs")
-    parser.add_argument("--view-address", default="127.0.0.1:0", metavar="HOST:PORT", help="of the page (this host, a "
-                        "free port); from other hosts it is seen with the token in its address only")  # fmt: skip
-    parser.add_argument("--paused", action="store_true", help="with --view, in lockstep: begins paused")
     parser.add_argument("--connect", action="store_true", help="print how nodes of your own see the rig")
+    parser.set_defaults(view=False, paused=False, address="")  # those of the verb `view`
+
+
+def _mode(word: str) -> str:
+    if word == "realtime":
+        raise argparse.ArgumentTypeError("realtime is --realtime now, beside --mode processes or container")
+    return word
 
 
 def scenario_of(options: argparse.Namespace) -> Scenario:
@@ -97,9 +100,7 @@ def placement_of(options: argparse.Namespace) -> Placement:
     """Give where the nodes live and what they go by."""
     from softrig_core.processes.placement import Placement
 
-    realtime = options.realtime or options.mode == "realtime"
-    mode: Any = "processes" if options.mode == "realtime" else options.mode
-    return Placement(mode, "realtime" if realtime else "lockstep", options.domain, only=options.only,
+    return Placement(options.mode, "realtime" if options.realtime else "lockstep", options.domain, only=options.only,
                      wait=options.wait, paused=options.paused)  # fmt: skip
 
 
@@ -113,7 +114,7 @@ def changed_words(options: argparse.Namespace) -> list[str]:
 
 def folder_name(scenario: str, options: argparse.Namespace) -> str:
     """Name the folder of a run so that runs that differ do not replace each other."""
-    parts = [scenario] + (["realtime"] if options.realtime or options.mode == "realtime" else [])
+    parts = [scenario] + (["realtime"] if options.realtime else [])
     parts += [options.params_file.stem] if options.params_file is not None else []
     parts += ["again"] if options.like is not None else []
     parts += [*options.set, *(f"external_{name}" for name in options.external)]

@@ -21,15 +21,17 @@ def complete(parser: argparse.ArgumentParser) -> None:
 
 
 def asked(foreign: Container[str]) -> list[str]:
-    """Give the verb of the line that a shell asks about, if it is one with a parser of its own."""
+    """Give the words of the verb that a shell asks about, if it is one with a parser of its own."""
     try:
         words = shlex.split(os.environ.get("COMP_LINE", "")[: int(os.environ.get("COMP_POINT", "0"))] + "|")
     except ValueError:  # within quotes
         return []
-    if len(words) < 3 or words[1] not in foreign:
-        return []
-    os.environ["_ARGCOMPLETE"] = "2"  # its words begin with the second one
-    return [words[1]]
+    for count in (2, 1):
+        verb = words[1 : count + 1]
+        if len(words) > count + 1 and " ".join(verb) in foreign:
+            os.environ["_ARGCOMPLETE"] = str(count + 1)  # its words begin with the last of these
+            return verb
+    return []
 
 
 def _scenarios(**_: Any) -> Iterable[str]:

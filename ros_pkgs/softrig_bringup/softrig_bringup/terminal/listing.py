@@ -43,7 +43,14 @@ class _Console(Console):
 
 
 def main(options: argparse.Namespace) -> int:
-    """Print the scenarios with `filter` in their name or system; 2 when there are files that are none."""
+    """Print scenarios, or signals of one, or figure functions, as the options say; gives the exit status."""
+    if options.signals is not None:
+        return list_signals(options.signals)
+    return list_scenarios_of(options.filter) if options.figures is None else list_figures(options.figures)
+
+
+def list_scenarios_of(part: str) -> int:
+    """Print the scenarios with a text in their name or system; 2 when there are files that are none."""
     broken: list[ScenarioError] = []
     scenarios = []
     for name in sorted(list_scenarios(broken)):
@@ -53,7 +60,7 @@ def main(options: argparse.Namespace) -> int:
             broken.append(error)
     for what in broken:
         say(what)
-    chosen = [s for s in scenarios if options.filter in s.name or options.filter in s.system]
+    chosen = [s for s in scenarios if part in s.name or part in s.system]
     if not sys.stdout.isatty() and "COLUMNS" not in os.environ:
         for s in chosen:
             print(plain(f"{s.name}\t{s.system}\t{s.duration:g} s\t{s.title}\t{s.source}"))
@@ -86,13 +93,13 @@ def _took(name: str) -> list[str]:
         return []
 
 
-def list_figures(options: argparse.Namespace) -> int:
+def list_figures(name: str) -> int:
     """Print the figure functions that scenarios may name, or what one of them says of itself."""
     from softrig_core.judge.registry import find, registered
 
-    if options.name:
-        function = find(options.name)
-        print(f"{options.name}{inspect.signature(function)}\n\n{inspect.getdoc(function) or ''}\n")
+    if name:
+        function = find(name)
+        print(f"{name}{inspect.signature(function)}\n\n{inspect.getdoc(function) or ''}\n")
         print(f"unit: {getattr(function, 'unit', None) or 'as the scenario says'}")
         return 0
     for one in registered():
@@ -101,11 +108,11 @@ def list_figures(options: argparse.Namespace) -> int:
     return 0
 
 
-def list_signals(options: argparse.Namespace) -> int:
+def list_signals(scenario: str) -> int:
     """Print the signals of a scenario: name, unit, who publishes it, who reads it; a field that is the only one is left
     out, as it may be wherever a signal is named.
     """
-    rig = rig_of(options.scenario)
+    rig = rig_of(scenario)
     units = signal_units(rig)
     source = {p.topic: (m, p) for m in rig.members for p in m.outputs}
     for topic, port in rig.topics.items():

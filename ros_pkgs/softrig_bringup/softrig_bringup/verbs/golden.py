@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import argparse
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -271,7 +272,13 @@ def _write(file: Path, recipe: Recipe) -> None:
     replace(file, stream.getvalue())
 
 
-def main(names: Sequence[str], folder: Path, *, duration: float | None, seed: int | None, check: bool,
+def main(options: argparse.Namespace) -> int:
+    """Do what the command line says; gives the exit status."""
+    return remade(options.names, options.bags, duration=options.duration, seed=options.seed, check=options.check,
+                  junit=options.junit, as_json=options.json)  # fmt: skip
+
+
+def remade(names: Sequence[str], folder: Path, *, duration: float | None, seed: int | None, check: bool,
          junit: Path | None = None, as_json: Path | None = None) -> int:  # fmt: skip
     """Regenerate golden bags (all of the folder when none is named), or only check them.
 

@@ -59,7 +59,7 @@ def _run_reserved(options: argparse.Namespace) -> int:
     folder = results_folder(options, scenario.name)
     log = folder.path / "log"
     placement = placement_of(options)
-    beside = page(scenario, log, placement, options.view_address)
+    beside = page(scenario, log, placement, options.address)
     with folder.keeping(), beside as shown:
 
         def opened(domain: int) -> None:
@@ -82,9 +82,9 @@ def _check_view(options: argparse.Namespace) -> None:
 
     if options.mode == "inprocess" or options.only:
         what = "--mode inprocess" if options.mode == "inprocess" else "--only"
-        raise ScenarioError(f"--view shows a whole rig of nodes, which {what} is not; expected --mode container or "
+        raise ScenarioError(f"view shows a whole rig of nodes, which {what} is not; expected --mode container or "
                             "processes")  # fmt: skip
-    need("bokeh", "--view")
+    need("bokeh", "view")
 
 
 def _how_to_connect(domain: int, directory: Path) -> str:

@@ -16,10 +16,8 @@ def view(options: argparse.Namespace) -> int:
     """Show what is named; gives the exit status."""
     path = Path(options.scenario)
     if options.like is None and path.is_dir():
-        return _recorded(path, options.view_address)
-    options.view = options.paused = True
-    if options.mode == "realtime" or options.realtime:
-        options.paused = False
+        return _recorded(path, options.address)
+    options.view, options.paused = True, not (options.realtime or options.running)
     return run_verb.run(options)
 
 

@@ -128,7 +128,7 @@ class Pages:
         host, _, port = address.rpartition(":")
         host = host.strip("[]") or "127.0.0.1"
         if not port.isdecimal() or int(port) > 65535:
-            raise ScenarioError(f"--view-address {address!r}: expected HOST:PORT, port 0 for a free one")
+            raise ScenarioError(f"--address {address!r}: expected HOST:PORT, port 0 for a free one")
         try:
             sockets, chosen = bind_sockets(
                 host, int(port)
@@ -136,7 +136,7 @@ class Pages:
             for one in sockets:
                 one.close()
         except OSError as error:
-            raise ScenarioError(f"--view-address {address}: {error.strerror}") from None
+            raise ScenarioError(f"--address {address}: {error.strerror}") from None
         token = "" if host in LOOPBACK else secrets.token_urlsafe(16)
         if token:  # whoever has it may come by any name of this host, and Bokeh need not warn of that
             logging.getLogger("bokeh.server.util").setLevel(logging.ERROR)
@@ -149,7 +149,7 @@ class Pages:
                 auth_provider=_Token(token) if token else NullAuth(),
             )  # fmt: skip
         except OSError as error:
-            raise ScenarioError(f"--view-address {address}: {error.strerror}") from None
+            raise ScenarioError(f"--address {address}: {error.strerror}") from None
         shown = f"[{host}]" if ":" in host else host
         self.url = f"http://{shown}:{self.server.port}/" + (f"?token={token}" if token else "")
         self.server.start()

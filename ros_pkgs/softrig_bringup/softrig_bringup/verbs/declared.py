@@ -1,0 +1,176 @@
+"""The options of all verbs that import nothing until they are called."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from pathlib import Path
+
+from softrig_core.command_line import Number
+
+from ..options import run_options
+from . import animate, layouts, set_verb
+
+Verb = Callable[[str, str, str], argparse.ArgumentParser]  # of name, function and text
+
+
+def verbs(verb: Verb) -> None:
+    """Declare the verbs, in the order of their groups."""
+    _run_and_look(verb)
+    _vary(verb)
+    _judge(verb)
+    _analyse(verb)
+    _ros(verb)
+    new = verb("new", "verbs.new:main", "write a package with a plant, a law, a scenario and tests, to begin with")
+    new.add_argument("name", metavar="NAME", help="of the package: lower-case letters, digits and _")
+    new.add_argument("--into", type=Path, default=Path(), metavar="DIR", help="where its folder is made (here)")
+    env = verb("env", "cli:env", 'an environment for your shell: eval "$(scripts/softrig env)"; `env COMMAND` runs one '
+               "command in it, colcon too; `env --completion`: completion of our words")  # fmt: skip
+    env.add_argument("--completion", nargs="?", const="bash", choices=("bash", "zsh", "fish"))
+
+
+def _run_and_look(verb: Verb) -> None:
+    run_options.arguments(verb("run", "verbs.run_verb:run", "run a scenario: metrics, bag, plots, report"))
+    look = verb("view", "verbs.view_verb:view",
+                "look at a run or a bag in the browser, or run a scenario that begins paused there")  # fmt: skip
+    run_options.arguments(look)
+    look.add_argument("--address", default="127.0.0.1:0", metavar="HOST:PORT", help="of the page (this host, a free "
+                      "port); from other hosts it is seen with the token in its address only")  # fmt: skip
+    look.add_argument("--running", action="store_true", help="does not begin paused; in real time nothing does")
+    look.set_defaults(mode="container")
+    report = verb("report", "report.report:main", "one self-contained HTML page from one or more runs")
+    report.add_argument("runs", nargs="+", type=Path, metavar="DIR")
+    report.add_argument("--out", type=Path, default=Path("report.html"))
+    report.add_argument("--label", action="append", default=[], metavar="TEXT",
+                        help="name of a run, in their order (default: its own, or its folder)")  # fmt: skip
+    draw = verb("draw", "cli:main", "pictures of a run for a paper, its plant in motion, layouts for other viewers")
+    kinds = draw.add_subparsers(required=True, metavar="WHAT")
+    text = "pictures of a run that is over, for a paper: size, letters, data"
+    plot = kinds.add_parser("plot", help=text, description=text)
+    plot.set_defaults(verb=_called("report.redraw", "main"))
+    plot.add_argument("run", type=Path, metavar="DIR", help="of a run, or a bag that a run has written")
+    plot.add_argument(
+        "signals", nargs="*", metavar="SIGNAL", help="one picture of these (default: the scenario's plots)"
+    )
+    plot.add_argument("--out", type=Path, default=Path("pictures"), metavar="DIR", help="they go here (pictures)")
+    plot.add_argument("--format", choices=("pdf", "svg", "png", "pgf"), default="pdf")
+    plot.add_argument("--width", type=Number(float, 20, 1000), metavar="MM", help="width; the height follows")
+    plot.add_argument("--font", type=Number(float, 3, 40), metavar="PT", help="size of the letters")
+    plot.add_argument("--no-title", action="store_true", help="as figures of a paper have their captions")
+    plot.add_argument("--window", type=float, nargs=2, metavar=("FROM", "TO"), help="s")
+    plot.add_argument("--csv", action="store_true", help="the data beside each picture, units in the head")
+    text = "a run's plant in motion: a short SVG, GIF, WebP or PNG"
+    film = kinds.add_parser("animate", help=text, description=text)
+    film.set_defaults(verb=animate.animate)
+    animate.arguments(film)
+    text = "a scenario's plots as layouts for PlotJuggler, Foxglove, RViz"
+    views = kinds.add_parser("layouts", help=text, description=text)
+    views.set_defaults(verb=layouts.layouts)
+    layouts.arguments(views)
+    listed = verb("list", "terminal.listing:main", "scenarios by system, with duration and title; signals, figures")
+    listed.add_argument("filter", nargs="?", default="", help="only scenarios or systems with this in their name")
+    listed.add_argument("--signals", metavar="SCENARIO",
+                        help="signals of a scenario: unit, message type, who publishes and who reads them")  # fmt: skip
+    listed.add_argument("--figures", nargs="?", const="", metavar="NAME",
+                        help="functions that figures of a scenario may name, or all about one")  # fmt: skip
+
+
+def _called(module: str, name: str) -> Callable[[argparse.Namespace], int]:
+    def call(options: argparse.Namespace) -> int:
+        from importlib import import_module
+
+        return int(getattr(import_module(f"softrig_bringup.{module}"), name)(options))
+
+    return call
+
+
+def _vary(verb: Verb) -> None:
+    study = verb("study", "study.page:main",
+                 "a scenario over grids, draws, seeds or a search; interrupted, the next call goes on")  # fmt: skip
+    study.add_argument("study", help="name or file of a study, or a scenario; `study list` shows the studies")
+    study.add_argument("--grid", action="extend", nargs="+", default=[], metavar="NODE.PARAM=A,B,C",
+                       help="every combination; also LOW:HIGH:STEP with both ends")  # fmt: skip
+    study.add_argument(
+        "--draw", action="extend", nargs="+", default=[], metavar="NODE.PARAM=LOW..HIGH", help="drawn uniformly"
+    )
+    study.add_argument("--draws", type=Number(int, 1), default=100, metavar="N", help="how many points are drawn (100)")
+    study.add_argument("--method", choices=("random", "latin_hypercube"), default="latin_hypercube")
+    study.add_argument("--search", metavar="FIGURE", help="minimise this figure over what --draw names")
+    study.add_argument("--subject-to", action="append", default=[], metavar="'FIGURE <= X'",
+                       help="with --search: only runs that keep to it; also >=")  # fmt: skip
+    study.add_argument("--maximise", action="store_true", help="with --search: maximise instead")
+    study.add_argument("--seeds", type=Number(int, 1), metavar="N", help="rig seeds 0 to N - 1 of each point")
+    study.add_argument("--duration", type=float, metavar="S", help="instead of the scenario's")
+    study.add_argument("--figures", nargs="+", default=[], metavar="FIGURE", help="only these")
+    study.add_argument("--signals", nargs="+", default=[], metavar="SIGNAL", help="keep and draw these")
+    study.add_argument("--out", type=Path, metavar="DIR", help="results go here (default runs/study_NAME)")
+    _workers(study)
+    falsify = verb(
+        "falsify", "falsify.outcome:main", "look for the run that violates a requirement, made small and kept"
+    )
+    falsify.add_argument("what", metavar="SCENARIO", help="or the name of a falsification in config/studies; `list`")
+    falsify.add_argument("--requirement", action="append", default=[], metavar="NAME", help="default: all")
+    falsify.add_argument("--over", action="append", default=[], metavar="KEY=A..B",
+                         help="NODE.PARAM=a..b, FAULT.PARAM=a..b, 'log a..b', a list or SIGNAL=a..b*6 (steps), "
+                              "SIGNAL=a..b~6 (lines), SIGNAL+=a..b*6 (added to it)")  # fmt: skip
+    falsify.add_argument("--budget", type=Number(int, 1), metavar="N", help="runs (200)")
+    falsify.add_argument("--seed", type=Number(int, 0), metavar="N", help="of the search (0)")
+    falsify.add_argument("--sampler", choices=("cmaes", "tpe", "random"), help="after random points (cmaes)")
+    falsify.add_argument("--duration", type=float, metavar="S", help="instead of the scenario's")
+    falsify.add_argument("--first", action="store_true", default=None, help="end at the first violation")
+    falsify.add_argument("--no-plots", action="store_true", help="scenario files and bags only")
+    falsify.add_argument("--out", type=Path, metavar="DIR", help="results go here (default runs/falsify_NAME)")
+    _workers(falsify)
+
+
+def _workers(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--workers", type=Number(int, 1), metavar="N", help="processes (default: all cores)")
+    parser.add_argument("--scheduler", default="", metavar="ADDRESS", help="a Dask cluster instead (tcp://host:8786)")
+
+
+def _judge(verb: Verb) -> None:
+    check = verb("check", "verbs.check:main",
+                 "figures, requirements and claims of many scenarios, for continuous integration")  # fmt: skip
+    check.add_argument("scenarios", nargs="+", metavar="SCENARIO", help="names or files")
+    results = verb("results", "verbs.results:main", "hold every claim of the papers against what is measured now")
+    results.add_argument("systems", nargs="*", metavar="SYSTEM", help="default: all")
+    results.add_argument("--out", type=Path, default=Path("runs/results"), metavar="DIR",
+                         help="results.html and results.md go here (default runs/results)")  # fmt: skip
+    results.add_argument("--studies", action="store_true", help="the claims of studies too: hundreds of runs")
+    golden = verb("golden", "verbs.golden:main",
+                  "make golden bags anew and show the difference to the old, or check them")  # fmt: skip
+    golden.add_argument("names", nargs="*", metavar="SCENARIO", help="default: all that are there")
+    golden.add_argument("--check", action="store_true", help="only compare; exit status 1 when one differs")
+    golden.add_argument("--duration", type=float, metavar="S", help="another length of the golden run")
+    golden.add_argument("--seed", type=int, metavar="N", help="another seed")
+    golden.add_argument("--bags", type=Path, default=Path("bags"), metavar="DIR", help="where they are")
+    for parser in (check, results):
+        parser.add_argument("--workers", type=Number(int, 1), metavar="N", help="processes (default: all cores)")
+    for parser in (check, results, golden):
+        parser.add_argument("--junit", type=Path, metavar="FILE", help="report as JUnit XML")
+        parser.add_argument("--json", type=Path, metavar="FILE", help="report as JSON")
+
+
+def _analyse(verb: Verb) -> None:
+    linear = verb("linearise", "verbs.linear:linearise", "state space, poles and margins, where a run of a scenario is")
+    linear.add_argument("--open", metavar="LINK", help="signal at which to open a loop (the only command of a plant)")
+    linear.add_argument(
+        "--input", action="append", metavar="SIGNAL", help="input of the state space (what sources say)"
+    )
+    linear.add_argument("--out", type=Path, metavar="DIR", help="numbers and pictures go here")
+    rest = verb("steady", "verbs.linear:print_steady", "the operating point of a scenario; status 1 when there is none")
+    for sub in (linear, rest):
+        sub.add_argument("scenario", help="name or YAML file")
+        sub.add_argument("--at", type=Number(float, 0), metavar="S", help="when (the scenario's end)")
+        sub.add_argument("--output", action="append", metavar="SIGNAL", help="signal that counts (what plants say)")
+        sub.add_argument("--set", action="append", default=[], metavar="NODE.PARAM=VALUE", help="as in run")
+
+
+def _ros(verb: Verb) -> None:
+    node = verb("node", "cli:node", "start one executable, as `ros2 run` does")
+    node.add_argument("package")
+    node.add_argument("executable")
+    node.add_argument("arguments", nargs=argparse.REMAINDER, help="--ros-args ...")
+    set_verb.arguments(
+        verb("set", "verbs.set_verb:set_values", "change live parameters of running nodes: NODE.PARAM VALUE")
+    )
