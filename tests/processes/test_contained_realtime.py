@@ -12,9 +12,9 @@ from simulated import _Sink
 from softrig_core import Block, Recording, Rig, Signals, command, load_scenario, rig_of
 from softrig_core.node.adapter.adapter import Adapter
 from softrig_core.node.group import Group
+from softrig_core.node.ros import ros
 from softrig_core.node.ros.contained import ContainedMiddleware
 from softrig_core.node.ros.garbage import CLEAN, UNCLEAN, YOUNG, Garbage
-from softrig_core.node.ros.ros import ros
 from softrig_core.node.seam import exchange as exchange_module
 from softrig_core.node.seam.exchange import Exchange
 from softrig_core.node.seam.health import StatusFile

@@ -34,10 +34,10 @@ HEADLINES = [
 DAILY = ("dc_motor_fsfb", "economic_dispatch", "fault_location", "induction_dtc", "pv_mppt", "rectifier_mpc")
 
 
-def run(wired, directory, seed=0, groups=None, domain=None, listener=NOBODY):
+def run(wired, directory, seed=0, groups=None, domain=None, clock="lockstep", listener=NOBODY):
     """Run a rig in one container, or in those that are given."""
     groups = [[m.name for m in wired.members]] if groups is None else groups
-    return run_processes(wired, seed, directory, Placement(domain=domain, containers=groups), listener)
+    return run_processes(wired, seed, directory, Placement(domain=domain, containers=groups, clock=clock), listener)
 
 
 def short(name, ticks):
@@ -265,7 +265,7 @@ def test_a_second_publisher_ends_the_run_naming_both(tmp_path):
 
 
 def test_realtime_in_a_container(tmp_path):
-    outcome = run(rig(BASIC), tmp_path, mode="realtime")
+    outcome = run(rig(BASIC), tmp_path, clock="realtime")
     assert outcome.error == ""
     status = outcome.status["plant"]
     assert len(outcome.recording.topics["lag/state"].times) + status["missed_deadlines"] >= 100

@@ -134,8 +134,9 @@ def test_a_node_ends_with_whoever_had_it_started(tmp_path):
     code = (
         "import os, sys; sys.path[:0] = ['tests']; from pathlib import Path; import conftest as c\n"
         "from softrig_core import rig_of, run_processes\n"
+        "from softrig_core.processes.placement import Listener\n"
         f"rig = rig_of(c.make_scenario({BASIC!r}, 1e4))\n"
-        f"run_processes(rig, 0, Path({str(tmp_path)!r}), progress=lambda t: t and os.kill(os.getpid(), 9))"
+        f"run_processes(rig, 0, Path({str(tmp_path)!r}), listener=Listener(lambda t: t and os.kill(os.getpid(), 9)))"
     )
     done = subprocess.run([sys.executable, "-c", code], cwd=Path(__file__).parents[2], timeout=120)
     assert done.returncode == -signal.SIGKILL

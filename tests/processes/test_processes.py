@@ -224,11 +224,11 @@ def test_ctrl_c_stops_all_nodes(tmp_path):
     code = textwrap.dedent(f"""
         import sys; sys.path.insert(0, {str(Path(__file__).parents[1])!r})
         from conftest import make_scenario
-        from softrig_core.rig.rig import Rig
-        from softrig_core.processes.processes import run_processes
+        from softrig_core import rig_of, run_processes
+        from softrig_core.processes.placement import Listener
         from pathlib import Path
         wired = rig_of(make_scenario({BASIC!r}, 1e5))
-        run_processes(wired, 0, Path({str(tmp_path)!r}), progress=lambda t: print(t, flush=True))
+        run_processes(wired, 0, Path({str(tmp_path)!r}), listener=Listener(lambda t: print(t, flush=True)))
     """)
     process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True, start_new_session=True)
     while int(process.stdout.readline()) == 0:
@@ -242,11 +242,11 @@ def test_nodes_die_with_a_killed_runner(tmp_path):
     code = textwrap.dedent(f"""
         import sys; sys.path.insert(0, {str(Path(__file__).parents[1])!r})
         from conftest import make_scenario
-        from softrig_core.rig.rig import Rig
-        from softrig_core.processes.processes import run_processes
+        from softrig_core import rig_of, run_processes
+        from softrig_core.processes.placement import Listener
         from pathlib import Path
         wired = rig_of(make_scenario({BASIC!r}, 1e5))
-        run_processes(wired, 0, Path({str(tmp_path)!r}), progress=lambda t: print(t, flush=True))
+        run_processes(wired, 0, Path({str(tmp_path)!r}), listener=Listener(lambda t: print(t, flush=True)))
     """)
     process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
     while int(process.stdout.readline()) == 0:

@@ -48,10 +48,11 @@ def rig_of(
     if isinstance(what, Rig):
         classes = {m.name: m.block_class for m in what.members} | dict(classes or {})
         what = what.scenario
-    scenario = (
-        load_scenario(str(what), overrides) if isinstance(what, str | Path) else what.changed(overrides=overrides)
-    )
-    return _expanded(scenario.changed(duration=duration), classes or {})
+    if isinstance(what, str | Path):
+        what, overrides = load_scenario(str(what), overrides), None
+    if overrides or duration is not None:
+        what = what.changed(duration=duration, overrides=overrides)
+    return _expanded(what, classes or {})
 
 
 def _expanded(scenario: Scenario, classes: Classes) -> Rig:
@@ -89,9 +90,9 @@ def _faulty(scenario: Scenario, classes: Classes) -> Scenario:
 def _watched(rig: Rig) -> Rig:
     """Give the rig with the nodes that watch its requirements while it runs."""
     scenario = rig.scenario
-    new = watched(rig, signal_units(rig))
-    if not new:
+    if not any(r.live or r.ends for r in scenario.requirements.values()):
         return rig
+    new = watched(rig, signal_units(rig))
     for name in new.keys() & scenario.nodes.keys():
         raise ScenarioError(f"{scenario.name}: node {name}: that is the name of what watches a requirement")
     quiet = {n: r.model_copy(update={"live": False, "ends": False}) for n, r in scenario.requirements.items()}
