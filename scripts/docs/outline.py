@@ -32,7 +32,7 @@ KINDS = {
     "explanations": (
         "Explanations",
         "Why it is as it is, and what you can rely on.",
-        ("idea", "lockstep", "tick", "placements", "bits", "verdicts", "solver"),
+        ("idea", "lockstep", "tick", "house", "placements", "bits", "verdicts", "solver"),
     ),
     "reference": ("Reference", "Everything by name; most of it is made from the code.", ("scenario_file", "model_kit")),
 }  # fmt: skip

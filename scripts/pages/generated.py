@@ -9,6 +9,7 @@ A page holds pairs of markers; what stands between them is made from the code an
     <!-- sources: dc_motor_smc -->                                  papers that these scenarios cite, with BibTeX
     <!-- picture: dc_motor_smc_b2 1 -->                             plot entry of a scenario; anew only with --runs
     <!-- animation: lsrm_fuzzy 0.8 0.9 -->                          its plant from 0.8 s to 0.9 s; anew only with --runs
+    <!-- rooms: softrig_core -->                                   rooms of a package, by their imports
     <!-- measured: v_min v_max of rectifier_mpc rectifier_mpc_n2 --> figures of these scenarios; anew only with --runs
     <!-- end -->
 
@@ -39,8 +40,9 @@ from softrig_core.verdict.findings import hold
 
 from . import drawn, numbers
 from .plots import animate, animation, draw, picture
+from .rooms import rooms
 
-_KINDS = "nodes|claims|scenarios|sources|picture|animation|measured"
+_KINDS = "rooms|nodes|claims|scenarios|sources|picture|animation|measured"
 _PART = re.compile(rf"(<!-- ({_KINDS}): ([^>]*?) -->\n).*?(<!-- end -->)", re.DOTALL)
 LONG = 6  # rows of measurements; more are folded
 ANIMATION = re.compile(r"<!-- animation: (\S+) (\S+) (\S+) -->")
@@ -58,7 +60,7 @@ def generate(page: str, runs: bool = False) -> str:
             "nodes": lambda: nodes(first, words), "claims": lambda: claims([first, *words], None if runs else found[0]),
             "scenarios": lambda: scenarios([first, *words]), "sources": lambda: sources([first, *words]),
             "picture": lambda: picture(first, int(words[0])), "animation": lambda: animation(first),
-            "measured": lambda: measured(found[3]),
+            "measured": lambda: measured(found[3]), "rooms": lambda: house(first),
         }  # fmt: skip
         return f"{found[1]}\n{made[found[2]]()}\n\n{found[4]}"
 
@@ -146,6 +148,15 @@ def claims(prefixes: Sequence[str], old: str | None) -> str:
 def _shown(result: Result) -> str:
     """A figure to five digits."""
     return "never" if math.isinf(result.number) else f"{result.number:.5g} {result.unit}".strip()
+
+
+def house(package: str) -> str:
+    """Rooms of a package, from the ground up: what each holds and which it knows."""
+    lines = ["| floor | room | modules | holds | knows |", "|---|---|---|---|---|"]
+    for room in rooms(package).values():
+        known = ", ".join(f"`{name}`" for name in sorted(room.knows))
+        lines.append(f"| {room.floor} | `{room.name}` | {room.modules} | {room.text.rstrip('.')} | {known} |")
+    return "\n".join(lines)
 
 
 def scenarios(prefixes: Sequence[str]) -> str:

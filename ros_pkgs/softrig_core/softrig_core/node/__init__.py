@@ -1,4 +1,4 @@
-"""The node adapter: `executable(BlockClass)` makes the main function of a node out of a block class."""
+"""Nodes: `executable(BlockClass)` makes the main function of one out of a block class."""
 
 from __future__ import annotations
 
