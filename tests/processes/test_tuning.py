@@ -1,4 +1,4 @@
-"""Parameters of a running node by ROS services and by the command: checked, all of a call or none."""
+"""Parameters of a running node by ROS services and by the command: checked, all of a call where all of it fits."""
 
 import json
 import subprocess
@@ -41,12 +41,17 @@ def setting(**values):
     results = ask(client.set_parameters([Parameter(k, value=v) for k, v in values.items()])).results
     return [(r.successful, r.reason) for r in results]
 
+def TYPES():
+    return [v.type for v in ask(client.get_parameters(["delta", "period"])).values]
+
+PERIOD = ask(client.get_parameters(["period"])).values[0].double_value
 found = ask(client.describe_parameters(["k", "period"])).descriptors
 told = {d.name: [d.read_only, d.additional_constraints] for d in found}
 print(json.dumps({
     "told": told, "k": setting(k=60), "period": setting(period=0.1), "c": setting(c=-1.0),
     "wrong": setting(delta="much"),
     "both": setting(delta=3.0, set_point=30.0), "in one": setting(set_point=30.0, reference_limit=40.0),
+    "whole": setting(delta=4), "as it is": setting(period=PERIOD, delta=4), "types": TYPES(),
 }))
 """
 )
@@ -83,9 +88,11 @@ def test_what_is_set_by_services_and_by_the_command_is_checked(tmp_path):
     assert not said["period"][0][0]
     assert "c out of range" in said["c"][0][1]
     assert "parameter delta = 'much'" in said["wrong"][0][1]
-    assert [ok for ok, _ in said["both"]] == [False, False]
-    assert "beyond reference_limit" in said["both"][0][1]
+    assert [ok for ok, _ in said["both"]] == [True, False]  # each by itself, for not all of it fits
+    assert "beyond reference_limit" in said["both"][1][1]
     assert [ok for ok, _ in said["in one"]] == [True, True]
+    assert [ok for ok, _ in said["whole"] + said["as it is"]] == [True, True, True]
+    assert said["types"] == [ParameterType.PARAMETER_DOUBLE] * 2
 
 
 LISTER = (

@@ -120,9 +120,11 @@ def usage(name: str, block_class: type[Block]) -> str:
 def _parameters(node: Node, block_class: type[Block]) -> tuple[Any, RunOptions]:
     """Declare all parameters with descriptions and ranges, and validate the values given."""
     # an empty list in a file has no type for rclpy, so that nothing may be declared from what is given as it is
+    absent = {d.name for d in declarations(block_class.Params) if d.default is None}  # those that may have no value
     given = {
         name: [] if p.type_ == Parameter.Type.NOT_SET else p.value for name, p in node._parameter_overrides.items()
     }
+    given = {name: value for name, value in given.items() if not (name in absent and value in ([], "null"))}
     for name in ("use_sim_time", "start_type_description_service"):
         given.pop(name, None)
     given = {k: v for k, v in given.items() if not k.startswith("qos_overrides.")}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from copy import copy
 from functools import wraps
@@ -41,18 +41,24 @@ SEVERITY = {Level.OK: LoggingSeverity.INFO, Level.WARN: LoggingSeverity.WARN, Le
 
 
 class ServingNode(Node):  # type: ignore[misc]
-    """A node whose services outlive what they are asked: rclpy's own end it at a parameter of an unknown type."""
+    """A node whose services outlive what they are asked: rclpy's own end it at a parameter of an unknown type.
+
+    What is set together is taken together where all of it fits, each by itself where not all does (`ros2 param load` of
+    a whole file); a whole number stands for a real one, and what a read-only parameter is already may be set again.
+    """
 
     def create_service(self, srv_type: Any, srv_name: str, callback: Callable[[Any, Any], Any], **options: Any) -> Any:
         """Offer a service; a call that fails is refused with the reason."""
 
         def answer(request: Any, response: Any) -> Any:
             try:
-                if srv_type is SetParameters and len(request.parameters) > 1:  # all or none: rclpy goes one by one
-                    together = [Parameter.from_parameter_msg(p) for p in request.parameters]
-                    response.results = [self.set_parameters_atomically(together)] * len(together)
-                    return response
-                return callback(request, response)
+                if srv_type is SetParameters:
+                    response.results = self._set(request.parameters)
+                elif srv_type is SetParametersAtomically:
+                    response.result = self._set_together([self._meant(p) for p in request.parameters])
+                else:
+                    return callback(request, response)
+                return response
             except Exception as error:
                 self.get_logger().error(f"{srv_name}: {type(error).__name__}: {error}", once=True)
                 refusal = SetParametersResult(successful=False, reason=str(error))
@@ -63,6 +69,36 @@ class ServingNode(Node):  # type: ignore[misc]
                 return response
 
         return super().create_service(srv_type, srv_name, answer, **options)
+
+    def _set(self, messages: Sequence[Any]) -> list[SetParametersResult]:
+        wanted = [self._meant(message) for message in messages]
+        together = self._set_together(wanted)
+        if together.successful or len(wanted) < 2:
+            return [together] * len(wanted)
+        return [self._set_together([one]) for one in wanted]
+
+    def _set_together(self, wanted: Sequence[Parameter]) -> SetParametersResult:
+        new = [p for p in wanted if p.name not in self._parameters or _told(self._parameters[p.name]) != _told(p)]
+        return self.set_parameters_atomically(new) if new else SetParametersResult(successful=True)
+
+    def _meant(self, message: Any) -> Parameter:
+        """Give what is to be set, a whole number as a real one where that is expected."""
+        given = Parameter.from_parameter_msg(message)
+        known = self._parameters.get(given.name, given)
+        real = known.type_ == Parameter.Type.DOUBLE or (
+            known.type_ == Parameter.Type.NOT_SET and self._descriptors[given.name].floating_point_range
+        )
+        if given.type_ == Parameter.Type.INTEGER and real:
+            return Parameter(given.name, Parameter.Type.DOUBLE, float(given.value))
+        if given.type_ == Parameter.Type.INTEGER_ARRAY and known.type_ == Parameter.Type.DOUBLE_ARRAY:
+            return Parameter(given.name, Parameter.Type.DOUBLE_ARRAY, [*map(float, given.value)])
+        return given
+
+
+def _told(parameter: Parameter) -> Any:
+    """Give type and value, arrays of any kind as tuples."""
+    value = parameter.value
+    return parameter.type_, value if value is None or isinstance(value, bool | int | float | str) else tuple(value)
 
 
 Arguments = ParamSpec("Arguments")
