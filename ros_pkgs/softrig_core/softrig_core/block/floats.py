@@ -35,10 +35,20 @@ def read(x: Any, path: str = "") -> Iterator[tuple[str, Array]]:
                 yield from read(item, here)
 
 
-def put(x: Any, numbers: Sequence[Array]) -> Any:
+def numbers(x: Any) -> Array:
+    """Give all of them in one row."""
+    return np.concatenate([np.empty(0), *(row for _, row in read(x))])
+
+
+def split(x: Any, row: Array) -> list[Array]:
+    """Cut a row as `numbers` gives it into what `put` takes."""
+    ends = np.cumsum([len(part) for _, part in read(x)])
+    return np.split(row, ends[:-1]) if len(ends) else []
+
+
+def put(x: Any, rows: Sequence[Array]) -> Any:
     """Give the state with other numbers, in the order of `read`; it is x itself where they are the same."""
-    rows = iter(numbers)
-    return _put(x, rows)
+    return _put(x, iter(rows))
 
 
 def _put(x: Any, rows: Iterator[Array]) -> Any:
