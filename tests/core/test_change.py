@@ -18,6 +18,7 @@ from softrig_bringup.run.run import save, summary, turned
 from softrig_core import (
     Block,
     BlockParams,
+    ByHand,
     ParameterError,
     Run,
     ScenarioError,
@@ -90,16 +91,17 @@ def test_replay_into_one_node_takes_the_changes():
 
 
 def test_other_gains_of_a_pid_do_not_move_its_output():
-    pid = load_block("softrig_drives", "dc_motor_pid")(kp=2.0, ki=5.0, kd=0.1)
+    pid = ByHand(load_block("softrig_drives", "dc_motor_pid")(kp=2.0, ki=5.0, kd=0.1))
     for k in range(50):
         before = pid.update(k, state=(0.1 * k,), reference=(10.0,))["command"][0]
-    integral = pid._pid._integral
-    pid.change(check(type(pid), pid.p, {"kp": 4.0, "kd": 0.3}))
-    assert pid._pid._integral != integral
+    integral = pid.x.pid.integral
+    pid.change(check(type(pid.block), pid.block.p, {"kp": 4.0, "kd": 0.3}))
+    assert pid.x.pid.integral != integral
     after = pid.update(50, state=(0.1 * 49,), reference=(10.0,))["command"][0]  # the same error once more
-    drift = 5.0 * pid.p.period * (10.0 - 4.9)  # of the integral in one period
-    derivative = pid._pid._derivative
-    assert after == pytest.approx(before + drift + derivative - derivative * (1.0 + 100.0 * pid.p.period), abs=1e-9)
+    period = pid.block.p.period
+    drift = 5.0 * period * (10.0 - 4.9)  # of the integral in one period
+    derivative = pid.x.pid.derivative
+    assert after == pytest.approx(before + drift + derivative - derivative * (1.0 + 100.0 * period), abs=1e-9)
 
 
 @pytest.mark.parametrize(

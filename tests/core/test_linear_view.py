@@ -314,7 +314,7 @@ def test_the_verbs(tmp_path, capsys, undrawn):
     assert main(["linearise", *common, "--at", "8", "--out", str(tmp_path)]) == 0
     out = capsys.readouterr().out
     assert re.search(r"delay margin +1\.1\d+ s", out)
-    assert "dc_motor_plant.i 87%" in out
+    assert "dc_motor_plant.i 88%" in out
     found = json.loads((tmp_path / "linear.json").read_text())
     assert found["link"] == "motor/command/armature/effort"
     assert len(found["closed"]["A"]) == len(found["closed"]["states"])

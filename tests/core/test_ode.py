@@ -6,7 +6,7 @@ import casadi as ca
 import control
 import numpy as np
 import pytest
-from softrig_core import Compiled, RunError, equilibrium, jit, linearise, rk4, rk4_loop
+from softrig_core import ByHand, Compiled, RunError, equilibrium, jit, linearise, rk4, rk4_loop
 from softrig_drives.dc_motor.model import MotorConstants, state_space
 from softrig_drives.dc_motor.plant import DcMotorPlant
 
@@ -134,7 +134,7 @@ def test_dc_motor_in_the_tools_of_control():
     motor_system = found.system(states=["theta", "w", "i"], inputs=["u", "TL"], outputs=["w"])
     assert sorted(control.poles(motor_system).real) == pytest.approx(sorted(np.linalg.eigvals(A).real), abs=1e-6)
     response = control.step_response(motor_system["w", "u"], np.linspace(0.0, 2.0, 2001))
-    plant = DcMotorPlant(period=0.001)
+    plant = ByHand(DcMotorPlant(period=0.001))
     speeds = [plant.outputs(0)["state"][1]]
     for k in range(2000):
         plant.advance(k * 1_000_000, command=(1.0,))

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from softrig_core import simulate, to_ns
+from softrig_core import ByHand, simulate, to_ns
 from softrig_core.block.params import build
 from softrig_drives.dc_axis.plant import DcAxisPlant
 from softrig_drives.dc_motor.plant import DcMotorPlant
@@ -29,9 +29,10 @@ from softrig_systems.pwa_delay.plants import TankPlant
 
 def moved(plant, steps, **inputs):
     """Advance a plant under constant inputs; its outputs at the end."""
+    held = ByHand(plant)
     for k in range(steps):
-        plant.advance(to_ns(k * plant.p.period), **inputs)
-    return plant.outputs(to_ns(steps * plant.p.period))
+        held.advance(to_ns(k * plant.p.period), **inputs)
+    return held.outputs(to_ns(steps * plant.p.period))
 
 
 def test_dc_motor_twice_the_inertia_half_the_acceleration():

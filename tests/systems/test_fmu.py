@@ -11,6 +11,7 @@ import pytest
 from conftest import differences, in_process, make_scenario, no_process_left
 from simulated import SimulatedRig, World
 from softrig_core import (
+    ByHand,
     ParameterError,
     RunError,
     ScenarioError,
@@ -75,7 +76,7 @@ def trace(plant, ticks=300):
 
 
 def ours(ticks=300, **constants):
-    plant = DcMotorPlant(period=0.001, **constants)
+    plant = ByHand(DcMotorPlant(period=0.001, **constants))
     found = []
     for k in range(ticks):
         found.append(plant.outputs(k)["state"])

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from ruamel.yaml import YAML
 from softrig_bringup.cli import main
-from softrig_core import RunError, ScenarioError, load_scenario, rig_of, simulate
+from softrig_core import ByHand, RunError, ScenarioError, load_scenario, rig_of, simulate
 from softrig_drives.dc_motor.plant import DcMotorPlant
 
 fmpy = pytest.importorskip("fmpy")
@@ -39,7 +39,7 @@ def test_fmpy_simulates_the_numbers_of_the_plant_as_the_page_shows(exported, tmp
     code = re.findall(r"```python\n(.*?)```", text, re.DOTALL)[0] + f"print(*found[{SHAFT!r}].tolist())\n"
     done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True)
     last, every = done.stdout.strip().splitlines()
-    plant = DcMotorPlant(period=0.0001, R=0.5)
+    plant = ByHand(DcMotorPlant(period=0.0001, R=0.5))
     expected = []
     for k in range(201):
         expected.append(plant.outputs(0)["state"][1])

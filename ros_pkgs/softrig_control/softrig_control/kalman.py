@@ -69,17 +69,18 @@ class SteadyKalman:
         self._rows = [
             (*row_a, *row_b, *row_k) for row_a, row_b, row_k in zip(matmul(keep, a), matmul(keep, b), gain, strict=True)
         ]
-        self.reset()
 
-    def reset(self) -> None:
-        """Go back to the estimate zero."""
-        self.x = [0.0] * len(self._rows)
+    def first(self) -> tuple[float, ...]:
+        """Give the estimate zero."""
+        return (0.0,) * len(self._rows)
 
-    def __call__(self, u: Sequence[float], y: Sequence[float]) -> list[float]:
+    def __call__(self, x: Sequence[float], u: Sequence[float], y: Sequence[float]) -> tuple[float, ...]:
         """Give the estimate of x_k.
 
         Parameters
         ----------
+        x : sequence of float
+            Estimate of x_(k-1).
         u : sequence of float
             Input u_(k-1), held since the last sample.
         y : sequence of float
@@ -87,19 +88,18 @@ class SteadyKalman:
 
         Returns
         -------
-        list of float
+        tuple of float
 
         Raises
         ------
         ValueError
             Wrong number of inputs or measurements.
         """
-        known = (*self.x, *u, *y)
-        x = []
+        known = (*x, *u, *y)
+        found = []
         for row in self._rows:
             total = 0.0
             for m, z in zip(row, known, strict=True):
                 total += m * z
-            x.append(total)
-        self.x = x
-        return x
+            found.append(total)
+        return tuple(found)

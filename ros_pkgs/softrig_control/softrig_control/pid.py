@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 from softrig_core import Params, param
 
 
@@ -18,8 +20,16 @@ class PidParams(Params):
                          live=True)  # fmt: skip
 
 
+class PidState(NamedTuple):
+    """Integral and filtered derivative, in units of the output; error of the tick before."""
+
+    integral: float = 0.0
+    derivative: float = 0.0
+    error: float = 0.0
+
+
 class Pid:
-    """Sampled PID law.
+    """Sampled PID law; what it remembers is a `PidState`.
 
     ::
 
@@ -35,7 +45,7 @@ class Pid:
 
     Notes
     -----
-    `retune` is bumpless, u is the same for the same error: I is kept in units of u, so another Ki acts on what comes;
+    `go_on` is bumpless, u is the same for the same error: I is kept in units of u, so another Ki acts on what comes;
     another Kp moves the difference (Kp_old - Kp_new) e into I, as Astrom and Hagglund have it [1]_; the derivative's
     memory d stays and another Kd or N acts on the next change of e. Without integral action (Ki = 0) nothing would
     ever take that difference away again, so I stays and u jumps with Kp.
@@ -46,39 +56,23 @@ class Pid:
     """
 
     def __init__(self, gains: PidParams, period: float) -> None:
-        self._take(gains, period)
-        self.reset()
-
-    def _take(self, gains: PidParams, period: float) -> None:
         self._kp = gains.kp
         self._ki_ts = gains.ki * period
         self._kd_n = gains.kd * gains.n_filter
         self._decay = 1.0 + gains.n_filter * period
         self._limit = gains.u_max if gains.anti_windup else float("inf")
 
-    def retune(self, gains: PidParams, period: float) -> None:
-        """Go on with other gains, without a bump."""
-        kp = self._kp
-        self._take(gains, period)
-        if self._ki_ts and self._kp != kp:
-            self._integral += (kp - self._kp) * self._error
+    def go_on(self, x: PidState, before: PidParams) -> PidState:
+        """Give the state with which these gains follow those of before, without a bump."""
+        if self._ki_ts and self._kp != before.kp:
+            return x._replace(integral=x.integral + (before.kp - self._kp) * x.error)
+        return x
 
-    def reset(self) -> None:
-        """Forget the past: no integral, no error before the next one."""
-        self._integral = 0.0
-        self._derivative = 0.0
-        self._error = 0.0
-
-    def preset(self, integral: float) -> None:
-        """Start in a steady state: the integral term, in units of the output."""
-        self.reset()
-        self._integral = integral
-
-    def __call__(self, error: float) -> float:
-        """Give u_k for the error e_k."""
-        self._derivative = d = (self._derivative + self._kd_n * (error - self._error)) / self._decay
-        self._error = error
-        u = self._kp * error + self._integral + d
+    def __call__(self, x: PidState, error: float) -> tuple[PidState, float]:
+        """Give the state after the error e_k, and u_k."""
+        integral, d, last = x
+        d = (d + self._kd_n * (error - last)) / self._decay
+        u = self._kp * error + integral + d
         if abs(u) <= self._limit or u * error <= 0.0:
-            self._integral += self._ki_ts * error
-        return u
+            integral += self._ki_ts * error
+        return PidState(integral, d, error), u

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
         steady as steady,
     )
     from .block.block import Block as Block, Level as Level, Observer as Observer, Plant as Plant, Values as Values
+    from .block.held import ByHand as ByHand, Held as Held
     from .block.linear import Sampled as Sampled, equilibrium as equilibrium, linearise as linearise
     from .block.marker import Marker as Marker
     from .block.params import (
@@ -80,6 +81,7 @@ else:
     _HOMES = {
         "errors": "RunError ScenarioError",
         "block.block": "Block Level Observer Plant Values",
+        "block.held": "ByHand Held",
         "kit.compiled": "Compiled",
         "kit.history": "History",
         "kit.jit": "jit",

@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import Any
 
 from softrig_core import (
-    Block,
     Observer,
     Recording,
     Rig,
@@ -31,6 +30,7 @@ from softrig_core import (
     run_processes,
 )
 from softrig_core.bits import blas_core, math_digest, simd_level
+from softrig_core.block.held import Held
 from softrig_core.block.params import declarations, flatten
 from softrig_core.block.port import CLOCK
 from softrig_core.guard import naming
@@ -67,7 +67,7 @@ def execute(rig: Rig, placement: Placement, directory: Path, listener: Listener 
         try:
             with stoppable():
                 run.blocks = run_inprocess(rig, seed, run.recording, listener.progress)
-            run.status = {name: _status(block) for name, block in run.blocks.items()}
+            run.status = {name: _status(held) for name, held in run.blocks.items()}
         except RunError as broken:
             run.error = str(broken)
         except KeyboardInterrupt as interrupt:
@@ -82,11 +82,11 @@ def execute(rig: Rig, placement: Placement, directory: Path, listener: Listener 
     return run
 
 
-def _status(block: Block) -> dict[str, Any]:
+def _status(held: Held) -> dict[str, Any]:
     """What a block says of itself at the end of a run in process, as a node's status file does."""
-    status: dict[str, Any] = {"reports": {k: [int(level), text, n] for k, (level, text, n) in block.reports.items()}}
-    if isinstance(block, Observer):
-        status["figures"] = {k: [v, unit] for k, (v, unit) in block.status().items() if math.isfinite(v)}
+    status: dict[str, Any] = {"reports": {k: [int(level), text, n] for k, (level, text, n) in held.reports.items()}}
+    if isinstance(held.block, Observer):
+        status["figures"] = {k: [v, unit] for k, (v, unit) in held.status().items() if math.isfinite(v)}
     return status
 
 

@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
+from ..block.held import ByHand
 from ..block.params import flatten
 from ..block.port import Port, Sample
 from ..block.port_text import ports_text, reader
@@ -193,7 +194,7 @@ class RigEnv(gym.Env[Array, Array]):
         if self._record:
             recording = Recording((topic, port.msgtype) for topic, port in self.rig.topics.items())
             record(self.rig, steps, recording)
-            self.run = Run(self.rig, number, recording, blocks=self._blocks)
+            self.run = Run(self.rig, number, recording, blocks=dict(steps))
         for step in steps.values():
             self.now.watch(step)
         self._action, self._started = None, time.perf_counter()
@@ -252,8 +253,9 @@ class RigEnv(gym.Env[Array, Array]):
         outputs = self._law.outputs
         if self.action_space.shape != (sum(p.size for p in outputs),) or any(p.sporadic for p in outputs):
             raise ScenarioError(f"{self._law.name} says more than the actions of this environment can")
-        law = self._law.block(self._blocks[self._law.name]._seed)
-        law.ages = self._agent.age
+        block = self._law.block(self._blocks[self._law.name]._seed)
+        block.ages = self._agent.age
+        law = ByHand(block)
         names = [p.name for p in self._law.inputs]
 
         def agent(_: Array) -> Array:

@@ -90,8 +90,13 @@ class _Probe:
     def put_in(self, step: Step, place: Place) -> None:
         respond, (_, port, k) = step.respond, place
 
-        def probed(t: int, **inputs: Any) -> Any:
-            found = respond(t, **inputs)
+        def probed(x: Any, t: int, **inputs: Any) -> Any:
+            if step.plant:
+                return changed(respond(x, t))
+            x, found = respond(x, t, **inputs)
+            return x, changed(found)
+
+        def changed(found: Any) -> Any:
             row: Any = found.get(port.name)
             if row is None:
                 return found
@@ -179,7 +184,9 @@ class StateMap:
         members = {m.name: m for m in self.rig.members if m.name in names}
         self._steps = wired(self.rig, {name: m.block(seed) for name, m in members.items()})
         self._runner = Runner(list(self._steps.values()))
-        self.memory = Memory({name: (step.block, step.values) for name, step in self._steps.items()})
+        self.memory = Memory(
+            {name: (step if step.block.by_value() else step.block, step.values) for name, step in self._steps.items()}
+        )
         self.probes = {name: _Probe() for name in self.places}
         for name, probe in self.probes.items():
             probe.put_in(self._steps[self.places[name].member.name], self.places[name])

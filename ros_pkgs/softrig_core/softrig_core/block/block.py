@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, get_args
 from typing_extensions import TypeVar
 
 from ..errors import RunError, ScenarioError
+from .draws import Draws
 from .params import BlockParams, ParameterError, build, differing
 from .port import Port, Sample
 
@@ -34,6 +35,13 @@ class Level(IntEnum):
 
 class Block(Generic[P]):
     """A controller, reference, observer, delay or other block with `update`.
+
+    What it remembers is one value, x: an immutable named tuple with the names of the paper, made by `first`, handed to
+    its methods and given back by them. Who runs the block holds x (`softrig_core.block.held`); the block itself is
+    constants: nothing writes an attribute outside `setup`. Whatever follows from x is computed from x.
+
+    A block whose methods take no x is of the older kind, which keeps its state in attributes; see
+    `softrig_core.block.attributed`.
 
     ``class Lag(Block[LagParams])`` has parameters of that type, as `Params` and as type of ``self.p``. A base of
     several blocks leaves it open, ``class Law(Block[P])``; by itself it has the default of `P`, or what binds it.
@@ -71,11 +79,14 @@ class Block(Generic[P]):
         self.p: P = build(self.Params, values) if params is None else params  # type: ignore[assignment]
         self.name = name
         self.ages: Callable[[str], int | None] | None = None  # set by who runs the block
+        self.events: list[tuple[Level, str, str, bool]] | None = None  # reported in the tick under way; None: by nobody
         self.reports: dict[str, tuple[Level, str, int]] = {}
         self.anew: set[str] = set()  # keys of reports to be logged once more
         try:
             self.setup()
             self.reset(0)
+            if self.by_value():
+                self.first()
         except (ParameterError, ScenarioError, RunError):
             raise
         except (
@@ -110,13 +121,47 @@ class Block(Generic[P]):
     def setup(self) -> None:
         """Compute what depends on the parameters only; called once. Import heavy libraries here."""
 
-    def change(self, params: P) -> None:
-        """Go on with other parameters, between two ticks; the state stays as it is.
+    @classmethod
+    def by_value(cls) -> bool:
+        """Whether its state is a value: its methods take x."""
+        method = cls.outputs if issubclass(cls, Plant) else cls.update
+        return method.__code__.co_varnames[1] == "x"
 
-        By default `setup` is called again, which must then make nothing that holds state. A block whose state means
+    def first(self) -> Any:
+        """Give the state before the first tick; a block that remembers nothing has none."""
+        return ()
+
+    def go_on(self, x: Any, before: P) -> Any:
+        """Give the state with which it goes on after live parameters have changed, between two ticks.
+
+        `p` and what `setup` makes are those of now. By default the state stays as it is. A block whose state means
         something else under other parameters overrides it and says in its docstring what happens to that state: where
-        the field expects it, the output does not jump. Only parameters declared ``live=True`` differ; the values were
-        checked on a spare block.
+        the field expects it, the output does not jump.
+
+        Parameters
+        ----------
+        x : named tuple
+        before : BlockParams
+            The parameters until now; only those declared ``live=True`` differ.
+        """
+        return x
+
+    def save(self, x: Any) -> Any:
+        """Give what `load` makes x of again, as often as wanted; x itself, unless part of it is opaque.
+
+        What cannot be a value (a solver, an FMU, a policy) stands in x as the object that it is; its block says here
+        how it is kept.
+        """
+        return x
+
+    def load(self, saved: Any) -> Any:
+        """Give the x that `save` was given."""
+        return saved
+
+    def change(self, params: P) -> None:
+        """Take other parameters, between two ticks: `setup` is called again; the state is the matter of `go_on`.
+
+        The values were checked on a spare block. Only the older kind overrides it.
 
         Parameters
         ----------
@@ -132,7 +177,8 @@ class Block(Generic[P]):
     def reset(self, seed: int) -> None:
         """Go back to the initial state; override `start` for the block's own state."""
         self._seed = seed
-        self.__dict__.pop("rng", None)
+        for name in ("rng", "standard_normal", "uniform"):
+            self.__dict__.pop(name, None)
         self.reports.clear()
         self.anew.clear()
         self.start()
@@ -142,13 +188,34 @@ class Block(Generic[P]):
 
     @cached_property
     def rng(self) -> np.random.Generator:
-        """Random numbers seeded by (rig seed, block name)."""
+        """Random numbers seeded by (rig seed, block name), drawn one after the other: for the older kind."""
+        return self.generator()
+
+    def generator(self) -> np.random.Generator:
+        """Give a generator at the beginning of this block's random numbers, a function of (rig seed, block name)."""
         import numpy as np
 
         return np.random.default_rng([self._seed, zlib.crc32(self.name.encode())])
 
+    @cached_property
+    def standard_normal(self) -> Draws:
+        """Normal numbers by index, ``self.standard_normal(k)``: those that `generator` draws, in their order."""
+        return Draws(self.generator, "standard_normal")
+
+    @cached_property
+    def uniform(self) -> Draws:
+        """Uniform numbers in [0, 1) by index, ``self.uniform(k)``: those that `generator` draws, in their order."""
+        return Draws(self.generator, "random")
+
     def report(self, level: Level, key: str, text: str, *, anew: bool = False) -> None:
-        """Note an event for /diagnostics: logged the first time a key appears or when it is `anew`, counted always."""
+        """Report an event of this tick, for /diagnostics; what is reported in a tick that is dropped is dropped."""
+        if self.events is None:
+            self.note(level, key, text, anew)
+        else:
+            self.events.append((level, key, text, anew))
+
+    def note(self, level: Level, key: str, text: str, anew: bool = False) -> None:
+        """Take down an event: logged the first time a key appears or when it is `anew`, counted always."""
         if anew:
             self.anew.add(key)
         count = self.reports[key][2] if key in self.reports else 0
@@ -171,8 +238,8 @@ class Block(Generic[P]):
         """Whether the block has a tick at the end time of a run: plants, observers and who has a last word."""
         return issubclass(cls, (Plant, Observer)) or cls.finishes()
 
-    def health(self) -> Mapping[str, str]:
-        """Give name to text of what /diagnostics shows beside the reports, about once a second."""
+    def health(self, *x: Any) -> Mapping[str, str]:
+        """Give name to text of what /diagnostics shows beside the reports, about once a second; gets x."""
         return {}
 
     def latched(self) -> Mapping[str, str]:
@@ -189,15 +256,17 @@ class Block(Generic[P]):
         """Give the class that draws it, a `softrig_core.drawing.Drawing`; None: its `scene` does, or nothing."""
         return None
 
-    def markers(self) -> Sequence[Marker]:
-        """Give something to look at, drawn from the newest state; a node asks a few times a second."""
+    def markers(self, *x: Any) -> Sequence[Marker]:
+        """Give something to look at, drawn from x; a node asks a few times a second."""
         return ()
 
-    def update(self, t: int, **inputs: Any) -> Values:
-        """Answer one tick.
+    def update(self, *x_t: Any, **inputs: Any) -> Any:
+        """Answer one tick, ``update(x, t, *, input, ...) -> (x, values)``.
 
         Parameters
         ----------
+        x : named tuple
+            What it remembers.
         t : int
             Time in ns, a multiple of the period.
         **inputs
@@ -206,28 +275,33 @@ class Block(Generic[P]):
 
         Returns
         -------
-        mapping of output port name to values (a `Sample` on a delayed port; None or nothing for silence on a
-        sporadic one)
+        x : named tuple
+            What it remembers from now on.
+        values : mapping of output port name to values
+            A `Sample` on a delayed port; None or nothing for silence on a sporadic one.
         """
         raise NotImplementedError
 
-    def finish(self, t: int, **inputs: Any) -> Values:
+    def finish(self, *x_t: Any, **inputs: Any) -> Any:
         """Answer the last tick not after the end of a run, in place of `update`: what is said of a whole record.
 
         A block that overrides it sees the last outputs of the plants and the commands of the tick before.
         """
         raise NotImplementedError
 
-    def refused(self, t: int) -> Values | None:
+    def refused(self, *x_t: Any) -> Any:
         """Answer a tick one of whose inputs a node has refused (NaN, wrong names); called in place of `update`.
+
+        ``refused(x, t) -> (x, values)``
 
         Returns
         -------
-        mapping or None
+        x : named tuple
+        values : mapping or None
             As `update`; None, the default: the values given last are held, at first the ports' safe ones, and
             sporadic ports are silent.
         """
-        return None
+        return (x_t[0], None) if self.by_value() else None
 
 
 class Plant(Block[P]):
@@ -238,11 +312,11 @@ class Plant(Block[P]):
 
     @property
     def state(self) -> tuple[float, ...]:
-        """Give the state of now as a named tuple, with the names of the paper and in SI units."""
+        """Of the older kind: the state of now as a named tuple, with the names of the paper and in SI units."""
         raise NotImplementedError(f"{type(self).__name__} does not tell its state")
 
     def put(self, state: Sequence[float]) -> None:
-        """Go on from another state, in the order of `state`; faults, loads and commands before it stay as they are.
+        """Of the older kind: go on from another state, in the order of `state`.
 
         Only plants whose state is all that counts of their past have it: a delay, a travelling wave or packets under
         way are more than that.
@@ -254,12 +328,12 @@ class Plant(Block[P]):
         """Whether `put` is there."""
         return cls.put is not Plant.put
 
-    def outputs(self, t: int) -> Values:
-        """Give the outputs at t (ns)."""
+    def outputs(self, *x_t: Any) -> Any:
+        """Give the outputs at t (ns), ``outputs(x, t) -> values``."""
         raise NotImplementedError
 
-    def advance(self, t: int, **inputs: Any) -> None:
-        """Move the state from t to t + period with the inputs held."""
+    def advance(self, *x_t: Any, **inputs: Any) -> Any:
+        """Give the state at t + period with the inputs held, ``advance(x, t, *, input, ...) -> x``."""
         raise NotImplementedError
 
 
@@ -269,6 +343,6 @@ class Observer(Block[P]):
     An observer also sees the last plant outputs, at the end time of a run.
     """
 
-    def status(self) -> Mapping[str, tuple[float, str]]:
-        """Give name to (value, unit) of the figures so far."""
+    def status(self, *x: Any) -> Mapping[str, tuple[float, str]]:
+        """Give name to (value, unit) of the figures so far; gets x."""
         raise NotImplementedError

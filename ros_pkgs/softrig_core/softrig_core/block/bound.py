@@ -21,12 +21,15 @@ def say(t):
     step.t = t
     try:
         if step.bad or t >= step.change_at:
-            found = step.asked(t)
+            {answer} = step.asked(t)
         else:
-            found = respond(t{inputs})
+            {answer} = respond(step.x, t{inputs})
         step.said = found
 {checked}
 {failed}
+{kept}
+    if events:
+        step.tell()
 {handed}
 """
 
@@ -34,17 +37,21 @@ ADVANCE = """
 def advance(t, values=values):
     step.t = t
     try:
-        move(t{inputs})
+        step.x = move(step.x, t{inputs})
 {failed}
+    if events:
+        step.tell()
     if step.moved is not None:
         step.moved()
 """
 
 FAILED = """
     except RunError as error:
+        step.tell()
         error.node = step.name
         raise
     except Exception as error:
+        step.tell()
         raise step.failure(error) from error
 """
 
@@ -63,7 +70,7 @@ PLAIN = """
 
 def sayer(step: Step) -> Callable[[int], None]:
     """Make the function that answers a tick (ns) of a step as it is wired by now; see `Step.say`."""
-    known: dict[str, Any] = {"respond": step.respond, "values": step.values, "send": step.send}
+    known: dict[str, Any] = {"respond": step.respond, "send": step.send}
     checked, handed = "        rows = ()", []
     if step.outputs and step.plain:
         rows = [f"row{k}" for k, _ in enumerate(step.outputs)]
@@ -86,14 +93,14 @@ def sayer(step: Step) -> Callable[[int], None]:
     if step.outputs and (step.doubters or not step.plain):
         handed = ["    step.hand_on(t, rows)"]
     inputs = _inputs(step.asked_for)
-    return _made(
-        "say", SAY.format(inputs=inputs, checked=checked, failed=FAILED, handed="\n".join(handed)), step, known
-    )
+    answer, kept = ("found", "") if step.plant else ("x, found", "    step.x = x")
+    text = SAY.format(answer=answer, inputs=inputs, checked=checked, failed=FAILED, kept=kept, handed="\n".join(handed))
+    return _made("say", text, step, known)
 
 
 def mover(step: Step) -> Callable[..., None]:
     """Make the function that moves a plant on; see `Step.advance`."""
-    known = {"move": step.block.advance, "values": step.values}
+    known = {"move": step.law.advance}
     return _made("advance", ADVANCE.format(inputs=_inputs(step.values), failed=FAILED), step, known)
 
 
@@ -106,7 +113,13 @@ def _inputs(names: Iterable[str]) -> str:
 
 
 def _made(name: str, text: str, step: Step, known: dict[str, Any]) -> Callable[..., None]:
-    known |= {"step": step, "RunError": RunError, "sum_of_products": sum_of_products}
+    known |= {
+        "step": step,
+        "values": step.values,
+        "events": step.block.events,
+        "RunError": RunError,
+        "sum_of_products": sum_of_products,
+    }
     exec(_compiled(text), known)
     found: Callable[..., None] = known[name]
     return found

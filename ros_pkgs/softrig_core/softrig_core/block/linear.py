@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from ..errors import RunError
 from ..kit.dense import solve
+from .floats import numbers, put, split
 
 if TYPE_CHECKING:
     import control
@@ -79,8 +80,8 @@ class Sampled:
 
     Notes
     -----
-    x is what the plant's `state` has; u are the values of its inputs, y those of its outputs that are not sporadic, in
-    the order of its ports. Outputs behind an encoder have steps: their rows of C mean nothing.
+    x are the float fields of the plant's state; u are the values of its inputs, y those of its outputs that are not
+    sporadic, in the order of its ports. Outputs behind an encoder have steps: their rows of C mean nothing.
     """
 
     def __init__(self, plant: Plant, t: int = 0) -> None:
@@ -92,15 +93,23 @@ class Sampled:
 
     def __call__(self, x: Array, u: Array) -> tuple[Array, Array]:
         """Give (dx, y)."""
-        self.plant.put(x.tolist())
+        valued = self.plant.by_value()
+        if valued:
+            at0 = put(self.plant.first(), split(self.plant.first(), x))
+        else:
+            self.plant.put(x.tolist())
         given, at = {}, 0
         for port in self.inputs:
             given[port.name] = tuple(u[at : at + port.size].tolist())
             at += port.size
-        found = self.plant.outputs(self.t)
-        y = [value for port in self.outputs for value in found[port.name]]  # type: ignore[union-attr]
-        self.plant.advance(self.t, **given)
-        return (np.array(self.plant.state) - x) / self.period, np.array(y, dtype=float)
+        found = self.plant.outputs(at0, self.t) if valued else self.plant.outputs(self.t)
+        y = [value for port in self.outputs for value in found[port.name]]
+        if valued:
+            after = numbers(self.plant.advance(at0, self.t, **given))
+        else:
+            self.plant.advance(self.t, **given)
+            after = np.array(self.plant.state)
+        return (after - x) / self.period, np.array(y, dtype=float)
 
     def linearise(self, x: Sequence[float], u: Sequence[float]) -> Linear:
         r"""Linearise the plant, :math:`\delta x_{k+1} = A \delta x_k + B \delta u_k`; ``system()`` has its period."""

@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 from ..kit.compiled import Compiled
 from ..kit.dde import Trajectory
 from .block import Block, Plant
+from .floats import put, read
+from .held import Held
 from .params import Params
 
 Array = NDArray[np.float64]
@@ -55,14 +57,20 @@ class Memory:
     def save(self) -> Any:
         """Give a copy of all of it, for `restore`."""
         seen: dict[int, Any] = {}
-        return [[self._save(thing, seen) for thing in things] for things in self._owners.values()]
+        return [
+            [(thing, thing.save()) if isinstance(thing, Held) else self._save(thing, seen) for thing in things]
+            for things in self._owners.values()
+        ]
 
     def restore(self, saved: Any) -> None:
         """Go back to what `save` gave, as often as wanted."""
         done: set[int] = set()
         for nodes in saved:
             for node in nodes:
-                _restore(node, done)
+                if isinstance(node[0], Held):
+                    node[0].load(node[1])
+                else:
+                    _restore(node, done)
 
     def read(self) -> Array:
         """Give all numbers, in the order of `names`."""
@@ -147,7 +155,10 @@ class Memory:
         seen: set[int] = set()
         for name, things in self._owners.items():
             for thing in things:
-                self._through(thing, name, numbers, seen)
+                if isinstance(thing, Held):
+                    thing.x = put(thing.x, [numbers(f"{name}.{path}", x) for path, x in read(thing.x)])
+                else:
+                    self._through(thing, name, numbers, seen)
 
     def _through(self, value: Any, path: str, numbers: Numbers, seen: set[int]) -> Any:
         """Let `numbers` have all of what a value holds; give the value, made anew where it cannot be changed."""

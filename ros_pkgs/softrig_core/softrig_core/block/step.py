@@ -15,6 +15,7 @@ from .answer import Row, check, flat
 from .block import Block, Level, Plant
 from .bound import mover, sayer
 from .change import Change, check as check_change, revise
+from .held import Held
 from .params import flatten
 from .port import Port, Sample
 from .schedule import Schedule
@@ -22,8 +23,8 @@ from .schedule import Schedule
 Rows = tuple["Row | None", ...]  # of each output: what is said; None for the silence of a sporadic one
 
 
-class Step:
-    """One member at its ticks.
+class Step(Held):
+    """One member at its ticks: its block, what that remembers, and what its inputs hold.
 
     Parameters
     ----------
@@ -79,7 +80,8 @@ class Step:
         self, name: str, block: Block, schedule: Schedule, inputs: tuple[Port, ...], outputs: tuple[Port, ...],
         changes: Iterable[Change] = (),
     ) -> None:  # fmt: skip
-        self.name, self.block, self.schedule = name, block, schedule
+        super().__init__(block)
+        self.name, self.schedule = name, schedule
         self.inputs, self.outputs = inputs, outputs
         self.values: dict[str, Any] = {p.name: p.initial for p in inputs}
         self.stamps: dict[str, Callable[[], int | None]] = {}
@@ -93,8 +95,9 @@ class Step:
         self.doubters: list[tuple[int, Step, Port, Callable[[Any], Any] | None]] = []
         self.readers: list[tuple[int, dict[str, Any], str, Callable[[Any], Any] | None]] = []
         self.asked_for = () if isinstance(block, Plant) else tuple(self.values)
-        self.respond = block.outputs if isinstance(block, Plant) else block.update
-        if not isinstance(block, Plant) and block.finishes():
+        self.plant = isinstance(block, Plant)
+        self.respond: Callable[..., Any] = self.law.outputs if self.plant else self.law.update
+        if not self.plant and block.finishes():
             self.respond = self._finish_or_update
         block.ages = self.age
         self.say, self.advance = self._first_say, self._first_advance  # made when all is wired: with the first tick
@@ -115,7 +118,10 @@ class Step:
         """Ask the block for its answer, of a tick that is not as most are."""
         if t >= self.change_at:
             self._change(t)
-        return self.refused(t) if self.bad else self.respond(t, **{name: self.values[name] for name in self.asked_for})
+        if self.bad:
+            x, found = self.refused(t)
+            return found if self.plant else (x, found)
+        return self.respond(self.x, t, **{name: self.values[name] for name in self.asked_for})
 
     def hand_on(self, t: int, rows: Rows) -> None:
         """Let the readers here and those elsewhere have an answer."""
@@ -151,8 +157,8 @@ class Step:
     def refused(self, t: int) -> Any:
         """Answer a tick of which something was refused."""
         self.bad = False
-        own = self.block.refused(t)
-        return self.held() if own is None else own
+        x, own = self.law.refused(self.x, t)
+        return x, self.held() if own is None else own
 
     def set(self, values: Mapping[str, Any]) -> None:
         """Change parameters at the next tick, all or none.
@@ -175,7 +181,7 @@ class Step:
         taken: dict[str, Any] = {}
         while changes and changes[0].at <= t:
             revised = revise(self.block.p, changes[0].values)
-            self.block.change(revised)
+            self.change(revised)
             known = flatten(revised)
             taken |= {name: known[name] for name in changes.popleft().values}
         self.change_at = changes[0].at if changes else math.inf
@@ -184,9 +190,9 @@ class Step:
 
     # its parts ----------------------------------------------------------------------------------------------------
 
-    def _finish_or_update(self, t: int, **inputs: Any) -> Any:
+    def _finish_or_update(self, x: Any, t: int, **inputs: Any) -> Any:
         last = self.schedule.last
-        return (self.block.update if last is None or t < last else self.block.finish)(t, **inputs)
+        return (self.law.update if last is None or t < last else self.law.finish)(x, t, **inputs)
 
     def checked(self, found: Any) -> Rows:
         """Give what each output says, checked."""
@@ -241,7 +247,7 @@ class Step:
             raise RunError(f"{self.name} refuses {port.topic} at t = {t / 1e9:.9g} s: {reason}")
         else:
             self.bad = True
-            self.block.report(Level.WARN, f"refused {port.name}", f"{port.topic}: {reason}")
+            self.block.note(Level.WARN, f"refused {port.name}", f"{port.topic}: {reason}")
 
     def failure(self, error: Exception) -> RunError:
         """Say that the block has failed, where, and why."""

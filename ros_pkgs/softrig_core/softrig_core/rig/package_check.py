@@ -9,6 +9,7 @@ from typing import Any
 
 from ..block.answer import check
 from ..block.block import Plant
+from ..block.held import ByHand
 from ..block.params import ParameterError, build
 
 GROUPS = ("console_scripts", "softrig_figures")
@@ -70,5 +71,5 @@ def check_entry_point(point: EntryPoint) -> str:
 
 def _outputs(block: Plant, ports: Any, seed: int) -> list[Any]:
     block.reset(seed)
-    found = block.outputs(0)
+    found = ByHand(block).outputs(0)
     return [check(found, port, block.name, 0) for port in ports]

@@ -22,7 +22,7 @@ from ..wire.recording import Sink
 
 def run_inprocess(
     rig: Rig, seed: int, sink: Sink | None = None, progress: Callable[[int], object] | None = None
-) -> dict[str, Block]:
+) -> dict[str, Step]:
     """Run a rig in this process.
 
     Parameters
@@ -37,8 +37,8 @@ def run_inprocess(
 
     Returns
     -------
-    dict of str to Block
-        The blocks in their final state.
+    dict of str to Step
+        The members with their final states: `Step.x`, `Step.block`, `Step.status`, `Step.reports`.
 
     Raises
     ------
@@ -55,17 +55,16 @@ def run_inprocess(
     if sink is not None:
         record(rig, steps, sink)
     stride = max(1, rig.ticks // 100)
-    blocks = {name: step.block for name, step in steps.items()}
     try:
         with _searched_seldom():
             for k, t in enumerate(Runner(list(steps.values())).run()):
                 if progress is not None and (k % stride == 0 or k == rig.ticks):
                     progress(t or 0)
     finally:
-        for block in blocks.values():
-            if isinstance(block, Solver):
-                block.rest()
-    return blocks
+        for step in steps.values():
+            if isinstance(step.block, Solver):
+                step.block.rest()
+    return steps
 
 
 @contextmanager

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
-from ..block.block import Block
+from ..block.held import Held
 from ..errors import ScenarioError
 from ..extras import need
 from ..judge.claims import NEVER
@@ -58,8 +58,8 @@ class Run:
         Why it broke; empty when it did not.
     stopped : int
         Number of the signal that ended it before its time; 0 when none did.
-    blocks : dict of str to Block
-        The blocks in their final state, after a run in process.
+    blocks : dict of str to Held
+        The blocks with their final states, after a run in process.
     """
 
     rig: Rig
@@ -71,7 +71,7 @@ class Run:
     status: dict[str, dict[str, Any]] = field(default_factory=dict)
     error: str = ""
     stopped: int = 0
-    blocks: dict[str, Block] = field(default_factory=dict)
+    blocks: Mapping[str, Held] = field(default_factory=dict)
 
     @property
     def stopped_at(self) -> str:

@@ -8,6 +8,7 @@ from contextlib import suppress
 from typing import Any
 
 from ..block.block import Block, Plant
+from ..block.held import ByHand
 from ..kit.jit import Jit
 from .solver import Solver
 
@@ -35,13 +36,14 @@ def rehearse(block_class: type[Block], params: Any, name: str, always: bool = Fa
     with suppress(Exception), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the values are no real ones
         block = block_class(params, name)
+        spare = ByHand(block)
         inputs, _ = block.ports(params)
         values = {port.name: port.initial for port in inputs}
         if isinstance(block, Plant):
-            block.outputs(0)
-            block.advance(0, **values)
+            spare.outputs(0)
+            spare.advance(0, **values)
         else:
-            block.update(0, **values)
+            spare.update(0, **values)
         block.warm_up()
     return True
 

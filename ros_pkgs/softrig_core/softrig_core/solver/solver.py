@@ -148,7 +148,7 @@ class Solver(Block[S]):
 
     def refused(self, t: int) -> Values | None:
         """Go on with what is under way; a request that was refused asks nothing."""
-        self.go_on(t)
+        self.carry_on(t)
         return self._finish(t)
 
     def begin(self, t: int, **inputs: Any) -> None:
@@ -159,12 +159,12 @@ class Solver(Block[S]):
                 self._worker.cancel()
                 self._active = None
             self._waiting = (t, asked)
-        self.go_on(t)
+        self.carry_on(t)
 
     def _in_vain(self, t: int, effect: int) -> bool:
         return self._worker.state == "working" if self.realtime else t < effect
 
-    def go_on(self, t: int) -> None:
+    def carry_on(self, t: int) -> None:
         """Begin to work on what waits, if nothing is under way; in place of `begin` at a tick without request."""
         if self._active is not None:
             return
@@ -220,7 +220,7 @@ class Solver(Block[S]):
                 self._result = Result(stamp, asked, self._worker.answer, not self._struck)
                 self._struck = False
                 new = True
-            self.go_on(t)
+            self.carry_on(t)
         return self.answer(t, self._result, new)
 
     def health(self) -> Mapping[str, str]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from typing import NamedTuple
 
 from softrig_control.discretise import zero_order_hold
 from softrig_control.kalman import SteadyKalman
@@ -23,6 +24,14 @@ class DcMotorSmcKalmanParams(SensorConstants, MotorConstants, SurfaceParams):
     var_i: float = param(1e-5, "variance of the current's disturbance in one step", "A^2", gt=0.0)
     var_theta: float = param(1e-10, "variance of the angle's disturbance in one step", "rad^2", gt=0.0)
     var_load: float = param(1e-8, "variance of the load torque's change in one step", "N^2 m^2", gt=0.0)
+
+
+class State(NamedTuple):
+    """Reference (rad/s), its size that scales K, and the estimate of speed, current, angle and load torque."""
+
+    r: float
+    size: float
+    estimate: tuple[float, ...]
 
 
 class DcMotorSmcKalman(SurfaceControl[DcMotorSmcKalmanParams]):
@@ -52,26 +61,22 @@ class DcMotorSmcKalman(SurfaceControl[DcMotorSmcKalmanParams]):
         )
         self._acceleration = (-p.b / p.J, p.Kt / p.J, -1.0 / p.J)
 
-    def change(self, params: DcMotorSmcKalmanParams) -> None:
-        """Take other gains of the law; the filter goes on as it is, none of its parameters is live."""
-        kept = self._filter
-        super().change(params)
-        self._filter = kept
-
-    def start(self) -> None:
-        """Begin with the estimate of a motor at rest."""
-        super().start()
-        self._filter.reset()
+    def first(self) -> State:
+        """Begin with the set point and the estimate of a motor at rest."""
+        return State(self.p.set_point, abs(self.p.set_point), self._filter.first())
 
     def update(
-        self, t: int, *, sensors: tuple[float, ...], applied: tuple[float, ...], reference: tuple[float, ...] | None
-    ) -> Mapping[str, tuple[float, ...]]:
+        self, x: State, t: int, *, sensors: tuple[float, ...], applied: tuple[float, ...],
+        reference: tuple[float, ...] | None,
+    ) -> tuple[State, Mapping[str, tuple[float, ...]]]:  # fmt: skip
         """Give the voltage."""
         count, current = sensors
-        r = self.reference(reference)
-        w, i, _, load = self._filter(applied, (current, (count + 0.5) * self._rad_per_count))
+        r = self.reference(x.r, reference)
+        size = abs(r) or x.size
+        estimate = self._filter(x.estimate, applied, (current, (count + 0.5) * self._rad_per_count))
+        w, i, _, load = estimate
         per_w, per_i, per_load = self._acceleration
-        return self.law(r, w, per_w * w + per_i * i + per_load * load)
+        return State(r, size, estimate), self.law(size, r, w, per_w * w + per_i * i + per_load * load)
 
 
 main = executable(DcMotorSmcKalman)

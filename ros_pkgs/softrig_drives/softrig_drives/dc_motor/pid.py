@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import NamedTuple
 
-from softrig_control.pid import Pid, PidParams
+from softrig_control.pid import Pid, PidParams, PidState
 from softrig_core import executable, param
 
 from .ports import COMMAND, REFERENCE, SPEED
@@ -20,6 +21,13 @@ class DcMotorPidParams(PidParams, SpeedControlParams):
     u_max: float = param(12.0, "supply voltage that the anti-windup assumes", "V", gt=0.0, live=True)
 
 
+class State(NamedTuple):
+    """Reference that is followed (rad/s), memory of the law."""
+
+    r: float
+    pid: PidState = PidState()
+
+
 class DcMotorPid(SpeedControl[DcMotorPidParams]):
     """u = Kp e + Ki int e + Kd e' on the measured speed, e = wd - w; see `softrig_control.pid.Pid`."""
 
@@ -30,24 +38,22 @@ class DcMotorPid(SpeedControl[DcMotorPidParams]):
         """Make the law."""
         self._pid = Pid(self.p, self.p.period)
 
-    def change(self, params: DcMotorPidParams) -> None:
-        """Take other gains without a bump, see `softrig_control.pid.Pid.retune`."""
-        law = self._pid
-        super().change(params)
-        law.retune(params, params.period)
-        self._pid = law
+    def first(self) -> State:
+        """Begin with the set point."""
+        return State(self.p.set_point)
 
-    def start(self) -> None:
-        """Forget integral, derivative and reference."""
-        super().start()
-        self._pid.reset()
+    def go_on(self, x: State, before: DcMotorPidParams) -> State:
+        """Take other gains without a bump, see `softrig_control.pid.Pid.go_on`."""
+        x = super().go_on(x, before)
+        return State(x.r, self._pid.go_on(x.pid, before))
 
     def update(
-        self, t: int, *, state: tuple[float, ...], reference: tuple[float, ...] | None
-    ) -> Mapping[str, tuple[float, ...]]:
+        self, x: State, t: int, *, state: tuple[float, ...], reference: tuple[float, ...] | None
+    ) -> tuple[State, Mapping[str, tuple[float, ...]]]:
         """Give the voltage."""
-        e = self.reference(reference) - state[0]
-        return {"command": (self._pid(e),)}
+        r = self.reference(x.r, reference)
+        pid, u = self._pid(x.pid, r - state[0])
+        return State(r, pid), {"command": (u,)}
 
 
 main = executable(DcMotorPid)

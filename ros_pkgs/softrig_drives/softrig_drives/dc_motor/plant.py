@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, NamedTuple, Self
 
@@ -46,11 +46,17 @@ class DcMotorPlantParams(SensorConstants, MotorConstants, BlockParams):
 
 
 class State(NamedTuple):
-    """Angle (rad), speed (rad/s), armature current (A)."""
+    """Angle (rad), speed (rad/s), armature current (A); of the rig what it was before, and the number of the tick.
 
-    theta: float
-    w: float
-    i: float
+    That is the voltage (V) that the bridge applied over the period before, and the encoder's count at its begin.
+    """
+
+    theta: float = 0.0
+    w: float = 0.0
+    i: float = 0.0
+    applied: tuple[float, ...] = ()
+    encoder: int = 0
+    k: int = 0
 
 
 class DcMotorPlant(Plant[DcMotorPlantParams]):
@@ -101,40 +107,35 @@ class DcMotorPlant(Plant[DcMotorPlantParams]):
         self._rad_per_count = math.tau / p.counts_per_rev
         self._speed_per_count = self._rad_per_count / p.period
 
-    def change(self, params: DcMotorPlantParams) -> None:
-        """Look up the load anew before the next move."""
-        super().change(params)
-        self._change = 0
-
     def _transition(self, ns: int) -> tuple[float, ...]:
         """The numbers of x+ = Ad x + Bd u over ns that are neither 0 nor 1, without the load's column, and that."""
         ad, bd = zero_order_hold(*state_space(self.p), ns / 1e9)
         return (*(x for a, b in zip(ad, bd, strict=True) for x in (a[1], a[2], b[0])), *(b[1] for b in bd))
 
-    def start(self) -> None:
+    def first(self) -> State:
         """Rest at angle zero, without current."""
-        self.theta = self.w = self.i = 0.0
-        self._count = 0
-        self._load = self._profile.at(0)
-        self._change = self._profile.next_change(0)
-        self._sense(0.0)
+        return State(applied=(0.0,)) if self.p.rig else State()
 
-    @property
-    def state(self) -> State:
-        """Give the true state."""
-        return State(self.theta, self.w, self.i)
-
-    def put(self, state: Sequence[float]) -> None:
-        """Go on from another state; the encoder has stood there."""
-        self.theta, self.w, self.i = state
-        self._count = math.floor(self.theta * self._counts_per_rad)
-        self._sense(0.0)
-
-    def outputs(self, t: int) -> Mapping[str, tuple[float, ...]]:
+    def outputs(self, x: State, t: int) -> Mapping[str, tuple[float, ...]]:
         """Give the sensors' values at t; on the rig also the truth."""
-        return self._answer
+        p = self.p
+        theta, w, i, applied, before, k = x
+        count = math.floor(theta * self._counts_per_rad)
+        if not p.rig:
+            return {"state": (theta, w, p.Kt * i), "sensors": (float(count), i)}
+        current = i + p.current_noise * self.standard_normal(k) if p.current_noise else i
+        current = round(current / p.current_lsb) * p.current_lsb
+        if abs(current) > p.current_limit:
+            self.report(Level.WARN, "current_range", f"current {i:g} A beyond the sensor's {p.current_limit:g} A")
+            current = math.copysign(p.current_limit, current)
+        return {
+            "state": (count * self._rad_per_count, (count - before) * self._speed_per_count, p.Kt * current),
+            "sensors": (float(count), current),
+            "true_state": (theta, w, p.Kt * i),
+            "applied": applied,
+        }
 
-    def advance(self, t: int, *, command: tuple[float, ...]) -> None:
+    def advance(self, x: State, t: int, *, command: tuple[float, ...]) -> State:
         """Apply the command over one period."""
         p = self.p
         u = command[0]
@@ -142,53 +143,20 @@ class DcMotorPlant(Plant[DcMotorPlantParams]):
             self.report(Level.WARN, "clipped", f"command {u:g} V clipped to the supply, {p.vmax:g} V")
             u = p.vmax if u > 0.0 else -p.vmax
         v = round(self._levels * u / p.vmax) * self._volts_per_level if p.rig else u
+        theta, w, i, applied, encoder, k = x
+        if p.rig:
+            applied, encoder, k = (v,), math.floor(theta * self._counts_per_rad), k + 1
         end = t + self._period
-        if end <= self._change:
-            self._move(self._whole, v)
-        else:
-            self._move_with_load_steps(t, end, v)
-        self._sense(v)
-
-    def _move_with_load_steps(self, t: int, end: int, v: float) -> None:
         while t < end:
-            self._load = self._profile.at(t)
-            self._change = self._profile.next_change(t)
-            until = min(end, self._change)
-            self._move(self._transition(until - t), v)
+            load, until = self._profile.at(t), min(end, self._profile.next_change(t))
+            whole = until - t == self._period
+            a01, a02, b00, a11, a12, b10, a21, a22, b20, e0, e1, e2 = (
+                self._whole if whole else self._transition(until - t)
+            )
+            theta += a01 * w + a02 * i + b00 * v + e0 * load
+            w, i = a11 * w + a12 * i + b10 * v + e1 * load, a21 * w + a22 * i + b20 * v + e2 * load
             t = until
-        self._load = self._profile.at(end)
-        self._change = self._profile.next_change(end)
-
-    def _move(self, transition: tuple[float, ...], v: float) -> None:
-        a01, a02, b00, a11, a12, b10, a21, a22, b20, e0, e1, e2 = transition
-        w, i, load = self.w, self.i, self._load
-        self.theta += a01 * w + a02 * i + b00 * v + e0 * load
-        self.w = a11 * w + a12 * i + b10 * v + e1 * load
-        self.i = a21 * w + a22 * i + b20 * v + e2 * load
-
-    def _sense(self, v: float) -> None:
-        p = self.p
-        theta, w, i = self.theta, self.w, self.i
-        if not p.rig:
-            self._answer = {
-                "state": (theta, w, p.Kt * i),
-                "sensors": (float(math.floor(theta * self._counts_per_rad)), i),
-            }
-            return
-        count = math.floor(theta * self._counts_per_rad)
-        speed = (count - self._count) * self._speed_per_count
-        self._count = count
-        current = i + p.current_noise * self.rng.standard_normal() if p.current_noise else i
-        current = round(current / p.current_lsb) * p.current_lsb
-        if abs(current) > p.current_limit:
-            self.report(Level.WARN, "current_range", f"current {i:g} A beyond the sensor's {p.current_limit:g} A")
-            current = math.copysign(p.current_limit, current)
-        self._answer = {
-            "state": (count * self._rad_per_count, speed, p.Kt * current),
-            "sensors": (float(count), current),
-            "true_state": (theta, w, p.Kt * i),
-            "applied": (v,),
-        }
+        return State(theta, w, i, applied, encoder, k)
 
 
 main = executable(DcMotorPlant)

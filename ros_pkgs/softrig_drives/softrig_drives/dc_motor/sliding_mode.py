@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Literal
+from typing import Any, Literal, NamedTuple
 
 from softrig_control.sliding_mode import switching
 from softrig_core import Port, executable, param
@@ -64,30 +64,18 @@ class SurfaceControl(SpeedControl[P]):
         self._w_gain = p.model_a0 / p.model_gain
         self._wd_gain = (p.model_a1 - p.c) / p.model_gain
         self._c, self._delta, self._surface = p.c, p.delta, p.publish_surface
+        self._k, self._k_per_ref, self._gain = p.k, p.k_per_ref, p.model_gain
 
-    def start(self) -> None:
-        """Begin with the set point and its switching gain."""
-        super().start()
-        self._size = 0.0  # of the reference that scales K: 0 until there is one other than zero
-        self._rescale(self._r)
+    def go_on(self, x: Any, before: P) -> Any:
+        """Take other gains; another set point scales K."""
+        x = super().go_on(x, before)
+        return x._replace(size=abs(x.r) or x.size)
 
-    def change(self, params: P) -> None:
-        """Take other gains, K for the reference that it was scaled to."""
-        super().change(params)
-        self._rescale(self._r)
-
-    def _rescale(self, r: float) -> None:
-        p = self.p
-        self._scaled_to = r
-        self._size = abs(r) or self._size
-        self._k_gain = (p.k_per_ref * self._size if p.k is None else p.k) / p.model_gain
-
-    def law(self, r: float, w: float, wd: float) -> Mapping[str, tuple[float, ...]]:
-        """Answer for the reference r, the speed w and its derivative wd."""
-        if r != self._scaled_to:
-            self._rescale(r)
+    def law(self, size: float, r: float, w: float, wd: float) -> Mapping[str, tuple[float, ...]]:
+        """Answer for the reference r, the size of it that scales K, the speed w and its derivative wd."""
         s = self._c * (r - w) - wd
-        u = self._w_gain * w + self._wd_gain * wd + self._k_gain * switching(s, self._delta)
+        k_gain = (self._k_per_ref * size if self._k is None else self._k) / self._gain
+        u = self._w_gain * w + self._wd_gain * wd + k_gain * switching(s, self._delta)
         return {"command": (u,), "surface": (s,)} if self._surface else {"command": (u,)}
 
 
@@ -101,6 +89,19 @@ class DcMotorSmcParams(SurfaceParams):
                          live=True)  # fmt: skip
     wd_w: float = param(5.5, "b/J in w' of the current", "1/s", live=True)
     wd_i: float = param(37.5, "Kt/J in w' of the current", "rad/s^2/A", live=True)
+
+
+class State(NamedTuple):
+    """What the law remembers.
+
+    Reference (rad/s) and its size that scales K, 0 until there is one other than zero; of the difference of speeds the
+    speed of the tick before (rad/s, None before the first) and w' (rad/s^2).
+    """
+
+    r: float
+    size: float
+    w: float | None = None
+    wd: float = 0.0
 
 
 class DcMotorSmc(SurfaceControl[DcMotorSmcParams]):
@@ -117,24 +118,24 @@ class DcMotorSmc(SurfaceControl[DcMotorSmcParams]):
         self._rate = 1.0 / p.period
         self._blend = -math.expm1(-p.period / p.wd_lp) if p.wd_lp else 1.0
 
-    def start(self) -> None:
-        """No speed before the first; a motor at rest."""
-        super().start()
-        self._w: float | None = None
-        self._wd = 0.0
+    def first(self) -> State:
+        """Begin with the set point and its switching gain; a motor at rest."""
+        return State(self.p.set_point, abs(self.p.set_point))
 
     def update(
-        self, t: int, *, state: tuple[float, ...], sensors: tuple[float, ...], reference: tuple[float, ...] | None
-    ) -> Mapping[str, tuple[float, ...]]:
+        self, x: State, t: int, *, state: tuple[float, ...], sensors: tuple[float, ...],
+        reference: tuple[float, ...] | None,
+    ) -> tuple[State, Mapping[str, tuple[float, ...]]]:  # fmt: skip
         """Give the voltage."""
         w = state[0]
-        r = self.reference(reference)
+        r = self.reference(x.r, reference)
+        size = abs(r) or x.size
         if self._current:
-            return self.law(r, w, self._wd_i * sensors[1] - self._wd_w * w)
-        if self._w is not None:
-            self._wd += self._blend * ((w - self._w) * self._rate - self._wd)
-        self._w = w
-        return self.law(r, w, self._wd)
+            if r != x.r:
+                x = State(r, size)
+            return x, self.law(size, r, w, self._wd_i * sensors[1] - self._wd_w * w)
+        wd = x.wd if x.w is None else x.wd + self._blend * ((w - x.w) * self._rate - x.wd)
+        return State(r, size, w, wd), self.law(size, r, w, wd)
 
 
 main = executable(DcMotorSmc)

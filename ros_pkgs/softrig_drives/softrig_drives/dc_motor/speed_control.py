@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Self
+from typing import Any, Self
 
 from pydantic import model_validator
 from softrig_core import Block, BlockParams, Level, param
@@ -32,36 +32,29 @@ P = TypeVar("P", bound=SpeedControlParams, default=SpeedControlParams)
 class SpeedControl(Block[P]):
     """Base of the speed controllers.
 
-    A law calls `reference` for the reference that holds at this tick. A tick of which something was refused gets
-    0 V and leaves the state of the law as it is. Another `set_point` counts until a reference arrives; a smaller
-    `reference_limit` leaves the reference that is followed as it is.
+    A law has the reference that it follows in its state, as r, and calls `reference` for the one of this tick. A tick
+    of which something was refused gets 0 V and leaves the state of the law as it is. Another `set_point` counts until
+    a reference arrives; a smaller `reference_limit` leaves the reference that is followed as it is.
     """
 
-    def start(self) -> None:
-        """Begin with the set point of the parameters."""
-        self._r = self.p.set_point
-
-    def change(self, params: P) -> None:
+    def go_on(self, x: Any, before: P) -> Any:
         """Follow another set point."""
-        if params.set_point != self.p.set_point:
-            self._r = params.set_point
-        super().change(params)
+        return x if self.p.set_point == before.set_point else x._replace(r=self.p.set_point)
 
-    def reference(self, message: tuple[float, ...] | None) -> float:
-        """Give the reference to follow: the newest in range."""
-        if message is None or message[0] == self._r:
-            return self._r
-        r = message[0]
-        if abs(r) > self.p.reference_limit:
+    def reference(self, r: float, message: tuple[float, ...] | None) -> float:
+        """Give the reference to follow, r being the one so far: the newest in range."""
+        if message is None or message[0] == r:
+            return r
+        new = message[0]
+        if abs(new) > self.p.reference_limit:
             self.report(
                 Level.WARN, "reference_range",
-                f"reference {r:g} rad/s is beyond {self.p.reference_limit:g} rad/s; {self._r:g} rad/s is kept",
+                f"reference {new:g} rad/s is beyond {self.p.reference_limit:g} rad/s; {r:g} rad/s is kept",
             )  # fmt: skip
-            return self._r
-        self._r = r
-        return r
+            return r
+        return new
 
-    def refused(self, t: int) -> Mapping[str, tuple[float, ...]]:
+    def refused(self, x: Any, t: int) -> tuple[Any, Mapping[str, tuple[float, ...]]]:
         """Give 0 V and report the error."""
         self.report(Level.ERROR, "refused", "measurement or reference was refused; command 0 V")
-        return {port.name: (0.0,) * port.size for port in self.ports(self.p)[1]}
+        return x, {port.name: (0.0,) * port.size for port in self.ports(self.p)[1]}

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import NamedTuple
 
-from softrig_control.pid import Pid, PidParams
+from softrig_control.pid import Pid, PidParams, PidState
 from softrig_core import Block, BlockParams, executable, param
 
 from .ports import SPEED, SPEED_REF, TORQUE_REF
@@ -21,6 +22,13 @@ class SpeedControllerParams(PidParams, BlockParams):
     slew: float = param(500.0, "slew rate of the speed reference", "rad/s^2", gt=0.0, live=True)
 
 
+class State(NamedTuple):
+    """Memory of the law, speed reference as slewed (rad/s)."""
+
+    pid: PidState = PidState()
+    reference: float = 0.0
+
+
 class SpeedController(Block[SpeedControllerParams]):
     """PID on the speed error, its reference slewed, its output clipped; see `softrig_control.pid.Pid`."""
 
@@ -32,27 +40,23 @@ class SpeedController(Block[SpeedControllerParams]):
         self._pid = Pid(self.p, self.p.period)
         self._rise = self.p.slew * self.p.period
 
-    def change(self, params: SpeedControllerParams) -> None:
-        """Take other gains without a bump, see `softrig_control.pid.Pid.retune`."""
-        law = self._pid
-        super().change(params)
-        law.retune(params, params.period)
-        self._pid = law
-
-    def start(self) -> None:
+    def first(self) -> State:
         """Stand still."""
-        self._pid.reset()
-        self._reference = 0.0
+        return State()
+
+    def go_on(self, x: State, before: SpeedControllerParams) -> State:
+        """Take other gains without a bump, see `softrig_control.pid.Pid.go_on`."""
+        return x._replace(pid=self._pid.go_on(x.pid, before))
 
     def update(
-        self, t: int, *, joint_states: tuple[float, ...], speed_ref: tuple[float, ...] | None
-    ) -> Mapping[str, tuple[float, ...]]:
+        self, x: State, t: int, *, joint_states: tuple[float, ...], speed_ref: tuple[float, ...] | None
+    ) -> tuple[State, Mapping[str, tuple[float, ...]]]:
         """Give the torque reference; without a speed reference hold the standstill."""
         target = 0.0 if speed_ref is None else speed_ref[0]
-        missing = target - self._reference
-        self._reference += min(max(missing, -self._rise), self._rise)
+        reference = x.reference + min(max(target - x.reference, -self._rise), self._rise)
+        pid, torque = self._pid(x.pid, reference - joint_states[0])
         u_max = self.p.u_max
-        return {"torque_ref": (min(max(self._pid(self._reference - joint_states[0]), -u_max), u_max),)}
+        return State(pid, reference), {"torque_ref": (min(max(torque, -u_max), u_max),)}
 
 
 main = executable(SpeedController)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from softrig_control.pid import Pid, PidParams
+from softrig_control.pid import Pid, PidParams, PidState
 from softrig_core import executable, param
 
 from .speed_control import SpeedControl, SpeedControlParams
@@ -34,22 +34,22 @@ class LsrmPi(SpeedControl[LsrmPiParams]):
         return PidParams(kp=p.K_F * p.K_p, ki=p.K_F * p.K_i, u_max=p.F_max)
 
     def change(self, params: LsrmPiParams) -> None:
-        """Take other gains without a bump, see `softrig_control.pid.Pid.retune`."""
-        law = self._pid
+        """Take other gains without a bump, see `softrig_control.pid.Pid.go_on`."""
+        before = self._gains()
         super().change(params)
-        law.retune(self._gains(), params.period)
-        self._pid = law
+        self._x: PidState = self._pid.go_on(self._x, before)
 
     def start(self) -> None:
         """No integral."""
         super().start()
-        self._pid.reset()
+        self._x = PidState()
 
     def update(
         self, t: int, *, joint_states: tuple[float, ...], reference: tuple[float, ...]
     ) -> Mapping[str, tuple[float, ...]]:
         """Give the force command."""
-        self._answer = {"force_cmd": (self.clip(self._pid(reference[1] - joint_states[0])),)}
+        self._x, force = self._pid(self._x, reference[1] - joint_states[0])
+        self._answer = {"force_cmd": (self.clip(force),)}
         return self._answer
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from softrig_control.filters import SecondOrderFilter
 from softrig_control.phase_locked_loop import PhaseLockedLoop, PllParams
-from softrig_control.pid import Pid, PidParams
+from softrig_control.pid import Pid, PidParams, PidState
 from softrig_core import Block, Level, executable, param
 
 from .operating_point import DeviceParams, operating_point
@@ -40,7 +40,7 @@ class ShuntController(Block[ShuntControllerParams]):
     An angle that lags draws active power and charges the DC link, which raises the converter voltage in proportion;
     sigma stays. Magnitude and current are filtered, theta is that of a phase-locked loop on u1. The integrators start
     at the operating point of the parameters, which cannot change while it runs. Other gains bring no jump, see
-    `softrig_control.pid.Pid.retune`.
+    `softrig_control.pid.Pid.go_on`.
     """
 
     INPUTS = (measured("u1"), measured("i_sh"), SHUNT_REFERENCE)
@@ -62,10 +62,11 @@ class ShuntController(Block[ShuntControllerParams]):
 
     def change(self, params: ShuntControllerParams) -> None:
         """Take other gains without a bump; filters and loop go on."""
-        self.p = p = params
+        before, self.p, p = self._gains(self.p), params, params
         omega = 2.0 * math.pi * p.filter_frequency
-        for law, gains in zip((self._voltage, self._current), self._gains(p), strict=True):
-            law.retune(gains, p.period)
+        self._voltage, self._current = (Pid(gains, p.period) for gains in self._gains(p))
+        self._voltage_x = self._voltage.go_on(self._voltage_x, before[0])
+        self._current_x = self._current.go_on(self._current_x, before[1])
         self._pll.retune(p.pll)
         for low_pass in (self._magnitude, self._reactive):
             low_pass.retune(omega, p.damping, p.period)
@@ -84,8 +85,7 @@ class ShuntController(Block[ShuntControllerParams]):
             self._magnitude(abs(u))
             self._reactive(-(i * cmath.rect(1.0, -theta)).imag)
         self._voltage, self._current = (Pid(gains, p.period) for gains in self._gains(p))
-        self._voltage.preset(i_q)
-        self._current.preset(-alpha)
+        self._voltage_x, self._current_x = PidState(i_q), PidState(-alpha)
         self._answer = {"shunt": (p.network.shunt_sigma, cmath.phase(self._point.v_sh), p.network.omega)}
 
     def update(
@@ -99,9 +99,11 @@ class ShuntController(Block[ShuntControllerParams]):
         v = self._magnitude(abs(u))
         i_q = self._reactive(-(complex(i_sh[0], i_sh[1]) * cmath.rect(1.0, -theta)).imag)
         wanted = f"{v_ref:g} pu is asked of a voltage of {v:.4g} pu"
-        i_q_ref = self._limited(self._voltage(v_ref - v), p.current_limit, "reactive_current", "pu", wanted)
+        self._voltage_x, found = self._voltage(self._voltage_x, v_ref - v)
+        i_q_ref = self._limited(found, p.current_limit, "reactive_current", "pu", wanted)
         wanted = f"{i_q_ref:.4g} pu is asked of a reactive current of {i_q:.4g} pu"
-        alpha = -self._limited(self._current(i_q_ref - i_q), p.angle_limit, "angle", "deg", wanted)
+        self._current_x, found = self._current(self._current_x, i_q_ref - i_q)
+        alpha = -self._limited(found, p.angle_limit, "angle", "deg", wanted)
         angle = math.remainder(theta + math.radians(alpha), math.tau)
         self._answer = {"shunt": (p.network.shunt_sigma, angle, self._pll.omega)}
         return self._answer

@@ -311,7 +311,7 @@ class Adapter:
             other = other_types(self.middleware, item.port)
             if other:
                 text = f"{item.port.topic} exists with type {other}, expected {item.port.msgtype}"
-                self.block.report(Level.ERROR, key, text)
+                self.block.note(Level.ERROR, key, text)
                 self.log_once(key, Level.ERROR, text)
 
     def _watch(self) -> None:
@@ -349,5 +349,5 @@ class Adapter:
         if self.state != "running":  # what takes longer than a tick
             status |= {"peak_memory_mb": peak_memory()} | self.drive.statistics()
         if self.state == "done":
-            status |= figures(self.block)
+            status |= figures(self.step)
         return status

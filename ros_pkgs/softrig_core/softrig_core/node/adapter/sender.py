@@ -102,7 +102,7 @@ class Sender(Input):
         elif number > expected:
             self.lost += number - expected
             text = f"{self.lost} messages of {self.who} are lost"
-            self.node.block.report(Level.WARN, f"lost {self.port.topic}", text)
+            self.node.block.note(Level.WARN, f"lost {self.port.topic}", text)
         self.following = None if number < 0 else number + 1
         return True
 

@@ -57,7 +57,7 @@ class Faces:
     def _look(self) -> None:
         adapter = self._adapter
         if self._markers is not None and _read(self._markers) and adapter.state == "running":
-            self._markers.publish(marker_array(adapter.drive.now(), adapter.block.markers()))
+            self._markers.publish(marker_array(adapter.drive.now(), adapter.step.markers()))
         self._looks += 1
         if self._looks % 4 == 0:
             self._publish_diagnostics()
@@ -65,7 +65,8 @@ class Faces:
     def _publish_diagnostics(self) -> None:
         block = self._adapter.block
         if self._figures is not None and _read(self._figures) and isinstance(block, Observer):
-            figures = {name: f"{value:.9g} {unit}".strip() for name, (value, unit) in block.status().items()}
+            status = self._adapter.step.status()
+            figures = {name: f"{value:.9g} {unit}".strip() for name, (value, unit) in status.items()}
             name = self._adapter.middleware.name
             self._figures.publish(diagnostic_array(self._adapter.t, name, Level.OK, "", figures))
         if not _read(self._diagnostics):
@@ -78,7 +79,7 @@ class Faces:
         values = {"ticks": str(adapter.ticks), **{f"refused {i.port.topic}": str(i.refused) for i in adapter.inputs}}
         values |= {f"refused {i.port.topic}": str(i.refused) for i in adapter.paces if i.refused}
         values |= {key: f"{count} x {text}" for key, (_, text, count) in reports.items()}
-        values |= {key: str(value) for key, value in adapter.drive.statistics().items()} | dict(adapter.block.health())
+        values |= {key: str(value) for key, value in adapter.drive.statistics().items()} | dict(adapter.step.health())
         self._diagnostics.publish(diagnostic_array(time.time_ns(), self._name, level, text, values))
 
 

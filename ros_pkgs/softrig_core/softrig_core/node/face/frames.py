@@ -31,7 +31,7 @@ class Frames:
         self._adapter = adapter
         block = adapter.block
         scene = self._scene = block.scene(block.p)
-        still = standing(block.markers(), scene, adapter.step.outputs)
+        still = standing(adapter.step.markers(), scene, adapter.step.outputs)
         if still:
             latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
             node.create_publisher(message_class(TF), "/tf_static", latched).handle.publish_raw(encode(0, still))

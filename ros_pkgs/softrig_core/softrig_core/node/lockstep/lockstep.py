@@ -96,7 +96,7 @@ class Lockstep:
         awaited += [(busy, name) for name in solvers]
         if isinstance(node.block, Solver):
             self._solving = Solving(node.middleware, node.block, self._turn)
-            node.step.respond = lambda t, **inputs: node.block.end(t)  # type: ignore[attr-defined]
+            node.step.respond = lambda x, t, **inputs: (x, node.block.end(t))  # type: ignore[attr-defined]
         if not senders.rows and self._solving is None:
             # all that it needs is said in this process
             node.step.lacks = node.hold.holds if links.owns_clock else None  # type: ignore[attr-defined]

@@ -322,14 +322,14 @@ class Live(Sender):
             table.stale.add(self.name)
             kind, rest = ("command", "safe input") if node.is_plant else ("message", "the last one is held")
             text = f"no {kind} on {self.port.topic} for {limit / SECOND:g} s: {rest}"
-            node.block.report(Level.ERROR, f"stale {self.port.topic}", text)
+            node.block.note(Level.ERROR, f"stale {self.port.topic}", text)
         return True
 
     def _recovered(self) -> None:
         if self.name in self.table.stale:
             self.table.stale.discard(self.name)
             what = "commands are" if self.node.is_plant else "messages are"
-            self.node.block.report(Level.WARN, f"recovered {self.port.topic}", f"{what} back")
+            self.node.block.note(Level.WARN, f"recovered {self.port.topic}", f"{what} back")
 
     def on_matched(self) -> None:
         """Two publishers on one input: neither is believed until one of them has gone."""

@@ -121,7 +121,7 @@ class Realtime:
             own = self.clock
             self.clock = lambda: own() + ahead
             text = f"the clock of the rig is {ahead / SECOND:+.3f} s from this one: followed"
-            self.node.block.report(Level.WARN, "clock", text)
+            self.node.block.note(Level.WARN, "clock", text)
         self.node.epoch = epoch
         self.node.state = "running"
         assert self._begun is not None
@@ -287,7 +287,7 @@ class Realtime:
                 node.broke(error)  # a mistake in its code
                 return
             text = str(error).removeprefix(f"{step.name}: ")
-            node.block.report(Level.ERROR, "failed", f"{text}; safe output")
+            node.block.note(Level.ERROR, "failed", f"{text}; safe output")
             step.said = {}
             step.hand_on(t, step.checked(step.held()))
         self._ticked(t)

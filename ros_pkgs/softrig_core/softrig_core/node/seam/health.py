@@ -10,7 +10,8 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from ...block.block import Block, Observer
+from ...block.block import Observer
+from ...block.held import Held
 
 AT_FDCWD, RENAME_EXCHANGE = -100, 2
 _renameat2 = getattr(ctypes.CDLL(None), "renameat2", None)  # glibc 2.28
@@ -35,11 +36,11 @@ class StatusFile:
         _exchange(new, self._path)
 
 
-def figures(block: Block) -> dict[str, Any]:
+def figures(held: Held) -> dict[str, Any]:
     """Give what an observer has measured, as far as it is a number."""
-    if not isinstance(block, Observer):
+    if not isinstance(held.block, Observer):
         return {}
-    return {"figures": {k: v for k, v in block.status().items() if math.isfinite(v[0])}}
+    return {"figures": {k: v for k, v in held.status().items() if math.isfinite(v[0])}}
 
 
 def _exchange(new: Path, path: Path) -> None:

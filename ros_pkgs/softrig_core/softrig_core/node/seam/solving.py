@@ -52,7 +52,7 @@ class Solving:
         if self._tick != t:
             self._tick = t
             if inputs is None:
-                self.block.go_on(t)
+                self.block.carry_on(t)
             else:
                 self.block.begin(t, **inputs)
         if self.block.ready(t):

@@ -1,0 +1,51 @@
+"""Random numbers by index: the k-th of a stream, whoever asks and as often as wanted."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, Literal
+
+if TYPE_CHECKING:
+    import numpy as np
+
+SIZE = 4096  # numbers drawn at once
+KEPT = 4  # such rows at hand
+
+
+class Draws:
+    """A stream of random numbers as a function of an index.
+
+    Numbers are drawn in rows, in their order; the generator's state before each row is kept (two words), so that going
+    back draws the same row again. What is kept is a cache: the k-th number depends on the stream and k alone.
+
+    Parameters
+    ----------
+    stream : callable
+        Gives a generator at the beginning of the stream.
+    kind : {"standard_normal", "random"}
+        Normal with mean 0 and variance 1, or uniform in [0, 1).
+    """
+
+    def __init__(self, stream: Callable[[], np.random.Generator], kind: Literal["standard_normal", "random"]) -> None:
+        self._generator = stream()
+        self._draw: Callable[[int], Any] = getattr(self._generator, kind)
+        self._before = [self._generator.bit_generator.state]
+        self._rows: dict[int, list[float]] = {}
+
+    def __call__(self, k: int) -> float:
+        """Give the k-th number, from 0 on."""
+        row = self._rows.get(k // SIZE)
+        return (self._drawn(k // SIZE) if row is None else row)[k % SIZE]
+
+    def _drawn(self, n: int) -> list[float]:
+        """Draw row n, and on the way there those that nobody has asked for yet."""
+        bits = self._generator.bit_generator
+        for m in range(min(n, len(self._before) - 1), n + 1):
+            bits.state = self._before[m]
+            row: list[float] = self._draw(SIZE).tolist()
+            if m + 1 == len(self._before):
+                self._before.append(bits.state)
+        while len(self._rows) >= KEPT:
+            del self._rows[next(iter(self._rows))]
+        self._rows[n] = row
+        return row

@@ -1,0 +1,74 @@
+"""The numbers of a state: its float fields, by the names of the paper."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+def read(x: Any, path: str = "") -> Iterator[tuple[str, Array]]:
+    """Give (name, numbers) of every float in a state.
+
+    Floats, complex numbers (two each), arrays of them, and tuples of these, also named ones within: ``pid.integral``.
+    Whole numbers, words and switches are no part of a linear view; nor are objects, which are opaque.
+    """
+    kind = type(x)
+    if isinstance(x, float):
+        yield path, np.array([x])
+    elif kind is complex:
+        yield path, np.array([x.real, x.imag])
+    elif isinstance(x, np.ndarray):
+        if x.size and x.dtype.kind in "fc":
+            flat = np.ascontiguousarray(x).ravel()
+            yield path, flat.view(np.float64).astype(np.float64) if x.dtype.kind == "c" else flat.astype(np.float64)
+    elif isinstance(x, tuple):
+        if x and all(type(item) is float for item in x) and not hasattr(x, "_fields"):
+            yield path, np.array(x)
+        else:
+            for name, item in zip(getattr(x, "_fields", range(len(x))), x, strict=True):
+                here = f"{path}[{name}]" if isinstance(name, int) else f"{path}.{name}" if path else name
+                yield from read(item, here)
+
+
+def numbers(x: Any) -> Array:
+    """Give all of them in one row."""
+    return np.concatenate([np.empty(0), *(row for _, row in read(x))])
+
+
+def split(x: Any, row: Array) -> list[Array]:
+    """Cut a row as `numbers` gives it into what `put` takes."""
+    ends = np.cumsum([len(part) for _, part in read(x)])
+    return np.split(row, ends[:-1]) if len(ends) else []
+
+
+def put(x: Any, rows: Sequence[Array]) -> Any:
+    """Give the state with other numbers, in the order of `read`; it is x itself where they are the same."""
+    return _put(x, iter(rows))
+
+
+def _put(x: Any, rows: Iterator[Array]) -> Any:
+    kind = type(x)
+    if isinstance(x, float):
+        new = float(next(rows)[0])
+        return x if new == x else new
+    if kind is complex:
+        re, im = next(rows).tolist()
+        return complex(re, im)
+    if isinstance(x, np.ndarray):
+        if not (x.size and x.dtype.kind in "fc"):
+            return x
+        row = np.ascontiguousarray(next(rows), dtype=np.float64)
+        return (row.view(np.complex128) if x.dtype.kind == "c" else row).reshape(x.shape).astype(x.dtype)
+    if isinstance(x, tuple):
+        if x and all(type(item) is float for item in x) and not hasattr(x, "_fields"):
+            items = next(rows).tolist()
+        else:
+            items = [_put(item, rows) for item in x]
+        same = all(a is b or (type(a) is float and a == b) for a, b in zip(items, x, strict=True))
+        return x if same else x._make(items) if hasattr(x, "_make") else tuple(items)
+    return x

@@ -1,0 +1,137 @@
+"""A block and what it remembers now: who runs a block holds its state, the block has none."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+from .attributed import valued
+from .block import Block, Level
+from .marker import Marker
+from .params import BlockParams
+
+
+class Saved(NamedTuple):
+    """All that decides how a block goes on: references, where nothing of it is opaque."""
+
+    params: BlockParams
+    x: Any
+    reports: Mapping[str, tuple[Level, str, int]]
+
+
+class Held:
+    """A block and its state.
+
+    Parameters
+    ----------
+    block : Block
+        At its seed; its state is its first one.
+
+    Attributes
+    ----------
+    block : Block
+    law : Block
+        The same, as one whose state is a value.
+    x : named tuple
+        What it remembers.
+    """
+
+    x: Any
+
+    def __init__(self, block: Block) -> None:
+        self.block, self.law = block, valued(block)
+        self.x = self.law.first()
+        block.events = []
+
+    @property
+    def reports(self) -> dict[str, tuple[Level, str, int]]:
+        """What the block has reported in ticks that were kept."""
+        return self.block.reports
+
+    def tell(self) -> None:
+        """Take down what the block has reported in a tick that is kept."""
+        for event in self.block.events or ():
+            self.block.note(*event)
+        self.drop()
+
+    def drop(self) -> None:
+        """Forget what it has reported in a tick that is not."""
+        if self.block.events:
+            self.block.events.clear()
+
+    def change(self, params: BlockParams) -> None:
+        """Go on with other parameters."""
+        before = self.block.p
+        self.law.change(params)
+        self.x = self.law.go_on(self.x, before)
+
+    def status(self) -> Mapping[str, tuple[float, str]]:
+        """Give the figures of an observer, see `Observer.status`."""
+        return self.law.status(self.x)  # type: ignore[attr-defined, no-any-return]
+
+    def health(self) -> Mapping[str, str]:
+        """Give what /diagnostics shows, see `Block.health`."""
+        return self.law.health(self.x)
+
+    def markers(self) -> Sequence[Marker]:
+        """Give something to look at, see `Block.markers`."""
+        return self.law.markers(self.x)
+
+    def save(self) -> Saved:
+        """Give what `load` goes back to."""
+        return Saved(self.block.p, self.law.save(self.x), dict(self.block.reports))
+
+    def load(self, saved: Saved) -> None:
+        """Go back to what `save` gave, as often as wanted."""
+        if self.block.p is not saved.params:
+            self.law.change(saved.params)
+        self.x = self.law.load(saved.x)
+        self.block.reports.clear()
+        self.block.reports.update(saved.reports)
+        self.drop()
+
+
+class ByHand(Held):
+    """A block that a person or a test steps, without a rig.
+
+    Examples
+    --------
+    >>> pid = ByHand(Pid(kp=2.0))
+    >>> pid.update(0, state=(1.0,), reference=(3.0,))["command"]
+    (4.0,)
+    >>> pid.x.integral
+    0.0
+    """
+
+    def reset(self, seed: int) -> None:
+        """Go back to the first state, with the random numbers of a seed."""
+        self.block.reset(seed)
+        self.x = self.law.first()
+
+    def update(self, t: int, **inputs: Any) -> Any:
+        """Answer a tick; give the values."""
+        return self._keep(self.law.update(self.x, t, **inputs))
+
+    def finish(self, t: int, **inputs: Any) -> Any:
+        """Answer the last tick."""
+        return self._keep(self.law.finish(self.x, t, **inputs))
+
+    def refused(self, t: int) -> Any:
+        """Answer a tick of which something was refused."""
+        return self._keep(self.law.refused(self.x, t))
+
+    def outputs(self, t: int) -> Any:
+        """Give what a plant shows."""
+        found = self.law.outputs(self.x, t)  # type: ignore[attr-defined]
+        self.tell()
+        return found
+
+    def advance(self, t: int, **inputs: Any) -> None:
+        """Move a plant one period on."""
+        self.x = self.law.advance(self.x, t, **inputs)  # type: ignore[attr-defined]
+        self.tell()
+
+    def _keep(self, answer: tuple[Any, Any]) -> Any:
+        self.x, found = answer
+        self.tell()
+        return found

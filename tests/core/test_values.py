@@ -1,0 +1,140 @@
+"""State as a value: what the contract promises, and the rule that keeps it."""
+
+import ast
+import inspect
+import sys
+import textwrap
+from pathlib import Path
+
+import pytest
+from softrig_core import Block, BlockParams, ByHand, Level, Plant, load_scenario, rig_of
+from softrig_core.block.block import Observer
+from softrig_core.block.draws import SIZE
+from softrig_core.block.floats import numbers, put, read, split
+from softrig_core.block.runner import Runner
+from softrig_core.rig.installed import load_block
+from softrig_core.run.inprocess import wired
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "campaign"))
+from parameters import executables
+
+BLOCKS = {f"{package}/{name}": cls for package, name, cls in executables()}
+MUTATING = {"append", "extend", "insert", "pop", "popleft", "appendleft", "clear", "remove", "add", "discard", "update",
+            "setdefault", "sort", "reverse", "rotate", "popitem"}  # fmt: skip
+
+
+def own_classes(cls):
+    """Give a block's classes below the contract."""
+    return [c for c in cls.__mro__ if issubclass(c, Block) and c not in (Block, Plant, Observer)]
+
+
+def of_self(node):
+    """Whether an expression reaches through self."""
+    while isinstance(node, ast.Attribute | ast.Subscript):
+        node = node.value
+    return isinstance(node, ast.Name) and node.id == "self"
+
+
+def written(cls):
+    """Give (method, line) of what a class writes into itself outside `setup`."""
+    found = []
+    (body,) = ast.parse(textwrap.dedent(inspect.getsource(cls))).body
+    for method in body.body:
+        if not isinstance(method, ast.FunctionDef) or method.name in ("setup", "__init__", "reset"):
+            continue
+        for node in ast.walk(method):
+            targets = getattr(node, "targets", None) or [getattr(node, "target", None)]
+            flat = [t for target in targets if target is not None for t in ast.walk(target)]
+            stored = isinstance(node, ast.Assign | ast.AugAssign | ast.AnnAssign | ast.Delete | ast.For) and any(
+                isinstance(t, ast.Attribute | ast.Subscript) and isinstance(t.ctx, ast.Store | ast.Del) and of_self(t)
+                for t in flat
+            )
+            called = isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute)
+            mutated = (
+                called and node.func.attr in MUTATING and isinstance(node.func.value, ast.Attribute | ast.Subscript)
+            )
+            if stored or (mutated and of_self(node.func.value)):
+                found.append((method.name, ast.unparse(node)[:60]))
+    return found
+
+
+@pytest.mark.parametrize("name", [name for name, cls in BLOCKS.items() if cls.by_value()])
+def test_a_block_whose_state_is_a_value_writes_nothing_outside_setup(name):
+    cls = BLOCKS[name]
+    assert {c.__name__: w for c in own_classes(cls) if (w := written(c))} == {}
+    assert not [c.__name__ for c in own_classes(cls) if {"start", "change", "put", "state"} & vars(c).keys()]
+
+
+def test_the_rule_sees_what_is_written():
+    class Bad(Block):
+        def update(self, x, t):
+            self.a, b = 1, 2
+            self.rows[0] = b
+            self.line.append(b)
+            return x, {}
+
+    assert [name for name, _ in written(Bad)] == ["update"] * 3
+
+
+class Noise(Block[BlockParams]):
+    def first(self):
+        return 0
+
+    def update(self, x, t):
+        self.report(Level.WARN, "drawn", "once more")
+        return x + 1, {"n": (self.standard_normal(x), self.uniform(x))}
+
+
+def test_random_numbers_by_index_are_those_of_the_stream():
+    block = Noise(name="n")
+    block.reset(3)
+    normal = block.generator().standard_normal(3 * SIZE)
+    for k in (0, 1, SIZE - 1, SIZE, 3 * SIZE - 1, 7, 2 * SIZE, 0):
+        assert block.standard_normal(k) == normal[k]
+    one_by_one = block.generator()
+    assert [block.uniform(k) for k in range(50)] == [one_by_one.random() for _ in range(50)]
+    first = block.standard_normal(5)
+    block.reset(4)
+    assert block.standard_normal(5) != first
+
+
+def test_a_tick_that_is_dropped_has_reported_nothing_and_draws_again():
+    held = ByHand(Noise(name="n"))
+    held.update(0)
+    saved = held.save()
+    after = held.update(1)
+    held.law.update(held.x, 2)  # tried, not kept
+    held.drop()
+    assert held.reports["drawn"][2] == 2
+    held.load(saved)
+    assert held.reports["drawn"][2] == 1
+    assert held.update(1) == after
+
+
+@pytest.mark.parametrize("name", ["dc_motor_smc_b2", "dc_motor_smc_b5_pid", "induction_dtc"])
+def test_going_back_to_any_tick_repeats_it(name):
+    rig = rig_of(load_scenario(name).changed(duration=0.1 if "dc" in name else 0.005))
+    steps = wired(rig, {m.name: m.block(1) for m in rig.members})
+    ticks, states = Runner(list(steps.values())).run(), []
+    for _ in range(5):
+        next(ticks)
+    saved = {n: (s.save(), dict(s.values)) for n, s in steps.items()}
+    for _ in range(4):
+        next(ticks)
+        states.append({n: s.x for n, s in steps.items() if s.block.by_value()})
+    for n, (kept, values) in saved.items():
+        steps[n].load(kept)
+        steps[n].values.update(values)
+    again = Runner(list(steps.values())).run(5)
+    for before in states:
+        next(again)
+        assert {n: s.x for n, s in steps.items() if s.block.by_value()} == before
+
+
+def test_the_floats_of_a_state():
+    block = load_block("softrig_drives", "dc_motor_smc")()
+    x = block.first()
+    assert [name for name, _ in read(x)] == ["r", "size", "wd"]
+    assert put(x, split(x, numbers(x))) is x
+    other = put(x, split(x, numbers(x) + 1.0))
+    assert (other.r, other.w, other.wd) == (11.0, None, 1.0)
