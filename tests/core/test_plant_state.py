@@ -11,7 +11,7 @@ import pytest
 from softrig_control.discretise import zero_order_hold
 from softrig_control.linear_plant import LinearPlant
 from softrig_core import ByHand, Plant, Sampled, ScenarioError, equilibrium, state_type, to_ns
-from softrig_core.block.floats import numbers
+from softrig_core.kit.floats import numbers
 from softrig_core.rig.installed import load_block
 from softrig_drives.dc_motor.model import state_space
 from softrig_drives.dc_motor.plant import DcMotorPlant

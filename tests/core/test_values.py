@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 from softrig_core import Block, BlockParams, ByHand, Level, Plant, load_scenario, rig_of
 from softrig_core.block.block import Observer
-from softrig_core.block.draws import SIZE
-from softrig_core.block.floats import numbers, put, read, split
 from softrig_core.block.runner import Runner
+from softrig_core.kit.draws import SIZE
+from softrig_core.kit.floats import numbers, put, read, split
 from softrig_core.rig.installed import load_block
 from softrig_core.run.inprocess import wired
 

@@ -9,7 +9,7 @@ from typing import Any, Self
 
 from pydantic import model_validator
 from softrig_core import Block, BlockParams, ParameterError, Port, Sample, executable, param
-from softrig_core.block.port_text import ports_of
+from softrig_core.scenario.port_text import ports_of
 
 GROUP = "softrig_policies"  # of entry points
 Act = Callable[[Sequence[float]], Sequence[float]]

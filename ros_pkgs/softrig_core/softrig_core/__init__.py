@@ -20,6 +20,7 @@ join_prefix()
 
 if TYPE_CHECKING:
     from .analysis.environment import RigEnv as RigEnv
+    from .analysis.linear import Sampled as Sampled, equilibrium as equilibrium, linearise as linearise
     from .analysis.linear_view import LinearView as LinearView, linear_view as linear_view
     from .analysis.steady import (
         NoOperatingPoint as NoOperatingPoint,
@@ -28,7 +29,6 @@ if TYPE_CHECKING:
     )
     from .block.block import Block as Block, Level as Level, Observer as Observer, Plant as Plant, Values as Values
     from .block.held import ByHand as ByHand, Held as Held
-    from .block.linear import Sampled as Sampled, equilibrium as equilibrium, linearise as linearise
     from .block.marker import Marker as Marker
     from .block.params import (
         BlockParams as BlockParams,
@@ -85,7 +85,7 @@ else:
         "kit.compiled": "Compiled",
         "kit.history": "History",
         "kit.jit": "jit",
-        "block.linear": "Sampled equilibrium linearise",
+        "analysis.linear": "Sampled equilibrium linearise",
         "block.marker": "Marker",
         "kit.ode": "rk4 rk4_loop",
         "block.params": "BlockParams ParameterError Params check_steps param",

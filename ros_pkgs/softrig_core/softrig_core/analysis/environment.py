@@ -10,7 +10,6 @@ from typing import Any
 from ..block.held import ByHand
 from ..block.params import flatten
 from ..block.port import Port, Sample
-from ..block.port_text import ports_text, reader
 from ..block.runner import Runner
 from ..block.step import Rows, Step
 from ..errors import RunError, ScenarioError, closest
@@ -20,6 +19,7 @@ from ..rig.rig import Rig
 from ..run.expand import rig_of
 from ..run.inprocess import record, wired
 from ..run.simulate import Run
+from ..scenario.port_text import ports_text, reader
 from ..scenario.references import fill_parameters, pick
 from ..scenario.scenario import NodeEntry, Scenario
 from ..timebase import SECOND

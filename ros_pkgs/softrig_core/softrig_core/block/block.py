@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, get_args
 from typing_extensions import TypeVar
 
 from ..errors import RunError, ScenarioError
-from .draws import Draws
+from ..kit.draws import Draws
 from .params import BlockParams, ParameterError, build, differing
 from .port import Port, Sample
 

@@ -16,9 +16,8 @@ from numpy.typing import NDArray
 
 from ..kit.compiled import Compiled
 from ..kit.dde import Trajectory
+from ..kit.floats import put, read
 from .block import Block, Plant
-from .floats import put, read
-from .held import Held
 from .params import Params
 
 Array = NDArray[np.float64]
@@ -58,7 +57,7 @@ class Memory:
         """Give a copy of all of it, for `restore`."""
         seen: dict[int, Any] = {}
         return [
-            [(thing, thing.save()) if isinstance(thing, Held) else self._save(thing, seen) for thing in things]
+            [(thing, thing.save()) if hasattr(thing, "law") else self._save(thing, seen) for thing in things]
             for things in self._owners.values()
         ]
 
@@ -67,7 +66,7 @@ class Memory:
         done: set[int] = set()
         for nodes in saved:
             for node in nodes:
-                if isinstance(node[0], Held):
+                if hasattr(node[0], "law"):
                     node[0].load(node[1])
                 else:
                     _restore(node, done)
@@ -155,7 +154,7 @@ class Memory:
         seen: set[int] = set()
         for name, things in self._owners.items():
             for thing in things:
-                if isinstance(thing, Held):
+                if hasattr(thing, "law"):
                     thing.x = put(thing.x, [numbers(f"{name}.{path}", x) for path, x in read(thing.x)])
                 else:
                     self._through(thing, name, numbers, seen)

@@ -10,9 +10,9 @@ from pydantic import model_validator
 
 from ..block.params import param
 from ..block.port import Port
-from ..block.port_text import ports_of
 from ..errors import ScenarioError
 from ..run.expand import rig_of
+from ..scenario.port_text import ports_of
 from ..verdict.figures import Figure, figures_in, told
 from ..verdict.watch import Watch, WatchParams
 from . import executable

@@ -14,7 +14,6 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
 
 from ..block.port import CLOCK
-from ..block.port_text import ports_text, reader
 from ..errors import ScenarioError, closest
 from ..judge.claims import NEVER
 from ..judge.expectation import Expectation
@@ -23,6 +22,7 @@ from ..judge.measures import Function, SignalMap, final_value, newest_step
 from ..judge.registry import find
 from ..judge.units import compose, factor, powers
 from ..rig.members import Members, signal_units
+from ..scenario.port_text import ports_text, reader
 from ..scenario.references import fill_parameters
 from .requirements import Judge, judges
 

@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from ..block.port_text import ports_text, reader
 from ..block.schedule import Schedule
 from ..errors import ScenarioError
 from ..judge.formula import (
@@ -33,6 +32,7 @@ from ..judge.formula import (
 from ..judge.measures import SignalMap
 from ..judge.requirement_entry import Requirement
 from ..rig.members import Members
+from ..scenario.port_text import ports_text, reader
 from ..scenario.references import fill_parameters
 from ..timebase import SECOND
 from ..wire.signals import full_name

@@ -60,6 +60,9 @@ class ShuntController(Block[ShuntControllerParams]):
         return (PidParams(kp=p.voltage_kp, ki=p.voltage_ki, u_max=p.current_limit),
                 PidParams(kp=p.current_kp, ki=p.current_ki, u_max=p.angle_limit))  # fmt: skip
 
+    _voltage_x: Any
+    _current_x: Any
+
     def change(self, params: ShuntControllerParams) -> None:
         """Take other gains without a bump; filters and loop go on."""
         before, self.p, p = self._gains(self.p), params, params

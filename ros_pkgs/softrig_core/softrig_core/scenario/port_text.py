@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import fields, replace
 from typing import Any
 
-from .port import Port
+from ..block.port import Port
 
 _TUPLES = ("channels", "fields", "units", "limits", "safe")
 

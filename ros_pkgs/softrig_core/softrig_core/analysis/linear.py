@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 
 from ..errors import RunError
 from ..kit.dense import solve
-from .floats import numbers, put, split
+from ..kit.floats import numbers, put, split
 
 if TYPE_CHECKING:
     import control
 
-    from .block import Plant
+    from ..block.block import Plant
 
 Array = NDArray[np.float64]
 STEP = 1e-3  # of the differences, relative: their error is of order STEP^4, their rounding of 1e-16/STEP
