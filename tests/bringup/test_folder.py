@@ -1,6 +1,7 @@
 """Where results go: what a former run of ours wrote is replaced, nothing else is touched."""
 
 import json
+import os
 
 import pytest
 from softrig_bringup.cli import main
@@ -112,3 +113,34 @@ def test_names_that_are_no_ros_names_are_refused(tmp_path, capsys, monkeypatch, 
     said = capsys.readouterr().err
     assert message in said
     assert names(tmp_path) == ["x.yaml"]
+
+
+def test_a_folder_that_is_being_written_is_another_calls_own(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    first = ResultsFolder(tmp_path / "runs" / "dc_motor_smc_b2")
+    first.clear()
+    assert main([*RUN, "--duration", "0.1", "--no-plots", "--out", "runs/dc_motor_smc_b2"]) == 2
+    assert f"process {os.getpid()} is writing there" in capsys.readouterr().err
+    assert main([*RUN, "--no-plots"]) == 0  # a name of ours: beside it
+    assert "this run goes to runs/dc_motor_smc_b2-2" in capsys.readouterr().err
+    assert names(first.path) == [MANIFEST]
+    first.close()
+    assert main([*RUN, "--no-plots"]) == 0
+    assert "bag/metadata.yaml" in names(first.path)
+
+
+@pytest.mark.parametrize("what", [{"once": ["parameters were changed while it ran"]}, {"code": {"pump_rig": "1"}}])
+def test_a_run_that_cannot_be_made_again_is_replaced_by_force_alone(tmp_path, monkeypatch, capsys, what):
+    monkeypatch.chdir(tmp_path)
+    words = [*RUN, "--no-plots", "--no-record"]
+    assert main(words) == 0
+    file = tmp_path / "runs" / "dc_motor_smc_b2" / "metrics.json"
+    kept = json.dumps(json.loads(file.read_text()) | what)
+    file.write_text(kept)
+    assert main([*words, "--out", "runs/dc_motor_smc_b2"]) == 2
+    assert "cannot be made again (" in capsys.readouterr().err
+    assert main(words) == 0
+    assert file.read_text() == kept
+    assert (tmp_path / "runs" / "dc_motor_smc_b2-2" / "metrics.json").is_file()
+    assert main([*words, "--force"]) == 0
+    assert file.read_text() != kept

@@ -111,7 +111,7 @@ def test_claims_of_studies_are_named_where_they_are_not_held(folder, capsys, mon
 
 def test_a_false_verdict_fails_the_page_and_the_run(folder, capsys):
     assert main(["results", "lag", "--workers", "1"]) == 0
-    assert (folder / "runs" / "results" / "results.html").is_file()
+    assert (folder / "runs" / "results" / "results_lag.html").is_file()
     (folder / "lag.yaml").write_text(LAG.replace("VERDICT", "refuted"))
     capsys.readouterr()
     assert main(["results", "--workers", "1"]) == 1

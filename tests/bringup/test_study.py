@@ -253,7 +253,7 @@ def test_rows_are_read_as_far_as_they_are_right_and_nothing_of_them_is_lost(kind
 
 def test_two_studies_do_not_write_into_one_folder(folder):
     demo, out = study(grid={"gain.k": [1.0, 2.0]}), folder / "out"
-    with ResultsFolder(out, STUDY).alone(), pytest.raises(ScenarioError, match="another call is at work there"):
+    with ResultsFolder(out, STUDY).alone(), pytest.raises(ScenarioError, match="is writing there"):
         run_study(demo, out, workers=1)
     assert len(rows_of(demo, out)) == 2
 

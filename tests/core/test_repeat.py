@@ -133,7 +133,7 @@ def test_a_run_in_real_time_that_was_late_says_so_and_what_differs(tmp_path, cap
 def test_a_repetition_that_differs_says_where(tmp_path, capsys, monkeypatch):
     pressed(tmp_path / "first")
     monkeypatch.setattr(
-        "softrig_bringup.options.like._outside", lambda rig, recording: []
+        "softrig_bringup.options.like.from_outside", lambda rig, recording: []
     )  # what was outside is forgotten
     status, said = repeat(tmp_path, capsys, "--like", str(tmp_path / "first"), "--mode", "inprocess")
     assert status == 1

@@ -8,7 +8,8 @@ import os
 import re
 import shutil
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from importlib.util import find_spec
 from pathlib import Path
 
 from softrig_core import RunError, ScenarioError
@@ -52,6 +53,7 @@ class ResultsFolder:
 
     def __init__(self, path: Path, ours: re.Pattern[str] = RUN) -> None:
         self.path = path
+        self._lock: int | None = None
         if path.exists() and not path.is_dir():
             raise ScenarioError(f"{path} is a file, expected a folder for the results")
         self._old = _listed(path)
@@ -75,10 +77,44 @@ class ResultsFolder:
             Nothing can be written there.
         """
         try:
-            self.path.mkdir(parents=True, exist_ok=True)
+            if (other := self.hold()) is not None:
+                raise ScenarioError(f"{self.path}: {other} is writing there; choose another --out")
             self._list([MANIFEST, UNDER_WAY])
         except OSError as error:
             raise ScenarioError(f"{error.filename}: {error.strerror}; choose another --out") from None
+
+    def hold(self) -> str | None:
+        """Hold the folder against other calls, until it is closed; say who has it already, None if nobody does."""
+        if self._lock is None:
+            self.path.mkdir(parents=True, exist_ok=True)
+            lock = os.open(self.path, os.O_RDONLY)  # the end of this process, whatever its kind, lets go
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                os.close(lock)
+                return _holder(self.path)
+            self._lock = lock
+        return None
+
+    def let_go(self) -> None:
+        """Let others have the folder."""
+        if self._lock is not None:
+            os.close(self._lock)
+            self._lock = None
+
+    def __del__(self) -> None:
+        self.let_go()
+
+    @property
+    def once(self) -> str:
+        """Why what a former run left there cannot be made again; empty if it can."""
+        try:
+            content = json.loads((self.path / "metrics.json").read_text())
+            reasons, packages = list(content.get("once", ())), list(content.get("code", ()))
+        except (OSError, ValueError, AttributeError, TypeError):
+            return ""
+        reasons += [f"its package {name} is not installed here" for name in packages if find_spec(str(name)) is None]
+        return ", ".join(map(str, reasons))
 
     def clear(self) -> None:
         """Remove what the former run listed, and the folders that this leaves empty; never what a link points to."""
@@ -96,8 +132,9 @@ class ResultsFolder:
                 place.rmdir()
 
     def close(self) -> None:
-        """List everything that this run has written, so that a later one may replace it."""
+        """List everything that this run has written, so that a later one may replace it; let others have the folder."""
         self._list(sorted({MANIFEST, *(f for f in _files(self.path) if f not in self._foreign)}))
+        self.let_go()
 
     @contextmanager
     def keeping(self) -> Iterator[None]:
@@ -112,6 +149,8 @@ class ResultsFolder:
                 self._list(sorted({MANIFEST, *_listed(self.path), str(kept.relative_to(self.path))}))
             vars(error)["log"] = str(kept)
             raise
+        finally:
+            self.let_go()
 
     def _list(self, names: list[str]) -> None:
         replace(self.path / MANIFEST, json.dumps(names, indent=1) + "\n")
@@ -152,15 +191,10 @@ class ResultsFolder:
             Another call is at work there.
         """
         self.begin()
-        handle = os.open(self.path, os.O_RDONLY)  # the end of this process, whatever its kind, lets go
         try:
-            try:
-                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                raise ScenarioError(f"{self.path}: another call is at work there; choose another --out") from None
             yield
         finally:
-            os.close(handle)
+            self.let_go()
 
 
 def replace(path: Path, text: str | bytes) -> None:
@@ -172,6 +206,17 @@ def replace(path: Path, text: str | bytes) -> None:
             temporary.replace(path)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def _holder(path: Path) -> str:
+    """Say which process holds a folder, as the kernel lists its locks."""
+    inode = str(path.stat().st_ino)
+    with suppress(OSError):
+        for line in Path("/proc/locks").read_text().splitlines():
+            words = line.split()
+            if "FLOCK" in words and words[5].rpartition(":")[2] == inode:
+                return f"process {words[4]}"
+    return "another process"
 
 
 def _foreign(path: Path) -> str:

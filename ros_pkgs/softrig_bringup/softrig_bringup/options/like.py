@@ -119,7 +119,7 @@ def repeated(scenario: Scenario, run: Recalled) -> Scenario:
     if rig.clock.external:
         raise ScenarioError(f"--like {run.path}: {rig.clock.name} was outside, and gave the ticks: it alone can repeat "
                             "them")  # fmt: skip
-    inputs = _outside(rig, run.recording)
+    inputs = from_outside(rig, run.recording)
     nodes: dict[str, Any] = {name: entry for name, entry in scenario.nodes.items() if not entry.external}
     if inputs:
         parameters = {"period": str(rig.clock.schedule.period), "bag": str(run.bag),
@@ -128,7 +128,7 @@ def repeated(scenario: Scenario, run: Recalled) -> Scenario:
     return scenario.having(nodes=nodes, changes=[{"at": at, "set": values} for at, values in by_time.items()])
 
 
-def _outside(rig: Rig, recording: Recording) -> list[Port]:
+def from_outside(rig: Rig, recording: Recording) -> list[Port]:
     """Give the first port that reads each topic that came from outside, if something has come."""
     found: dict[str, Port] = {}
     for member in rig.members:

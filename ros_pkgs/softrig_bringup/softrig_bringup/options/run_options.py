@@ -36,6 +36,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--out", type=Path, metavar="DIR", help="results go here (default runs/SCENARIO and what was changed)"
     )
+    parser.add_argument("--force", action="store_true", help="replace in DIR also a run that cannot be made again")
     parser.add_argument("--strict", action="store_true", help="status 1 also when figures of a changed run differ")
     parser.add_argument("--max-missed", type=Number(float, 0, 100), metavar="PERCENT",
                         help="in real time: status 1 when a node misses more of its deadlines")  # fmt: skip

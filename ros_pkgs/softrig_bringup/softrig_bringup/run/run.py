@@ -147,6 +147,7 @@ def summary(run: Run, figures: Sequence[Result], command: str, label: str = "") 
         "contents": {m.name: dict(found) for m in own if (found := m.block_class.contents(m.params))},
         "parameters": {m.name: flatten(m.params) for m in own},
         "changes": _changes(run),
+        "once": _once(run),
         "units": {m.name: {d.name: d.unit for d in declarations(type(m.params)) if d.unit} for m in own},
         "metrics": [f.model_dump(by_alias=True) for f in figures],
         "claims": [f.model_dump() for f in run.claims],
@@ -161,6 +162,17 @@ def summary(run: Run, figures: Sequence[Result], command: str, label: str = "") 
 def _changes(run: Run) -> list[dict[str, Any]]:
     """The changes of parameters that took effect and were recorded: the tick in s, the node, its new values."""
     return [{"at_s": t / SECOND, "node": node, "set": values} for t, node, values in recorded(run.recording, run.epoch)]
+
+
+def _once(run: Run) -> list[str]:
+    """Say why a run cannot be made again as it was from its scenario; nothing when it can."""
+    from ..options.like import from_outside
+
+    outside = [m.name for m in run.rig.members if m.external]
+    found = [f"{', '.join(outside)} from outside"] if outside else []
+    found += ["parameters were changed while it ran"] if turned(run) else []
+    found += ["messages came from outside"] if not outside and from_outside(run.rig, run.recording) else []
+    return found + (["in real time"] if run.epoch else [])
 
 
 def turned(run: Run) -> list[str]:

@@ -135,7 +135,7 @@ def _judge(verb: Verb) -> None:
     results = verb("results", "verbs.results:main", "hold every claim of the papers against what is measured now")
     results.add_argument("systems", nargs="*", metavar="SYSTEM", help="default: all")
     results.add_argument("--out", type=Path, default=Path("runs/results"), metavar="DIR",
-                         help="results.html and results.md go here (default runs/results)")  # fmt: skip
+                         help="results.html and .md, or results_SYSTEM.html, go here (runs/results)")  # fmt: skip
     results.add_argument("--studies", action="store_true", help="the claims of studies too: hundreds of runs")
     golden = verb("golden", "verbs.golden:main",
                   "make golden bags anew and show the difference to the old, or check them")  # fmt: skip

@@ -212,6 +212,7 @@ def main(options: argparse.Namespace) -> int:
     from .results_page import counts, html, markdown
 
     systems, out = options.systems, options.out
+    name = "_".join(["results", *systems])  # of some systems: beside the page of all
     scenarios = claiming(systems)
     if not scenarios:
         raise ScenarioError("no scenario has claims")
@@ -223,8 +224,8 @@ def main(options: argparse.Namespace) -> int:
     if options.studies:
         more, held = study_findings(systems, out / "studies", options.workers)
         scenarios, rows = scenarios + more, rows + held
-    replace(out / "results.html", html(scenarios, rows, without, out))
-    replace(out / "results.md", markdown(scenarios, rows, without))
+    replace(out / f"{name}.html", html(scenarios, rows, without, out))
+    replace(out / f"{name}.md", markdown(scenarios, rows, without))
     write_reports(options.junit, suites(rows, measured), options.json, [row.model_dump() for row in rows])
     kept = sum(m.kept for m in measured.values())
     if kept:
@@ -239,5 +240,5 @@ def main(options: argparse.Namespace) -> int:
         if not row.holds:
             say(f"{row.scenario}: claim {row.key}: {row.false}")
             status = max(status, 1)
-    print(f"wrote {out / 'results.html'} and {out / 'results.md'}")
+    print(f"wrote {out / f'{name}.html'} and {out / f'{name}.md'}")
     return status

@@ -85,6 +85,9 @@ def _check_view(options: argparse.Namespace) -> None:
         raise ScenarioError(f"view shows a whole rig of nodes, which {what} is not; expected --mode container or "
                             "processes")  # fmt: skip
     need("bokeh", "view")
+    from ..view.serve import free_address
+
+    free_address(options.address)  # before anything of an earlier run is replaced
 
 
 def _how_to_connect(domain: int, directory: Path) -> str:
@@ -107,11 +110,28 @@ def results_folder(options: argparse.Namespace, scenario: str) -> ResultsFolder:
         if options.out is not None:
             raise ScenarioError(f"--out {options.out}: it holds the run that --like repeats, expected another folder")
         out = out.with_name(f"{out.name}-again")
-    folder = ResultsFolder(out)
+    folder, number = ResultsFolder(out), 1
+    while why := _kept(folder, options.force):
+        if options.out is not None:
+            raise ScenarioError(f"--out {options.out}: {why}; expected another folder, or --force")
+        number += 1
+        beside = ResultsFolder(out.with_name(f"{out.name}-{number}"))
+        say(f"{_shown(folder.path)} stays, {why}; this run goes to {_shown(beside.path)}")
+        folder = beside
     if folder.replaced:
-        say(f"replacing {folder.replaced} in {_shown(out)}")
+        say(f"replacing {folder.replaced} in {_shown(folder.path)}")
     folder.clear()
     return folder
+
+
+def _kept(folder: ResultsFolder, force: bool) -> str:
+    """Say why the folder is not to be written into; empty if it may be."""
+    if (other := folder.hold()) is not None:
+        return f"{other} is writing there"
+    if folder.replaced and not force and folder.once:
+        folder.let_go()
+        return f"its run cannot be made again ({folder.once})"
+    return ""
 
 
 def conclude(options: argparse.Namespace, done: Run, folder: ResultsFolder | None) -> int:

@@ -100,6 +100,27 @@ class _ToPage(RequestHandler):
         self.redirect(PAGE + query)
 
 
+def free_address(address: str) -> tuple[str, int]:
+    """Give host and port of a page, a free one for port 0.
+
+    Raises
+    ------
+    ScenarioError
+        Nothing can be served there.
+    """
+    host, _, port = address.rpartition(":")
+    host = host.strip("[]") or "127.0.0.1"
+    if not port.isdecimal() or int(port) > 65535:
+        raise ScenarioError(f"--address {address!r}: expected HOST:PORT, port 0 for a free one")
+    try:
+        sockets, chosen = bind_sockets(host, int(port))  # what the browser's pages may come from names the port
+        for one in sockets:
+            one.close()
+    except OSError as error:
+        raise ScenarioError(f"--address {address}: {error.strerror}") from None
+    return host, chosen
+
+
 class Pages:
     """The pages of one source.
 
@@ -125,18 +146,7 @@ class Pages:
         self._worker = ThreadPoolExecutor(1)
         self._next, self._busy = 0.0, False
         self.came = False
-        host, _, port = address.rpartition(":")
-        host = host.strip("[]") or "127.0.0.1"
-        if not port.isdecimal() or int(port) > 65535:
-            raise ScenarioError(f"--address {address!r}: expected HOST:PORT, port 0 for a free one")
-        try:
-            sockets, chosen = bind_sockets(
-                host, int(port)
-            )  # the port is part of what the browser's pages may come from
-            for one in sockets:
-                one.close()
-        except OSError as error:
-            raise ScenarioError(f"--address {address}: {error.strerror}") from None
+        host, chosen = free_address(address)
         token = "" if host in LOOPBACK else secrets.token_urlsafe(16)
         if token:  # whoever has it may come by any name of this host, and Bokeh need not warn of that
             logging.getLogger("bokeh.server.util").setLevel(logging.ERROR)
