@@ -79,6 +79,11 @@ def test_what_is_set_by_services_and_by_the_command_is_checked(tmp_path):
                                     capture_output=True, text=True)  # fmt: skip
             assert second.returncode == 1
             assert "law refuses delta, c: " in second.stderr
+            for number in ("99999999999999999999999", "[99999999999999999999999]"):  # of which no message can be made
+                third = subprocess.run([*command[:-2], "law.delta", number], env=bench.environment, timeout=60,
+                                       capture_output=True, text=True)  # fmt: skip
+                assert third.returncode == 1, third.stderr
+                assert "law refuses delta: " in third.stderr
         finally:
             for name in list(bench.nodes):
                 bench.kill(name)

@@ -79,23 +79,25 @@ class Remote:
                    lambda found: (found.success, found.message))  # fmt: skip
 
     def _when(self, ready: Callable[[], bool], number: Any, node: str, send: Callable[[], Any],
-              read: Callable[[Any], tuple[bool, str]]) -> None:  # fmt: skip
+              read: Callable[[Any], tuple[bool | None, str]]) -> None:  # fmt: skip
         """Send when the node is there, answer when it has; a node that does neither in time is named."""
         limit = time.monotonic() + self._patience
         sent: list[Any] = []
 
         def look() -> None:
             nonlocal limit
-            if not sent and ready():
-                sent.append(send())
-                limit = time.monotonic() + PATIENCE
-            if sent and sent[0].done():
+            try:
+                if not sent and ready():
+                    sent.append(send())
+                    limit = time.monotonic() + PATIENCE
+                said = read(sent[0].result()) if sent and sent[0].done() else None
+            except Exception as error:  # a number that no message holds: what one asks must not end the others' pages
+                said = (False, f"{type(error).__name__}: {error}")
+            if said is None and time.monotonic() > limit:
+                said = (None, f"{node} does not answer" if sent else f"no node {node} within {self._patience:g} s")
+            if said is not None:
                 self._node.destroy_timer(timer)
-                self._answer(number, *read(sent[0].result()))
-            elif time.monotonic() > limit:
-                self._node.destroy_timer(timer)
-                silent = f"{node} does not answer" if sent else f"no node {node} within {self._patience:g} s"
-                self._answer(number, None, silent)
+                self._answer(number, *said)
 
         timer = self._node.create_timer(0.01, look)
 
