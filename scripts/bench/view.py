@@ -25,7 +25,8 @@ READER = """
 import re, sys
 from bokeh.client import pull_session
 url = next(m[1] for line in sys.stdin if (m := re.search(r"the page is (http\\S+)", line)))
-session = pull_session(url=url + "view")
+base, _, token = url.partition("?token=")
+session = pull_session(url=base + "view", arguments={"token": token})
 find = lambda name: session.document.select_one({"name": name})
 def shown():
     new = find("echo").text != find("beat").text

@@ -50,7 +50,9 @@ class Browser:
     def __init__(self, url, **arguments):
         from bokeh.client import pull_session
 
-        self.session = pull_session(url=f"{url.rstrip('/')}/view", arguments=arguments)
+        base, _, token = url.partition("?token=")
+        arguments = ({"token": token} if token else {}) | arguments
+        self.session = pull_session(url=f"{base}view", arguments=arguments)
         self.document = self.session.document
 
     def __getitem__(self, name):
@@ -113,10 +115,11 @@ def test_a_run_is_held_stepped_and_turned_from_its_page_and_its_bag_is_that_of_t
     assert (speed["x"][-1], speed["y"][-1]) == (t[-1], recorded[-1])  # the page ends where the bag does
 
 
-def test_on_another_address_only_who_says_the_token_is_let_in(tmp_path):
+@pytest.mark.parametrize("at", ["0.0.0.0:0", "127.0.0.1:0"])
+def test_only_who_says_the_token_is_let_in(tmp_path, at):
     assert main(["run", "dc_motor_smc", "--mode", "inprocess", "--duration", "0.05", "--no-plots", "--out",
                  str(tmp_path / "run")]) in (0, 1)  # fmt: skip
-    with running("view", tmp_path / "run", "--address", "0.0.0.0:0") as process:
+    with running("view", tmp_path / "run", "--address", at) as process:
         base, token = address(process).split("?token=")
         for wanted in (
             "",

@@ -35,7 +35,7 @@ def _run_and_look(verb: Verb) -> None:
                 "look at a run or a bag in the browser, or run a scenario that begins paused there")  # fmt: skip
     run_options.arguments(look)
     look.add_argument("--address", default="127.0.0.1:0", metavar="HOST:PORT", help="of the page (this host, a free "
-                      "port); from other hosts it is seen with the token in its address only")  # fmt: skip
+                      "port); it is seen with the token in its address only")  # fmt: skip
     look.add_argument("--running", action="store_true", help="does not begin paused; in real time nothing does")
     look.set_defaults(mode="container")
     report = verb("report", "report.report:main", "one self-contained HTML page from one or more runs")

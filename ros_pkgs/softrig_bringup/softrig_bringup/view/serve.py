@@ -23,7 +23,7 @@ from typing import Any
 from bokeh.application import Application
 from bokeh.application.handlers.function import FunctionHandler
 from bokeh.document import Document
-from bokeh.server.auth_provider import AuthProvider, NullAuth
+from bokeh.server.auth_provider import AuthProvider
 from bokeh.server.server import Server
 from bokeh.server.util import bind_sockets
 from pydantic import BaseModel, ConfigDict
@@ -147,21 +147,23 @@ class Pages:
         self._next, self._busy = 0.0, False
         self.came = False
         host, chosen = free_address(address)
-        token = "" if host in LOOPBACK else secrets.token_urlsafe(16)
-        if token:  # whoever has it may come by any name of this host, and Bokeh need not warn of that
+        token = secrets.token_urlsafe(16)  # on this host, too: other users, and pages of others whose name leads here
+        if host in LOOPBACK:
+            origins = [f"{name}:{chosen}" for name in ("localhost", host)]
+        else:  # whoever has the token may come by any name of this host, and Bokeh need not warn of that
             logging.getLogger("bokeh.server.util").setLevel(logging.ERROR)
-        origins = ["*"] if token else [f"{name}:{chosen}" for name in ("localhost", host)]
+            origins = ["*"]
         try:
             self.server = Server(
                 {PAGE: Application(FunctionHandler(self._page))}, io_loop=loop, address=host, port=chosen,
                 extra_patterns=[("/", _ToPage)], check_unused_sessions_milliseconds=1000,
                 unused_session_lifetime_milliseconds=5000, allow_websocket_origin=origins,
-                auth_provider=_Token(token) if token else NullAuth(),
+                auth_provider=_Token(token),
             )  # fmt: skip
         except OSError as error:
             raise ScenarioError(f"--address {address}: {error.strerror}") from None
         shown = f"[{host}]" if ":" in host else host
-        self.url = f"http://{shown}:{self.server.port}/" + (f"?token={token}" if token else "")
+        self.url = f"http://{shown}:{self.server.port}/?token={token}"
         self.server.start()
 
     def _page(self, document: Document) -> None:
