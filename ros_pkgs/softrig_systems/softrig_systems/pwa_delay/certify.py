@@ -159,9 +159,12 @@ def certified_margin(
 
 
 def _walk(ask: Callable[..., Certificate], best: Certificate, step: float, width: float, most: float) -> Certificate:
-    """Go up from a certificate by certified steps, halved where there is none."""
+    """Go up from a certificate by certified steps, halved where there is none.
+
+    The largest step that can be certified is a third to a half of the way that is left: it ends at a tenth of `width`.
+    """
     shortest, failed = best.shortest, False
-    while step > max(width * best.h, 2.0 * math.ulp(best.h)) and best.h < most:  # numbers between them, too
+    while step > max(0.1 * width * best.h, 2.0 * math.ulp(best.h)) and best.h < most:  # numbers between them, too
         found = ask(best.h + step, best.h)
         if found.valid:
             best = found
