@@ -255,6 +255,20 @@ def test_perturb_observe_climbs_and_turns():
     assert [round(e.x[0], 6) for e in edge.history] == [0.0, 0.1, 0.2, 0.1, 0.2, 0.1]
 
 
+def test_genetic_defaults_are_those_of_its_page():
+    """BLX-0.5 (Eshelman and Schaffer); 20 candidates, each gene mutated with 0.1 by 0.1 of its range, one survives."""
+    search = Genetic(LOWER, UPPER)
+    found = search.blend, search.mutation, search.step, search.elite, search.n_pop, search.n_iter
+    assert found == (0.5, 0.1, 0.1, 1, 20, 10)
+    told = Genetic(LOWER, UPPER, 3, blend=0.5, mutation=0.1, step=0.1, elite=1, n_pop=20, n_iter=10)
+    again = Genetic(LOWER, UPPER, 3)
+    run(told, bowl)
+    run(again, bowl)
+    assert again.history == told.history
+    run(other := Genetic(LOWER, UPPER, 3, blend=0.4), bowl)
+    assert other.history != told.history
+
+
 def test_genetic_generations_in_parallel():
     """A generation evaluated by an executor gives the search of a loop; the elite is not evaluated again."""
     serial = Genetic(LOWER, UPPER, 5, n_pop=20, n_iter=10, elite=2)
@@ -309,6 +323,22 @@ def test_certificate_holds_on_any_falling_curve(widths, drops, load, eps):
     assert search.expected >= best / (1.0 + eps) * (1.0 - 1e-9)
     final = operate(v, i, load, search.result[0])
     assert final[0] * final[1] == pytest.approx(search.expected, rel=1e-9)
+
+
+def test_a_bound_waits_for_both_ends():
+    """What is passed on the way to the second command bounds the voltages between them, and no others."""
+    v, i = np.array([0.0, 10.0, 12.0, 30.0, 40.0]), np.array([2.0, 1.9, 1.2, 1.1, 0.0])
+    search = CertifiedSearch([0.05], [20.0], matching=Transformer(), transients=True)
+    bounds = []
+    for _ in range(3):
+        d = search.ask()[0]
+        for way in (0.9 * d, 1.1 * d):
+            search.watch(operate(v, i, 20.0, way))
+        sample = operate(v, i, 20.0, d)
+        bounds.append(search.bound)
+        search.tell(sample[0] * sample[1], sample)
+    assert bounds == [None, None, None]
+    assert search.bound >= 33.0
 
 
 def test_certified_search_gives_up_a_proof_that_cannot_be():

@@ -109,6 +109,7 @@ def test_half_the_step_changes_nothing(name):
     (MvimPlanner, {"order_max": 7}, "order_max"),
     (MvimPlanner, {"inertia": (86.24, 0.0, 113.59)}, "inertia"),
     (SpacecraftPlant, {"inertia": (-1.0, 1.0, 1.0)}, "inertia"),
+    (SpacecraftPlant, {"inertia": (10.0, 20.0, 50.0)}, "50 is more than the other two together.*at most 30 kg"),
     (MvimPlanner, {"R": (1.0, 0, 0, 0, 1.0, 0, 0, 0, 0.0)}, "R"), (MvimPlanner, {"R": (1.0, 2.0)}, "R"),
     (CollocationPlanner, {"R": (1.0, 0, 0, 0, -1.0, 0, 0, 0, 1.0)}, "R"), (MvimPlanner, {"problem": "none"}, "problem"),
     (MvimPlanner, {"problem": "softrig_systems.optimal_control.problem:find"}, "problem"),

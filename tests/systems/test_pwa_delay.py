@@ -2,6 +2,7 @@
 
 import functools
 import math
+import re
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -163,6 +164,81 @@ def test_no_certificate_beyond_the_true_margin(make, h, method):
     assert not certify(make(), h, Criterion(method, order=3)).valid
 
 
+OSCILLATOR = linear([[0.0, 1.0], [-4.0, -0.8]], [[0.0, 0.0], [-1.5, -0.6]])  # unstable from 0.81677 to 1.735 s
+
+
+@pytest.mark.parametrize("order", [1, 2, 3])
+def test_no_constant_delay_is_certified_of_a_system_that_grows(order):
+    criterion = Criterion("constant", order=order)
+    for A, Ad in ((0.5, 0.2), (1.0, 0.0), (-1.0, 2.0), (0.1, 0.1), (0.0, 0.5), (-0.2, 0.3)):
+        assert not certify(linear(A, Ad), 0.1, criterion).valid
+        assert not certify(linear(A, Ad), 0.1, criterion, shortest=0.0).valid
+    for h in (0.817, 0.83, 1.2, 1.7):
+        assert not certify(OSCILLATOR, h, criterion).valid
+
+
+@pytest.mark.parametrize(
+    ("k", "cell_terms", "valid", "not_valid"), [(3.0, False, 0.379, 0.381), (3.0, True, 0.387, 0.389)]
+)
+def test_constant_delay_of_a_pendulum_with_a_weaker_gain(k, cell_terms, valid, not_valid):
+    criterion = Criterion("constant", cell_terms=cell_terms)
+    assert certify(pendulum(1.0, k), valid, criterion).valid
+    assert not certify(pendulum(1.0, k), not_valid, criterion).valid
+
+
+def test_the_search_of_constant_delays_ends_with_the_first_window():
+    """A second window ends at 3.4576 s, and a bracket of 0.05 to 3 s finds both."""
+    criterion = Criterion("constant")
+    again = Criterion("constant", order=3)
+    assert certify(OSCILLATOR, 3.4, again).valid
+    assert certify(OSCILLATOR, 3.4, again).shortest == 3.4
+    tried = []
+    found = certified_margin(OSCILLATOR, criterion, low=0.05, high=3.0, width=1e-2, tell=tried.append)
+    assert 0.808 < found.h < 0.81677
+    assert found.shortest == 0.0
+    # without a gap, each step of matrices that meet the inequalities at its both ends and between
+    steps, covered = [c for c in tried if c.valid], 0.0
+    for step in steps:
+        assert step.shortest <= covered < step.h
+        covered = step.h
+        for share in (0.0, 0.3, 0.7):
+            d = step.shortest + share * (step.h - step.shortest)
+            if step.shortest > 0.0:
+                again = bessel(OSCILLATOR.scaled(d), 2).check(step.matrices)
+                assert all(e.positive for e in again), (step.shortest, d)
+    assert covered == found.h
+    # beyond the first window: from `low` on where that is asked for and there is nothing from 0 on
+    late = certified_margin(linear([[0.0, 1.0], [-2.0, 0.1]], [[0.0, 0.0], [1.0, 0.0]]), criterion, low=1.0, width=0.1)
+    assert late.shortest == 1.0
+    assert certified_margin(linear(0.5, 0.2), criterion, low=0.1) is None
+    with pytest.raises(ValueError, match=r"shortest = 2.0: expected from 0 to h = 1.0"):
+        certify(OSCILLATOR, 1.0, criterion, shortest=2.0)
+
+
+def test_a_delay_of_microseconds_is_certified_as_one_of_seconds():
+    """Time has no scale of its own: x' = -x(t - h)/h is the same system in t/h."""
+    for h in (1e-6, 1e-3, 9e-3, 1.0):
+        for method in ("theorem1", "constant"):
+            assert certify(linear(0.0, -1.0 / h), h, Criterion(method)).valid
+            assert not certify(linear(0.0, -1.6 / h), h, Criterion(method)).valid
+    for h in (0.0, -1.0, math.nan, math.inf):
+        with pytest.raises(ValueError, match="expected a positive time"):
+            certify(linear(0.0, -1.0), h)
+
+
+def test_the_node_says_which_delays_its_certificate_covers():
+    own = {"system": "user", "n": 1, "A": [0.0], "Ad": [-1.0], "method": "constant"}
+    for asked, text in (({"h": 1.5}, "a constant delay of 1.5 s alone, no shorter one"),
+                        ({"low": 1.0, "width": 0.1}, r"delays from 0 s to 1\.[45]\d* s, without a gap"),
+                        ({"h": 1.5, "method": "theorem1"}, "delays from 0 s to 1.5 s, without a gap"),
+                        ({"h": 1.6}, "nothing")):  # fmt: skip
+        node = CertificateNode(**{**own, **asked})
+        node.start()
+        answer = CertificateNode.solve(node.request(0), SimpleNamespace(status=lambda **_: None))
+        node._result = SimpleNamespace(answer=answer)
+        assert re.fullmatch(text, node.health()["covers"])
+
+
 def test_a_damaged_certificate_fails_its_check():
     found = certify(switched(), 0.0185)
     assert found.valid
@@ -298,6 +374,13 @@ def test_margin_of_the_switched_system():
 def test_growth_of_the_switched_system(h, rate):
     found = growth_rate(simulate_pwa(switched(), profile("constant", h), (-2.0, 0.0), 60.0, steps=25))
     assert found == pytest.approx(rate, abs=6e-5)
+
+
+def test_the_margin_by_simulation_is_the_first():
+    """Stable again at 1.8 s, and unstable from 3.47 s on: a bracket of 0.3 to 4 s holds both ends."""
+    found = pwa_margin(OSCILLATOR, 0.3, 4.0, (1.0, 0.0), 150.0, steps=40, width=1e-3)
+    assert found.h == pytest.approx(0.81677, abs=2e-3)
+    assert found.low <= found.h <= found.high < 1.3
 
 
 def test_located_switches_converge_and_unlocated_do_not():
@@ -610,6 +693,10 @@ def test_matrices_survive_their_topic():
 def test_a_bracket_without_a_margin_is_told():
     with pytest.raises(ValueError, match="no margin between"):
         find_margin(lambda h: -1.0, 0.1, 0.2)
+    with pytest.raises(ValueError, match=r"growth 1 1/s at 0.1 s and 1 1/s at 0.1 s: no margin between"):
+        find_margin(lambda h: 1.0, 0.1, 0.2)
+    with pytest.raises(ValueError, match=r"growth -1 1/s at 0.1 s and nan 1/s at 0.2 s: no margin between"):
+        find_margin(lambda h: -1.0 if h < 0.2 else math.nan, 0.1, 0.2)
     with pytest.raises(ValueError, match="too short"):
         growth_rate(simulate_pwa(linear(-1.0, 0.0), profile("constant", 1.0), (1.0,), 5.0))
 

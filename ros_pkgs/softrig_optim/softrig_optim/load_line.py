@@ -123,16 +123,17 @@ class CertifiedSearch(LoadLineSearch):
     ) -> None:  # fmt: skip
         self.eps, self.n_iter, self.transients = eps, n_iter, transients
         self._points: list[tuple[float, float]] = []
+        self._spanned = False  # both ends of the commands were measured
         super().__init__(lower, upper, seed, matching=matching, corrections=corrections, **options)
 
     @property
     def bound(self) -> float | None:
-        """Power in W that no voltage between the outermost samples can exceed.
+        """Power in W that no voltage between the outermost samples can exceed; None before both bounds were measured.
 
         None too where the samples are not of one characteristic: a current that rises with the voltage by more than the
         gap, seen as power, proves that the source changed, and with it every bound.
         """
-        if len(self._points) < 3 or self._contradicted():
+        if not self._spanned or self._contradicted():
             return None
         return max(self.expected, *self._bounds())
 
@@ -164,6 +165,7 @@ class CertifiedSearch(LoadLineSearch):
         for d in (0.5 * (low + high), low, high):
             yield [(d,)]
             insort(self._points, self.learn(d))
+        self._spanned = True
         while self.iteration < self.n_iter:
             bounds = self._bounds()
             k = max(range(len(bounds)), key=bounds.__getitem__)

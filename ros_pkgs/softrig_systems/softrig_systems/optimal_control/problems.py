@@ -39,10 +39,15 @@ def spacecraft(inertia: tuple[float, ...] = INERTIA) -> Problem:
     Raises
     ------
     ProblemError
-        A moment is not positive.
+        A moment is not positive, or larger than the other two together, as of no body.
     """
     if len(inertia) != 3 or not all(0.0 < moment < float("inf") for moment in inertia):
         raise ProblemError(f"inertia = {inertia}: expected 3 positive moments, kg m^2")
+    if 2.0 * max(inertia) > sum(inertia):
+        raise ProblemError(
+            f"inertia = {inertia}: {max(inertia):g} is more than the other two together, as of no body; expected "
+            f"at most {sum(inertia) - max(inertia):g} kg m^2"
+        )
     I1, I2, I3 = inertia
 
     def ode(w: Any, u: Any) -> list[Any]:

@@ -8,11 +8,18 @@ In the time in which the delay is 1, with the Legendre polynomials P_k::
     V        = eta' L eta + int (x, x')' Q (x, x') + int int x'' R x'
 
     Q > 0, R > 0
-    L over the cell + sum (2 k + 1) Omega_k Q11 Omega_k' - [E_i Ed_i]' H_i [E_i Ed_i] > 0
+    L over the cell + sum (2 k + 1) (Omega_k, zeta_k)' Q (Omega_k, zeta_k) - [E_i Ed_i]' H_i [E_i Ed_i] > 0
     Sym(eta' L eta') + (x, x')' Q (x, x') - (x_d, x_d')' Q (x_d, x_d') + x'' R x'
         - sum_{k=0}^N (2 k + 1) zeta_k' R zeta_k + [E_i Ed_i]' U_i [E_i Ed_i] < 0      on the null space of the dynamics
 
-A certificate at one delay says nothing of shorter ones: they are asked for one by one, or Theorem 1 is.
+All of Q stands in the second: Omega_k and zeta_k are the Legendre coefficients of x and x', and Bessel's inequality
+holds for both together. Q11 over Omega_k alone is no bound from below where Q12 is not 0.
+
+A certificate at one delay says nothing of shorter ones. In the time t/h a shorter delay d makes the slope d/h of what
+it is: the third is quadratic in d/h and convex (Q22 > 0, R > 0), so that matrices which meet it at two delays meet it
+at every one between; the second does not know the delay. From no delay at all (`shortest` 0) time cannot be measured in
+delays. There V has d Omega_k in place of Omega_k and d R in place of R, the third is convex in d again, and the second
+is asked for without Q.
 """
 
 from __future__ import annotations
@@ -23,8 +30,8 @@ from .lmi import Array, Problem, Term, quadratic
 from .system import PwaSystem
 
 
-def bessel(system: PwaSystem, order: int, *, cell_terms: bool = False) -> Problem:
-    """Write the inequalities for the constant delay 1; scale the system by h first.
+def bessel(system: PwaSystem, order: int, *, shortest: float = 1.0, cell_terms: bool = False) -> Problem:
+    """Write the inequalities for every constant delay from `shortest` to 1; scale the system by h first.
 
     Parameters
     ----------
@@ -32,6 +39,8 @@ def bessel(system: PwaSystem, order: int, *, cell_terms: bool = False) -> Proble
         Equilibrium at the origin, offsets zero.
     order : int
         N, number of integrals; >= 1.
+    shortest : float
+        0 to 1.
     cell_terms : bool
         With the matrices U_i.
     """
@@ -49,26 +58,32 @@ def bessel(system: PwaSystem, order: int, *, cell_terms: bool = False) -> Proble
     p.positive("R", [quadratic("R", np.eye(n))], traced=True)
     for i in range(system.cells):
         E, F = system.E[i].T, system.F[i]
-        eta = np.hstack([np.hstack([x, x_d]) @ F.T, *omega])
-        slope = x @ system.A[i].T + x_d @ system.Ad[i].T
-        eta_slope = np.hstack([np.hstack([slope, slope_d]) @ F.T, *zeta[:order]])
-        terms = [quadratic("L", eta[stays])]
-        terms += [quadratic("Q", omega[k][stays] @ np.eye(2 * n)[:n], 2.0 * k + 1.0) for k in range(order)]
+        now = np.hstack([x, x_d])
+        terms = [quadratic("L", np.hstack([now @ F.T, *omega])[stays])]
+        if shortest > 0.0:
+            both = [np.hstack([omega[k], zeta[k]])[stays] for k in range(order)]
+            terms += [quadratic("Q", both[k], 2.0 * k + 1.0) for k in range(order)]
         if E.size:
             p.symmetric(f"H{i}", E.shape[1], positive=True)
-            terms.append(quadratic(f"H{i}", np.hstack([x, x_d])[stays] @ E, -1.0))
+            terms.append(quadratic(f"H{i}", now[stays] @ E, -1.0))
         p.positive(f"V > 0 cell {i}", terms, traced=True)
-        falls = [
-            Term("L", eta, eta_slope),
-            quadratic("Q", np.hstack([x, slope])),
-            quadratic("Q", np.hstack([x_d, slope_d]), -1.0),
-            quadratic("R", slope),
-            *(quadratic("R", zeta[k], -(2.0 * k + 1.0)) for k in range(order + 1)),
-        ]
         if cell_terms and E.size:
             p.symmetric(f"U{i}", E.shape[1], positive=True)
-            falls.append(quadratic(f"U{i}", np.hstack([x, x_d]) @ E))
-        p.positive(f"V' < 0 cell {i}", [Term(t.name, -t.left, t.right) for t in falls])
+        for d in sorted({shortest, 1.0}, reverse=True):
+            whole = x @ system.A[i].T + x_d @ system.Ad[i].T
+            slope, weight = (d * whole, 1.0) if shortest > 0.0 else (whole, d)
+            eta = np.hstack([now @ F.T, *(weight * o for o in omega)])
+            falls = [
+                Term("L", eta, np.hstack([np.hstack([slope, slope_d]) @ F.T, *zeta[:order]])),
+                quadratic("Q", np.hstack([x, slope])),
+                quadratic("Q", np.hstack([x_d, slope_d]), -1.0),
+                quadratic("R", d * whole),
+                *(quadratic("R", zeta[k], -(2.0 * k + 1.0)) for k in range(order + 1)),
+            ]
+            if f"U{i}" in p.unknowns:
+                falls.append(quadratic(f"U{i}", now @ E))
+            name = f"V' < 0 cell {i}" + (f", d {d:.6g}" if shortest < 1.0 else "")
+            p.positive(name, [Term(t.name, -t.left, t.right) for t in falls])
     return p
 
 

@@ -105,7 +105,9 @@ class CertificateNode(Solver[CertificateParams]):
     ``certificate/verdict``: h, valid (1 or 0), the solver's margin t, the smallest eigenvalue of any inequality as a
     share of its largest, and the number of inequalities. ``certificate/matrices``: every unknown in the order of the
     problem, in the time t/h, filled up with zeros; names are in the diagnostics. A system to which the theorem does not
-    apply gets valid = 0, h = 0 and the reason as a warning, never a margin.
+    apply gets valid = 0, h = 0 and the reason as a warning, never a margin. /diagnostics say which delays it covers:
+    Theorem 1 all up to h; the criterion for constant delays, asked at one h, that h alone, and searched, the first
+    window of stable delays to its end.
 
     It is a certificate of what its parameters say; a rig whose plant or law has other values is refused by name. h of a
     level is of pipe and hold of the law together.
@@ -181,9 +183,17 @@ class CertificateNode(Solver[CertificateParams]):
         figures = {**super().health(), "matrices": ", ".join(self.p.shapes())}
         found = self._result.answer.certificate if self._result is not None and self._result.answer else None
         if found is not None:
-            figures |= {"status": found.status, "seconds": f"{found.seconds:.3g}"}
+            figures |= {"status": found.status, "seconds": f"{found.seconds:.3g}", "covers": _covered(found)}
             figures |= {e.name: f"{e.smallest:.4g} to {e.largest:.4g}" for e in found.eigenvalues}
         return figures
+
+
+def _covered(found: Certificate) -> str:
+    if not found.valid:
+        return "nothing"
+    if found.shortest == found.h:
+        return f"a constant delay of {found.h:.6g} s alone, no shorter one"
+    return f"delays from {found.shortest:.6g} s to {found.h:.6g} s, without a gap"
 
 
 def _level(h: float, tank: Mapping[str, float]) -> Certificate:

@@ -26,10 +26,10 @@ class Criterion(NamedTuple):
     order: int = 2
     cell_terms: bool = False
 
-    def problem(self, system: PwaSystem) -> Problem:
-        """Write its inequalities for the delay 1 of a scaled system."""
+    def problem(self, system: PwaSystem, shortest: float = 1.0) -> Problem:
+        """Write its inequalities for the delay 1 of a scaled system; constant: for all from `shortest` to 1."""
         if self.method == "constant":
-            return bessel(system, self.order, cell_terms=self.cell_terms)
+            return bessel(system, self.order, shortest=shortest, cell_terms=self.cell_terms)
         return theorem1(system, self.mu, cell_terms=self.cell_terms)
 
 
@@ -55,6 +55,8 @@ class Certificate(NamedTuple):
         The solver's.
     seconds : float
         Wall-clock time of assembly, solver and check.
+    shortest : float
+        It holds for delays from here to h, s: 0 of Theorem 1; h of one constant delay asked for alone.
     """
 
     h: float
@@ -64,9 +66,12 @@ class Certificate(NamedTuple):
     eigenvalues: list[Eigenvalues]
     status: str
     seconds: float
+    shortest: float = 0.0
 
 
-def certify(system: PwaSystem, h: float, criterion: Criterion = THEOREM1, *, sliding: bool = True) -> Certificate:
+def certify(
+    system: PwaSystem, h: float, criterion: Criterion = THEOREM1, *, shortest: float | None = None, sliding: bool = True
+) -> Certificate:
     """Look for a certificate at one delay bound.
 
     Parameters
@@ -75,6 +80,8 @@ def certify(system: PwaSystem, h: float, criterion: Criterion = THEOREM1, *, sli
     h : float
         Delay bound, s, > 0.
     criterion : Criterion
+    shortest : float, optional
+        Constant: for every delay from here to h, 0 to h, s; h alone when absent.
     sliding : bool
         Test for sliding too; a search tests the largest delay only.
 
@@ -83,33 +90,41 @@ def certify(system: PwaSystem, h: float, criterion: Criterion = THEOREM1, *, sli
     NotApplicable
         No equilibrium at the origin, or sliding on a face.
     ValueError
-        h or mu out of range.
+        h, mu or shortest out of range.
     """
     if not (h > 0.0 and math.isfinite(h)):
         raise ValueError(f"h = {h}: expected a positive time")
     if not (criterion.mu >= 0.0 and math.isfinite(criterion.mu)):
         raise ValueError(f"mu = {criterion.mu}: expected at least 0")
+    covered = 0.0 if criterion.method == "theorem1" else h if shortest is None else shortest
+    if not 0.0 <= covered <= h:
+        raise ValueError(f"shortest = {covered}: expected from 0 to h = {h}")
     begin = time.perf_counter()
     system = require_equilibrium(system)
     if sliding:
         require_no_sliding(system, h)
-    problem = criterion.problem(system.scaled(h))
+    problem = criterion.problem(system.scaled(h), covered / h)
     found = problem.solve()
     eigenvalues = problem.check(found.matrices)
     valid = found.status == "Solved" and found.t > 0.0 and all(e.positive for e in eigenvalues)
-    return Certificate(h, valid, found.t, found.matrices, eigenvalues, found.status, time.perf_counter() - begin)
+    seconds = time.perf_counter() - begin
+    return Certificate(h, valid, found.t, found.matrices, eigenvalues, found.status, seconds, covered)
 
 
 def certified_margin(
     system: PwaSystem, criterion: Criterion = THEOREM1, *, low: float = 0.0, high: float = 0.0, width: float = 1e-4,
     tell: Callable[[Certificate], object] | None = None,
 ) -> Certificate | None:  # fmt: skip
-    """Bisect for the largest delay bound with a certificate.
+    """Look for the largest delay bound with a certificate.
+
+    Theorem 1 is bisected. The criterion for constant delays is walked up, each step a certificate for every delay of
+    the step, so that no window of unstable delays is passed: the end of the first window is found, though a later one
+    may be stable again.
 
     Parameters
     ----------
     low, high : float
-        Bracket, s; found by doubling where it is 0 or does not hold.
+        Bracket, s; found by itself where it is 0 or does not hold.
     width : float
         Relative width at which it ends.
     tell : callable, optional
@@ -118,37 +133,59 @@ def certified_margin(
     Returns
     -------
     Certificate or None
-        The last valid one; None when there is none even at a delay of 1e-6 of the system's fastest time.
+        The last valid one. Its `shortest` is 0; where there is no certificate down to no delay but one at `low`, it is
+        `low`. None when there is none even at a delay of 1e-6 of the system's fastest time.
     """
 
-    def ask(h: float) -> Certificate:
-        found = certify(system, h, criterion, sliding=False)
+    def ask(h: float, shortest: float | None = None) -> Certificate:
+        found = certify(system, h, criterion, shortest=shortest, sliding=False)
         if tell is not None:
             tell(found)
         return found
 
     require_no_sliding(require_equilibrium(system), high or 1e-9)
-    high = high or low or _fast_time(system)
-    best = ask(low) if low > 0.0 else None
-    if best is None or not best.valid:
-        smallest = 1e-6 * _fast_time(system)
-        low = min(high, low or high) / 2.0
-        while not (best := ask(low)).valid:
-            high, low = low, low / 2.0
-            if low < smallest:
-                return None
-    while (above := ask(high)).valid:
-        best, low, high = above, high, 2.0 * high
-        if high > 1e9 * _fast_time(system):
-            return best  # stable for every delay, as far as that can be told
-    while high - low > max(width * low, 2.0 * math.ulp(high)):  # numbers between them, too
-        middle = 0.5 * (low + high)
-        found = ask(middle)
+    fast = _fast_time(system)
+    begin = low or high or fast
+    while not (best := ask(begin, 0.0)).valid:
+        begin /= 2.0
+        if begin < 1e-6 * fast:
+            break
+    if not best.valid and (criterion.method == "theorem1" or not low or not (best := ask(low)).valid):
+        return None
+    search = _walk if criterion.method == "constant" else _bisect
+    end = search(ask, best, max(high - best.h, best.h), width, 1e9 * fast)
+    require_no_sliding(require_equilibrium(system), end.h)
+    return end
+
+
+def _walk(ask: Callable[..., Certificate], best: Certificate, step: float, width: float, most: float) -> Certificate:
+    """Go up from a certificate by certified steps, halved where there is none.
+
+    The largest step that can be certified is a third to a half of the way that is left: it ends at a tenth of `width`.
+    """
+    shortest, failed = best.shortest, False
+    while step > max(0.1 * width * best.h, 2.0 * math.ulp(best.h)) and best.h < most:  # numbers between them, too
+        found = ask(best.h + step, best.h)
         if found.valid:
-            best, low = found, middle
+            best = found
+        failed = failed or not found.valid
+        step *= 0.5 if not found.valid else 1.0 if failed else 2.0
+    return best._replace(shortest=shortest)
+
+
+def _bisect(ask: Callable[..., Certificate], best: Certificate, step: float, width: float, most: float) -> Certificate:
+    """Double the delay until there is no certificate, then halve the gap."""
+    high = best.h + step
+    while (above := ask(high)).valid:
+        best, high = above, 2.0 * high
+        if high > most:
+            return best  # stable for every delay, as far as that can be told
+    while high - best.h > max(width * best.h, 2.0 * math.ulp(high)):
+        middle = 0.5 * (best.h + high)
+        if (found := ask(middle)).valid:
+            best = found
         else:
             high = middle
-    require_no_sliding(require_equilibrium(system), low)
     return best
 
 

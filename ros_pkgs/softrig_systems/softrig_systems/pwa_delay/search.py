@@ -87,8 +87,13 @@ def growth_rate(run: Run) -> float:
     return float(np.polyfit(t[peak], np.log(x[peak]), 1)[0])
 
 
-def find_margin(growth: Callable[[float], float], low: float, high: float, *, width: float = 1e-5) -> Margin:
-    """Find the delay at which a growth rate changes from negative to positive (regula falsi, Illinois).
+def find_margin(
+    growth: Callable[[float], float], low: float, high: float, *, width: float = 1e-5, grid: int = 8
+) -> Margin:
+    """Find the first delay at which a growth rate changes from negative to positive.
+
+    Where it does so first is seen on a grid, for a stable delay says nothing of shorter ones; there by regula falsi
+    (Illinois).
 
     Parameters
     ----------
@@ -98,16 +103,26 @@ def find_margin(growth: Callable[[float], float], low: float, high: float, *, wi
         Bracket, s.
     width : float
         Absolute width of the bracket, or change of the estimate, at which it ends, s.
+    grid : int
+        Parts of the bracket; an unstable window within one of them is passed.
 
     Raises
     ------
     ValueError
-        The rates at the ends have the same sign.
+        It is not negative at `low`, or never positive.
     """
-    found = {low: growth(low), high: growth(high)}
-    at_low, at_high = found[low], found[high]
-    if not at_low < 0.0 < at_high:
-        raise ValueError(f"growth {at_low:.3g} 1/s at {low:g} s and {at_high:.3g} 1/s at {high:g} s: no margin between")
+    found: dict[float, float] = {}
+    at_low = at_high = -math.inf
+    for h in (low + (high - low) * k / grid for k in range(grid + 1)):
+        at_low, at_high = at_high, growth(h)
+        found[h] = at_high
+        if not at_high < 0.0:
+            break
+    if not at_low < 0.0 < at_high or at_low == -math.inf:
+        first, last = next(iter(found.items())), next(reversed(found.items()))
+        raise ValueError(f"growth {first[1]:.3g} 1/s at {first[0]:g} s and {last[1]:.3g} 1/s at {last[0]:g} s: no "
+                         "margin between")  # fmt: skip
+    low, high = list(found)[-2:]
     h = before = low
     side = 0
     while high - low > max(width, 2.0 * math.ulp(high)):  # numbers between them, too

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -82,8 +83,10 @@ class PwaSystem:
 
     def scaled(self, h: float) -> PwaSystem:
         """Give the system in the time t/h, in which a delay of h is 1."""
-        return PwaSystem(tuple(h * A for A in self.A), tuple(h * Ad for Ad in self.Ad), tuple(h * a for a in self.a),
-                         self.E, self.e, self.F, self.lines, self.lines_delayed)  # fmt: skip
+        found = copy(self)  # cells and features stay, and what was checked of them
+        for name in ("A", "Ad", "a"):
+            object.__setattr__(found, name, tuple(h * m for m in getattr(self, name)))
+        return found
 
     def _check_sizes(self) -> None:
         n, cells = self.A[0].shape[0], len(self.A)
