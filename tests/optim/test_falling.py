@@ -25,7 +25,9 @@ def test_any_two_measurements_are_compared(samples):
 @settings(max_examples=50, deadline=None, derandomize=True)
 def test_one_characteristic_contradicts_nothing(voltages, n):
     curve = FallingCurve(n)
-    assert [curve.take((v, max(3.8 - 0.01 * math.expm1(v / 3.2), 0.0), 25.0)) for v in voltages] == [0.0] * len(voltages)
+    assert [curve.take((v, max(3.8 - 0.01 * math.expm1(v / 3.2), 0.0), 25.0)) for v in voltages] == [0.0] * len(
+        voltages
+    )
 
 
 def test_noise_is_within_a_corner_and_a_change_is_not():

@@ -19,6 +19,7 @@ from .falling import FallingCurve
 from .search import Point, Search
 
 CONSECUTIVE = 2  # deviations of the held objective in a row that start a new search
+STEADY = 0.1  # share of a change that counts by which a value may move in a hold_time and be the one held
 LOOK_BACK = 2  # how long that takes, in hold_times
 BROKEN = 3  # searches in a row that a change of the plant may break off
 
@@ -83,7 +84,7 @@ class CommandSearch(Block[P], ABC):
     told and the next one applied. When the search has ended its result is held, and a new search starts
 
     - when the value at the end of `settle_time` differs by more than `restart_threshold` from what the search found:
-      the plant changed meanwhile (later where it still moves by as much in a `hold_time`);
+      the plant changed meanwhile (later where it still moves by a tenth of that in a `hold_time`);
     - at once, until then, when the measurements prove a change of the plant by more than that (`characteristic`), or by
       more than the gap of a proof; so that they do, a search whose plant has a characteristic looks back at its end:
       the command passes once through its range;
@@ -356,15 +357,15 @@ class CommandSearch(Block[P], ABC):
             return True
         if self._reference is None:
             before, self._seen = self._seen, value
-            if held < self._settle or self._differs(value, before):
+            if held < self._settle or self._differs(value, before, STEADY):
                 return False
             self._reference = value
             return self._refuted(t, value)
         self._deviations = self._deviations + 1 if self._differs(value, self._reference) else 0
         return self._deviations == CONSECUTIVE
 
-    def _differs(self, value: float, reference: float) -> bool:
-        threshold = self.p.restart_threshold
+    def _differs(self, value: float, reference: float, part: float = 1.0) -> bool:
+        threshold = part * self.p.restart_threshold
         return threshold > 0.0 and abs(value - reference) > threshold * abs(reference)
 
     def _mean(self) -> float:
