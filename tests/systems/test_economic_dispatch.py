@@ -266,7 +266,7 @@ def test_where_boxes_run_out_the_adaptive_milps_prove_it():
 
 
 def test_a_time_limit_gives_the_best_so_far_with_its_true_gap():
-    units = Units(tuple(str(i) for i in range(80)), np.tile(Units.read("units_40").table, (2, 1)))
+    units = Units.read("2*units_40")
     found = Optimiser(units, max_nodes=1, time_limit=1.0, nseg=2).certified(21000.0)
     assert found.limited
     assert "time limit" in found.reason
@@ -328,15 +328,17 @@ def test_a_demand_beyond_the_units_is_infeasible_with_both_sums():
     assert marginal_cost(units, units.p_min)[0] == -np.inf
 
 
-@pytest.mark.long
-@pytest.mark.parametrize(("copies", "limit", "nseg"), [(2, 242800, 4), (25, 3034710, 2)])
-def test_many_units(copies, limit, nseg):
-    """80 and 1000 units within a minute by the two stages."""
-    base = Units.read("units_40")
-    units = Units(tuple(str(i) for i in range(40 * copies)), np.tile(base.table, (copies, 1)))
-    found = Optimiser(units, nseg=nseg, time_limit=55.0, mip_gap=1e-5).two_stage(10500.0 * copies)
-    assert feasible(units, found.P, 10500.0 * copies)
-    assert found.cost <= limit
+def test_a_table_several_times_over():
+    units = Units.read("3*units_13")
+    one = Units.read("units_13")
+    assert len(set(units.ids)) == 39
+    assert units.ids[:13] == one.ids
+    assert units.ids[13:15] == ("1_2", "2_2")
+    assert units.table.tolist() == one.table.tolist() * 3
+    assert units.more is None
+    for wrong in ("0*units_13", "*units_13", "x*units_13", "2*nothing"):
+        with pytest.raises((OSError, ValueError)):
+            Units.read(wrong)
 
 
 # Node ----------------------------------------------------------------------------------------------
@@ -345,18 +347,16 @@ def test_many_units(copies, limit, nseg):
 SCENARIOS = [n for n in list_scenarios() if n.startswith("economic_dispatch")]
 
 
-@pytest.mark.parametrize("name", [n for n in SCENARIOS if n != "economic_dispatch_two_stage"])
+SLOW = [f"economic_dispatch_{n}" for n in ("two_stage", "80_units", "1000_units")]  # MILPs of ten seconds and more
+
+
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.long] * (n in SLOW)) for n in SCENARIOS])
 def test_every_scenario_meets_its_expectations(name):
     run = simulate(name)
     assert not run.error
     assert [f"{r.name} {r.value} {r.error}" for r in run.results if not r.passed] == []
     assert any(r.judged for r in run.results)
-
-
-@pytest.mark.long
-def test_the_papers_two_stages_as_a_scenario():
-    """The MILP of the 13 units takes ten seconds: six identical units."""
-    assert all(r.passed for r in simulate("economic_dispatch_two_stage").results)
 
 
 @pytest.fixture

@@ -419,18 +419,72 @@ def test_light_that_comes_back_during_a_search_starts_another(algorithm):
         assert status["phase"][-1] == 2.0
         return status["restarts"][-1]
 
-    assert searches(tuple(0.7 * g for g in PATTERN1)) == 1.0
+    assert searches(tuple(0.7 * g for g in PATTERN1)) in (1.0, 2.0)  # seen when it goes, when it comes, or both
     assert searches(PATTERN1) == 0.0
     assert searches(PATTERN1, **{"pv_plant.noise": 0.005}) == 0.0
 
 
-def test_what_one_characteristic_gives_contradicts_nothing():
-    tracker = MpptOptimizer()
-    assert tracker.contradiction(()) == 0.0
-    assert tracker.contradiction(((50.0, 2.0, 25.0), (20.0, 3.0, 25.0), (60.0, 1.5, 25.0), (20.0, 3.0, 25.0))) == 0.0
-    assert tracker.contradiction(((50.0, 2.0, 25.0), (20.0, 1.5, 25.0), (60.0, 1.0, 25.0))) == pytest.approx(
-        (2.0 / 1.5) ** 2 - 1.0
-    )
+CLOUDS = [  # light while it passes, from when to when, s
+    ((285.0, 292.0, 89.0, 164.0), 0.68, 1.171),
+    ((504.0, 577.0, 299.0, 583.0), 0.05, 0.186),  # a proof of 108.99 W was of both lights
+    ((910.0, 123.0, 309.0, 641.0), 1.868, 1.999),  # nothing that the search asks for shows the light of its beginning
+]
+
+
+def after_a_cloud(algorithm, light, begin, end, seconds, seed=0):
+    """Power at each tick after a cloud over pattern 1, and the states."""
+    powers, states = [], []
+    plant, tracker = PvPlant(), MpptOptimizer(algorithm=algorithm)
+    tracker.reset(seed)
+    for tick in range(round((end + seconds) * 1000)):
+        t = tick * 1_000_000
+        outputs = plant.outputs(t)
+        answer = tracker.update(t, outputs["port"], None, None, None)
+        powers.append(outputs["converter"][3])
+        states.append(answer["state"])
+        plant.advance(t, answer["command"], (light if begin <= tick / 1000 < end else PATTERN1) + ROOM)
+    return np.array(powers)[round(end * 1000) + 1 :], np.array(states)[round(end * 1000) + 1 :]
+
+
+@pytest.mark.parametrize("cloud", CLOUDS)
+@pytest.mark.parametrize("algorithm", ["certified", "certified_transients", "ramp"])
+def test_a_cloud_in_mid_search_is_seen(algorithm, cloud):
+    """The maximum after it, and no bound below what is there."""
+    powers, states = after_a_cloud(algorithm, *cloud, 2.5)
+    best = string(PATTERN1).gmpp.p
+    assert 0.997 * best < powers[-1] <= best * (1.0 + 1e-9)
+    seen = states[20:]
+    assert not np.any((seen[:, 0] == 2.0) & (seen[:, 5] > 0.0) & (seen[:, 5] < best))
+    assert states[-1, 3] <= 3.0
+    if algorithm == "certified":
+        assert states[-1, 5] >= best
+
+
+@pytest.mark.long
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize(("algorithm", "good"), [("certified", 200), ("certified_transients", 197)])
+def test_two_hundred_clouds(algorithm, good):
+    """95 % of the energy of the 10 s after a cloud of 50 to 1000 W/m^2; one not seen at the duty held is the rescan's."""
+    rng, best, shares, false = np.random.default_rng(46), string(PATTERN1).gmpp.p, [], 0
+    for seed in range(200):
+        light = tuple(rng.uniform(50.0, 1000.0, 4).round(0).tolist())
+        begin = round(float(rng.uniform(0.0, 2.0)), 3)
+        end = begin + round(float(rng.uniform(0.05, 1.0)), 3)
+        powers, states = after_a_cloud(algorithm, light, begin, end, 10.0, seed)
+        shares.append(powers.mean() / best)
+        seen = states[100:]
+        false += bool(np.any((seen[:, 0] == 2.0) & (seen[:, 5] > 0.0) & (seen[:, 5] < best)))
+    assert np.count_nonzero(np.array(shares) >= 0.95) == pytest.approx(good, abs=2)
+    assert false <= 4
+
+
+def test_a_light_that_never_rests_does_not_make_it_search_for_ever():
+    """Three searches broken off, then each is held for twice as long as it took, and twice that the next time."""
+    light = [tuple(g * f for g in PATTERN1) for f in (1.0, 0.8)]
+    _, states, tracker = in_changing_light(lambda s: light[int(s / 0.13) % 2], 12.0, algorithm="certified")
+    phases = np.array(states)[:, 0]
+    assert np.mean(phases[2000:] == 2.0) > 0.1
+    assert tracker.reports["changed"][0] is Level.WARN
 
 
 def test_same_seed_same_bits():

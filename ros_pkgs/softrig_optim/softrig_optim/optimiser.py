@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from enum import IntEnum
 from typing import Self
 
@@ -15,10 +15,13 @@ from softrig_core import Block, BlockParams, Level, Port, button, command, execu
 from typing_extensions import TypeVar
 
 from .algorithms import Algorithm, AlgorithmParams, make
+from .falling import FallingCurve
 from .search import Point, Search
 
 CONSECUTIVE = 2  # deviations of the held objective in a row that start a new search
-REMEMBERED = 1000  # measurements of a search: more than one that ends makes
+STEADY = 0.1  # share of a change that counts by which a value may move in a hold_time and be the one held
+LOOK_BACK = 2  # how long that takes, in hold_times
+BROKEN = 3  # searches in a row that a change of the plant may break off
 
 
 class Phase(IntEnum):
@@ -81,11 +84,15 @@ class CommandSearch(Block[P], ABC):
     told and the next one applied. When the search has ended its result is held, and a new search starts
 
     - when the value at the end of `settle_time` differs by more than `restart_threshold` from what the search found:
-      the plant changed meanwhile (once, not again after that search);
-    - at once when what the search measured contradicts itself by more than that (`contradiction`): the plant changed
-      and perhaps changed back (once likewise);
+      the plant changed meanwhile (later where it still moves by a tenth of that in a `hold_time`);
+    - at once, until then, when the measurements prove a change of the plant by more than that (`characteristic`), or by
+      more than the gap of a proof; so that they do, a search whose plant has a characteristic looks back at its end:
+      the command passes once through its range;
     - when two samples in a row, `hold_time` apart, differ so much from the value at the end of `settle_time`;
     - `rescan_period` after the start of the last search: what changes elsewhere does not show in the value held.
+
+    What was found and lost so for the second time in a row, or broken off so for the fourth, is held nevertheless,
+    twice as long as it took; twice that the next time, and so on: where nothing is ever confirmed searches become rare.
 
     A search that meets no signal (`no_signal`) for `hold_time` stops, goes to the lower bounds, and starts anew when
     the signal is back; a shorter gap has the candidate measured again. That needs no `restart_threshold`.
@@ -94,12 +101,14 @@ class CommandSearch(Block[P], ABC):
     among its samples is measured again. Bounds and algorithm are those of the search under way: fixed at the start.
 
     The state output has the phase (0 stopped, 1 search, 2 hold), the iteration and evaluations of the newest search,
-    the number of new searches after the first, the best value and command so far, and the proven bound (0: none; also
-    once the value held differs from what was found by more than the gap that was proven: the plant is another one).
+    the number of new searches after the first, the best value and command so far, and the proven bound. That is of the
+    plant as it was while the search measured. It is 0 without a proof, and from when measurements prove that the plant
+    changed during the search, or the value held differs from what was found, by more than the gap that was proven.
     """
 
     _since: int | None  # when the command arrived at the target
     _reference: float | None  # value held that changes are measured against
+    _looking: int | None  # since when the search is done and looks back
     _dark: int | None  # since when candidates end without a signal
     _streak: int  # samples in a row without one
 
@@ -119,17 +128,9 @@ class CommandSearch(Block[P], ABC):
         """Tell whether a measurement during a search shows that there is nothing to search on: not above `floor`."""
         return self.p.floor is not None and value <= self.p.floor
 
-    def contradiction(self, samples: Sequence[Point]) -> float:
-        """Give the relative change of the objective that the measurements of a search prove.
-
-        It is zero when one plant that does not change may have given them all; always without knowledge of the plant.
-
-        Parameters
-        ----------
-        samples : sequence of tuple of float
-            The measurement at the end of each candidate's time, in order.
-        """
-        return 0.0
+    def characteristic(self, n: int) -> FallingCurve | None:
+        """Make what sees in measurements that the plant is another one, n of them a corner; None: nothing can."""
+        return None
 
     def setup(self) -> None:
         """Times in ns."""
@@ -144,11 +145,9 @@ class CommandSearch(Block[P], ABC):
         """No candidate yet."""
         self._pressed: tuple[bool, ...] = (False, False, False)
         self._window: deque[float] = deque(maxlen=self._window_size)
-        self._samples: deque[Point] = deque(maxlen=REMEMBERED)
         self._command: Point | None = None
         self._restarts = -1
-        self._rechecked = False
-        self._void = False
+        self._unconfirmed = 0  # searches in a row whose result the plant did not bear out
         self._begin(0)
         if not self.p.autostart:  # the search begun only answers for the state; the first start makes another
             self._phase = Phase.STOPPED
@@ -173,7 +172,7 @@ class CommandSearch(Block[P], ABC):
                 else:
                     self._search_tick(t, measurement, self.no_signal(measurement, value))
             elif self._phase is Phase.HOLD:
-                self._hold_tick(t)
+                self._hold_tick(t, measurement)
         return {"command": self._move(t), "state": self._state}
 
     def refused(self, t: int) -> Mapping[str, Point]:
@@ -218,8 +217,13 @@ class CommandSearch(Block[P], ABC):
         self._search = self.new_search(self.rng)
         self._dark = None
         self._streak = 0
-        self._waiting = self._void = False
-        self._samples.clear()
+        self._waiting = self._broken = False
+        self._void = math.isinf(self._search.gap)
+        self._reference = None
+        self._again = math.inf
+        self._looking = None
+        watched = self._search.remembers and (self.p.restart_threshold > 0.0 or not self._void)
+        self._curve = self.characteristic(max(1, self._hold // (4 * self._period))) if watched else None
         self._aim(self._search.ask())
 
     def _gone(self, t: int) -> None:
@@ -247,6 +251,11 @@ class CommandSearch(Block[P], ABC):
             if 2 * self._streak * self._period >= self._hold:  # not one of a transient: the candidate has not settled
                 self._discard(t)
             self._streak = 0
+            if self._breaks_off(t, sample):
+                return
+        if self._looking is not None:
+            self._look_back(t, t - self._looking)
+            return
         if self._since is None or t - self._since < wait:
             if not dark:
                 search.watch(sample)
@@ -256,43 +265,89 @@ class CommandSearch(Block[P], ABC):
             return
         self._dark = None
         search.tell(self._mean(), sample)
-        self._samples.append(sample)
         if not search.done:
             self._aim(search.ask())
         elif self.p.floor is not None and search.expected <= self.p.floor:
             self.report(Level.WARN, "no signal", "no candidate gave a value above the floor: searching on")
             self._begin(t)
-        elif not self._rechecked and self._changed_meanwhile():
-            self._rechecked = True
-            self.report(Level.WARN, "changed", "the plant changed during the search: searching anew")
-            self._begin(t)
+        elif self._curve is not None and self.p.restart_threshold > 0.0:
+            self._looking = t
         else:
-            self._phase = Phase.HOLD
-            self._aim(search.result)
-            self._next_sample = self._hold
-            self._reference = None
-            self._deviations = 0
-            self._lost = False
+            self._keep()
         self._note()
 
-    def _changed_meanwhile(self) -> bool:
-        threshold = self.p.restart_threshold
-        return threshold > 0.0 and self.contradiction(tuple(self._samples)) > threshold
+    def _look_back(self, t: int, elapsed: int) -> None:
+        """Pass through the range of the command once: the search may have measured what is no more."""
+        share = elapsed / (LOOK_BACK * self._hold)
+        lower, upper = self._search.lower, self._search.upper
+        if share < 1.0:
+            self._aim(tuple((lower + share * (upper - lower)).tolist()))
+        elif self._command == self._target:
+            self._keep()
+            self._note()
 
-    def _hold_tick(self, t: int) -> None:
+    def _keep(self) -> None:
+        """Hold what was found."""
+        self._phase = Phase.HOLD
+        self._aim(self._search.result)
+        self._next_sample = self._hold
+        self._seen = math.inf
+        self._deviations = 0
+        self._lost = False
+
+    def _breaks_off(self, t: int, sample: Point) -> bool:
+        """See in a measurement that the plant changed since the search began; tell whether another one has begun."""
+        if self._curve is None:
+            return False
+        change, gap, threshold = self._curve.take(sample), self._search.gap, self.p.restart_threshold
+        if change > gap and not self._void:
+            self._withdraw()
+        if self._broken or self._reference is not None or not change > min(threshold, gap) > 0.0:
+            return False
+        self._broken = True
+        self._unconfirmed += 1
+        if self._unconfirmed > BROKEN:
+            return False
+        self.report(Level.WARN, "changed", "the plant changed during the search: searching anew")
+        self._begin(t)
+        self._note()
+        return True
+
+    def _withdraw(self) -> None:
+        if self._search.bound is not None:
+            self.report(Level.WARN, "proof", "the plant is not the one of the proof any more: the bound is withdrawn")
+        self._void = True
+        self._note()
+
+    def _refuted(self, t: int, value: float) -> bool:
+        """Whether the value held calls for a new search, now; plan one for later when that has been tried."""
+        free = BROKEN if self._broken else 1
+        if not self._broken:
+            if not self._differs(value, self._search.expected):
+                self._unconfirmed = 0
+                return False
+            self._unconfirmed += 1
+        self._again = t + (t - self._began) * 2 ** max(self._unconfirmed - free, 0)
+        return self._unconfirmed <= free
+
+    def _hold_tick(self, t: int, sample: Point) -> None:
+        watched = self._reference is None or not self._void
+        if watched and not self.no_signal(sample, self._window[-1]) and self._breaks_off(t, sample):
+            return
         if self._since is None or t - self._since < self._next_sample:
             return
         held, value = t - self._since, self._mean()
         self._next_sample = held + self._hold  # also after bad samples a whole hold_time apart
-        expected = self._search.expected
-        if not self._void and held >= self._settle and abs(value - expected) > self._search.gap * abs(expected):
-            self._void = True
-            self._note()
-        if self._changed(value, held) or (self._rescan and t - self._began >= self._rescan and not self._lost):
+        expected, changed = self._search.expected, self._changed(t, value, held)
+        judged = self._lost or self._reference is not None
+        if judged and not self._void and abs(value - expected) > self._search.gap * abs(expected):
+            self._withdraw()
+        timer = t >= self._again or (self._rescan and t - self._began >= self._rescan)
+        if changed or (timer and not self._lost):
             self._begin(t)
             self._note()
 
-    def _changed(self, value: float, held: int) -> bool:
+    def _changed(self, t: int, value: float, held: int) -> bool:
         """Whether the value held calls for a new search."""
         if self.p.floor is not None and value <= self.p.floor:
             self._lost = True
@@ -301,16 +356,16 @@ class CommandSearch(Block[P], ABC):
         if self._lost:
             return True
         if self._reference is None:
-            if held < self._settle:
+            before, self._seen = self._seen, value
+            if held < self._settle or self._differs(value, before, STEADY):
                 return False
-            self._rechecked = not self._rechecked and self._differs(value, self._search.expected)
             self._reference = value
-            return self._rechecked
+            return self._refuted(t, value)
         self._deviations = self._deviations + 1 if self._differs(value, self._reference) else 0
         return self._deviations == CONSECUTIVE
 
-    def _differs(self, value: float, reference: float) -> bool:
-        threshold = self.p.restart_threshold
+    def _differs(self, value: float, reference: float, part: float = 1.0) -> bool:
+        threshold = part * self.p.restart_threshold
         return threshold > 0.0 and abs(value - reference) > threshold * abs(reference)
 
     def _mean(self) -> float:
@@ -329,7 +384,7 @@ class CommandSearch(Block[P], ABC):
             if self._search.best is not None:
                 self._aim(self._search.result)
         elif restart or (start and self._phase is Phase.STOPPED):
-            self._rechecked = False
+            self._unconfirmed = 0
             self._begin(t)
         self._note()
 

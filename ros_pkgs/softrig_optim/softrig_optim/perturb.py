@@ -25,6 +25,8 @@ class PerturbObserve(Search):
     J. Farzaneh, A. Karsaz, 2020, section III.A.
     """
 
+    remembers = False
+
     def __init__(
         self, lower: Sequence[float], upper: Sequence[float], seed: Seed = 0, *, step: float = 0.005,
         initial: float | None = None, **options: Unpack[Options],

@@ -65,6 +65,8 @@ class Search(ABC):
         Iteration (generation) the pending candidates belong to; 0 is the initial one.
     settle : bool
         Whether the pending candidate is to be measured in steady state; a sweep is measured on the fly.
+    remembers : bool
+        Whether what was told long ago still decides, so that it must be of the same objective.
 
     Raises
     ------
@@ -77,6 +79,8 @@ class Search(ABC):
     >>> while not search.done:
     ...     search.tell((search.ask()[0] - 0.3) ** 2)
     """
+
+    remembers = True
 
     def __init__(
         self,

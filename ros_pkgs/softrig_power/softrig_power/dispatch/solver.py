@@ -35,7 +35,8 @@ class DispatchParams(SolverParams):
     """Units, method and limits."""
 
     period: float = param(1.0, "sampling period: how often a demand is looked for", "s", gt=0.0, le=86400.0)
-    unit_table: str = param("units_13", "table of the units: a name of this package's, a file or a package:// URI")
+    unit_table: str = param("units_13", "table of the units: a name of this package's, a file or a package:// URI; "
+                            "25*units_40: each unit 25 times")  # fmt: skip
     demand: float = param(0.0, "demand until a message comes; 0: none", "MW", ge=0.0, le=1e7)
     method: Method = param("certified", "two_stage (the paper's), certified, enumeration or baseline")
     algorithm: Baseline = param("pso", "search of the baseline")

@@ -85,8 +85,12 @@ class Units:
         Parameters
         ----------
         source : str
-            A file name, a ``package://`` URI, or the name of a table that comes with the package (``units_13``).
+            A file name, a ``package://`` URI, or the name of a table that comes with the package (``units_13``);
+            ``25*units_40`` has each of its units 25 times, the copies named ``1_2``, ``1_3``, ...
         """
+        copies, star, table = source.partition("*")
+        if star and copies.isdecimal() and int(copies) > 0:
+            return cls.read(table).times(int(copies))
         if "/" not in source and not source.endswith(".csv"):
             source = f"package://softrig_power/dispatch/tables/{source}.csv"
         path = resource(source)
@@ -117,6 +121,11 @@ class Units:
         if not rows:
             raise TableError(f"{path.name}: no unit in it")
         return cls(tuple(ids), np.array(rows), np.array(more) if np.isfinite(more).any() else None)
+
+    def times(self, n: int) -> Units:
+        """Give n copies of each unit, the whole table n times; names of the copies end in ``_2`` to ``_n``."""
+        ids = self.ids + tuple(f"{name}_{k}" for k in range(2, n + 1) for name in self.ids)
+        return Units(ids, np.tile(self.table, (n, 1)), None if self.more is None else np.tile(self.more, (n, 1)))
 
     def __len__(self) -> int:
         return len(self.ids)

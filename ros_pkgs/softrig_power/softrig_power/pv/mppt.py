@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Literal, Self
 
 import numpy as np
 from pydantic import model_validator
 from softrig_core import Port, command, executable, param
 from softrig_optim.algorithms import Algorithm, make
+from softrig_optim.falling import FallingCurve
 from softrig_optim.load_line import CertifiedSearch, RampScan
 from softrig_optim.optimiser import CommandSearch, SearchParams, buttons, state_port
 from softrig_optim.search import Point, Search
@@ -16,7 +16,6 @@ from softrig_optim.search import Point, Search
 from .converter import BuckBoostMatching
 from .ports import array_port
 
-SMALL = 1e-6  # V, A: less is none
 Tracker = Literal["certified", "certified_transients", "ramp"]
 
 
@@ -79,15 +78,9 @@ class MpptOptimizer(CommandSearch[MpptParams]):
         """No power and no current either: a large duty brings little power in dim light, but all of the current."""
         return super().no_signal(sample, value) and sample[1] <= 0.1 * (self.p.floor or 0.0)
 
-    def contradiction(self, samples: Sequence[Point]) -> float:
-        """Share of the power by which two measurements differ that are not of one characteristic.
-
-        On one, the current never rises with the voltage: of two points, not both can be larger at one of them. A change
-        that leaves all that was measured after it as it was does not show; the rescan finds it.
-        """
-        v, i = (np.array([max(sample[k], SMALL) for sample in samples]) for k in (0, 1))
-        rise = np.minimum(np.divide.outer(v, v), np.divide.outer(i, i))  # at least 1 on the diagonal
-        return float(np.max(rise, initial=1.0)) ** 2 - 1.0
+    def characteristic(self, n: int) -> FallingCurve:
+        """What sees another light, unless all that is measured later is as it was: that is left to the rescan."""
+        return FallingCurve(n)
 
     def slew(self) -> float:
         """As the parameter says."""
