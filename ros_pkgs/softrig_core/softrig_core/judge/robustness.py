@@ -76,7 +76,9 @@ def extremes(values: Array, first: NDArray[Any], last: NDArray[Any], pick: Pick,
     count = last - first + 1
     found = np.full((*values.shape[:-1], len(first)), none)
     span = 1  # values[..., j] is that over span samples from j on
-    while (at := np.flatnonzero(count >= span)).size:
+    longest = count.max(initial=0)
+    while longest >= span:
+        at = np.flatnonzero((count >= span) & (count < 2 * span))
         found[..., at] = pick(values[..., first[at]], values[..., last[at] - span + 1])
         values = pick(values[..., :-span], values[..., span:])
         span *= 2
