@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -147,7 +148,7 @@ def content(task: Falsification, outcome: Outcome) -> dict[str, Any]:
     return {
         "falsification": task.name, "scenario": task.scenario, "seed": task.seed, "sampler": task.sampler,
         "over": task.over, "requirements": list(outcome.names), "runs": outcome.found.runs,
-        "least": outcome.found.least, "least_at_random": outcome.found.random, "violated": outcome.violated,
+        "least": outcome.found.least, "least_at_corners": outcome.found.corners, "violated": outcome.violated,
         "nominal": outcome.nominal, "worst": outcome.worst, "small": outcome.small_margins,
         "changes": outcome.case[1] if outcome.case else {}, "small_changes": outcome.small[1] if outcome.small else {},
         "broken": [{"changes": c, "error": e} for c, e in outcome.broken], "trace": outcome.found.trace,
@@ -183,11 +184,11 @@ def verdict(outcome: Outcome) -> str:
     runs, found = outcome.found.runs, outcome.found
     if outcome.case is None:
         return f"none of {runs} runs could be judged"
-    at_random = f"random points alone: {number(found.random)}"
+    first = f"corners alone: {number(found.corners)}" if found.corners < math.inf else "no corners asked"
     if outcome.violated:
         made = f"made small in {outcome.shrinking} more runs"
-        return f"violated: {', '.join(outcome.violated)}, least margin {number(found.least)} ({at_random}); {made}"
-    return f"no violation in {runs} runs; least margin {number(found.least)} ({at_random}), at"
+        return f"violated: {', '.join(outcome.violated)}, least margin {number(found.least)} ({first}); {made}"
+    return f"no violation in {runs} runs; least margin {number(found.least)} ({first}), at"
 
 
 def number(value: float | None) -> str:

@@ -1,9 +1,9 @@
-"""The search: corners, random points, a maintained optimiser, then climbs along the bounds until the budget ends."""
+"""The search: corners first, a maintained optimiser, then climbs along the bounds until the budget ends."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any, Literal
@@ -14,8 +14,9 @@ Point = tuple[float, ...]
 Measure = Callable[[Sequence[Point]], list[float]]  # margins of a batch, NaN for what could not be measured
 Sampler = Literal["cmaes", "tpe", "random"]
 
+MANY = 1000  # corners that are drawn
 BATCH = 4  # points asked for at a time, whatever the number of cores: the result does not depend on it
-CORNERS, RANDOM, POLISH = 0.1, 0.1, 0.25  # shares of the budget
+CORNERS, POLISH = 0.1, 0.25  # shares of the budget
 WORST = 1e300  # told of a point that could not be measured
 
 
@@ -31,8 +32,8 @@ class Found:
         Where.
     runs : int
         Number of points measured.
-    random : float
-        Least margin of the random points alone.
+    corners : float
+        Least margin of the corners that come first; infinite where the sampler is ``random``.
     trace : list of float
         Least margin so far after each run.
     """
@@ -40,7 +41,7 @@ class Found:
     least: float = math.inf
     point: Point = ()
     runs: int = 0
-    random: float = math.inf
+    corners: float = math.inf
     trace: list[float] = field(default_factory=list)
 
     def see(self, point: Point, margin: float) -> None:
@@ -62,8 +63,8 @@ def search(
 ) -> Found:  # fmt: skip
     """Look for the least margin in the unit cube.
 
-    Corners come first, then random points, then the sampler; what is left of the budget goes to climbs from corner to
-    corner, from the best point on and then from other corners.
+    Corners come first, then the sampler, from the best of them; what is left of the budget goes to climbs from corner
+    to corner, from the best point on and then from other corners.
 
     Parameters
     ----------
@@ -75,7 +76,7 @@ def search(
         Number of runs.
     seed : int
     sampler : {"cmaes", "tpe", "random"}
-        What follows the random points; ``random`` goes on with them to the end, and begins with them.
+        What follows the corners; ``random`` draws points and nothing else.
     enough : float
         Stop at a margin below this.
     """
@@ -94,19 +95,13 @@ def search(
     def over() -> bool:
         return found.runs >= budget or found.least < enough
 
-    def until(share: float) -> Callable[[], bool]:
-        end = found.runs + max(2 * BATCH, round(share * budget))
-        return lambda: over() or found.runs >= end
-
     if sampler == "random":
         _sample("random", size, seed, tell, over, found)
-        found.random = found.least
         return found
     rng = np.random.default_rng(seed)
-    _corners(groups, rng, tell, known, until(CORNERS))
-    begin = found.runs
-    _sample("random", size, seed, tell, until(RANDOM), found)
-    found.random = min((m for m in list(known.values())[begin:] if not math.isnan(m)), default=math.inf)
+    first = max(2 * BATCH, round(CORNERS * budget))
+    _corners(groups, rng, tell, lambda: over() or found.runs >= first)
+    found.corners = found.least
     left = budget - round(POLISH * budget)
     _sample(sampler, size, seed, tell, lambda: over() or found.runs >= left, found)
     start = found.point or (0.0,) * size
@@ -166,24 +161,22 @@ def _tpe(size: int, seed: int, tell: Callable[[Sequence[Point]], list[float]], o
 
 def _corners(
     groups: Sequence[int], rng: np.random.Generator, tell: Callable[[Sequence[Point]], list[float]],
-    known: Mapping[Point, float], over: Callable[[], bool],
+    over: Callable[[], bool],
 ) -> None:  # fmt: skip
     """All low, all high, each thing by itself low or high, each coordinate by itself, then corners at random."""
     size = sum(groups)
     ends = np.cumsum([0, *groups])
-    listed = [np.zeros(size), np.ones(size)]
+    listed = [(0.0,) * size, (1.0,) * size]
     for first, end in [*pairwise(ends), *((k, k + 1) for k in range(size))]:
-        for u in (1.0, 0.0):
-            alone = np.full(size, 1.0 - u)
-            alone[first:end] = u
-            listed.append(alone)
-    fixed: Iterator[Point] = iter([tuple(c.tolist()) for c in listed])
-    tries = 0
-    while not over() and tries < 100 * BATCH:
-        tries += 1
-        corner = next(fixed, None) or _corner(size, rng)
-        if corner not in known:
-            tell([corner])
+        listed += [tuple(u if first <= k < end else 1.0 - u for k in range(size)) for u in (1.0, 0.0)]
+    corners = dict.fromkeys(listed)  # each once, in this order
+    for _ in range(MANY):
+        corners.setdefault(_corner(size, rng))
+    every = list(corners)
+    for k in range(0, len(every), BATCH):
+        if over():
+            break
+        tell(every[k : k + BATCH])
 
 
 def _corner(size: int, rng: np.random.Generator) -> Point:
