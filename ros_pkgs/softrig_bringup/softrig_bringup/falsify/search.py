@@ -163,15 +163,18 @@ def _corners(
     groups: Sequence[int], rng: np.random.Generator, tell: Callable[[Sequence[Point]], list[float]],
     over: Callable[[], bool],
 ) -> None:  # fmt: skip
-    """All low, all high, each thing by itself low or high, each coordinate by itself, then corners at random."""
+    """All low, all high, each thing by itself low or high, then each coordinate by itself and drawn ones in turn."""
     size = sum(groups)
     ends = np.cumsum([0, *groups])
-    listed = [(0.0,) * size, (1.0,) * size]
-    for first, end in [*pairwise(ends), *((k, k + 1) for k in range(size))]:
-        listed += [tuple(u if first <= k < end else 1.0 - u for k in range(size)) for u in (1.0, 0.0)]
+
+    def alone(first: int, end: int) -> list[Point]:
+        return [tuple(u if first <= k < end else 1.0 - u for k in range(size)) for u in (1.0, 0.0)]
+
+    listed = [(0.0,) * size, (1.0,) * size, *(c for first, end in pairwise(ends) for c in alone(first, end))]
+    for corner in (c for k in range(size) for c in alone(k, k + 1)):
+        listed += [_corner(size, rng), corner]
+    listed += [_corner(size, rng) for _ in range(MANY)]
     corners = dict.fromkeys(listed)  # each once, in this order
-    for _ in range(MANY):
-        corners.setdefault(_corner(size, rng))
     every = list(corners)
     for k in range(0, len(every), BATCH):
         if over():
