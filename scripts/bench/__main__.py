@@ -11,7 +11,6 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from . import (
     environment,
-    falsify,
     fault_location,
     gupfc,
     induction,
@@ -25,6 +24,7 @@ from . import (
     view,
 )
 from .console import console
+from .falsification import table as falsification_table
 
 PARTS: dict[str, Callable[[], None]] = {
     "loop": loop.loop, "tick": loop.tick, "recording": loop.recording, "inprocess": rigs.inprocess,
@@ -32,7 +32,7 @@ PARTS: dict[str, Callable[[], None]] = {
     "realtime": realtime.realtime, "view": view.view,
     "systems": systems.print_table, "induction": induction.print_table, "fault_location": fault_location.print_table,
     "gupfc": gupfc.print_table, "rectifier": rectifier.print_table, "optimal_control": optimal_control.print_table,
-    "falsify": falsify.print_table, "environment": environment.print_table,
+    "falsify": falsification_table.print_table, "environment": environment.print_table,
 }  # fmt: skip
 
 

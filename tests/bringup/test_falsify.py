@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import sys
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from softrig_bringup.falsify.search import search
 from softrig_bringup.falsify.shrink import shrink
 from softrig_bringup.falsify.space import parse, space_of
 from softrig_bringup.falsify.trial import Trial, run
+from softrig_bringup.run.run import checked
 from softrig_core import Scenario, ScenarioError, load_scenario, rig_of, simulate
 
 PIECES, PERIOD, LOAD = 15, 0.01, 1e-3
@@ -45,10 +47,11 @@ def test_the_worst_deviation_of_a_linear_loop_is_the_l1_norm_of_its_impulse_resp
     response = simulate(loop([LOAD, 0.0], [0.0, PERIOD])).signals["motor/state/shaft/velocity"].x
     bound = np.abs(response).sum()  # of a load torque of LOAD at most, whatever its course
     space = space_of(loop([0.0] * PIECES), [parse("plant.load_torques", f"{-LOAD}..{LOAD}*{PIECES}")])
-    found = search(space.size, measure_of(space, "deviation"), 300, seed=1)
+    found = search([o.size for o in space.overs], measure_of(space, "deviation"), 300, seed=1)
     assert 0.98 * bound < 1.0 - found.least < bound * (1.0 + 1e-9)
     assert found.runs <= 300
-    assert (1.0 - found.random) < 0.8 * bound  # random search alone does not come near
+    at_random = search([o.size for o in space.overs], measure_of(space, "deviation"), 300, seed=1, sampler="random")
+    assert (1.0 - at_random.least) < 0.8 * bound  # random search alone does not come near
     assert found.trace == sorted(found.trace, reverse=True)
 
 
@@ -130,6 +133,51 @@ def test_the_limit_that_one_parameter_crosses_is_found_by_halving():
     assert at < 0.0 < inside
 
 
+def corner_climbs(points):
+    """A margin that one corner alone violates, and that each right bound brings nearer."""
+    return [sum(abs(u - (k % 3 == 0)) for k, u in enumerate(p)) - 0.5 for p in points]
+
+
+def test_corners_come_first_and_a_climb_finds_the_one_that_violates():
+    asked = []
+
+    def measure(points):
+        asked.extend(points)
+        return corner_climbs(points)
+
+    found = search([4, 8], measure, 200, seed=3)
+    low, high = (0.0,) * 12, (1.0,) * 12
+    assert asked[:4] == [low, high, (1.0,) * 4 + (0.0,) * 8, (0.0,) * 4 + (1.0,) * 8]  # together, then each profile
+    assert all(u in (0.0, 1.0) for p in asked[:20] for u in p)  # a tenth of the budget
+    assert any(0.0 < u < 1.0 for u in asked[20])
+    assert len(set(asked[:20])) == 20
+    assert found.least == -0.5
+
+
+@pytest.mark.parametrize(("groups", "sampler"), [([1], "tpe"), ([2], "cmaes"), ([3, 2], "cmaes"), ([1], "random")])
+def test_no_search_ends_with_budget_left_whatever_it_is_told(groups, sampler):
+    def valley(points):
+        return [sum((u - 0.3) ** 2 for u in p) for p in points]
+
+    def flat(points):
+        return [1.0] * len(points)
+
+    def broken(points):
+        return [float("nan")] * len(points)
+
+    for measure in (valley, flat, broken):
+        assert search(groups, measure, 61, seed=2, sampler=sampler).runs == 61
+
+
+def test_the_climb_begins_again_from_other_corners():
+    """Two coordinates must change at once: the best corner of the first climb is a dead end."""
+
+    def trap(points):
+        return [-1.0 if p[:4] == (1.0, 0.0, 0.0, 1.0) and p[6] == 1.0 else 1.0 + sum(p) for p in points]
+
+    assert search([8], trap, 400, seed=0, enough=0.0).least == -1.0
+
+
 FILE = """
 extends: dc_motor_smc_b2
 title: Motor with a requirement
@@ -203,7 +251,40 @@ def test_bad_input_is_one_line_before_the_first_run(file, arguments, reason, tmp
     assert status == 2
     error = capsys.readouterr().err
     assert reason in error
-    assert not (tmp_path / "a" / "rows.jsonl").exists()
+    assert not (tmp_path / "a").exists()
+
+
+def test_a_package_that_one_range_needs_is_named_before_anything_is_written(file, tmp_path, capsys, monkeypatch):
+    given = [
+        "falsify",
+        str(file),
+        "--over",
+        "dc_motor_plant.R=0.6..0.7",
+        "--budget",
+        "4",
+        "--workers",
+        "1",
+        "--no-plots",
+    ]
+    monkeypatch.setitem(sys.modules, "optuna", None)
+    monkeypatch.delenv("SOFTRIG_COMMAND", raising=False)
+    assert main([*given, "--out", str(tmp_path / "a")]) == 2
+    assert "falsify needs the package 'optuna'" in capsys.readouterr().err
+    assert not (tmp_path / "a").exists()
+    assert main([*given, "--sampler", "random", "--out", str(tmp_path / "a")]) == 0  # this one needs none
+
+
+def test_a_small_case_without_the_faults_that_pictures_name_runs_by_itself(undrawn, tmp_path):
+    assert main(["falsify", "dc_motor_smc_faults", "--over", "dc_motor_plant.R=0.9..1.3", "--over",
+                 "dc_motor_smc.delta=1..20", "--budget", "8", "--workers", "1", "--no-plots", "--out",
+                 str(tmp_path / "a")]) == 1  # fmt: skip
+    small = load_scenario(str(tmp_path / "a" / "dc_motor_smc_faults_small.yaml"))
+    assert small.faults == {}  # they were not needed
+    drawn = [signal for plot in small.plots for signal in plot.signals]
+    assert "motor/sensors/current_a/position" in drawn
+    assert not [signal for signal in drawn if "/drift/" in signal]
+    checked(small)
+    assert simulate(small).figures["settles"] == outcome(tmp_path / "a")["small"]["settles"] < 0.0
 
 
 def test_a_scenario_without_requirements_says_what_it_needs(tmp_path, capsys):

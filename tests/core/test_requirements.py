@@ -1,115 +1,14 @@
-"""Requirements: formulas against a brute-force evaluator, bad input, what cannot be judged, where they are violated."""
+"""Requirements: bad input, what cannot be judged, where they are violated, live ones (formulas: `test_formulas`)."""
 
 import math
 
 import numpy as np
 import pytest
 from conftest import make_scenario
-from hypothesis import given, settings, strategies as st
-from softrig_core import SECOND, RunError, ScenarioError, evaluate, figures_of, rig_of, simulate
+from softrig_core import RunError, ScenarioError, evaluate, figures_of, rig_of, simulate
 from softrig_core.judge.expectation import Expectation
-from softrig_core.judge.formula import Record, horizon, margin_unit, read, variables
-
-PERIOD = 0.1
-KNOWN = {"x": None, "y": None, "level": 0.5}
-
-
-def write(tree):
-    """A formula as text."""
-    kind, *parts = tree
-    if kind == "atom":
-        return parts[0]
-    if kind == "not":
-        return f"not ({write(parts[0])})"
-    if kind in ("and", "or", "->"):
-        return f"(({write(parts[0])}) {kind} ({write(parts[1])}))"
-    low, high = parts[0]
-    window = (
-        "" if high is None and low == 0 else f"[{low * PERIOD:g}, {'inf' if high is None else f'{high * PERIOD:g}'}]"
-    )
-    if kind == "until":
-        return f"(({write(parts[1])}) until{window} ({write(parts[2])}))"
-    return f"{kind}{window} ({write(parts[1])})"
-
-
-ATOMS = {
-    "x > level": lambda s: s["x"] - 0.5,
-    "y <= 0.25 * x": lambda s: 0.25 * s["x"] - s["y"],
-    "abs(x - y) < 1": lambda s: 1.0 - abs(s["x"] - s["y"]),
-}
-
-
-def reach(tree):
-    """How far a formula looks ahead, in ticks; without end counts as far as its lower limit."""
-    kind, *parts = tree
-    if kind == "atom":
-        return 0
-    if kind in ("not", "and", "or", "->"):
-        return max(map(reach, parts))
-    low, high = parts[0]
-    return max(map(reach, parts[1:])) + (low if high is None else high)
-
-
-def brute(tree, samples, k):
-    """Robustness at sample `k`, by the definition."""
-    kind, *parts = tree
-    n = len(samples)
-    if kind == "atom":
-        return ATOMS[parts[0]](samples[k])
-    if kind == "not":
-        return -brute(parts[0], samples, k)
-    if kind in ("and", "or", "->"):
-        a, b = (brute(p, samples, k) for p in parts)
-        return {"and": min(a, b), "or": max(a, b), "->": max(-a, b)}[kind]
-    low, high = parts[0]
-    if kind == "until":
-        found = -math.inf
-        for i in range(k + low, min(n, k + high + 1)):
-            held = min((brute(parts[1], samples, j) for j in range(k, i)), default=math.inf)
-            found = max(found, min(brute(parts[2], samples, i), held))
-        return found
-    last = n - 1 - reach(parts[1]) if high is None else min(n - 1, k + high)
-    values = [brute(parts[1], samples, i) for i in range(k + low, last + 1)]
-    return min(values, default=math.inf) if kind == "always" else max(values, default=-math.inf)
-
-
-window = st.tuples(st.integers(0, 3), st.integers(0, 4)).map(lambda w: (w[0], w[0] + w[1]))
-formulas = st.recursive(
-    st.sampled_from([("atom", a) for a in ATOMS]),
-    lambda inner: st.one_of(
-        st.tuples(st.just("not"), inner),
-        st.tuples(st.sampled_from(["and", "or", "->"]), inner, inner),
-        st.tuples(st.sampled_from(["always", "eventually"]), st.one_of(window, st.just((0, None))), inner),
-        st.tuples(st.just("until"), window, inner, inner),
-    ),
-    max_leaves=5,
-)
-
-
-def clamp(x):
-    return math.copysign(1e299, x) if abs(x) > 1e299 else x
-
-
-@settings(max_examples=150)
-@given(
-    tree=formulas.map(lambda t: ("always", (0, 2), t)), extra=st.integers(0, 6),
-    values=st.lists(st.tuples(st.floats(-3, 3), st.floats(-3, 3)), min_size=40, max_size=40), slow=st.integers(1, 4),
-)  # fmt: skip
-def test_margins_are_those_of_the_definition(tree, extra, values, slow):
-    ticks = reach(tree) + extra + 1
-    values = (values * (ticks // len(values) + 1))[:ticks]
-    samples = [
-        {"x": x, "y": values[k - k % slow][1]} for k, (x, _) in enumerate(values)
-    ]  # y comes at every slow-th tick
-    parsed, _ = read(write(tree), KNOWN)
-    assert horizon(parsed) == pytest.approx(reach(tree) * PERIOD * SECOND)
-    times = np.array([round(k * PERIOD * SECOND) for k in range(ticks)], dtype=np.float64)
-    names = variables(parsed)
-    record = Record(times, {n: np.array([s[n] for s in samples]) for n in names})
-    expected = brute(tree, samples, 0)
-    margin = record.margin(parsed)
-    assert clamp(margin.value) == pytest.approx(clamp(expected), abs=1e-12)
-    assert (margin.value < 0) == bool(margin.violated)
+from softrig_core.judge.formula import margin_unit, read, variables
+from softrig_core.judge.robustness import Record
 
 
 def requirement(formula, *, shared=None, duration=1.0, **about):
@@ -190,6 +89,13 @@ def test_units_of_both_sides_must_fit_and_several_need_a_scale():
         ("always rising(state + 1) -> state > 0", "rising.*takes the name of a signal"),
         ("always state + 1", "expected a comparison"),
         ("", "at least 1 character"),
+        ("always abs() < 1", "abs takes one number, got 0"),
+        ("always min(state) < 1", "min takes two numbers or more, got 1"),
+        ("always sin(state, state) < 1", "sin takes one number, got 2"),
+        ("always[0, 1e300] state < 1", r"an interval up to 1e\+300 s; expected at most 1e\+09 s, or inf"),
+        ("always state / 0 < 1", "a division by zero"),
+        ("always state % (level - 0.5) < 1", "a division by zero"),
+        ("always log(0 - 1) < state", "log of numbers for which it is undefined"),
     ],
 )
 def test_a_formula_that_means_nothing_is_refused_before_the_run(formula, reason):
@@ -202,6 +108,71 @@ def test_what_the_record_cannot_tell_is_not_judged_and_does_not_pass():
     result = figure_of(rig, simulate(rig).signals)
     assert (result.value, result.passed) == (None, False)
     assert result.error == "not judged: the record ends at 1 s, the requirement's last window at 2 s"
+
+
+def test_of_a_record_that_ends_early_what_it_decides_is_judged():
+    rig = wired("always[0, 2] state <= 0.3")
+    run = simulate(rig)
+    result = figure_of(rig, run.signals)
+    worst = 0.3 - run.signals["lag/state/x/position"].x.max()
+    assert (result.value, result.passed, result.open_from_s) == (pytest.approx(worst, abs=1e-15), False, 1.0)
+    rig = wired("eventually[0, 2] state >= 0.3")
+    result = figure_of(rig, simulate(rig).signals)
+    assert (result.value, result.passed) == (pytest.approx(-worst, abs=1e-15), True)
+    sure_of_half = rig.scenario.model_copy(update={"expect": {"it": Expectation(at_least=0.0, at_most=1.0)}})
+    assert not figure_of(rig_of(sure_of_half), run.signals).passed  # it may yet be more
+
+
+@pytest.mark.parametrize("live", [False, True])
+def test_the_last_window_hides_no_violation_beside_it(live):
+    """In the last second nothing is known of what follows within one, but of what is there."""
+    rig = wired("always (state <= 0.3 and (state > 0.05 -> eventually[0, 1] state < 0.05))", live=live)
+    run = simulate(rig)
+    t, x = run.signals["lag/state/x/position"]
+    result = next(r for r in run.results if r.name == "it")
+    assert x.max() > 0.3
+    assert (result.value, result.passed) == (pytest.approx(0.3 - x.max(), abs=1e-15), False)
+    still = [k for k in range(len(t)) if 0.05 < x[k] <= 0.3 and t[k] + 1 > t[-1] and not (x[k:] < 0.05).any()]
+    assert result.open_from_s == t[still[0]]
+    if live:
+        upper = run.signals["requirement/it/upper/position"].x
+        assert upper[-1] == 0.3 - x[:-1].max()  # it does not see the last instant
+
+
+def test_undefined_arithmetic_is_not_judged_whatever_is_asked_of_it():
+    for formula in ("always log(0 - 1 - state/state) > 0", "always log(0 - 1 - state/state) <= 0"):
+        run = simulate(wired(formula, live=True))
+        result = next(r for r in run.results if r.name == "it")
+        assert (result.value, result.passed) == (None, False)
+        assert result.error.startswith("not judged: undefined from t = 0 s on")
+        assert not run.signals["requirement/it/decided/position"].x.any()
+    guarded = wired("always (command > 0 -> ln(command / level) <= 100)", scale={"N": 1.0, "": 1.0})
+    run = simulate(guarded)
+    assert run.signals["lag/command/u/effort"].x.min() == 0.0  # undefined there, but not asked
+    assert run.results[0].passed
+
+
+@pytest.mark.parametrize("live", [False, True])
+def test_a_number_that_is_none_leaves_its_own_requirement_not_judged_and_the_run_whole(live):
+    nodes = {"plant": "plant", "source": "source", "gain": "gain"}
+    names = {"state": "lag/state/x/position", "seen": "lag/state/bad/x/position"}
+    faults = {"bad": {"link": "lag/state -> gain", "kind": "invalid", "from": 0.5, "to": 0.52}}
+    formulas = {"its": "always abs(seen) <= 100", "other": "always abs(state) <= 100", "known": "always seen <= 0.1"}
+    required = {name: {"formula": formula, "live": live} for name, formula in formulas.items()}
+    run = simulate(rig_of(make_scenario(nodes, shared=names, faults=faults, requirements=required)))
+    results = {r.name: r for r in run.results}
+    assert (results["its"].value, results["its"].passed) == (None, False)
+    assert results["its"].error.startswith("not judged: undefined at t = 0.5 s")
+    assert results["other"].passed
+    assert results["known"].value == pytest.approx(0.1 - np.nanmax(run.signals["lag/state/bad/x/position"].x))
+
+
+def test_the_record_goes_to_the_end_though_what_is_asked_of_speaks_seldom():
+    """At 1 s the plant speaks; the source, each 0.3 s, has spoken last at 0.9 s."""
+    nodes = {"source": {"executable": "source", "parameters": {"period": 0.3}}, "plant": "plant", "gain": "gain"}
+    for order in (nodes, dict(reversed(nodes.items()))):
+        rig = rig_of(make_scenario(order, shared=LIVE, requirements={"it": "always[0, 1] state <= 100"}))
+        assert figure_of(rig, simulate(rig).signals).passed
 
 
 def test_a_file_whose_requirement_looks_beyond_its_end_is_refused(tmp_path):
@@ -222,14 +193,14 @@ def test_edges_and_bare_names_decide_without_being_a_distance():
     tree, conditions = read("always (rising(fault) -> eventually[0, 0.2] x < 1)", known)
     assert [c.signal for c in conditions.values()] == ["fault"]
     (edge,) = conditions
-    rises = np.array([-1, -1, 1, -1, -1, -1]) * 1e300
+    rises = np.array([-1, -1, 1, -1, -1, -1]) * math.inf
     x = np.array([9.0, 9.0, 9.0, 4.0, 3.0, 0.0])
-    margin = Record(grid, {edge: rises, "x": x}).margin(tree)
+    margin = Record(grid, {"x": x}, truths={edge: rises}).margin(tree)
     assert (margin.value, margin.at, margin.violated) == (-2.0, 0.4, ((0.2, 0.2),))
     tree, _ = read("always not fault", known)
     (name,) = variables(tree)
-    assert Record(grid, {name: rises}).margin(tree).value == -math.inf
-    assert Record(grid, {name: -np.abs(rises)}).margin(tree).value == math.inf
+    assert Record(grid, {}, truths={name: rises}).margin(tree).value == -math.inf
+    assert Record(grid, {}, truths={name: -np.abs(rises)}).margin(tree).value == math.inf
 
 
 def test_the_unit_of_a_margin():

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from typing import Any, Self
 
 from pydantic import model_validator
 from softrig_core import Block, BlockParams, Level, Port, RunError, Sample, ScenarioError, executable, param, scalars
-from softrig_core.judge.formula import EDGES, SURE, margin_unit, once_there, read, variables
 from softrig_core.scenario.port_text import ports_of
+from softrig_core.judge.formula import margin_unit, read, variables
+from softrig_core.judge.live import Live
+from softrig_core.judge.robustness import truth
 
 ENDLESS = 1e12  # stands for a margin of which nothing is known yet
 
@@ -88,15 +89,10 @@ class RequirementMonitor(Block[RequirementMonitorParams]):
         signals = dict(zip(self.p.names, self.p.signals, strict=True))
         self._places = {name: places[signal] for name, signal in signals.items()}
         self._used = variables(self._tree)
-        for name in self._used:
-            if name not in self._conditions:
-                self._tree = once_there(self._tree, name)
 
     def start(self) -> None:
         """Nothing seen."""
-        from sentil import Formula, OnlineMonitor
-
-        self._monitor = OnlineMonitor(Formula.from_json(json.dumps(self._tree)))
+        self._monitor = Live(self._tree)
         self._before: dict[str, float] = {}
         self._violated = self._decided = False
         self._bounds = (-ENDLESS, ENDLESS)
@@ -104,6 +100,8 @@ class RequirementMonitor(Block[RequirementMonitorParams]):
     def update(self, t: int, **inputs: Any) -> Mapping[str, tuple[float, ...]]:
         """Take the signals of this tick in."""
         seen: dict[str, float] = {}
+        truths: dict[str, float] = {}
+        late: dict[str, bool] = {}
         for name in self._used:
             condition = self._conditions.get(name)
             port, k = self._places[condition.signal if condition else name]
@@ -111,19 +109,16 @@ class RequirementMonitor(Block[RequirementMonitorParams]):
             given = inputs[port]
             value = (given.data if isinstance(given, Sample) else given)[k] if came else 0.0
             if condition is None:
-                seen[name] = value
-                seen[f"_there__{name}"] = SURE if came else -SURE
+                seen[name], late[name] = value, not came
                 continue
-            true = EDGES[condition.edge](value, self._before.get(name, value)) if condition.edge else value > 0.5
-            seen[name] = SURE if true else -SURE
+            truths[name] = float(truth(condition, value, self._before.get(name, value)))
             self._before[name] = value
-        if not self._decided:  # sentil then goes on with the formula at later instants
-            found = self._monitor.update(float(t), seen)
-            self._decided = bool(found.resolved)
-            self._bounds = found.lower, found.upper
-            if found.upper < 0.0 and not self._violated:
+        if not self._decided:
+            self._bounds = self._monitor.push(float(t), seen, truths, late)
+            self._decided = self._monitor.decided
+            if self._bounds[1] < 0.0 and not self._violated:
                 self._violated = True
-                self._tell(t, found.upper)
+                self._tell(t, self._bounds[1])
         lower, upper = (max(-ENDLESS, min(ENDLESS, x)) for x in self._bounds)
         return {"margin": (lower, upper, float(self._decided))}
 

@@ -6,17 +6,18 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from softrig_core import Scenario, ScenarioError, load_scenario
 from softrig_core.errors import closest
+from softrig_core.extras import need
 from softrig_optim.sweep import progress, stream
 
 from ..folder import replace
 from ..study.engine import same
 from ..study.work import Log
 from .definition import Falsification
-from .search import Found, Point, search
+from .search import Found, Point, needs, search
 from .shrink import Case, shrink
 from .space import Space, parse, space_of
 from .trial import LARGE, Trial, run
@@ -65,14 +66,57 @@ class Outcome:
         return [name for name, margin in self.worst.items() if margin is not None and margin < 0.0]
 
 
+class Prepared(NamedTuple):
+    """A falsification whose input has been judged.
+
+    Parameters
+    ----------
+    space : Space
+    names : tuple of str
+        The requirements.
+    nominal : dict of str to float or None
+        Their margins without changes.
+    content : dict
+        What makes it this one and no other.
+    """
+
+    space: Space
+    names: tuple[str, ...]
+    nominal: dict[str, float | None]
+    content: dict[str, Any]
+
+
+def prepare(task: Falsification) -> Prepared:
+    """Judge the input of a falsification, and run its scenario as it is; nothing is written.
+
+    Raises
+    ------
+    ScenarioError
+        Bad input, a package that is missing, or a run that cannot be judged.
+    """
+    scenario = load_scenario(task.scenario).changed(duration=task.duration)
+    names = _requirements(scenario, task.requirements)
+    space = space_of(scenario, [parse(key, given) for key, given in task.over.items()])
+    free = {"name", "title", "expect", "budget", "first"}
+    content = task.model_dump(mode="json", exclude=free) | {"content": scenario.model_dump(mode="json")}
+    if package := needs(task.sampler, space.size):
+        need(package, "falsify")
+    nominal = run(Trial(-1, scenario, {}, names))
+    if nominal["error"]:
+        raise ScenarioError(f"{task.scenario}: the run without changes cannot be judged: {nominal['error']}")
+    return Prepared(space, names, nominal["figures"], content)
+
+
 def falsify(
-    task: Falsification, out: Path, *, workers: int | None = None, scheduler: str = ""
+    task: Falsification, prepared: Prepared, out: Path, *, workers: int | None = None, scheduler: str = ""
 ) -> Outcome:  # fmt: skip
     """Search, and make what is found small.
 
     Parameters
     ----------
     task : Falsification
+    prepared : Prepared
+        What `prepare` gave of it.
     out : Path
         Gets ``falsification.json`` and ``rows.jsonl``; the runs that an earlier call left there are not run again.
     workers, scheduler
@@ -81,18 +125,11 @@ def falsify(
     Raises
     ------
     ScenarioError
-        Bad input, or the folder holds another falsification.
+        The folder holds another falsification.
     """
-    scenario = load_scenario(task.scenario).changed(duration=task.duration)
-    names = _requirements(scenario, task.requirements)
-    space = space_of(scenario, [parse(key, given) for key, given in task.over.items()])
-    free = {"name", "title", "expect", "budget", "first"}
-    content = task.model_dump(mode="json", exclude=free) | {"content": scenario.model_dump(mode="json")}
+    space, names, nominal, content = prepared
     replace(out / "falsification.json", same(content, out / "falsification.json", "falsification"))
-    nominal = run(Trial(-1, scenario, {}, names))
-    if nominal["error"]:
-        raise ScenarioError(f"{task.scenario}: the run without changes cannot be judged: {nominal['error']}")
-    sizes = _sizes(nominal["figures"])
+    sizes = _sizes(nominal)
     log = Log(out / "rows.jsonl", task.budget)
     rows = {row["number"]: row for row in log.rows()}
     try:
@@ -113,7 +150,14 @@ def falsify(
 
             asked: list[Point] = []
             enough = 0.0 if task.first else -math.inf
-            found = search(space.size, measure, task.budget, seed=task.seed, sampler=task.sampler, enough=enough)
+            found = search(
+                [over.size for over in space.overs],
+                measure,
+                task.budget,
+                seed=task.seed,
+                sampler=task.sampler,
+                enough=enough,
+            )
     finally:
         log.close()
     broken = [(rows[n]["overrides"], rows[n]["error"]) for n in range(found.runs) if rows[n]["error"]]
@@ -125,7 +169,7 @@ def falsify(
         small, runs = shrink(space, case[1], lambda c: _violates(c, violated), SHRINKING)
         small_margins = run(Trial(-1, *small, names))["figures"]
     margins = worst["figures"] if worst is not None else {}
-    return Outcome(space, names, nominal["figures"], margins, found, case, small, small_margins, runs, broken)
+    return Outcome(space, names, nominal, margins, found, case, small, small_margins, runs, broken)
 
 
 def _requirements(scenario: Scenario, wanted: Sequence[str]) -> tuple[str, ...]:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import yaml
-from softrig_core import Run, Scenario, figures_of, list_scenarios, rig_of
-from softrig_core.extras import need
+from softrig_core import Run, Scenario, figures_of, list_scenarios, load_scenario, rig_of
 from softrig_core.processes.placement import Placement
 
 from ..folder import FALSIFICATION, ResultsFolder, replace
@@ -17,7 +18,7 @@ from ..report.report import write_report
 from ..run.run import checked, execute, save, summary
 from ..study.options import pair
 from .definition import Falsification, falsification_of, list_falsifications
-from .engine import Outcome, falsify
+from .engine import Outcome, falsify, prepare
 from .picture import draw_worst
 from .shrink import Case
 from .trial import LARGE
@@ -36,11 +37,11 @@ def main(options: argparse.Namespace) -> int:
     changes["over"] = dict(pair(text, "--over", "NODE.PARAM=a..b or SIGNAL=a..b*6") for text in options.over)
     task = falsification_of(options.what, changes)
     out = options.out or Path("runs") / f"falsify_{task.name}"
-    need("cmaes", "falsify")
     folder = ResultsFolder(out, FALSIFICATION)
+    prepared = prepare(task)  # who is refused leaves no folder
     with folder.alone():
         try:
-            outcome = falsify(task, out, workers=options.workers, scheduler=options.scheduler)
+            outcome = falsify(task, prepared, out, workers=options.workers, scheduler=options.scheduler)
             files = _write(task, outcome, out, not options.no_plots)
         finally:
             folder.close()
@@ -57,9 +58,11 @@ def _write(task: Falsification, outcome: Outcome, out: Path, plots: bool) -> dic
     runs = {"nominal": _record(task, nominal, out / "nominal", plots)}
     for name, case in (("worst", outcome.case), ("small", outcome.small)):
         if case is not None:
-            files[name] = out / f"{task.name}_{name}.yaml"
-            replace(files[name], scenario_file(task, name, case, outcome))
-            runs[name] = _record(task, case[0].changed(overrides=case[1]), out / name, plots)
+            file = out / f"{task.name}_{name}.yaml"
+            text = scenario_file(task, name, case, outcome)
+            runs[name] = _record(task, _standing_alone(text, file), out / name, plots)
+            replace(file, text)
+            files[name] = file
     if plots:
         write_report([out / name for name in runs], out / "report.html", list(runs))
     if plots and "worst" in runs and not runs["worst"].error:
@@ -68,6 +71,20 @@ def _write(task: Falsification, outcome: Outcome, out: Path, plots: bool) -> dic
         draw_worst(pair, asked, out / PICTURE, task.title or task.name)
     replace(out / "outcome.json", json.dumps(content(task, outcome), indent=1) + "\n")
     return files
+
+
+def _standing_alone(text: str, file: Path) -> Scenario:
+    """Load a scenario file before it is in its place: nobody finds one there that cannot run.
+
+    Raises
+    ------
+    ScenarioError
+        It cannot run by itself.
+    """
+    with TemporaryDirectory() as folder:
+        place = Path(folder) / file.name
+        place.write_text(text)
+        return load_scenario(str(place))
 
 
 def _kept(outcome: Outcome) -> dict[str, Any]:
@@ -114,6 +131,8 @@ def scenario_file(task: Falsification, kind: str, case: Case, outcome: Outcome) 
         content: dict[str, Any] = {"extends": task.scenario, "title": title, "seed": changed.seed}
         content |= {"duration": changed.duration} | ({"nodes": nodes} if nodes else {})
         content |= {"faults": faults} if faults else {}
+        if changed.plots != outcome.space.scenario.plots:  # without what faults that are gone have sent
+            content["plots"] = [plot.model_dump(mode="json", exclude_defaults=True) for plot in changed.plots]
         asked = {n: changed.requirements[n].model_dump(exclude_defaults=True) for n in outcome.names
                  if n in changed.requirements}  # fmt: skip
         bounds = {n: changed.expect[n].model_dump(exclude_defaults=True) for n in outcome.names if n not in asked}
@@ -130,7 +149,7 @@ def content(task: Falsification, outcome: Outcome) -> dict[str, Any]:
     return {
         "falsification": task.name, "scenario": task.scenario, "seed": task.seed, "sampler": task.sampler,
         "over": task.over, "requirements": list(outcome.names), "runs": outcome.found.runs,
-        "least": outcome.found.least, "least_at_random": outcome.found.random, "violated": outcome.violated,
+        "least": outcome.found.least, "least_at_corners": outcome.found.corners, "violated": outcome.violated,
         "nominal": outcome.nominal, "worst": outcome.worst, "small": outcome.small_margins,
         "changes": outcome.case[1] if outcome.case else {}, "small_changes": outcome.small[1] if outcome.small else {},
         "broken": [{"changes": c, "error": e} for c, e in outcome.broken], "trace": outcome.found.trace,
@@ -166,11 +185,11 @@ def verdict(outcome: Outcome) -> str:
     runs, found = outcome.found.runs, outcome.found
     if outcome.case is None:
         return f"none of {runs} runs could be judged"
-    at_random = f"random points alone: {number(found.random)}"
+    first = f"corners alone: {number(found.corners)}" if found.corners < math.inf else "no corners asked"
     if outcome.violated:
         made = f"made small in {outcome.shrinking} more runs"
-        return f"violated: {', '.join(outcome.violated)}, least margin {number(found.least)} ({at_random}); {made}"
-    return f"no violation in {runs} runs; least margin {number(found.least)} ({at_random}), at"
+        return f"violated: {', '.join(outcome.violated)}, least margin {number(found.least)} ({first}); {made}"
+    return f"no violation in {runs} runs; least margin {number(found.least)} ({first}), at"
 
 
 def number(value: float | None) -> str:

@@ -1,10 +1,11 @@
-"""The search: random points first, then a maintained optimiser, then the bounds of each coordinate in turn."""
+"""The search: corners first, a maintained optimiser, then climbs along the bounds until the budget ends."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Any, Literal
 
 import numpy as np
@@ -13,8 +14,9 @@ Point = tuple[float, ...]
 Measure = Callable[[Sequence[Point]], list[float]]  # margins of a batch, NaN for what could not be measured
 Sampler = Literal["cmaes", "tpe", "random"]
 
+MANY = 1000  # corners that are drawn
 BATCH = 4  # points asked for at a time, whatever the number of cores: the result does not depend on it
-RANDOM, POLISH = 0.25, 0.25  # shares of the budget
+CORNERS, POLISH = 0.1, 0.25  # shares of the budget
 WORST = 1e300  # told of a point that could not be measured
 
 
@@ -30,8 +32,8 @@ class Found:
         Where.
     runs : int
         Number of points measured.
-    random : float
-        Least margin of the random points alone.
+    corners : float
+        Least margin of the corners that come first; infinite where the sampler is ``random``.
     trace : list of float
         Least margin so far after each run.
     """
@@ -39,7 +41,7 @@ class Found:
     least: float = math.inf
     point: Point = ()
     runs: int = 0
-    random: float = math.inf
+    corners: float = math.inf
     trace: list[float] = field(default_factory=list)
 
     def see(self, point: Point, margin: float) -> None:
@@ -50,46 +52,63 @@ class Found:
         self.trace.append(self.least)
 
 
+def needs(sampler: Sampler, size: int) -> str:
+    """Name the package that a sampler needs."""
+    return "cmaes" if sampler == "cmaes" and size > 1 else "optuna" if sampler != "random" else ""
+
+
 def search(
-    size: int, measure: Measure, budget: int, *, seed: int = 0, sampler: Sampler = "cmaes", enough: float = -math.inf,
+    groups: Sequence[int], measure: Measure, budget: int, *, seed: int = 0, sampler: Sampler = "cmaes",
+    enough: float = -math.inf,
 ) -> Found:  # fmt: skip
     """Look for the least margin in the unit cube.
 
+    Corners come first, then the sampler, from the best of them; what is left of the budget goes to climbs from corner
+    to corner, from the best point on and then from other corners.
+
     Parameters
     ----------
-    size : int
-        Number of coordinates.
+    groups : sequence of int
+        Number of coordinates of each thing that is searched: a number, a list, a profile.
     measure : callable
         Measures a batch of points.
     budget : int
         Number of runs.
     seed : int
     sampler : {"cmaes", "tpe", "random"}
-        What follows the random points; ``random`` goes on with them to the end.
+        What follows the corners; ``random`` draws points and nothing else.
     enough : float
         Stop at a margin below this.
     """
+    size = sum(groups)
     found = Found()
+    known: dict[Point, float] = {}
 
     def tell(points: Sequence[Point]) -> list[float]:
         points = points[: budget - found.runs]
         margins = measure(points) if points else []
         for point, margin in zip(points, margins, strict=True):
+            known[point] = margin
             found.see(point, margin)
         return margins
 
     def over() -> bool:
         return found.runs >= budget or found.least < enough
 
-    at_random = budget if sampler == "random" else max(min(budget, 2 * BATCH), round(RANDOM * budget))
-    _sample("random", size, seed, tell, lambda: over() or found.runs >= at_random, found)
-    found.random = found.least
-    polish = 0 if sampler == "random" else round(POLISH * budget)
-    _sample(sampler, size, seed, tell, lambda: over() or found.runs >= budget - polish, found)
-    for points in _bounds(size, found):
-        if over():
-            break
-        tell(points)
+    if sampler == "random":
+        _sample("random", size, seed, tell, over, found)
+        return found
+    rng = np.random.default_rng(seed)
+    first = max(2 * BATCH, round(CORNERS * budget))
+    _corners(groups, rng, tell, lambda: over() or found.runs >= first)
+    found.corners = found.least
+    left = budget - round(POLISH * budget)
+    _sample(sampler, size, seed, tell, lambda: over() or found.runs >= left, found)
+    start = found.point or (0.0,) * size
+    while not over():
+        if _climb(start, known, tell, over) == 0 and sum(set(p) <= {0.0, 1.0} for p in known) == 2**size:
+            _sample(sampler, size, seed + 1, tell, over, found)  # no corner is left
+        start = _corner(size, rng)
     return found
 
 
@@ -140,15 +159,56 @@ def _tpe(size: int, seed: int, tell: Callable[[Sequence[Point]], list[float]], o
             study.tell(trial, margin if math.isfinite(margin) else WORST)
 
 
-def _bounds(size: int, found: Found) -> Iterator[list[Point]]:
-    """Try each coordinate of the best point at both ends, round after round, until a round finds nothing.
+def _corners(
+    groups: Sequence[int], rng: np.random.Generator, tell: Callable[[Sequence[Point]], list[float]],
+    over: Callable[[], bool],
+) -> None:  # fmt: skip
+    """All low, all high, each thing by itself low or high, then each coordinate by itself and drawn ones in turn."""
+    size = sum(groups)
+    ends = np.cumsum([0, *groups])
+
+    def alone(first: int, end: int) -> list[Point]:
+        return [tuple(u if first <= k < end else 1.0 - u for k in range(size)) for u in (1.0, 0.0)]
+
+    listed = [(0.0,) * size, (1.0,) * size, *(c for first, end in pairwise(ends) for c in alone(first, end))]
+    for corner in (c for k in range(size) for c in alone(k, k + 1)):
+        listed += [_corner(size, rng), corner]
+    listed += [_corner(size, rng) for _ in range(MANY)]
+    corners = dict.fromkeys(listed)  # each once, in this order
+    every = list(corners)
+    for k in range(0, len(every), BATCH):
+        if over():
+            break
+        tell(every[k : k + BATCH])
+
+
+def _corner(size: int, rng: np.random.Generator) -> Point:
+    return tuple(rng.integers(0, 2, size).astype(float).tolist())
+
+
+def _climb(
+    point: Point, known: Mapping[Point, float], tell: Callable[[Sequence[Point]], list[float]], over: Callable[[], bool]
+) -> int:
+    """Try each coordinate of a point at both ends, round after round, until a round finds nothing; give the runs.
 
     The worst input of a linear loop is at its bounds all the time, so is that of many that are not linear.
     """
-    better = True
-    while better and found.point:
-        before = found.least
-        for i in range(size):
-            ends = [u for u in (0.0, 1.0) if found.point[i] != u]
-            yield [(*found.point[:i], u, *found.point[i + 1 :]) for u in ends]
-        better = found.least < before
+    runs, better = 0, True
+    if point not in known:
+        tell([point])
+        runs += 1
+    best = known.get(point, math.nan)
+    while better:
+        better = False
+        for i in range(len(point)):
+            ends = [(*point[:i], u, *point[i + 1 :]) for u in (0.0, 1.0) if point[i] != u]
+            fresh = [p for p in ends if p not in known]
+            if fresh and over():
+                return runs
+            tell(fresh)
+            runs += len(fresh)
+            for other in ends:
+                margin = known.get(other, math.nan)
+                if margin < best or (math.isnan(best) and not math.isnan(margin)):
+                    point, best, better = other, margin, True
+    return runs

@@ -57,12 +57,15 @@ def _greedily(
 
 
 def _without_faults(space: Space, case: Case) -> Iterator[Case]:
-    """Each fault dropped."""
+    """Each fault dropped, from the pictures too."""
     scenario, overrides = case
-    for name in scenario.faults:
+    for name, fault in scenario.faults.items():
         faults = {n: f for n, f in scenario.faults.items() if n != name}
         left = {k: v for k, v in overrides.items() if not k.startswith(f"{name}.")}
-        yield scenario.model_copy(update={"faults": faults}), left
+        gone = f"{fault.link.partition('->')[0].strip()}/{name}/"  # the topic behind it
+        drawn = [(p, {s: label for s, label in p.signals.items() if gone not in s}) for p in scenario.plots]
+        plots = tuple(p.model_copy(update={"signals": signals}) for p, signals in drawn if signals)
+        yield scenario.model_copy(update={"faults": faults, "plots": plots}), left
 
 
 def _nominal(space: Space, case: Case, still: Callable[[Case], bool]) -> Case:

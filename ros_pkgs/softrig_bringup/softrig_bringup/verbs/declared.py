@@ -115,7 +115,7 @@ def _vary(verb: Verb) -> None:
                               "SIGNAL=a..b~6 (lines), SIGNAL+=a..b*6 (added to it)")  # fmt: skip
     falsify.add_argument("--budget", type=Number(int, 1), metavar="N", help="runs (200)")
     falsify.add_argument("--seed", type=Number(int, 0), metavar="N", help="of the search (0)")
-    falsify.add_argument("--sampler", choices=("cmaes", "tpe", "random"), help="after random points (cmaes)")
+    falsify.add_argument("--sampler", choices=("cmaes", "tpe", "random"), help="after the corners (cmaes)")
     falsify.add_argument("--duration", type=float, metavar="S", help="instead of the scenario's")
     falsify.add_argument("--first", action="store_true", default=None, help="end at the first violation")
     falsify.add_argument("--no-plots", action="store_true", help="scenario files and bags only")

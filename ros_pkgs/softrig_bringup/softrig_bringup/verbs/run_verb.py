@@ -243,6 +243,8 @@ def _print_figures(content: Mapping[str, Any], run: Run, out: Path | None) -> No
             console.print(f"{f.name}: {f.error}")
         if f.violated_s:
             console.print(f"{f.name}: violated {spans(f.violated_s)}; its margin is least at {f.at_s:.6g} s")
+        if f.open_from_s is not None:
+            console.print(f"{f.name}: from {f.open_from_s:.6g} s on judged by what the run's end leaves decided")
     for claim in run.claims:
         if claim.holds is False and not changed:
             console.print(styled((f"claim {claim.key}", "red"), f": {claim.false}"))

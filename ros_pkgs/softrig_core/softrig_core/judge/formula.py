@@ -1,8 +1,7 @@
-"""Formulas of signal temporal logic: read, checked against what a rig has, and measured on records by `sentil`.
+"""Formulas of signal temporal logic: read, and checked against what a rig has.
 
-What is sentil's: the grammar, and the robustness of a formula on samples. What is ours: words for conditions (a bare
-name, ``rising(x)``, ``falling(x)``, ``changed(x)``), whole nanoseconds in place of seconds, units, how long a record
-must be, and where the margin is least.
+The grammar is that of `sentil`. What is ours: words for conditions (a bare name, ``rising(x)``, ``falling(x)``,
+``changed(x)``), whole nanoseconds in place of seconds, units, and what a formula says of a record (`robustness`).
 """
 
 from __future__ import annotations
@@ -12,26 +11,24 @@ import math
 import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from functools import reduce
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..errors import ScenarioError, closest
 from ..timebase import SECOND
+from .arithmetic import SEVERAL, Tree, arithmetic
 from .units import powers, text
 
-Array = NDArray[np.float64]
-Tree = Any  # what sentil writes as JSON: {"Always": [{"lower", "upper"}, tree]}, {"Predicate": {"lhs", "op", "rhs"}}
-
-SURE = 1e300  # margin of a condition: it decides, but is no distance
+LONGEST = 1e9  # s, of an interval
 EDGES = {"rising": np.greater, "falling": np.less, "changed": np.not_equal}
 _WORDS = {"always", "eventually", "until", "since", "once", "historically", "next", "not", "and", "or", "implies"}
 _LETTERS = {"G", "F", "U", "R", "H", "O", "S", "X", "Y", "P"}  # what sentil may take for operators
 _CALLS = {"abs", "min", "max", "sqrt", "exp", "log", "ln", "sin", "cos", "tan", "floor", "ceil"}
 _TOKEN = re.compile(r"\s*([A-Za-z_]\w*|\d+\.?\d*(?:[eE][-+]?\d+)?|\.\d+(?:[eE][-+]?\d+)?|->|[<>=!]=|&&|\|\||\S)")
 _AFTER_CONDITION = {"->", "and", "or", "until", "since", "implies", ")", "&", "|", "&&", "||", ""}
-_FUTURE, _PAST = ("Always", "Eventually"), ("Historically", "Once")
+FUTURE, PAST = ("Always", "Eventually"), ("Historically", "Once")
 
 
 @dataclass(frozen=True)
@@ -88,7 +85,27 @@ def read(given: str, known: Mapping[str, float | None]) -> tuple[Tree, dict[str,
                                 "say when by an interval, in s")  # fmt: skip
         if kind == "Binary" and body[0] == "Pow" and _negated(body[1]):
             raise ScenarioError(f"formula {given!r}: a minus before a power reads as (-x)^n; write 0 - (x^n), or x*x")
-    return _map(tree, lambda kind, body: _filled(kind, body, known)), conditions
+    try:
+        tree = _map(tree, lambda kind, body: _filled(kind, body, known))
+        _check_arithmetic(tree)
+    except ScenarioError as error:
+        raise ScenarioError(f"formula {given!r}: {error}") from None
+    return tree, conditions
+
+
+def _check_arithmetic(tree: Tree) -> None:
+    """Refuse functions of the wrong number of arguments, and numbers that are none whatever the signals say."""
+    for kind, body in nodes(tree):
+        if kind == "Call":
+            name, given = body
+            several = name in SEVERAL
+            if len(given) < 2 if several else len(given) != 1:
+                raise ScenarioError(f"{name} takes {'two numbers or more' if several else 'one number'}, "
+                                    f"got {len(given)}")  # fmt: skip
+        if kind == "Binary" and body[0] in ("Div", "Mod") and not variables(body[2]) and not arithmetic(body[2], {}):
+            raise ScenarioError("a division by zero")
+        if kind in ("Call", "Binary") and not variables(body) and math.isnan(arithmetic({kind: body}, {})):
+            raise ScenarioError(f"{body[0].lower()} of numbers for which it is undefined")
 
 
 def _reason(error: Exception, written: str) -> str:
@@ -158,6 +175,8 @@ def _filled(kind: str, body: Any, known: Mapping[str, float | None]) -> tuple[st
 
 
 def _ns(seconds: float) -> float:
+    if seconds > LONGEST:
+        raise ScenarioError(f"an interval up to {seconds:g} s; expected at most {LONGEST:g} s, or inf")
     return float(round(seconds * SECOND))
 
 
@@ -191,7 +210,7 @@ def horizon(tree: Tree) -> float:
     deepest = 0.0
     for kind, body in tree.items():
         below = horizon(body)
-        if kind in (*_FUTURE, "Until"):
+        if kind in (*FUTURE, "Until"):
             below += body[0]["lower"] if body[0]["upper"] is None else body[0]["upper"]
         deepest = max(deepest, below)
     return deepest
@@ -207,17 +226,6 @@ def intervals(tree: Tree) -> Iterator[tuple[float, float | None]]:
 def variables(tree: Tree) -> list[str]:
     """Names of the variables of a formula, each once."""
     return list(dict.fromkeys(body for kind, body in nodes(tree) if kind == "Variable"))
-
-
-def once_there(tree: Tree, name: str) -> Tree:
-    """Make every comparison with a variable false until its first value has come, told by ``_there__NAME``."""
-    there = {"Predicate": {"lhs": {"Variable": f"_there__{name}"}, "op": "Greater", "rhs": {"Literal": 0.0}}}
-
-    def change(kind: str, body: Any) -> tuple[str, Any]:
-        concerned = kind == "Predicate" and name in variables(body)
-        return ("And", [there, {kind: body}]) if concerned else (kind, body)
-
-    return _map(tree, change)
 
 
 def margin_unit(tree: Tree, units: Mapping[str, str], scale: Mapping[str, float]) -> tuple[Tree, str]:
@@ -276,7 +284,7 @@ def _unit(tree: Tree, units: Mapping[str, str]) -> str | None:
         if name in ("abs", "floor", "ceil"):
             return given[0]
         if name in ("min", "max"):
-            return _same(*given)
+            return reduce(_same, given)
         if name == "sqrt" and given[0]:
             raise ScenarioError("sqrt of something with a unit: compare squares instead")
         return "" if given[0] is not None else None
@@ -303,109 +311,3 @@ def _same(a: str | None, b: str | None) -> str | None:
     if powers(a) != powers(b):
         raise ScenarioError(f"{a or 'a pure number'!r} beside {b or 'a pure number'!r}")
     return a
-
-
-class Margin(NamedTuple):
-    """What a formula says of a record.
-
-    Parameters
-    ----------
-    value : float
-        Robustness: how far from violated; negative when violated; infinite when only conditions decide.
-    at : float
-        Instant, s, of the comparison that decides it.
-    violated : tuple of (float, float)
-        Where what must always hold does not, s; of a formula that is no ``always``, the deciding instant.
-    """
-
-    value: float
-    at: float
-    violated: tuple[tuple[float, float], ...]
-
-
-class Record:
-    """Samples of a run on one grid of times, as a formula needs them.
-
-    Parameters
-    ----------
-    times : array, shape (n,)
-        Whole ns, ascending, from 0.
-    variables : mapping of str to array, shape (n,)
-    """
-
-    def __init__(self, times: Array, variables: Mapping[str, Array]) -> None:
-        self.times = times
-        self._variables: dict[str, Any] = dict(variables)
-
-    def margin(self, tree: Tree) -> Margin:
-        """Measure a formula at the first instant."""
-        tree = self._within(tree)
-        trace = self._trace()
-        value = self._signal(tree, trace)[0]
-        at = self.times[self._decides(tree, trace, 0)] / SECOND
-        violated = self._violated(tree, trace) if value < 0.0 else ()
-        size = float(value) if abs(value) < SURE / 2 else math.copysign(math.inf, value)
-        return Margin(size, float(at), violated or (((at, at),) if value < 0.0 else ()))
-
-    def _trace(self) -> Any:
-        import sentil
-
-        return sentil.Trace(self.times, dict(self._variables))
-
-    def _within(self, tree: Tree) -> Tree:
-        """Operators without end go as far as what stands under them can be judged: to the end less its horizon."""
-
-        def change(kind: str, body: Any) -> tuple[str, Any]:
-            if kind not in _FUTURE or body[0]["upper"] is not None or not (reach := horizon(body[1])):
-                return kind, body
-            inside = f"_within__{reach:.0f}"
-            ends = self.times <= self.times[-1] - reach
-            self._variables[inside] = np.where(ends, SURE, -SURE)
-            there = {"Predicate": {"lhs": {"Variable": inside}, "op": "Greater", "rhs": {"Literal": 0.0}}}
-            return kind, [body[0], {"Implies" if kind == "Always" else "And": [there, body[1]]}]
-
-        return _map(tree, change)
-
-    def _signal(self, tree: Tree, trace: Any) -> Array:
-        import sentil
-
-        found: Array = sentil.Formula.from_json(json.dumps(tree)).robustness_signal(trace)
-        return found
-
-    def _decides(self, tree: Tree, trace: Any, k: int) -> int:
-        """Index of the instant whose comparison gives the margin of a formula at instant `k`."""
-        kind, body = next(iter(tree.items()))
-        if kind == "Predicate":
-            return k
-        if kind == "Not":
-            return self._decides(body[0] if isinstance(body, list) else body, trace, k)
-        if kind in ("And", "Or", "Implies"):
-            a, b = (self._signal(part, trace)[k] for part in body)
-            first = a <= b if kind == "And" else (a if kind == "Or" else -a) >= b
-            return self._decides(body[0] if first else body[1], trace, k)
-        if kind in (*_FUTURE, *_PAST):
-            low, high = body[0]["lower"], body[0]["upper"]
-            high = math.inf if high is None else high
-            now, times = self.times[k], self.times
-            first, last = (now + low, now + high) if kind in _FUTURE else (now - high, now - low)
-            inside = np.flatnonzero((times >= first) & (times <= last))
-            if not inside.size:
-                return k
-            values = self._signal(body[1], trace)[inside]
-            pick = np.argmin(values) if kind in ("Always", "Historically") else np.argmax(values)
-            return self._decides(body[1], trace, int(inside[pick]))
-        return k  # until, since: the instant they are asked at
-
-    def _violated(self, tree: Tree, trace: Any) -> tuple[tuple[float, float], ...]:
-        kind, body = next(iter(tree.items()))
-        if kind == "And":
-            return tuple(sorted(span for part in body for span in self._violated(part, trace)))
-        if kind != "Always":
-            return ()
-        low, high = body[0]["lower"], body[0]["upper"]
-        inside = (self.times >= low) & (self.times <= (math.inf if high is None else high))
-        bad = (self._signal(body[1], trace) < 0.0) & inside
-        edges = np.flatnonzero(np.diff(np.concatenate(([0], bad.astype(np.int8), [0]))))
-        return tuple(
-            (float(self.times[a] / SECOND), float(self.times[b - 1] / SECOND)) for a, b in edges.reshape(-1, 2)
-        )  # fmt: skip

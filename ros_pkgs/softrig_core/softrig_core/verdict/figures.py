@@ -17,7 +17,6 @@ from ..block.port import CLOCK
 from ..errors import ScenarioError, closest
 from ..judge.claims import NEVER
 from ..judge.expectation import Expectation
-from ..judge.formula import SURE
 from ..judge.measures import Function, SignalMap, final_value, newest_step
 from ..judge.registry import find
 from ..judge.units import compose, factor, powers
@@ -26,6 +25,7 @@ from ..scenario.port_text import ports_text, reader
 from ..scenario.references import fill_parameters
 from .requirements import Judge, judges
 
+MOST = 1e300
 DECIDED = "by its conditions alone"  # of a requirement without a distance
 SIGNALS = ("signal", "reference")  # arguments that name a signal, if they are a word
 UNMEASURED = (ArithmeticError, AttributeError, LookupError, TypeError, ValueError)  # what figure functions raise
@@ -46,6 +46,8 @@ class Result(BaseModel):
         Of a requirement: the instant that decides its margin, s.
     violated_s : tuple of (float, float)
         Of a requirement: intervals in which it does not hold, s.
+    open_from_s : float, optional
+        Of a requirement: the instant from which on the run's end leaves a part of it open, s; what is decided counts.
     passed : bool
         Written as ``pass``. A figure for information passes, whatever it is.
     """
@@ -64,6 +66,7 @@ class Result(BaseModel):
     error: str = ""
     at_s: float | None = None
     violated_s: tuple[tuple[float, float], ...] = ()
+    open_from_s: float | None = None
     number: float = Field(math.nan, exclude=True)  # as measured: infinity too, which JSON cannot hold
 
     @property
@@ -206,18 +209,20 @@ def evaluate(rig: Members, signals: SignalMap) -> list[Result]:
         about |= (limits or Expectation()).model_dump()
         try:
             if isinstance(figure.function, Judge):
-                value, at, violated = figure.function.margin(signals)
+                value, at, violated, bounds, open_from = figure.function.margin(signals)
                 about |= {"at_s": at, "violated_s": violated}
+                about |= {"open_from_s": open_from} if math.isfinite(open_from) else {}
             else:
                 value = figure(signals)
+                bounds = value, value
             error = ""
             if not math.isfinite(value):
                 decided = f"{'holds' if value > 0 else 'violated'} {DECIDED}"
                 error = decided if required else NEVER if value == math.inf else f"the result is {value}"
         except UNMEASURED as broken:
-            value, error = math.nan, str(broken) or type(broken).__name__
-        endless = required and math.isinf(value)
-        passed = limits is None or limits.holds(math.copysign(SURE, value) if endless else value)
+            value, error, bounds = math.nan, str(broken) or type(broken).__name__, (math.nan, math.nan)
+        sure = (math.copysign(MOST, x) if required and math.isinf(x) else x for x in bounds)  # a margin, no distance
+        passed = limits is None or all(limits.holds(x) for x in sure)
         results.append(Result(value=None if error else value, number=value, passed=passed, error=error, **about))
     return results
 

@@ -14,23 +14,11 @@ import numpy as np
 
 from ..block.schedule import Schedule
 from ..errors import ScenarioError
-from ..judge.formula import (
-    EDGES,
-    SURE,
-    Array,
-    Condition,
-    Margin,
-    Record,
-    Tree,
-    horizon,
-    intervals,
-    margin_unit,
-    once_there,
-    read,
-    variables,
-)
+from ..judge.arithmetic import Array, Tree
+from ..judge.formula import Condition, intervals, margin_unit, read, variables
 from ..judge.measures import SignalMap
 from ..judge.requirement_entry import Requirement
+from ..judge.robustness import Margin, Record, truth
 from ..rig.members import Members
 from ..scenario.port_text import ports_text, reader
 from ..scenario.references import fill_parameters
@@ -63,36 +51,25 @@ class Judge:
         Raises
         ------
         ValueError
-            Not judged: the record ends before the formula's last window.
+            Not judged: the record does not decide the formula, or its arithmetic is undefined.
         """
         found = {name: signals[signal] for name, signal in self.signals.items()}
         ticks, _ = signals[self.ticker]
         if not len(ticks):
             raise ValueError(f"not judged: nothing was recorded of {self.ticker}")
         grid = _grid(self.clock, ticks[-1])
-        reach = horizon(self.tree)
-        if self.clock.next(int(grid[-1])) <= reach:  # there would have been a tick within the last window
-            raise ValueError(f"not judged: the record ends at {grid[-1] / SECOND:.6g} s, the requirement's last window "
-                             f"at {reach / SECOND:.6g} s")  # fmt: skip
-        tree, values = self.tree, {n: self._variable(n, found, grid) for n in variables(self.tree)}
-        for name, there in [(n, v) for n, v in values.items() if np.isnan(v[0])]:
-            late = np.isnan(there)
-            values[name] = np.where(late, 0.0, there)
-            values[f"_there__{name}"] = np.where(late, -SURE, SURE)
-            tree = once_there(tree, name)
-        return Record(grid, values).margin(tree)
-
-    def _variable(self, name: str, found: Mapping[str, tuple[Array, Array]], grid: Array) -> Array:
-        condition = self.conditions.get(name)
-        times, values = found[condition.signal if condition else name]
-        at = np.searchsorted(np.rint(times * SECOND), grid, side="right") - 1
-        if condition:
-            held = np.where(at < 0, 0.0, values[at]) if len(values) else np.zeros(len(grid))
-            true = EDGES[condition.edge](held, np.concatenate((held[:1], held[:-1]))) if condition.edge else held > 0.5
-            return np.where(true, SURE, -SURE)
-        if not len(values):
-            return np.full(len(grid), math.nan)
-        return np.where(at < 0, math.nan, values[at])
+        held, truths, late = {}, {}, {}
+        for name in variables(self.tree):
+            condition = self.conditions.get(name)
+            times, values = found[condition.signal if condition else name]
+            at = np.searchsorted(np.rint(times * SECOND), grid, side="right") - 1  # the newest at each tick
+            now = np.where(at < 0, 0.0, values[at]) if len(values) else np.zeros(len(grid))
+            if condition:
+                truths[name] = truth(condition, now, np.concatenate((now[:1], now[:-1])))
+            else:
+                held[name], late[name] = now, at < 0
+        after = self.clock.next(int(grid[-1]))
+        return Record(grid, held, truths=truths, late=late, after=after).margin(self.tree)
 
 
 def _grid(clock: Schedule, end: float) -> Array:

@@ -1,0 +1,54 @@
+"""Expressions of formulas: their values, and where they have none."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from functools import reduce
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Tree = Any  # what sentil writes as JSON: {"Always": [{"lower", "upper"}, tree]}, {"Predicate": {"lhs", "op", "rhs"}}
+Samples = Mapping[str, Array]
+SEVERAL = ("min", "max")  # functions of two numbers or more; the others take one
+
+
+def _each(function: Callable[..., float]) -> Callable[..., Array]:
+    """Make a function of numbers one of arrays, NaN where it is undefined: numpy's own differ from CPU to CPU."""
+
+    def one(*given: float) -> float:
+        try:
+            return function(*given)
+        except (ValueError, OverflowError, ZeroDivisionError):
+            return math.nan
+
+    def all_(*given: Array) -> Array:
+        arrays = np.broadcast_arrays(*given)
+        flat = [one(*each) for each in zip(*(a.ravel().tolist() for a in arrays), strict=True)]
+        return np.array(flat, dtype=np.float64).reshape(arrays[0].shape)
+
+    return all_
+
+
+ARITHMETIC: Mapping[str, Callable[..., Array]] = {
+    "Add": np.add, "Sub": np.subtract, "Mul": np.multiply, "Div": np.divide, "Mod": np.fmod, "Pow": _each(math.pow),
+    "abs": np.abs, "sqrt": np.sqrt, "floor": np.floor, "ceil": np.ceil, "exp": _each(math.exp),
+    "log": _each(math.log10), "ln": _each(math.log), "sin": _each(math.sin), "cos": _each(math.cos),
+    "tan": _each(math.tan), "min": lambda *x: reduce(np.minimum, x), "max": lambda *x: reduce(np.maximum, x),
+}  # fmt: skip
+
+
+def arithmetic(tree: Tree, samples: Samples) -> Any:
+    """Give an expression's values; NaN where it, or a part of it, is undefined or beyond all numbers."""
+    ((kind, body),) = tree.items()
+    if kind == "Literal":
+        return np.float64(body)
+    if kind == "Variable":
+        return samples[body]
+    name, given = (body[0], body[1]) if kind == "Call" else (body[0], body[1:])
+    with np.errstate(all="ignore"):
+        found = ARITHMETIC[name](*(arithmetic(part, samples) for part in given))
+    return np.where(np.isfinite(found), found, np.nan)

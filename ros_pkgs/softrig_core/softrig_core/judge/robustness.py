@@ -1,0 +1,323 @@
+"""How far a formula is from being violated on a record, as far as that is known.
+
+Two things may be unknown: what comes after the record, and what arithmetic does not define (NaN, a division by zero).
+So a value is four numbers: the least and the greatest over what may come, each the least and the greatest over what is
+undefined. An operator without end asks as far as the record goes: of what is open at its end it takes what is decided.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..timebase import SECOND
+from .arithmetic import Array, Samples, Tree, arithmetic
+from .formula import EDGES, FUTURE, PAST, Condition, horizon, nodes, variables
+
+Pick = Callable[..., Array]
+INF = float("inf")
+
+
+class NotJudged(ValueError):
+    """The record does not decide the formula, or its arithmetic is undefined."""
+
+
+class Margin(NamedTuple):
+    """What a formula says of a record.
+
+    Parameters
+    ----------
+    value : float
+        Robustness: how far from violated; negative when violated; infinite when only conditions decide. Where it is
+        not known in full, the bound that decides.
+    at : float
+        Instant, s, of the comparison that decides it.
+    violated : tuple of (float, float)
+        Where what must always hold does not, s; of a formula that is no ``always``, the deciding instant.
+    bounds : tuple of (float, float)
+        Least and greatest that it may be; equal where it is known.
+    open_from : float
+        Instant, s, from which on the record does not decide all that is asked; infinite where it does.
+    """
+
+    value: float
+    at: float
+    violated: tuple[tuple[float, float], ...]
+    bounds: tuple[float, float]
+    open_from: float
+
+
+COMPARED: Mapping[str, Callable[[Array, Array], Array]] = {
+    "Less": lambda a, b: b - a, "LessEqual": lambda a, b: b - a, "Greater": lambda a, b: a - b,
+    "GreaterEqual": lambda a, b: a - b, "Equal": lambda a, b: -np.abs(a - b), "NotEqual": lambda a, b: np.abs(a - b),
+}  # fmt: skip
+
+
+def opposite(values: Array) -> Array:
+    """Negate: the least becomes the greatest."""
+    return -values[::-1, ::-1]
+
+
+def extremes(values: Array, first: NDArray[Any], last: NDArray[Any], pick: Pick, none: float) -> Array:
+    """Give the least or greatest of ``values[..., first..last]`` for each pair of them, `none` where that is empty.
+
+    Parameters
+    ----------
+    values : array, shape (2, 2, n)
+    first, last : array of int, shape (m,)
+        Between 0 and n - 1 where first <= last.
+    pick : callable
+        ``np.minimum`` or ``np.maximum``.
+    none : float
+    """
+    count = last - first + 1
+    found = np.full((*values.shape[:-1], len(first)), none)
+    span = 1  # values[..., j] is that over span samples from j on
+    longest = count.max(initial=0)
+    while longest >= span:
+        at = np.flatnonzero((count >= span) & (count < 2 * span))
+        found[..., at] = pick(values[..., first[at]], values[..., last[at] - span + 1])
+        values = pick(values[..., :-span], values[..., span:])
+        span *= 2
+    return found
+
+
+class Record:
+    """Samples of a run on one grid of times, as a formula needs them.
+
+    Parameters
+    ----------
+    times : array, shape (n,)
+        Whole ns, ascending.
+    samples : mapping of str to array, shape (n,)
+        Numbers.
+    truths : mapping of str to array, shape (n,), optional
+        Of conditions, as `truth` gives them.
+    late : mapping of str to array of bool, shape (n,), optional
+        Where a variable has not come yet: what compares it is false there.
+    after : float
+        The first instant that is not recorded, ns; any after the last time when absent.
+    ended : bool
+        Whether nothing will come: operators without end ask as far as the record goes.
+    """
+
+    def __init__(
+        self, times: Array, samples: Samples, *, truths: Samples | None = None,
+        late: Mapping[str, NDArray[np.bool_]] | None = None, after: float | None = None, ended: bool = True,
+    ) -> None:  # fmt: skip
+        self.times = times
+        self.after = float(np.nextafter(times[-1], INF)) if after is None else after
+        self.ended = ended
+        self._samples, self._truths, self._late = samples, truths or {}, late or {}
+        self._found: dict[int, tuple[Tree, Array]] = {}
+
+    def margin(self, tree: Tree) -> Margin:
+        """Measure a formula at the first instant.
+
+        Raises
+        ------
+        NotJudged
+            It may hold or not: says what is undefined, or where the record ends.
+        """
+        found = self.bounds(tree)[..., 0]
+        least, greatest = float(found[0, 0]), float(found[1, 1])
+        if least < 0.0 <= greatest:
+            raise NotJudged(self._why(tree, found))
+        value, which = (greatest, (1, 1)) if greatest < 0.0 else (least, (0, 0))
+        at = float(self.times[self._decides(tree, *which, 0)] / SECOND)
+        violated = self._violated(tree) if value < 0.0 else ()
+        known = least == greatest
+        open_from = self._open_from(tree) if known or not self._undefined(tree).size else self._undefined(tree)[0]
+        if not known:
+            open_from = min(open_from, self.times[-1])
+        return Margin(
+            value, at, violated or (((at, at),) if value < 0.0 else ()), (least, greatest), open_from / SECOND
+        )  # fmt: skip
+
+    def bounds(self, tree: Tree) -> Array:
+        """Give a formula's robustness at each instant.
+
+        Returns
+        -------
+        array, shape (2, 2, n)
+            By least and greatest over what may come after the record, and over what is undefined.
+        """
+        if id(tree) not in self._found:
+            ((kind, body),) = tree.items()
+            self._found[id(tree)] = tree, self._measured(kind, body)  # with the tree, whose id stays its own
+        return self._found[id(tree)][1]
+
+    def _measured(self, kind: str, body: Any) -> Array:
+        if kind == "Predicate":
+            return self._compared(body)
+        if kind == "Not":
+            return opposite(self.bounds(body))
+        if kind in ("And", "Or", "Implies"):
+            a, b = self.bounds(body[0]), self.bounds(body[1])
+            return np.minimum(a, b) if kind == "And" else np.maximum(opposite(a) if kind == "Implies" else a, b)
+        low, high = limits(body)
+        if kind == "Since":
+            held, then = (self.bounds(part)[..., ::-1] for part in body[1:])
+            return self._until(held, then, low, high, past=True)[..., ::-1]
+        if kind == "Until":
+            return self._until(self.bounds(body[1]), self.bounds(body[2]), low, high)
+        first, last, over = self._window(kind, low, high)
+        least = kind in ("Always", "Historically")
+        inner = self.bounds(body[1])
+        if kind in FUTURE and high == INF and self.ended:
+            inner = inner[[1, 1]] if least else inner[[0, 0]]
+        pick, none = (np.minimum, INF) if least else (np.maximum, -INF)
+        found = extremes(inner, first, last, pick, none)
+        found[0 if least else 1][:, over] = -none
+        return found
+
+    def _compared(self, body: Any) -> Array:
+        values = self._truths.get(body["lhs"].get("Variable", ""))
+        if values is None:
+            values = self._distance(body)
+        undefined = np.isnan(values)
+        found = np.array((np.where(undefined, -INF, values), np.where(undefined, INF, values)))
+        for name in variables(body):
+            if (late := self._late.get(name)) is not None:
+                found[:, late] = -INF
+        return np.array((found, found))
+
+    def _distance(self, body: Any) -> Array:
+        with np.errstate(all="ignore"):
+            found = COMPARED[body["op"]](*(arithmetic(body[side], self._samples) for side in ("lhs", "rhs")))
+        return np.broadcast_to(np.where(np.isfinite(found), found, np.nan), (len(self.times),))
+
+    def _window(self, kind: str, low: float, high: float) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
+        """First and last index of the window of each instant, and whether it goes beyond the record."""
+        times = self.times
+        if kind in PAST:
+            first = np.searchsorted(times, times - high)
+            return first, np.searchsorted(times, times - low, side="right") - 1, np.zeros(len(times), dtype=bool)
+        first = np.searchsorted(times, times + low)
+        last = np.searchsorted(times, times + high, side="right") - 1
+        over = first >= len(times) if high == INF and self.ended else times + high >= self.after
+        return first, last, over
+
+    def _until(self, held: Array, then: Array, low: float, high: float, *, past: bool = False) -> Array:
+        """Robustness of `held` until `then`; of the past with time reversed, where nothing was before the record."""
+        n = len(self.times)
+        times = self.times[-1] - self.times[::-1] if past else self.times
+        first = np.searchsorted(times, times + low)
+        found = extremes(held, np.arange(n), first - 1, np.minimum, INF)
+        for come, lost in np.ndindex(2, 2):
+            start = INF if come and not past else -INF  # of what is after the last sample
+            later = np.array([*_scan(held[come, lost].tolist(), then[come, lost].tolist(), start), start])
+            found[come, lost] = np.minimum(found[come, lost], later[first])
+        if high == INF and self.ended and not past:
+            found[1] = np.where(first < n, found[0], found[1])
+        if high != INF:  # within the window, and at any time from its begin on: the same as both at once
+            last = np.searchsorted(times, times + high, side="right") - 1
+            within = extremes(then, first, last, np.maximum, -INF)
+            if not past:
+                within[1][:, times + high >= self.after] = INF
+            found = np.minimum(found, within)
+        return found
+
+    def _why(self, tree: Tree, found: Array) -> str:
+        undefined = self._undefined(tree)
+        if (found[:, 0] != found[:, 1]).any() and undefined.size:
+            first, end = undefined[0], self.times[-1]
+            on = undefined.size > 1 and undefined.size == np.count_nonzero(self.times >= first)
+            when = f"from t = {first / SECOND:.6g} s on" if on or first == end else f"at t = {first / SECOND:.6g} s"
+            return f"not judged: undefined {when} (no number, a division by zero or a function beyond its domain)"
+        return (f"not judged: the record ends at {self.times[-1] / SECOND:.6g} s, the requirement's last window at "
+                f"{horizon(tree) / SECOND:.6g} s")  # fmt: skip
+
+    def _undefined(self, tree: Tree) -> Array:
+        """Instants at which a comparison of the formula is undefined, ns."""
+        lost = np.zeros(len(self.times), dtype=bool)
+        for kind, body in nodes(tree):
+            if kind == "Predicate":
+                found = self._compared(body)
+                lost |= found[0, 0] != found[0, 1]
+        return self.times[lost]
+
+    def _outermost(self, tree: Tree) -> Iterator[tuple[str, Any]]:
+        ((kind, body),) = tree.items()
+        if kind in ("And", "Or", "Implies", "Not"):
+            for part in body if isinstance(body, list) else [body]:
+                yield from self._outermost(part)
+        else:
+            yield kind, body
+
+    def _open_from(self, tree: Tree) -> float:
+        """First instant, ns, at which what stands under an operator without end may hold or not."""
+        found = INF
+        for kind, body in self._outermost(tree):
+            if kind in FUTURE and limits(body)[1] == INF:
+                inner = self.bounds(body[1])
+                still = (inner[0, 0] < 0.0) & (inner[1, 1] >= 0.0) & (self.times >= self.times[0] + limits(body)[0])
+                found = min(found, float(self.times[np.argmax(still)]) if still.any() else INF)
+        return found
+
+    def _decides(self, tree: Tree, come: int, lost: int, k: int) -> int:
+        """Index of the instant whose comparison gives a bound of a formula at instant `k`."""
+        ((kind, body),) = tree.items()
+        if kind == "Not":
+            return self._decides(body, 1 - come, 1 - lost, k)
+        if kind in ("And", "Or", "Implies"):
+            sides = [(body[0], 1 - come, 1 - lost) if kind == "Implies" else (body[0], come, lost),
+                     (body[1], come, lost)]  # fmt: skip
+            a, b = (float(self.bounds(part)[c, n, k]) for part, c, n in sides)
+            first = a <= b if kind == "And" else (-a if kind == "Implies" else a) >= b
+            return self._decides(*sides[0 if first else 1], k)
+        if kind in (*FUTURE, *PAST):
+            low, high = limits(body)
+            first_, last, _ = (int(each[k]) for each in self._window(kind, low, high))
+            if last < first_:
+                return k
+            least = kind in ("Always", "Historically")
+            come = (1 if least else 0) if kind in FUTURE and high == INF and self.ended else come
+            values = self.bounds(body[1])[come, lost, first_ : last + 1]
+            return self._decides(body[1], come, lost, first_ + int(np.argmin(values) if least else np.argmax(values)))
+        return k  # a comparison; until, since: the instant they are asked at
+
+    def _violated(self, tree: Tree) -> tuple[tuple[float, float], ...]:
+        ((kind, body),) = tree.items()
+        if kind == "And":
+            return tuple(sorted(span for part in body for span in self._violated(part)))
+        if kind != "Always":
+            return ()
+        low, high = limits(body)
+        inside = (self.times >= self.times[0] + low) & (self.times <= self.times[0] + high)
+        bad = (self.bounds(body[1])[1, 1] < 0.0) & inside
+        edges = np.flatnonzero(np.diff(np.concatenate(([0], bad.astype(np.int8), [0]))))
+        return tuple(
+            (float(self.times[a] / SECOND), float(self.times[b - 1] / SECOND)) for a, b in edges.reshape(-1, 2)
+        )  # fmt: skip
+
+
+def truth(condition: Condition, now: Array | float, before: Array | float) -> Array:
+    """Say whether a condition holds: infinity or less infinity, it decides but is no distance; NaN where undefined.
+
+    Parameters
+    ----------
+    condition : Condition
+    now, before : array or float
+        Its signal at each instant, and at the one before.
+    """
+    edge = EDGES.get(condition.edge)
+    lost = np.isnan(now) | (np.isnan(before) if edge else False)
+    return np.where(lost, np.nan, np.where(edge(now, before) if edge else now > 0.5, INF, -INF))
+
+
+def limits(body: Any) -> tuple[float, float]:
+    """Give the interval of a temporal operator, ns; without end to infinity."""
+    low, high = body[0]["lower"], body[0]["upper"]
+    return low, INF if high is None else high
+
+
+def _scan(held: list[float], then: list[float], value: float) -> list[float]:
+    found = []
+    for x, y in zip(reversed(held), reversed(then), strict=True):
+        value = max(y, min(x, value))
+        found.append(value)
+    return found[::-1]

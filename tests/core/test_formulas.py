@@ -1,0 +1,221 @@
+"""Random formulas of everything that the grammar has, on random records, against the definition in plain loops.
+
+The records end anywhere: within windows, before them, at their last tick. Numbers are missing, arithmetic is undefined,
+signals come late. Held against the loops: the margin of the whole record, and the live bounds after each of its ticks.
+"""
+
+import math
+import random
+
+import numpy as np
+import pytest
+from softrig_core import SECOND
+from softrig_core.judge.formula import read
+from softrig_core.judge.live import Live
+from softrig_core.judge.robustness import NotJudged, Record, truth
+
+PERIOD = 0.1
+DAILY, ALL = 150, 2000
+KNOWN = {"x": None, "y": None, "fault": None, "level": 0.5}
+
+
+def defined(function):
+    """A comparison's distance at an instant, NaN where it is undefined."""
+
+    def distance(s):
+        try:
+            found = float(function(s))
+        except (ValueError, ZeroDivisionError, OverflowError):
+            return math.nan
+        return found if math.isfinite(found) else math.nan
+
+    return distance
+
+
+def greater(a, b):
+    return math.nan if math.isnan(a) or math.isnan(b) else max(a, b)
+
+
+ATOMS = {
+    "x > level": lambda s: s["x"] - 0.5,
+    "y <= 0.25 * x": lambda s: 0.25 * s["x"] - s["y"],
+    "abs(x - y) < 1": lambda s: 1.0 - abs(s["x"] - s["y"]),
+    "max(x, y, -1) >= 0": lambda s: greater(greater(s["x"], s["y"]), -1.0),
+    "x == level": lambda s: -abs(s["x"] - 0.5),
+    "y != 0": lambda s: abs(s["y"]),
+    "log(x) > 0": lambda s: math.log10(s["x"]),
+    "sqrt(y) < 1 + ln(2)": lambda s: 1.0 + math.log(2.0) - math.sqrt(s["y"]),
+    "x / floor(y) < 1": lambda s: 1.0 - s["x"] / math.floor(s["y"]),
+    "exp(x * 400) > 1": lambda s: math.exp(s["x"] * 400.0) - 1.0,
+    "x^2 % level < 0.25": lambda s: 0.25 - math.fmod(s["x"] ** 2, 0.5),
+}
+CONDITIONS = {
+    "fault": lambda now, before: now > 0.5,
+    "rising(fault)": lambda now, before: now > before,
+    "falling(fault)": lambda now, before: now < before,
+    "changed(fault)": lambda now, before: now != before,
+}
+PAST = ("once", "historically")
+
+
+def draw(rng, leaves):
+    """A formula as nested tuples; intervals in ticks, None without end."""
+    if leaves <= 1 and rng.random() < 0.6:
+        return ("atom", rng.choice([*ATOMS] * 2 + [*CONDITIONS]))
+    kind = rng.choice(["not", "and", "or", "->", "always", "eventually", "once", "historically", "until", "since"])
+    if kind == "not":
+        return kind, draw(rng, leaves - 1)
+    low = rng.choice([0, 0, 1, 2])
+    window = (low, None if rng.random() < 0.25 else low + rng.choice([0, 1, 2, 4]))
+    if kind in ("and", "or", "->"):
+        return kind, draw(rng, leaves // 2), draw(rng, leaves // 2)
+    if kind in ("until", "since"):
+        return kind, window, draw(rng, leaves // 2), draw(rng, leaves // 2)
+    return kind, window, draw(rng, leaves - 1)
+
+
+def write(tree):
+    kind, *parts = tree
+    if kind == "atom":
+        return parts[0]
+    if kind == "not":
+        return f"not ({write(parts[0])})"
+    if kind in ("and", "or", "->"):
+        return f"(({write(parts[0])}) {kind} ({write(parts[1])}))"
+    low, high = parts[0]
+    window = "" if high is None and low == 0 else f"[{low / 10}, {'inf' if high is None else high / 10}]"
+    if kind in ("until", "since"):
+        return f"(({write(parts[1])}) {kind}{window} ({write(parts[2])}))"
+    return f"({kind}{window} ({write(parts[1])}))"
+
+
+class Loops:
+    """The definition: least (0) or greatest (1) over what comes after the record, and over what is undefined."""
+
+    def __init__(self, samples, first, ended):
+        self.samples, self.first, self.ended, self.known = samples, first, ended, {}
+
+    def at(self, tree, k, come, lost):
+        key = id(tree), k, come, lost
+        if key not in self.known:
+            self.known[key] = self.found(tree, k, come, lost)
+        return self.known[key]
+
+    def atom(self, text, k, lost):
+        now = self.samples[k]
+        if text in CONDITIONS:
+            before = self.samples[max(k - 1, 0)]
+            unsure = math.isnan(now["fault"]) or (text != "fault" and math.isnan(before["fault"]))
+            value = math.nan if unsure else math.inf if CONDITIONS[text](now["fault"], before["fault"]) else -math.inf
+        elif any(name in text.replace("max", "").replace("exp", "") and k < self.first[name] for name in ("x", "y")):
+            return -math.inf
+        else:
+            value = defined(ATOMS[text])(now)
+        return value if not math.isnan(value) else math.inf if lost else -math.inf
+
+    def found(self, tree, k, come, lost):
+        kind, *parts = tree
+        unknown = math.inf if come else -math.inf
+        n = len(self.samples)
+        if kind == "atom":
+            return self.atom(parts[0], k, lost)
+        if kind == "not":
+            return -self.at(parts[0], k, 1 - come, 1 - lost)
+        if kind in ("and", "or", "->"):
+            a = -self.at(parts[0], k, 1 - come, 1 - lost) if kind == "->" else self.at(parts[0], k, come, lost)
+            b = self.at(parts[1], k, come, lost)
+            return min(a, b) if kind == "and" else max(a, b)
+        (low, high), *inner = parts
+        if kind in (*PAST, "since"):
+            window = range(0 if high is None else max(0, k - high), k - low + 1)
+            if kind == "since":
+                held = {i: min((self.at(inner[0], j, come, lost) for j in range(i + 1, k + 1)), default=math.inf)
+                        for i in window}  # fmt: skip
+                return max((min(self.at(inner[1], i, come, lost), held[i]) for i in window), default=-math.inf)
+            values = [self.at(inner[0], i, come, lost) for i in window]
+            return min(values, default=math.inf) if kind == "historically" else max(values, default=-math.inf)
+        if high is None and self.ended and k + low < n:  # as far as the record goes, and by what is decided
+            beyond, taken = False, (1 if kind == "always" else 0)
+        else:
+            beyond, taken = high is None or k + high >= n, come
+        window = range(k + low, n if high is None else min(n, k + high + 1))
+        if kind == "until":
+            found = [min([self.at(inner[1], i, taken, lost)]
+                         + [self.at(inner[0], j, taken, lost) for j in range(k, i)]) for i in window]  # fmt: skip
+            if beyond:
+                found.append(min([unknown] + [self.at(inner[0], j, taken, lost) for j in range(k, n)]))
+            return max(found, default=-math.inf)
+        values = [self.at(inner[0], i, taken, lost) for i in window] + ([unknown] if beyond else [])
+        return min(values, default=math.inf) if kind == "always" else max(values, default=-math.inf)
+
+
+def drawn(seed):
+    """A formula with its text, the samples of a record, and the tick at which each signal first comes."""
+    rng = random.Random(seed)
+    end = rng.choice([None, None, 0, 3, 6])
+    tree = (rng.choice(["always", "eventually"]), (0, end), draw(rng, rng.choice([1, 3, 6])))
+    n = rng.choice([1, 2, 3, 5, 8, 13])
+    missing = rng.choice([0.0, 0.0, 0.0, 0.15])
+
+    def value():
+        return math.nan if rng.random() < missing else rng.choice([rng.uniform(-1.5, 1.5), rng.uniform(0.3, 2), 0.0])
+
+    samples = [{"x": value(), "y": value(), "fault": math.nan if rng.random() < missing else rng.choice([0.0, 1.0])}
+               for _ in range(n)]  # fmt: skip
+    first = {"x": 0, "y": rng.choice([0, 0, 0, 2]), "fault": 0}
+    return tree, samples, first
+
+
+def columns(samples, first, conditions, n):
+    x = {name: np.array([s[name] for s in samples[:n]]) for name in ("x", "y")}
+    fault = np.array([s["fault"] for s in samples[:n]])
+    before = np.concatenate((fault[:1], fault[:-1]))
+    truths = {name: truth(condition, fault, before) for name, condition in conditions.items()}
+    return x, truths, {name: np.arange(n) < first[name] for name in x}
+
+
+def hold(seed):
+    tree, samples, first = drawn(seed)
+    text = write(tree)
+    parsed, conditions = read(text, KNOWN)
+    times = np.array([round(k * PERIOD * SECOND) for k in range(len(samples))], dtype=np.float64)
+    x, truths, late = columns(samples, first, conditions, len(samples))
+    after = round(len(samples) * PERIOD * SECOND)
+    record = Record(times, x, truths=truths, late=late, after=after)
+    loops = Loops(samples, first, ended=True)
+    least, greatest = loops.at(tree, 0, 0, 0), loops.at(tree, 0, 1, 1)
+    about = f"{seed}: {text}"
+    assert record.bounds(parsed)[0, 0, 0] == pytest.approx(least, abs=1e-12), about
+    assert record.bounds(parsed)[1, 1, 0] == pytest.approx(greatest, abs=1e-12), about
+    if least < 0.0 <= greatest:
+        with pytest.raises(NotJudged, match=r"not judged: (undefined|the record ends)"):
+            record.margin(parsed)
+        verdict = None
+    else:
+        margin = record.margin(parsed)
+        assert margin.value == pytest.approx(greatest if greatest < 0.0 else least, abs=1e-12), about
+        assert (margin.value < 0.0) == bool(margin.violated), about
+        verdict = margin.value >= 0.0
+    live, passed = Live(parsed), []
+    for n in range(1, len(samples) + 1):
+        row = ({name: column[n - 1] for name, column in group.items()} for group in (x, truths, late))
+        found, loops = live.push(times[n - 1], *row), Loops(samples[:n], first, ended=False)
+        expected = loops.at(tree, 0, 0, 0), loops.at(tree, 0, 1, 1)
+        assert found == pytest.approx(expected, abs=1e-12), (about, n)
+        assert not passed or (found[0] >= passed[-1][0] and found[1] <= passed[-1][1]), (about, n)
+        assert not passed or not passed[-1][2] or passed[-1][:2] == found, (about, n)
+        passed.append((*found, live.decided))
+    return verdict
+
+
+def test_random_formulas_are_measured_as_defined():
+    verdicts = [hold(seed) for seed in range(DAILY)]
+    for each in (True, False, None):  # the draw reaches all three
+        assert verdicts.count(each) > DAILY / 20
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("share", range(10))
+def test_all_random_formulas_are_measured_as_defined(share):
+    for seed in range(share, ALL, 10):
+        hold(seed)
