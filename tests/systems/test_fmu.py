@@ -401,6 +401,22 @@ def test_arrays_by_their_elements(fmus, isolated):
             mix(inputs=(f"mix/in/a/effort = {name}",), values=())
 
 
+def test_an_fmu_is_found_beside_its_scenario_from_any_directory(page, tmp_path_factory, monkeypatch):
+    other = tmp_path_factory.mktemp("other")
+    monkeypatch.chdir(other)
+    here = {m.name: m for m in rig_of(str(page / "plant.yaml")).members}
+    assert here["motor_plant"].params.fmu == str(page / "motor2.fmu")
+    (page / "child.yaml").write_text("extends: plant\ntitle: child\nduration: 0.02\n")
+    assert not simulate(str(page / "child.yaml"), duration=0.01).error
+    (other / "motor2.fmu").symlink_to(page / "motor3.fmu")  # of the current directory: as it is written
+    here = {m.name: m for m in rig_of(str(page / "plant.yaml")).members}
+    assert here["motor_plant"].params.unit.version == "3.0"
+    (other / "motor2.fmu").unlink()
+    (page / "motor2.fmu").unlink()
+    with pytest.raises(ScenarioError, match=r"no FMU 'motor2.fmu'; looked for motor2.fmu"):
+        rig_of(str(page / "plant.yaml"))
+
+
 def test_a_run_says_which_fmu_it_had(page, tmp_path):
     from softrig_bringup.cli import main
 
