@@ -37,8 +37,11 @@ VARIABLES = {
             ("z", "local", ""), ("enabled", "input", "", "true", "Boolean")],
     "mix": [("u", "input", "V", "0 0 0", None, (3,)), ("gain", "parameter", "", "1 2 3 4 5 6", None, (2, 3)),
             ("y", "output", "V", None, None, (2,)), ("bias", "tunable", "V", 0.0)],
+    "strict": [("u", "input", "", 0.0), ("n", "input", "", 0, "Integer"), ("y", "output", ""),
+               ("tolerance", "output", ""), ("mode", "local", ""), ("fault", "parameter", "", 0.0),
+               ("pid", "output", "")],
 }  # fmt: skip
-STATES = {"motor": ("theta", "w", "i"), "ball": ("height", "v"), "law": (), "mix": ()}
+STATES = {"motor": ("theta", "w", "i"), "ball": ("height", "v"), "law": (), "mix": (), "strict": ()}
 RPM = '<BaseUnit rad="1" s="-1" factor="0.10471975511965977"/>'
 
 
@@ -100,9 +103,11 @@ def describe(model, version, exchange):
     else:
         structure = "".join(f'<Output valueReference="{k}"/>' for k in outputs)
     definitions = "".join(f"<Unit name={quoteattr(u)}>{base}</Unit>" for u, base in units.items() if u)
+    experiment = '<DefaultExperiment tolerance="1e-9"/>' if model == "strict" else ""
     return ('<?xml version="1.0" encoding="UTF-8"?>'
             f'<fmiModelDescription fmiVersion="{token}" modelName="{model}" {tag}="{model}"{indicators}>'
-            f"{interfaces}<UnitDefinitions>{definitions}</UnitDefinitions><ModelVariables>{''.join(variables)}"
+            f"{interfaces}<UnitDefinitions>{definitions}</UnitDefinitions>"
+            f"{experiment}<ModelVariables>{''.join(variables)}"
             f"</ModelVariables><ModelStructure>{structure}</ModelStructure></fmiModelDescription>")  # fmt: skip
 
 

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from conftest import PATIENCE
 from faultrig import Gain
+from numpy import mean as average
 from softrig_core import Block, BlockParams, jit, number
 from softrig_core.kit import jit as module
 from softrig_core.kit.jit import power
@@ -159,6 +160,39 @@ def hidden(x):
 def test_what_native_code_computes_differently_is_refused(function, word):
     with pytest.raises(ValueError, match=rf"{function.__name__} uses {word}, which native code"):
         jit(function)
+
+
+@jit
+def mean(a):
+    total = 0.0
+    for x in a:
+        total += x
+    return total / len(a)
+
+
+def own_mean(a):
+    return mean(a)
+
+
+def renamed(a):
+    return average(a)
+
+
+def test_one_s_own_function_may_be_called_as_one_that_is_refused():
+    """And one that is refused stays it under another name: objects are compared."""
+    assert jit(own_mean)(np.array([1.0, 2.0, 6.0])) == 3.0
+
+    def enclosing(sum):
+        return jit(lambda a: sum(a))
+
+    assert enclosing(mean)(np.array([1.0, 2.0, 6.0])) == 3.0
+    with pytest.raises(ValueError, match="uses sum, which native code"):
+        enclosing(sum)
+    with pytest.raises(ValueError, match="renamed uses mean, which native code"):
+        jit(renamed)
+    with pytest.raises(ValueError, match="uses mean, which native code"):
+        jit(lambda a: a.mean())
+    assert jit(lambda x: np.abs(x))(-2.0) == 2.0
 
 
 def test_functions_in_closures_and_as_arguments():

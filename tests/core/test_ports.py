@@ -15,8 +15,10 @@ from softrig_core import (
     feed,
     joint_state,
     param,
+    reference,
     rig_of,
     run_processes,
+    scalars,
     wrench,
 )
 from softrig_core.block.answer import check
@@ -151,6 +153,7 @@ def test_a_partial_port_refuses_what_it_does_not_know():
     for names in (["a", "c"], [], ["a", "a"]):
         with pytest.raises(Refused, match="expected some of"):
             Decoder(port)(Layout(port.msgtype, "", names, {"effort": len(names)}).encode(0, [1.0] * len(names)))
+    for names in (["a", "c"], ["a", "a"]):
         with pytest.raises(Refused, match="expected some of"):
             selection(command("e", "e", names, "N"), port)
     with pytest.raises(ValueError, match="cannot be partial"):
@@ -196,3 +199,15 @@ def test_a_base_leaves_its_parameters_open():
 
     assert (Base.Params, Law.Params, Bound.Params) == (Turned, Ranged, Ranged)
     assert Base(gain=3.0).p.gain == 3.0
+
+
+@pytest.mark.parametrize("make", [
+    lambda: command("duty", "duty", ["switch"], ""),
+    lambda: joint_state("state", "state", ["x"]),
+    lambda: joint_state("state", "state", [], position="m"),
+    lambda: reference("r", "r", ["x"]),
+    lambda: scalars("s", "s", {}),
+])  # fmt: skip
+def test_a_port_without_values_is_refused_when_it_is_made(make):
+    with pytest.raises(ValueError, match=r"port \w+: \w+ has no values; expected .* '1' for a pure number"):
+        make()

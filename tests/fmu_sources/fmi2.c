@@ -3,6 +3,12 @@
 #include "fmi2Functions.h"
 #include MODEL
 typedef struct { double r[N]; fmi2CallbackLogger log; } Unit;
+#ifndef TOLERANCE
+#define TOLERANCE(r, known, value)
+#define MODE(r, now) /* 1: events, 2: continuous time */
+#define REFUSES(r, vr) 0
+#define ENDS(r) 0
+#endif
 #define EACH for (size_t k = 0; k < n; k++)
 #define REFS fmi2Component c, const fmi2ValueReference vr[], size_t n
 
@@ -17,13 +23,16 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, f
     return u;
 }
 void fmi2FreeInstance(fmi2Component c) { free(c); }
-fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean d, fmi2Real tol, fmi2Real a, fmi2Boolean s, fmi2Real b) { return fmi2OK; }
+fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean d, fmi2Real tol, fmi2Real a, fmi2Boolean s, fmi2Real b) {
+    TOLERANCE(((Unit *)c)->r, d, tol);
+    return fmi2OK;
+}
 fmi2Status fmi2EnterInitializationMode(fmi2Component c) { return fmi2OK; }
 fmi2Status fmi2ExitInitializationMode(fmi2Component c) { return fmi2OK; }
 fmi2Status fmi2Terminate(fmi2Component c) { return fmi2OK; }
 fmi2Status fmi2Reset(fmi2Component c) { for (int k = 0; k < N; k++) ((Unit *)c)->r[k] = initial[k]; return fmi2OK; }
 #define GET(T, X) { outputs(((Unit *)c)->r); EACH x[k] = ((Unit *)c)->r[vr[k]]; return fmi2OK; }
-#define SET { EACH ((Unit *)c)->r[vr[k]] = x[k]; return fmi2OK; }
+#define SET { EACH { if (REFUSES(((Unit *)c)->r, vr[k])) return fmi2Error; ((Unit *)c)->r[vr[k]] = x[k]; } return fmi2OK; }
 fmi2Status fmi2GetReal(REFS, fmi2Real x[]) GET(r, x)
 fmi2Status fmi2GetInteger(REFS, fmi2Integer x[]) GET(r, x)
 fmi2Status fmi2GetBoolean(REFS, fmi2Boolean x[]) GET(r, x)
@@ -58,18 +67,18 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean no) {
 }
 fmi2Status fmi2CancelStep(fmi2Component c) { return fmi2Error; }
 fmi2Status fmi2GetStatus(fmi2Component c, const fmi2StatusKind k, fmi2Status *x) { return fmi2Error; }
-fmi2Status fmi2GetRealStatus(fmi2Component c, const fmi2StatusKind k, fmi2Real *x) { return fmi2Error; }
+fmi2Status fmi2GetRealStatus(fmi2Component c, const fmi2StatusKind k, fmi2Real *x) { *x = 0.25; return fmi2OK; }
 fmi2Status fmi2GetIntegerStatus(fmi2Component c, const fmi2StatusKind k, fmi2Integer *x) { return fmi2Error; }
-fmi2Status fmi2GetBooleanStatus(fmi2Component c, const fmi2StatusKind k, fmi2Boolean *x) { return fmi2Error; }
+fmi2Status fmi2GetBooleanStatus(fmi2Component c, const fmi2StatusKind k, fmi2Boolean *x) { *x = k == fmi2Terminated && ENDS(((Unit *)c)->r); return fmi2OK; }
 fmi2Status fmi2GetStringStatus(fmi2Component c, const fmi2StatusKind k, fmi2String *x) { return fmi2Error; }
 /* model exchange: the continuous states are the first of the numbers */
-fmi2Status fmi2EnterEventMode(fmi2Component c) { return fmi2OK; }
+fmi2Status fmi2EnterEventMode(fmi2Component c) { MODE(((Unit *)c)->r, 1); return fmi2OK; }
 fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *info) {
     event(((Unit *)c)->r);
     info->newDiscreteStatesNeeded = info->terminateSimulation = info->nextEventTimeDefined = fmi2False;
     return fmi2OK;
 }
-fmi2Status fmi2EnterContinuousTimeMode(fmi2Component c) { return fmi2OK; }
+fmi2Status fmi2EnterContinuousTimeMode(fmi2Component c) { MODE(((Unit *)c)->r, 2); return fmi2OK; }
 fmi2Status fmi2CompletedIntegratorStep(fmi2Component c, fmi2Boolean no, fmi2Boolean *enter, fmi2Boolean *end) {
     *enter = *end = fmi2False;
     return fmi2OK;

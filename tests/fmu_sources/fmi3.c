@@ -6,6 +6,12 @@ typedef struct { double r[N]; fmi3LogMessageCallback log; } Unit;
 #ifndef WIDTH
 #define WIDTH(v) 1 /* values of a variable: those of an array stand one after the other */
 #endif
+#ifndef TOLERANCE
+#define TOLERANCE(r, known, value)
+#define MODE(r, now) /* 1: events, 2: continuous time */
+#define REFUSES(r, vr) 0
+#define ENDS(r) 0
+#endif
 #define EACH for (size_t k = 0; k < n; k++)
 #define REFS fmi3Instance c, const fmi3ValueReference vr[], size_t n
 
@@ -22,15 +28,19 @@ fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3
 fmi3Instance fmi3InstantiateModelExchange(fmi3String name, fmi3String token, fmi3String place, fmi3Boolean visible, fmi3Boolean on,
     fmi3InstanceEnvironment env, fmi3LogMessageCallback log) { return make(log); }
 void fmi3FreeInstance(fmi3Instance c) { free(c); }
-fmi3Status fmi3EnterInitializationMode(fmi3Instance c, fmi3Boolean d, fmi3Float64 tol, fmi3Float64 a, fmi3Boolean s, fmi3Float64 b) { return fmi3OK; }
+fmi3Status fmi3EnterInitializationMode(fmi3Instance c, fmi3Boolean d, fmi3Float64 tol, fmi3Float64 a, fmi3Boolean s, fmi3Float64 b) {
+    TOLERANCE(((Unit *)c)->r, d, tol);
+    return fmi3OK;
+}
 fmi3Status fmi3ExitInitializationMode(fmi3Instance c) { return fmi3OK; }
-fmi3Status fmi3EnterEventMode(fmi3Instance c) { return fmi3OK; }
+fmi3Status fmi3EnterEventMode(fmi3Instance c) { MODE(((Unit *)c)->r, 1); return fmi3OK; }
 fmi3Status fmi3Terminate(fmi3Instance c) { return fmi3OK; }
 fmi3Status fmi3Reset(fmi3Instance c) { return fmi3OK; }
 #define GET(NAME, TYPE) fmi3Status fmi3Get##NAME(REFS, TYPE x[], size_t m) \
     { size_t j = 0; outputs(((Unit *)c)->r); EACH for (int q = 0; q < WIDTH(vr[k]); q++) x[j++] = ((Unit *)c)->r[vr[k] + q]; return fmi3OK; }
 #define SET(NAME, TYPE) fmi3Status fmi3Set##NAME(REFS, const TYPE x[], size_t m) \
-    { size_t j = 0; EACH for (int q = 0; q < WIDTH(vr[k]); q++) ((Unit *)c)->r[vr[k] + q] = x[j++]; return fmi3OK; }
+    { size_t j = 0; EACH { if (REFUSES(((Unit *)c)->r, vr[k])) return fmi3Error; \
+      for (int q = 0; q < WIDTH(vr[k]); q++) ((Unit *)c)->r[vr[k] + q] = x[j++]; } return fmi3OK; }
 #define BOTH(NAME) GET(NAME, fmi3##NAME) SET(NAME, fmi3##NAME)
 BOTH(Float64) BOTH(Float32) BOTH(Int32) BOTH(Int64) BOTH(UInt8) BOTH(Boolean)
 fmi3Status fmi3GetFMUState(fmi3Instance c, fmi3FMUState *s) { *s = malloc(sizeof(Unit)); *(Unit *)*s = *(Unit *)c; return fmi3OK; }
@@ -51,13 +61,15 @@ fmi3Status fmi3DoStep(fmi3Instance c, fmi3Float64 t, fmi3Float64 h, fmi3Boolean 
                       fmi3Boolean *early, fmi3Float64 *last) {
     Unit *u = c;
     int status = step(u->r, t, h);
+    if (ENDS(u->r)) status = 0; /* FMI 3.0 has a flag for it */
     if (status) u->log(NULL, status, "step", "the step is too hard for me");
-    *event = *end = *early = fmi3False;
+    *event = *early = fmi3False;
+    *end = ENDS(u->r);
     *last = t + h;
     return status;
 }
 /* model exchange: the continuous states are the first of the numbers */
-fmi3Status fmi3EnterContinuousTimeMode(fmi3Instance c) { return fmi3OK; }
+fmi3Status fmi3EnterContinuousTimeMode(fmi3Instance c) { MODE(((Unit *)c)->r, 2); return fmi3OK; }
 fmi3Status fmi3UpdateDiscreteStates(fmi3Instance c, fmi3Boolean *more, fmi3Boolean *end, fmi3Boolean *nominals, fmi3Boolean *values,
                                     fmi3Boolean *defined, fmi3Float64 *next) {
     event(((Unit *)c)->r);

@@ -5,10 +5,13 @@ import json
 import math
 import random
 import re
+import subprocess
+import sys
+import zipfile
 from pathlib import Path
 
 import pytest
-from conftest import differences, in_process, make_scenario, no_process_left
+from conftest import differences, in_process, make_scenario, no_process_left, until
 from simulated import SimulatedRig, World
 from softrig_core import (
     ByHand,
@@ -41,7 +44,7 @@ BALL = ("ball/state/ball/position = height", "ball/state/ball/velocity = v", "ba
 @pytest.fixture(scope="module")
 def fmus(tmp_path_factory):
     folder = tmp_path_factory.mktemp("fmus")
-    for model in ("motor", "ball", "law"):
+    for model in ("motor", "ball", "law", "strict"):
         for version in (2, 3):
             build_fmu(folder, model, version)
     build_fmu(folder, "mix", 3)
@@ -237,8 +240,98 @@ def test_an_fmu_for_another_machine_or_without_the_interface_is_told(tmp_path):
         motor(tmp_path)
     (tmp_path / "other").mkdir()
     build_fmu(tmp_path / "other", "motor", exchange=False)
-    with pytest.raises(ParameterError, match=r"motor2\.fmu has no model_exchange, only co_simulation"):
+    with pytest.raises(ParameterError, match=r"motor2\.fmu has no interface model_exchange; it has co_simulation"):
         motor(tmp_path / "other", method="model_exchange")
+
+
+def strict(fmus, version=2, **given):
+    about = {"fmu": str(fmus / f"strict{version}.fmu"), "period": 0.25,
+             "inputs": ("u/a/position = u", "n/a/position = n"),
+             "outputs": ("y/a/position = y", "tol/a/position = tolerance", "pid/a/position = pid")}  # fmt: skip
+    return FmuPlant(name="strict", **about | given)
+
+
+@pytest.mark.parametrize("version", [2, 3])
+def test_the_tolerance_of_its_experiment_is_passed_and_discrete_inputs_jump_at_events(fmus, version):
+    for method in ("co_simulation", "model_exchange"):
+        plant = strict(fmus, version, method=method, isolated=False)
+        assert plant.outputs(0)["to_tol"] == (1e-9,)
+        for k in range(3):
+            plant.advance(0, u=(0.5,), n=(float(k),))
+            assert plant.outputs(0)["to_y"] == (0.5 + k,)
+
+
+@pytest.mark.parametrize(("version", "fault", "says"), [
+    (2, 6, r"fmi2DoStep: asks to end the simulation at 0\.25 s"),
+    (3, 6, r"fmi3DoStep: asks to end the simulation at 0\.25 s"),
+    (2, 7, "crashed: its process closed the pipe by which it is asked"),
+])  # fmt: skip
+def test_one_that_asks_to_end_or_closes_descriptors_is_told(fmus, version, fault, says, capfd):
+    with pytest.raises(RunError, match=says):
+        strict(fmus, version, values=(f"fault = {fault}",)).advance(0, u=(0.0,), n=(0.0,))
+    assert "Traceback" not in capfd.readouterr().err
+
+
+@pytest.mark.parametrize("ending", ["end", "kill"])
+def test_what_an_fmu_starts_ends_with_it(fmus, ending, tmp_path):
+    """Also where the node that runs it is killed."""
+    code = f"""import sys, time
+sys.path[:0] = {[str(Path(__file__).parent), str(Path(__file__).parents[1])]!r}
+from test_fmu import strict, Path
+plant = strict(Path({str(fmus)!r}), values=("fault = 8",))
+plant.advance(0, u=(0.0,), n=(0.0,))
+print(int(plant.outputs(0)["to_pid"][0]), flush=True)
+sys.stdin.readline()
+"""
+    node = subprocess.Popen([sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    pid = int(node.stdout.readline())
+    assert Path(f"/proc/{pid}").exists()
+    if ending == "kill":
+        node.kill()
+    node.communicate("\n")
+    until(lambda: not Path(f"/proc/{pid}").exists(), "the end of what the FMU has started")
+
+
+def test_archives_that_would_fill_a_disk_or_a_stack_are_refused(fmus, tmp_path, monkeypatch):
+    monkeypatch.setattr("softrig_control.fmu.description.LARGEST", 4_000_000)
+
+    def changed(name, add):
+        path = tmp_path / f"{name}.fmu"
+        path.write_bytes((fmus / "motor2.fmu").read_bytes())
+        with zipfile.ZipFile(path, "a", zipfile.ZIP_DEFLATED) as archive:
+            add(archive)
+        return {"fmu": str(path)}
+
+    def bomb(archive):
+        with archive.open("resources/zeros", "w", force_zip64=True) as file:
+            for _ in range(6):
+                file.write(bytes(1_000_000))
+
+    with pytest.raises(ParameterError, match=r"6 MB of content, expected at most 4 MB"):
+        motor(fmus, **changed("bomb", bomb))
+    with pytest.raises(ParameterError, match=r"is 3001 folders deep, expected at most 50"):
+        motor(fmus, **changed("deep", lambda archive: archive.writestr("a/" * 3000 + "b", b"")))
+    with pytest.raises(ParameterError, match=r"'\.\./b' is no path inside it"):
+        motor(fmus, **changed("out", lambda archive: archive.writestr("../b", b"")))
+
+
+def test_what_no_interface_of_ours_can_run_is_refused_by_its_name(fmus, tmp_path):
+    def described(text):
+        path = tmp_path / "other.fmu"
+        with zipfile.ZipFile(fmus / "motor3.fmu") as old, zipfile.ZipFile(path, "w") as new:
+            for name in old.namelist():
+                new.writestr(name, text if name == "modelDescription.xml" else old.read(name))
+        return {"fmu": str(path)}
+
+    one = '<fmiModelDescription fmiVersion="1.0" modelName="m" guid="g" numberOfContinuousStates="0"/>'
+    with pytest.raises(ParameterError, match=r"other\.fmu is of FMI 1\.0, expected 2\.0 or 3\.0"):
+        motor(fmus, **described(one))
+    with zipfile.ZipFile(fmus / "motor3.fmu") as archive:
+        text = archive.read("modelDescription.xml").decode()
+    clocks = re.sub("<ModelExchange[^>]*/>", "", text).replace("<CoSimulation", "<ScheduledExecution")
+    clocks = clocks.replace(' canHandleVariableCommunicationStepSize="true"', "")
+    with pytest.raises(ParameterError, match="has no interface co_simulation; it has scheduled_execution"):
+        motor(fmus, **described(clocks))
 
 
 @pytest.mark.parametrize(("version", "fault", "says"), [
@@ -307,6 +400,22 @@ def test_arrays_by_their_elements(fmus, isolated):
                        ("gain[1]", r"expected gain\[1..2,1..3\]"), ("bias[1]", "bias")):  # fmt: skip
         with pytest.raises(ParameterError, match=says):
             mix(inputs=(f"mix/in/a/effort = {name}",), values=())
+
+
+def test_an_fmu_is_found_beside_its_scenario_from_any_directory(page, tmp_path_factory, monkeypatch):
+    other = tmp_path_factory.mktemp("other")
+    monkeypatch.chdir(other)
+    here = {m.name: m for m in rig_of(str(page / "plant.yaml")).members}
+    assert here["motor_plant"].params.fmu == str(page / "motor2.fmu")
+    (page / "child.yaml").write_text("extends: plant\ntitle: child\nduration: 0.02\n")
+    assert not simulate(str(page / "child.yaml"), duration=0.01).error
+    (other / "motor2.fmu").symlink_to(page / "motor3.fmu")  # of the current directory: as it is written
+    here = {m.name: m for m in rig_of(str(page / "plant.yaml")).members}
+    assert here["motor_plant"].params.unit.version == "3.0"
+    (other / "motor2.fmu").unlink()
+    (page / "motor2.fmu").unlink()
+    with pytest.raises(ScenarioError, match=r"no FMU 'motor2.fmu'; looked for motor2.fmu"):
+        rig_of(str(page / "plant.yaml"))
 
 
 def test_a_run_says_which_fmu_it_had(page, tmp_path):

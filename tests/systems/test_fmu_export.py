@@ -16,7 +16,7 @@ pytest.importorskip("pythonfmu")
 # ruff: noqa: E402
 from fmpy.validation import validate_fmu
 from softrig_control.fmu.export import export
-from softrig_control.fmu.nodes import FmuPlant
+from softrig_control.fmu.nodes import FmuLaw, FmuPlant
 from softrig_control.fmu.slave import variable
 
 PAGE = Path(__file__).parents[2] / "ros_pkgs" / "softrig_control" / "doc" / "fmu.md"
@@ -112,6 +112,26 @@ def motor(exported, **given):
     inputs, outputs = ("u/a/effort = motor.command.armature.effort",), (f"y/shaft/velocity = {SHAFT}",)
     given = {"fmu": str(exported / "dc_motor_plant.fmu"), "period": 1e-4, "inputs": inputs, "outputs": outputs} | given
     return FmuPlant(name="motor", log=True, **given)
+
+
+def test_inputs_that_nobody_feeds_begin_as_in_the_scenario(tmp_path):
+    rig = rig_of("rectifier_mpc", duration=0.01)
+    run = simulate(rig)
+    commands = run.signals["v_drop/command/v_drop/effort"].x.tolist()
+    names = ["dc_link/voltage/position", "dc_link/current/position"]
+    measured = list(zip(*(run.signals[n].x.tolist() for n in names), strict=True))
+    export(rig, "gpc_controller", tmp_path)
+    given = {"fmu": str(tmp_path / "gpc_controller.fmu"), "period": rig.clock.params.period,
+             "outputs": ("u/v/effort = v_drop.command.v_drop.effort",)}  # fmt: skip
+    inputs = tuple(f"y/{name.split('/')[1]}/position = {name.replace('/', '.')}" for name in names)
+    law = FmuLaw(name="law", inputs=inputs, **given)
+    found = [law.update(0, y=row)["to_u"][0] for row in measured[: len(commands)]]
+    assert found == commands  # the reference, which nobody sends, is the law's own set point
+    assert FmuLaw(name="law", **given).update(0)["to_u"] == (commands[0],)
+    start = {v.name: v.start for v in fmpy.read_model_description(given["fmu"]).modelVariables}
+    assert float(start["reference.v_dc.position"]) == float(start["dc_link.voltage.position"]) == 400.0
+    set_to = FmuLaw(name="law", values=("reference.v_dc.position = 300",), inputs=inputs, **given)
+    assert set_to.update(0, y=measured[0])["to_u"] != (commands[0],)
 
 
 def test_a_longer_step_is_several_periods(exported):

@@ -61,6 +61,10 @@ class BagReader:
         except Exception as error:  # a damaged file makes the library raise whatever its bytes lead to
             raise self._damaged(error) from error
         self._connections: list[Connection] = list(self._reader.connections)
+        try:
+            self._check_metadata()
+        except Exception as error:
+            raise self._damaged(error) from error
         for connection in self._connections:
             if any(t.name == connection.topic for t in self.topics):
                 raise BagError(f"{self.path}: two types on topic {connection.topic}")
@@ -70,6 +74,18 @@ class BagReader:
                 raise self._damaged(error) from error
             self.counts.append(connection.msgcount)
         return self
+
+    def _check_metadata(self) -> None:
+        """Make sure that what the metadata says is of the kind that it should be: the library takes what stands there."""
+        for connection in self._connections:
+            if not isinstance(connection.topic, str) or not isinstance(connection.msgtype, str):
+                what = f"topic {connection.topic!r} of type {connection.msgtype!r}"
+                raise ValueError(f"{what[:100]}, expected names")
+            _check_number(f"messages on {connection.topic}", connection.msgcount)
+        for name, number in (("messages", self.count), ("start", self.start), ("end", self.end + 1)):
+            _check_number(name, number)
+        if not isinstance(custom := self.custom_data, dict):
+            raise ValueError(f"custom_data is {custom!r}"[:100] + ", expected a mapping")
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
@@ -119,6 +135,10 @@ class BagReader:
             return
         try:
             for connection, t, data in self._reader.messages(chosen, start=start or None):
+                if not isinstance(data, bytes | memoryview) or not isinstance(t, int):
+                    raise ValueError(
+                        f"a message on {connection.topic} is {type(data).__name__} at {t!r}, expected bytes"
+                    )
                 yield index[connection.topic], t, data
         except Exception as error:  # a damaged file makes the library raise whatever its bytes lead to
             raise self._damaged(error) from error
@@ -135,6 +155,11 @@ class BagReader:
                 except Exception as error:  # a damaged text makes the parser raise whatever it leads to
                     raise BagError(f"{self.path}: the definition of {msgtype} cannot be read: {error}") from error
         return typestore() if BagTopic.known("", msgtype).definition else None
+
+
+def _check_number(name: str, number: object) -> None:
+    if not isinstance(number, int) or not 0 <= number < 1 << 63:
+        raise ValueError(f"{name}: {number!r}"[:100] + ", expected a whole number of 64 bits")
 
 
 def _topic(connection: Connection) -> BagTopic:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from bisect import insort
 from collections.abc import Mapping
-from typing import Self
+from typing import Any, Self
 
 from pydantic import model_validator
 from softrig_core import Block, Level, Port, Sample, executable, param, to_ns
@@ -27,6 +27,8 @@ class FieldbusDelayParams(LinkParams):
     @model_validator(mode="after")
     def _steps_fit(self) -> Self:
         self.check_size("quantum")
+        if not self.type.stamped:
+            raise ValueError(f"message {self.message} has no stamp, which tells what was sent before what")
         return self
 
 
@@ -89,7 +91,7 @@ class FieldbusDelay(Block[FieldbusDelayParams]):
         held = self._held
         assert held is not None
         if (arrived := self._line.arrived(t, held.stamp)) is not None:
-            self._held = held = arrived
+            self._held = held = Sample(*arrived)
         return {"arrived": held.data if self.p.restamp else held}
 
     def _send(self, t: int, sample: Sample) -> None:
@@ -104,26 +106,26 @@ class FieldbusDelay(Block[FieldbusDelayParams]):
             data = tuple(
                 math.floor(x / q + 0.5) * q if q else x for x, q in zip(data, self.p.quantum, strict=True)
             )  # fmt: skip
-        self._line.send(t + periods * self._period, Sample(sample.stamp, data))
+        self._line.send(t + periods * self._period, sample.stamp, data)
 
 
 class Line:
     """Messages under way, each with the time of its arrival; of those that are there the newest one counts."""
 
     def __init__(self) -> None:
-        self._under_way: list[tuple[int, int, tuple[float, ...]]] = []
+        self._under_way: list[tuple[int, int, Any]] = []
 
-    def send(self, due: int, sample: Sample) -> None:
+    def send(self, due: int, stamp: int, message: Any) -> None:
         """Put a message on the line that arrives at `due`, ns."""
-        insort(self._under_way, (due, *sample))
+        insort(self._under_way, (due, stamp, message))
 
-    def arrived(self, t: int, since: int) -> Sample | None:
+    def arrived(self, t: int, since: int) -> tuple[int, Any] | None:
         """Take off what has arrived at `t`; give the newest if it is as new as `since`, ns. Older ones are dropped."""
         found = None
         while self._under_way and self._under_way[0][0] <= t:
-            _, stamp, data = self._under_way.pop(0)
+            _, stamp, message = self._under_way.pop(0)
             if stamp >= since:
-                found, since = Sample(stamp, data), stamp
+                found, since = (stamp, message), stamp
         return found
 
 

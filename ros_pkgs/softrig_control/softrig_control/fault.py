@@ -8,12 +8,14 @@ from typing import Literal, Self
 
 from pydantic import model_validator
 from softrig_core import Block, Port, Sample, button, executable, param, to_ns
+from softrig_core.wire import types
 
 from .delay import Line, whole_periods
 from .unit_delay import LinkParams
 
 Kind = Literal["offset", "scale", "drift", "noise", "quantise", "saturate", "stuck", "spike", "delay", "loss", "repeat",
                "silence", "add", "replace", "invalid"]  # fmt: skip
+Message = tuple[float, ...] | Sample
 
 
 class FaultParams(LinkParams):
@@ -51,6 +53,7 @@ class FaultParams(LinkParams):
     overtaking: bool = param(
         True, "whether a message may arrive before one sent earlier, which is then dropped", live=True
     )
+    delayed: bool = param(False, "whether the stamps are times of acquisition, as behind a `fieldbus_delay`")
     holds: bool = param(False, "say the value held again in place of silence, for a reader that cannot be told of it; "
                         "at first `initial`")  # fmt: skip
     active: bool = param(True, "whether it is switched on at first; the button `toggle` switches", live=True)
@@ -63,6 +66,10 @@ class FaultParams(LinkParams):
                 raise ValueError(f"{name} has {len(given)} numbers, expected one, or one for each of {count} values")
         if self.kind in ("noise", "quantise") and min(self.value) < 0.0:
             raise ValueError(f"value = {min(self.value):g}: expected at least 0 for {self.kind}")
+        if self.kind == "invalid" and self.message == types.BUTTON.name:
+            raise ValueError("kind invalid: a std_msgs/msg/Bool is true or false, it has no NaN")
+        if self.delayed and not self.type.stamped:
+            raise ValueError(f"delayed: a {self.message} has no stamp")
         if self.kind == "saturate":
             for low, high in zip(*self.range(), strict=True):
                 if low > high:
@@ -87,7 +94,9 @@ class FaultParams(LinkParams):
         """
         labels = self.port("link", self.topic_in).labels
         found: list[int] = []
-        for name in self.affects or labels:
+        if not self.affects:
+            return tuple(range(len(labels)))
+        for name in self.affects:
             there = [i for i, label in enumerate(labels) if label == name or label.split("/")[0] == name]
             if not there:
                 raise ValueError(f"affects {name!r}, but the link carries {', '.join(labels)}")
@@ -112,7 +121,8 @@ class Fault(Block[FaultParams]):
     -----
     ``drift`` grows from the moment the fault begins, ``stuck`` holds the value of that moment. The random numbers
     depend on the rig's seed and the node's name; they are drawn for every message, so that neither `start` nor
-    `toggle` shifts them.
+    `toggle` shifts them. A button (std_msgs/Bool) that becomes more than one half is pressed. Behind a link whose
+    stamps are times of acquisition a message is what has a new one, and keeps it.
 
     What may change while it runs (when, how much, how often, `active`) acts on the messages from then on: what is under
     way arrives when it was to, and what has begun keeps its beginning. A changed `active` switches as `toggle` does,
@@ -131,8 +141,9 @@ class Fault(Block[FaultParams]):
     def ports(cls, params: FaultParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
         """Give both ends of the link, of the same message type, and the switch."""
         switch = button("toggle", f"{params.topic_out}/toggle", held=True)
-        return (params.port("sent", params.topic_in), switch), (
-            params.port("arrived", params.topic_out, sporadic=not params.holds, unchecked=params.kind == "invalid"),
+        return (params.port("sent", params.topic_in, delayed=params.delayed), switch), (
+            params.port("arrived", params.topic_out, sporadic=not params.holds, delayed=params.delayed,
+                        unchecked=params.kind == "invalid"),
         )  # fmt: skip
 
     def setup(self) -> None:
@@ -145,6 +156,7 @@ class Fault(Block[FaultParams]):
         self._cycle = to_ns(p.every), to_ns(p.lasts)
         self._concerned = p.concerned()
         self._values = p.value if len(p.value) > 1 else p.value * len(self._concerned)
+        self._pressed = p.message == types.BUTTON.name
         self._limits = list(zip(*p.range(), strict=True)) if p.kind == "saturate" else []
 
     def change(self, params: FaultParams) -> None:
@@ -160,22 +172,21 @@ class Fault(Block[FaultParams]):
         self._down = False
         self._burst = False
         self._began: tuple[int, tuple[float, ...]] | None = None  # when it came, and what was sent then
-        self._before: tuple[float, ...] | None = None
+        self._before: Message | None = None
         self._line = Line()
-        self._said = self.p.initial or (0.0,) * self.p.port("sent", self.p.topic_in).size
+        initial = self.p.initial or (0.0,) * self.p.port("sent", self.p.topic_in).size
+        self._said: Message = Sample(0, initial) if self.p.delayed else initial
+        self._taken = -1
         self._newest = -1
         self._last_due = 0
 
-    def update(
-        self, t: int, *, sent: tuple[float, ...], toggle: tuple[float] | None
-    ) -> Mapping[str, tuple[float, ...]]:
+    def update(self, t: int, *, sent: Message, toggle: tuple[float] | None) -> Mapping[str, Message]:
         """Hand on what has come at this tick, as the fault leaves it."""
         down = toggle is not None and toggle[0] > 0.5
         if down and not self._down:
             self._switch(not self._on)
         self._down = down
-        fresh = self.age("sent") == 0
-        found = self._hand_on(t, sent) if fresh else None
+        found = self._hand_on(t, sent) if self._new(sent) else None
         if self.p.kind == "delay":
             self._newest = self._newest if found is None else t
             if (late := self._line.arrived(t, self._newest + 1)) is not None:
@@ -184,6 +195,14 @@ class Fault(Block[FaultParams]):
             return {"arrived": self._said} if self.p.holds else {}
         self._said = found
         return {"arrived": found}
+
+    def _new(self, sent: Message) -> bool:
+        """Whether a message has come at this tick; a link of acquisition times repeats what it has until then."""
+        age = self.age("sent")
+        if not isinstance(sent, Sample):
+            return age == 0
+        before, self._taken = self._taken, sent.stamp if age is not None else -1
+        return self._taken > before
 
     def _switch(self, on: bool) -> None:
         """Be there or not; `active` says so as well, so that a button and a parameter set after it agree."""
@@ -202,37 +221,39 @@ class Fault(Block[FaultParams]):
             self._began = t, sent
         return there
 
-    def _hand_on(self, t: int, sent: tuple[float, ...]) -> tuple[float, ...] | None:
+    def _hand_on(self, t: int, message: Message) -> Message | None:
         """What a message becomes; None when it is lost or late."""
+        sent = message.data if isinstance(message, Sample) else message
         draws = self._draws()
-        before, self._before = self._before, sent
+        before, self._before = self._before, message
         if not self._there(t, sent):
-            return sent
+            return message
         kind, p = self.p.kind, self.p
         if kind == "silence":
             return None
         if kind == "loss":
             chance = p.probability if not p.burst_begins else p.lost_in_burst if self._burst else 0.0
-            return None if draws[0] < chance else sent
+            return None if draws[0] < chance else message
         if kind == "repeat":
-            return before if before is not None and draws[0] < p.probability else sent
+            return before if before is not None and draws[0] < p.probability else message
         if kind == "delay":
             due = t + (self._delay + int(draws[0] * (self._jitter + 1))) * self._period
             due = due if p.overtaking else max(due, self._last_due)
             self._last_due = due
-            self._line.send(due, Sample(t, sent))
+            self._line.send(due, t, message)
             return None
         if kind in ("spike", "invalid") and draws[0] >= p.probability:
-            return sent
+            return message
         changed = list(sent)
-        if p.points:
-            profile = self._profile(t - self._window[0])
-            for i in self._concerned:
-                changed[i] = profile if kind == "replace" else sent[i] + profile
-            return tuple(changed)
+        profile = self._profile(t - self._window[0]) if p.points else 0.0
         for k, i in enumerate(self._concerned):
-            changed[i] = self._changed(k, sent[i], i, t, draws)
-        return tuple(changed)
+            if p.points:
+                changed[i] = profile if kind == "replace" else sent[i] + profile
+            else:
+                changed[i] = self._changed(k, sent[i], i, t, draws)
+        if self._pressed:
+            changed = [float(x > 0.5) for x in changed]
+        return Sample(message.stamp, tuple(changed)) if isinstance(message, Sample) else tuple(changed)
 
     def _profile(self, since: int) -> float:
         """Value of the profile at a time in ns after its start."""

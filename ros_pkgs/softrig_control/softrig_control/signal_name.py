@@ -23,7 +23,9 @@ def split(signal: str) -> tuple[str, str, str]:
     return topic, channel, field
 
 
-def signal_port(name: str, signal: str, unit: str, *, also: Sequence[str] = (), held: bool = False) -> Port:
+def signal_port(
+    name: str, signal: str, unit: str, *, also: Sequence[str] = (), held: bool = False, safe: tuple[float, ...] = (),
+) -> Port:  # fmt: skip
     """Make a port of one channel of a JointState; it comes first.
 
     Parameters
@@ -38,4 +40,5 @@ def signal_port(name: str, signal: str, unit: str, *, also: Sequence[str] = (), 
         Channels that are in the same message, their units not known.
     """
     topic, channel, field = split(signal)
-    return joint_state(name, topic, (channel, *also), held=held, **{field: (unit or "1", *("" for _ in also))})
+    units: dict[str, tuple[str, ...]] = {field: (unit or "1", *("" for _ in also))}
+    return joint_state(name, topic, (channel, *also), held=held, safe=safe, **units)

@@ -15,6 +15,10 @@ MessageType = Literal[
     "trajectory_msgs/msg/JointTrajectory",
     "geometry_msgs/msg/Vector3Stamped",
     "geometry_msgs/msg/WrenchStamped",
+    "geometry_msgs/msg/PoseStamped",
+    "std_msgs/msg/Float64",
+    "std_msgs/msg/Bool",
+    "std_msgs/msg/Float64MultiArray",
 ]
 
 
@@ -26,7 +30,11 @@ class LinkParams(BlockParams):
     message: MessageType = param("sensor_msgs/msg/JointState", "type of the messages")
     channels: tuple[str, ...] = param(("axis",), "names in a JointState or JointTrajectory")
     fields: tuple[str, ...] = param(("position", "velocity"), "fields used of a JointState or JointTrajectory")
+    dims: tuple[str, ...] = param((), "labels of the dimensions of a Float64MultiArray, the outermost first")
+    sizes: tuple[int, ...] = param((), "their sizes", each=(1, 10_000))
     units: tuple[str, ...] = param((), "unit of each value, field after field; empty: pure numbers")
+    limits: tuple[float, ...] = param((), "magnitude beyond which each value is refused; empty: by unit",
+                                      each=(0.0, 1e300))  # fmt: skip
     frame_id: str = param("", "frame of the messages")
     initial: tuple[float, ...] = param((), "values given before the first arrival; empty: what the link says of itself")
 
@@ -34,26 +42,46 @@ class LinkParams(BlockParams):
     def _names_fit(self) -> Self:
         if self.topic_in == self.topic_out:
             raise ValueError(f"topic_in and topic_out are both {self.topic_in!r}")
-        known = {"position", "velocity", "effort" if self.message == types.JOINT_STATE.name else "acceleration"}
-        if not self.fields or not known.issuperset(self.fields):
+        known = self.type.sizes
+        if self.type.named and not (self.fields and known.keys() >= set(self.fields)):
             raise ValueError(f"fields {list(self.fields)}, expected some of {sorted(known)} for {self.message}")
-        self.check_size("initial")
-        self.check_size("units")
+        if len(self.dims) != len(self.sizes) or self.type.shaped != bool(self.dims):
+            expected = "one size for each label" if self.type.shaped else f"none for {self.message}"
+            raise ValueError(f"dims {list(self.dims)} with sizes {list(self.sizes)}, expected {expected}")
+        for name in ("initial", "units", "limits"):
+            self.check_size(name)
         return self
+
+    @property
+    def type(self) -> types.MessageType:
+        """What is known of the message type."""
+        return types.TYPES[self.message]
 
     def check_size(self, name: str) -> None:
         """Make sure that a list of values, if there is one, has one for each value of the port."""
-        given, size = getattr(self, name), self.port("link", self.topic_in).size
+        given, size = getattr(self, name), len(self._labels)
         if given and len(given) != size:
             raise ValueError(f"{name} has {len(given)} values, expected {size}")
 
+    @property
+    def _fields(self) -> tuple[str, ...]:
+        own = self.type.sizes
+        return tuple(f for f in own if f in self.fields) if self.type.named else tuple(own)
+
+    @property
+    def _labels(self) -> tuple[str, ...]:
+        names = self.channels if self.type.named else ()
+        counts = {f: self.type.sizes[f] or len(names) for f in self._fields}
+        return self.type.labels(counts, names, tuple(zip(self.dims, self.sizes, strict=True)))
+
     def port(self, name: str, topic: str, **options: Any) -> Port:
         """Give one end of the link."""
-        used = tuple(f for f in ("position", "velocity", "acceleration", "effort") if f in self.fields)
-        fields = {types.VECTOR.name: ("vector",), types.WRENCH.name: ("force", "torque")}.get(self.message, used)
-        names = self.channels if self.message in (types.JOINT_STATE.name, types.JOINT_TRAJECTORY.name) else XYZ
-        units = self.units or ("",) * (len(fields) * len(names))
-        return Port(name, topic, self.message, names, fields, units, self.frame_id, **options)
+        vector = self.message in (types.VECTOR.name, types.WRENCH.name)
+        names = self.channels if self.type.named else XYZ if vector else ()
+        return Port(
+            name, topic, self.message, names, self._fields, self.units or ("",) * len(self._labels), self.frame_id,
+            dims=tuple(zip(self.dims, self.sizes, strict=True)), limits=self.limits, **options,
+        )  # fmt: skip
 
 
 class UnitDelay(Plant[LinkParams]):

@@ -1,19 +1,24 @@
-"""An FMU in a process of its own: what crashes or hangs there ends a run by name, and takes nobody with it."""
+"""An FMU in a process of its own: what crashes or hangs there ends a run by name, and neither takes nor leaves any."""
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import os
+import resource
 import select
 import signal
 import subprocess
 import sys
 import weakref
 from multiprocessing.connection import Connection, Pipe
+from pathlib import Path
 from typing import Any
 
 from .instance import Instance, Numbers, Plan, Refusal
 
+LEAVE = 3.0  # s: after which a process that does not end is killed
+PR_SET_PDEATHSIG, PR_SET_CHILD_SUBREAPER = 1, 36
 START = 60.0  # s: a process needs its time to begin on a busy machine, whatever a call may take
 
 
@@ -82,9 +87,13 @@ class Isolated:
                 raise Refusal(f"gave no answer within {seconds:g} s")
             good, found = self._pipe.recv()
         except (EOFError, OSError):
-            code = self._process.wait()
+            try:
+                code = self._process.wait(LEAVE)
+            except subprocess.TimeoutExpired:
+                code = 0  # it lives on, and cannot be asked any more
             self._end()
-            how = f"was killed by {signal.Signals(-code).name}" if code < 0 else f"ended with status {code}"
+            how = (f"was killed by {signal.Signals(-code).name}" if code < 0 else f"ended with status {code}" if code
+                   else "closed the pipe by which it is asked")  # fmt: skip
             raise Refusal(f"crashed: its process {how}") from None
         if not good:
             self._end()  # in which state it is nobody knows
@@ -93,20 +102,74 @@ class Isolated:
 
 
 def _kill(process: subprocess.Popen[bytes], pipe: Connection) -> None:
-    process.kill()
-    process.wait()
+    process.terminate()  # its keeper, which ends all that the FMU has started
+    try:
+        process.wait(LEAVE)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
     pipe.close()
 
 
 def main() -> None:
-    """Be the process: answer calls until the other end of the pipe is closed."""
-    pipe, parent = Connection(int(sys.argv[1])), int(sys.argv[2])
+    """Be two processes: one answers calls until the pipe's other end is closed, the other ends what that leaves."""
+    parent = int(sys.argv[2])
     os.dup2(2, 1)  # an FMU that prints does so on the terminal, not in what a program may read
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the caller's; it ends us
-    pr_set_pdeathsig = 1
-    ctypes.CDLL(None).prctl(pr_set_pdeathsig, signal.SIGKILL)  # also while a call of the FMU hangs
+    signal.signal(signal.SIGTERM, _ended)
+    prctl = ctypes.CDLL(None).prctl
+    prctl(PR_SET_CHILD_SUBREAPER, 1)  # what the FMU starts is ours when the FMU has gone
+    prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
     if os.getppid() != parent:
         os._exit(0)
+    keeper, status = os.getpid(), 0
+    try:
+        fmu = os.fork()
+        if not fmu:
+            signal.signal(signal.SIGTERM, signal.SIG_DFL)
+            prctl(PR_SET_PDEATHSIG, signal.SIGKILL)  # also while a call of the FMU hangs
+            if os.getppid() == keeper:
+                _answer(Connection(int(sys.argv[1])))
+            os._exit(0)
+        os.close(int(sys.argv[1]))
+        while (ended := os.wait())[0] != fmu:
+            pass
+        status = ended[1]
+    except _Ended:
+        pass
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    _sweep()
+    if os.WIFSIGNALED(status):  # end as it did
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+        signal.signal(os.WTERMSIG(status), signal.SIG_DFL)
+        os.kill(keeper, os.WTERMSIG(status))
+    os._exit(os.waitstatus_to_exitcode(status) if os.WIFEXITED(status) else 1)
+
+
+class _Ended(BaseException):
+    """Our caller has ended, or wants us to."""
+
+
+def _ended(*_: object) -> None:
+    raise _Ended
+
+
+def _sweep() -> None:
+    """Kill our children, then those of theirs, which are ours by then, until there is none."""
+    me = os.getpid()
+    while True:
+        for stat in Path("/proc").glob("[0-9]*/stat"):
+            with contextlib.suppress(OSError, IndexError):
+                if int(stat.read_text(errors="replace").rpartition(")")[2].split()[1]) == me:
+                    os.kill(int(stat.parent.name), signal.SIGKILL)
+        try:
+            os.wait()
+        except ChildProcessError:
+            return
+
+
+def _answer(pipe: Connection) -> None:
+    """Answer calls."""
     sys.path[:] = pipe.recv()
     instance: Any = None
     while True:
@@ -116,12 +179,13 @@ def main() -> None:
             os._exit(0)  # nobody waits for what the FMU has to say at its end
         try:
             if name == "__init__":
-                instance = Instance(*arguments)
-                answer = None
+                instance, answer = Instance(*arguments), None
             else:
                 answer = getattr(instance, name)(*arguments)
-            pipe.send((True, answer))
-        except BrokenPipeError:
-            os._exit(0)
+            found = True, answer
         except Exception as error:
-            pipe.send((False, str(error) if isinstance(error, Refusal) else f"{type(error).__name__}: {error}"))
+            found = False, str(error) if isinstance(error, Refusal) else f"{type(error).__name__}: {error}"
+        try:
+            pipe.send(found)
+        except OSError:
+            os._exit(0)  # the caller has gone, or the FMU has closed our descriptors

@@ -8,6 +8,7 @@ import math
 import re
 import tempfile
 import zipfile
+import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
@@ -20,12 +21,19 @@ from softrig_core.extras import need
 from softrig_core.judge.units import base, powers, text
 from softrig_core.kit.compiled import cache_folder
 
+LARGEST = 1 << 29  # bytes of an FMU when unpacked
+DEEPEST = 50  # folders in each other
+_VERSION = re.compile(r"""fmiVersion\s*=\s*["']([^"']*)["']""")
 _INDEXED = re.compile(r"(?P<name>.+)\[(?P<at>\d+(,\d+)*)\]")
 BASES = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")  # of the FMI's base units
 # how FMPy's methods call the types: of FMI 2.0, of FMI 3.0
 KINDS = {"Real": "Real", "Integer": "Integer", "Boolean": "Boolean", "Enumeration": "Integer", "String": "String"}
 KINDS3 = {name: name for name in ("Float64", "Float32", "Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64",
                                   "UInt64", "Boolean", "String")} | {"Enumeration": "Int64"}  # fmt: skip
+
+
+class Unfit(ValueError):
+    """An FMU that is none for us; the text says why."""
 
 
 @dataclass(frozen=True)
@@ -121,8 +129,8 @@ class Description:
     path : Path
     version : str
         Of the FMI: ``2.0``, ``3.0``.
-    co_simulation, model_exchange : bool
-        Which of the two it has.
+    interfaces : tuple of str
+        Which it has of ``co_simulation``, ``model_exchange`` and ``scheduled_execution``.
     serialises : bool
         Whether its state can be kept as bytes.
     variables : dict of str to Variable
@@ -132,8 +140,7 @@ class Description:
 
     path: Path
     version: str
-    co_simulation: bool
-    model_exchange: bool
+    interfaces: tuple[str, ...]
     serialises: bool
     variables: dict[str, Variable]
     digest: str
@@ -182,22 +189,36 @@ def unpacked(path: Path) -> Path:
     Raises
     ------
     ParameterError
-        It cannot be unpacked.
+        It cannot be unpacked, or is larger or deeper than `LARGEST` and `DEEPEST` allow.
     """
-    from fmpy import extract
-
     folder = cache_folder() / "fmu" / _digest(path)[:32]
     if folder.is_dir():
         return folder
     folder.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=folder.parent, prefix="unpacking_") as place:
+        inside = Path(place, "fmu")
         try:
-            extract(str(path), unzipdir=f"{place}/fmu")
-        except Exception as error:  # FMPy raises bare Exceptions, zipfile many kinds
-            raise ParameterError(f"parameter fmu = {str(path)!r} cannot be unpacked: {error!r}") from None
+            with zipfile.ZipFile(path) as archive:
+                _check_content(archive)
+                archive.extractall(inside)
+        except (OSError, ValueError, RuntimeError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+            raise ParameterError(f"parameter fmu = {str(path)!r} cannot be unpacked: {error}") from None
         with contextlib.suppress(OSError):  # another node was first
-            Path(place, "fmu").rename(folder)
+            inside.rename(folder)
     return folder
+
+
+def _check_content(archive: zipfile.ZipFile) -> None:
+    """Refuse what would fill a disk or a stack; an entry that is longer than it says is cut there by zipfile."""
+    size = sum(entry.file_size for entry in archive.infolist())
+    if size > LARGEST:
+        raise ValueError(f"{size / 1e6:.0f} MB of content, expected at most {LARGEST / 1e6:.0f} MB")
+    for entry in archive.infolist():
+        parts = entry.filename.split("/")
+        if len(parts) > DEEPEST:
+            raise ValueError(f"{entry.filename[:60]}... is {len(parts)} folders deep, expected at most {DEEPEST}")
+        if "\\" in entry.filename or ":" in entry.filename or parts[0] == "" or ".." in parts:
+            raise ValueError(f"{entry.filename!r} is no path inside it")
 
 
 def _digest(path: Path) -> str:
@@ -212,11 +233,15 @@ def _describe(path: Path, _changed: int, _size: int) -> Description:
     try:
         with zipfile.ZipFile(path) as archive:
             names = archive.namelist()
+            _check_content(archive)
+            version = _VERSION.search(archive.read("modelDescription.xml")[:10_000].decode(errors="replace"))
+        if version and version[1] != "2.0" and not version[1].startswith("3.0"):
+            raise Unfit(f"{path.name} is of FMI {version[1]}, expected 2.0 or 3.0")
         model = read_model_description(str(path), validate=False)
+    except Unfit:
+        raise
     except Exception as error:  # of zipfile, of lxml, of FMPy, which raises bare Exceptions as well
         raise ValueError(f"{path} cannot be read as an FMU: {type(error).__name__}: {error}") from None
-    if model.fmiVersion != "2.0" and not model.fmiVersion.startswith("3.0"):
-        raise ValueError(f"{path.name} is of FMI {model.fmiVersion}, expected 2.0 or 3.0")
     here = platform if model.fmiVersion == "2.0" else platform_tuple
     built = sorted({name.split("/")[1] for name in names if name.startswith("binaries/") and name.count("/") > 1})
     if here not in built:
@@ -233,8 +258,10 @@ def _describe(path: Path, _changed: int, _size: int) -> Description:
         least, largest = (None if x is None or kind == "String" else float(x) for x in (v.min, v.max))
         variables[v.name] = Variable(v.name, v.valueReference, kind, v.causality, start, least, largest, known,
                                      v.variability == "tunable", dims)  # fmt: skip
+    found = {"co_simulation": model.coSimulation, "model_exchange": model.modelExchange,
+             "scheduled_execution": model.scheduledExecution}  # fmt: skip
     either = model.coSimulation or model.modelExchange
-    return Description(path, model.fmiVersion, model.coSimulation is not None, model.modelExchange is not None,
+    return Description(path, model.fmiVersion, tuple(name for name, there in found.items() if there is not None),
                        bool(either and either.canGetAndSetFMUstate and either.canSerializeFMUstate),
                        variables, _digest(path))  # fmt: skip
 

@@ -10,7 +10,8 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
-from softrig_core import Rig, ScenarioError, rig_of
+from softrig_core import Rig, ScenarioError, rig_of, simulate
+from softrig_core.block.codec import Decoder
 from softrig_core.command_line import Parser
 from softrig_core.errors import closest
 from softrig_core.extras import need
@@ -57,13 +58,14 @@ def export(rig: Rig, node: str, folder: Path) -> Path:
     need("pythonfmu", "an export as an FMU")
     from .slave import content
 
+    start = _first(rig, member)
     model = re.sub(r"\W", "_", node)
     folder.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix="softrig_fmu_") as place:
         script = Path(place, f"softrig_{model}.py")
         script.write_text(_SCRIPT.format(model=model, node=node, package=member.package, executable=member.executable))
         what = Path(place, "node.json")
-        what.write_text(json.dumps(content(member, rig.scenario.seed, model), indent=1), encoding="utf-8")
+        what.write_text(json.dumps(content(member, rig.scenario.seed, model, start), indent=1), encoding="utf-8")
         path = folder / f"{model}.fmu"
         code = "import sys; from pythonfmu import FmuBuilder; FmuBuilder.build_FMU(*sys.argv[1:3], [sys.argv[3]])"
         # in a process of its own: it imports the script by its name, and leaves its folder on the path
@@ -72,6 +74,21 @@ def export(rig: Rig, node: str, folder: Path) -> Path:
     if done.returncode:
         raise ScenarioError(f"node {node}: no FMU: {(done.stderr.strip().splitlines() or ['no reason given'])[-1]}")
     return path
+
+
+def _first(rig: Rig, member: Member) -> dict[str, list[float]]:
+    """Give what each input of a member is first in the scenario, where something is said at its first tick."""
+    bare = rig.scenario.having(figures={}, expect={}, claims={}, requirements={}, plots=())
+    classes = {m.name: m.block_class for m in rig.members}
+    short = rig_of(bare, duration=float(rig.clock.schedule.period), classes=classes)
+    recording = simulate(short, seed=rig.scenario.seed).recording
+    found = {}
+    for port in member.inputs:
+        link = member.links.get(port.name)
+        if link is not None and (said := recording.topics[port.topic].data):
+            _, row = Decoder(port)(bytes(said[0]))
+            found[port.name] = list(row)
+    return found
 
 
 def _check(member: Member) -> None:

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 Cell = tuple[str, int, int, int]  # type as FMPy calls it, value reference, which of how many values
 Numbers = tuple[float, ...]
 REAL = ("Real", "Float64", "Float32")
+DISCARDED, LAST_TIME, TERMINATED = 2, 2, 3  # of FMI 2.0: a status, and kinds of fmi2StatusKind
 EVENTS = 1000  # iterations of one event
 
 
@@ -92,9 +93,9 @@ class Instance:
             return call(*arguments)
         except Exception as error:  # FMPy raises bare Exceptions as well
             self._fmu = None  # in which state it is nobody knows: not even that it can be freed
-            if isinstance(error, Refusal):
-                raise
             said = "".join(f"; it says: {text}" for text in self._said if text)
+            if isinstance(error, Refusal):
+                raise Refusal(f"{error}{said}") from None
             name, status = getattr(error, "function", ""), getattr(error, "status", 0)
             kinds = {2: "discarded it", 3: "error", 4: "fatal error"}
             what = f"{name}: {kinds.get(status, f'status {status}')}" if name else f"{type(error).__name__}: {error}"
@@ -109,11 +110,14 @@ class Instance:
         kind = "ModelExchange" if self.plan.exchange else "CoSimulation"
         fmu: Any = instantiate_fmu(self.plan.folder, self._model, kind, debug_logging=self.plan.log, logger=self._log)
         self._fmu = fmu
+        experiment = self._model.defaultExperiment
+        given = experiment.tolerance if experiment is not None else None
+        tolerance = None if given is None else float(given)  # of its own solver, by which its maker checked it
         if not self._three:
-            fmu.setupExperiment(startTime=0.0)
+            fmu.setupExperiment(tolerance=tolerance, startTime=0.0)
         self._tune(self.plan.start)
         if self._three:
-            fmu.enterInitializationMode(startTime=0.0)
+            fmu.enterInitializationMode(tolerance=tolerance, startTime=0.0)
         else:
             fmu.enterInitializationMode()
         fmu.exitInitializationMode()
@@ -146,10 +150,11 @@ class Instance:
         return tuple(found)
 
     def _advance(self, start: float, end: float, values: Numbers) -> Numbers:
-        self._put(values)
         n = self.plan.steps
         if self.plan.exchange:
-            self._event(start)  # the inputs have jumped
+            self._event(start, values)
+        else:
+            self._put(values)
         for k in range(n):
             a = start + (end - start) * k / n
             b = end if k == n - 1 else start + (end - start) * (k + 1) / n
@@ -161,11 +166,23 @@ class Instance:
 
     def _do_step(self, t: float, h: float) -> None:
         if not self._three:
-            self._fmu.doStep(t, h)
+            try:
+                self._fmu.doStep(t, h)
+            except Exception as error:
+                if getattr(error, "status", None) == DISCARDED and (last := self._ended()) is not None:
+                    raise Refusal(f"fmi2DoStep: asks to end the simulation at {last:.9g} s") from None
+                raise
             return
         _, ends, early, last = self._fmu.doStep(t, h)
         if ends or early:
             raise Refusal(f"fmi3DoStep: {'asks to end the simulation' if ends else 'returned early'} at {last:.9g} s")
+
+    def _ended(self) -> float | None:
+        """When an FMU of FMI 2.0 has ended its simulation, s; None where it has not, or does not say."""
+        try:
+            return float(self._fmu.getRealStatus(LAST_TIME)) if self._fmu.getBooleanStatus(TERMINATED) else None
+        except Exception:  # it need not know either question
+            return None
 
     def _keep(self) -> bytes:
         state = self._fmu.getFMUState()
@@ -201,9 +218,12 @@ class Instance:
         self._next = float("inf")
         self._discrete()
 
-    def _event(self, t: float) -> None:
+    def _event(self, t: float, values: Sequence[float] | None = None) -> None:
+        """Settle an event at `t`; also the jump of the inputs to `values`, of which discrete ones jump only there."""
         self._fmu.setTime(t)
         self._fmu.enterEventMode()
+        if values is not None:
+            self._put(values)
         self._discrete()
 
     def _discrete(self) -> None:

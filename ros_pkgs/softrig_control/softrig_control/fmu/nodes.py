@@ -42,9 +42,9 @@ class FmuParams(BlockParams):
     def _fits(self) -> Self:
         if self.fmu:
             unit = self.unit
-            if not (unit.model_exchange if self.method == "model_exchange" else unit.co_simulation):
-                other = "co_simulation" if unit.co_simulation else "model_exchange"
-                raise ValueError(f"{unit.path.name} has no {self.method}, only {other}")
+            if self.method not in unit.interfaces:
+                has = ", ".join(unit.interfaces) or "none that is known"
+                raise ValueError(f"{unit.path.name} has no interface {self.method}; it has {has}")
             start_values(unit, self.values)
             if shared := {p.topic for p in self.reads.ports} & {p.topic for p in self.says.ports}:
                 raise ValueError(f"{min(shared)} is both read and said")

@@ -33,7 +33,8 @@ class Node(Base):  # type: ignore[misc,unused-ignore]
     """What ``node.json`` in the FMU's resources says: block, parameters, topics, seed.
 
     A step of the FMU is one period of the block, or a whole number of them with the inputs held. A plant's outputs are
-    those of the end of the step, a law's the answer of its (last) tick, at first the ports' safe values.
+    those of the end of the step, a law's the answer of its (last) tick, at first the ports' safe values. Inputs begin
+    with what the scenario says first.
     """
 
     def __init__(self, **keywords: Any) -> None:
@@ -51,6 +52,10 @@ class Node(Base):  # type: ignore[misc,unused-ignore]
         self._broken = ""
         self._extra: dict[str, dict[str, str]] = {}
         self._numbers = {p.name: list(p.safe) for p in (*self._inputs, *self._outputs)}
+        for name, row in self._what["start"].items():
+            self._numbers[name][:] = row
+        # what may stay without a value, and is said by nobody in the scenario: until the tool sets it
+        self._silent = {p.name for p in self._inputs if p.held} - self._what["start"].keys()
         for port in self._inputs:
             self._register(port, Fmi2Causality.input)
         for port in self._outputs:
@@ -69,9 +74,20 @@ class Node(Base):  # type: ignore[misc,unused-ignore]
             if causality is Fmi2Causality.input:
                 limit = repr(port.limits[k])
                 self._extra[name] |= {"min": f"-{limit}", "max": limit}
-            self.register_variable(Real(
-                name, causality=causality, description=f"{topic}/{label}",
-                getter=lambda k=k: row[k], setter=lambda x, k=k: row.__setitem__(k, x)), nested=False)  # fmt: skip
+            self.register_variable(
+                Real(
+                    name,
+                    causality=causality,
+                    description=f"{topic}/{label}",
+                    getter=lambda k=k: row[k],
+                    setter=lambda x, k=k: self._put(port.name, k, x),
+                ),
+                nested=False,
+            )
+
+    def _put(self, name: str, k: int, x: float) -> None:
+        self._numbers[name][k] = x
+        self._silent.discard(name)
 
     def _declare(self) -> None:
         """Parameters that are single numbers or texts; lists stay as they were exported."""
@@ -154,6 +170,8 @@ class Node(Base):  # type: ignore[misc,unused-ignore]
         if count < 1 or abs(count * period - step_size) > 1e-6 * period:
             raise ValueError(f"a step of {step_size!r} s, expected a whole number of periods of {period!r} s")
         for port in self._inputs:
+            if port.name in self._silent:
+                continue
             row = tuple(self._numbers[port.name])
             if reason := port.beyond(row):
                 raise ValueError(f"{port.topic}: {reason}")
@@ -168,9 +186,9 @@ class Node(Base):  # type: ignore[misc,unused-ignore]
             self._k += 1
 
 
-def content(member: Any, seed: int, model: str) -> dict[str, Any]:
-    """Give what ``node.json`` says of a member of a rig."""
+def content(member: Any, seed: int, model: str, start: dict[str, list[float]]) -> dict[str, Any]:
+    """Give what ``node.json`` says of a member of a rig, and of what its inputs begin with."""
     return {
         "model": model, "node": member.name, "package": member.package, "executable": member.executable, "seed": seed,
-        "parameters": flatten(member.params), "topics": dict(member.remap),
+        "parameters": flatten(member.params), "topics": dict(member.remap), "start": start,
     }  # fmt: skip

@@ -120,7 +120,7 @@ class GpcController(Block[P]):
         """Ports named by the parameters."""
         return (
             signal_port("measured", params.measured, params.measured_unit, also=params.measured_also),
-            signal_port("reference", params.reference, params.measured_unit, held=True),
+            signal_port("reference", params.reference, params.measured_unit, held=True, safe=(params.set_point,)),
         ), (
             signal_port("command", params.command, params.command_unit),
             scalars("health", "health", {"state": "", "active": "", "failures": ""}),

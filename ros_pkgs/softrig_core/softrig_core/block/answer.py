@@ -53,14 +53,15 @@ def check(found: Any, port: Port, node: str, t: int) -> Row | None:
         raise RunError(f"{node}: {port.name} is no row of numbers at t = {t / 1e9:.9g} s: {error}") from None
     if len(values) != port.size:
         raise RunError(f"{node}: {port.name} has {len(values)} values, expected {port.size}, at t = {t / 1e9:.9g} s")
+    found = Sample(given.stamp, values) if isinstance(given, Sample) else values
     if port.unchecked:
-        return values
+        return found
     for label, value, limit, unit in zip(port.labels, values, port.limits, port.units, strict=True):
         if not abs(value) <= limit:
             where = f"{node}: {port.name} {label} became {value:g}"
             most = f" {unit or '1'}, expected at most {limit:g} in magnitude" if math.isfinite(value) else ""
             raise RunError(f"{where}{most} at t = {t / 1e9:.9g} s")
-    return Sample(given.stamp, values) if isinstance(given, Sample) else values
+    return found
 
 
 def _squares(p: tuple[Any, ...], q: tuple[Any, ...]) -> Any:

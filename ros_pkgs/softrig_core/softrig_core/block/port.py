@@ -99,6 +99,9 @@ class Port:
     def __post_init__(self) -> None:
         if self.type.shaped and not self.dims:
             raise ValueError(f"port {self.name}: an array needs at least one dimension")
+        if not self.size and self.type.sizes:
+            raise ValueError(f"port {self.name}: {self.topic} has no values; expected channels, and the unit of a "
+                             "field, '1' for a pure number")  # fmt: skip
         if len(self.units) != self.size:
             raise ValueError(f"port {self.name}: {len(self.units)} units for {self.size} values")
         object.__setattr__(self, "safe", tuple(map(float, self.safe)))

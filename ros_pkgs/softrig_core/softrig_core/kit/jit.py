@@ -10,6 +10,7 @@ order of additions).
 
 from __future__ import annotations
 
+import builtins
 import dis
 import hashlib
 import math
@@ -131,18 +132,57 @@ def _codes(code: types.CodeType) -> Iterator[types.CodeType]:
 
 
 def _check(code: types.CodeType, function: Callable[..., Any]) -> None:
-    module = None
+    owner: Any = None  # the module whose attribute is taken next
     for step in dis.get_instructions(code):
-        word = step.argrepr.rstrip("=") if step.opname == "BINARY_OP" else step.argval
-        loaded = step.opname in ("LOAD_GLOBAL", "LOAD_ATTR", "LOAD_METHOD", "BINARY_OP")
-        if loaded and word in REFUSED:
-            raise ValueError(f"{function.__qualname__} uses {word}, which native code computes differently; expected "
-                             f"{REFUSED[word]}")  # fmt: skip
-        if module == "numpy" and step.opname in ("LOAD_ATTR", "LOAD_METHOD") and word not in NUMPY:
-            raise ValueError(f"{function.__qualname__} uses numpy.{word}, which native code may compute differently; "
-                             "expected functions of math, or a loop")  # fmt: skip
-        found = function.__globals__.get(word) if step.opname == "LOAD_GLOBAL" else None
-        module = found.__name__ if isinstance(found, types.ModuleType) else None
+        word, found = step.argval, None
+        if step.opname == "BINARY_OP" and (word := step.argrepr.rstrip("=")) in REFUSED:
+            raise _refusal(function, word)
+        if step.opname in ("LOAD_GLOBAL", "LOAD_DEREF"):
+            found = _named(function, word)
+        elif step.opname in ("LOAD_ATTR", "LOAD_METHOD"):
+            if owner is None and word in REFUSED:  # of an array
+                raise _refusal(function, word)
+            found = getattr(owner, word, None)
+            if getattr(owner, "__name__", "") == "numpy" and word not in NUMPY | REFUSED.keys():
+                raise _foreign(function, word)
+        _check_call(function, found)
+        owner = found if isinstance(found, types.ModuleType) else None
+
+
+def _check_call(function: Callable[..., Any], found: Any) -> None:
+    """Refuse a function that is computed differently, whatever it is called here; one's own may be called so."""
+    home = getattr(found, "__module__", None) or type(found).__module__
+    if isinstance(found, types.ModuleType) or home.partition(".")[0] not in ("builtins", "math", "numpy", "_operator"):
+        return
+    name = getattr(found, "__name__", "")
+    if name in REFUSED:
+        raise _refusal(function, name)
+    if home.startswith("numpy") and callable(found):
+        import numpy as np
+
+        if all(found is not getattr(np, own) for own in NUMPY):
+            raise _foreign(function, name)
+
+
+def _refusal(function: Callable[..., Any], word: str) -> ValueError:
+    return ValueError(f"{function.__qualname__} uses {word}, which native code computes differently; expected "
+                      f"{REFUSED[word]}")  # fmt: skip
+
+
+def _foreign(function: Callable[..., Any], word: str) -> ValueError:
+    return ValueError(f"{function.__qualname__} uses numpy.{word}, which native code may compute differently; "
+                      "expected functions of math, or a loop")  # fmt: skip
+
+
+def _named(function: Callable[..., Any], word: str) -> Any:
+    """Give what a function finds under a name of its module, of an enclosing function, or of Python."""
+    cells = dict(zip(function.__code__.co_freevars, function.__closure__ or (), strict=True))
+    if word in cells:
+        try:
+            return cells[word].cell_contents
+        except ValueError:  # not made yet
+            return None
+    return function.__globals__.get(word, getattr(builtins, word, None))
 
 
 def _tokens(function: Callable[..., Any], seen: set[int]) -> Iterator[str]:

@@ -68,7 +68,7 @@ def insert(
     Raises
     ------
     ScenarioError
-        Names the fault: no such link or reader, a type of message that faults do not know, a name that is taken.
+        Names the fault: no such link or reader, a name that is taken, a parameter that the link says.
     """
     found = {name: {**entry, "remap": dict(entry["remap"])} for name, entry in nodes.items()}
     sources = {port.topic: (name, port) for name, (_, outputs) in ports.items() for port in outputs}
@@ -94,16 +94,14 @@ def insert(
         begins, ends = before.pop(), f"{topic}/{name}"
         about = {
             "topic_in": begins, "topic_out": ends, "message": port.msgtype, "channels": list(port.channels),
-            "fields": list(port.fields), "units": list(port.units), "frame_id": port.frame_id,
-            "period": params[sender].period,
+            "fields": list(port.fields), "dims": [label for label, _ in port.dims],
+            "sizes": [size for _, size in port.dims], "units": list(port.units), "limits": list(port.limits),
+            "frame_id": port.frame_id, "delayed": port.delayed, "period": params[sender].period,
         }  # fmt: skip
         if any(nodes[reader]["external"] for reader, _ in concerned):
             about["holds"] = True  # an outside node is not told of silence, and would be waited for
         for key in sorted(about.keys() & fault.parameters.keys() - {"period", "holds"}):
             raise ScenarioError(f"{at}: {key} is that of the link and not to be said")
-        if port.delayed or port.dims or not port.stamped:
-            what = "a delayed topic" if port.delayed else port.msgtype
-            raise ScenarioError(f"{at}: {topic} is {what}, which faults do not carry")
         found[name] = {"package": PACKAGE, "executable": EXECUTABLE, "parameters": about | fault.parameters,
                        "remap": {}, "external": False}  # fmt: skip
         for place in concerned:

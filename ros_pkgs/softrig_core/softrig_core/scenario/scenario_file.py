@@ -16,6 +16,7 @@ from ..kit.resource import prefixes
 from .yaml_file import SIZE, read_mapping
 
 SHARED = re.compile(r"\$([A-Za-z_]\w*)")  # a reference to a shared value
+_FILE = re.compile(r"[^/\s$:][^\s$:]{0,300}\.[A-Za-z]\w{0,9}")  # a relative path that ends as files do
 OWN = ("expect", "requirements", "claims")  # what a scenario is judged by stands in its own entry: never inherited
 
 
@@ -119,7 +120,7 @@ def resolve(name: str, path: Path, seen: tuple[str, ...] = ()) -> dict[str, Any]
     """
     if name in seen:
         raise ScenarioError(f"{path.name}: extends itself: {' -> '.join((*seen, name))}")
-    raw = read(path)
+    raw = _beside(path, read(path))
     variants = _variants(path, raw)
     raw.pop("variants", None)
     parent = raw.pop("extends", None)
@@ -128,6 +129,38 @@ def resolve(name: str, path: Path, seen: tuple[str, ...] = ()) -> dict[str, Any]
     if name != path.stem:
         raw = inherit(raw, variants[name.removeprefix(f"{path.stem}_")] or {})
     return raw
+
+
+def _beside(path: Path, raw: dict[str, Any]) -> dict[str, Any]:
+    """Give the whole path of a file that a node's parameter, or a shared value, names and that is beside this one.
+
+    What is found from the current directory is left as it is written.
+    """
+
+    def whole(value: Any) -> Any:
+        if isinstance(value, Mapping):
+            return {k: whole(v) for k, v in value.items()}
+        if not isinstance(value, str) or not _FILE.fullmatch(value) or isfile(value):
+            return value
+        return str(there.absolute()) if isfile(there := path.parent / value) else value
+
+    def inside(part: Any) -> Any:
+        if not isinstance(part, Mapping):
+            return part
+        found = dict(part)
+        if "shared" in found:
+            found["shared"] = whole(found["shared"])
+        if isinstance(nodes := found.get("nodes"), Mapping):
+            found["nodes"] = {
+                name: {k: whole(v) if k == "parameters" else v for k, v in node.items()}
+                if isinstance(node, Mapping) else node for name, node in nodes.items()
+            }  # fmt: skip
+        if isinstance(variants := found.get("variants"), Mapping):
+            found["variants"] = {name: inside(changes) for name, changes in variants.items()}
+        return found
+
+    found: dict[str, Any] = inside(raw)
+    return found
 
 
 def inherit(base: Mapping[str, Any], change: Any) -> dict[str, Any]:

@@ -22,10 +22,10 @@ SUMMARY = {
 
 def state(problem: Problem) -> Port:
     """Give the port of the measured state; with velocities comes the effort that was applied before."""
-    units = [unit or "1" for unit in problem.states.values()]
+    units = tuple(problem.states.values())
     limits = [ESCAPED] * len(units)
     if problem.carrier == "velocity":
-        efforts = [unit or "1" for unit in problem.controls.values()]
+        efforts = tuple(problem.controls.values())
         limits += command("command", "", tuple(problem.controls), efforts).limits
         return joint_state("state", "ocp/state", tuple(problem.states), velocity=units, effort=efforts, limits=limits)
     return joint_state("state", "ocp/state", tuple(problem.states), position=units, limits=limits)
@@ -33,7 +33,7 @@ def state(problem: Problem) -> Port:
 
 def control(problem: Problem) -> Port:
     """Give the port of the command."""
-    return command("command", "ocp/command", tuple(problem.controls), [u or "1" for u in problem.controls.values()])
+    return command("command", "ocp/command", tuple(problem.controls), tuple(problem.controls.values()))
 
 
 def plan(problem: Problem, columns: int, *, stages: int = 1, label: str = "power", out: bool = False) -> Port:

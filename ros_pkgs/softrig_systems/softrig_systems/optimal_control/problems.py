@@ -22,7 +22,7 @@ def _scalar() -> Problem:
     import casadi as ca
 
     return Problem(
-        "scalar", {"x": ""}, {"u": ""}, lambda x, u: [x[0] ** 2 * ca.sin(x[0]) / 2 + u[0]], lambda x, u: u[0] ** 2,
+        "scalar", {"x": "1"}, {"u": "1"}, lambda x, u: [x[0] ** 2 * ca.sin(x[0]) / 2 + u[0]], lambda x, u: u[0] ** 2,
         x0=(0.0,), horizon=1.0, x_end=(0.5,), exact=scalar_cost,
     )  # fmt: skip
 
@@ -66,7 +66,7 @@ def spacecraft(inertia: tuple[float, ...] = INERTIA) -> Problem:
 
 
 TWO_STATE = Problem(
-    "two_state", {"x1": "", "x2": ""}, {"u": ""},
+    "two_state", {"x1": "1", "x2": "1"}, {"u": "1"},
     lambda x, u: [x[1] + x[0] * x[1], -x[0] + x[1] + x[1] ** 2 + u[0]],
     lambda x, u: (x[0] ** 2 + x[1] ** 2 + u[0] ** 2) / 2, x0=(-0.8, 0.0), horizon=1.0,
 )  # fmt: skip
@@ -81,7 +81,7 @@ def _reactor() -> Problem:
         return [-2.0 * (x[0] + 0.25) + reaction - (x[0] + 0.25) * u[0], 0.5 - x[1] - reaction]
 
     return Problem(
-        "reactor", {"x1": "", "x2": ""}, {"u": ""}, ode, lambda x, u: x[0] ** 2 + x[1] ** 2 + 0.1 * u[0] ** 2,
+        "reactor", {"x1": "1", "x2": "1"}, {"u": "1"}, ode, lambda x, u: x[0] ** 2 + x[1] ** 2 + 0.1 * u[0] ** 2,
         x0=(0.05, 0.0), horizon=0.78,
     )  # fmt: skip
 
