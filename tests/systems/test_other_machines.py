@@ -68,8 +68,8 @@ def test_the_law_of_a_motor_computes_its_model():
     w = r - solve_ivp(rate, (0.0, 0.06), [r, c * r], t_eval=t, rtol=1e-9, atol=1e-6).y[0]
     crossing = [np.interp(level * r, w, t) for level in (0.1, 0.9, 0.98)]
     found = simulate("dc_motor_smc_re40_law").figures
-    assert found["rise_time"] == pytest.approx(crossing[1] - crossing[0], rel=5e-3)
-    assert found["settling_time"] == pytest.approx(crossing[2], rel=5e-3)
+    assert found["rise_time"] == pytest.approx(crossing[1] - crossing[0], rel=0.01)  # sampled
+    assert found["settling_time"] == pytest.approx(crossing[2], rel=0.01)
     printed = simulate("dc_motor_smc_re40_law", overrides={"dc_motor_smc.model": "printed"}).figures
     assert abs(printed["rise_time"] - found["rise_time"]) > 0.1 * found["rise_time"]  # the paper's model misses it
 
@@ -79,16 +79,21 @@ def test_an_axis_has_the_poles_that_were_asked_for():
     law = parameters("dc_motor_fsfb_ctms", "fsfb_controller")
     assert law["pole"] == pytest.approx(b / J + K * K / (R * J), rel=1e-6)
     assert law["gain"] * 140.0 / 12.0 == pytest.approx(K / (R * J) * lead / (2 * np.pi), rel=1e-6)
-    poles = np.array(law["poles"])
-
-    def step(t):  # of three poles and no zero
-        residues = [-np.prod(poles) / p / np.prod([p - q for q in poles if q != p]) for p in poles]
-        return 1 + sum(a * np.exp(p * t) for a, p in zip(residues, poles, strict=True))
-
-    times = [brentq(lambda t, level=level: step(t) - level, 0.0, 3.0) for level in (0.1, 0.9, 0.98)]
+    pole, g, T, r = b / J + K * K / (R * J), K / (R * J) * lead / (2 * np.pi), 0.01, 10.0  # 1/s, mm/s^2 V, s, mm
+    _, a2, a1, a0 = np.poly(law["poles"])
+    v = y = xi = 0.0
+    motion = [0.0]
+    for _ in range(300):
+        u = (-(a2 - pole) * v - a1 * y + a0 * xi) / g
+        xi += (r - y) * T
+        decay = np.exp(-pole * T)
+        y += v * (1 - decay) / pole + g * u / pole * (T - (1 - decay) / pole)
+        v = v * decay + g * u / pole * (1 - decay)
+        motion.append(y)
+    times = [np.interp(level * r, motion, np.arange(301) * T) for level in (0.1, 0.9)]
     found = simulate("dc_motor_fsfb_ctms").figures
     assert found["rise_time"] == pytest.approx(times[1] - times[0], rel=0.01)
-    assert found["settling_time"] == pytest.approx(times[2] + 0.08, abs=0.03)  # 10 ms samples, 10 mm of counts of 5 um
+    assert found["rest_error"] <= 0.01
     fast = simulate("dc_motor_fsfb_ctms", overrides={"fsfb_controller.poles": [-8.0, -16.0, -60.0]}).figures
     assert fast["rise_time"] == pytest.approx(found["rise_time"] / 2, rel=0.03)
 
@@ -102,7 +107,7 @@ def test_poles_that_cannot_be_placed_are_refused():
 
 
 def test_an_induction_machine_of_a_t_circuit_draws_its_current():
-    R_s, R_r, leak, L_m = 1.405, 1.395, 5.839e-3, 0.1722
+    R_r, leak, L_m = 1.395, 5.839e-3, 0.1722
     p = parameters("induction_dtc_4kw", "im_plant")
     assert inverse_gamma(R_r, leak, leak, L_m) == pytest.approx((p["R_R"], p["L_sigma"], p["L_M"]), rel=1e-5)
     run = simulate("induction_dtc_4kw")
@@ -124,10 +129,11 @@ def test_an_induction_machine_of_a_t_circuit_draws_its_current():
     assert turning - 2 * speed == pytest.approx(slip, rel=0.02)
 
 
+@pytest.mark.long
 def test_phases_of_a_linear_motor_pull_as_the_relay_of_the_textbook():
     run = simulate("lsrm_fuzzy_relay")
     G = 4e-7 * np.pi * 1000**2 * 0.1 / (2 * 2e-3)
-    assert 0.5 * G * 10.0**2 == pytest.approx(1570.8, rel=1e-4)  # example 3.4 at 10 A
+    assert G * 10.0**2 / 2 == pytest.approx(1570.8, rel=1e-4)  # example 3.4 at 10 A
     assert parameters("lsrm_fuzzy_relay", "lsrm_plant")["G"] == pytest.approx(G)
     x = run.signals["joint_states/translator/position"][1]
     on_ramp = 0
@@ -135,7 +141,7 @@ def test_phases_of_a_linear_motor_pull_as_the_relay_of_the_textbook():
         i = run.signals[f"phase_currents/{phase}/position"][1]
         F = run.signals[f"force_phases/{phase}/effort"][1]
         xi = (x - 0.1 * k + 0.2) % 0.4 - 0.2
-        inside = (-0.157 < xi) & (xi < -0.013) & (i > 0.5)  # overlap without its rounded ends
+        inside = (xi > -0.157) & (xi < -0.013) & (i > 0.5)  # overlap without its rounded ends
         on_ramp += inside.sum()
         assert np.allclose(F[inside], 0.5 * G * i[inside] ** 2, rtol=1e-9)
     assert on_ramp > 10_000
@@ -145,6 +151,7 @@ def test_phases_of_a_linear_motor_pull_as_the_relay_of_the_textbook():
 # power ------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_a_string_of_other_modules_gives_its_maximum():
     m = parameters("pv_mppt_kc200gt", "pv_plant")["module"]
     aVt = m["a"] * m["N_s"] * 1.380649e-23 * 298.15 / 1.602176634e-19
@@ -165,6 +172,7 @@ def test_a_string_of_other_modules_gives_its_maximum():
     assert alone[0] == pytest.approx(7.61, rel=0.01)  # the data sheet's maximum power point is on the curve
 
 
+@pytest.mark.long
 def test_three_units_of_the_textbook_are_dispatched_as_there():
     a, b, c = np.array([[0.001562, 0.00194, 0.00482], [7.92, 7.85, 7.97], [561.0, 310.0, 78.0]])
     found = simulate("economic_dispatch_wood").figures
@@ -253,7 +261,7 @@ def test_another_rectifier_answers_its_commands_as_its_equations():
         load = 70.4 if at + 1e-9 < step_at else 42.25
         x = solve_ivp(rate, (0.0, T), x, args=(u, load), rtol=1e-8, atol=1e-8).y[:, -1]
         seen.append(x[2])
-    when, voltage = run.signals["dc_link/voltage/position"]
+    voltage = run.signals["dc_link/voltage/position"][1]
     assert voltage == pytest.approx(np.array(seen[: len(voltage)]), abs=1.0)
     assert run.figures["v_min"] == pytest.approx(min(seen), abs=1.0)
     assert abs(run.figures["error"]) < 0.5
@@ -265,14 +273,19 @@ def test_another_rectifier_answers_its_commands_as_its_equations():
 def voltages(q, qd, qdd, links, motors, friction, upright):
     """Inverse dynamics of two links by hand, and the drives of both; angles (n, 2).
 
-    Lagrange's equations with l1, centres d and inertias I; gravity acts with sin q of hanging links, cos q of lying ones.
+    Lagrange's equations with l1, centres d and inertias I; gravity acts with sin q of hanging links, cos q of
+    lying ones.
     """
     (m1, m2), l1, (d1, d2), (I1, I2) = links
-    R, K_m, K_b, gear, J, B, L = motors
+    R, K_m, K_b, gear, J, B = motors
     c2, s2 = np.cos(q[:, 1]), np.sin(q[:, 1])
     along = np.cos if upright else np.sin
     h = m2 * l1 * d2
-    M11, M12, M22 = m1 * d1**2 + I1 + m2 * l1**2 + I2 + m2 * d2**2 + 2 * h * c2, I2 + m2 * d2**2 + h * c2, I2 + m2 * d2**2
+    M11, M12, M22 = (
+        m1 * d1**2 + I1 + m2 * l1**2 + I2 + m2 * d2**2 + 2 * h * c2,
+        I2 + m2 * d2**2 + h * c2,
+        I2 + m2 * d2**2,
+    )
     g2 = m2 * GRAVITY * d2 * along(q.sum(axis=1))
     g1 = (m1 * d1 + m2 * l1) * GRAVITY * along(q[:, 0]) + g2
     turning = h * s2
@@ -286,18 +299,20 @@ def voltages(q, qd, qdd, links, motors, friction, upright):
 def test_the_arm_of_the_textbook_takes_the_voltages_of_its_equations():
     run = simulate("manipulator_adsmc_siciliano")
     joints = ("shoulder", "elbow")
-    t = run.signals["reference/shoulder/position"][0]
-    q, qd, qdd = (np.column_stack([run.signals[f"reference/{j}/{what}"][1] for j in joints])
-                  for what in ("position", "velocity", "acceleration"))  # fmt: skip
+    t = run.signals["joint_states/shoulder/position"][0]
+    q, qd = (np.column_stack([run.signals[f"joint_states/{j}/{what}"][1] for j in joints])
+             for what in ("position", "velocity"))  # fmt: skip
+    qdd = np.gradient(qd, t, axis=0)
     # 50 kg a link, 0.5 m to its centre, 10 kg m^2, the second motor of 5 kg at the elbow
     centre = (50 * 0.5 + 5 * 1.0) / 55
     inertia = 10 + 50 * (0.5 - centre) ** 2 + 5 * (1 - centre) ** 2
-    motors = (10.0, 2.0, 2.0, 0.01, 0.01, 0.01, 0.001)
+    motors = (10.0, 2.0, 2.0, 0.01, 0.01, 0.01)
     expected = voltages(q, qd, qdd, ((55.0, 50.0), 1.0, (centre, 0.5), (inertia, 10.0)), motors, lambda qd: 0.0, True)
-    late = t >= 1.0
     for k in range(2):
-        u = run.signals[f"motor_command/motor{k + 1}/effort"][1]
-        assert np.max(np.abs(u - expected[:, k])[late]) < 0.02 * np.max(np.abs(expected[:, k]))
+        when, u = run.signals[f"motor_command/motor{k + 1}/effort"]
+        late = (when >= 1.0) & (when < t[-1])
+        gap = np.abs(u[late] - expected[: u.size, k][late])
+        assert np.max(gap) < 0.005 * np.max(np.abs(u[late]))
 
 
 def test_a_step_beyond_the_armature_s_time_constant_is_refused():
@@ -316,6 +331,7 @@ def test_another_leg_gives_way_by_its_impedance():
     q_d, rate, acceleration = (np.column_stack([run.signals[f"reference/{j}/{what}"][1] for j in joints])
                                for what in ("position", "velocity", "acceleration"))  # fmt: skip
     q = np.column_stack([run.signals[f"joint_states/{j}/position"][1] for j in joints])
+    q = q[: t.size]
     F = np.interp(t, *run.signals["patient_force/force/x"])
     foot = whole * np.cos(q.sum(axis=1))
     push = -np.column_stack([(thigh * np.cos(q[:, 0]) + foot) * F, foot * F])  # J^T F
@@ -332,7 +348,7 @@ def test_another_leg_gives_way_by_its_impedance():
 
     masses, centres = (0.100 * M, 0.061 * M), (0.433 * thigh, 0.606 * leg)
     inertias = (masses[0] * (0.323 * thigh) ** 2, masses[1] * (0.416 * leg) ** 2)
-    motors = (4.0, 4.32, 0.287, 1 / 16, *(parameters_of_motors()), 2.5e-3)
+    motors = (4.0, 4.32, 0.287, 1 / 16, 2e-4, 1e-3)  # the rotors, which the paper does not print, as chosen
     expected = voltages(q_d, rate, acceleration, (masses, thigh, centres, inertias), motors, friction, False)
     quiet = (t > 3.0) & (t < 5.0)
     for k, joint in enumerate(joints):
@@ -340,14 +356,10 @@ def test_another_leg_gives_way_by_its_impedance():
         assert np.max(np.abs(u - expected[:, k])[quiet]) < 0.03 * np.max(np.abs(expected[quiet, k]))
 
 
-def parameters_of_motors():
-    """Inertia and damping of the rotors, which the paper does not print."""
-    return 2e-4, 1e-3
-
-
 # systems ----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_the_queue_of_another_router_follows_the_delay_equations():
     N, C, tau, goal, room = 60, 3750.0, 0.246 - 200 / 3750, 200.0, 800.0
     kp, ki, h = 1.819e-5, 9.6e-6, 1e-3
@@ -355,9 +367,6 @@ def test_the_queue_of_another_router_follows_the_delay_equations():
     w, q, p, R = (np.zeros(steps + 1) for _ in range(4))
     w[0], R[0] = 1.0, tau
     integral = u = 0.0
-
-    def past(values, k, before):
-        return values[max(k - before, 0)]
 
     for k in range(steps):
         p[k] = min(max(kp * (q[k] - goal) + ki * integral, 0.0), 1.0)
@@ -367,7 +376,7 @@ def test_the_queue_of_another_router_follows_the_delay_equations():
         R[k] = q[k] / C + tau
         back = round(R[k] / h)
         sent = p[k - back] if k >= back else 0.0
-        w_R, R_R = past(w, k, back), past(R, k, back)
+        w_R, R_R = w[max(k - back, 0)], R[max(k - back, 0)]
         w[k + 1] = min(max(w[k] + h * (1 / R[k] - w[k] * w_R / (2 * R_R) * sent), 1.0), 60.0)
         q[k + 1] = min(max(q[k] + h * (N * w[k] / R[k] - C), 0.0), room)
     found = simulate("tcp_aqm_smc_hollot").figures
@@ -376,6 +385,7 @@ def test_the_queue_of_another_router_follows_the_delay_equations():
     assert found["peak"] == pytest.approx(q.max(), rel=0.01)
 
 
+@pytest.mark.long
 def test_another_spacecraft_pays_what_scipy_finds():
     I = np.array([10000.0, 9000.0, 12000.0])  # noqa: E741
     w0 = np.radians([0.53, 0.53, 0.053])
@@ -395,6 +405,7 @@ def test_another_spacecraft_pays_what_scipy_finds():
     assert found["infeasible"] == 0.0
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("name", "delay"), [("pwa_delay_hayes", 1.5), ("pwa_delay_hayes_beyond", 1.65)])
 def test_swings_of_the_scalar_delay_equation_grow_as_lambert_s_function_says(name, delay):
     assert simulate(name).figures["growth"] == pytest.approx(float(lambertw(-delay).real) / delay, abs=2e-5)
