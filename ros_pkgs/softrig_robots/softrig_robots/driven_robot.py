@@ -73,8 +73,10 @@ class DrivenRobotParams(BlockParams):
         fastest = max(self.motors.resistance) / min(self.motors.inductance)
         least = math.ceil(self.period * fastest / LARGEST_STEP)
         if self.substeps < least:
-            raise ValueError(f"substeps = {self.substeps}: expected at least {least}, so that a step of the "
-                             f"integration is not beyond {LARGEST_STEP:g} L/R, with R/L up to {fastest:g} 1/s")  # fmt: skip
+            raise ValueError(
+                f"substeps = {self.substeps}: expected at least {least}, so that a step of the integration is not "
+                f"beyond {LARGEST_STEP:g} L/R, with R/L up to {fastest:g} 1/s"
+            )
         return self
 
 

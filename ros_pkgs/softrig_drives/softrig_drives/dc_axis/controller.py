@@ -50,8 +50,8 @@ class FsfbControllerParams(MotorParams):
             raise ValueError(f"poles = {list(self.poles)}: expected three, and the integrator that the third is of")
         kv, kp, ki = self.gains()
         k = kv / self.mm_per_volt, kp / self.mm_per_volt
-        ki = ki / self.mm_per_volt if self.integral else None
-        require_stable(closed_loop_poles(self.a, self.b, (0.0, 1.0), k, ki))
+        integral = ki / self.mm_per_volt if self.integral else None
+        require_stable(closed_loop_poles(self.a, self.b, (0.0, 1.0), k, integral))
         return self
 
     def gains(self) -> tuple[float, float, float]:
