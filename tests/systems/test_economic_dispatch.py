@@ -345,7 +345,14 @@ def test_many_units(copies, limit, nseg):
 SCENARIOS = [n for n in list_scenarios() if n.startswith("economic_dispatch")]
 
 
-@pytest.mark.parametrize("name", [n for n in SCENARIOS if n != "economic_dispatch_two_stage"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(n, marks=[pytest.mark.long] * n.startswith("economic_dispatch_wood"))
+        for n in SCENARIOS
+        if n != "economic_dispatch_two_stage"
+    ],
+)
 def test_every_scenario_meets_its_expectations(name):
     run = simulate(name)
     assert not run.error
