@@ -69,7 +69,8 @@ def write(site: Path) -> None:
             f":img-top: ../pictures/{picture(name)}", f":img-alt: {title(pages()[name])}",
             f":class-item: {' '.join(map(slug, (system.field, *system.methods)))}", "",
             sentence, "", f"{{.tags}}\n{system.field} · {' · '.join(system.methods)}", "",
-            f"{{.verdicts}}\nClaims of the paper: {claims}", "", f"{{.try}}\n`run {scenario}`", ":::", "",
+            f"{{.verdicts}}\nClaims of the paper: {claims}", "", f"{{.try}}\n`run {scenario}`", "",
+            f"{{.another}}\nAnother machine: {load_scenario(system.another).title}, `run {system.another}`", ":::", "",
         ]  # fmt: skip
     text += ["::::", "", "```{toctree}", ":hidden:", "", *SYSTEMS, "```", ""]
     (site / "gallery" / "index.md").write_text("\n".join(text), encoding="utf-8")

@@ -39,28 +39,36 @@ KINDS = {
 
 
 class System(NamedTuple):
-    """How the gallery sorts a system: field, methods, the picture of its card (none: the first of its page)."""
+    """How the gallery sorts a system, what its card shows.
+
+    Field, methods, a scenario of another machine than the paper's, the picture (none: the first of its page).
+    """
 
     field: str
     methods: tuple[str, ...]
+    another: str
     picture: str = ""
 
 
 SYSTEMS = {
-    "dc_motor_smc": System("drive", ("sliding mode", "PID", "observer")),
-    "dc_motor_fsfb": System("drive", ("state feedback", "predictor", "observer")),
-    "induction_dtc": System("drive", ("switching table",), "induction_dtc.svg"),
-    "lsrm_fuzzy": System("drive", ("fuzzy", "PID"), "lsrm_fuzzy.svg"),
-    "pv_mppt": System("power", ("search",)),
-    "rectifier_mpc": System("power", ("predictive",), "rectifier_mpc_load_steps.png"),
-    "gupfc": System("power", ("PID",), "gupfc_response.png"),
-    "fault_location": System("power", ("estimation", "search"), "fault_location_waveforms.png"),
-    "economic_dispatch": System("power", ("optimal", "search"), "economic_dispatch_stacked.png"),
-    "manipulator_adsmc": System("robot", ("sliding mode", "adaptive"), "manipulator_adsmc.svg"),
-    "rehab_impedance": System("robot", ("impedance",), "rehab_impedance_r5.svg"),
-    "tcp_aqm": System("network", ("sliding mode", "PID"), "tcp_aqm_laws.png"),
-    "optimal_control_mvim": System("theory", ("optimal",), "optimal_control_plans.png"),
-    "pwa_delay": System("theory", ("stability proof", "state feedback"), "pwa_delay_margins.png"),
+    "dc_motor_smc": System("drive", ("sliding mode", "PID", "observer"), "dc_motor_smc_re40"),
+    "dc_motor_fsfb": System("drive", ("state feedback", "predictor", "observer"), "dc_motor_fsfb_ctms"),
+    "induction_dtc": System("drive", ("switching table",), "induction_dtc_4kw", "induction_dtc.svg"),
+    "lsrm_fuzzy": System("drive", ("fuzzy", "PID"), "lsrm_fuzzy_relay", "lsrm_fuzzy.svg"),
+    "pv_mppt": System("power", ("search",), "pv_mppt_kc200gt"),
+    "rectifier_mpc": System("power", ("predictive",), "rectifier_mpc_10kva", "rectifier_mpc_load_steps.png"),
+    "gupfc": System("power", ("PID",), "gupfc_345kv", "gupfc_response.png"),
+    "fault_location": System("power", ("estimation", "search"), "fault_location_500kv", "fault_location_waveforms.png"),
+    "economic_dispatch": System(
+        "power", ("optimal", "search"), "economic_dispatch_wood", "economic_dispatch_stacked.png"
+    ),
+    "manipulator_adsmc": System(
+        "robot", ("sliding mode", "adaptive"), "manipulator_adsmc_siciliano", "manipulator_adsmc.svg"
+    ),
+    "rehab_impedance": System("robot", ("impedance",), "rehab_impedance_winter", "rehab_impedance_r5.svg"),
+    "tcp_aqm": System("network", ("sliding mode", "PID"), "tcp_aqm_smc_hollot", "tcp_aqm_laws.png"),
+    "optimal_control_mvim": System("theory", ("optimal",), "optimal_control_mvim_wie", "optimal_control_plans.png"),
+    "pwa_delay": System("theory", ("stability proof", "state feedback"), "pwa_delay_hayes", "pwa_delay_margins.png"),
 }
 
 

@@ -131,9 +131,10 @@ def test_rig_table(name):
 
 
 def test_every_scenario_is_tested():
-    # their golden bags and tests/core/test_faults.py; test_falsifications.py
-    faulty = {"dc_motor_smc_faults", "dc_motor_smc_faults_bus", "dc_motor_smc_b1_insensitive"}
-    assert {n for n in list_scenarios() if n.startswith("dc_motor_smc")} == {*IDEAL, *RIG, *LOADED, *faulty}
+    # their golden bags and tests/core/test_faults.py; test_falsifications.py; test_other_machines.py
+    elsewhere = {"dc_motor_smc_faults", "dc_motor_smc_faults_bus", "dc_motor_smc_b1_insensitive", "dc_motor_smc_re40",
+                 "dc_motor_smc_re40_law"}  # fmt: skip
+    assert {n for n in list_scenarios() if n.startswith("dc_motor_smc")} == {*IDEAL, *RIG, *LOADED, *elsewhere}
 
 
 def test_softening_takes_the_chattering_away():

@@ -693,10 +693,12 @@ def test_a_bag_is_played_in_lockstep_into_the_locator(tmp_path):
 
 
 VARIANTS = ["", "_record", "_woa", "_gwo", "_integer_grid", "_phasor", "_printed", "_printed_coefficient",
-            "_c_to_ground", "_not_excited", "_no_fault", "_noise", "_late", "_m4k"]  # fmt: skip
+            "_c_to_ground", "_not_excited", "_no_fault", "_noise", "_late", "_m4k", "_500kv"]  # fmt: skip
 
 
-@pytest.mark.parametrize("variant", [pytest.param(v, marks=[pytest.mark.long] * (v == "_gwo")) for v in VARIANTS])
+@pytest.mark.parametrize(
+    "variant", [pytest.param(v, marks=[pytest.mark.long] * (v in ("_gwo", "_500kv"))) for v in VARIANTS]
+)
 def test_scenarios(variant):
     run = simulate(f"fault_location{variant}")
     assert [(r.name, r.value) for r in run.missed] == []

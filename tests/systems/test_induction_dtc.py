@@ -88,7 +88,7 @@ def recorded(scenario):
 
 # runs of 10 s, and those that differ from others in a number; ideal, truncating and dithered converters are daily
 LATER = ("e1", "e2", "e2_3_lsb", "s1", "s4", "s5", "s6_offset", "s7", "s8_half", "s8_matched", "s9_minus", "s9_plus",
-         "s9_plus_2", "ts_25")  # fmt: skip
+         "s9_plus_2", "ts_25", "4kw")  # fmt: skip
 
 
 @pytest.mark.parametrize(

@@ -57,7 +57,7 @@ SCENARIOS = sorted(n for n in list_scenarios() if n.startswith("lsrm_fuzzy"))
 MORE = {"10khz", "fast", "mrac_fast", "n2_fast", "n2_mrac", "n2_mrac_fast", "n2_pi_fast", "n2_s", "n2_s_fast", "n3",
         "n3_fast", "n3_mrac", "n3_mrac_fast", "n3_pi", "n3_pi_fast", "n3_s", "n3_s_fast", "n4_fast", "n4_p",
         "n4_p_fast", "n5", "n5_p", "n5_p_printed", "n5_printed", "pi_fast", "s", "s_fast", "s_smooth",
-        "smooth"}  # fmt: skip
+        "smooth", "relay"}  # fmt: skip
 SHARED = ("lsrm_fuzzy", "lsrm_fuzzy_n2")  # runs that several tests look at
 
 

@@ -362,7 +362,7 @@ def run(name, duration=None, **overrides):
 
 # each law, the published voltages, two links and the stretch are daily; the rest differs in numbers only
 LATER = {f"manipulator_adsmc_{n}" for n in ("s2", "s2b", "s3", "s4_printed_mu1", "s6_large_a2_b2", "s6_small_a1_b1",
-                                            "stretch_minus", "stretch_plus")}  # fmt: skip
+                                            "stretch_minus", "stretch_plus", "siciliano")}  # fmt: skip
 NAMES = sorted(n for n in list_scenarios() if n.startswith("manipulator_adsmc"))
 
 

@@ -36,7 +36,7 @@ STATE = (*W0, 0.0, 0.0, 0.0)
 NAMES = sorted(n for n in list_scenarios() if n.startswith("optimal_control_mvim"))
 LATER = {f"optimal_control_mvim_{n}" for n in (
     "n4", "n12", "dt01", "s1", "s3", "s3_n6", "s4", "s4_5s", "s4_bias", "s4_bias_5s", "s6", "s6_n24", "start", "a2_5s",
-    "a4_dt01_bias", "a4_dt01_inertia",
+    "a4_dt01_bias", "a4_dt01_inertia", "wie",
 )}  # fmt: skip
 
 

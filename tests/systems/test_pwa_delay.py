@@ -473,7 +473,7 @@ def test_profiles():
 # the certified margin alone is judged without a rig above; the tank under other delays differs in numbers only
 SLOW = {f"pwa_delay_{n}" for n in (
     "growth_pendulum", "margin", "margin_certified", "margin_constant", "margin_scalar", "margin_user", "p2_d4",
-    "p2_sine", "p2_telegraph", "p2c_constant", "p3", "p3_nonlinear", "p3_sine", "p3_unstable",
+    "p2_sine", "p2_telegraph", "p2c_constant", "p3", "p3_nonlinear", "p3_sine", "p3_unstable", "hayes", "hayes_beyond",
 )}  # fmt: skip
 
 

@@ -218,7 +218,7 @@ def test_reference_meets_its_numbers_and_its_derivatives_fit():
 # mode laws, periods, delays and masses differ from them in numbers only
 LATER = {f"rehab_impedance_{n}" for n in (
     "3ms", "b9_delayed_applied", "b9_delayed_oscillates", "joint_side", "r2_strong", "r3", "r3_strong", "r4", "r4_arsc",
-    "r4_tsarc", "r5_minute", "r7", "r7_payload",
+    "r4_tsarc", "r5_minute", "r7", "r7_payload", "winter",
 )}  # fmt: skip
 NAMES = sorted(n for n in list_scenarios() if n.startswith("rehab_impedance"))
 

@@ -69,7 +69,7 @@ def loop(plant, controller, seconds):
 LATER = {f"tcp_aqm_smc_{n}" for n in (
     "10s", "10ms", "delay", "detuned_5", "detuned_7", "pi_delay", "pi_formula", "pi_formula_delay", "pi_raw",
     "pi_raw_delay", "pid_delay", "pid_delay_40s", "sspid_10s", "sspid_delay", "sspid_delay_10s",
-    "sspid_printed", "s2", "s2_jump_sspid", "s2_rate", "s2_rate_sspid", "s2_sspid", "s3_change", "s3_n40",
+    "sspid_printed", "hollot", "s2", "s2_jump_sspid", "s2_rate", "s2_rate_sspid", "s2_sspid", "s3_change", "s3_n40",
     "s3_n40_sspid", "s3_n66", "s3_n66_pi_delay", "s3_n66_sspid", "s3_pi_delay", "s3_sspid", "s4_detuned", "s4_pid",
     "s4_robust", "s4_sspid", "s4_windup", "s5", "stretch_n48", "stretch_n54", "stretch_n66", "stretch_n72",
     "stretch_n80", "stretch_undisturbed",

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from softrig_core import Scene
 
 Vector = tuple[float, ...]
+LARGEST_STEP = 2.5  # of the armature's time constants; at 2.785 RK4 does not decay any more
 
 
 class Motors(Params):
@@ -65,6 +66,18 @@ class DrivenRobotParams(BlockParams):
     payload: float = param(0.0, "point mass at the tool frame", "kg", ge=0.0, live=True)
     speed_limit: float = param(100.0, "joint speed beyond which the run is broken off", "rad/s", gt=0.0, live=True)
     motors: Motors = Motors()
+
+    @model_validator(mode="after")
+    def _steps(self) -> Self:
+        """Refuse a step that the armature's pole R/L makes grow, which ends as a speed beyond all limits."""
+        fastest = max(self.motors.resistance) / min(self.motors.inductance)
+        least = math.ceil(self.period * fastest / LARGEST_STEP)
+        if self.substeps < least:
+            raise ValueError(
+                f"substeps = {self.substeps}: expected at least {least}, so that a step of the integration is not "
+                f"beyond {LARGEST_STEP:g} L/R, with R/L up to {fastest:g} 1/s"
+            )
+        return self
 
 
 class Friction(NamedTuple):

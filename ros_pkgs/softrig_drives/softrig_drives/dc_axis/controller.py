@@ -28,6 +28,10 @@ class FsfbControllerParams(MotorParams):
     kv: float = param(5.810929, "gain of the velocity", "s", live=True)
     kp: float = param(46.050266, "gain of the position, the unity position loop included", live=True)
     ki: float = param(73.199977, "gain of the integrator", "1/s", live=True)
+    poles: tuple[float, ...] = param(
+        (), "three real poles of the loop from which kv, kp and ki are computed, whatever the motor; empty: as given",
+        "1/s", each=(-1e6, -1e-6), live=True,
+    )  # fmt: skip
     integral: bool = param(True, "integrator on; off: u = r - kv v - kp y")
     compensation: Literal["none", "velocity", "predictor"] = param("predictor", "treatment of the feedback delay")
     delay_from: Literal["stamps", "fixed"] = param("stamps", "delay of a sample: its age, or the parameter delay")
@@ -42,10 +46,17 @@ class FsfbControllerParams(MotorParams):
     def _works(self) -> Self:
         if self.delay_from == "fixed" and self.delay > self.max_age:
             raise ValueError(f"delay = {self.delay:g} s is beyond max_age = {self.max_age:g} s")
-        k = self.kv / self.mm_per_volt, self.kp / self.mm_per_volt
-        ki = self.ki / self.mm_per_volt if self.integral else None
-        require_stable(closed_loop_poles(self.a, self.b, (0.0, 1.0), k, ki))
+        if self.poles and (len(self.poles) != 3 or not self.integral):
+            raise ValueError(f"poles = {list(self.poles)}: expected three, and the integrator that the third is of")
+        kv, kp, ki = self.gains()
+        k = kv / self.mm_per_volt, kp / self.mm_per_volt
+        integral = ki / self.mm_per_volt if self.integral else None
+        require_stable(closed_loop_poles(self.a, self.b, (0.0, 1.0), k, integral))
         return self
+
+    def gains(self) -> tuple[float, float, float]:
+        """Give kv, kp and ki."""
+        return design(self.poles, self) if self.poles else (self.kv, self.kp, self.ki)
 
 
 def design(poles: Sequence[complex], motor: MotorParams | None = None) -> tuple[float, float, float]:
@@ -121,8 +132,9 @@ class FsfbController(Block[FsfbControllerParams]):
 
     def _make_law(self) -> StateFeedback:
         p, scale = self.p, self.p.mm_per_volt
+        kv, kp, ki = p.gains()
         return StateFeedback(
-            (p.kv / scale, p.kp / scale), p.ki / scale if p.integral else 0.0, p.period, p.u_limit_v,
+            (kv / scale, kp / scale), ki / scale if p.integral else 0.0, p.period, p.u_limit_v,
             kr=0.0 if p.integral else 1.0 / scale, anti_windup=p.aw,
         )  # fmt: skip
 

@@ -10,12 +10,12 @@ from softrig_control.discretise import zero_order_hold
 from softrig_control.kalman import SteadyKalman
 from softrig_core import executable, param
 
-from .model import MotorConstants, SensorConstants, state_space
+from .model import SensorConstants, state_space
 from .ports import APPLIED, REFERENCE, SENSORS
 from .sliding_mode import SurfaceControl, SurfaceParams
 
 
-class DcMotorSmcKalmanParams(SensorConstants, MotorConstants, SurfaceParams):
+class DcMotorSmcKalmanParams(SensorConstants, SurfaceParams):
     """The law, the filter's model of motor and encoder, and its noise variances."""
 
     delta: float = param(5.0, "softening of K s/(|s| + delta); 0 is K sgn(s)", "rad/s^2", ge=0.0, live=True)

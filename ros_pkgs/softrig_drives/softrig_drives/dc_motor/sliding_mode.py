@@ -10,12 +10,13 @@ from softrig_control.sliding_mode import switching
 from softrig_core import Port, executable, param
 from typing_extensions import TypeVar
 
+from .model import MotorConstants
 from .ports import COMMAND, REFERENCE, SENSORS, SPEED, SURFACE
 from .speed_control import SpeedControl, SpeedControlParams
 
 
-class SurfaceParams(SpeedControlParams):
-    """Surface, switching gain and the law's model of the motor.
+class SurfaceParams(MotorConstants, SpeedControlParams):
+    """Surface, switching gain and the law's model of the motor, as printed or of its constants R to Ke.
 
     c and K/r are solved from rise and settling time of the paper's Table II.
     """
@@ -26,11 +27,25 @@ class SurfaceParams(SpeedControlParams):
     )
     k_per_ref: float = param(9.71170883, "switching gain per reference K/|r|", "1/s^2", gt=0.0, live=True)
     delta: float = param(0.0, "softening of K s/(|s| + delta); 0 is K sgn(s)", "rad/s^2", ge=0.0, live=True)
+    model: Literal["printed", "motor"] = param(
+        "printed", "the law's model: the coefficients as printed, or computed from R, L, J, b, Kt and Ke", live=True
+    )
     model_gain: float = param(13.89, "gain of the law's model w'' = gain u - a1 w' - a0 w, eq. (16)", gt=0.0,
                               live=True)  # fmt: skip
     model_a1: float = param(5.648, "coefficient a1 of that model", "1/s", live=True)
     model_a0: float = param(1.509, "coefficient a0 of that model", "1/s^2", live=True)
     publish_surface: bool = param(False, "also publish s on motor/surface")
+
+    def coefficients(self) -> tuple[float, float, float]:
+        """Give gain, a1 and a0 of the model w'' = gain u - a1 w' - a0 w, eq. (14) where they are not printed."""
+        if self.model == "printed":
+            return self.model_gain, self.model_a1, self.model_a0
+        inertia = self.J * self.L
+        return (
+            self.Kt / inertia,
+            (self.R * self.J + self.L * self.b) / inertia,
+            (self.R * self.b + self.Kt * self.Ke) / inertia,
+        )
 
 
 P = TypeVar("P", bound=SurfaceParams, default=SurfaceParams)
@@ -61,10 +76,11 @@ class SurfaceControl(SpeedControl[P]):
     def setup(self) -> None:
         """Divide the law by the gain of its model."""
         p = self.p
-        self._w_gain = p.model_a0 / p.model_gain
-        self._wd_gain = (p.model_a1 - p.c) / p.model_gain
+        self._gain, a1, a0 = p.coefficients()
+        self._w_gain = a0 / self._gain
+        self._wd_gain = (a1 - p.c) / self._gain
         self._c, self._delta, self._surface = p.c, p.delta, p.publish_surface
-        self._k, self._k_per_ref, self._gain = p.k, p.k_per_ref, p.model_gain
+        self._k, self._k_per_ref = p.k, p.k_per_ref
 
     def go_on(self, x: Any, before: P) -> Any:
         """Take other gains; another set point scales K."""
@@ -87,8 +103,8 @@ class DcMotorSmcParams(SurfaceParams):
     )
     wd_lp: float = param(0.0, "time constant of a first-order low-pass on w' of the difference; 0 is none", "s", ge=0.0,
                          live=True)  # fmt: skip
-    wd_w: float = param(5.5, "b/J in w' of the current", "1/s", live=True)
-    wd_i: float = param(37.5, "Kt/J in w' of the current", "rad/s^2/A", live=True)
+    wd_w: float = param(5.5, "printed model: b/J in w' of the current", "1/s", live=True)
+    wd_i: float = param(37.5, "printed model: Kt/J in w' of the current", "rad/s^2/A", live=True)
 
 
 class State(NamedTuple):
@@ -114,7 +130,7 @@ class DcMotorSmc(SurfaceControl[DcMotorSmcParams]):
         super().setup()
         p = self.p
         self._current = p.wd_source == "current"
-        self._wd_w, self._wd_i = p.wd_w, p.wd_i
+        self._wd_w, self._wd_i = (p.wd_w, p.wd_i) if p.model == "printed" else (p.b / p.J, p.Kt / p.J)
         self._rate = 1.0 / p.period
         self._blend = -math.expm1(-p.period / p.wd_lp) if p.wd_lp else 1.0
 

@@ -24,6 +24,10 @@ class Links(Params):
     d: tuple[float, ...] = param((0.28, 0.0, 0.0), "link offsets d_i", "m", each=(-100.0, 100.0))
     a: tuple[float, ...] = param((0.0, 0.76, 0.93), "link lengths a_i", "m", each=(-100.0, 100.0))
     alpha: tuple[float, ...] = param((pi / 2.0, 0.0, 0.0), "link twists alpha_i", "rad", each=(-7.0, 7.0))
+    alpha_0: float = param(
+        0.0, "twist in front of joint 1; pi/2: its axis lies, an arm of parallel joints stands upright", "rad",
+        ge=-7.0, le=7.0,
+    )  # fmt: skip
     mass: tuple[float, ...] = param((19.0, 18.18, 10.99), "masses m_i", "kg", min_length=1, each=(0.0, 1e5))
     center: tuple[float, ...] = param((0.0, -0.22, 0.0, -0.51, 0.0, 0.0, -0.67, 0.0, 0.0),
                                       "centres of mass in frame i: x, y, z link after link", "m",
@@ -61,7 +65,7 @@ def manipulator_urdf(table: Links | None = None, joints: tuple[str, ...] = ("joi
     table = Links() if table is None else table
     links = []
     origin: Vector = (0.0, 0.0, 0.0)
-    twist = 0.0
+    twist = table.alpha_0
     for i, joint in enumerate(joints):
         x, y, z = table.center[3 * i : 3 * i + 3]
         alpha = table.alpha[i]
