@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from softrig_control.fault import FaultParams
 from softrig_core import Block, BlockParams, load_scenario, param, rig_of, simulate
-from softrig_core.block.port_text import ports_of, ports_text, reader
+from softrig_core.scenario.port_text import ports_of, ports_text, reader
 from softrig_core.wire import types
 
 # how long each runs here, s: some ticks of its laws, and at least one message of what seldom speaks

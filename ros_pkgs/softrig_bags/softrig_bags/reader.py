@@ -76,7 +76,7 @@ class BagReader:
         return self
 
     def _check_metadata(self) -> None:
-        """Make sure that what the metadata says is of the kind that it should be: the library takes what stands there."""
+        """Make sure that what the metadata says is of the kind that it should be; the library takes anything."""
         for connection in self._connections:
             if not isinstance(connection.topic, str) or not isinstance(connection.msgtype, str):
                 what = f"topic {connection.topic!r} of type {connection.msgtype!r}"
@@ -135,7 +135,7 @@ class BagReader:
             return
         try:
             for connection, t, data in self._reader.messages(chosen, start=start or None):
-                if not isinstance(data, bytes | memoryview) or not isinstance(t, int):
+                if not isinstance(data, bytes) or not isinstance(t, int):
                     raise ValueError(
                         f"a message on {connection.topic} is {type(data).__name__} at {t!r}, expected bytes"
                     )

@@ -7,10 +7,10 @@ from typing import Any, Self
 
 from pydantic import model_validator
 from softrig_core import Block, BlockParams, Level, Port, RunError, Sample, ScenarioError, executable, param, scalars
-from softrig_core.scenario.port_text import ports_of
 from softrig_core.judge.formula import margin_unit, read, variables
 from softrig_core.judge.live import Live
 from softrig_core.judge.robustness import truth
+from softrig_core.scenario.port_text import ports_of
 
 ENDLESS = 1e12  # stands for a margin of which nothing is known yet
 
