@@ -135,11 +135,11 @@ class BagReader:
             return
         try:
             for connection, t, data in self._reader.messages(chosen, start=start or None):
-                if not isinstance(data, bytes) or not isinstance(t, int):
+                if not isinstance(data, bytes | memoryview) or not isinstance(t, int):
                     raise ValueError(
                         f"a message on {connection.topic} is {type(data).__name__} at {t!r}, expected bytes"
                     )
-                yield index[connection.topic], t, data
+                yield index[connection.topic], t, bytes(data)
         except Exception as error:  # a damaged file makes the library raise whatever its bytes lead to
             raise self._damaged(error) from error
 
