@@ -97,6 +97,15 @@ def test_an_axis_has_the_poles_that_were_asked_for():
     assert fast["rise_time"] == pytest.approx(found["rise_time"] / 2, rel=0.03)
 
 
+def test_poles_change_while_the_axis_rests_without_a_bump(tmp_path):
+    (tmp_path / "axis.yaml").write_text(
+        "extends: dc_motor_fsfb_ctms\ntitle: A\nduration: 3.4\n"
+        "changes: [{at: 3.0, set: {fsfb_controller.poles: [-8.0, -16.0, -60.0]}}]\n"
+        "figures: {bump: {function: peak, arguments: {signal: $position, reference: 10.0, start: 2.9}}}\n"
+    )
+    assert simulate(tmp_path / "axis.yaml").figures["bump"] <= 0.005  # mm, a count
+
+
 def test_poles_that_cannot_be_placed_are_refused():
     for wrong in ([-1.0, -2.0], [-1.0, -2.0, 3.0]):
         with pytest.raises((ParameterError, ValueError), match="poles"):
