@@ -162,22 +162,28 @@ def test_phases_of_a_linear_motor_pull_as_the_relay_of_the_textbook():
 @pytest.mark.long
 def test_a_string_of_other_modules_gives_its_maximum():
     m = parameters("pv_mppt_kc200gt", "pv_plant")["module"]
-    aVt = m["a"] * m["N_s"] * 1.380649e-23 * 298.15 / 1.602176634e-19
-    I_0 = m["I_sc"] / np.expm1(m["V_oc"] / aVt)
+
+    def curve(T):  # equations (2) to (4)
+        aVt = m["a"] * m["N_s"] * 1.380649e-23 * (T + 273.15) / 1.602176634e-19
+        I_sc = m["I_sc"] + m["K_I"] * (T - 25)
+        return I_sc, I_sc / np.expm1((m["V_oc"] + m["K_V"] * (T - 25)) / aVt), aVt
+
+    I_sc, I_0, aVt = curve(45.0)
 
     def power(i):
         total = 0.0
         for G in (1000.0, 1000.0, 500.0, 300.0):
-            U = brentq(lambda u, g=G: m["I_sc"] * g / 1e3 - I_0 * np.expm1(u / aVt) - u / m["R_p"] - i, -5e3, 40.0)
-            total += max(U - m["R_s"] * i, -0.8)
+            U = brentq(lambda u, g=G: I_sc * g / 1e3 - I_0 * np.expm1(u / aVt) - u / m["R_p"] - i, -5e3, 40.0)
+            total += max(U - m["R_s"] * i, -m["V_f"])
         return total * i
 
     best = max(power(i) for i in np.linspace(7.3, 7.9, 301))
     found = simulate("pv_mppt_kc200gt").figures
     assert found["gmpp"] == pytest.approx(best, abs=0.01)
     assert found["power"] == pytest.approx(best, rel=0.005)
-    alone = [m["I_sc"] - I_0 * np.expm1((v + m["R_s"] * 7.61) / aVt) - (v + m["R_s"] * 7.61) / m["R_p"] for v in [26.3]]
-    assert alone[0] == pytest.approx(7.61, rel=0.01)  # the data sheet's maximum power point is on the curve
+    I_sc, I_0, aVt = curve(25.0)
+    U = 26.3 + m["R_s"] * 7.61
+    assert I_sc - I_0 * np.expm1(U / aVt) - U / m["R_p"] == pytest.approx(7.61, rel=0.01)  # the data sheet's maximum
 
 
 @pytest.mark.long
