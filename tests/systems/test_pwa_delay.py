@@ -186,6 +186,15 @@ def test_constant_delay_of_a_pendulum_with_a_weaker_gain(k, cell_terms, valid, n
     assert not certify(pendulum(1.0, k), not_valid, criterion).valid
 
 
+def test_windows_of_the_oscillator():
+    """s = i w on s^2 + 0.8 s + 4 + (0.6 s + 1.5) exp(-s h): from 0.81677 s to 1.735 s a pair is on the right."""
+    delays = []
+    for w in np.sqrt(np.roots([1.0, -8.0 + 0.64 - 0.36, 16.0 - 2.25])).tolist():
+        turned = -(0.6j * w + 1.5) / (4.0 - w * w + 0.8j * w)
+        delays.append(math.atan2(turned.imag, turned.real) % (2.0 * math.pi) / w)
+    assert sorted(delays) == pytest.approx([0.81677, 1.735], rel=2e-4)
+
+
 def test_the_search_of_constant_delays_ends_with_the_first_window():
     """A second window ends at 3.4576 s, and a bracket of 0.05 to 3 s finds both."""
     criterion = Criterion("constant")
