@@ -152,10 +152,10 @@ def _shown(result: Result) -> str:
 
 def house(package: str) -> str:
     """Rooms of a package, from the ground up: what each holds and which it knows."""
-    lines = ["| floor | room | modules | holds | knows |", "|---|---|---|---|---|"]
+    lines = ["| floor | room | holds | knows |", "|---|---|---|---|"]
     for room in rooms(package).values():
         known = ", ".join(f"`{name}`" for name in sorted(room.knows))
-        lines.append(f"| {room.floor} | `{room.name}` | {room.modules} | {room.text.rstrip('.')} | {known} |")
+        lines.append(f"| {room.floor} | `{room.name}` | {room.text.rstrip('.')} | {known} |")
     return "\n".join(lines)
 
 
