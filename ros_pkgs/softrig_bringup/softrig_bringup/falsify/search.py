@@ -63,7 +63,7 @@ def search(
 ) -> Found:  # fmt: skip
     """Look for the least margin in the unit cube.
 
-    Corners come first, then the sampler, from the best of them; what is left of the budget goes to climbs from corner
+    Corners come first, then the sampler; what is left of the budget goes to climbs from corner
     to corner, from the best point on and then from other corners.
 
     Parameters
@@ -133,8 +133,8 @@ def _cmaes(
     from cmaes import CMA
 
     cube = np.array([[0.0, 1.0]] * size)
+    mean = np.full(size, 0.5)  # not the best corner: it may lie far from all that is between
     while not over():
-        mean = np.array(found.point) if found.point else np.full(size, 0.5)
         asked = CMA(mean, sigma=0.3, bounds=cube, seed=seed)
         while not over() and not asked.should_stop():
             points = [asked.ask() for _ in range(asked.population_size)]
@@ -143,6 +143,7 @@ def _cmaes(
                 return
             asked.tell([(p, m if math.isfinite(m) else WORST) for p, m in zip(points, margins, strict=True)])
         seed += 1  # it has converged: again from the best point, with other random numbers
+        mean = np.array(found.point) if found.point else mean
 
 
 def _tpe(size: int, seed: int, tell: Callable[[Sequence[Point]], list[float]], over: Callable[[], bool]) -> None:
