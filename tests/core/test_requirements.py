@@ -157,13 +157,21 @@ def test_a_number_that_is_none_leaves_its_own_requirement_not_judged_and_the_run
     nodes = {"plant": "plant", "source": "source", "gain": "gain"}
     names = {"state": "lag/state/x/position", "seen": "lag/state/bad/x/position"}
     faults = {"bad": {"link": "lag/state -> gain", "kind": "invalid", "from": 0.5, "to": 0.52}}
-    formulas = {"its": "always abs(seen) <= 100", "other": "always abs(state) <= 100", "known": "always seen <= 0.1"}
+    formulas = {
+        "its": "always[0, 0.9] abs(seen) <= 100",
+        "other": "always abs(state) <= 100",
+        "known": "always seen <= 0.1",
+    }
     required = {name: {"formula": formula, "live": live} for name, formula in formulas.items()}
     run = simulate(rig_of(make_scenario(nodes, shared=names, faults=faults, requirements=required)))
     results = {r.name: r for r in run.results}
     assert (results["its"].value, results["its"].passed) == (None, False)
     assert results["its"].error.startswith("not judged: undefined at t = 0.5 s")
     assert results["other"].passed
+    if live:  # its node is sent none of them, and claims nothing of these ticks
+        assert run.signals["requirement/its/lower/position"].x.max() < 0.0
+        ends = [run.signals[f"requirement/its/{bound}/position"].x[-1] for bound in ("lower", "upper")]
+        assert ends[0] < 0.0 <= ends[1]
     assert results["known"].value == pytest.approx(0.1 - np.nanmax(run.signals["lag/state/bad/x/position"].x))
 
 

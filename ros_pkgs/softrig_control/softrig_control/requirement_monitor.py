@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any, Self
 
@@ -113,6 +114,16 @@ class RequirementMonitor(Block[RequirementMonitorParams]):
                 continue
             truths[name] = float(truth(condition, value, self._before.get(name, value)))
             self._before[name] = value
+        return self._go_on(t, seen, truths, late)
+
+    def refused(self, t: int) -> Mapping[str, tuple[float, ...]]:
+        """Take a tick at which something was no number as one at which nothing is known."""
+        nothing = dict.fromkeys((n for n in self._used if n not in self._conditions), math.nan)
+        return self._go_on(t, nothing, dict.fromkeys(self._conditions, math.nan), dict.fromkeys(nothing, False))
+
+    def _go_on(
+        self, t: int, seen: Mapping[str, float], truths: Mapping[str, float], late: Mapping[str, bool]
+    ) -> Mapping[str, tuple[float, ...]]:
         if not self._decided:
             self._bounds = self._monitor.push(float(t), seen, truths, late)
             self._decided = self._monitor.decided

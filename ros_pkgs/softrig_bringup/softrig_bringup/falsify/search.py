@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any, Literal
@@ -63,7 +63,7 @@ def search(
 ) -> Found:  # fmt: skip
     """Look for the least margin in the unit cube.
 
-    Corners come first, then the sampler, from the best of them; what is left of the budget goes to climbs from corner
+    Corners come first, then the sampler; what is left of the budget goes to climbs from corner
     to corner, from the best point on and then from other corners.
 
     Parameters
@@ -100,7 +100,7 @@ def search(
         return found
     rng = np.random.default_rng(seed)
     first = max(2 * BATCH, round(CORNERS * budget))
-    _corners(groups, rng, tell, lambda: over() or found.runs >= first)
+    _corners(groups, rng, tell, lambda: over() or found.runs >= first, first)
     found.corners = found.least
     left = budget - round(POLISH * budget)
     _sample(sampler, size, seed, tell, lambda: over() or found.runs >= left, found)
@@ -133,8 +133,8 @@ def _cmaes(
     from cmaes import CMA
 
     cube = np.array([[0.0, 1.0]] * size)
+    mean = np.full(size, 0.5)  # not the best corner: it may lie far from all that is between
     while not over():
-        mean = np.array(found.point) if found.point else np.full(size, 0.5)
         asked = CMA(mean, sigma=0.3, bounds=cube, seed=seed)
         while not over() and not asked.should_stop():
             points = [asked.ask() for _ in range(asked.population_size)]
@@ -143,6 +143,7 @@ def _cmaes(
                 return
             asked.tell([(p, m if math.isfinite(m) else WORST) for p, m in zip(points, margins, strict=True)])
         seed += 1  # it has converged: again from the best point, with other random numbers
+        mean = np.array(found.point) if found.point else mean
 
 
 def _tpe(size: int, seed: int, tell: Callable[[Sequence[Point]], list[float]], over: Callable[[], bool]) -> None:
@@ -161,18 +162,17 @@ def _tpe(size: int, seed: int, tell: Callable[[Sequence[Point]], list[float]], o
 
 def _corners(
     groups: Sequence[int], rng: np.random.Generator, tell: Callable[[Sequence[Point]], list[float]],
-    over: Callable[[], bool],
+    over: Callable[[], bool], budget: int,
 ) -> None:  # fmt: skip
-    """All low, all high, each thing by itself low or high, then each coordinate by itself and drawn ones in turn."""
+    """All low, all high, each thing by itself, each coordinate where the budget is enough for all, then drawn ones."""
     size = sum(groups)
-    ends = np.cumsum([0, *groups])
 
-    def alone(first: int, end: int) -> list[Point]:
-        return [tuple(u if first <= k < end else 1.0 - u for k in range(size)) for u in (1.0, 0.0)]
+    def alone(spans: Iterable[tuple[int, int]]) -> list[Point]:
+        return [tuple(u if a <= k < b else 1.0 - u for k in range(size)) for a, b in spans for u in (1.0, 0.0)]
 
-    listed = [(0.0,) * size, (1.0,) * size, *(c for first, end in pairwise(ends) for c in alone(first, end))]
-    for corner in (c for k in range(size) for c in alone(k, k + 1)):
-        listed += [_corner(size, rng), corner]
+    listed = [(0.0,) * size, (1.0,) * size, *alone(pairwise(np.cumsum([0, *groups]).tolist()))]
+    if len(listed) + 2 * size <= budget:
+        listed += alone((k, k + 1) for k in range(size))
     listed += [_corner(size, rng) for _ in range(MANY)]
     corners = dict.fromkeys(listed)  # each once, in this order
     every = list(corners)
