@@ -109,7 +109,8 @@ class FaultLocator(Block[FaultLocatorParams]):
         begin = time.process_time()
         work = None
         try:
-            work = Locator(self.read(), self.p)
+            drawn = np.random.default_rng([self.p.seed, int(self.rng.integers(2**32))])
+            work = Locator(self.read(), self.p, drawn)
             found = work.locate()
         except RecordError as error:
             found = Location(error.status, text=str(error))

@@ -86,7 +86,7 @@ class LinePlant(Plant[LinePlantParams]):
 
     def _begin(self) -> None:
         self.line.reset()
-        self._noise = np.random.default_rng(self.p.measurement.seed)
+        self._noise = np.random.default_rng([self.p.measurement.seed, int(self.rng.integers(2**32))])
         self._rows: list[tuple[float, ...]] = []
         self._sample()
 
