@@ -65,7 +65,7 @@ def figure(
     unit : str
         Unit of the figure; ``{signal}`` stands for that of its argument `signal`.
     reads : sequence of str
-        Signals that it reads besides those that its arguments name.
+        Signals that it reads besides those that its arguments name; ``*`` stands for any characters.
     agreed : mapping of str to str
         Arguments that are what a node of the rig says by `Block.agreed`: name to quantity (``tank/k_high``). A scenario
         leaves them out; one that gives another value is refused.

@@ -8,6 +8,7 @@ import math
 import typing
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
+from fnmatch import filter as filter_names
 from functools import cache
 from typing import Any
 
@@ -168,8 +169,8 @@ def told(rig: Members) -> dict[str, str]:
     """
     names, units = rig.scenario.figures, signal_units(rig)
     figures = [f for f in figures_of(rig) if f.name in names]
-    read = {name for f in figures for name in (*f.arguments.values(), *getattr(f.function, "reads", ()), f.since)
-            if isinstance(name, str) and name in units}  # fmt: skip
+    asked = {name for f in figures for name in (*f.arguments.values(), *getattr(f.function, "reads", ()), f.since)}
+    read = {signal for name in asked if isinstance(name, str) for signal in filter_names(units, name)}
     said = {p.topic for m in rig.members for p in m.outputs}
     ports = [
         reader(p, f"input_{k}", held=topic not in said)
@@ -271,7 +272,7 @@ def _arguments(function: Function, given: dict[str, Any]) -> dict[str, Any]:
 def _check_signals(function: Function, arguments: Mapping[str, Any], units: Mapping[str, str]) -> None:
     named = {k: v for k, v in arguments.items() if isinstance(v, str) and (k in SIGNALS or "/" in v)}
     for name in (*named.values(), *getattr(function, "reads", ())):
-        if name not in units:
+        if not filter_names(units, name):
             raise ScenarioError(f"no signal {name!r}{closest(name, units)}; the rig has {', '.join(units)}")
     own, *others = [(k, units[arguments[k]]) for k in SIGNALS if isinstance(arguments.get(k), str)] or [("", "")]
     for name, unit in others:

@@ -106,7 +106,7 @@ def cycles(
     return found.ravel()
 
 
-@figure("%", agreed=FREQUENCY)
+@figure("%", ("gupfc/trace/*",), FREQUENCY)
 def distortion(
     signals: SignalMap, *, part: Literal["v_sh", "v12", "u1", "i_sh"], frequency: float, count: int = 3
 ) -> float:

@@ -18,7 +18,7 @@ from .module import Array, ModuleParams
 from .string import Characteristic, characteristic
 
 POWER, VOLTAGE = "converter/state/p_in/position", "converter/state/v_in/position"
-READS = (POWER, VOLTAGE)
+READS = (POWER, VOLTAGE, "pv/environment/*")
 STRING = {"module": "pv/module", "first": "pv/conditions"}
 
 
