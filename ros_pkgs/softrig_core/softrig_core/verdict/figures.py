@@ -134,8 +134,8 @@ def figures_of(rig: Members) -> list[Figure]:
             function = find(entry.function or name)
             given = fill_parameters(entry.arguments, rig.parameter)
             arguments = _arguments(function, agreeing(said, given, getattr(function, "agreed", {})))
-            _check_since(function, arguments, units, entry.since)
             _check_signals(function, arguments, units)
+            _check_since(function, arguments, units, entry.since)
             unit, scale = _unit(function, arguments, units, entry.unit)
         except ScenarioError as error:
             at = rig.scenario.written("figures", name)
