@@ -57,7 +57,7 @@ class ImpossibleError(ValueError):
 def figure(
     unit: str, reads: Sequence[str] = (), agreed: Mapping[str, str] = MappingProxyType({}),
     possible: tuple[float, float] = (-math.inf, math.inf),
-) -> Callable[[_F], _F]:
+) -> Callable[[_F], _F]:  # fmt: skip
     """Say what a figure function gives, so that a scenario is judged before its run.
 
     Parameters
@@ -107,8 +107,9 @@ def rise_time(
 
 @figure("s")
 def settling_time(
-    signals: SignalMap, signal: str, *, final: float | str | None = None, initial: float | str = 0.0, band: float = 0.02,
-    at: Literal["crossing", "sample"] = "crossing", start: float | None = None, end: float | None = None,
+    signals: SignalMap, signal: str, *, final: float | str | None = None, initial: float | str = 0.0,
+    band: float = 0.02, at: Literal["crossing", "sample"] = "crossing", start: float | None = None,
+    end: float | None = None,
 ) -> float:  # fmt: skip
     """Time in s from the start of the window until the signal stays within `band` of the step around `final`.
 
@@ -162,8 +163,8 @@ def reach_time(
 
 @figure("%")
 def overshoot(
-    signals: SignalMap, signal: str, *, final: float | str | None = None, initial: float | str = 0.0, start: float | None = None,
-    end: float | None = None,
+    signals: SignalMap, signal: str, *, final: float | str | None = None, initial: float | str = 0.0,
+    start: float | None = None, end: float | None = None,
 ) -> float:  # fmt: skip
     """Largest value beyond `final` in % of the step size; 0 when there is none."""
     _, z = _step(signals, signal, final, initial, start, end)
@@ -394,16 +395,16 @@ def step_levels(
         A signal has no value there yet.
     """
 
-    def value(name: str, side: Literal["left", "right"]) -> float:
+    def value(name: str, shift: float) -> float:
         when, x = signals[name]
-        at = 1 if start is None else int(np.searchsorted(when, start + math.copysign(HALF_NS, side == "right" or -1), side))
-        if at < 1 or at > x.size or (start is None and side == "left"):
-            raise ValueError(f"{name} has no value {'at' if side == 'right' else 'before'} the begin of the window")
-        return float(x[at - 1])
+        count = int(np.searchsorted(when, (when[0] if start is None else start) + shift)) if when.size else 0
+        if not count:
+            raise ValueError(f"{name} has no value {'at' if shift > 0.0 else 'before'} the begin of the window")
+        return float(x[count - 1])
 
     return (
-        value(final, "right") if isinstance(final, str) else final,
-        value(initial, "left") if isinstance(initial, str) else initial,
+        value(final, HALF_NS) if isinstance(final, str) else final,
+        value(initial, -HALF_NS) if isinstance(initial, str) else initial,
     )
 
 

@@ -91,7 +91,7 @@ class Figure:
         value = float(self.function(signals, **self.at(signals).arguments))
         low, high = getattr(self.function, "possible", (-math.inf, math.inf))
         if value < low - ROUNDING * max(1.0, abs(low)) or value > high + ROUNDING * max(1.0, abs(high)):
-            raise ImpossibleError(f"{value:.6g} {self.function.unit or ''} is impossible, expected {low:g} to {high:g}")
+            raise ImpossibleError(f"{value:.6g} is impossible, expected {low:g} to {high:g}")
         return self.scale * value
 
     def at(self, signals: SignalMap) -> Figure:

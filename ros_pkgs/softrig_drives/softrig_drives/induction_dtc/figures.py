@@ -84,7 +84,8 @@ def flux_error_direction(signals: SignalMap, *, start: float = 0.3, end: float |
     return float(np.degrees(np.angle(slope(*_flux_error(signals, start, end)))))
 
 
-@figure("LSB", ("currents_meas/x", "currents_meas/y", "currents_true/x", "currents_true/y"), {"lsb": "induction_dtc/lsb"})
+@figure("LSB", tuple(f"currents_{kind}/{channel}" for kind in ("meas", "true") for channel in "xy"),
+        {"lsb": "induction_dtc/lsb"})  # fmt: skip
 def converter_error(
     signals: SignalMap, *, lsb: float, channel: Literal["x", "y"] = "x", statistic: Literal["mean", "std"] = "mean",
     start: float = 0.3, end: float | None = None,

@@ -62,7 +62,9 @@ def repaired(units: Units, P: Array, demand: float) -> Array:
     return P + rest * room / total if total > 0.0 else P
 
 
-def swarm(units: Units, demand: float, algorithm: Baseline, seed: int | Sequence[int], n_pop: int = 50, n_iter: int = 300) -> Array:
+def swarm(
+    units: Units, demand: float, algorithm: Baseline, seed: int | Sequence[int], n_pop: int = 50, n_iter: int = 300
+) -> Array:
     """Dispatch by a metaheuristic of `softrig_optim`, each candidate repaired onto the balance.
 
     Parameters
@@ -90,6 +92,7 @@ def swarm(units: Units, demand: float, algorithm: Baseline, seed: int | Sequence
     if not free.any():
         return units.p_min.copy()
     settings = AlgorithmParams(n_pop=n_pop, n_iter=n_iter)
-    search = make(algorithm, units.p_min[free].tolist(), units.p_max[free].tolist(), np.random.default_rng(seed), settings, maximise=False)
+    rng = np.random.default_rng(seed)
+    search = make(algorithm, units.p_min[free].tolist(), units.p_max[free].tolist(), rng, settings, maximise=False)
     best = run(search, lambda x: units.total(dispatch(x)))
     return balanced(units, dispatch(best.x), demand)

@@ -10,9 +10,7 @@ from .model import Bottleneck, equilibrium
 
 
 @figure("{signal}^2", (), {"N": "tcp/N", "C": "tcp/C", "tau_p": "tcp/tau_p"})
-def mean_square_window(
-    signals: SignalMap, signal: str, *, queue: float | str, N: int, C: float, tau_p: float
-) -> float:
+def mean_square_window(signals: SignalMap, signal: str, *, queue: float | str, N: int, C: float, tau_p: float) -> float:
     """Mean of (signal - w0)^2, w0 the window that holds the queue (packets) on this bottleneck: J_w of the paper.
 
     Mean squares are the only reading of the undefined J that fits the sizes printed.
