@@ -134,8 +134,8 @@ def figures_of(rig: Members) -> list[Figure]:
             function = find(entry.function or name)
             given = fill_parameters(entry.arguments, rig.parameter)
             arguments = _arguments(function, agreeing(said, given, getattr(function, "agreed", {})))
-            _check_signals(function, arguments, units)
             _check_since(function, arguments, units, entry.since)
+            _check_signals(function, arguments, units)
             unit, scale = _unit(function, arguments, units, entry.unit)
         except ScenarioError as error:
             at = rig.scenario.written("figures", name)
@@ -289,7 +289,7 @@ def _check_since(function: Function, arguments: Mapping[str, Any], units: Mappin
     if "start" not in takes:
         raise ScenarioError(f"since: {function.__name__} takes no start, it is of a whole run")
     if "final" in takes and arguments.get("final") is None:
-        unit, own = units[since], units[arguments["signal"]]
+        unit, own = units[since], units.get(arguments["signal"], units[since])
         if "initial" in arguments or powers(unit) != powers(own):
             why = "initial" if "initial" in arguments else f"a signal in {own!r} and a reference in {unit!r}"
             raise ScenarioError(f"since: with {why} the final value must be given, too")
