@@ -45,6 +45,17 @@ def require_agreement(where: str, members: Iterable[Named]) -> None:
                 )
 
 
+def assumptions(members: Iterable[Named]) -> list[str]:
+    """Say which nodes take others for what they are not, by `Block.assumed`, a line each."""
+    members = list(members)
+    said = spoken(members)
+    return [
+        f"{member.name} takes {quantity} to be {_shown(value)}, {said[quantity][0]} has {_shown(said[quantity][1])}"
+        for member in members for quantity, value in member.block_class.assumed(member.params).items()
+        if quantity in said and not _same(said[quantity][1], value)
+    ]  # fmt: skip
+
+
 def spoken(members: Iterable[Named]) -> dict[str, tuple[str, Any]]:
     """Give what the nodes say by `Block.agreed`: quantity to the first node that says it, and its value."""
     said: dict[str, tuple[str, Any]] = {}

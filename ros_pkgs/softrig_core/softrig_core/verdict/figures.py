@@ -169,7 +169,7 @@ def told(rig: Members) -> dict[str, str]:
     """
     names, units = rig.scenario.figures, signal_units(rig)
     figures = [f for f in figures_of(rig) if f.name in names]
-    asked = {name for f in figures for name in (*f.arguments.values(), *getattr(f.function, "reads", ()), f.since)}
+    asked = [name for f in figures for name in (*f.arguments.values(), *getattr(f.function, "reads", ()), f.since)]
     read = {signal for name in asked if isinstance(name, str) for signal in filter_names(units, name)}
     said = {p.topic for m in rig.members for p in m.outputs}
     ports = [
