@@ -99,7 +99,7 @@ class Block(Generic[P]):
 
     @classmethod
     def assumed(cls, params: Any) -> Mapping[str, Any]:
-        """Give what it takes others to be, by the names of `agreed`: a difference is an experiment, and is told once."""
+        """Give what it takes others to be, by the names of `agreed`: a difference is an experiment, told once."""
         return {}
 
     @classmethod
