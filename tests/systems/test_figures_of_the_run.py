@@ -12,7 +12,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from softrig_core import Rig, ScenarioError, figures_of, list_scenarios, load_scenario, rig_of, simulate
+from softrig_core import Observer, Rig, ScenarioError, figures_of, list_scenarios, load_scenario, rig_of, simulate
 from softrig_core.block.params import flatten
 from softrig_core.judge.registry import find, registered
 from softrig_core.scenario.scenario_file import locate, resolve
@@ -369,6 +369,53 @@ def test_figures_follow_each_parameter_of_each_node(scenario):
     judged, refused, moved = held_against_the_nodes(scenario)
     assert judged > 5
     assert MOVES[scenario] <= moved | {text.partition(":")[0] for text in refused}
+
+
+# monitors -----------------------------------------------------------------------------------------------------------
+
+OWN = {  # parameters of monitors that bear the name of another node's, and are their own
+    "substeps": "how finely it computes", "period": "how often it looks", "window": "what it looks at", "band": "what counts as settled",
+    "horizon": "of the task, on which planner and judge must agree; nothing of the plant moves by it",
+    "x_end": "of the task, on which planner and judge must agree; nothing of the plant moves by it",
+    "R": "of the task, on which planner and judge must agree; nothing of the plant moves by it",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("scenario", [
+    "pv_mppt", "induction_dtc", "tcp_aqm_smc", "tcp_aqm_smc_s4", "lsrm_fuzzy", "rectifier_mpc", "gupfc_stretch",
+    "optimal_control_mvim", "fault_location_m4k", "pwa_delay",
+])  # fmt: skip
+def test_what_a_monitor_knows_of_a_plant_follows_it(scenario):
+    rig = rig_of(scenario)
+    values = {m.name: flatten(m.params) for m in rig.members}
+    monitors = [m.name for m in rig.members if issubclass(m.block_class, Observer) and m.executable != "figures"]
+    followed = dict(changed(rig))
+    held = 0
+    for monitor in monitors:
+        for name in set(values[monitor]) - set(OWN):
+            for plant in [m.name for m in rig.members if m.is_plant and name in values[m.name]]:
+                value = followed.get(f"{plant}.{name}")
+                if value is None:
+                    continue
+                held += 1
+                try:
+                    other = rig_of(load_scenario(scenario, {f"{plant}.{name}": value}))
+                except ScenarioError:
+                    continue
+                there = {m.name: flatten(m.params) for m in other.members}
+                assert there[monitor][name] == there[plant][name], f"{monitor}.{name}"
+    assert held or scenario not in {"pv_mppt", "induction_dtc", "tcp_aqm_smc", "optimal_control_mvim"}
+
+
+@pytest.mark.parametrize(("scenario", "change", "where", "value"), [
+    ("rectifier_mpc", {"gpc_controller.set_point": 380.0}, "rig_metrics.set_point", 380.0),
+    ("lsrm_fuzzy", {"profile_generator.v_d": 0.4}, "motion_monitor.v_d", 0.4),
+    ("induction_dtc", {"im_plant.pole_pairs": 3}, "flux_monitor.pole_pairs", 3),
+])  # fmt: skip
+def test_what_a_monitor_compares_with_is_what_is_asked_for(scenario, change, where, value):
+    node, _, name = where.partition(".")
+    rig = rig_of(load_scenario(scenario, change))
+    assert flatten(next(m.params for m in rig.members if m.name == node))[name] == value
 
 
 # what was reported ---------------------------------------------------------------------------------------------------

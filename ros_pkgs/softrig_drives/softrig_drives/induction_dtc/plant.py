@@ -46,8 +46,8 @@ class ImPlant(Plant[ImPlantParams]):
 
     @classmethod
     def agreed(cls, params: ImPlantParams) -> Mapping[str, Any]:
-        """What its converters resolve, in which their errors are counted."""
-        return {"induction_dtc/lsb": params.lsb}
+        """What its converters resolve, in which their errors are counted, and what makes torque of flux and current."""
+        return {"induction_dtc/lsb": params.lsb, "induction_dtc/pole_pairs": params.pole_pairs}
 
     @classmethod
     def drawing(cls) -> Any:
