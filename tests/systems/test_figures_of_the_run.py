@@ -294,9 +294,8 @@ def changed(rig):
         if member.executable in ("clock", "figures"):
             continue
         for name, value in flatten(member.params).items():
-            few = isinstance(value, tuple) and value and all(isinstance(x, float) for x in value)
-            if few:
-                yield f"{member.name}.{name}", [x * 1.01 if x else 0.01 for x in value]
+            if isinstance(value, list) and value and all(isinstance(x, float) for x in value):
+                yield f"{member.name}.{name}", [x * 1.01 for x in value] if any(value) else [x + 0.01 for x in value]
             elif isinstance(value, float) and math.isfinite(value):
                 yield f"{member.name}.{name}", value * 1.01 if value else 0.01
             elif isinstance(value, int) and not isinstance(value, bool):
@@ -374,7 +373,8 @@ def test_figures_follow_each_parameter_of_each_node(scenario):
 # monitors -----------------------------------------------------------------------------------------------------------
 
 OWN = {  # parameters of monitors that bear the name of another node's, and are their own
-    "substeps": "how finely it computes", "period": "how often it looks", "window": "what it looks at", "band": "what counts as settled",
+    "substeps": "how finely it computes",
+    "period": "how often it looks", "window": "what it looks at", "band": "what counts as settled",
     "horizon": "of the task, on which planner and judge must agree; nothing of the plant moves by it",
     "x_end": "of the task, on which planner and judge must agree; nothing of the plant moves by it",
     "R": "of the task, on which planner and judge must agree; nothing of the plant moves by it",
