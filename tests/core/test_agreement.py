@@ -1,7 +1,11 @@
 """Nodes of a rig that must mean the same."""
 
+import math
+
+import numpy as np
 import pytest
-from softrig_core import Block, BlockParams, Rig, ScenarioError, param
+from softrig_core import Block, BlockParams, Figure, Rig, ScenarioError, evaluate, figure, param
+from softrig_core.rig.agreement import agreeing, assumptions, spoken
 
 
 class MassParams(BlockParams):
@@ -29,6 +33,11 @@ class Law(Judge):
 
     agreed = Block.agreed
 
+    @classmethod
+    def assumed(cls, params):
+        """What it takes the cart for."""
+        return {"cart/mass": params.mass, "cart/colour": "red"}
+
 
 @pytest.mark.parametrize(("change", "text"), [
     ({"mass": 3.0}, "rig: one and other must agree on cart/mass, but one has 2 and other has 3"),
@@ -43,3 +52,64 @@ def test_those_who_speak_of_one_quantity_must_agree(change, text):
 
 def test_the_last_digit_of_a_product_is_no_disagreement():
     Rig.from_blocks({"one": Judge(mass=0.3), "other": Judge(mass=0.1 * 3.0)}, 1.0)
+
+
+def test_what_a_law_takes_for_granted_may_differ_and_is_told():
+    rig = Rig.from_blocks({"one": Judge(), "law": Law(mass=3.0)}, 1.0)
+    assert assumptions(rig.members) == ["law takes cart/mass to be 3, one has 2"]
+    assert assumptions(Rig.from_blocks({"one": Judge(), "law": Law()}, 1.0).members) == []
+
+
+def test_an_argument_of_a_figure_is_what_a_node_says():
+    said = spoken(Rig.from_blocks({"one": Judge(mass=3.0)}, 1.0).members)
+    agreed = {"mass": "cart/mass"}
+    assert agreeing(said, {"band": 0.1}, agreed) == {"band": 0.1, "mass": 3.0}
+    assert agreeing(said, {"mass": 3}, agreed) == {"mass": 3}
+    with pytest.raises(ScenarioError, match="argument mass = 2, but one has 3; leave it out"):
+        agreeing(said, {"mass": 2.0}, agreed)
+    assert agreeing({}, {"mass": 2.0}, agreed) == {"mass": 2.0}  # of a recording without such a node
+    with pytest.raises(ScenarioError, match="argument mass is missing, since no node of the rig says its cart/mass"):
+        agreeing({}, {}, agreed)
+
+
+@pytest.mark.parametrize(("value", "fits"), [
+    (0.0, True), (100.0, True), (100.0 + 1e-8, True), (100.1, False), (-0.1, False), (209.9, False), (math.nan, True),
+])  # fmt: skip
+def test_what_cannot_be_is_no_result(value, fits):
+    @figure("%", possible=(0.0, 100.0))
+    def share(signals):
+        return value
+
+    if fits:
+        assert Figure("share", share, {}, "%", 1.0)({}) == pytest.approx(value, nan_ok=True)
+    else:
+        with pytest.raises(ValueError, match="is impossible, expected 0 to 100"):
+            Figure("share", share, {}, "%", 1.0)({})
+
+
+def test_an_impossible_figure_fails_though_nothing_is_expected_of_it(monkeypatch):
+    @figure("%", possible=(0.0, 100.0))
+    def share(signals):
+        return 340.0
+
+    monkeypatch.setattr("softrig_core.verdict.figures.find", lambda name: share)
+    rig = Rig.from_blocks({"one": Judge()}, 1.0, figures={"share": {}})
+    (result,) = evaluate(rig, {})
+    assert (result.value, result.passed) == (None, False)
+    assert "340 is impossible" in result.error
+
+
+def test_levels_of_a_step_come_from_signals():
+    t = np.linspace(0.0, 2.0, 201)
+    asked = np.where(t < 1.0 - 1e-9, 2.0, 6.0)
+    x = np.where(t < 1.0, 2.0, 6.0 - 4.0 * np.exp(-np.maximum(t - 1.0, 0.0) / 0.1))
+    signals = {"x": (t, x), "asked": (t, asked)}
+    from softrig_core.judge.measures import rise_time
+
+    by_hand = rise_time(signals, "x", final=6.0, initial=2.0, start=1.0)
+    assert rise_time(signals, "x", final="asked", initial="asked", start=1.0) == by_hand
+    assert by_hand == pytest.approx(0.1 * math.log(9.0), rel=0.01)
+    told = Figure("rise", rise_time, {"signal": "x", "final": "asked", "initial": "asked", "start": 1.0}, "s", 1.0)
+    assert told.at(signals).arguments == {"signal": "x", "final": 6.0, "initial": 2.0, "start": 1.0}
+    with pytest.raises(ValueError, match="asked has no value before the begin of the window"):
+        rise_time(signals, "x", final=6.0, initial="asked")

@@ -1,7 +1,9 @@
 """The linear view of loops: held against analytic ones, and margins of delay against what runs do."""
 
 import json
+import math
 import re
+import warnings
 from collections import deque
 from pathlib import Path
 from typing import ClassVar
@@ -24,6 +26,7 @@ from softrig_core import (
     simulate,
     steady,
 )
+from softrig_core.analysis.steady import _move
 from softrig_drives.dc_motor.model import state_space
 from softrig_drives.dc_motor.pid import DcMotorPid
 from softrig_drives.dc_motor.plant import DcMotorPlant
@@ -332,3 +335,24 @@ def test_the_page_says_what_is(capsys):
     text = PAGE.read_text()
     exec(re.search(r"```python\n(.*?)```", text, re.DOTALL)[1], {})
     assert capsys.readouterr().out == re.search(r"```text\n(.*?)```", text, re.DOTALL)[1]
+
+
+def test_states_that_are_infinite_for_good_make_no_warning():
+    """`steady` gave numpy's warnings of them before its answer."""
+
+    class Map:
+        start = np.array([1.0, math.inf])
+
+        def __call__(self, x, given):
+            return np.array([3.0, math.inf]), {}
+
+    with np.errstate(all="raise"):
+        assert _move(Map(), [0]).tolist() == [2.0]
+
+
+@pytest.mark.long
+def test_nothing_is_said_before_the_reason_why_there_is_no_operating_point():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with pytest.raises(NoOperatingPoint, match="Newton's method ends nowhere"):
+            steady("lsrm_fuzzy")

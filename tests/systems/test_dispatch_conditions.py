@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 from softrig_core import Level, ParameterError, load_scenario, simulate
+from softrig_core.kit.resource import resource
 from softrig_power.dispatch.certify import InfeasibleError, Optimiser
 from softrig_power.dispatch.conditions import Conditions, Losses
 from softrig_power.dispatch.solver import DispatchSolver
@@ -155,12 +158,16 @@ def test_tables_as_the_field_has_them(tmp_path):
         Units.read(str(tmp_path / "bad.csv"))
 
 
-def test_the_scenario_takes_any_table_whose_first_unit_is_1():
-    """Its pictures named units that a smaller table has not."""
-    run = simulate("economic_dispatch", overrides={"table": "units_3", "demand": 850.0})
+def test_the_scenario_takes_any_table_whatever_the_names_of_its_units(tmp_path):
+    """Its pictures and its first unit were those of a unit called 1."""
+    table = resource("package://softrig_power/dispatch/tables/units_3.csv").read_text("utf-8")
+    for number, name in enumerate(("coal", "gas", "oil"), 1):
+        table = re.sub(rf"^{number},", f"{name},", table, flags=re.M)
+    (tmp_path / "own.csv").write_text(table)
+    run = simulate("economic_dispatch", overrides={"table": str(tmp_path / "own.csv"), "demand": 850.0})
     assert run.figures["cost"] == pytest.approx(8234.07173, abs=1e-3)
-    shown = [name for plot in load_scenario("economic_dispatch").plots for name in plot.signals if "fleet" in name]
-    assert shown
+    assert run.figures["first_unit"] == pytest.approx(300.2669, abs=1e-3)
+    shown = [name for plot in load_scenario("economic_dispatch").plots for name in plot.signals]
     assert all(len(run.signals[name].x) for name in shown)
 
 

@@ -73,10 +73,10 @@ def test_it_follows_a_parameter_that_its_figures_refer_to():
     rig = rig_of("dc_motor_smc_stretch_b")
     assert rig.scenario.nodes["dc_motor_metrics"].parameters == {}  # what it is told stands nowhere else
     node = next(
-        m for m in rig_of(rig, overrides={"motor_reference.velocities": [5.0]}).members if m.name[-7:] == "metrics"
+        m for m in rig_of(rig, overrides={"dc_motor_plant.load_times": [0.0, 2.5]}).members if m.name[-7:] == "metrics"
     )
-    assert {f.name: f.arguments["reference"] for f in Figures(node.params).figures() if f.name == "load_dip"} == {
-        "load_dip": 5.0
+    assert {f.name: f.arguments["start"] for f in Figures(node.params).figures() if f.name == "load_dip"} == {
+        "load_dip": 2.5
     }
 
 
@@ -96,4 +96,4 @@ def test_what_cannot_be_counted_from_a_step_is_refused_before_the_run(changes, t
     scenario = load_scenario("dc_motor_smc_b1")
     entry = scenario.figures["rise_time"].model_copy(update=changes)
     with pytest.raises(ScenarioError, match=text):
-        rig_of(scenario.model_copy(update={"figures": {"rise_time": entry}}))
+        rig_of(scenario.model_copy(update={"figures": {**scenario.figures, "rise_time": entry}}))

@@ -150,6 +150,8 @@ def conclude(options: argparse.Namespace, done: Run, folder: ResultsFolder | Non
     int
         Exit status.
     """
+    from softrig_core.rig.agreement import assumptions
+
     from ..options.repeat import words
     from ..run.run import save, summary, turned
 
@@ -184,7 +186,7 @@ def conclude(options: argparse.Namespace, done: Run, folder: ResultsFolder | Non
             say(f"what was recorded up to there is in {_shown(out)}, what the nodes said in its log/")
         return 3
     _print_figures(content, done, out)
-    for line in told:
+    for line in (*assumptions(rig.members), *told):
         say(line)
     if done.stopped:
         say(done.stopped_at)

@@ -137,7 +137,7 @@ def steady(
     said: dict[str, float] = {}
     for x, says in m.go_on(begin, CHECKED):
         said = said or says
-        off = x - begin
+        off[kept] = x[kept] - begin[kept]
         moved = max(moved, float(np.abs(off[core] / sizes).max(initial=0.0)))
     slowest = float(np.abs(np.linalg.eigvals(A)).max(initial=0.0)) if core else 0.0
     span = CHECKED * m.period
@@ -170,7 +170,7 @@ def _core(A: Array, heard: Any) -> Any:
 
 def _move(m: StateMap, kept: list[int]) -> Array:
     after, _ = m(m.start, {})
-    found: Array = (after - m.start)[kept]
+    found: Array = after[kept] - m.start[kept]  # of others some are infinite for good
     return found
 
 

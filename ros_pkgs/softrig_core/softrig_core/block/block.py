@@ -109,6 +109,11 @@ class Block(Generic[P]):
         return {}
 
     @classmethod
+    def assumed(cls, params: Any) -> Mapping[str, Any]:
+        """Give what it takes others to be, by the names of `agreed`: a difference is an experiment, told once."""
+        return {}
+
+    @classmethod
     def fixed(cls, params: Any) -> Any:
         """Give what of its live parameters may not change all the same, to be compared."""
         return None

@@ -9,10 +9,11 @@ signal : str
     Name of the signal.
 start, end : float, optional
     Time window in s, both ends included to the nearest ns (`window`, the one rule); the whole record when absent.
-final : float, optional
-    Value that counts as 100 % of a step; the last sample of the window when absent.
-initial : float
-    Value that counts as 0 % of a step.
+final : float or str, optional
+    Value that counts as 100 % of a step, or the name of a signal: its newest value where the window begins. The last
+    sample of the window when absent.
+initial : float or str
+    Value that counts as 0 % of a step, or the name of a signal: its value before the window begins.
 reference : float or str
     Constant, or the name of a signal (its newest value at each sample of `signal`).
 
@@ -26,7 +27,9 @@ ValueError
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
 from typing import Literal, TypeVar
 
 import numpy as np
@@ -38,6 +41,7 @@ __all__ = [
     "rise_time", "rms", "settling_time", "sum_absolute", "total_variation",
 ]  # fmt: skip
 
+ROUNDING = 1e-9  # what is so little beyond what is possible is rounding
 HALF_NS = 5e-10  # s; times are whole ns: what is nearer to an end of a window than this is inside
 
 Array = NDArray[np.float64]
@@ -46,7 +50,14 @@ Function = Callable[..., float]
 _F = TypeVar("_F", bound=Function)
 
 
-def figure(unit: str, reads: Sequence[str] = ()) -> Callable[[_F], _F]:
+class ImpossibleError(ValueError):
+    """A figure that cannot be, as an efficiency above 100 %: it was measured against what the run is not about."""
+
+
+def figure(
+    unit: str, reads: Sequence[str] = (), agreed: Mapping[str, str] = MappingProxyType({}),
+    possible: tuple[float, float] = (-math.inf, math.inf),
+) -> Callable[[_F], _F]:  # fmt: skip
     """Say what a figure function gives, so that a scenario is judged before its run.
 
     Parameters
@@ -54,11 +65,17 @@ def figure(unit: str, reads: Sequence[str] = ()) -> Callable[[_F], _F]:
     unit : str
         Unit of the figure; ``{signal}`` stands for that of its argument `signal`.
     reads : sequence of str
-        Signals that it reads besides those that its arguments name.
+        Signals that it reads besides those that its arguments name; ``*`` stands for any characters.
+    agreed : mapping of str to str
+        Arguments that are what a node of the rig says by `Block.agreed`: name to quantity (``tank/k_high``). A scenario
+        leaves them out; one that gives another value is refused.
+    possible : (float, float)
+        What lies outside cannot be (an efficiency above 100 %): such a result is an error and never passes.
     """
 
     def declare(function: _F) -> _F:
         function.unit, function.reads = unit, tuple(reads)  # type: ignore[attr-defined]
+        function.agreed, function.possible = agreed, possible  # type: ignore[attr-defined]
         return function
 
     return declare
@@ -66,7 +83,7 @@ def figure(unit: str, reads: Sequence[str] = ()) -> Callable[[_F], _F]:
 
 @figure("s")
 def rise_time(
-    signals: SignalMap, signal: str, *, final: float | None = None, initial: float = 0.0, low: float = 0.1,
+    signals: SignalMap, signal: str, *, final: float | str | None = None, initial: float | str = 0.0, low: float = 0.1,
     high: float = 0.9, start: float | None = None, end: float | None = None,
 ) -> float:  # fmt: skip
     """Time in s from the first crossing of `low` to the first crossing of `high`, linear between samples.
@@ -90,8 +107,9 @@ def rise_time(
 
 @figure("s")
 def settling_time(
-    signals: SignalMap, signal: str, *, final: float | None = None, initial: float = 0.0, band: float = 0.02,
-    at: Literal["crossing", "sample"] = "crossing", start: float | None = None, end: float | None = None,
+    signals: SignalMap, signal: str, *, final: float | str | None = None, initial: float | str = 0.0,
+    band: float = 0.02, at: Literal["crossing", "sample"] = "crossing", start: float | None = None,
+    end: float | None = None,
 ) -> float:  # fmt: skip
     """Time in s from the start of the window until the signal stays within `band` of the step around `final`.
 
@@ -145,8 +163,8 @@ def reach_time(
 
 @figure("%")
 def overshoot(
-    signals: SignalMap, signal: str, *, final: float | None = None, initial: float = 0.0, start: float | None = None,
-    end: float | None = None,
+    signals: SignalMap, signal: str, *, final: float | str | None = None, initial: float | str = 0.0,
+    start: float | None = None, end: float | None = None,
 ) -> float:  # fmt: skip
     """Largest value beyond `final` in % of the step size; 0 when there is none."""
     _, z = _step(signals, signal, final, initial, start, end)
@@ -364,11 +382,39 @@ def newest_step(signals: SignalMap, reference: str) -> tuple[float, float]:
     return float(t[k]), float(x[k])
 
 
+def step_levels(
+    signals: SignalMap, final: float | str | None, initial: float | str, start: float | None
+) -> tuple[float | None, float]:
+    """Give `final` and `initial` of a step at `start` as numbers, where they name signals.
+
+    Raises
+    ------
+    KeyError
+        No such signal.
+    ValueError
+        A signal has no value there yet.
+    """
+
+    def value(name: str, shift: float) -> float:
+        when, x = signals[name]
+        count = int(np.searchsorted(when, (when[0] if start is None else start) + shift)) if when.size else 0
+        if not count:
+            raise ValueError(f"{name} has no value {'at' if shift > 0.0 else 'before'} the begin of the window")
+        return float(x[count - 1])
+
+    return (
+        value(final, HALF_NS) if isinstance(final, str) else final,
+        value(initial, -HALF_NS) if isinstance(initial, str) else initial,
+    )
+
+
 def _step(
-    signals: SignalMap, signal: str, final: float | None, initial: float, start: float | None, end: float | None
-) -> tuple[Array, Array]:
+    signals: SignalMap, signal: str, final: float | str | None, initial: float | str, start: float | None,
+    end: float | None,
+) -> tuple[Array, Array]:  # fmt: skip
     """Give (t, x) with x normalised so that `initial` is 0 and `final` is 1."""
     t, x = window(signals, signal, start, end)
+    final, initial = step_levels(signals, final, initial, start)
     size = (float(x[-1]) if final is None else final) - initial
     if size == 0.0:
         raise ValueError(f"{signal}: the step from {initial:g} to the final value has size zero")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any, Protocol
 
 from ..block.block import Block
@@ -33,10 +33,11 @@ def require_agreement(where: str, members: Iterable[Named]) -> None:
     ScenarioError
         Two nodes have different values of a quantity; names it, both nodes and both values.
     """
-    first: dict[str, tuple[str, Any]] = {}
+    members = list(members)
+    said = spoken(members)
     for member in members:
         for quantity, value in member.block_class.agreed(member.params).items():
-            node, known = first.setdefault(quantity, (member.name, value))
+            node, known = said[quantity]
             if not _same(known, value):
                 raise ScenarioError(
                     f"{where}: {node} and {member.name} must agree on {quantity}, but {node} has {_shown(known)} and "
@@ -44,11 +45,63 @@ def require_agreement(where: str, members: Iterable[Named]) -> None:
                 )
 
 
+def assumptions(members: Iterable[Named]) -> list[str]:
+    """Say which nodes take others for what they are not, by `Block.assumed`, a line each."""
+    members = list(members)
+    said = spoken(members)
+    return [
+        f"{member.name} takes {quantity} to be {_shown(value)}, {said[quantity][0]} has {_shown(said[quantity][1])}"
+        for member in members for quantity, value in member.block_class.assumed(member.params).items()
+        if quantity in said and not _same(said[quantity][1], value)
+    ]  # fmt: skip
+
+
+def spoken(members: Iterable[Named]) -> dict[str, tuple[str, Any]]:
+    """Give what the nodes say by `Block.agreed`: quantity to the first node that says it, and its value."""
+    said: dict[str, tuple[str, Any]] = {}
+    for member in members:
+        for quantity, value in member.block_class.agreed(member.params).items():
+            said.setdefault(quantity, (member.name, value))
+    return said
+
+
+def agreeing(
+    said: Mapping[str, tuple[str, Any]], arguments: Mapping[str, Any], agreed: Mapping[str, str]
+) -> dict[str, Any]:
+    """Fill arguments of a figure in with what the nodes of its rig say.
+
+    Parameters
+    ----------
+    said : mapping of quantity to (node, value)
+        See `spoken`.
+    arguments : mapping
+        As the scenario gives them.
+    agreed : mapping of argument to quantity
+        What the figure's function declares; what no node says stays as it is given.
+
+    Raises
+    ------
+    ScenarioError
+        An argument is given with another value than the node's; names both.
+    """
+    filled = dict(arguments)
+    for name, quantity in agreed.items():
+        if quantity not in said:
+            if name not in arguments:
+                raise ScenarioError(f"argument {name} is missing, since no node of the rig says its {quantity}")
+            continue
+        node, value = said[quantity]
+        if not _same(filled.setdefault(name, value), value):
+            raise ScenarioError(f"argument {name} = {_shown(filled[name])}, but {node} has {_shown(value)}; "
+                                f"leave it out and it is taken from there")  # fmt: skip
+    return filled
+
+
 def _same(one: Any, other: Any) -> bool:
     """Compare with room for the last digits of a product."""
     if isinstance(one, tuple) and isinstance(other, tuple):
         return len(one) == len(other) and all(map(_same, one, other))
-    if isinstance(one, float) and isinstance(other, float | int):
+    if isinstance(one, float | int) and isinstance(other, float | int):
         return math.isclose(one, other, rel_tol=1e-12, abs_tol=1e-300)
     return bool(one == other)
 

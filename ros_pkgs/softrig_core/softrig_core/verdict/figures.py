@@ -8,6 +8,7 @@ import math
 import typing
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
+from fnmatch import filter as filter_names
 from functools import cache
 from typing import Any
 
@@ -17,9 +18,10 @@ from ..block.port import CLOCK
 from ..errors import ScenarioError, closest
 from ..judge.claims import NEVER
 from ..judge.expectation import Expectation
-from ..judge.measures import Function, SignalMap, final_value, newest_step
+from ..judge.measures import ROUNDING, Function, ImpossibleError, SignalMap, final_value, newest_step, step_levels
 from ..judge.registry import find
 from ..judge.units import compose, factor, powers
+from ..rig.agreement import agreeing, spoken
 from ..rig.members import Members, signal_units
 from ..scenario.port_text import ports_text, reader
 from ..scenario.references import fill_parameters
@@ -27,7 +29,8 @@ from .requirements import Judge, judges
 
 MOST = 1e300
 DECIDED = "by its conditions alone"  # of a requirement without a distance
-SIGNALS = ("signal", "reference")  # arguments that name a signal, if they are a word
+SIGNALS = ("signal", "reference", "final", "initial")  # arguments that name a signal, if they are a word
+STEP = ("final", "initial")  # of these, those of a step
 UNMEASURED = (ArithmeticError, AttributeError, LookupError, TypeError, ValueError)  # what figure functions raise
 
 
@@ -49,7 +52,7 @@ class Result(BaseModel):
     open_from_s : float, optional
         Of a requirement: the instant from which on the run's end leaves a part of it open, s; what is decided counts.
     passed : bool
-        Written as ``pass``. A figure for information passes, whatever it is.
+        Written as ``pass``. A figure for information passes, whatever it is, unless it is impossible.
     """
 
     model_config = ConfigDict(frozen=True, populate_by_name=True)
@@ -87,8 +90,12 @@ class Figure:
     since: str = ""
 
     def __call__(self, signals: SignalMap) -> float:
-        """Measure."""
-        return self.scale * float(self.function(signals, **self.at(signals).arguments))
+        """Measure; an ImpossibleError where the function says that the result cannot be."""
+        value = float(self.function(signals, **self.at(signals).arguments))
+        low, high = getattr(self.function, "possible", (-math.inf, math.inf))
+        if value < low - ROUNDING * max(1.0, abs(low)) or value > high + ROUNDING * max(1.0, abs(high)):
+            raise ImpossibleError(f"{value:.6g} is impossible, expected {low:g} to {high:g}")
+        return self.scale * value
 
     def at(self, signals: SignalMap) -> Figure:
         """Give the figure of the newest step of `since`, with what that step says among its arguments.
@@ -98,10 +105,13 @@ class Figure:
         ValueError
             There was no step yet, or nothing to measure at it.
         """
-        if not self.since:
-            return self
-        t, value = newest_step(signals, self.since)
         given = dict(self.arguments)
+        if {str} & {type(given.get(name)) for name in STEP}:
+            final, initial = step_levels(signals, given.get("final"), given.get("initial", 0.0), given.get("start"))
+            given |= {"final": final, "initial": initial}
+        if not self.since:
+            return replace(self, arguments=given)
+        t, value = newest_step(signals, self.since)
         told: dict[str, Any] = {"start": t + (given.get("start") or 0.0)}
         if given.get("end") is not None:
             told["end"] = t + given["end"]
@@ -120,13 +130,13 @@ def figures_of(rig: Members) -> list[Figure]:
     ScenarioError
         Names the figure: an unknown function, argument, signal or parameter, a wrong type, a unit that does not fit.
     """
-    units = signal_units(rig)
-
+    units, said = signal_units(rig), spoken(rig.members)
     found = []
     for name, entry in rig.scenario.figures.items():
         try:
             function = find(entry.function or name)
-            arguments = _arguments(function, fill_parameters(entry.arguments, rig.parameter))
+            given = fill_parameters(entry.arguments, rig.parameter)
+            arguments = _arguments(function, agreeing(said, given, getattr(function, "agreed", {})))
             _check_since(function, arguments, units, entry.since)
             _check_signals(function, arguments, units)
             unit, scale = _unit(function, arguments, units, entry.unit)
@@ -162,8 +172,8 @@ def told(rig: Members) -> dict[str, str]:
     """
     names, units = rig.scenario.figures, signal_units(rig)
     figures = [f for f in figures_of(rig) if f.name in names]
-    read = {name for f in figures for name in (*f.arguments.values(), *getattr(f.function, "reads", ()), f.since)
-            if isinstance(name, str) and name in units}  # fmt: skip
+    asked = [name for f in figures for name in (*f.arguments.values(), *getattr(f.function, "reads", ()), f.since)]
+    read = {signal for name in asked if isinstance(name, str) for signal in filter_names(units, name)}
     said = {p.topic for m in rig.members for p in m.outputs}
     ports = [
         reader(p, f"input_{k}", held=topic not in said)
@@ -207,6 +217,7 @@ def evaluate(rig: Members, signals: SignalMap) -> list[Result]:
         limits = rig.scenario.expect.get(figure.name, Expectation(at_least=0.0) if required else None)
         about: dict[str, Any] = {"name": figure.name, "unit": figure.unit, "published": published.get(figure.name)}
         about |= (limits or Expectation()).model_dump()
+        impossible = False
         try:
             if isinstance(figure.function, Judge):
                 value, at, violated, bounds, open_from = figure.function.margin(signals)
@@ -221,8 +232,10 @@ def evaluate(rig: Members, signals: SignalMap) -> list[Result]:
                 error = decided if required else NEVER if value == math.inf else f"the result is {value}"
         except UNMEASURED as broken:
             value, error, bounds = math.nan, str(broken) or type(broken).__name__, (math.nan, math.nan)
+            impossible = isinstance(broken, ImpossibleError)
         sure = (math.copysign(MOST, x) if required and math.isinf(x) else x for x in bounds)  # a margin, no distance
         passed = limits is None or all(limits.holds(x) for x in sure)
+        passed = passed and not impossible
         results.append(Result(value=None if error else value, number=value, passed=passed, error=error, **about))
     return results
 
@@ -258,17 +271,18 @@ def _arguments(function: Function, given: dict[str, Any]) -> dict[str, Any]:
         if first["type"] == "missing":
             raise ScenarioError(f"argument {name} is missing") from None
         raise ScenarioError(f"argument {name} = {first['input']!r}: {first['msg']}") from None
-    return {name: getattr(checked, name) for name in checked.model_fields_set}
+    return {name: getattr(checked, name) for name in model.model_fields if name in checked.model_fields_set}
 
 
 def _check_signals(function: Function, arguments: Mapping[str, Any], units: Mapping[str, str]) -> None:
     named = {k: v for k, v in arguments.items() if isinstance(v, str) and (k in SIGNALS or "/" in v)}
     for name in (*named.values(), *getattr(function, "reads", ())):
-        if name not in units:
+        if not filter_names(units, name):
             raise ScenarioError(f"no signal {name!r}{closest(name, units)}; the rig has {', '.join(units)}")
-    both = [units[arguments[k]] for k in SIGNALS if isinstance(arguments.get(k), str)]
-    if len(both) == 2 and powers(both[0]) != powers(both[1]):
-        raise ScenarioError(f"signal in {both[0]!r}, but its reference in {both[1]!r}")
+    own, *others = [(k, units[arguments[k]]) for k in SIGNALS if isinstance(arguments.get(k), str)] or [("", "")]
+    for name, unit in others:
+        if powers(own[1]) != powers(unit):
+            raise ScenarioError(f"signal in {own[1]!r}, but its {name} in {unit!r}")
 
 
 def _check_since(function: Function, arguments: Mapping[str, Any], units: Mapping[str, str], since: str) -> None:
@@ -280,7 +294,7 @@ def _check_since(function: Function, arguments: Mapping[str, Any], units: Mappin
     if "start" not in takes:
         raise ScenarioError(f"since: {function.__name__} takes no start, it is of a whole run")
     if "final" in takes and arguments.get("final") is None:
-        unit, own = units[since], units[arguments["signal"]]
+        unit, own = units[since], units.get(arguments["signal"], units[since])
         if "initial" in arguments or powers(unit) != powers(own):
             why = "initial" if "initial" in arguments else f"a signal in {own!r} and a reference in {unit!r}"
             raise ScenarioError(f"since: with {why} the final value must be given, too")

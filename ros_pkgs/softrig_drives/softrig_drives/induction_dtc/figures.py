@@ -84,12 +84,13 @@ def flux_error_direction(signals: SignalMap, *, start: float = 0.3, end: float |
     return float(np.degrees(np.angle(slope(*_flux_error(signals, start, end)))))
 
 
-@figure("LSB", ("currents_meas/x", "currents_meas/y", "currents_true/x", "currents_true/y"))
+@figure("LSB", tuple(f"currents_{kind}/{channel}" for kind in ("meas", "true") for channel in "xy"),
+        {"lsb": "induction_dtc/lsb"})  # fmt: skip
 def converter_error(
-    signals: SignalMap, *, channel: Literal["x", "y"] = "x", statistic: Literal["mean", "std"] = "mean", lsb: float,
+    signals: SignalMap, *, lsb: float, channel: Literal["x", "y"] = "x", statistic: Literal["mean", "std"] = "mean",
     start: float = 0.3, end: float | None = None,
 ) -> float:  # fmt: skip
-    """Mean or standard deviation of measured less true phase current in LSB; channel x is i_a, y is i_b."""
+    """Mean or standard deviation of measured less true phase current in LSB (A); channel x is i_a, y is i_b."""
     measured, true = (window(signals, f"currents_{kind}/{channel}", start, end)[1] for kind in ("meas", "true"))
     error = (measured - true) / lsb
     return float(error.mean() if statistic == "mean" else error.std())

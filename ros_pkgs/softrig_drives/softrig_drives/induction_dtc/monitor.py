@@ -30,6 +30,11 @@ class FluxMonitor(Observer[FluxMonitorParams]):
 
     INPUTS = (FLUX_TRUE, FLUX_ESTIMATE, CURRENTS_TRUE, CURRENTS_MEAS, SWITCHES)
 
+    @classmethod
+    def agreed(cls, params: FluxMonitorParams) -> Mapping[str, Any]:
+        """The machine that it judges."""
+        return {"induction_dtc/pole_pairs": params.pole_pairs}
+
     def start(self) -> None:
         """Forget everything."""
         self._samples: deque[tuple[Any, ...]] = deque(maxlen=max(2, round(self.p.window / self.p.period)))

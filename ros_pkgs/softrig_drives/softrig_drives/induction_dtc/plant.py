@@ -45,6 +45,11 @@ class ImPlant(Plant[ImPlantParams]):
     OUTPUTS = (JOINT_STATES, CURRENTS_TRUE, CURRENTS_MEAS, FLUX_TRUE, DC_LINK)
 
     @classmethod
+    def agreed(cls, params: ImPlantParams) -> Mapping[str, Any]:
+        """What its converters resolve, in which their errors are counted, and what makes torque of flux and current."""
+        return {"induction_dtc/lsb": params.lsb, "induction_dtc/pole_pairs": params.pole_pairs}
+
+    @classmethod
     def drawing(cls) -> Any:
         """Give what draws it."""
         from .drawing import InductionMotor

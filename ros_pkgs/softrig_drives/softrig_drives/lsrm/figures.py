@@ -19,6 +19,7 @@ POSITION = "joint_states/translator/position"
 SPEED = "joint_states/translator/velocity"
 FORCE = "joint_states/translator/effort"
 REFERENCE = "reference/translator/velocity"
+PITCH = {"pitch": "lsrm/pitch"}
 BOTH_WAYS = 1.2  # way over distance from the start, beyond which a motion has gone there and back
 
 
@@ -74,15 +75,15 @@ def peak_force(
     return float(sign * np.max(sign * means))
 
 
-@figure("N", (FORCE, POSITION))
-def mean_force(signals: SignalMap, *, pitch: float = 0.052, pitches: int = 2, end: float | None = None,
+@figure("N", (FORCE, POSITION), PITCH)
+def mean_force(signals: SignalMap, *, pitch: float, pitches: int = 2, end: float | None = None,
                drive: str = "") -> float:  # fmt: skip
     """Mean force in N over the last whole pole pitches (m) travelled before `end`."""
     return float(_last_pitches(signals, pitch * pitches, end, drive).mean())
 
 
-@figure("N", (FORCE, POSITION))
-def force_ripple(signals: SignalMap, *, pitch: float = 0.052, pitches: int = 2, end: float | None = None,
+@figure("N", (FORCE, POSITION), PITCH)
+def force_ripple(signals: SignalMap, *, pitch: float, pitches: int = 2, end: float | None = None,
                  drive: str = "") -> float:  # fmt: skip
     """Standard deviation of the force in N over the last whole pole pitches (m) travelled before `end`."""
     return float(_last_pitches(signals, pitch * pitches, end, drive).std())

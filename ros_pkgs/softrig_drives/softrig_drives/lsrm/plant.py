@@ -53,6 +53,11 @@ class LsrmPlant(Plant[LsrmPlantParams]):
     OUTPUTS = (JOINT_STATES, PHASE_CURRENTS, FORCE_PHASES)
 
     @classmethod
+    def agreed(cls, params: LsrmPlantParams) -> Mapping[str, Any]:
+        """The pole pitch, over which its force repeats."""
+        return {"lsrm/pitch": params.tau}
+
+    @classmethod
     def drawing(cls) -> Any:
         """Give what draws it."""
         from .drawing import ReluctanceMotor

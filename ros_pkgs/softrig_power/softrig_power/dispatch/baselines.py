@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Literal, get_args
 
 import numpy as np
@@ -61,7 +62,9 @@ def repaired(units: Units, P: Array, demand: float) -> Array:
     return P + rest * room / total if total > 0.0 else P
 
 
-def swarm(units: Units, demand: float, algorithm: Baseline, seed: int, n_pop: int = 50, n_iter: int = 300) -> Array:
+def swarm(
+    units: Units, demand: float, algorithm: Baseline, seed: int | Sequence[int], n_pop: int = 50, n_iter: int = 300
+) -> Array:
     """Dispatch by a metaheuristic of `softrig_optim`, each candidate repaired onto the balance.
 
     Parameters
@@ -70,7 +73,7 @@ def swarm(units: Units, demand: float, algorithm: Baseline, seed: int, n_pop: in
         MW, feasible.
     algorithm : str
         One of `BASELINES`.
-    seed : int
+    seed : int or sequence of int
     n_pop, n_iter : int
         Population and iterations.
 
@@ -89,6 +92,7 @@ def swarm(units: Units, demand: float, algorithm: Baseline, seed: int, n_pop: in
     if not free.any():
         return units.p_min.copy()
     settings = AlgorithmParams(n_pop=n_pop, n_iter=n_iter)
-    search = make(algorithm, units.p_min[free].tolist(), units.p_max[free].tolist(), seed, settings, maximise=False)
+    rng = np.random.default_rng(seed)
+    search = make(algorithm, units.p_min[free].tolist(), units.p_max[free].tolist(), rng, settings, maximise=False)
     best = run(search, lambda x: units.total(dispatch(x)))
     return balanced(units, dispatch(best.x), demand)

@@ -42,7 +42,7 @@ class DispatchParams(SolverParams):
     algorithm: Baseline = param("pso", "search of the baseline")
     n_pop: int = param(50, "population of the baseline", ge=4, le=10_000)
     n_iter: int = param(300, "iterations of the baseline", ge=1, le=100_000)
-    seed: int = param(0, "seed of the baseline", ge=0, le=2**31 - 1)
+    seed: int = param(0, "of the baseline, added to the seed of the run", ge=0, le=2**31 - 1)
     nseg: int = param(4, "segments of a whole arch in the MILPs", ge=1, le=64)
     tol: float = param(1e-3, "gap to prove", "$/h", gt=0.0, le=1e6)
     mip_gap: float = param(1e-7, "relative gap at which the MILP of the two stages ends", ge=0.0, le=1.0)
@@ -81,6 +81,7 @@ class Request(NamedTuple):
     demand: float
     start: Any
     conditions: Conditions | None
+    drawn: int  # random number of the baseline
 
 
 class DispatchSolver(Solver[DispatchParams]):
@@ -151,7 +152,8 @@ class DispatchSolver(Solver[DispatchParams]):
         if why:
             self.report(Level.ERROR, "infeasible", f"{why}; the last set points stay", anew=True)
             return None
-        return Request(self.p, self._units, wanted, last if self.p.warm_start else None, conditions)
+        drawn = int(self.rng.integers(2**32))
+        return Request(self.p, self._units, wanted, last if self.p.warm_start else None, conditions, drawn)
 
     def _conditions(self, last: Any) -> Conditions | None:
         """What is to be met now: ramps count from the last dispatch, at first from the table's outputs."""
@@ -163,7 +165,7 @@ class DispatchSolver(Solver[DispatchParams]):
     @staticmethod
     def solve(request: Request, work: Work) -> Dispatch | str:
         """Solve one demand by the method asked for; a text says why there is no dispatch."""
-        p, units, demand, start, conditions = request
+        p, units, demand, start, conditions, drawn = request
         optimiser = Optimiser(units, nseg=p.nseg, tol=p.tol, mip_gap=p.mip_gap, time_limit=p.time_limit)
         try:
             if conditions is not None:
@@ -176,7 +178,7 @@ class DispatchSolver(Solver[DispatchParams]):
                 if p.method == "enumeration":
                     P = enumerate_kinks(units, demand)
                 else:
-                    P = swarm(units, demand, p.algorithm, p.seed, p.n_pop, p.n_iter)
+                    P = swarm(units, demand, p.algorithm, [p.seed, drawn], p.n_pop, p.n_iter)
                 found = Dispatch(P, units.total(P), price=marginal_cost(units, P), stage=p.method)
         except (InfeasibleError, NoDispatch, TooManyError) as error:
             return str(error)

@@ -16,13 +16,13 @@ def _last(signals: SignalMap, topic: str, names: tuple[str, ...], name: str) -> 
     return float(values[-1])
 
 
-@figure("m", reads=("location/0",))
+@figure("m", ("location/0",), {"truth": "fault_location/x_km"})
 def location_error(signals: SignalMap, *, truth: float) -> float:
     """Located less true distance (km), in m."""
     return 1e3 * (_last(signals, "location", LOCATION, "x_km") - truth)
 
 
-@figure("%", reads=("location/0",))
+@figure("%", ("location/0",), {"truth": "fault_location/x_km", "length": "fault_location/length"})
 def location_error_percent(signals: SignalMap, *, truth: float, length: float) -> float:
     """|located - true distance| in % of the length of the line (both km), as the paper's tables."""
     return 100.0 * abs(_last(signals, "location", LOCATION, "x_km") - truth) / length

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Mapping
-from typing import Literal, Self
+from typing import Any, Literal, Self
 
 import numpy as np
 from pydantic import model_validator
@@ -47,6 +47,11 @@ class FaultLocator(Block[FaultLocatorParams]):
     record, which is told and not located. Computation times go to the diagnostics; no number of a topic depends on
     them.
     """
+
+    @classmethod
+    def agreed(cls, params: FaultLocatorParams) -> Mapping[str, Any]:
+        """The true place, where it is told it; its idea of the line is its own."""
+        return {} if params.truth_km is None else {"fault_location/x_km": params.truth_km}
 
     @classmethod
     def ports(cls, params: FaultLocatorParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
@@ -109,7 +114,8 @@ class FaultLocator(Block[FaultLocatorParams]):
         begin = time.process_time()
         work = None
         try:
-            work = Locator(self.read(), self.p)
+            drawn = np.random.default_rng([self.p.seed, int(self.rng.integers(2**32))])
+            work = Locator(self.read(), self.p, drawn)
             found = work.locate()
         except RecordError as error:
             found = Location(error.status, text=str(error))

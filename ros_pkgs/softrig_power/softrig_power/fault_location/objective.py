@@ -34,7 +34,7 @@ class LocatorParams(Params):
     tolerance: float = param(1e-6, "brent: tolerance of x", "km", gt=0.0, le=1.0)
     n_pop: int = param(100, "woa, gwo: population", ge=3, le=10000)
     n_iter: int = param(500, "woa, gwo: iterations", ge=1, le=100000)
-    seed: int = param(0, "woa, gwo: seed", ge=0, le=2**31 - 1)
+    seed: int = param(0, "woa, gwo: added to the seed of the run", ge=0, le=2**31 - 1)
     frequency: float = param(50.0, "phasor: frequency", "Hz", gt=0.0, le=1000.0)
     f_threshold: float = param(2000.0, "least max F of a fault", "V", ge=0.0, le=1e9)
     f_ratio: float = param(5.0, "least max F / min F of a fault", ge=1.0, le=1e9)
@@ -55,6 +55,8 @@ class Objective:
     ----------
     record : Record
     p : LocatorParams
+    rng : numpy.random.Generator, optional
+        Random numbers of a swarm; those of `p.seed` alone when absent.
 
     Raises
     ------
@@ -62,8 +64,8 @@ class Objective:
         The record does not reach beyond the window by the travel time; the rate is too low for the line.
     """
 
-    def __init__(self, record: Record, p: LocatorParams) -> None:
-        self.record, self.p = record, p
+    def __init__(self, record: Record, p: LocatorParams, rng: np.random.Generator | None = None) -> None:
+        self.record, self.p, self.rng = record, p, rng or np.random.default_rng(p.seed)
         self.section = p.line.aerial
         self.model = model(self.section, p.equations)
         rate = record.rate

@@ -108,7 +108,7 @@ class MeasurementParams(Params):
     profile: Profile = param("m20k", "sampling rate; m: low-pass of order 4 at a fifth of it, raw: none")
     noise_snr_db: float | None = param(None, "white noise, dB below the rms of each pre-fault channel; absent: none",
                                        "dB", ge=-20.0, le=300.0)  # fmt: skip
-    seed: int = param(0, "seed of the noise", ge=0, le=2**31 - 1)
+    seed: int = param(0, "of the noise, added to the seed of the run", ge=0, le=2**31 - 1)
     shift_us_r: float = param(0.0, "how late the clock of R samples, whole internal steps", "us", ge=-1000.0, le=1000.0)
     ratio_err: RatioParams = RatioParams()
 

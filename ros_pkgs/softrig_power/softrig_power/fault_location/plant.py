@@ -64,6 +64,11 @@ class LinePlant(Plant[LinePlantParams]):
         return FaultedLine
 
     @classmethod
+    def agreed(cls, params: LinePlantParams) -> Mapping[str, Any]:
+        """What it is told against: the true place of the fault, and the length of the line, km."""
+        return {"fault_location/x_km": params.fault.x_km, "fault_location/length": params.line.length}
+
+    @classmethod
     def ports(cls, params: LinePlantParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
         """The four streams, the current of the fault itself, and the record with as many rows as it has samples."""
         outputs = (*streams(), vector3("fault_current", "line/fault_current", "abc", "A"))
@@ -81,7 +86,7 @@ class LinePlant(Plant[LinePlantParams]):
 
     def _begin(self) -> None:
         self.line.reset()
-        self._noise = np.random.default_rng(self.p.measurement.seed)
+        self._noise = np.random.default_rng([self.p.measurement.seed, int(self.rng.integers(2**32))])
         self._rows: list[tuple[float, ...]] = []
         self._sample()
 

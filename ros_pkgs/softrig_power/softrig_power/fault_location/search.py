@@ -33,7 +33,7 @@ def swarm(work: Objective, mode: int) -> tuple[float, float]:
     p = work.p
     algorithm: Literal["woa", "gwo"] = "woa" if p.algorithm == "woa" else "gwo"
     settings = AlgorithmParams(n_pop=p.n_pop, n_iter=p.n_iter)
-    search = make(algorithm, [0.0], [work.section.length], p.seed, settings, maximise=False)
+    search = make(algorithm, [0.0], [work.section.length], work.rng, settings, maximise=False)
     while not search.done:
         for value in work.f(np.array(search.pending)[:, 0], mode).tolist():
             search.tell(value)

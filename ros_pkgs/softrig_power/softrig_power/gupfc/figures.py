@@ -15,6 +15,7 @@ Array = NDArray[np.float64]
 
 STATUS = "gupfc/status"
 POWERS = tuple(f"{STATUS}/{name}/position" for name in ("p_sh", "p12", "p34"))
+FREQUENCY = {"frequency": "gupfc/network.frequency"}
 ANGLE, U1_ALPHA, U1_BETA = "shunt/command/angle/effort", "u1/x", "u1/y"
 
 
@@ -28,23 +29,23 @@ def shunt_angle(signals: SignalMap, *, start: float | None = None, end: float | 
     return float(np.angle(turned.mean()))
 
 
-@figure("{signal}")
+@figure("{signal}", agreed=FREQUENCY)
 def drift(
-    signals: SignalMap, signal: str, *, cycle: float, measure: Literal["mean", "repeat"] = "mean",
+    signals: SignalMap, signal: str, *, frequency: float, measure: Literal["mean", "repeat"] = "mean",
     start: float | None = None, end: float | None = None,
 ) -> float:  # fmt: skip
     """How far a signal is from a periodic steady state, in its unit.
 
     Parameters
     ----------
-    cycle : float
-        Period, s.
+    frequency : float
+        Of the periodic state, Hz.
     measure : {"mean", "repeat"}
         ``mean``: largest difference of the mean over any cycle from that over the first. ``repeat``: largest
         difference of any sample from the one a cycle before.
     """
     t, x = window(signals, signal, start, end)
-    samples = round(cycle / (t[1] - t[0]))
+    samples = round(1.0 / (frequency * (t[1] - t[0])))
     if x.size < 2 * samples:
         raise ValueError(f"{signal}: {x.size} samples in the window, two cycles are {2 * samples}")
     if measure == "repeat":
@@ -105,9 +106,9 @@ def cycles(
     return found.ravel()
 
 
-@figure("%")
+@figure("%", ("gupfc/trace/*",), FREQUENCY)
 def distortion(
-    signals: SignalMap, *, part: Literal["v_sh", "v12", "u1", "i_sh"], cycle: float, count: int = 3
+    signals: SignalMap, *, part: Literal["v_sh", "v12", "u1", "i_sh"], frequency: float, count: int = 3
 ) -> float:
     """Total harmonic distortion of a space vector over the last cycles, in % of its fundamental.
 
@@ -115,12 +116,12 @@ def distortion(
     ----------
     part : {"v_sh", "v12", "u1", "i_sh"}
         Waveform of the trace.
-    cycle : float
-        s.
+    frequency : float
+        Of the fundamental, Hz.
     count : int
         Cycles.
     """
-    spectrum = np.abs(np.fft.fft(cycles(signals, part, cycle, count)))
+    spectrum = np.abs(np.fft.fft(cycles(signals, part, 1.0 / frequency, count)))
     first = spectrum[count]
     return float(100.0 * math.sqrt(max(0.0, float(np.square(spectrum).sum() - first**2))) / first)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Self
+from typing import Any, Self
 
 from pydantic import model_validator
 from softrig_core import Block, Level, Params, param
@@ -23,6 +23,10 @@ class ArrayParams(Params):
     temperature: tuple[float, ...] = param(
         (25.0, 25.0, 25.0, 25.0), "cell temperature of each module until pv/environment comes", "degC", min_length=1
     )
+
+    def agreed(self) -> dict[str, Any]:
+        """Give what a string and who judges it must have in common: its modules, and the conditions it begins in."""
+        return {"pv/module": self.module.model_dump(), "pv/conditions": self.irradiance + self.temperature}
 
     @model_validator(mode="after")
     def _conditions(self) -> Self:

@@ -1,8 +1,12 @@
-"""Figure functions of a tracker: against the true global maximum power point, which only these functions know."""
+"""Figure functions of a tracker: against the true global maximum power point, which only these functions know.
+
+The modules of the string, and the conditions that it begins in, are those of the rig's plant.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,6 +18,8 @@ from .module import Array, ModuleParams
 from .string import Characteristic, characteristic
 
 POWER, VOLTAGE = "converter/state/p_in/position", "converter/state/v_in/position"
+READS = (POWER, VOLTAGE, "pv/environment/*")
+STRING = {"module": "pv/module", "first": "pv/conditions"}
 
 
 def characteristic_of(conditions: tuple[float, ...], module: ModuleParams) -> Characteristic:
@@ -25,17 +31,18 @@ class _Run:
     """Power, voltage and true maximum of a recording in a time window, ends included."""
 
     def __init__(
-        self, signals: SignalMap, module: Mapping[str, Any] | None, start: float | None, end: float | None
-    ) -> None:
-        self.module = ModuleParams(**(module or {}))
+        self, signals: SignalMap, module: Mapping[str, Any], first: Sequence[float], start: float | None,
+        end: float | None,
+    ) -> None:  # fmt: skip
+        self.module = ModuleParams(**module)
         self.t, self.power = window(signals, POWER, start, end)
         self.v = window(signals, VOLTAGE, start, end)[1]
-        names = [f"pv/environment/{kind}{k}/position" for kind in "gt" for k in range(1, _modules(signals) + 1)]
+        names = [f"pv/environment/{kind}{k}/position" for kind in "gt" for k in range(1, len(first) // 2 + 1)]
         changes = signals[names[0]][0]
         rows = np.column_stack([signals[name][1] for name in names])
-        # what holds at a sample is what was published at the tick before it
-        self._at = np.maximum(np.searchsorted(changes, self.t - HALF_NS) - 1, 0)
-        self._rows = [tuple(row) for row in rows.tolist()]
+        # what holds at a sample is what was published at the tick before it; at the first, what the string begins in
+        self._at = np.searchsorted(changes, self.t - HALF_NS)
+        self._rows = [tuple(first), *map(tuple, rows.tolist())]
 
     def source(self, k: int) -> Characteristic:
         """Characteristic that holds at sample k."""
@@ -50,47 +57,45 @@ class _Run:
         return np.array([power[self._rows[k]] for k in self._at])
 
 
-def _modules(signals: SignalMap) -> int:
-    return sum(name.startswith("pv/environment/g") for name in signals)
-
-
-@figure("W", (POWER, VOLTAGE))
-def gmpp(signals: SignalMap, *, at: float, module: Mapping[str, Any] | None = None) -> float:
+@figure("W", READS, STRING, (0.0, math.inf))
+def gmpp(signals: SignalMap, *, at: float, module: Mapping[str, Any], first: tuple[float, ...]) -> float:
     """Global maximum power in W at the time `at` in s, of the static characteristic."""
-    return float(_Run(signals, module, at, None).gmpp[0])
+    return float(_Run(signals, module, first, at, None).gmpp[0])
 
 
-@figure("W", (POWER, VOLTAGE))
-def local_maximum(signals: SignalMap, *, at: float, module: Mapping[str, Any] | None = None) -> float:
+@figure("W", READS, STRING, (0.0, math.inf))
+def local_maximum(signals: SignalMap, *, at: float, module: Mapping[str, Any], first: tuple[float, ...]) -> float:
     """Largest maximum power in W below the global one at the time `at` in s, of the static characteristic."""
-    return sorted(peak.p for peak in _Run(signals, module, at, None).source(0).peaks)[-2]
+    return sorted(peak.p for peak in _Run(signals, module, first, at, None).source(0).peaks)[-2]
 
 
-@figure("%", (POWER, VOLTAGE))
+@figure("%", READS, STRING, (0.0, 100.0))
 def efficiency(
-    signals: SignalMap, *, start: float | None = None, end: float | None = None,
-    module: Mapping[str, Any] | None = None,
+    signals: SignalMap, *, module: Mapping[str, Any], first: tuple[float, ...], start: float | None = None,
+    end: float | None = None,
 ) -> float:  # fmt: skip
     """Energy in % of the energy at the global maximum; over a whole run this is the energy share."""
-    run = _Run(signals, module, start, end)
+    run = _Run(signals, module, first, start, end)
     return float(100.0 * run.power.sum() / run.gmpp.sum())
 
 
-@figure("", (POWER, VOLTAGE))
-def in_global_basin(signals: SignalMap, *, at: float | None = None, module: Mapping[str, Any] | None = None) -> float:
+@figure("", READS, STRING)
+def in_global_basin(
+    signals: SignalMap, *, module: Mapping[str, Any], first: tuple[float, ...], at: float | None = None
+) -> float:
     """1 when the voltage at the time `at` in s (the end) is in the basin of the global maximum, else 0."""
-    run = _Run(signals, module, None, at)
+    run = _Run(signals, module, first, None, at)
     source = run.source(-1)
     return float(source.basin(float(run.v[-1])) == source.global_basin)
 
 
-@figure("s", (POWER, VOLTAGE))
+@figure("s", READS, STRING)
 def tracking_time(
-    signals: SignalMap, *, level: float = 0.99, start: float | None = None, end: float | None = None,
-    module: Mapping[str, Any] | None = None,
+    signals: SignalMap, *, module: Mapping[str, Any], first: tuple[float, ...], level: float = 0.99,
+    start: float | None = None, end: float | None = None,
 ) -> float:  # fmt: skip
     """Time in s from `start` until the power stayed at `level` of the global maximum or above; inf if it did not."""
-    run = _Run(signals, module, start, end)
+    run = _Run(signals, module, first, start, end)
     low = np.flatnonzero(run.power < level * run.gmpp)
     if low.size == 0:
         return 0.0

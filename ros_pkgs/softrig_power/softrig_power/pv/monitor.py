@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 from softrig_core import BlockParams, Observer, Port, executable, param
 
@@ -26,6 +27,11 @@ class MpptMonitor(Observer[MpptMonitorParams]):
     - tracking_time: from the last change of the conditions until the power stayed at `level` or above
     - energy_share: energy since the start over the energy at the global maximum
     """
+
+    @classmethod
+    def agreed(cls, params: MpptMonitorParams) -> Mapping[str, Any]:
+        """The string that it judges."""
+        return params.agreed()
 
     @classmethod
     def ports(cls, params: MpptMonitorParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:

@@ -60,6 +60,11 @@ class PvPlant(Plant[PvPlantParams]):
         return PvString
 
     @classmethod
+    def agreed(cls, params: PvPlantParams) -> Mapping[str, Any]:
+        """The string."""
+        return params.agreed()
+
+    @classmethod
     def ports(cls, params: PvPlantParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
         """One irradiance and one temperature a module; near open circuit without a valid command."""
         duty = command("duty", "converter/duty", ("duty",), "1", safe=(params.d_min,))

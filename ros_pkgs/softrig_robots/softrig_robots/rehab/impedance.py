@@ -7,7 +7,7 @@ r"""Impedance law: the patient's force bends the reference, equations (23) and (
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Self
+from typing import Any, Self
 
 from pydantic import model_validator
 from softrig_core import (
@@ -72,6 +72,11 @@ class Impedance(Block[ImpedanceParams]):
         number("damping", "impedance/damping", "N m s/rad", held=True),
     )
     OUTPUTS = (reference("regenerated", "regenerated", JOINTS, **UNITS),)
+
+    @classmethod
+    def assumed(cls, params: ImpedanceParams) -> Mapping[str, Any]:
+        """The leg by which a force at the foot becomes torques."""
+        return {"rehab/segments.length": params.length}
 
     def setup(self) -> None:
         """Spread the matrices' diagonals."""

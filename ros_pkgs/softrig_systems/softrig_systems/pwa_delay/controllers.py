@@ -35,7 +35,8 @@ class TankController(Block[TankControllerParams]):
     @classmethod
     def agreed(cls, params: TankControllerParams) -> Mapping[str, Any]:
         """The law, and what a command is worth."""
-        return {**law_of_the_tank(params.switch, params.k_low, params.k_high), "tank/A phi": params.A * params.phi}
+        return {**law_of_the_tank(params.switch, params.k_low, params.k_high), "tank/A phi": params.A * params.phi,
+                "tank/hold": params.period}  # fmt: skip
 
     def start(self) -> None:
         """No inflow before a level."""

@@ -104,7 +104,7 @@ class DelayParams(Params):
     max_delay: float = param(1000.0, "longest delay that is allowed; beyond it is clamped", "s", gt=0.0, le=1000.0)
     profile: Kind = param("constant", "constant, sine of rate mu, or telegraph: jumps between 0 and h at random times")
     mu: float = param(0.0, "bound of the rate of a sine", ge=0.0, le=100.0)
-    seed: int = param(0, "of the telegraph", ge=0, le=2**31 - 1)
+    seed: int = param(0, "of the telegraph, added to the seed of the run", ge=0, le=2**31 - 1)
     horizon: float = param(1000.0, "time for which a telegraph has jumps", "s", gt=0.0, le=1e6)
 
     def bounded_profile(self, block: Block) -> Profile:
@@ -113,4 +113,5 @@ class DelayParams(Params):
         if self.delay > self.max_delay:
             text = f"delay {self.delay:g} s clamped to max_delay = {self.max_delay:g} s"
             block.report(Level.WARN, "delay", text)
-        return profile(self.profile, h, self.mu, seed=self.seed, horizon=self.horizon)
+        drawn = int(block.rng.integers(2**32)) if self.profile == "telegraph" else 0
+        return profile(self.profile, h, self.mu, seed=[self.seed, drawn], horizon=self.horizon)

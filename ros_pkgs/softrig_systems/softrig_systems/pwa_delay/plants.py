@@ -209,7 +209,8 @@ class TankPlant(DelayPlant[TankPlantParams]):
         """The law in the pipe, what a command is worth, and what a bound of the level is for."""
         law = law_of_the_tank(params.switch, params.k_low, params.k_high)
         worth = {"tank/A phi": params.A * params.phi}
-        return {**law, **worth, "tank/c": params.c, "tank/x0": params.x0, "tank/model": params.model}
+        return {**law, **worth, "tank/c": params.c, "tank/x0": params.x0, "tank/model": params.model,
+                "tank/delay": min(params.delay, params.max_delay)}  # fmt: skip
 
     def constants(self) -> Any:
         """The tank with the inflow as a command."""

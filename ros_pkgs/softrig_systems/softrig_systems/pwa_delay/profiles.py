@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 from softrig_core import jit
@@ -24,7 +25,7 @@ class Profile(NamedTuple):
     changes: NDArray[np.float64]
 
 
-def profile(kind: Kind, h: float, mu: float = 0.0, *, seed: int = 0, horizon: float = 0.0) -> Profile:
+def profile(kind: Kind, h: float, mu: float = 0.0, *, seed: int | Sequence[int] = 0, horizon: float = 0.0) -> Profile:
     """Make a profile.
 
     Parameters
@@ -35,7 +36,7 @@ def profile(kind: Kind, h: float, mu: float = 0.0, *, seed: int = 0, horizon: fl
         Largest delay, s.
     mu : float
         Bound of the rate of a sine.
-    seed : int
+    seed : int or sequence of int
         Of the telegraph.
     horizon : float
         Time (s) for which a telegraph has jumps, 4 h apart in the mean.

@@ -4,24 +4,28 @@ from __future__ import annotations
 
 import numpy as np
 from softrig_core import SignalMap, figure
+from softrig_core.judge.measures import mean_square
 
 from .model import Bottleneck, equilibrium
 
 
-@figure("{signal}^2")
-def mean_square(signals: SignalMap, signal: str, *, reference: float = 0.0) -> float:
-    """Mean of (signal - reference)^2 over all samples of the run, the J of the paper's tables.
+@figure("{signal}^2", (), {"N": "tcp/N", "C": "tcp/C", "tau_p": "tcp/tau_p"})
+def mean_square_window(signals: SignalMap, signal: str, *, queue: float | str, N: int, C: float, tau_p: float) -> float:
+    """Mean of (signal - w0)^2, w0 the window that holds the queue (packets) on this bottleneck: J_w of the paper.
 
     Mean squares are the only reading of the undefined J that fits the sizes printed.
+
+    Parameters
+    ----------
+    queue : float or str
+        Packets, or the name of the signal that asks for them.
     """
-    _, x = signals[signal]
-    return float(np.mean((x - reference) ** 2))
-
-
-@figure("{signal}^2")
-def mean_square_window(signals: SignalMap, signal: str, *, queue: float, N: int, C: float, tau_p: float) -> float:
-    """Mean of (signal - w0)^2, w0 the window that holds the queue (packets) on this bottleneck: J_w of the paper."""
-    return mean_square(signals, signal, reference=equilibrium(Bottleneck(N=N, C=C, tau_p=tau_p), queue).window)
+    network = Bottleneck(N=N, C=C, tau_p=tau_p)
+    if not isinstance(queue, str):
+        return mean_square(signals, signal, reference=equilibrium(network, queue).window)
+    when, asked = signals[queue]
+    windows = np.array([equilibrium(network, q).window for q in asked.tolist()])
+    return mean_square({signal: signals[signal], queue: (when, windows)}, signal, reference=queue)
 
 
 @figure("{signal}")
@@ -31,7 +35,7 @@ def deviation(signals: SignalMap, signal: str, *, last: float = 5.0) -> float:
     return float(np.std(x[t >= t[-1] - last - 1e-6]))
 
 
-@figure("", reads=["network/truth/served/position"])
+@figure("", ["network/truth/served/position"], {"capacity": "tcp/C"})
 def utilisation(signals: SignalMap, *, capacity: float) -> float:
     """Packets served over those that the link could have served at `capacity` (packet/s)."""
     t, served = signals["network/truth/served/position"]
