@@ -102,7 +102,7 @@ def test_both_robots_the_lsrm_and_the_flux_move_on_their_pages():
 
 
 def test_pictures_without_a_plot_entry_are_drawn_beside_their_page(tmp_path, monkeypatch):
-    assert {*drawn.PAGES} < SYSTEMS
+    assert {*drawn.PAGES} - {"house"} < SYSTEMS
     monkeypatch.setattr(rectifier_mpc, "PICTURES", {"current": lambda figure: figure.text(0.5, 0.5, "i")})
     page = tmp_path / "rectifier_mpc.md"
     page.write_text("# Rectifier")
