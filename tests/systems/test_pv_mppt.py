@@ -465,9 +465,9 @@ def test_a_cloud_in_mid_search_is_seen(algorithm, cloud):
 
 @pytest.mark.long
 @pytest.mark.timeout(600)
-@pytest.mark.parametrize(("algorithm", "good"), [("certified", 200), ("certified_transients", 197)])
+@pytest.mark.parametrize(("algorithm", "good"), [("certified", 200), ("certified_transients", 196)])
 def test_two_hundred_clouds(algorithm, good):
-    """95 % of the energy of the 10 s after a cloud of 50 to 1000 W/m^2; unseen at the duty held it is the rescan's."""
+    """95 % of the energy of the 10 s after a cloud of 50 to 1000 W/m^2; what does not show where it holds is missed."""
     rng, best, shares, false = np.random.default_rng(46), string(PATTERN1).gmpp.p, [], 0
     for seed in range(200):
         light = tuple(rng.uniform(50.0, 1000.0, 4).round(0).tolist())
