@@ -12,7 +12,7 @@ from hypothesis import given, strategies as st
 from scipy.integrate import solve_ivp
 from scipy.linalg import solve_continuous_are
 from softrig_control.fuzzy import TakagiSugeno, sum_rules
-from softrig_core import Level, ParameterError, Refused, list_scenarios, load_scenario, simulate
+from softrig_core import ByHand, Level, ParameterError, Refused, list_scenarios, load_scenario, simulate
 from softrig_core.block.codec import Decoder
 from softrig_core.wire.cdr import Layout
 from softrig_drives.lsrm.current_controller import CurrentController
