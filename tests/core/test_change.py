@@ -27,6 +27,7 @@ from softrig_core import (
     load_scenario,
     param,
     rig_of,
+    scalars,
     simulate,
 )
 from softrig_core.block.change import check
@@ -141,7 +142,7 @@ def test_ports_and_what_nodes_agree_on_do_not_change():
 
         @classmethod
         def ports(cls, params):
-            return (), tuple(range(params.size))
+            return (), tuple(scalars(f"p{k}", f"t{k}", {"x": ""}) for k in range(params.size))
 
         @classmethod
         def agreed(cls, params):
