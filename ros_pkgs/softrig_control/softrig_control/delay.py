@@ -33,7 +33,7 @@ class FieldbusDelayParams(LinkParams):
 
 
 Line = tuple[tuple[tuple[int, int, Any], ...], ...]
-"""Messages under way, (arrival in ns, stamp in ns, message) each, in that order; in blocks, so that a tick copies few."""
+"""Messages under way, (arrival in ns, stamp in ns, message) each, sorted; in blocks, so that a tick copies few."""
 
 BLOCK = 64  # messages
 

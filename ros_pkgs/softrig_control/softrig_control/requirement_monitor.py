@@ -69,7 +69,7 @@ class RequirementMonitorParams(BlockParams):
 
 
 class State(NamedTuple):
-    """What is open of the formula; value of each condition at the tick before; bounds of the margin, whether decided."""
+    """What is open of the formula; values of its conditions at the tick before; bounds of the margin, if decided."""
 
     opened: tuple[Opened, ...]
     before: tuple[float | None, ...]
