@@ -4,7 +4,7 @@ import pytest
 from softrig_control.constant_source import CommandSource, ScalarSource
 from softrig_control.profile import NEVER, StepProfile
 from softrig_control.reference_source import ReferenceSource
-from softrig_core import ParameterError
+from softrig_core import ByHand, ParameterError
 
 
 def test_profile_changes_at_its_times():
@@ -25,22 +25,22 @@ def test_reference_of_two_axes_in_three_fields():
     (_, (port,)) = source.ports(source.p)
     assert port.labels == ("x/position", "y/position", "x/velocity", "y/velocity", "x/acceleration", "y/acceleration")
     assert port.units == ("mm", "mm", "mm/s", "mm/s", "mm/s^2", "mm/s^2")
-    assert source.update(1_999_999_999)["reference"] == (1.0, 2.0, 5.0, 6.0, 9.0, 10.0)
-    assert source.update(2_000_000_000)["reference"] == (3.0, 4.0, 7.0, 8.0, 11.0, 12.0)
+    assert ByHand(source).update(1_999_999_999)["reference"] == (1.0, 2.0, 5.0, 6.0, 9.0, 10.0)
+    assert ByHand(source).update(2_000_000_000)["reference"] == (3.0, 4.0, 7.0, 8.0, 11.0, 12.0)
 
 
 def test_only_the_fields_given_are_sent():
     source = ReferenceSource(channels=("axis",), unit="mm", positions=(10.0,))
     (_, (port,)) = source.ports(source.p)
     assert (port.labels, port.units) == (("axis/position",), ("mm",))
-    assert source.update(0)["reference"] == (10.0,)
+    assert ByHand(source).update(0)["reference"] == (10.0,)
 
 
 def test_command_source():
     source = CommandSource(channels=("a", "b"), units=("N m",), times=(0.0, 1.0), values=(1.0, 2.0, 3.0, 4.0))
     (_, (port,)) = source.ports(source.p)
     assert (port.labels, port.units) == (("a/effort", "b/effort"), ("N m", "N m"))
-    assert [source.update(t)["command"] for t in (0, 10**9)] == [(1.0, 2.0), (3.0, 4.0)]
+    assert [ByHand(source).update(t)["command"] for t in (0, 10**9)] == [(1.0, 2.0), (3.0, 4.0)]
     (_, (port,)) = ScalarSource.ports(ScalarSource.Params(channels=("v", "i"), units=("V", "A"), values=(1.0, 2.0)))
     assert (port.name, port.labels, port.units) == ("values", ("v/position", "i/position"), ("V", "A"))
 

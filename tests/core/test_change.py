@@ -27,6 +27,7 @@ from softrig_core import (
     load_scenario,
     param,
     rig_of,
+    scalars,
     simulate,
 )
 from softrig_core.block.change import check
@@ -141,7 +142,7 @@ def test_ports_and_what_nodes_agree_on_do_not_change():
 
         @classmethod
         def ports(cls, params):
-            return (), tuple(range(params.size))
+            return (), tuple(scalars(f"p{k}", f"t{k}", {"x": ""}) for k in range(params.size))
 
         @classmethod
         def agreed(cls, params):
@@ -268,18 +269,18 @@ def test_a_recorded_change_that_is_cut_off_is_told():
 
 def test_a_fault_that_is_set_off_is_off_whoever_switched_it_on():
     params = {"topic_in": "axis/state", "fields": ("position",), "kind": "offset", "value": (2.0,), "active": False}
-    fault = load_block("softrig_control", "fault")(**params)
+    fault = ByHand(load_block("softrig_control", "fault")(**params))
 
     def said(t, pressed=False):
         return fault.update(t, sent=(1.0,), toggle=(float(pressed),))["arrived"][0]
 
     assert said(0) == 1.0
     assert said(1, pressed=True) == 3.0
-    assert fault.p.active
+    assert fault.params.active
     assert said(2) == 3.0
-    fault.change(check(type(fault), fault.p, {"active": False}))  # as it was given at the start
+    fault.change(check(type(fault.block), fault.params, {"active": False}))  # as it was given at the start
     assert said(3) == 1.0
-    fault.change(check(type(fault), fault.p, {"active": True}))
+    fault.change(check(type(fault.block), fault.params, {"active": True}))
     assert [said(4), said(5, pressed=True)] == [3.0, 1.0]
     fault.reset(0)
     assert said(6) == 3.0  # the parameters of now, without the button

@@ -10,9 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from softrig_bringup.cli import main
+from softrig_control import policy
 from softrig_control.policy import Policy, linear
 from softrig_core import (
     Block,
+    ByHand,
     ParameterError,
     Plant,
     Recording,
@@ -244,12 +246,34 @@ def test_only_registered_policies_are_found(monkeypatch):
     with pytest.raises(ParameterError, match="policy = 'os:system': expected one of linear; a package registers"):
         Policy(policy="os:system")
     monkeypatch.setattr(importlib.metadata, "entry_points", lambda group: Point())
-    found = Policy(policy="mine", weights=(4.0,), high=(3.0,), low=(-3.0,)).update(0, state=(1.0,))
+    mine = ByHand(Policy(policy="mine", weights=(4.0,), high=(3.0,), low=(-3.0,)))
+    found = mine.update(0, state=(1.0,))
     assert found == {"command": (3.0,)}
     with pytest.raises(ParameterError, match="mine:make is a int, expected a function"):
         Policy(policy="number")
     with pytest.raises(ParameterError, match=r"1 observations and 1 actions has 2 weights.*got 3"):
         Policy(weights=(1.0, 2.0, 3.0))
+
+
+def test_a_policy_goes_back_with_what_it_remembers(monkeypatch):
+    def make(weights, observations, actions):
+        total, rows = 0.0, [0.0]
+
+        def act(observed):
+            nonlocal total
+            total += observed[0]
+            rows[0] += 1.0
+            return [total * rows[0]]
+
+        return act
+
+    monkeypatch.setattr(policy, "find", lambda name: make)
+    held = ByHand(Policy(policy="sum"))
+    held.update(0, state=(1.0,))
+    saved = held.save()
+    for _ in range(2):
+        held.load(saved)
+        assert [held.update(0, state=(1.0,))["command"] for _ in range(2)] == [(4.0,), (9.0,)]
 
 
 SHAKY = """

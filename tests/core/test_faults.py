@@ -10,7 +10,7 @@ from conftest import differences, in_process, make_scenario
 from hypothesis import given, strategies as st
 from simulated import Discovery, SimulatedRig, World
 from softrig_control.fault import Fault
-from softrig_core import ParameterError, RunError, ScenarioError, rig_of, simulate
+from softrig_core import ByHand, ParameterError, RunError, ScenarioError, rig_of, simulate
 
 MS = 1_000_000
 BASIC = {"plant": "plant", "source": "source", "gain": "gain"}
@@ -19,11 +19,11 @@ BASIC = {"plant": "plant", "source": "source", "gain": "gain"}
 def through(values, seed=0, *, toggles=(), fresh=None, **params):
     """What comes out of a fault at each tick of 10 ms for what goes in; None: silence."""
     about = {"topic_in": "a", "topic_out": "b", "channels": ("x",), "fields": ("position",), "period": 0.01}
-    block = Fault(name="fault", **{**about, **params})
+    block = ByHand(Fault(name="fault", **{**about, **params}))
     block.reset(seed)
     now = [0]
     last = [0]
-    block.ages = lambda name: now[0] - last[0]
+    block.block.ages = lambda name: now[0] - last[0]
     out = []
     for k, value in enumerate(values):
         now[0] = k * 10 * MS

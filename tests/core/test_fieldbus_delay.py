@@ -4,7 +4,7 @@ import pytest
 from conftest import in_process
 from hypothesis import given, settings, strategies as st
 from softrig_control.delay import FieldbusDelay
-from softrig_core import Level, ParameterError, Sample, Scenario, ScenarioError, Signals, load_scenario, rig_of
+from softrig_core import ByHand, Level, ParameterError, Sample, Scenario, ScenarioError, Signals, load_scenario, rig_of
 
 PERIOD = 10_000_000
 
@@ -17,15 +17,15 @@ def pass_through(link, ticks=200, seed=0, data=lambda k: (float(k), -float(k))):
 @given(delay=st.integers(0, 30))
 @settings(max_examples=10, deadline=None)
 def test_a_sample_arrives_whole_periods_later_under_its_own_stamp(delay):
-    arrived = pass_through(FieldbusDelay(delay=0.01 * delay), 60)
+    arrived = pass_through(ByHand(FieldbusDelay(delay=0.01 * delay)), 60)
     for k, sample in enumerate(arrived):
         j = max(0, k - delay)  # before the first arrival: the initial sample, under its stamp
         assert sample == Sample(j * PERIOD, (float(j), -float(j)))
 
 
 def test_a_delay_between_periods_is_rounded_up_and_reported():
-    link = FieldbusDelay(delay=0.071)
-    assert pass_through(link) == pass_through(FieldbusDelay(delay=0.08))
+    link = ByHand(FieldbusDelay(delay=0.071))
+    assert pass_through(link) == pass_through(ByHand(FieldbusDelay(delay=0.08)))
     assert link.reports["delay"][0] == Level.WARN
     assert "rounded up to 8 and 0 periods" in link.reports["delay"][1]
 
@@ -35,7 +35,7 @@ def ages(link, seed=0, ticks=2000):
 
 
 def test_jitter_is_uniform_over_whole_periods_and_keeps_the_newest():
-    link = FieldbusDelay(name="link", delay=0.06, jitter=0.04)
+    link = ByHand(FieldbusDelay(name="link", delay=0.06, jitter=0.04))
     found = ages(link, ticks=20_000)
     assert min(found) == 6
     # age 6 when the sample sent 6 periods ago had no extra delay; 7 when that of 7 had at most one; ...
@@ -46,19 +46,19 @@ def test_jitter_is_uniform_over_whole_periods_and_keeps_the_newest():
 
 
 def test_stamps_never_go_back():
-    stamps = [s.stamp for s in pass_through(FieldbusDelay(name="link", delay=0.01, jitter=0.2), 500)]
+    stamps = [s.stamp for s in pass_through(ByHand(FieldbusDelay(name="link", delay=0.01, jitter=0.2)), 500)]
     assert stamps == sorted(stamps)
 
 
 def test_a_lost_sample_leaves_the_one_before():
-    found = ages(FieldbusDelay(name="link", delay=0.02, loss=0.3), ticks=20_000)
+    found = ages(ByHand(FieldbusDelay(name="link", delay=0.02, loss=0.3)), ticks=20_000)
     assert found.count(2) / len(found) == pytest.approx(0.7, abs=0.01)
     assert found.count(3) / len(found) == pytest.approx(0.3 * 0.7, abs=0.01)
 
 
 def test_random_numbers_come_from_seed_and_name_only():
     def make(name, **options):
-        return FieldbusDelay(name=name, delay=0.02, **options)
+        return ByHand(FieldbusDelay(name=name, delay=0.02, **options))
 
     link = make("link", jitter=0.05)
     found = ages(link, seed=3)
@@ -68,14 +68,14 @@ def test_random_numbers_come_from_seed_and_name_only():
 
 
 def test_values_are_rounded_to_their_steps():
-    link = FieldbusDelay(delay=0.0, quantum=(0.5, 0.0))
+    link = ByHand(FieldbusDelay(delay=0.0, quantum=(0.5, 0.0)))
     arrived = pass_through(link, 4, data=lambda k: (0.3 * k - 0.5, 0.3 * k))
     assert [s.data[0] for s in arrived] == [-0.5, 0.0, 0.0, 0.5]
     assert [s.data[1] for s in arrived] == pytest.approx([0.0, 0.3, 0.6, 0.9])
 
 
 def test_a_slow_sender_is_not_sent_twice():
-    link = FieldbusDelay(name="link", delay=0.03, loss=0.5)
+    link = ByHand(FieldbusDelay(name="link", delay=0.03, loss=0.5))
     link.reset(0)
     stamps = []
     for k in range(400):
@@ -87,7 +87,7 @@ def test_a_slow_sender_is_not_sent_twice():
 
 
 def test_out_of_order_input_is_dropped_and_reported():
-    link = FieldbusDelay(delay=0.0)
+    link = ByHand(FieldbusDelay(delay=0.0))
     link.update(0, sent=Sample(5, (1.0, 0.0)))
     assert link.update(PERIOD, sent=Sample(4, (2.0, 0.0)))["arrived"] == Sample(5, (1.0, 0.0))
     assert link.reports["order"][0] == Level.WARN
@@ -104,8 +104,8 @@ MESSAGES = {
 @pytest.mark.parametrize("message", MESSAGES)
 @pytest.mark.parametrize("restamp", [False, True])
 def test_ports_of_every_message_type(message, restamp):
-    link = FieldbusDelay(message=message, restamp=restamp, delay=0.01, **MESSAGES[message])
-    (sent,), (arrived,) = FieldbusDelay.ports(link.p)
+    link = ByHand(FieldbusDelay(message=message, restamp=restamp, delay=0.01, **MESSAGES[message]))
+    (sent,), (arrived,) = FieldbusDelay.ports(link.block.p)
     assert sent.layout().msgtype == arrived.layout().msgtype == message
     assert (sent.topic, arrived.topic) == ("axis/state", "axis/feedback")
     assert sent.labels == arrived.labels

@@ -197,14 +197,16 @@ def hold(seed):
         assert (margin.value < 0.0) == bool(margin.violated), about
         verdict = margin.value >= 0.0
     live, passed = Live(parsed), []
+    opened = live.first()
     for n in range(1, len(samples) + 1):
         row = ({name: column[n - 1] for name, column in group.items()} for group in (x, truths, late))
-        found, loops = live.push(times[n - 1], *row), Loops(samples[:n], first, ended=False)
+        opened = live.push(opened, times[n - 1], *row)
+        found, loops = live.bounds(opened), Loops(samples[:n], first, ended=False)
         expected = loops.at(tree, 0, 0, 0), loops.at(tree, 0, 1, 1)
         assert found == pytest.approx(expected, abs=1e-12), (about, n)
         assert not passed or (found[0] >= passed[-1][0] and found[1] <= passed[-1][1]), (about, n)
         assert not passed or not passed[-1][2] or passed[-1][:2] == found, (about, n)
-        passed.append((*found, live.decided))
+        passed.append((*found, live.decided(opened)))
     return verdict
 
 

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 from conftest import make_scenario
-from softrig_core import RunError, ScenarioError, evaluate, figures_of, rig_of, simulate
+from softrig_core import ByHand, RunError, ScenarioError, evaluate, figures_of, rig_of, simulate
 from softrig_core.judge.expectation import Expectation
 from softrig_core.judge.formula import margin_unit, read, variables
 from softrig_core.judge.robustness import Record
@@ -283,3 +283,31 @@ def test_a_watched_requirement_ends_the_run_at_the_tick_at_which_it_is_violated(
     with pytest.raises(RunError, match=rf"requirement_it: always state <= 0.3 is violated.*known at t = {first:.9g} s"):
         simulate(rig)
     assert simulate(live("always state <= 100", ends=True)).results[0].passed
+
+
+def test_a_watched_requirement_goes_back_to_any_tick():
+    rig = wired("always (rising(command) -> eventually[0, 0.05] state >= 0)", live=True)
+    (member,) = [m for m in rig.members if m.name == "requirement_it"]
+    monitor = ByHand(member.block(0))
+    ports = [p.name for p in member.inputs]
+    assert len(ports) == 2
+    rng = np.random.default_rng(1)
+    rows = rng.normal(0.2, 1.0, (60, 2)).tolist()
+
+    def go(k, n, sign=1.0):
+        said = []
+        for i in range(k, n):
+            values = {name: (sign * x,) for name, x in zip(ports, rows[i], strict=True)}
+            said.append(monitor.update(i * 10_000_000, **values)["margin"])
+        return said
+
+    whole = go(0, 60)
+    assert len(set(whole)) > 3
+    monitor.reset(0)
+    assert go(0, 20) == whole[:20]
+    saved = monitor.save()
+    elsewhere = go(20, 60, -1.0)
+    assert elsewhere != whole[20:]
+    for _ in range(2):
+        monitor.load(saved)
+        assert go(20, 60) == whole[20:]

@@ -1,5 +1,6 @@
 """FMUs as plants and laws: built here from C, run by every interface, and wrong in every way they can be."""
 
+import dataclasses
 import hashlib
 import json
 import math
@@ -30,6 +31,7 @@ from softrig_drives.dc_motor.plant import DcMotorPlant
 
 pytest.importorskip("fmpy")
 from fmu_build import build_fmu
+from softrig_control.fmu import nodes
 from softrig_control.fmu.description import Unit, Variable, _unit, conversion, describe
 from softrig_control.fmu.mapping import Place
 from softrig_control.fmu.nodes import FmuLaw, FmuPlant
@@ -63,7 +65,9 @@ def page(fmus, tmp_path, monkeypatch):
 
 
 def motor(fmus, version=2, **given):
-    return FmuPlant(name="motor", **{"fmu": str(fmus / f"motor{version}.fmu"), "period": 0.001, **PORTS} | given)
+    return ByHand(
+        FmuPlant(name="motor", **{"fmu": str(fmus / f"motor{version}.fmu"), "period": 0.001, **PORTS} | given)
+    )
 
 
 def voltage(k):
@@ -117,7 +121,8 @@ def test_a_ball_bounces_when_it_should(fmus, version):
         times.append(times[-1] + 2.0 * 0.7**k * first)
 
     def counted(**given):
-        plant = FmuPlant(fmu=str(fmus / f"ball{version}.fmu"), outputs=BALL, period=0.01, isolated=False, **given)
+        file = str(fmus / f"ball{version}.fmu")
+        plant = ByHand(FmuPlant(fmu=file, outputs=BALL, period=0.01, isolated=False, **given))
         rows = []
         for _ in range(math.ceil(times[-1] / 0.01) + 1):
             rows.append((*plant.outputs(0)["to_ball_state"], *plant.outputs(0)["to_ball_bounces"]))
@@ -141,12 +146,12 @@ def test_a_ball_bounces_when_it_should(fmus, version):
 def test_state_is_kept_and_restored_and_a_reset_begins_anew(fmus, version):
     plant = motor(fmus, version)
     begun = trace(plant, 20)
-    kept = plant.keep()
+    kept = plant.save()
     rest = trace(plant, 20)
-    plant.restore(kept)
+    plant.load(kept)
     assert trace(plant, 20) == rest
-    other = FmuPlant(plant.p, "other")  # in another process
-    other.restore(kept)
+    other = ByHand(FmuPlant(plant.block.p, "other"))  # in another process
+    other.load(kept)
     assert trace(other, 20) == rest
     plant.reset(3)
     assert trace(plant, 20) == begun
@@ -166,7 +171,7 @@ def test_steps_inside_a_period_and_the_time_of_the_fmu(fmus):
 def test_units_are_converted_where_both_say_theirs(fmus):
     outputs = ("motor/a/shaft/velocity [rpm] = w", "motor/b/shaft/effort [mN m] = torque", "motor/c/shaft/velocity = w")
     plant = motor(fmus, outputs=outputs, isolated=False)
-    assert [p.units for p in plant.ports(plant.p)[1]] == [("rpm",), ("mN m",), ("rad/s",)]
+    assert [p.units for p in FmuPlant.ports(plant.block.p)[1]] == [("rpm",), ("mN m",), ("rad/s",)]
     for k in range(50):
         plant.advance(0, motor_command=voltage(k))
     (rpm,), (mNm,), (w,) = plant.outputs(0).values()
@@ -198,10 +203,10 @@ def test_units_with_an_offset_and_names_that_say_nothing():
 
 @pytest.mark.parametrize("version", [2, 3])
 def test_a_law_answers_the_tick_with_its_inputs(fmus, version):
-    law = FmuLaw(fmu=str(fmus / f"law{version}.fmu"), period=0.1, values=("kp = 3", "ki = 2"), inputs=(
+    law = ByHand(FmuLaw(fmu=str(fmus / f"law{version}.fmu"), period=0.1, values=("kp = 3", "ki = 2"), inputs=(
         "r/shaft/velocity [rad/s] = setpoint", "y/shaft/velocity = speed", "on/switch/position = enabled"),
-        outputs=("u/motor/effort = command",), trajectories=("r",))  # fmt: skip
-    assert [(p.msgtype.split("/")[-1], p.units) for p in law.ports(law.p)[0]] == [
+        outputs=("u/motor/effort = command",), trajectories=("r",)))  # fmt: skip
+    assert [(p.msgtype.split("/")[-1], p.units) for p in FmuLaw.ports(law.block.p)[0]] == [
         ("JointTrajectory", ("rad/s",)), ("JointState", ("rpm",)), ("JointState", ("1",))]  # fmt: skip
     rpm = 30.0 / math.pi
     for n in range(3):  # error of 1 rpm
@@ -248,7 +253,7 @@ def strict(fmus, version=2, **given):
     about = {"fmu": str(fmus / f"strict{version}.fmu"), "period": 0.25,
              "inputs": ("u/a/position = u", "n/a/position = n"),
              "outputs": ("y/a/position = y", "tol/a/position = tolerance", "pid/a/position = pid")}  # fmt: skip
-    return FmuPlant(name="strict", **about | given)
+    return ByHand(FmuPlant(name="strict", **about | given))
 
 
 @pytest.mark.parametrize("version", [2, 3])
@@ -383,7 +388,7 @@ MIX = {"inputs": ("mix/in/a/effort = u[1]", "mix/in/c/effort = u[3]"),
 @pytest.mark.parametrize("isolated", [False, True])
 def test_arrays_by_their_elements(fmus, isolated):
     def mix(**given):
-        return FmuLaw(name="mix", **{"fmu": str(fmus / "mix3.fmu"), "isolated": isolated, **MIX} | given)
+        return ByHand(FmuLaw(name="mix", **{"fmu": str(fmus / "mix3.fmu"), "isolated": isolated, **MIX} | given))
 
     def said(law, a, c):
         return law.update(0, mix_in=(a, c))["to_mix_out"]
@@ -391,11 +396,11 @@ def test_arrays_by_their_elements(fmus, isolated):
     assert said(mix(), 2.0, 3.0) == (1.0 * 2.0 + 3.0 * 3.0, 1e3 * (4.0 * 2.0 + 6.0 * 3.0))
     law = mix(values=("gain[2,3] = 60", "u[2] = 10", "bias = 1"))  # u[2] is nobody's: it keeps its start
     assert said(law, 2.0, 3.0) == (1 + 2.0 + 20.0 + 9.0, 1e3 * (1 + 8.0 + 50.0 + 180.0))
-    law.change(check(type(law), law.p, {"values": ("gain[2,3] = 60", "u[2] = 10", "bias = 5")}))
+    law.change(check(FmuLaw, law.block.p, {"values": ("gain[2,3] = 60", "u[2] = 10", "bias = 5")}))
     assert said(law, 2.0, 3.0)[0] == 5 + 2.0 + 20.0 + 9.0
     for values in (("gain[2,3] = 61", "u[2] = 10", "bias = 5"), ("bias = 5",)):
         with pytest.raises(ParameterError, match="values: that part of it may not change while running"):
-            check(type(law), law.p, {"values": values})
+            check(FmuLaw, law.block.p, {"values": values})
     for name, says in (("u", r"expected u\[1..3\]"), ("u[4]", r"u is an array of 3 values, expected u\[1..3\]"),
                        ("gain[1]", r"expected gain\[1..2,1..3\]"), ("bias[1]", "bias")):  # fmt: skip
         with pytest.raises(ParameterError, match=says):
@@ -464,3 +469,28 @@ def test_a_crash_ends_a_run_by_name_and_the_bag_stays(page, tmp_path):
     t = Signals(outcome.recording)["motor/state/shaft/velocity"].t
     assert t[-1] == pytest.approx(0.5)
     no_process_left(tmp_path / "out")
+
+
+def test_one_that_cannot_write_its_state_is_told_again(fmus, monkeypatch):
+    """All of it: its start, its steps, and what was changed in between."""
+    monkeypatch.setattr(nodes, "describe", lambda file: dataclasses.replace(describe(file), serialises=False))
+    plant = motor(fmus, isolated=False)
+    trace(plant, 20)
+    saved = plant.save()
+    rest = trace(plant, 20)
+    for _ in range(2):
+        plant.load(saved)
+        assert trace(plant, 20) == rest
+    law = ByHand(FmuLaw(name="mix", **{"fmu": str(fmus / "mix3.fmu"), **MIX}, isolated=False, values=("bias = 1",)))
+    one = law.update(0, mix_in=(2.0, 3.0))
+    law.change(check(FmuLaw, law.block.p, {"values": ("bias = 5",)}))
+    saved = law.save()
+    five = law.update(0, mix_in=(2.0, 3.0))
+    law.change(check(FmuLaw, law.block.p, {"values": ("bias = 1",)}))
+    assert law.update(0, mix_in=(2.0, 3.0)) == one != five
+    law.load(saved)
+    assert law.update(0, mix_in=(2.0, 3.0)) == five
+    plant.block.realtime = True
+    plant.reset(0)
+    with pytest.raises(RunError, match="cannot keep its state"):
+        plant.save()

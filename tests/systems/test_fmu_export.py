@@ -111,7 +111,7 @@ def test_a_rig_with_exports_in_it_has_the_same_numbers(name, nodes, overrides, t
 def motor(exported, **given):
     inputs, outputs = ("u/a/effort = motor.command.armature.effort",), (f"y/shaft/velocity = {SHAFT}",)
     given = {"fmu": str(exported / "dc_motor_plant.fmu"), "period": 1e-4, "inputs": inputs, "outputs": outputs} | given
-    return FmuPlant(name="motor", log=True, **given)
+    return ByHand(FmuPlant(name="motor", log=True, **given))
 
 
 def test_inputs_that_nobody_feeds_begin_as_in_the_scenario(tmp_path):
@@ -124,13 +124,14 @@ def test_inputs_that_nobody_feeds_begin_as_in_the_scenario(tmp_path):
     given = {"fmu": str(tmp_path / "gpc_controller.fmu"), "period": rig.clock.params.period,
              "outputs": ("u/v/effort = v_drop.command.v_drop.effort",)}  # fmt: skip
     inputs = tuple(f"y/{name.split('/')[1]}/position = {name.replace('/', '.')}" for name in names)
-    law = FmuLaw(name="law", inputs=inputs, **given)
+    law = ByHand(FmuLaw(name="law", inputs=inputs, **given))
     found = [law.update(0, y=row)["to_u"][0] for row in measured[: len(commands)]]
     assert found == commands  # the reference, which nobody sends, is the law's own set point
-    assert FmuLaw(name="law", **given).update(0)["to_u"] == (commands[0],)
+    assert ByHand(FmuLaw(name="law", **given)).update(0)["to_u"] == (commands[0],)
     start = {v.name: v.start for v in fmpy.read_model_description(given["fmu"]).modelVariables}
     assert float(start["reference.v_dc.position"]) == float(start["dc_link.voltage.position"]) == 400.0
-    set_to = FmuLaw(name="law", values=("reference.v_dc.position = 300",), inputs=inputs, **given)
+    values = ("reference.v_dc.position = 300",)
+    set_to = ByHand(FmuLaw(name="law", values=values, inputs=inputs, **given))
     assert set_to.update(0, y=measured[0])["to_u"] != (commands[0],)
 
 

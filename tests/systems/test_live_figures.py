@@ -1,7 +1,7 @@
 """The node `figures`: what it says of a rig while it runs is what is measured of the recording."""
 
 import pytest
-from softrig_core import Scenario, ScenarioError, load_scenario, rig_of, simulate
+from softrig_core import ByHand, Scenario, ScenarioError, load_scenario, rig_of, simulate
 from softrig_core.node.live_figures import Figures
 
 SPEED = "motor/true_state/shaft/velocity"
@@ -64,7 +64,7 @@ def test_by_hand_it_reads_the_topics_of_a_scenario_alone():
     node = Figures(scenario="dc_motor_smc_b1")
     topics = {p.topic for p in node.ports(node.p)[0]}
     assert topics == {"motor/true_state", "motor/applied", "motor/sensors", "motor/reference"}
-    assert node.status() == {}
+    assert ByHand(node).status() == {}
     inside = next(m for m in rig_of("dc_motor_smc_b1").members if m.name == "dc_motor_metrics")
     assert inside.params.given() == node.p.given()
 
@@ -75,7 +75,7 @@ def test_it_follows_a_parameter_that_its_figures_refer_to():
     node = next(
         m for m in rig_of(rig, overrides={"dc_motor_plant.load_times": [0.0, 2.5]}).members if m.name[-7:] == "metrics"
     )
-    assert {f.name: f.arguments["start"] for f in Figures(node.params).figures() if f.name == "load_dip"} == {
+    assert {f.name: f.arguments["start"] for f in Figures(node.params).figures(None) if f.name == "load_dip"} == {
         "load_dip": 2.5
     }
 

@@ -12,7 +12,7 @@ from hypothesis import given, strategies as st
 from scipy.integrate import solve_ivp
 from scipy.linalg import solve_continuous_are
 from softrig_control.fuzzy import TakagiSugeno, sum_rules
-from softrig_core import Level, ParameterError, Refused, list_scenarios, load_scenario, simulate
+from softrig_core import ByHand, Level, ParameterError, Refused, list_scenarios, load_scenario, simulate
 from softrig_core.block.codec import Decoder
 from softrig_core.wire.cdr import Layout
 from softrig_drives.lsrm.current_controller import CurrentController
@@ -504,7 +504,7 @@ def there_and_back(*overshoots):
 
 def test_figures_of_a_motion_there_and_back():
     t, way, speed, x, force = there_and_back(0.03, 0.04)
-    monitor = MotionMonitor()
+    monitor = ByHand(MotionMonitor())
     for k in range(t.size):
         values = {"reference": (x[k], 0.5 * way[k], 0.0), "joint_states": (x[k], speed[k], force[k]), "load": None}
         monitor.update(k * 1_000_000, phase_currents=(0.0,) * 4, phase_voltage=(0.0,) * 4, force_cmd=(0.0,), **values)
@@ -545,7 +545,7 @@ def test_monitor_agrees_with_the_recording(name):
     else:
         assert status["dip"] == pytest.approx(found["dip"], abs=2e-3)
         assert status["recovery"] == pytest.approx(found["recovery"], abs=1.1e-3)
-    assert MotionMonitor().status() == {}
+    assert ByHand(MotionMonitor()).status() == {}
 
 
 def test_translator_is_drawn_over_its_stator():

@@ -17,7 +17,7 @@ from scipy import linalg, signal
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 from scipy.special import jv
-from softrig_control.limit_cycle import LimitCycle
+from softrig_control.limit_cycle import Swinging, limit_cycle
 from softrig_control.linear_plant import LinearPlant
 from softrig_control.predictive.carima import Carima, diophantine, multiply, predict
 from softrig_control.predictive.certificate import certify, check
@@ -26,6 +26,7 @@ from softrig_control.predictive.controller import GpcController
 from softrig_control.predictive.gpc import Gpc, Tuning, invert
 from softrig_control.predictive.qp import make_solver
 from softrig_core import (
+    ByHand,
     Level,
     ParameterError,
     Refused,
@@ -120,13 +121,13 @@ def test_verdicts_on_the_papers_claims_hold():
 
 def test_poles_are_those_of_the_simulated_loop():
     """The slowest mode that the loop shows from its start is the largest pole."""
-    law, plant = Gpc(seed19(1e-4), Tuning(weight=17.873)), LinearPlant(period=1e-4)
-    y = []
+    law, plant = Gpc(seed19(1e-4), Tuning(weight=17.873)), ByHand(LinearPlant(period=1e-4))
+    y, x = [], law.first(0.0, 0.0)
     for k in range(1500):
         y.append(plant.outputs(k)["output"][0])
-        law.measure(y[-1])
-        law.applied(law.u + law.move(400.0))
-        plant.advance(k, command=(law.u,))
+        x = law.measure(x, y[-1])
+        x = law.applied(x, x.u + law.move(x, 400.0))
+        plant.advance(k, command=(x.u,))
     growth = (np.abs(y[1000:]).max() / np.abs(y[500:1000]).max()) ** (1 / 500)
     assert growth == pytest.approx(law.spectral_radius(), abs=5e-4)
 
@@ -272,16 +273,16 @@ def test_a_certificate_is_refused_when_one_entry_is_wrong():
 def test_closed_form_is_the_least_squares_solution():
     law = Gpc(n3(CONSTANTS, T), Tuning(2, 9, 3, 7.0))
     g, f, h = (np.array(m) for m in predict(law.model, 2, 9, 3))
-    law.start(398.0, 27.0)
+    x = law.first(398.0, 27.0)
     for y, u in ((401.0, 28.5), (399.0, 26.0), (397.5, None)):
-        law.measure(y)
+        x = law.measure(x, y)
         if u is not None:
-            law.applied(u)
+            x = law.applied(x, u)
     free = f @ [397.5, 399.0, 401.0, 398.0] + h @ [-2.5, 1.5]
     stacked = np.vstack([g, np.sqrt(7.0) * np.eye(3)])
     moves = np.linalg.lstsq(stacked, np.concatenate([400.0 - free, np.zeros(3)]), rcond=None)[0]
-    assert law.move(400.0) == pytest.approx(moves[0], rel=1e-10)
-    assert -np.linalg.solve(law.hessian, law.gradient(400.0)) == pytest.approx(moves, rel=1e-9)
+    assert law.move(x, 400.0) == pytest.approx(moves[0], rel=1e-10)
+    assert -np.linalg.solve(law.hessian, law.gradient(x, 400.0)) == pytest.approx(moves, rel=1e-9)
 
 
 @pytest.mark.parametrize("name", SOLVERS)
@@ -327,7 +328,7 @@ def test_infeasible_programme_is_told_and_solved_again_afterwards(name):
 
 
 def test_no_solution_holds_the_last_command_and_warns():
-    law = GpcController(solver="daqp", u_min=10.0, u_max=20.0, du_max=1.0, u_start=0.0, set_point=400.0)
+    law = ByHand(GpcController(solver="daqp", u_min=10.0, u_max=20.0, du_max=1.0, u_start=0.0, set_point=400.0))
     for k in range(2):
         found = law.update(k, measured=(390.0,), reference=None)
         assert found["command"] == (0.0,)
@@ -336,7 +337,7 @@ def test_no_solution_holds_the_last_command_and_warns():
 
 
 def test_constrained_without_bounds_is_the_closed_form():
-    free, bounded = GpcController(set_point=400.0), GpcController(set_point=400.0, solver="daqp")
+    free, bounded = ByHand(GpcController(set_point=400.0)), ByHand(GpcController(set_point=400.0, solver="daqp"))
     for k in range(30):
         y = (400.0 * (1 - 0.8**k),)
         expected = free.update(k, measured=y, reference=None)["command"][0]
@@ -347,13 +348,13 @@ def test_constrained_without_bounds_is_the_closed_form():
 def test_anti_windup(solver):
     """After any time on a bound the law is as if the bound had been its command from the start."""
     values = {"set_point": 400.0, "u_min": 0.0, "u_max": 3.0, "period": T, "solver": solver}
-    law, fresh = GpcController(**values), GpcController(**values, u_start=3.0)
+    law, fresh = ByHand(GpcController(**values)), ByHand(GpcController(**values, u_start=3.0))
     for k in range(30):
         found = law.update(k, measured=(100.0,), reference=None)
     assert found["command"] == (3.0,)
     assert found["health"][0] == 1.0
     fresh.update(0, measured=(100.0,), reference=None)
-    assert law.law.move(400.0) == pytest.approx(fresh.law.move(400.0), abs=1e-9)
+    assert law.law.law.move(law.x.law, 400.0) == pytest.approx(fresh.law.law.move(fresh.x.law, 400.0), abs=1e-9)
     back = [[x.update(k, measured=(500.0,), reference=None)["command"][0] for k in range(5)] for x in (law, fresh)]
     assert back[0] == pytest.approx(back[1], abs=1e-9)
     assert back[0][0] < 3.0
@@ -374,7 +375,7 @@ def test_impossible_parameters_are_refused_by_name(values, named):
 
 
 def test_bad_samples_hold_then_trip_for_good():
-    law = GpcController(set_point=400.0, u_safe=-1.5)
+    law = ByHand(GpcController(set_point=400.0, u_safe=-1.5))
     last = law.update(0, measured=(10.0,), reference=None)["command"]
     for k in (1, 2):
         found = law.refused(k)
@@ -387,11 +388,11 @@ def test_bad_samples_hold_then_trip_for_good():
 
 @pytest.mark.parametrize("y", [50.0, 600.1])
 def test_a_voltage_out_of_range_trips(y):
-    law = GpcController(set_point=400.0, trip_low=50.0, trip_high=600.0)
+    law = ByHand(GpcController(set_point=400.0, trip_low=50.0, trip_high=600.0))
     law.update(0, measured=(600.0,), reference=None)
-    assert not law.tripped
+    assert not law.x.tripped
     assert law.update(1, measured=(y,), reference=None)["command"] == (0.0,)
-    assert law.tripped
+    assert law.x.tripped
     assert law.reports["trip"][0] == Level.ERROR
 
 
@@ -647,7 +648,7 @@ def test_half_the_step_of_the_diodes_changes_nothing(monkeypatch):
 
 def test_a_trip_in_the_rig_leaves_the_link_to_the_diodes():
     run = simulate("rectifier_mpc", duration=0.45, overrides={"gpc_controller.trip_high": 400.3})
-    assert run.blocks["gpc_controller"].tripped
+    assert run.blocks["gpc_controller"].x.tripped
     v = run.signals["dc_link/voltage/position"]
     assert v.x[v.t > 0.4].mean() == pytest.approx(267.2, abs=1.0)  # at 8 ohm
     assert "off" in run.blocks["rectifier_plant"].reports
@@ -681,8 +682,11 @@ def test_a_limit_cycle_is_told():
 
 def test_what_counts_as_a_limit_cycle():
     def swing(signal):
-        watch = LimitCycle()
-        return [watch.sample(float(y), 1.0) for y in signal]
+        x, found = Swinging(), []
+        for y in signal:
+            x, size = limit_cycle(x, float(y), 1.0)
+            found.append(size)
+        return found
 
     t = np.arange(2000) * 1e-2
     assert swing(1.0 + 0.1 * np.sin(t * 6.0))[-1] == pytest.approx(0.2, rel=0.01)
@@ -707,7 +711,7 @@ def test_absurd_commands_end_in_a_report_not_in_nan(model, command):
 def test_divergence_ends_as_a_reported_trip():
     run = run_of("rectifier_mpc_l2_0p1ms")
     law = run.blocks["gpc_controller"]
-    assert law.tripped
+    assert law.x.tripped
     assert law.reports["trip"][0] == Level.ERROR
     assert "outside" in law.reports["trip"][1]
     _, u = run.signals["command/u/effort"]
@@ -726,7 +730,7 @@ def test_metrics_by_event():
     assert found["event_1_final"][0] == pytest.approx(400.0, abs=1e-6)
     assert found["event_1_settling"][0] == pytest.approx(37 * T, abs=1e-9)
     assert found["event_0_settling"] == (0.0, "s")
-    watcher = RectifierMonitor(set_point=100.0)
+    watcher = ByHand(RectifierMonitor(set_point=100.0))
     for k, y in enumerate((0.0, 90.0, 104.0, 99.0)):
         watcher.update(k * 10**9, dc_link=(y, 0.0), reference=None, events=None)
     assert watcher.status()["event_0_overshoot"] == (pytest.approx(4.0), "%")
@@ -771,7 +775,7 @@ def test_processes_give_the_same_bytes(name, tmp_path):
 
 
 def test_certificate_node_answers_a_press_once():
-    node = CertificateNode()
+    node = ByHand(CertificateNode())
     found = node.update(0, certify=None)
     assert found["gain"] == pytest.approx((-0.76362, 0.46805), abs=1e-5)
     assert found["terminal"][1] == found["terminal"][2] == pytest.approx(-0.58845, abs=1e-5)
@@ -782,7 +786,7 @@ def test_certificate_node_answers_a_press_once():
     assert node.update(4, certify=(0.0,)) == {}
     assert node.update(5, certify=(1.0,)) == found
     assert node.refused(6) == {}
-    printed = CertificateNode(K=(-1.833, 1.077), Qbar=(5.34, 1.83, 1.83, 1.0))
+    printed = ByHand(CertificateNode(K=(-1.833, 1.077), Qbar=(5.34, 1.83, 1.83, 1.0)))
     assert printed.update(0, certify=(1.0,))["verdict"][0] == 0.0
     assert printed.reports["no_certificate"][0] == Level.WARN
     with pytest.raises(ParameterError, match="K has 1"):

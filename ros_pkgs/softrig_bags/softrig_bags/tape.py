@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import fields, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 from pydantic import model_validator
 from softrig_core import Block, BlockParams, Port, Recording, Sample, executable, param
@@ -59,6 +59,12 @@ def _loaded(bag: str) -> tuple[Recording, int]:
     return read_bag(Path(bag)), epoch
 
 
+class State(NamedTuple):
+    """How many messages of each topic are said."""
+
+    said: tuple[int, ...]
+
+
 class Tape(Block[TapeParams]):
     """Says of each topic, at a tick, the newest message that the bag has up to there and that has not been said.
 
@@ -92,19 +98,19 @@ class Tape(Block[TapeParams]):
             decode.kept = values
             yield t - epoch, Sample(stamp - epoch, values) if port.delayed else values
 
-    def start(self) -> None:
+    def first(self) -> State:
         """Nothing is said."""
-        self._said = dict.fromkeys(self._rows, 0)
+        return State((0,) * len(self._rows))
 
-    def update(self, t: int, **inputs: Any) -> Mapping[str, Any]:
+    def update(self, x: State, t: int, **inputs: Any) -> tuple[State, Mapping[str, Any]]:
         """Say what counts from this tick on."""
-        found = {}
-        for name, rows in self._rows.items():
-            k = bisect_right(rows, t, self._said[name], key=lambda row: row[0])
-            if k > self._said[name]:
-                self._said[name] = k
+        found, said = {}, []
+        for (name, rows), before in zip(self._rows.items(), x.said, strict=True):
+            k = bisect_right(rows, t, before, key=lambda row: row[0])
+            said.append(k)
+            if k > before:
                 found[name] = rows[k - 1][1]
-        return found
+        return State(tuple(said)) if found else x, found
 
 
 main = executable(Tape)

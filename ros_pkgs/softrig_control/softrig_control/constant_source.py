@@ -53,9 +53,9 @@ class ScalarSource(Block[P]):
         """Prepare the answer for each time."""
         self._answers = StepProfile(self.p.times, [{self.NAME: row} for row in self.p.rows("values")])
 
-    def update(self, t: int, **inputs: Any) -> Mapping[str, tuple[float, ...]]:
+    def update(self, x: Any, t: int, **inputs: Any) -> tuple[Any, Mapping[str, tuple[float, ...]]]:
         """Give the values at t."""
-        return self._answers.at(t)
+        return x, self._answers.at(t)
 
 
 class CommandSource(ScalarSource[CommandSourceParams]):

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from bisect import insort
+from bisect import bisect_right
 from collections.abc import Mapping
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 from pydantic import model_validator
 from softrig_core import Block, Level, Port, Sample, executable, param, to_ns
@@ -30,6 +30,21 @@ class FieldbusDelayParams(LinkParams):
         if not self.type.stamped:
             raise ValueError(f"message {self.message} has no stamp, which tells what was sent before what")
         return self
+
+
+Line = tuple[tuple[tuple[int, int, Any], ...], ...]
+"""Messages under way, (arrival in ns, stamp in ns, message) each, sorted; in blocks, so that a tick copies few."""
+
+BLOCK = 64  # messages
+
+
+class State(NamedTuple):
+    """Stamp of the newest message sent, ns; those under way; what has arrived; random numbers drawn."""
+
+    newest: int | None = None
+    line: Line = ()
+    held: Sample | None = None
+    k: int = 0
 
 
 class FieldbusDelay(Block[FieldbusDelayParams]):
@@ -61,72 +76,83 @@ class FieldbusDelay(Block[FieldbusDelayParams]):
         self._rounded |= rounded
         self._random = self._jitter > 0 or p.loss > 0.0
 
-    def start(self) -> None:
-        """Empty the line."""
-        self._newest: int | None = None
-        self._line = Line()
-        self._held: Sample | None = None
-        if self._rounded:
-            self.report(
-                Level.WARN, "delay", f"delay {self.p.delay:g} s and jitter {self.p.jitter:g} s are not whole "
-                f"periods of {self.p.period:g} s: rounded up to {self._delay} and {self._jitter} periods",
-            )  # fmt: skip
+    def first(self) -> State:
+        """Nothing is on the line."""
+        return State()
 
-    def update(self, t: int, *, sent: Sample) -> Mapping[str, Sample | tuple[float, ...]]:
+    def update(
+        self, x: State, t: int, *, sent: Sample
+    ) -> tuple[State, Mapping[str, Sample | tuple[float, ...]]]:  # fmt: skip
         """Take the newest message sent, give the newest that has arrived."""
-        if self._held is None:
-            self._held = Sample(sent.stamp, self.p.initial or sent.data)
-        if self._newest is None or sent.stamp > self._newest:  # the same stamp again is the same message, held
-            self._newest = sent.stamp
-            self._send(t, sent)
-        elif sent.stamp < self._newest:
+        newest, line, held, k = x
+        if held is None:
+            held = Sample(sent.stamp, self.p.initial or sent.data)
+            if self._rounded:
+                self.report(
+                    Level.WARN, "delay", f"delay {self.p.delay:g} s and jitter {self.p.jitter:g} s are not whole "
+                    f"periods of {self.p.period:g} s: rounded up to {self._delay} and {self._jitter} periods",
+                )  # fmt: skip
+        if newest is None or sent.stamp > newest:  # the same stamp again is the same message, held
+            newest = sent.stamp
+            line, k = self._send(line, k, t, sent)
+        elif sent.stamp < newest:
             self.report(Level.WARN, "order", "a message older than the one before it was dropped")
-        return self._deliver(t)
+        return self._deliver(newest, line, held, k, t)
 
-    def refused(self, t: int) -> Mapping[str, Sample | tuple[float, ...]] | None:
+    def refused(self, x: State, t: int) -> tuple[State, Mapping[str, Sample | tuple[float, ...]] | None]:
         """A message that cannot be read is lost; what is under way arrives all the same."""
-        return None if self._held is None else self._deliver(t)
+        return (x, None) if x.held is None else self._deliver(x.newest, x.line, x.held, x.k, t)
 
-    def _deliver(self, t: int) -> Mapping[str, Sample | tuple[float, ...]]:
-        held = self._held
-        assert held is not None
-        if (arrived := self._line.arrived(t, held.stamp)) is not None:
-            self._held = held = Sample(*arrived)
-        return {"arrived": held.data if self.p.restamp else held}
+    def _deliver(
+        self, newest: int | None, line: Line, held: Sample, k: int, t: int
+    ) -> tuple[State, Mapping[str, Sample | tuple[float, ...]]]:
+        line, found = arrived(line, t, held.stamp)
+        if found is not None:
+            held = Sample(*found)
+        return State(newest, line, held, k), {"arrived": held.data if self.p.restamp else held}
 
-    def _send(self, t: int, sample: Sample) -> None:
+    def _send(self, line: Line, k: int, t: int, sample: Sample) -> tuple[Line, int]:
         periods = self._delay
         if self._random:  # always both numbers, so that switching one option leaves the other's sequence alone
-            draw, survive = self.rng.random(2).tolist()
+            draw, survive = self.uniform(k), self.uniform(k + 1)
+            k += 2
             periods += int(draw * (self._jitter + 1))
             if survive < self.p.loss:
-                return
+                return line, k
         data = sample.data
         if self.p.quantum:
             data = tuple(
                 math.floor(x / q + 0.5) * q if q else x for x, q in zip(data, self.p.quantum, strict=True)
             )  # fmt: skip
-        self._line.send(t + periods * self._period, sample.stamp, data)
+        return sent_on(line, t + periods * self._period, sample.stamp, data), k
 
 
-class Line:
-    """Messages under way, each with the time of its arrival; of those that are there the newest one counts."""
+def sent_on(line: Line, due: int, stamp: int, message: Any) -> Line:
+    """Put a message on a line that arrives at `due`, ns."""
+    item = (due, stamp, message)
+    k = len(line) - 1
+    while k > 0 and item < line[k][0]:
+        k -= 1
+    if k < 0:
+        return ((item,),)
+    at = bisect_right(line[k], item)
+    block = (*line[k][:at], item, *line[k][at:])
+    parts = (block,) if len(block) <= BLOCK else (block[:BLOCK], block[BLOCK:])
+    return (*line[:k], *parts, *line[k + 1 :])
 
-    def __init__(self) -> None:
-        self._under_way: list[tuple[int, int, Any]] = []
 
-    def send(self, due: int, stamp: int, message: Any) -> None:
-        """Put a message on the line that arrives at `due`, ns."""
-        insort(self._under_way, (due, stamp, message))
-
-    def arrived(self, t: int, since: int) -> tuple[int, Any] | None:
-        """Take off what has arrived at `t`; give the newest if it is as new as `since`, ns. Older ones are dropped."""
-        found = None
-        while self._under_way and self._under_way[0][0] <= t:
-            _, stamp, message = self._under_way.pop(0)
+def arrived(line: Line, t: int, since: int) -> tuple[Line, tuple[int, Any] | None]:
+    """Take off what has arrived at `t`, and give the newest, with its stamp, if that is `since` (ns) or later."""
+    found = None
+    while line and line[0][0][0] <= t:
+        block, k = line[0], 0
+        while k < len(block) and block[k][0] <= t:
+            _, stamp, message = block[k]
             if stamp >= since:
                 found, since = (stamp, message), stamp
-        return found
+            k += 1
+        line = line[1:] if k == len(block) else (block[k:], *line[1:])
+    return line, found
 
 
 def whole_periods(time: float, period: float) -> tuple[int, bool]:

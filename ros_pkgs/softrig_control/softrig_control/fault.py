@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Literal, Self
+from typing import Literal, NamedTuple, Self
 
 from pydantic import model_validator
 from softrig_core import Block, Port, Sample, button, executable, param, to_ns
 from softrig_core.wire import types
 
-from .delay import Line, whole_periods
+from .delay import Line, arrived, sent_on, whole_periods
 from .unit_delay import LinkParams
 
 Kind = Literal["offset", "scale", "drift", "noise", "quantise", "saturate", "stuck", "spike", "delay", "loss", "repeat",
                "silence", "add", "replace", "invalid"]  # fmt: skip
 Message = tuple[float, ...] | Sample
+Began = tuple[int, tuple[float, ...]]
 
 
 class FaultParams(LinkParams):
@@ -110,6 +111,37 @@ class FaultParams(LinkParams):
         return low * len(high) if len(low) == 1 else low, high
 
 
+class State(NamedTuple):
+    """What the fault remembers of the link; times in ns."""
+
+    on: bool
+    """Whether it is switched on."""
+
+    down: bool = False
+    """Whether the button is."""
+
+    burst: bool = False
+    began: Began | None = None
+    """When it came, and what was sent then; None while it is not there."""
+
+    before: Message | None = None
+    """The message before."""
+
+    line: Line = ()
+    said: Message = ()
+    """Handed on last."""
+
+    taken: int = -1
+    """Stamp of the newest message, of acquisition times."""
+
+    newest: int = -1
+    """When the newest that has arrived was sent."""
+
+    last_due: int = 0
+    k: int = 0
+    """Random numbers drawn."""
+
+
 class Fault(Block[FaultParams]):
     """Hands messages on, changed while the fault is there, or says nothing where one is lost.
 
@@ -159,89 +191,75 @@ class Fault(Block[FaultParams]):
         self._pressed = p.message == types.BUTTON.name
         self._limits = list(zip(*p.range(), strict=True)) if p.kind == "saturate" else []
 
-    def change(self, params: FaultParams) -> None:
-        """Be there at other times, by another amount, or be switched on or off."""
-        if params.active != self.p.active:
-            self._on = self._first = params.active
-        super().change(params)
-
-    def start(self) -> None:
+    def first(self) -> State:
         """Switched as the parameters say, nothing under way."""
-        self._first = getattr(self, "_first", self.p.active)
-        self._switch(self._first)
-        self._down = False
-        self._burst = False
-        self._began: tuple[int, tuple[float, ...]] | None = None  # when it came, and what was sent then
-        self._before: Message | None = None
-        self._line = Line()
         initial = self.p.initial or (0.0,) * self.p.port("sent", self.p.topic_in).size
-        self._said: Message = Sample(0, initial) if self.p.delayed else initial
-        self._taken = -1
-        self._newest = -1
-        self._last_due = 0
+        return State(self.p.active, said=Sample(0, initial) if self.p.delayed else initial)
 
-    def update(self, t: int, *, sent: Message, toggle: tuple[float] | None) -> Mapping[str, Message]:
+    def params(self, x: State) -> FaultParams:
+        """The button moves `active`."""
+        return self.p if x.on == self.p.active else self.p.model_copy(update={"active": x.on})
+
+    def go_on(self, x: State, before: FaultParams) -> State:
+        """Be there at other times, by another amount, or be switched on or off."""
+        return x._replace(on=self.p.active)
+
+    def update(
+        self, x: State, t: int, *, sent: Message, toggle: tuple[float] | None
+    ) -> tuple[State, Mapping[str, Message]]:
         """Hand on what has come at this tick, as the fault leaves it."""
+        p, kind = self.p, self.p.kind
+        on, was_down, burst, began, before, line, said, taken, newest, last_due, k = x
         down = toggle is not None and toggle[0] > 0.5
-        if down and not self._down:
-            self._switch(not self._on)
-        self._down = down
-        found = self._hand_on(t, sent) if self._new(sent) else None
-        if self.p.kind == "delay":
-            self._newest = self._newest if found is None else t
-            if (late := self._line.arrived(t, self._newest + 1)) is not None:
-                self._newest, found = late
-        if found is None:
-            return {"arrived": self._said} if self.p.holds else {}
-        self._said = found
-        return {"arrived": found}
+        if down and not was_down:
+            on = not on
+        age, found = self.age("sent"), None
+        if isinstance(sent, Sample):  # a link of acquisition times repeats what it has until another one comes
+            data, last, taken = sent.data, taken, sent.stamp if age is not None else -1
+            fresh = taken > last
+        else:
+            data, fresh = sent, age == 0
+        if fresh:
+            draws, burst, k = self._draws(burst, k)
+            began = (began or (t, data)) if on and self._there(t) else None
+            if began is None:
+                found = sent
+            elif kind == "delay":
+                due = t + (self._delay + int(draws[0] * (self._jitter + 1))) * self._period
+                last_due = due if p.overtaking else max(due, last_due)
+                line = sent_on(line, last_due, t, sent)
+            else:
+                found = self._faulty(t, sent, data, before, began, burst, draws)
+            before = sent
+        if kind == "delay":
+            newest = newest if found is None else t
+            line, late = arrived(line, t, newest + 1)
+            if late is not None:
+                newest, found = late
+        if found is not None:
+            said = found
+        x = State(on, down, burst, began, before, line, said, taken, newest, last_due, k)
+        return x, {"arrived": said} if found is not None or p.holds else {}
 
-    def _new(self, sent: Message) -> bool:
-        """Whether a message has come at this tick; a link of acquisition times repeats what it has until then."""
-        age = self.age("sent")
-        if not isinstance(sent, Sample):
-            return age == 0
-        before, self._taken = self._taken, sent.stamp if age is not None else -1
-        return self._taken > before
-
-    def _switch(self, on: bool) -> None:
-        """Be there or not; `active` says so as well, so that a button and a parameter set after it agree."""
-        self._on = on
-        if on != self.p.active:
-            self.p = self.p.model_copy(update={"active": on})
-
-    def _there(self, t: int, sent: tuple[float, ...]) -> bool:
-        """Whether the fault is there; notes when it came."""
+    def _there(self, t: int) -> bool:
+        """Whether it is one of the times at which it is there."""
         first, last = self._window
         every, lasts = self._cycle
-        there = self._on and first <= t < last and (not every or (t - first) % every < lasts)
-        if not there:
-            self._began = None
-        elif self._began is None:
-            self._began = t, sent
-        return there
+        return first <= t < last and (not every or (t - first) % every < lasts)
 
-    def _hand_on(self, t: int, message: Message) -> Message | None:
-        """What a message becomes; None when it is lost or late."""
-        sent = message.data if isinstance(message, Sample) else message
-        draws = self._draws()
-        before, self._before = self._before, message
-        if not self._there(t, sent):
-            return message
+    def _faulty(
+        self, t: int, message: Message, sent: tuple[float, ...], before: Message | None, began: Began, burst: bool,
+        draws: list[float],
+    ) -> Message | None:  # fmt: skip
+        """What a message becomes; None when it is lost."""
         kind, p = self.p.kind, self.p
         if kind == "silence":
             return None
         if kind == "loss":
-            chance = p.probability if not p.burst_begins else p.lost_in_burst if self._burst else 0.0
+            chance = p.probability if not p.burst_begins else p.lost_in_burst if burst else 0.0
             return None if draws[0] < chance else message
         if kind == "repeat":
             return before if before is not None and draws[0] < p.probability else message
-        if kind == "delay":
-            due = t + (self._delay + int(draws[0] * (self._jitter + 1))) * self._period
-            due = due if p.overtaking else max(due, self._last_due)
-            self._last_due = due
-            self._line.send(due, t, message)
-            return None
         if kind in ("spike", "invalid") and draws[0] >= p.probability:
             return message
         changed = list(sent)
@@ -250,7 +268,7 @@ class Fault(Block[FaultParams]):
             if p.points:
                 changed[i] = profile if kind == "replace" else sent[i] + profile
             else:
-                changed[i] = self._changed(k, sent[i], i, t, draws)
+                changed[i] = self._changed(k, sent[i], i, t, began, draws)
         if self._pressed:
             changed = [float(x > 0.5) for x in changed]
         return Sample(message.stamp, tuple(changed)) if isinstance(message, Sample) else tuple(changed)
@@ -264,25 +282,25 @@ class Fault(Block[FaultParams]):
             return points[-1]
         return points[k] + (at - k) * (points[k + 1] - points[k]) if self.p.linear else points[k]
 
-    def _draws(self) -> list[float]:
-        """Random numbers of a message; also moves the burst."""
+    def _draws(self, burst: bool, k: int) -> tuple[list[float], bool, int]:
+        """Random numbers of a message, the burst after it, and how many numbers have been drawn."""
         p = self.p
         if p.kind == "noise":
-            return list(self.rng.standard_normal(len(self._concerned)).tolist())
+            n = len(self._concerned)
+            return [self.standard_normal(k + i) for i in range(n)], burst, k + n
         if p.kind not in ("loss", "repeat", "delay", "spike", "invalid"):
-            return []
-        draw, turn = self.rng.random(2).tolist()
+            return [], burst, k
         if p.kind == "loss" and p.burst_begins:
-            self._burst = turn >= p.burst_ends if self._burst else turn < p.burst_begins
-        return [draw]
+            turn = self.uniform(k + 1)
+            burst = turn >= p.burst_ends if burst else turn < p.burst_begins
+        return [self.uniform(k)], burst, k + 2
 
-    def _changed(self, k: int, x: float, i: int, t: int, draws: list[float]) -> float:
+    def _changed(self, k: int, x: float, i: int, t: int, began: Began, draws: list[float]) -> float:
         kind, value = self.p.kind, self._values[k]
-        assert self._began is not None
         if kind == "scale":
             return x * value
         if kind == "drift":
-            return x + value * ((t - self._began[0]) / 1e9)
+            return x + value * ((t - began[0]) / 1e9)
         if kind == "noise":
             return x + value * draws[k]
         if kind == "quantise":
@@ -291,7 +309,7 @@ class Fault(Block[FaultParams]):
             low, high = self._limits[k]
             return min(max(x, low), high)
         if kind == "stuck":
-            return self._began[1][i]
+            return began[1][i]
         if kind == "invalid":
             return math.nan
         return x + value  # offset, spike

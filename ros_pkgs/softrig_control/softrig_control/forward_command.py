@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Self
+from typing import Any, Self
 
 from pydantic import model_validator
 from softrig_core import Block, BlockParams, Port, array, command, executable, param
@@ -45,9 +45,11 @@ class ForwardCommand(Block[ForwardCommandParams]):
         n = len(self.p.joints)
         self._initial = self.p.initial * n if len(self.p.initial) == 1 else self.p.initial
 
-    def update(self, t: int, commands: tuple[float, ...] | None = None) -> Mapping[str, tuple[float, ...]]:
+    def update(
+        self, x: Any, t: int, commands: tuple[float, ...] | None = None
+    ) -> tuple[Any, Mapping[str, tuple[float, ...]]]:
         """Give the newest array."""
-        return {"command": self._initial if commands is None else commands}
+        return x, {"command": self._initial if commands is None else commands}
 
 
 main = executable(ForwardCommand)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import deque
+from typing import NamedTuple
 
 SWINGS = 8  # in a row, from one turning point to the next
 KEPT = 0.9  # share of the first half of them that the second half has at least, when they do not decay
@@ -11,46 +11,55 @@ LONGEST = 3  # times the longest time between turning points without another one
 BAND = 0.02  # of the reference, smaller swings do not count
 
 
-class LimitCycle:
-    """Watches the measured signal of a loop.
+class Swinging(NamedTuple):
+    """What is remembered of the measured signal of a loop, in its unit; times in samples."""
+
+    reference: float = 0.0
+    turn: float = 0.0
+    """At the newest turning point."""
+
+    far: float = 0.0
+    """Farthest from there so far."""
+
+    up: bool = True
+    """Whether that is above."""
+
+    since: int = 0
+    """Samples since the turning point was found."""
+
+    swings: tuple[float, ...] = ()
+    """The newest ones, peak to peak."""
+
+    spans: tuple[int, ...] = ()
+    """How long each took."""
+
+
+def limit_cycle(x: Swinging, y: float, reference: float) -> tuple[Swinging, float]:
+    """Take one sample in; give the mean swing (peak to peak), 0 while there is none that lasts.
 
     A loop that settles, near its reference or not, has swings that fall; one in a limit cycle has not, nor has one that
     diverges. Each new reference begins anew.
+
+    Parameters
+    ----------
+    x : Swinging
+    y, reference : float
+        In the unit of the signal.
     """
-
-    def __init__(self) -> None:
-        self._reference = 0.0
-        self._clear(0.0)
-
-    def _clear(self, y: float) -> None:
-        self._swings: deque[float] = deque(maxlen=SWINGS)
-        self._spans: deque[int] = deque(maxlen=SWINGS)  # samples from one turning point to the next
-        self._since = 0
-        self._turn, self._far, self._up = y, y, True
-
-    def sample(self, y: float, reference: float) -> float:
-        """Take one sample in; give the mean swing (peak to peak), 0 while there is none that lasts.
-
-        Parameters
-        ----------
-        y, reference : float
-            In the unit of the signal.
-        """
-        if reference != self._reference:
-            self._reference = reference
-            self._clear(y)
-        self._since += 1
-        if (y > self._far) == self._up and y != self._far:
-            self._far = y
-        elif abs(y - self._far) > BAND * abs(reference):
-            self._swings.append(abs(self._far - self._turn))
-            self._spans.append(self._since)
-            self._since = 0
-            self._turn, self._far, self._up = self._far, y, not self._up
-        if self._spans and self._since > LONGEST * max(self._spans):  # it has come to rest
-            self._clear(y)
-        if len(self._swings) < SWINGS or min(self._swings) < ALIKE * max(self._swings):
-            return 0.0
-        swings = list(self._swings)
-        before, after = sum(swings[: SWINGS // 2]), sum(swings[SWINGS // 2 :])
-        return after / (SWINGS // 2) if after >= KEPT * before else 0.0
+    before, turn, far, up, since, swings, spans = x
+    if reference != before:
+        turn, far, up, since, swings, spans = y, y, True, 0, (), ()
+    since += 1
+    if (y > far) == up and y != far:
+        far = y
+    elif abs(y - far) > BAND * abs(reference):
+        swings = (*swings[1 - SWINGS :], abs(far - turn))
+        spans = (*spans[1 - SWINGS :], since)
+        turn, far, up, since = far, y, not up, 0
+    if spans and since > LONGEST * max(spans):  # it has come to rest
+        turn, far, up, since, swings, spans = y, y, True, 0, (), ()
+    x = Swinging(reference, turn, far, up, since, swings, spans)
+    if len(swings) < SWINGS or min(swings) < ALIKE * max(swings):
+        return x, 0.0
+    first, second = sum(swings[: SWINGS // 2]), sum(swings[SWINGS // 2 :])
+    return x, second / (SWINGS // 2) if second >= KEPT * first else 0.0

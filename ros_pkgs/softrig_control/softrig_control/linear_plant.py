@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any, Self
+from collections.abc import Mapping
+from typing import NamedTuple, Self
 
 from pydantic import model_validator
-from softrig_core import BlockParams, Plant, Port, executable, param, state_type
+from softrig_core import BlockParams, Plant, Port, executable, param
 
 from .discretise import matmul
 from .predictive.carima import sample_transfer_function
@@ -42,6 +42,12 @@ class LinearPlantParams(BlockParams):
         )
 
 
+class State(NamedTuple):
+    """x1, x2, ... of the controllable form."""
+
+    x: tuple[float, ...]
+
+
 class LinearPlant(Plant[LinearPlantParams]):
     """x' = A x + B u, y = C x from num(s)/den(s) in controllable form, from rest, stepped exactly.
 
@@ -58,29 +64,19 @@ class LinearPlant(Plant[LinearPlantParams]):
     def setup(self) -> None:
         """Sample."""
         self._a, self._b, self._c = sample_transfer_function(self.p.num, self.p.den, self.p.period)
-        self._state = state_type(("", [f"x{k + 1}" for k in range(len(self._a))]))
 
-    def start(self) -> None:
+    def first(self) -> State:
         """Begin at rest."""
-        self.x = tuple((0.0,) for _ in self._a)
+        return State((0.0,) * len(self._a))
 
-    @property
-    def state(self) -> Any:
-        """Give x1, x2, ... of the controllable form."""
-        return self._state(*(x[0] for x in self.x))
-
-    def put(self, state: Sequence[float]) -> None:
-        """Go on from another state."""
-        self.x = tuple((float(x),) for x in state)
-
-    def outputs(self, t: int) -> Mapping[str, tuple[float, ...]]:
+    def outputs(self, x: State, t: int) -> Mapping[str, tuple[float, ...]]:
         """Give y."""
-        return {"output": matmul((self._c,), self.x)[0]}
+        return {"output": matmul((self._c,), tuple([(xi,) for xi in x.x]))[0]}
 
-    def advance(self, t: int, *, command: tuple[float, ...]) -> None:
+    def advance(self, x: State, t: int, *, command: tuple[float, ...]) -> State:
         """Hold u over one period."""
-        moved = matmul(self._a, self.x)
-        self.x = tuple((x[0] + b[0] * command[0],) for x, b in zip(moved, self._b, strict=True))
+        moved = matmul(self._a, tuple([(xi,) for xi in x.x]))
+        return State(tuple([xi[0] + b[0] * command[0] for xi, b in zip(moved, self._b, strict=True)]))
 
 
 main = executable(LinearPlant)

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import copy
 import importlib.metadata
+import pickle
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
-from typing import Any, Self
+from types import CellType, FunctionType
+from typing import Any, NamedTuple, Self
 
 from pydantic import model_validator
 from softrig_core import Block, BlockParams, ParameterError, Port, Sample, executable, param
@@ -72,6 +75,22 @@ def find(name: str) -> Callable[[Sequence[float], int, int], Act]:
     return make  # type: ignore[no-any-return]
 
 
+def copied(act: Act) -> Act:
+    """Copy a policy with what it remembers, in an object or in the variables around a function.
+
+    One that cannot be copied is given as it is: it is taken to remember nothing.
+    """
+    if not isinstance(act, FunctionType) or not act.__closure__:
+        try:
+            return copy.deepcopy(act)
+        except (TypeError, ValueError, AttributeError, copy.Error, pickle.PicklingError):
+            return act
+    cells = tuple(CellType(copied(c.cell_contents)) for c in act.__closure__)
+    found = FunctionType(act.__code__, act.__globals__, act.__name__, act.__defaults__, cells)
+    found.__kwdefaults__ = act.__kwdefaults__
+    return found
+
+
 class PolicyParams(BlockParams):
     """The policy, its numbers, and the ports of the law in whose place it stands."""
 
@@ -128,13 +147,17 @@ class PolicyParams(BlockParams):
         return [(max(a, -m), min(b, m)) for a, b, m in zip(low, high, most, strict=True)]
 
 
+class State(NamedTuple):
+    """The policy itself, which may remember anything."""
+
+    act: Act
+
+
 class Policy(Block[PolicyParams]):
     """Answers each tick with what its policy says of the newest observation, within the bounds of the actions.
 
     A value that has not come yet is observed as its port's safe one.
     """
-
-    act: Act
 
     @classmethod
     def ports(cls, params: PolicyParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
@@ -159,9 +182,17 @@ class Policy(Block[PolicyParams]):
         except ValueError as error:
             raise ParameterError(f"policy {p.policy}: {error}") from None
 
-    def start(self) -> None:
+    def first(self) -> State:
         """Begin with a policy that remembers nothing."""
-        self.act = self._policy()
+        return State(self._policy())
+
+    def save(self, x: State) -> State:
+        """Copy the policy with what it remembers."""
+        return State(copied(x.act))
+
+    def load(self, saved: State) -> State:
+        """Go on with a copy of the copy."""
+        return State(copied(saved.act))
 
     def observation(self, inputs: Mapping[str, Any]) -> tuple[float, ...]:
         """Give the observation that the values of the ports make."""
@@ -172,9 +203,11 @@ class Policy(Block[PolicyParams]):
             found.append(given[k])
         return tuple(found)
 
-    def update(self, t: int, **inputs: Any) -> Mapping[str, tuple[float, ...] | Sample | None]:
+    def update(
+        self, x: State, t: int, **inputs: Any
+    ) -> tuple[State, Mapping[str, tuple[float, ...] | Sample | None]]:  # fmt: skip
         """Say what the policy commands."""
-        given = self.act(self.observation(inputs))
+        given = x.act(self.observation(inputs))
         if len(given) != len(self._bounds):
             raise ValueError(f"the policy gave {len(given)} actions, expected {len(self._bounds)}")
         # of a NaN neither comparison holds: it goes on and is refused as any block's
@@ -184,7 +217,7 @@ class Policy(Block[PolicyParams]):
             row = tuple([safe if k is None else float(action[k]) for k, safe in zip(places, port.safe, strict=True)])
             silent = port.sporadic and not any(k is not None for k in places)
             said[port.name] = None if silent else Sample(t, row) if port.delayed else row
-        return said
+        return x, said
 
 
 main = executable(Policy)

@@ -62,9 +62,9 @@ class ReferenceSource(Block[ReferenceSourceParams]):
         answers = [{"reference": tuple(x for row in rows for x in row)} for rows in zip(*fields, strict=True)]
         self._answers = StepProfile(self.p.times, answers)
 
-    def update(self, t: int, **inputs: Any) -> Mapping[str, tuple[float, ...]]:
+    def update(self, x: Any, t: int, **inputs: Any) -> tuple[Any, Mapping[str, tuple[float, ...]]]:
         """Give the reference at t."""
-        return self._answers.at(t)
+        return x, self._answers.at(t)
 
 
 main = executable(ReferenceSource)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 from pydantic import model_validator
 from softrig_core import Block, BlockParams, Level, Port, RunError, Sample, ScenarioError, executable, param, scalars
 from softrig_core.judge.formula import margin_unit, read, variables
-from softrig_core.judge.live import Live
+from softrig_core.judge.live import Live, Opened
 from softrig_core.judge.robustness import truth
 from softrig_core.scenario.port_text import ports_of
 
@@ -69,6 +69,16 @@ class RequirementMonitorParams(BlockParams):
         return tree, conditions, unit
 
 
+class State(NamedTuple):
+    """What is open of the formula; values of its conditions at the tick before; bounds of the margin, if decided."""
+
+    opened: tuple[Opened, ...]
+    before: tuple[float | None, ...]
+    lower: float = -ENDLESS
+    upper: float = ENDLESS
+    decided: bool = False
+
+
 class RequirementMonitor(Block[RequirementMonitorParams]):
     """Says at each tick between which bounds the margin of a requirement lies, whatever comes.
 
@@ -91,19 +101,19 @@ class RequirementMonitor(Block[RequirementMonitorParams]):
         self._places = {name: places[signal] for name, signal in signals.items()}
         self._used = variables(self._tree)
 
-    def start(self) -> None:
-        """Nothing seen."""
-        self._monitor = Live(self._tree)
-        self._before: dict[str, float] = {}
-        self._violated = self._decided = False
-        self._bounds = (-ENDLESS, ENDLESS)
+        self._live = Live(self._tree)
 
-    def update(self, t: int, **inputs: Any) -> Mapping[str, tuple[float, ...]]:
+    def first(self) -> State:
+        """Nothing seen."""
+        return State(self._live.first(), (None,) * len(self._used))
+
+    def update(self, x: State, t: int, **inputs: Any) -> tuple[State, Mapping[str, tuple[float, ...]]]:
         """Take the signals of this tick in."""
         seen: dict[str, float] = {}
         truths: dict[str, float] = {}
         late: dict[str, bool] = {}
-        for name in self._used:
+        now: list[float | None] = []
+        for name, last in zip(self._used, x.before, strict=True):
             condition = self._conditions.get(name)
             port, k = self._places[condition.signal if condition else name]
             came = self.age(port) is not None
@@ -111,27 +121,30 @@ class RequirementMonitor(Block[RequirementMonitorParams]):
             value = (given.data if isinstance(given, Sample) else given)[k] if came else 0.0
             if condition is None:
                 seen[name], late[name] = value, not came
+                now.append(None)
                 continue
-            truths[name] = float(truth(condition, value, self._before.get(name, value)))
-            self._before[name] = value
-        return self._go_on(t, seen, truths, late)
+            truths[name] = float(truth(condition, value, value if last is None else last))
+            now.append(value)
+        return self._pushed(x._replace(before=tuple(now)), t, seen, truths, late)
 
-    def refused(self, t: int) -> Mapping[str, tuple[float, ...]]:
+    def refused(self, x: State, t: int) -> tuple[State, Mapping[str, tuple[float, ...]]]:
         """Take a tick at which something was no number as one at which nothing is known."""
         nothing = dict.fromkeys((n for n in self._used if n not in self._conditions), math.nan)
-        return self._go_on(t, nothing, dict.fromkeys(self._conditions, math.nan), dict.fromkeys(nothing, False))
+        return self._pushed(x, t, nothing, dict.fromkeys(self._conditions, math.nan), dict.fromkeys(nothing, False))
 
-    def _go_on(
-        self, t: int, seen: Mapping[str, float], truths: Mapping[str, float], late: Mapping[str, bool]
-    ) -> Mapping[str, tuple[float, ...]]:
-        if not self._decided:
-            self._bounds = self._monitor.push(float(t), seen, truths, late)
-            self._decided = self._monitor.decided
-            if self._bounds[1] < 0.0 and not self._violated:
-                self._violated = True
-                self._tell(t, self._bounds[1])
-        lower, upper = (max(-ENDLESS, min(ENDLESS, x)) for x in self._bounds)
-        return {"margin": (lower, upper, float(self._decided))}
+    def _pushed(
+        self, x: State, t: int, seen: Mapping[str, float], truths: Mapping[str, float], late: Mapping[str, bool]
+    ) -> tuple[State, Mapping[str, tuple[float, ...]]]:
+        opened, before, lower, upper, decided = x
+        if not decided:
+            violated = upper < 0.0
+            opened = self._live.push(opened, float(t), seen, truths, late)
+            lower, upper = self._live.bounds(opened)
+            decided = self._live.decided(opened)
+            if upper < 0.0 and not violated:
+                self._tell(t, upper)
+        said = (max(-ENDLESS, min(ENDLESS, lower)), max(-ENDLESS, min(ENDLESS, upper)), float(decided))
+        return State(opened, before, lower, upper, decided), {"margin": said}
 
     def _tell(self, t: int, margin: float) -> None:
         """Say that the requirement is violated, or end the run with that."""

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any, Literal, Self
+from collections.abc import Mapping
+from typing import Any, Literal, NamedTuple, Self
 
 from pydantic import model_validator
-from softrig_core import BlockParams, Plant, Port, executable, param, state_type
+from softrig_core import BlockParams, Plant, Port, executable, param
 from softrig_core.block.port import XYZ
 from softrig_core.wire import types
 
@@ -84,6 +84,12 @@ class LinkParams(BlockParams):
         )  # fmt: skip
 
 
+class State(NamedTuple):
+    """What came in a tick ago."""
+
+    held: tuple[float, ...]
+
+
 class UnitDelay(Plant[LinkParams]):
     """y(t_k) = u(t_{k-1}), at first `initial` (zeros when empty).
 
@@ -95,26 +101,17 @@ class UnitDelay(Plant[LinkParams]):
         """Give both ends, of the same message type."""
         return (params.port("sent", params.topic_in),), (params.port("arrived", params.topic_out),)
 
-    def start(self) -> None:
+    def first(self) -> State:
         """Hold the initial values."""
-        self._held = self.p.initial or (0.0,) * self.p.port("sent", self.p.topic_in).size
+        return State(self.p.initial or (0.0,) * self.p.port("sent", self.p.topic_in).size)
 
-    @property
-    def state(self) -> Any:
-        """Give what is held, named as in the message."""
-        return state_type(("", self.p.port("sent", self.p.topic_in).labels))(*self._held)
-
-    def put(self, state: Sequence[float]) -> None:
-        """Hold other values."""
-        self._held = tuple(state)
-
-    def outputs(self, t: int) -> Mapping[str, tuple[float, ...]]:
+    def outputs(self, x: State, t: int) -> Mapping[str, tuple[float, ...]]:
         """Give what came in a tick ago."""
-        return {"arrived": self._held}
+        return {"arrived": x.held}
 
-    def advance(self, t: int, *, sent: tuple[float, ...]) -> None:
+    def advance(self, x: State, t: int, *, sent: tuple[float, ...]) -> State:
         """Take in what was sent."""
-        self._held = sent
+        return State(sent)
 
 
 main = executable(UnitDelay)

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence, Set
+from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Any, Literal, NamedTuple, Self
 
 from pydantic import model_validator
 from softrig_core import Block, BlockParams, ParameterError, Plant, Port, RunError, executable, param
@@ -93,6 +93,58 @@ def _values(
     return tuple((v.kind, r, tuple(values)) for r, (v, values) in found.items() if only is None or r in only)
 
 
+class Told:
+    """A call of an FMU, and those before it: a chain that nobody changes."""
+
+    __slots__ = ("arguments", "before", "name")
+
+    def __init__(self, before: Told | None, name: str, arguments: tuple[Any, ...]) -> None:
+        self.before, self.name, self.arguments = before, name, arguments
+
+
+def told_before(told: Told | None) -> Iterator[Told]:
+    """Give the calls of a chain, the newest first."""
+    while told is not None:
+        yield told
+        told = told.before
+
+
+class State(NamedTuple):
+    """Periods since the start; outputs, in the FMU's units; of an FMU that cannot write its state, all its calls.
+
+    The rest is in the FMU, which is opaque: `save` and `load`.
+    """
+
+    k: int
+    found: tuple[float, ...]
+    told: Told | None
+
+
+class Running:
+    """The FMU of a block, which goes on over live changes."""
+
+    def __init__(self) -> None:
+        self._fmu: Any = None
+        self._make: Callable[[], Any] | None = None
+        self._fresh: tuple[float, ...] | None = None  # its outputs, where it has only begun
+
+    def begin(self, make: Callable[[], Any]) -> tuple[float, ...]:
+        """Have it at its start; `make` makes an instance."""
+        if self._make is not make:
+            self._fmu, self._make, self._fresh = make(), make, None
+        if self._fresh is None:
+            self._fresh = self._fmu.begin()
+        return self._fresh
+
+    def call(self, name: str, *arguments: Any) -> Any:
+        """Call one of its methods."""
+        if name == "begin":
+            return self.begin(*arguments)
+        if name != "keep":
+            self._fresh = None
+        return getattr(self._fmu, name)(*arguments)
+
+
 class _Fmu(Block[FmuParams]):
     """What both have: the FMU, its time, and the way from ports to variables."""
 
@@ -112,19 +164,12 @@ class _Fmu(Block[FmuParams]):
         """The FMU, by the hash of its file."""
         return {Path(params.fmu).name: f"sha256:{params.unit.digest}"} if params.fmu else {}
 
-    def change(self, params: FmuParams) -> None:
-        """Set the parameters that differ between two steps; the state of the FMU goes on."""
-        before = dict(start_values(self.p.unit, self.p.values))
-        given = dict(start_values(params.unit, params.values))
-        if other := {v.reference for v, value in given.items() if value != before[v]}:
-            self._asked(self._fmu.tune, _values(tuple(given.items()), other))
-        self.p = params
-
     def setup(self) -> None:
         """Unpack the FMU and load it."""
         p = self.p
         if not p.fmu:
             raise ParameterError("parameter fmu = '': expected the file of an FMU")
+        before: Running | None = self.__dict__.get("_running")  # after a live change: the FMU goes on
         self._time = Schedule(rational(p.period)).time
         plan = Plan(
             str(unpacked(p.unit.path)),
@@ -135,74 +180,89 @@ class _Fmu(Block[FmuParams]):
             p.steps,
             p.log,
         )
-        self._fmu: Any = None
+        self._make: Callable[[], Any] = lambda: Instance(plan)
         if p.isolated:
             from .child import Isolated
 
-            self._make: Callable[[], Any] = lambda: Isolated(plan, p.timeout)
-        else:
-            self._make = lambda: Instance(plan)
+            self._make = lambda: Isolated(plan, p.timeout)
         self._keys = [port.name for port in p.reads.ports]
-        self._fresh = False
+        self._running = Running() if before is None else before
 
-    def start(self) -> None:
+    def first(self) -> State:
         """Instantiate the FMU anew and initialise it."""
-        self._k = 0
-        if not self._fresh:
-            if self._fmu is None:
-                self._fmu = self._asked(self._make)
-            self._first = self._asked(self._fmu.begin)
-        self._fresh = True
-        self._answer = self._said(self._first)
+        found = self._asked(0, self._running.begin, self._make)
+        told = None if self.p.unit.serialises or self.realtime else Told(None, "begin", (self._make,))
+        return State(0, self._checked(0, found), told)
 
-    def _step(self, inputs: Mapping[str, tuple[float, ...]]) -> None:
+    def go_on(self, x: State, before: FmuParams) -> State:
+        """Set the parameters that differ between two steps; the state of the FMU goes on."""
+        was = dict(start_values(before.unit, before.values))
+        given = dict(start_values(self.p.unit, self.p.values))
+        other = {v.reference for v, value in given.items() if value != was[v]}
+        return self._call(x, "tune", _values(tuple(given.items()), other))[0] if other else x
+
+    def _step(self, x: State, inputs: Mapping[str, tuple[float, ...]]) -> State:
         """Move the FMU over one period with the inputs held; the outputs are then those of its end."""
         rows = [inputs[key] for key in self._keys]
-        values = tuple(x.into(rows[x.port][x.at]) for x in self.p.reads.places)
-        self._fresh = False
-        found = self._asked(self._fmu.advance, self._now(self._k), self._now(self._k + 1), values)
-        self._k += 1
-        self._answer = self._said(found)
+        values = tuple(place.into(rows[place.port][place.at]) for place in self.p.reads.places)
+        k = x.k + 1
+        x, found = self._call(x, "advance", self._now(x.k), self._now(k), values)
+        return State(k, self._checked(k, found), x.told)
+
+    def _call(self, x: State, name: str, *arguments: Any) -> tuple[State, Any]:
+        """Call the FMU; give the state that remembers it, and the answer."""
+        found = self._asked(x.k, self._running.call, name, *arguments)
+        return x if x.told is None else State(x.k, x.found, Told(x.told, name, arguments)), found
 
     def _now(self, k: int) -> float:
         return self._time(k) / 1e9
 
-    def _said(self, found: tuple[float, ...]) -> Mapping[str, tuple[float, ...]]:
+    def _checked(self, k: int, found: tuple[float, ...]) -> tuple[float, ...]:
+        for place, value in zip(self.p.says.places, found, strict=True):
+            if not math.isfinite(value):
+                raise RunError(f"{self._who()}: {place.variable.name} = {value} at {self._now(k):.9g} s of its time, "
+                               "expected a finite number")  # fmt: skip
+        return found
+
+    def _said(self, x: State) -> Mapping[str, tuple[float, ...]]:
         ports = self.p.says.ports
         rows = [[0.0] * port.size for port in ports]
-        for place, x in zip(self.p.says.places, found, strict=True):
-            if not math.isfinite(x):
-                raise RunError(f"{self._who()}: {place.variable.name} = {x} at {self._now(self._k):.9g} s of its time, "
-                               "expected a finite number")  # fmt: skip
-            rows[place.port][place.at] = place.out(x)
+        for place, value in zip(self.p.says.places, x.found, strict=True):
+            rows[place.port][place.at] = place.out(value)
         return {port.name: tuple(row) for port, row in zip(ports, rows, strict=True)}
 
-    def _asked(self, call: Any, *arguments: Any) -> Any:
+    def _asked(self, k: int, call: Any, *arguments: Any) -> Any:
         try:
             return call(*arguments)
         except Refusal as error:
-            raise RunError(f"{self._who()} at {self._now(self._k):.9g} s of its time: {error}") from None
+            raise RunError(f"{self._who()} at {self._now(k):.9g} s of its time: {error}") from None
 
     def _who(self) -> str:
         return f"{self.name or type(self).__name__}: the FMU {self.p.unit.path.name}"
 
-    def keep(self) -> tuple[int, bytes]:
-        """Give the whole state: periods since the start, and what the FMU wrote.
+    def save(self, x: State) -> tuple[State, bytes | None]:
+        """Give also what the FMU writes of its state; one that cannot is told again all that it was told.
 
         Raises
         ------
         RunError
-            The FMU cannot.
+            It cannot, and runs in real time, where what it was told is not kept.
         """
-        if not self.p.unit.serialises:
+        if self.p.unit.serialises:
+            return x, self._asked(x.k, self._running.call, "keep")
+        if x.told is None:
             raise RunError(f"{self._who()} cannot keep its state (canGetAndSetFMUstate, canSerializeFMUstate)")
-        return self._k, self._asked(self._fmu.keep)
+        return x, None
 
-    def restore(self, kept: tuple[int, bytes]) -> None:
-        """Go on from a state that `keep` gave, here or in another block of the same FMU."""
-        self._fresh = False
-        self._k = kept[0]
-        self._answer = self._said(self._asked(self._fmu.restore, kept[1]))
+    def load(self, saved: tuple[State, bytes | None]) -> State:
+        """Go on from there, here or in another block of the same FMU."""
+        x, kept = saved
+        if kept is not None:
+            self._asked(x.k, self._running.call, "restore", kept)
+        else:
+            for told in reversed([*told_before(x.told)]):
+                self._asked(x.k, self._running.call, told.name, *told.arguments)
+        return x
 
 
 class FmuPlant(_Fmu, Plant[FmuParams]):
@@ -212,13 +272,13 @@ class FmuPlant(_Fmu, Plant[FmuParams]):
     0 on, in every mode.
     """
 
-    def outputs(self, t: int) -> Mapping[str, tuple[float, ...]]:
+    def outputs(self, x: State, t: int) -> Mapping[str, tuple[float, ...]]:
         """Give the outputs."""
-        return self._answer
+        return self._said(x)
 
-    def advance(self, t: int, **inputs: tuple[float, ...]) -> None:
+    def advance(self, x: State, t: int, **inputs: tuple[float, ...]) -> State:
         """Move over one period."""
-        self._step(inputs)
+        return self._step(x, inputs)
 
 
 class FmuLaw(_Fmu):
@@ -228,10 +288,12 @@ class FmuLaw(_Fmu):
     has at the end of the period.
     """
 
-    def update(self, t: int, **inputs: tuple[float, ...]) -> Mapping[str, tuple[float, ...]]:
+    def update(
+        self, x: State, t: int, **inputs: tuple[float, ...]
+    ) -> tuple[State, Mapping[str, tuple[float, ...]]]:  # fmt: skip
         """Answer one tick."""
-        self._step(inputs)
-        return self._answer
+        x = self._step(x, inputs)
+        return x, self._said(x)
 
 
 plant = executable(FmuPlant)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 from pydantic import model_validator
 from softrig_core import Block, BlockParams, Level, Port, array, button, executable, param, scalars
@@ -38,6 +38,13 @@ class CertificateParams(BlockParams):
         return Carima.from_continuous(self.num, self.den, self.T)
 
 
+class State(NamedTuple):
+    """Whether it has been asked, as it is by the first tick, and whether the button is down."""
+
+    asked: bool = False
+    down: bool = False
+
+
 class CertificateNode(Block[CertificateParams]):
     """Answers at its first tick and at each press of its button: K, Qbar, the closed loop's moduli and the verdict.
 
@@ -59,22 +66,21 @@ class CertificateNode(Block[CertificateParams]):
             scalars("verdict", "certificate/verdict", verdict, sporadic=True),
         )
 
-    def start(self) -> None:
+    def first(self) -> State:
         """The first tick counts as a press."""
-        self._first, self._down = True, False
+        return State()
 
-    def update(self, t: int, *, certify: tuple[float, ...] | None) -> Mapping[str, Any]:
+    def update(self, x: State, t: int, *, certify: tuple[float, ...] | None) -> tuple[State, Mapping[str, Any]]:
         """Answer when the button goes down."""
         down = certify is not None and certify[0] != 0.0
-        pressed = self._first or (down and not self._down)
-        self._first, self._down = False, down
-        return self._answer() if pressed else {}
+        pressed = not x.asked or (down and not x.down)
+        return State(True, down), self._answer() if pressed else {}
 
-    def refused(self, t: int) -> Mapping[str, Any]:
+    def refused(self, x: State, t: int) -> tuple[State, Mapping[str, Any]]:
         """A press that cannot be read gets silence."""
-        return {}
+        return x, {}
 
-    def health(self) -> Mapping[str, str]:
+    def health(self, x: State) -> Mapping[str, str]:
         """Tell what it is a certificate of."""
         p = self.p
         return {"model": f"num = {list(p.num)}, den = {list(p.den)}, T = {p.T:g} s, Q = {p.Q:g}, R = {p.R:g}"}

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Literal, Self
+from typing import Literal, NamedTuple, Self
 
 from pydantic import model_validator
 from softrig_core import Block, BlockParams, Level, Port, executable, param, scalars
 from typing_extensions import TypeVar
 
-from ..limit_cycle import LimitCycle
+from ..limit_cycle import Swinging, limit_cycle
 from ..signal_name import signal_port, split
 from .carima import Carima
-from .gpc import Gpc, Tuning
+from .gpc import Gpc, GpcState, Tuning
 from .qp import MoveSolver, SolverName, make_solver
 
 UNBOUNDED = 1e12
@@ -100,6 +100,26 @@ class GpcControllerParams(GpcLawParams):
 P = TypeVar("P", bound=GpcLawParams, default=GpcControllerParams)
 
 
+class State(NamedTuple):
+    """The law's past and what stands by it; values in the units of the signals."""
+
+    law: GpcState
+    w: float
+    """Reference."""
+
+    y: float | None = None
+    """Measured last; None before the first sample."""
+
+    bad: int = 0
+    """Samples refused in a row."""
+
+    failures: int = 0
+    """Of the solver."""
+
+    tripped: bool = False
+    cycle: Swinging = Swinging()
+
+
 class GpcController(Block[P]):
     """Generalised predictive control; `Gpc` has the law, `qp` the programme with bounds.
 
@@ -135,68 +155,60 @@ class GpcController(Block[P]):
             name: SolverName = p.solver
             self._solver = make_solver(name, self.law.hessian, p.du_max)
 
-    def change(self, params: P) -> None:
-        """Take another weight, bounds or set point: the law goes on from its command and what it has measured."""
-        before = self.law
-        if params.set_point != self.p.set_point:
-            self._w = params.set_point
-        super().change(params)
-        self.law.go_on(before)
+    def first(self) -> State:
+        """Nothing measured."""
+        return State(self.law.first(0.0, self.p.u_first), self.p.set_point)
 
-    def start(self) -> None:
-        """Forget everything."""
-        self._w = self.p.set_point
-        self._y: float | None = None
-        self._bad = 0
-        self._failures = 0
-        self.tripped = False
-        self._cycle = LimitCycle()
-        self.law.start(0.0, self.p.u_first)
+    def go_on(self, x: State, before: P) -> State:
+        """Take another weight, bounds or set point: the law goes on from its command and what it has measured."""
+        return x if self.p.set_point == before.set_point else x._replace(w=self.p.set_point)
 
     def update(
-        self, t: int, *, measured: tuple[float, ...], reference: tuple[float, ...] | None
-    ) -> Mapping[str, tuple[float, ...]]:
+        self, x: State, t: int, *, measured: tuple[float, ...], reference: tuple[float, ...] | None
+    ) -> tuple[State, Mapping[str, tuple[float, ...]]]:
         """Give the command for a sample."""
-        p, y = self.p, measured[0]
+        p, y, gpc = self.p, measured[0], self.law
+        law, w, last, _, failures, tripped, cycle = x
         if reference is not None:
-            self._w = reference[0]
-        self._bad = 0
-        if not self.tripped and not p.trip_low < y <= p.trip_high:
-            self._trip(f"measured {y:g} {p.measured_unit} is outside {p.trip_low:g} to {p.trip_high:g}")
-        if self.tripped:
-            return self._answer(TRIPPED, 0)
-        if self._y is None:
-            self.law.start(y, p.u_first)
-        self._y = y
-        swing = self._cycle.sample(y, self._w)
+            w = reference[0]
+        if not tripped and not p.trip_low < y <= p.trip_high:
+            law = self._trip(law, f"measured {y:g} {p.measured_unit} is outside {p.trip_low:g} to {p.trip_high:g}")
+            tripped = True
+        if tripped:
+            return State(law, w, last, 0, failures, True, cycle), answer(law, TRIPPED, 0, failures)
+        if last is None:
+            law = gpc.first(y, p.u_first)
+        cycle, swing = limit_cycle(cycle, y, w)
         if swing:
             name = split(p.measured)[1]
             self.report(Level.WARN, "limit_cycle", f"the loop does not settle: {name} swings by {swing:.3g} "
-                        f"{p.measured_unit} about {self._w:g} {p.measured_unit}")  # fmt: skip
-        self.law.measure(y)
-        if self._solver is not None:
-            return self._constrained(self._solver)
-        u = self.law.u + self.law.move(self._w)
-        held = min(max(u, p.u_min), p.u_max)
-        self.law.applied(held)
-        return self._answer(FOLLOWING if held == u else BOUNDED, int(held != u))
+                        f"{p.measured_unit} about {w:g} {p.measured_unit}")  # fmt: skip
+        law = gpc.measure(law, y)
+        if self._solver is None:
+            u = law.u + gpc.move(law, w)
+            held = min(max(u, p.u_min), p.u_max)
+            law = gpc.applied(law, held)
+            state, active = FOLLOWING if held == u else BOUNDED, int(held != u)
+        else:
+            law, state, active = self._constrained(self._solver, law, w)
+            failures += state == HOLDING
+        return State(law, w, y, 0, failures, False, cycle), answer(law, state, active, failures)
 
-    def _constrained(self, solver: MoveSolver) -> Mapping[str, tuple[float, ...]]:
-        p, law = self.p, self.law
-        moves, status = solver.solve(law.gradient(self._w), p.u_min - law.u, p.u_max - law.u)
+    def _constrained(self, solver: MoveSolver, law: GpcState, w: float) -> tuple[GpcState, float, int]:
+        """Give the law after its move, what ``health`` says, and how many bounds are active."""
+        p = self.p
+        moves, status = solver.solve(self.law.gradient(law, w), p.u_min - law.u, p.u_max - law.u)
         if moves is None or not all(map(math.isfinite, moves)):
-            self._failures += 1
             self.report(Level.WARN, "no_solution", f"{p.solver}: {status}; the last command is held")
-            law.applied(law.u)
-            return self._answer(HOLDING, 0)
-        active = self._active(moves)
+            return self.law.applied(law, law.u), HOLDING, 0
+        active = self._active(law.u, moves)
         # a solver keeps a bound to its tolerance, the command keeps it exactly
-        law.applied(min(max(law.u + moves[0], p.u_min), p.u_max))
-        return self._answer(BOUNDED if active else FOLLOWING, active)
+        law = self.law.applied(law, min(max(law.u + moves[0], p.u_min), p.u_max))
+        return law, BOUNDED if active else FOLLOWING, active
 
-    def _active(self, moves: tuple[float, ...]) -> int:
-        """Count the bounds that hold with equality, over all moves."""
-        p, u, count = self.p, self.law.u, 0
+    def _active(self, u: float, moves: tuple[float, ...]) -> int:
+        """Count the bounds that hold with equality, over all moves from u."""
+        p, count = self.p, 0
         near_move, near = ON_BOUND * p.du_max, ON_BOUND * max(abs(p.u_min), abs(p.u_max), 1.0)
         for move in moves:
             u += move
@@ -205,26 +217,28 @@ class GpcController(Block[P]):
             count += p.u_min > -UNBOUNDED and u - p.u_min <= near
         return count
 
-    def refused(self, t: int) -> Mapping[str, tuple[float, ...]]:
+    def refused(self, x: State, t: int) -> tuple[State, Mapping[str, tuple[float, ...]]]:
         """Hold the last command; trip at the third bad sample in a row."""
-        self._bad += 1
+        law, w, last, bad, failures, tripped, cycle = x
+        bad += 1
         self.report(Level.ERROR, "bad_input", "a measurement or reference was refused; the last command is held")
-        if self._bad >= PATIENCE and not self.tripped:
-            self._trip(f"{PATIENCE} bad samples in a row")
-        if self.tripped:
-            return self._answer(TRIPPED, 0)
-        if self._y is not None:  # the plant goes on under the held command
-            self.law.measure(self._y)
-        self.law.applied(self.law.u)
-        return self._answer(HOLDING, 0)
+        if bad >= PATIENCE and not tripped:
+            law, tripped = self._trip(law, f"{PATIENCE} bad samples in a row"), True
+        if not tripped:
+            if last is not None:  # the plant goes on under the held command
+                law = self.law.measure(law, last)
+            law = self.law.applied(law, law.u)
+        x = State(law, w, last, bad, failures, tripped, cycle)
+        return x, answer(law, TRIPPED if tripped else HOLDING, 0, failures)
 
-    def _trip(self, reason: str) -> None:
-        self.tripped = True
-        self.law.applied(self.p.u_safe)
+    def _trip(self, law: GpcState, reason: str) -> GpcState:
         self.report(Level.ERROR, "trip", f"{reason}: tripped to {self.p.u_safe:g} {self.p.command_unit} for good")
+        return self.law.applied(law, self.p.u_safe)
 
-    def _answer(self, state: float, active: int) -> Mapping[str, tuple[float, ...]]:
-        return {"command": (self.law.u,), "health": (state, float(active), float(self._failures))}
+
+def answer(law: GpcState, state: float, active: int, failures: int) -> Mapping[str, tuple[float, ...]]:
+    """Give what the node says."""
+    return {"command": (law.u,), "health": (state, float(active), float(failures))}
 
 
 main = executable(GpcController)

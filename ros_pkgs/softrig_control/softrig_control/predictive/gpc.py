@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from softrig_core.kit import dense
 
@@ -47,8 +48,16 @@ class Tuning:
             raise ValueError(f"lambda = {self.weight}: expected a finite number, not negative")
 
 
+class GpcState(NamedTuple):
+    """Command that acts, y(t), y(t-1), ... and Delta u(t-1), Delta u(t-2), ... as far as the model looks back."""
+
+    u: float
+    y: tuple[float, ...]
+    moves: tuple[float, ...]
+
+
 class Gpc:
-    """Generalised predictive control of a CARIMA model.
+    """Generalised predictive control of a CARIMA model; what it remembers is a `GpcState`.
 
     With the free response f_j = F_j y(t) + H_j Delta u(t-1) and a constant set point w, the moves that minimise
     |G U + f - w|^2 + lambda |U|^2 (paper eqs (22) to (28)) are::
@@ -90,50 +99,39 @@ class Gpc:
         self.pull = matmul(first, tuple((x,) for x in self._pull))[0][0]
         self.outputs = matmul(first, self._outputs)[0]
         self.past = matmul(first, self._past)[0] if h[0] else ()
-        self.start(0.0, 0.0)
 
-    def start(self, y: float, u: float) -> None:
+    def first(self, y: float, u: float) -> GpcState:
         """Begin without a bump: y has been measured for ever, u has been applied for ever."""
-        self.u = u
-        self._y = [y] * len(self.outputs)
-        self._moves = [0.0] * len(self.past)
+        return GpcState(u, (y,) * len(self.outputs), (0.0,) * len(self.past))
 
-    def go_on(self, before: Gpc) -> None:
-        """Go on where another law of the same model stood: its command, past outputs and past moves."""
-        self.u, self._y, self._moves = before.u, before._y, before._moves
-
-    def measure(self, y: float) -> None:
+    def measure(self, x: GpcState, y: float) -> GpcState:
         """Take y(t) in."""
-        self._y.insert(0, y)
-        self._y.pop()
+        return GpcState(x.u, (y, *x.y[:-1]), x.moves)
 
-    def move(self, w: float) -> float:
+    def move(self, x: GpcState, w: float) -> float:
         """Give the first move Delta u(t) of the closed form for the set point w."""
         found = self.pull * w
-        for k, y in zip(self.outputs, self._y, strict=True):
+        for k, y in zip(self.outputs, x.y, strict=True):
             found -= k * y
-        for k, d in zip(self.past, self._moves, strict=True):
+        for k, d in zip(self.past, x.moves, strict=True):
             found -= k * d
         return found
 
-    def gradient(self, w: float) -> list[float]:
+    def gradient(self, x: GpcState, w: float) -> list[float]:
         """Give -G' (w - f), the linear term of the cost 1/2 U' H U + q' U with H = `hessian` (halved cost)."""
         found = []
         for pull, outputs, past in zip(self._pull, self._outputs, self._past, strict=True):
             total = -pull * w
-            for k, y in zip(outputs, self._y, strict=True):
+            for k, y in zip(outputs, x.y, strict=True):
                 total += k * y
-            for k, d in zip(past, self._moves, strict=True):
+            for k, d in zip(past, x.moves, strict=True):
                 total += k * d
             found.append(total)
         return found
 
-    def applied(self, u: float) -> None:
+    def applied(self, x: GpcState, u: float) -> GpcState:
         """Note the command that really acts from t on."""
-        if self._moves:
-            self._moves.insert(0, u - self.u)
-            self._moves.pop()
-        self.u = u
+        return GpcState(u, x.y, (u - x.u, *x.moves[:-1]) if x.moves else ())
 
     def poles(self, plant: Carima | None = None) -> list[complex]:
         """Give the closed loop's poles in z with a plant (the model itself by default).

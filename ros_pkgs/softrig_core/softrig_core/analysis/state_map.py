@@ -217,7 +217,7 @@ class StateMap:
                     moved[name] |= last.setdefault(name, x) != x
         self.names = [self._labels.get(name, name) for name in self.names]
         sizes = np.array(list(size.values()))
-        self.sizes, self.moved = np.where(np.isfinite(sizes), sizes, 0.0), np.array(list(moved.values()))
+        self.sizes, self.moved = np.where(np.isfinite(sizes), sizes, 0.0), np.array(list(moved.values()), bool)
 
     def _check(self) -> None:
         """Hold two goes from the same place against one another."""

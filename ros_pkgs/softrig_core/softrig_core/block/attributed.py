@@ -44,6 +44,10 @@ class Attributed:
         """See `Block.refused`."""
         return x, self.block.refused(t)
 
+    def params(self, x: Any) -> Any:
+        """Its `change` moves `p`."""
+        return self.block.p
+
     def go_on(self, x: Any, before: Any) -> Any:
         """Its `change` has done that."""
         return x

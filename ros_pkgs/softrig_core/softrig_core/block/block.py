@@ -136,6 +136,10 @@ class Block(Generic[P]):
         """Give the state before the first tick; a block that remembers nothing has none."""
         return ()
 
+    def params(self, x: Any) -> P:
+        """Give the parameters as they stand; `p`, but for one that something in the run moves, as a button does."""
+        return self.p
+
     def go_on(self, x: Any, before: P) -> Any:
         """Give the state with which it goes on after live parameters have changed, between two ticks.
 

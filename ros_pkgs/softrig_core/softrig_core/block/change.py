@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from .params import BlockParams, ParameterError, build, declarations, flatten
 
 if TYPE_CHECKING:
     from .block import Block
+    from .port import Port
 
 
 class Change(NamedTuple):
@@ -69,6 +71,11 @@ def revise(params: BlockParams, values: Mapping[str, Any]) -> BlockParams:
     return revised  # type: ignore[no-any-return]
 
 
+def _told(ports: tuple[tuple[Port, ...], tuple[Port, ...]]) -> list[list[Port]]:
+    """Give what others know of ports: a held one gives nothing before its first message, whatever it calls safe."""
+    return [[replace(p, safe=()) if p.held and not p.partial else p for p in side] for side in ports]
+
+
 def check(block_class: type[Block], params: BlockParams, values: Mapping[str, Any], name: str = "") -> BlockParams:
     """Make sure that a block could begin with the changed parameters, and that its rig would still fit together.
 
@@ -96,7 +103,7 @@ def check(block_class: type[Block], params: BlockParams, values: Mapping[str, An
     revised = revise(params, values)
     block_class(revised, name)
     what = ", ".join(values)
-    if block_class.ports(revised) != block_class.ports(params):
+    if _told(block_class.ports(revised)) != _told(block_class.ports(params)):
         raise ParameterError(f"{what}: the ports would be others, which may not change while running")
     if block_class.fixed(revised) != block_class.fixed(params):
         raise ParameterError(f"{what}: that part of it may not change while running")

@@ -48,6 +48,11 @@ class Held:
         """What the block has reported in ticks that were kept."""
         return self.block.reports
 
+    @property
+    def params(self) -> BlockParams:
+        """The block's parameters as they stand."""
+        return self.law.params(self.x)  # type: ignore[no-any-return]
+
     def tell(self) -> None:
         """Take down what the block has reported in a tick that is kept."""
         for event in self.block.events or ():
@@ -61,7 +66,7 @@ class Held:
 
     def change(self, params: BlockParams) -> None:
         """Go on with other parameters."""
-        before = self.block.p
+        before = self.params
         self.law.change(params)
         self.x = self.law.go_on(self.x, before)
 

@@ -168,7 +168,7 @@ class Step(Held):
         ParameterError
             See `softrig_core.block.change.check`.
         """
-        now, due = self.block.p, sum(c.at <= self.t for c in self._changes)
+        now, due = self.params, sum(c.at <= self.t for c in self._changes)
         for k in range(due):
             now = revise(now, self._changes[k].values)
         known = flatten(check_change(type(self.block), now, values, self.name))
@@ -180,7 +180,7 @@ class Step(Held):
         changes = self._changes
         taken: dict[str, Any] = {}
         while changes and changes[0].at <= t:
-            revised = revise(self.block.p, changes[0].values)
+            revised = revise(self.params, changes[0].values)
             self.change(revised)
             known = flatten(revised)
             taken |= {name: known[name] for name in changes.popleft().values}

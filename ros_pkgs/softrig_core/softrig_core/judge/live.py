@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -15,11 +14,31 @@ from .robustness import INF, Record, limits, opposite
 UNKNOWN = np.array(((-INF, -INF), (INF, INF)))
 
 
+class Opened(NamedTuple):
+    """An operator at the first instant: what is sure of it, and the instants that are still open."""
+
+    sure: tuple[Array, Array]
+    """Its value so far, and how long `until` has held; nobody writes into them."""
+
+    value: Array = UNKNOWN
+    """(2, 2) bounds of the value."""
+
+    over: bool = False
+    """Whether nothing that comes can change it."""
+
+    next: float = 0.0
+    """Instants before this one are in `sure`, ns."""
+
+    times: tuple[float, ...] = ()
+    rows: tuple[tuple[Mapping[str, Any], ...], ...] = ()
+    """Samples, truths, late of each."""
+
+
 class Live:
     """A formula on a record that grows by one instant at a time.
 
-    Of an operator at the first instant it keeps what is decided and the instants that are still open, so a tick costs
-    what its windows are long; below it an operator without end leaves every instant open, and all are kept.
+    Of an operator at the first instant it keeps what is decided and the instants that are still open, an `Opened`, so a
+    tick costs what its windows are long; below it an operator without end leaves every instant open, and all are kept.
 
     Parameters
     ----------
@@ -28,48 +47,57 @@ class Live:
 
     def __init__(self, tree: Tree) -> None:
         self._tree = tree
-        self._parts: dict[int, _Part] = {}
+        self._parts: list[_Part] = []
+        self._places: dict[int, int] = {}
         self._grow(tree)
 
+    def first(self) -> tuple[Opened, ...]:
+        """Give what is open before the first instant."""
+        return tuple(part.first() for part in self._parts)
+
     def push(
-        self, t: float, samples: Mapping[str, float], truths: Mapping[str, float], late: Mapping[str, bool]
-    ) -> tuple[float, float]:
-        """Take an instant in, and give the least and greatest that the margin may come to.
+        self, x: tuple[Opened, ...], t: float, samples: Mapping[str, float], truths: Mapping[str, float],
+        late: Mapping[str, bool],
+    ) -> tuple[Opened, ...]:  # fmt: skip
+        """Take an instant in.
 
         Parameters
         ----------
+        x : tuple of Opened
         t : float
             Whole ns, ascending from 0.
         samples, truths, late : mapping
             See `softrig_core.judge.robustness.Record`.
         """
-        for part in self._parts.values():
-            part.push(t, samples, truths, late)
-        found = self._now(self._tree)
+        return tuple(part.push(one, t, samples, truths, late) for part, one in zip(self._parts, x, strict=True))
+
+    def bounds(self, x: tuple[Opened, ...]) -> tuple[float, float]:
+        """Give the least and greatest that the margin may come to."""
+        found = self._now(self._tree, x)
         return float(found[0, 0]), float(found[1, 1])
 
-    @property
-    def decided(self) -> bool:
+    def decided(self, x: tuple[Opened, ...]) -> bool:
         """Whether nothing that comes can change the bounds."""
-        found = self._now(self._tree)
-        return all(part.over for part in self._parts.values()) or bool((found[0] == found[1]).all())
+        found = self._now(self._tree, x)
+        return all(one.over for one in x) or bool((found[0] == found[1]).all())
 
     def _grow(self, tree: Tree) -> None:
         ((kind, body),) = tree.items()
         if kind in ("And", "Or", "Implies", "Not"):
             for part in body if isinstance(body, list) else [body]:
                 self._grow(part)
-        else:
-            self._parts[id(tree)] = _Part(tree)
+        elif id(tree) not in self._places:
+            self._places[id(tree)] = len(self._parts)
+            self._parts.append(_Part(tree))
 
-    def _now(self, tree: Tree) -> Array:
+    def _now(self, tree: Tree, x: tuple[Opened, ...]) -> Array:
         ((kind, body),) = tree.items()
         if kind == "Not":
-            return opposite(self._now(body))
+            return opposite(self._now(body, x))
         if kind in ("And", "Or", "Implies"):
-            a, b = self._now(body[0]), self._now(body[1])
+            a, b = self._now(body[0], x), self._now(body[1], x)
             return np.minimum(a, b) if kind == "And" else np.maximum(opposite(a) if kind == "Implies" else a, b)
-        return self._parts[id(tree)].value
+        return x[self._places[id(tree)]].value
 
 
 class _Part:
@@ -84,41 +112,38 @@ class _Part:
             self.kind, self.low, self.high, self.trees = "Always", 0.0, 0.0, [tree]
         spans = [span(each) for each in self.trees]
         self.back, self.ahead = max(s[0] for s in spans), max(s[1] for s in spans)
-        self.times: deque[float] = deque()
-        self.rows: deque[tuple[Mapping[str, Any], ...]] = deque()  # samples, truths, late of each
-        self.next = 0.0  # instants before this one are in `sure`
-        none = INF if self.kind == "Always" else -INF
-        self.sure = (np.full((2, 2), none), np.full((2, 2), INF))  # the value, and how long `until` has held
-        self.value, self.over = UNKNOWN, False
 
-    def push(self, t: float, *given: Mapping[str, Any]) -> None:
+    def first(self) -> Opened:
+        """Nothing is sure."""
+        none = INF if self.kind == "Always" else -INF
+        return Opened((np.full((2, 2), none), np.full((2, 2), INF)))
+
+    def push(self, x: Opened, t: float, *given: Mapping[str, Any]) -> Opened:
         """Take an instant in."""
-        if self.over:
-            return
-        self.times.append(t)
-        self.rows.append(given)
-        times = np.array(self.times)
-        samples, truths, late = ({n: np.array([row[k][n] for row in self.rows]) for n in given[k]} for k in range(3))
+        sure, _, over, after, instants, rows = x
+        if over:
+            return x
+        instants, rows = (*instants, t), (*rows, given)
+        times = np.array(instants)
+        samples, truths, late = ({n: np.array([row[k][n] for row in rows]) for n in given[k]} for k in range(3))
         record = Record(times, samples, truths=truths, late=late, ended=False)
         values = [record.bounds(tree) for tree in self.trees]
-        begin = int(np.searchsorted(times, self.next))
+        begin = int(np.searchsorted(times, after))
         settled = int(np.searchsorted(times, t - self.ahead, side="right"))  # nothing that comes changes those before
         end = int(np.searchsorted(times, self.high, side="right"))
-        self.sure = self._fold(self.sure, times, values, begin, min(settled, end))
-        value, held = self._fold(self.sure, times, values, max(begin, settled), end)
+        sure = self._fold(sure, times, values, begin, min(settled, end))
+        value, held = self._fold(sure, times, values, max(begin, settled), end)
         if settled > begin:
-            self.next = float(np.nextafter(times[settled - 1], INF))
-        self.over = self.next > self.high
-        if not self.over and self.high > t:  # instants of the window are still to come
+            after = float(np.nextafter(times[settled - 1], INF))
+        over = after > self.high
+        if not over and self.high > t:  # instants of the window are still to come
             value = value.copy()
             if self.kind == "Always":
                 value[0] = -INF
             else:
                 value[1] = np.maximum(value[1], held[1])
-        self.value = value
-        while self.times and self.times[0] < self.next - self.back:
-            self.times.popleft()
-            self.rows.popleft()
+        gone = int(np.searchsorted(times, after - self.back))
+        return Opened(sure, value, over, after, instants[gone:], rows[gone:])
 
     def _fold(self, sure: Any, times: Array, values: list[Array], begin: int, end: int) -> Any:
         """Go on from what is sure with the instants from `begin` to before `end`."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 from ..block.block import Plant
@@ -19,20 +19,13 @@ class ClockParams(BlockParams):
 class Clock(Plant[ClockParams]):
     """Has a period and nothing else; a node of it publishes /clock."""
 
-    @property
-    def state(self) -> tuple[float, ...]:
-        """Give nothing."""
-        return ()
-
-    def put(self, state: Sequence[float]) -> None:
-        """There is nothing to change."""
-
-    def outputs(self, t: int) -> Mapping[str, Any]:
+    def outputs(self, x: Any, t: int) -> Mapping[str, Any]:
         """Give nothing."""
         return {}
 
-    def advance(self, t: int, **inputs: Any) -> None:
+    def advance(self, x: Any, t: int, **inputs: Any) -> Any:
         """Change nothing."""
+        return x
 
 
 main = executable(Clock)

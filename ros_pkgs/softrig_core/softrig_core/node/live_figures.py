@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from functools import cache
-from typing import Self
+from typing import Any, Self
 
 from pydantic import model_validator
 
@@ -62,9 +62,10 @@ class Figures(Watch[FiguresParams]):
 
     def setup(self) -> None:
         """Find the figure functions."""
+        super().setup()
         self._figures = figures_in(self.p.given()["figures"])
 
-    def figures(self) -> Iterable[Figure]:
+    def figures(self, x: Any) -> Iterable[Figure]:
         """Those of the scenario."""
         return self._figures
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections import deque
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Container, Iterable, Iterator, Mapping
+from itertools import chain, islice
 from types import MappingProxyType
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -28,6 +28,49 @@ class WatchParams(BlockParams):
 
 W = TypeVar("W", bound=WatchParams)
 NONE: Mapping[str, Any] = MappingProxyType({})
+BLOCK = 64  # messages
+
+
+class Kept(NamedTuple):
+    """Messages of one topic in the window, (stamp in ns, values) each: in full blocks, so that a tick copies few."""
+
+    blocks: tuple[tuple[tuple[int, Any], ...], ...] = ()
+    newest: tuple[tuple[int, Any], ...] = ()
+    """The block that is being filled; empty only where nothing is kept."""
+
+    begin: int = 0
+    """How many of the first block have left the window."""
+
+    forgot: bool = False
+    """Whether older messages were there."""
+
+    def rows(self) -> Iterator[tuple[int, Any]]:
+        """Give the messages, the oldest first."""
+        return islice(chain(*self.blocks, self.newest), self.begin, None)
+
+    def taken(self, stamp: int, values: Any, since: int) -> Kept:
+        """Take a message in, if it is new; what is older than `since` leaves the window."""
+        blocks, newest, begin, forgot = self
+        if not newest or stamp > newest[-1][0]:
+            if len(newest) < BLOCK:
+                newest = (*newest, (stamp, values))
+            else:
+                blocks, newest = (*blocks, newest), ((stamp, values),)
+        oldest = blocks[0] if blocks else newest
+        while oldest[begin][0] < since:
+            begin, forgot = begin + 1, True
+            if begin == len(oldest):
+                if not blocks:
+                    return Kept(forgot=True)
+                begin, blocks = 0, blocks[1:]
+                oldest = blocks[0] if blocks else newest
+        return Kept(blocks, newest, begin, forgot)
+
+
+class Window(NamedTuple):
+    """What was seen: of each input, in the order of the ports. The first field of what a subclass remembers."""
+
+    seen: tuple[Kept, ...]
 
 
 class Watch(Observer[W]):
@@ -36,57 +79,61 @@ class Watch(Observer[W]):
     Subclasses say `figures`; signals are named ``topic/channel/field`` with the port's own topic, whatever it is
     remapped to. Each message counts once, at its own stamp: a slower input is not repeated, and at the end of a run,
     where plants speak once more, a command of the tick before is not paired with them.
+
+    One that remembers more has a state of its own with a field `seen`, at first `nothing`, which `keep` carries on.
     """
 
-    def start(self) -> None:
-        """Nothing seen yet."""
+    def setup(self) -> None:
+        """Find the units of the signals."""
         inputs, _ = self.ports(self.p)
         self._ports = {port.name: port for port in inputs}
         self._units = {f"{p.topic}/{label}": u for p in inputs for label, u in zip(p.labels, p.units, strict=True)}
-        self._rows: dict[str, deque[tuple[int, Any]]] = {port.name: deque() for port in inputs}
         self._reach = round(self.p.window * SECOND)
-        self._forgot: set[str] = set()  # topics of which older messages were there
+        self.nothing = (Kept(),) * len(inputs)
 
-    def update(self, t: int, **inputs: Any) -> Mapping[str, tuple[float, ...]]:
+    def first(self) -> Any:
+        """Nothing seen yet."""
+        return Window(self.nothing)
+
+    def update(self, x: Any, t: int, **inputs: Any) -> tuple[Any, Mapping[str, tuple[float, ...]]]:
         """Keep what is new."""
-        first, age, kept = t - self._reach, self.age, self._rows
-        for name, values in inputs.items():
-            if values is None:
-                continue
-            stamp, rows = t - (age(name) or 0), kept[name]
-            if not rows or stamp > rows[-1][0]:
-                rows.append((stamp, values))
-            while rows and rows[0][0] < first:
-                rows.popleft()
-                self._forgot.add(self._ports[name].topic)
-        return {}
+        return Window(self.keep(x.seen, t, inputs)), {}
+
+    def keep(self, seen: tuple[Kept, ...], t: int, inputs: Mapping[str, Any]) -> tuple[Kept, ...]:
+        """Give what was seen with what is new in the inputs of a tick."""
+        since, age, found = t - self._reach, self.age, []
+        for name, kept in zip(self._ports, seen, strict=True):
+            values = inputs.get(name)
+            found.append(kept if values is None else kept.taken(t - (age(name) or 0), values, since))
+        return tuple(found)
 
     def figure(self, name: str, function: Function, arguments: Mapping[str, Any] = NONE) -> Figure:
         """Make a figure, in the unit that its function and its signal give it."""
         unit = compose(getattr(function, "unit", ""), self._units.get(arguments.get("signal", ""), ""))
         return Figure(name, function, arguments, unit, 1.0)
 
-    def figures(self) -> Iterable[Figure]:
+    def figures(self, x: Any) -> Iterable[Figure]:
         """Give the figures; asked each time, so that they may depend on what was seen."""
         raise NotImplementedError
 
-    def status(self) -> Mapping[str, tuple[float, str]]:
+    def status(self, x: Any) -> Mapping[str, tuple[float, str]]:
         """Give the figures that can be measured so far; none of a step that the window has left behind."""
-        signals = Seen(self._ports, self._rows)
+        signals = Seen(self._ports, {name: kept.rows() for name, kept in zip(self._ports, x.seen, strict=True)})
+        forgot = {p.topic for p, kept in zip(self._ports.values(), x.seen, strict=True) if kept.forgot}
         found = {}
-        for figure in self.figures():
+        for figure in self.figures(x):
             try:
-                value = math.nan if self._left_behind(figure.since, signals) else figure(signals)
+                value = math.nan if left_behind(figure.since, signals, forgot) else figure(signals)
             except UNMEASURED:  # not enough samples yet
                 continue
             if math.isfinite(value):
                 found[figure.name] = (value, figure.unit)
         return found
 
-    def _left_behind(self, since: str, signals: Seen) -> bool:
-        """Whether the newest step of a signal was before what is kept of it: its first sample is none then."""
-        forgot = signals.topic(since) in self._forgot
-        return forgot and newest_step(signals, since)[0] == signals[since].t[0]
+
+def left_behind(since: str, signals: Seen, forgot: Container[str]) -> bool:
+    """Whether the newest step of a signal was before what is kept of it: its first sample is none then."""
+    return signals.topic(since) in forgot and newest_step(signals, since)[0] == signals[since].t[0]
 
 
 class Seen(Mapping[str, Signal]):

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 from pydantic import field_validator
 from softrig_core import Figure, Watch, WatchParams, executable, param
 from softrig_core.judge import measures
+from softrig_core.verdict.watch import Kept
 
 from .figures import POSITION, REFERENCE, SPEED, dip, iae, itae, overshoot, peak_force
 from .ports import FORCE_CMD, JOINT_STATES, LOAD, PHASE_CURRENTS, PHASE_VOLTAGE, REFERENCE as REFERENCE_PORT
@@ -34,6 +35,19 @@ class MotionMonitorParams(WatchParams):
         return v_d
 
 
+class State(NamedTuple):
+    """What was seen; the load and when it came (s); direction of the reference, 0 before it has moved.
+
+    And when (s) that has turned.
+    """
+
+    seen: tuple[Kept, ...]
+    load: tuple[float, ...] = (0.0, 0.0)
+    loaded: float | None = None
+    way: float = 0.0
+    begin: float | None = None
+
+
 class MotionMonitor(Watch[MotionMonitorParams]):
     """Overshoot, rise and settling time, IAE, ITAE, peak error, peak force; after a load its dip and recovery.
 
@@ -43,39 +57,36 @@ class MotionMonitor(Watch[MotionMonitorParams]):
 
     INPUTS = (JOINT_STATES, PHASE_CURRENTS, PHASE_VOLTAGE, FORCE_CMD, REFERENCE_PORT, LOAD)
 
-    def start(self) -> None:
+    def first(self) -> State:
         """No load yet."""
-        super().start()
-        self._load: tuple[float, ...] = (0.0, 0.0)
-        self._loaded: float | None = None
-        self._way = 0.0  # direction of the reference, 0 before it has moved
-        self._begin: float | None = None  # when it turned
+        return State(self.nothing)
 
     def update(
-        self, t: int, *, load: tuple[float, ...] | None, reference: tuple[float, ...], **inputs: Any
-    ) -> Mapping[str, Any]:
+        self, x: State, t: int, *, load: tuple[float, ...] | None, reference: tuple[float, ...], **inputs: Any
+    ) -> tuple[State, Mapping[str, Any]]:
         """Take one sample in."""
-        way = math.copysign(1.0, reference[1]) if reference[1] else 0.0
-        if way * self._way < 0.0:
-            self._begin, self._loaded = t / 1e9, None
-        self._way = way or self._way
-        if load is not None and load != self._load:
-            self._load, self._loaded = load, t / 1e9
-        return super().update(t, reference=reference, **inputs)
+        seen, before, loaded, way, begin = x
+        now = math.copysign(1.0, reference[1]) if reference[1] else 0.0
+        if now * way < 0.0:
+            begin, loaded = t / 1e9, None
+        if load is not None and load != before:
+            before, loaded = load, t / 1e9
+        seen = self.keep(seen, t, {"reference": reference, **inputs})
+        return State(seen, before, loaded, now or way, begin), {}
 
-    def figures(self) -> Iterator[Figure]:
+    def figures(self, x: State) -> Iterator[Figure]:
         """Figures of the window; those of the start until a load comes, then those of the load."""
-        v_d = math.copysign(self.p.v_d, self._way or self.p.v_d)
-        band, leg = {"final": v_d, "band": self.p.band, "at": "sample"}, {"start": self._begin}
+        v_d = math.copysign(self.p.v_d, x.way or self.p.v_d)
+        band, leg = {"final": v_d, "band": self.p.band, "at": "sample"}, {"start": x.begin}
         yield self.figure("overshoot", overshoot, {"v_d": v_d, **leg})
         yield self.figure("rise_time", measures.rise_time, {"signal": SPEED, "final": v_d, **leg})
-        if self._loaded is None:
+        if x.loaded is None:
             yield self.figure(
-                "settling_time", measures.settling_time, {"signal": SPEED, "start": self._begin or 0.0, **band}
+                "settling_time", measures.settling_time, {"signal": SPEED, "start": x.begin or 0.0, **band}
             )
         else:
-            yield self.figure("dip", dip, {"v_d": v_d, "start": self._loaded})
-            yield self.figure("recovery", measures.settling_time, {"signal": SPEED, "start": self._loaded, **band})
+            yield self.figure("dip", dip, {"v_d": v_d, "start": x.loaded})
+            yield self.figure("recovery", measures.settling_time, {"signal": SPEED, "start": x.loaded, **band})
         yield self.figure("iae", iae)
         yield self.figure("itae", itae)
         yield self.figure("peak_error", measures.peak, {"signal": SPEED, "reference": REFERENCE})

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Iterator, Mapping
 from itertools import zip_longest
-from typing import Any
+from typing import Any, NamedTuple
 
 from softrig_core import Figure, Watch, WatchParams, executable, param, scalars
 from softrig_core.judge import measures
+from softrig_core.verdict.watch import Kept
 
 from .parameters import RectifierConstants
 from .ports import DC_LINK, events
@@ -27,6 +27,14 @@ class RectifierMonitorParams(WatchParams):
     set_point: float = param(400.0, "reference until one arrives", "V", gt=0.0, le=1e4)
 
 
+class State(NamedTuple):
+    """What was seen; reference and events of now; the newest changes of them, each (number, s, reference)."""
+
+    seen: tuple[Kept, ...]
+    cause: Any = None
+    events: tuple[tuple[int, float, float], ...] = ()
+
+
 class RectifierMonitor(Watch[RectifierMonitorParams]):
     """Least, largest and newest voltage, settling time and overshoot since each change of an event or the reference.
 
@@ -37,27 +45,26 @@ class RectifierMonitor(Watch[RectifierMonitorParams]):
 
     INPUTS = (DC_LINK, REFERENCE, events(NOMINAL.R_L, NOMINAL.V_g))
 
-    def start(self) -> None:
+    def first(self) -> State:
         """No event yet."""
-        super().start()
-        self._cause: Any = None
-        self._events: deque[tuple[int, float, float]] = deque(maxlen=EVENTS)  # number, s, reference
+        return State(self.nothing)
 
     def update(
-        self, t: int, *, dc_link: tuple[float, ...], reference: tuple[float, ...] | None,
+        self, x: State, t: int, *, dc_link: tuple[float, ...], reference: tuple[float, ...] | None,
         events: tuple[float, ...] | None,
-    ) -> Mapping[str, Any]:  # fmt: skip
+    ) -> tuple[State, Mapping[str, Any]]:  # fmt: skip
         """Take one sample in."""
         w = self.p.set_point if reference is None else reference[0]
-        if not self._events or (w, events) != self._cause:
-            self._cause = (w, events)
-            self._events.append((self._events[-1][0] + 1 if self._events else 0, t / 1e9, w))
-        return super().update(t, dc_link=dc_link)
+        seen, cause, past = x
+        if not past or (w, events) != cause:
+            cause = (w, events)
+            past = (*past[1 - EVENTS :], (past[-1][0] + 1 if past else 0, t / 1e9, w))
+        return State(self.keep(seen, t, {"dc_link": dc_link}), cause, past), {}
 
-    def figures(self) -> Iterator[Figure]:
+    def figures(self, x: State) -> Iterator[Figure]:
         """Figures of each event until the next one."""
-        ends = [at - 0.5 * self.p.period for _, at, _ in self._events][1:]
-        for (k, at, w), end in zip_longest(self._events, ends):
+        ends = [at - 0.5 * self.p.period for _, at, _ in x.events][1:]
+        for (k, at, w), end in zip_longest(x.events, ends):
             part = {"signal": V_DC, "start": at, "end": end}
             yield self.figure(f"event_{k}_v_min", measures.minimum, part)
             yield self.figure(f"event_{k}_v_max", measures.maximum, part)
