@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 from softrig_control.predictive.qp import make_solver
+from softrig_core import ByHand
 from softrig_power.rectifier.controller import RectifierGpc
 from softrig_power.rectifier.parameters import RectifierConstants
 from softrig_power.rectifier.plant import RectifierPlant
@@ -43,7 +44,7 @@ def percentiles(call: Callable[[int], object], n: int) -> tuple[float, float]:
 
 def control_step(values: dict[str, Any], n: int) -> tuple[float, float]:
     """Time the block's step on a voltage that keeps its bounds busy; us."""
-    law = RectifierGpc(**values)
+    law = ByHand(RectifierGpc(**values))
     y = [(400.0 + 8.0 * math.sin(0.3 * k), 25.0) for k in range(n)]
     return percentiles(lambda k: law.update(k * NS, measured=y[k], reference=None), n)
 

@@ -91,11 +91,11 @@ def _rectifier() -> Iterator[Work]:
     period, steps = 830_000, 1500  # ns
     measured = [(400.0 + 8.0 * math.sin(0.3 * k), 25.0) for k in range(steps)]  # keeps the bounds busy
 
-    def control(law: RectifierGpc) -> None:
+    def control(law: ByHand) -> None:
         for k, y in enumerate(measured):
             law.update(k * period, measured=y, reference=None)
 
-    free, bounded = RectifierGpc(), RectifierGpc(solver="daqp", du_max=2.0)
+    free, bounded = ByHand(RectifierGpc()), ByHand(RectifierGpc(solver="daqp", du_max=2.0))
     yield Work("rectifier", "control step, closed form", lambda: control(free), steps)
     yield Work("rectifier", "control step, constrained", lambda: control(bounded), steps)
     plant, drop, periods = RectifierPlant(model="switched"), RectifierConstants().drop, 361
