@@ -10,11 +10,10 @@ import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 from rich.table import Table
 from softrig_bags.write import write_bag
-from softrig_core import Rig, Scenario, ScenarioError, rig_of, run_processes
+from softrig_core import ByHand, Rig, Scenario, ScenarioError, rig_of, run_processes
 from softrig_core.block.codec import Decoder
 from softrig_core.processes.domain import free_domain
 from softrig_core.processes.executables import environment
@@ -96,8 +95,7 @@ def tick() -> None:
     """How one tick between two processes splits: plant, law, codec, recording, and the middleware as the rest."""
     rig = dc_motor_rig()
     plant_member, law_member = rig.members
-    plant: Any = plant_member.block(0)
-    law: Any = law_member.block(0)
+    plant, law = ByHand(plant_member.block(0)), ByHand(law_member.block(0))
     state, sensors = (p.layout() for p in plant_member.outputs)
     command = law_member.outputs[0].layout()
     out = plant.outputs(0)

@@ -84,6 +84,7 @@ def _core() -> Iterator[Work]:
 def _rectifier() -> Iterator[Work]:
     import math
 
+    from softrig_core import ByHand
     from softrig_power.rectifier.controller import RectifierGpc
     from softrig_power.rectifier.parameters import RectifierConstants
     from softrig_power.rectifier.plant import RectifierPlant
