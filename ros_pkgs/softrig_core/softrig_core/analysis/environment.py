@@ -183,9 +183,9 @@ class RigEnv(gym.Env[Array, Array]):
                 block.reset(number)
         else:
             self._blocks = {m.name: m.block(number) for m in self.rig.members}
-        self._blocks[self._law.name].act = self._take
         steps = wired(self.rig, self._blocks)
         self._agent, self._clock = steps[self._law.name], steps[self.rig.clock.name]
+        self._agent.x = self._agent.x._replace(act=self._take)
         for step in steps.values():
             step.lacks = _never
         self._agent.lacks = lambda t: self._action is None
