@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from .params import BlockParams, ParameterError, build, declarations, flatten
 
 if TYPE_CHECKING:
     from .block import Block
+    from .port import Port
 
 
 class Change(NamedTuple):
@@ -96,7 +98,7 @@ def check(block_class: type[Block], params: BlockParams, values: Mapping[str, An
     revised = revise(params, values)
     block_class(revised, name)
     what = ", ".join(values)
-    if block_class.ports(revised) != block_class.ports(params):
+    if _ports(block_class, revised) != _ports(block_class, params):
         raise ParameterError(f"{what}: the ports would be others, which may not change while running")
     if block_class.fixed(revised) != block_class.fixed(params):
         raise ParameterError(f"{what}: that part of it may not change while running")
@@ -104,3 +106,9 @@ def check(block_class: type[Block], params: BlockParams, values: Mapping[str, An
     if changed := [key for key in after if before.get(key) != after[key]]:
         raise ParameterError(f"{what}: {changed[0]} would change, on which the nodes of a rig must agree")
     return revised
+
+
+def _ports(block_class: type[Block], params: BlockParams) -> list[Port]:
+    """Give the ports; what stands for a held input before its first message is not part of them."""
+    inputs, outputs = block_class.ports(params)
+    return [*(replace(p, safe=()) if p.held else p for p in inputs), *outputs]
