@@ -893,3 +893,29 @@ def test_a_definition_that_cannot_be_read_is_named(tmp_path):
     database.close()
     with pytest.raises(BagError, match=r"the definition of .* cannot be read|is damaged"):
         signals(tmp_path / "bag")
+
+
+@pytest.mark.parametrize("change", [
+    lambda about: about["topics_with_message_count"][0]["topic_metadata"].update(name={"a": 1}),
+    lambda about: about["topics_with_message_count"][0].update(message_count=[]),
+    lambda about: about["starting_time"].update(nanoseconds_since_epoch=1 << 70),
+    lambda about: about.update(custom_data="text"),
+])  # fmt: skip
+def test_metadata_of_other_kinds_is_told_in_one_line(change, tmp_path, capsys):
+    write_bag(tmp_path / "bag", recording())
+    file, yaml = tmp_path / "bag" / "metadata.yaml", YAML(typ="safe")
+    about = yaml.load(file.read_text())
+    change(about["rosbag2_bagfile_information"])
+    with file.open("w") as out:
+        yaml.dump(about, out)
+    assert main_bag(["info", str(tmp_path / "bag")]) == 2
+    assert len(capsys.readouterr().err.strip().splitlines()) == 1
+
+
+@pytest.mark.parametrize("column", ["data = 'text'", "timestamp = 'late'"])
+def test_rows_of_other_kinds_are_told_in_one_line(column, tmp_path, capsys):
+    write_bag(tmp_path / "bag", recording(), storage="sqlite3")
+    with sqlite3.connect(next((tmp_path / "bag").glob("*.db3"))) as database:
+        database.execute(f"UPDATE messages SET {column} WHERE id = 2")
+    assert main_bag(["export", str(tmp_path / "bag"), "--out", str(tmp_path / "x.csv")]) == 2
+    assert len(capsys.readouterr().err.strip().splitlines()) == 1

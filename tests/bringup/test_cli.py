@@ -1,6 +1,7 @@
 """The command line as a user calls it: exit status, files, one line for every mistake."""
 
 import hashlib
+import importlib
 import io
 import json
 import os
@@ -267,6 +268,28 @@ def test_a_run_keeps_the_commit_and_the_lock_file(folder, monkeypatch):
     assert versions["run.lock"] == f"sha256:{hashlib.sha256(lock).hexdigest()}"
     if (SCRIPTS.parent / ".git").exists():
         assert re.fullmatch(r"[0-9a-f]{40}\+?", versions["commit"])
+
+
+@pytest.mark.parametrize(("mode", "where"), [
+    ("inprocess", "softrig_bringup.run.run.summary"),
+    pytest.param("container", "softrig_core.processes.processes.stop", marks=pytest.mark.processes),
+    pytest.param("container", "softrig_core.processes.processes.gathered", marks=pytest.mark.processes),
+])  # fmt: skip
+def test_a_signal_after_the_last_tick_loses_nothing(mode, where, tmp_path, monkeypatch, undrawn):
+    module, _, name = where.rpartition(".")
+    real = getattr(importlib.import_module(module), name)
+
+    def interrupted(*arguments, **keywords):
+        signal.raise_signal(signal.SIGINT)
+        return real(*arguments, **keywords)
+
+    monkeypatch.setattr(where, interrupted)
+    out = tmp_path / "run"
+    command = ["run", "dc_motor_smc_b2", "--mode", mode, "--out", str(out), "--duration", "0.02"]
+    assert main(command) == 130
+    with BagReader(out / "bag") as bag:
+        assert max(t for _, t, _ in bag.messages()) == 20_000_000
+    assert (out / "metrics.json").exists()
 
 
 def test_a_run_that_is_stopped_says_what_it_did_and_judges_nothing(folder, monkeypatch, capsys, undrawn):

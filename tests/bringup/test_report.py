@@ -13,7 +13,7 @@ from softrig_bringup.plots import pictures as plots
 from softrig_bringup.plots.curves import envelope
 from softrig_bringup.plots.pictures import OVERVIEW, plot_name, plot_run
 from softrig_bringup.report.report import write_report
-from softrig_bringup.run.run import save, summary
+from softrig_bringup.run.run import illustrate, save, summary
 from softrig_core import (
     Block,
     BlockParams,
@@ -364,7 +364,9 @@ def make_run(make_rig, tmp_path):
         run = Run(rig, 3, record(rig), 0.05, **keys)
         directory = tmp_path / name
         content = summary(run, [Result(**m) for m in metrics], "scripts/softrig run flux_demo --set 'a.b=<c>'")
-        save(run, content, ResultsFolder(directory), record=False, plots=picture)
+        save(run, content, ResultsFolder(directory), record=False)
+        if picture:
+            illustrate(run, ResultsFolder(directory))
         write_report([directory], directory / "report.html")
         return directory
 

@@ -210,7 +210,7 @@ def tuned(folder, duration="0.3"):
     done = Run(run.rig, 5, run.recording, mode="processes")
     command = f"softrig run dc_motor_smc_b2 --mode processes --seed 5 --duration {duration}"
     content = summary(done, done.results, command) | {"changed": turned(done)}
-    save(done, content, ResultsFolder(folder), plots=False)
+    save(done, content, ResultsFolder(folder))
     return content
 
 

@@ -330,6 +330,14 @@ def test_the_page_trains_a_policy_and_says_what_it_does(tmp_path, monkeypatch, c
     assert printed == pytest.approx(said, rel=0.1, abs=0.5)  # a search ends elsewhere with other last bits
     written = load_scenario(str(tmp_path / "dc_motor_policy.yaml"))
     assert simulate(written, duration=3.0).figures == known["run"].figures
+    env, act, sent = known["env"], linear(known["best"][1].tolist(), 2, 1), []
+    observed, done = env.reset(seed=0)[0], False
+    while not done:
+        sent.append(float(np.clip(act(observed.tolist()), -12.0, 12.0)[0]))
+        observed, _, terminated, truncated, _ = env.step(sent[-1:])
+        done = terminated or truncated
+    node = known["run"].signals["motor/command/armature/effort"].x[: len(sent)].tolist()
+    assert (len(sent) > 50, sent) == (True, node)  # to the last bit
     exec(blocks[3], known)
     act = known["damped"]([0.5, 2.0], 1, 1)
     assert [act([1.0]), act([1.0])] == [[2.0], [3.0]]

@@ -236,6 +236,12 @@ def test_with_faults_the_seed_alone_decides():
 def test_a_fault_that_cannot_be_is_refused_in_one_line(fault, reason):
     with pytest.raises((ScenarioError, ValueError), match=reason):
         faulty(it=fault)
+    for name in ("bag", "log"):
+        with pytest.raises(ScenarioError, match=f"fault {name}: a run's folder has a {name} of its own"):
+            faulty(**{name: {"link": "lag/state"}})
+    for name in ("__proto__", "a__b"):  # ROS takes no such name for a node
+        with pytest.raises(ValueError, match="pattern"):
+            faulty(**{name: {"link": "lag/state"}})
     with pytest.raises(ScenarioError, match="that is the name of a node"):
         faulty(plant={"link": "lag/state"})
 

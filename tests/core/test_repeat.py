@@ -63,7 +63,7 @@ def pressed(folder, mode="lockstep", delay=None, faults=""):
     status = {name: {"missed_deadlines": 0, **_figures(a)} for name, a in run.adapters.items()}
     done = Run(rig, 3, run.recording, status=status, mode="realtime" if run.epoch else "processes", epoch=run.epoch)
     command = f"softrig run {name} --mode processes --seed 3"
-    save(done, summary(done, done.results, command), ResultsFolder(folder), plots=False)
+    save(done, summary(done, done.results, command), ResultsFolder(folder))
     return run.recording
 
 

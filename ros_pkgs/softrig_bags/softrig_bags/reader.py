@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -76,7 +77,7 @@ class BagReader:
         return self
 
     def _check_metadata(self) -> None:
-        """Make sure that what the metadata says is of the kind that it should be; the library takes anything."""
+        """Make sure that what the metadata says is of the right kinds: the library takes what stands there."""
         for connection in self._connections:
             if not isinstance(connection.topic, str) or not isinstance(connection.msgtype, str):
                 what = f"topic {connection.topic!r} of type {connection.msgtype!r}"
@@ -90,7 +91,8 @@ class BagReader:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._reader.close()
+        with suppress(AttributeError):  # what it closes is what the metadata says
+            self._reader.close()
 
     @property
     def start(self) -> int:
@@ -136,10 +138,10 @@ class BagReader:
         try:
             for connection, t, data in self._reader.messages(chosen, start=start or None):
                 if not isinstance(data, bytes | memoryview) or not isinstance(t, int):
-                    raise ValueError(
-                        f"a message on {connection.topic} is {type(data).__name__} at {t!r}, expected bytes"
-                    )
-                yield index[connection.topic], t, bytes(data)
+                    found = f"{type(data).__name__} at {t!r}"
+                    raise ValueError(f"a message on {connection.topic} is {found}, expected bytes at a whole number")
+                message: Any = data
+                yield index[connection.topic], t, message
         except Exception as error:  # a damaged file makes the library raise whatever its bytes lead to
             raise self._damaged(error) from error
 

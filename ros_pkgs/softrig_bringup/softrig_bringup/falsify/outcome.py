@@ -15,7 +15,7 @@ from softrig_core.processes.placement import Placement
 
 from ..folder import FALSIFICATION, ResultsFolder, replace
 from ..report.report import write_report
-from ..run.run import checked, execute, save, summary
+from ..run.run import checked, execute, illustrate, save, summary
 from ..study.options import pair
 from .definition import Falsification, falsification_of, list_falsifications
 from .engine import Outcome, falsify, prepare
@@ -101,7 +101,9 @@ def _record(task: Falsification, scenario: Scenario, folder: Path, plots: bool) 
     place.clear()
     done = execute(checked(scenario), Placement("inprocess"), folder / "log")
     figures = [] if done.error else done.results
-    save(done, summary(done, figures, f"scripts/softrig falsify {task.name}"), place, plots=plots)
+    save(done, summary(done, figures, f"scripts/softrig falsify {task.name}"), place)
+    if plots:
+        illustrate(done, place)
     return done
 
 

@@ -10,7 +10,8 @@ import os
 import platform
 import subprocess
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
@@ -228,11 +229,8 @@ def checkout() -> dict[str, str]:
     return {"commit": said[0] + ("+" if said[1] else "")} | found
 
 
-def save(
-    run: Run, content: Mapping[str, Any], folder: ResultsFolder, *, record: bool = True, plots: bool = True,
-    also: str = "",
-) -> None:  # fmt: skip
-    """Write bag/, metrics.json, plots and report.html into a folder, and the list of what was written.
+def save(run: Run, content: Mapping[str, Any], folder: ResultsFolder, *, record: bool = True) -> None:
+    """Write metrics.json and bag/ into a folder, and the list of what was written.
 
     Parameters
     ----------
@@ -240,22 +238,10 @@ def save(
     content : mapping
         From `summary`.
     folder : ResultsFolder
-    record, plots : bool
-        Whether the bag, the pictures with the page are written.
-    also : str
-        See `softrig_bringup.plots.pictures.plot_run`.
+    record : bool
+        Whether the bag is written.
     """
-    directory = folder.path
-    directory.mkdir(parents=True, exist_ok=True)
-    try:
-        with naming(directory):
-            _write(run, content, directory, record=record, plots=plots, also=also)
-    finally:
-        folder.close()
-
-
-def _write(run: Run, content: Mapping[str, Any], directory: Path, *, record: bool, plots: bool, also: str) -> None:
-    with unstopped():
+    with _writing(folder) as directory, unstopped():
         # first: if the disk is full, this is what tells why
         (directory / "metrics.json").write_text(json.dumps(content, indent=1) + "\n")
         if record:
@@ -264,13 +250,34 @@ def _write(run: Run, content: Mapping[str, Any], directory: Path, *, record: boo
 
             recording = with_scenery(run.recording, _scenes(run.rig))
             write_bag(directory / "bag", recording, custom_data=_provenance(run, content), latched=LATCHED)
-    if not plots:
-        return
+
+
+def illustrate(run: Run, folder: ResultsFolder, also: str = "") -> None:
+    """Add the plots and report.html to what `save` has written.
+
+    Parameters
+    ----------
+    run : Run
+    folder : ResultsFolder
+    also : str
+        See `softrig_bringup.plots.pictures.plot_run`.
+    """
     from ..report.report import write_report
 
-    if any(topic.times for topic in run.recording.topics.values()):
-        plot_run(run.signals, run.rig, directory, also)
-    write_report([directory], directory / "report.html")
+    with _writing(folder) as directory:
+        if any(topic.times for topic in run.recording.topics.values()):
+            plot_run(run.signals, run.rig, directory, also)
+        write_report([directory], directory / "report.html")
+
+
+@contextmanager
+def _writing(folder: ResultsFolder) -> Iterator[Path]:
+    folder.path.mkdir(parents=True, exist_ok=True)
+    try:
+        with naming(folder.path):
+            yield folder.path
+    finally:
+        folder.close()
 
 
 def _scenes(rig: Rig) -> dict[str, Scene]:

@@ -28,7 +28,7 @@ from softrig_optim.sweep import progress, stream
 
 from ..folder import ResultsFolder, replace
 from ..page.junit import Case, Suite, write_reports
-from ..run.run import save, summary, versions
+from ..run.run import illustrate, save, summary, versions
 
 
 class Measured(NamedTuple):
@@ -64,7 +64,9 @@ def measure(work: tuple[str, Path | None]) -> Measured:
     results = run.results
     found = Measured(name, values(results), {r.name: r.unit for r in results}, [r.name for r in run.missed], "")
     if place:
-        save(run, summary(run, results, command(name)), _cleared(place), record=False)
+        cleared = _cleared(place)
+        save(run, summary(run, results, command(name)), cleared, record=False)
+        illustrate(run, cleared)
         replace(_figures(place), json.dumps({"key": key, "measured": found._asdict()}) + "\n")
     return found
 

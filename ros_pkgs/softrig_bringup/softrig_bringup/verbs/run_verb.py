@@ -150,27 +150,31 @@ def conclude(options: argparse.Namespace, done: Run, folder: ResultsFolder | Non
     int
         Exit status.
     """
+    from softrig_core.processes.stopping import unstopped
     from softrig_core.rig.agreement import assumptions
 
     from ..options.repeat import words
-    from ..run.run import save, summary, turned
+    from ..run.run import illustrate, save, summary, turned
 
     rig, scenario = done.rig, done.rig.scenario
     changed = changed_words(options) + turned(done) + ([done.stopped_at] if done.stopped else [])
-    figures = [] if done.error else done.results
-    command = shlex.join([*words((m.package for m in rig.members), "run"), *repeat(options)])
-    content = summary(done, figures, command, options.label) | {"changed": changed}
-    if options.external:  # the title of the scenario is about what did not run
-        content["title"] = f"{scenario.name} with {', '.join(options.external)} from outside"
-    same, told = True, list[str]()
-    if options.like is not None:
-        from ..options.like import compared
+    with unstopped():  # who has waited for the last tick keeps what was recorded
+        figures = [] if done.error else done.results
+        command = shlex.join([*words((m.package for m in rig.members), "run"), *repeat(options)])
+        content = summary(done, figures, command, options.label) | {"changed": changed}
+        if options.external:  # the title of the scenario is about what did not run
+            content["title"] = f"{scenario.name} with {', '.join(options.external)} from outside"
+        same, told = True, list[str]()
+        if options.like is not None:
+            from ..options.like import compared
 
-        same, told = compared(options.recalled, done)
-        content["repeats"] = told
-        same = same or bool(options.recalled.late) or bool(done.epoch)
-    if folder is not None:
-        save(done, content, folder, record=not options.no_record, plots=not options.no_plots, also=options.format)
+            same, told = compared(options.recalled, done)
+            content["repeats"] = told
+            same = same or bool(options.recalled.late) or bool(done.epoch)
+        if folder is not None:
+            save(done, content, folder, record=not options.no_record)
+    if folder is not None and not options.no_plots:
+        illustrate(done, folder, options.format)
     out = folder.path if folder is not None else None
     if options.junit is not None:
         from ..page.junit import write_junit

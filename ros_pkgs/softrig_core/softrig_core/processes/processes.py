@@ -20,7 +20,7 @@ from .peers import starter
 from .placement import Listener, Placement
 from .shared_memory import remove_leftovers
 from .spawning import groups, start
-from .stopping import signal_of, stoppable, unstopped
+from .stopping import signal_of, stoppable, undisturbed, unstopped
 from .supervision import supervise
 
 EVERYWHERE, NOBODY = Placement(), Listener()
@@ -114,12 +114,15 @@ def run_processes(
                 except KeyboardInterrupt as interrupt:
                     stopped = signal_of(interrupt)
                 finally:
-                    stop(children)
+                    with undisturbed() as late:
+                        stop(children)
         finally:
             for child in children:
                 os.close(child.end)
-        remove_leftovers(domain if own_domain and not external else None)
-    recording, status = gathered(rig, directory, [c.member.name for c in children])
+        with undisturbed() as later:  # what was recorded is not lost while it is gathered
+            remove_leftovers(domain if own_domain and not external else None)
+            recording, status = gathered(rig, directory, [c.member.name for c in children])
+        stopped = next((number for number in (stopped, *late, *later) if number), 0)
     refused = next((c for c in children if c.process.returncode == 2 and not c.interrupted), None)
     if refused is not None:
         raise ScenarioError(last_line(refused.log))

@@ -69,16 +69,23 @@ def stoppable() -> Iterator[Stopping]:
 @contextmanager
 def unstopped() -> Iterator[None]:
     """Let signals wait while something is written that is worth nothing by halves."""
-    if threading.current_thread() is not threading.main_thread():
+    with undisturbed() as came:
         yield
-        return
+    if came:
+        signal.raise_signal(came[0])
+
+
+@contextmanager
+def undisturbed() -> Iterator[list[int]]:
+    """Give the signals that come meanwhile, which do nothing else; whoever asks for it says what becomes of them."""
     came: list[int] = []
+    if threading.current_thread() is not threading.main_thread():
+        yield came
+        return
     # not blocked: another thread would take them
     before = {number: signal.signal(number, lambda number, frame: came.append(number)) for number in SIGNALS}
     try:
-        yield
+        yield came
     finally:
         for number, old in before.items():
             signal.signal(number, old)
-        if came:
-            signal.raise_signal(came[0])

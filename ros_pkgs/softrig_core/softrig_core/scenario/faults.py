@@ -12,6 +12,7 @@ from ..block.port import Port
 from ..errors import ScenarioError, closest
 
 PACKAGE, EXECUTABLE = "softrig_control", "fault"
+TAKEN = ("bag", "log")
 WORDS = {"from": "start", "to": "stop", "channels": "affects"}  # as scenarios say it: the node's parameter
 Ports = tuple[tuple[Port, ...], tuple[Port, ...]]
 
@@ -77,6 +78,8 @@ def insert(
     for name, fault in faults.items():
         topic, _, reader = fault.link.partition(" -> ")
         at = f"{where}: fault {name}"
+        if name in TAKEN:
+            raise ScenarioError(f"{at}: a run's folder has a {name} of its own, expected another name")
         if name in found:
             raise ScenarioError(f"{at}: that is the name of a node, too")
         if topic not in sources:

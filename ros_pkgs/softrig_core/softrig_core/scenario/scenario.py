@@ -22,7 +22,7 @@ __all__ = ["FigureEntry", "NodeEntry", "PlotEntry", "Scenario", "list_scenarios"
 
 
 # What ROS takes for names; they become names of files and of topics, so nothing else may be in them.
-NodeName = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_]*$", max_length=200)]
+NodeName = Annotated[str, Field(pattern=r"^_?[A-Za-z][A-Za-z0-9]*(_[A-Za-z0-9]+)*_?$", max_length=200)]
 TopicName = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*$", max_length=200)]
 
 
