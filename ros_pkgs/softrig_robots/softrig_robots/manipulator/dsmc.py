@@ -33,7 +33,7 @@ class DsmcState(NamedTuple):
 
     @property
     def f_hat(self) -> float:
-        """This law estimates nothing."""
+        """Zero: the law estimates nothing."""
         return 0.0
 
 

@@ -26,7 +26,7 @@ class SmcState(NamedTuple):
 
     @property
     def sigma(self) -> float:
-        """This law has one surface."""
+        """Zero: the law has one surface."""
         return 0.0
 
     @property
