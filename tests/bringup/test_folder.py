@@ -125,6 +125,7 @@ def test_a_folder_that_is_being_written_is_another_calls_own(tmp_path, monkeypat
     assert "this run goes to runs/dc_motor_smc_b2-2" in capsys.readouterr().err
     assert names(first.path) == [MANIFEST]
     first.close()
+    first.let_go()
     assert main([*RUN, "--no-plots"]) == 0
     assert "bag/metadata.yaml" in names(first.path)
 

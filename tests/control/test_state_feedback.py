@@ -57,24 +57,34 @@ def test_a_bad_design_is_refused(plant, poles, error, text):
 
 def test_law_saturates_and_integrates_after_the_output():
     law = StateFeedback((2.0, 3.0), 10.0, 0.1, 5.0)
-    assert law.step(1.0, (0.5, 0.0), 0.0) == -1.0
-    assert law.xi == pytest.approx(0.1)
-    assert law.step(1.0, (0.0, 0.0), -99.0) == pytest.approx(1.0)
-    assert law.step(0.0, (0.0, 0.0), 0.0) == 5.0
+    xi, u = law(0.0, 1.0, (0.5, 0.0), 0.0)
+    assert u == -1.0
+    assert xi == pytest.approx(0.1)
+    xi, u = law(xi, 1.0, (0.0, 0.0), -99.0)
+    assert u == pytest.approx(1.0)
+    assert law(xi, 0.0, (0.0, 0.0), 0.0)[1] == 5.0
 
 
 @pytest.mark.parametrize(("error", "integrates"), [(1.0, False), (-1.0, True)])
 def test_anti_windup_holds_the_integrator_only_towards_the_limit(error, integrates):
     law = StateFeedback((0.0,), 1.0, 0.1, 1.0, anti_windup=True)
-    law.xi = 3.0
-    assert law.step(error, (0.0,), 0.0) == 1.0
-    assert (law.xi != 3.0) == integrates
+    xi, u = law(3.0, error, (0.0,), 0.0)
+    assert u == 1.0
+    assert (xi != 3.0) == integrates
 
 
 def test_settle_starts_without_a_bump():
     law = StateFeedback((2.0, 3.0), 10.0, 0.1, 5.0, kr=0.5)
-    law.settle((0.3, 4.0), 4.0)
-    assert law.step(4.0, (0.3, 4.0), 4.0) == pytest.approx(0.0, abs=1e-12)
+    xi = law.settle((0.3, 4.0), 4.0)
+    assert law(xi, 4.0, (0.3, 4.0), 4.0)[1] == pytest.approx(0.0, abs=1e-12)
+
+
+def test_other_gains_go_on_without_a_bump():
+    before, law = (StateFeedback(k, ki, 0.1, 50.0) for k, ki in (((2.0, 3.0), 10.0), ((4.0, 1.0), 5.0)))
+    state, r = (0.3, 4.0), 4.5
+    command = before(1.7, r, state, 4.0)[1]
+    assert law(1.7, r, state, 4.0)[1] != pytest.approx(command, rel=0.1)
+    assert law(law.go_on(1.7, before, state, r), r, state, 4.0)[1] == pytest.approx(command, rel=1e-12)
 
 
 @given(
@@ -86,22 +96,21 @@ def test_settle_starts_without_a_bump():
 def test_replay_is_the_plant_itself(late, commands, start):
     phi, gamma = zero_order_hold(MASSES[0], [[b] for b in MASSES[1]], 0.05)
     replay = CommandReplay(phi, gamma, 12)
-    x, past = np.array(start), [np.array(start)]
+    history, x, past = (), np.array(start), [np.array(start)]
     for u in commands:
-        replay.record(u)
+        history = replay.record(history, u)
         x = np.array(phi) @ x + np.array(gamma)[:, 0] * u
         past.append(x)
-    assert replay.present(past[-1 - late], late) == pytest.approx(tuple(x), rel=1e-9, abs=1e-9)
+    assert replay.present(history, past[-1 - late], late) == pytest.approx(tuple(x), rel=1e-9, abs=1e-9)
 
 
 def test_replay_knows_how_far_back_it_can_see():
     phi, gamma = zero_order_hold(MOTOR[0], [[b] for b in MOTOR[1]], 0.01)
     replay = CommandReplay(phi, gamma, 5)
-    assert replay.present((1.0, 2.0), 0) == (1.0, 2.0)
+    assert replay.present((), (1.0, 2.0), 0) == (1.0, 2.0)
+    history = ()
     for k in range(9):
-        assert (replay.present((0.0, 0.0), 3) is None) == (k < 3)
-        replay.record(float(k))
-    assert len(replay) == 5
-    assert replay.present((0.0, 0.0), 6) is None
-    replay.clear()
-    assert replay.present((0.0, 0.0), 1) is None
+        assert (replay.present(history, (0.0, 0.0), 3) is None) == (k < 3)
+        history = replay.record(history, float(k))
+    assert history == (8.0, 7.0, 6.0, 5.0, 4.0)
+    assert replay.present(history, (0.0, 0.0), 6) is None

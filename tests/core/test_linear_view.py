@@ -237,7 +237,8 @@ def test_the_speed_loop_of_the_lsrm_is_near_that_of_a_rigid_mass():
     _, phase, _, crossing = control.margin(rigid)
     assert view.margins.crossover == pytest.approx(crossing, rel=0.02)
     assert np.degrees(view.margins.phase) == pytest.approx(phase, abs=1.0)
-    assert 1e-3 < view.variation < 0.1
+    # half of it is the flux of phase b, which carries none: its diodes let it move one way only
+    assert 1e-3 < view.variation < 0.5
 
 
 def test_a_loop_that_cannot_be_seen_is_told():

@@ -150,8 +150,7 @@ def test_resting_rectifier_and_its_poles():
 def test_currents_of_a_state_are_those_of_the_step():
     plant = ImPlant(adc_mode="none")
     state = (0.3, -0.8, 0.35, -0.7, 20.0, 1.0)
-    plant.put(state)
-    told = plant.outputs(0)
+    told = plant.outputs(type(plant.first())(*state), 0)
     again = plant._step((*state, 0.0, 0.0, 0.0, *plant._constants[:-1], 0.0))  # a step of no length
     assert told["currents_true"] == pytest.approx(again[6:9], rel=1e-12)
     assert told["joint_states"][2] == pytest.approx(again[9], rel=1e-12)

@@ -76,7 +76,7 @@ def test_lsrm_twice_the_mass_half_the_acceleration():
 def test_fuzzy_law_ramps_as_its_scaling_factors_say(change, share):
     """Under a constant error the force rises by K_u e/K_e in each period, and falls with the rules turned round."""
     rises = []
-    for law in (LsrmFuzzy(), LsrmFuzzy(**change)):
+    for law in (ByHand(LsrmFuzzy()), ByHand(LsrmFuzzy(**change))):
         forces = [law.update(k, joint_states=(0.3,), reference=(0.0, 0.35, 0.0))["force_cmd"][0] for k in range(20)]
         rises.append(forces[-1] - forces[-11])
     assert rises[0] == pytest.approx(10.0 * 2.0 * 0.05 / 1.0, rel=1e-9)

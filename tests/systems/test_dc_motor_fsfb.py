@@ -9,6 +9,7 @@ import pytest
 from conftest import in_process
 from scipy.optimize import brentq
 from softrig_core import (
+    ByHand,
     Level,
     ParameterError,
     Sample,
@@ -320,10 +321,11 @@ def test_stretch_random_delay_of_6_to_10_periods(step, limit):
 
 
 def drive(plant, volts, seconds):
-    """Positions and speeds with a constant voltage, first sample at 0."""
-    period = round(plant.p.period * 1e9)
+    """Positions and speeds with a constant voltage, first sample at 0; of a plant, or of one that somebody holds."""
+    plant = plant if isinstance(plant, ByHand) else ByHand(plant)
+    period = round(plant.block.p.period * 1e9)
     states = []
-    for k in range(round(seconds / plant.p.period) + 1):
+    for k in range(round(seconds / plant.block.p.period) + 1):
         states.append(plant.outputs(k * period)["true_state"])
         plant.advance(k * period, command=(volts,))
     return np.array(states)
@@ -355,7 +357,7 @@ def test_speed_limit_is_reached_inside_a_step(sign):
 
 
 def test_encoder_counts_and_speed_over_the_window():
-    plant = DcAxisPlant(velocity_window=3)
+    plant = ByHand(DcAxisPlant(velocity_window=3))
     counts = [0, 0, 0]
     for k in range(100):
         measured, true = plant.outputs(k)["state"], plant.outputs(k)["true_state"]
@@ -371,7 +373,7 @@ def test_friction_sticks_up_to_the_break_away_force():
 
 
 def test_friction_stops_where_and_when_the_equation_says():
-    plant = DcAxisPlant(friction=True)
+    plant = ByHand(DcAxisPlant(friction=True))
     a, c = 5.26, 40.0
     moving = drive(plant, 12.0, 0.49)
     y0, v0 = plant.outputs(0)["true_state"]
@@ -420,7 +422,7 @@ def test_pole_placement_gives_the_gains(poles, gains):
 
 
 def controller(**parameters):
-    return FsfbController(name="fsfb_controller", **parameters)
+    return ByHand(FsfbController(name="fsfb_controller", **parameters))
 
 
 MS = 1_000_000
@@ -512,11 +514,11 @@ def test_reset_forgets_everything():
     first = answers(block)
     block.reset(0)
     assert answers(block) == first
-    plant = DcAxisPlant(friction=True)
+    plant = ByHand(DcAxisPlant(friction=True))
     first = drive(plant, 9.0, 0.5)
     plant.reset(0)
     assert (drive(plant, 9.0, 0.5) == first).all()
-    buttons = StepButtons(forward=[0.0], reverse=[0.05], hold=0.02)
+    buttons = ByHand(StepButtons(forward=[0.0], reverse=[0.05], hold=0.02))
     first = [buttons.update(k * 10 * MS) for k in range(10)]
     assert [x["forward"] + x["reverse"] for x in first] == [(1, 0)] * 2 + [(0, 0)] * 3 + [(0, 1)] * 2 + [(0, 0)] * 3
     buttons.reset(0)

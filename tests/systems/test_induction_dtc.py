@@ -1,7 +1,8 @@
 """Induction motor under direct torque control: the acceptance, the model, the laws, bad input."""
 
 import math
-from itertools import groupby
+from functools import partial
+from itertools import accumulate, groupby
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from scipy.linalg import expm
 from softrig_bringup.plots import pictures as plots
 from softrig_bringup.run.run import checked, execute
 from softrig_core import (
+    ByHand,
     Level,
     ParameterError,
     Refused,
@@ -29,11 +31,11 @@ from softrig_core.block.codec import Decoder
 from softrig_core.kit import compiled
 from softrig_core.processes.placement import Placement
 from softrig_core.wire.cdr import Layout
-from softrig_drives.induction_dtc.adc import AdcParams, Converter
+from softrig_drives.induction_dtc.adc import ROW, AdcParams, Converter, draw
 from softrig_drives.induction_dtc.dtc import DtcController
-from softrig_drives.induction_dtc.estimator import EstimatorParams, make_estimator
+from softrig_drives.induction_dtc.estimator import EstimatorParams, Flux, make_estimator
 from softrig_drives.induction_dtc.figures import circle, last_revolution, leg_transitions, slope
-from softrig_drives.induction_dtc.machine import MachineConstants
+from softrig_drives.induction_dtc.machine import STATES, MachineConstants
 from softrig_drives.induction_dtc.monitor import FluxMonitor
 from softrig_drives.induction_dtc.plant import ImPlant
 from softrig_drives.induction_dtc.ports import SWITCHES
@@ -41,9 +43,9 @@ from softrig_drives.induction_dtc.speed import SpeedController
 from softrig_drives.induction_dtc.switching import (
     TABLES,
     VECTORS,
-    FluxComparator,
-    TorqueComparator,
+    flux_level,
     sector,
+    torque_level,
     voltage,
 )
 
@@ -180,10 +182,10 @@ def test_recorded_switching_agrees_with_finer_steps_and_an_independent_solver():
     loads = [0.0 if k * T_S < 0.6 - 1e-9 else 10.0 for k in range(len(switches))]
     states = []
     for substeps in (1, 10):
-        plant = ImPlant(substeps=substeps, adc_mode="none")
+        plant = ByHand(ImPlant(substeps=substeps, adc_mode="none"))
         for k, (vector, load) in enumerate(zip(switches, loads, strict=True)):
             plant.advance(k, switches=vector, load_torque=(load,))
-        states.append(np.array(plant.state))
+        states.append(np.array(plant.x[:STATES]))
     x = np.zeros(6)
     m = MachineConstants()
     for (vector, load), same in groupby(zip(switches, loads, strict=True)):
@@ -199,23 +201,23 @@ def test_recorded_switching_agrees_with_finer_steps_and_an_independent_solver():
 def test_halving_the_step_divides_the_error_by_sixteen():
     ends = {}
     for substeps in (1, 2, 16):
-        plant = ImPlant(substeps=substeps, period=1e-3, adc_mode="none", trip_current=1e3)
+        plant = ByHand(ImPlant(substeps=substeps, period=1e-3, adc_mode="none", trip_current=1e3))
         for k in range(20):
             plant.advance(k, switches=VECTORS[1 + k // 3 % 6], load_torque=None)
-        ends[substeps] = np.array(plant.state)
+        ends[substeps] = np.array(plant.x[:STATES])
     coarse, fine = (np.abs(ends[n] - ends[16]).max() for n in (1, 2))
     assert coarse / fine == pytest.approx(16, rel=0.2)
 
 
 def test_electrical_part_at_standstill_is_the_matrix_exponential():
     m = MachineConstants(J=1e12)
-    plant = ImPlant(adc_mode="none", trip_current=1e3, **m.model_dump())
+    plant = ByHand(ImPlant(adc_mode="none", trip_current=1e3, **m.model_dump()))
     for k in range(400):
         plant.advance(k, switches=VECTORS[2], load_torque=None)
     a = np.array([[-m.R_s, m.R_s], [m.R_R, -m.R_R - m.R_R * m.L_sigma / m.L_M]]) / m.L_sigma
     u = 540.0 * voltage(VECTORS[2])
     psi = np.linalg.solve(a, (expm(a * 400 * T_S) - np.eye(2)) @ [1.0, 0.0]) * u
-    found = np.array(plant.state)
+    found = np.array(plant.x[:STATES])
     np.testing.assert_allclose(found[0:4:2] + 1j * found[1:4:2], psi, rtol=1e-9)
     i = (psi[0] - psi[1]) / m.L_sigma
     currents = plant.outputs(0)["currents_true"]
@@ -226,7 +228,7 @@ def test_virtual_machine_gives_the_same_bits_as_compiled_code(monkeypatch):
     rig = rig_of("induction_dtc", duration=0.3)
     native = run_inprocess(rig, 1)["im_plant"]
     monkeypatch.setattr(compiled, "build", lambda function: None)
-    assert run_inprocess(rig, 1)["im_plant"].state == native.state
+    assert run_inprocess(rig, 1)["im_plant"].x == native.x
 
 
 @given(st.floats(-15.9, 15.9), st.sampled_from([8, 10, 16]))
@@ -239,28 +241,36 @@ def test_converters_round_and_truncate(x, bits):
     assert Converter(AdcParams(adc_mode="none"))(x) == x
 
 
-def test_converter_clips_to_its_codes_and_counts():
+def test_converter_clips_to_its_codes_and_tells():
     ideal = Converter(AdcParams(adc_mode="ideal"))
-    assert [ideal(x) for x in (15.98, 16.1, 99.0, -15.99, -16.1)] == [511 * Q, 511 * Q, 511 * Q, -512 * Q, -512 * Q]
-    assert ideal.clipped == 1
-    assert ideal(0.0) == ideal.clipped == 0
+    samples = (15.98, 16.1, 99.0, -15.99, -16.1, 0.0)
+    assert [ideal(x) / Q for x in samples] == [511, 511, 511, -512, -512, 0]
+    assert [ideal.beyond(x) for x in samples] == [False, True, True, False, True, False]
+    assert not Converter(AdcParams(adc_mode="none")).beyond(99.0)
 
 
 @pytest.mark.parametrize(("p_d", "offset"), [(0.0, 0.5), (0.5, 0.5), (1.0, 0.5), (0.8, 0.8)])
 def test_dither_moves_the_mean_by_its_probability(p_d, offset):
     converter = Converter(AdcParams(adc_mode="dither", dither_p=p_d, offset_lsb=offset))
-    converter.start(np.random.default_rng(3))
+    bits = np.random.default_rng(3).random(40000)
     x = np.random.default_rng(4).uniform(-10, 10, 40000)
-    error = (np.array([converter(v) for v in x]) - x) / Q
+    error = (np.array([converter(v, bit) for v, bit in zip(x, bits, strict=True)]) - x) / Q
     assert error.mean() == pytest.approx(p_d - offset, abs=0.01)
     assert error.std() == pytest.approx(math.sqrt(1 / 12 + p_d * (1 - p_d)), abs=0.01)
-    assert converter(20.0) - 511 * Q in (0.0, Q)  # added after clipping
+    # added after clipping
+    assert {converter(20.0, bit) / Q for bit in bits[:100]} == {511.0 + d for d in (0, 1) if (1 - p_d, p_d)[d]}
+
+
+def test_each_channel_has_its_rows_of_dither_bits():
+    both = [draw(k, channel) for k in range(3 * ROW) for channel in (0, 1)]
+    assert sorted(both) == list(range(6 * ROW))
+    assert [draw(k, 1) for k in (0, ROW - 1, ROW)] == [ROW, 2 * ROW - 1, 3 * ROW]
 
 
 def test_dither_is_a_matter_of_the_seed():
     runs = []
     for seed in (1, 1, 2):
-        plant = ImPlant(name="im_plant")
+        plant = ByHand(ImPlant(name="im_plant"))
         plant.reset(seed)
         runs.append([])
         for k in range(50):
@@ -311,31 +321,34 @@ def test_tables_are_as_printed():
 
 
 def test_comparators_remember():
-    flux = FluxComparator(0.01)
-    assert [flux(e) for e in (0.0, -0.01, -0.011, 0.005, 0.011, -0.005)] == [1, 1, 0, 0, 1, 1]
-    torque = TorqueComparator(0.5)
+    errors = (0.0, -0.01, -0.011, 0.005, 0.011, -0.005)
+    assert [*accumulate(errors, partial(flux_level, band=0.01), initial=1)][1:] == [1, 1, 0, 0, 1, 1]
     errors = (0.4, 0.6, 0.1, 0.0, -0.4, -0.6, -0.1, 0.6, -0.6, 0.0, 0.5)
-    assert [torque(e) for e in errors] == [0, 1, 1, 0, 0, -1, -1, 1, -1, 0, 0]
+    found = [*accumulate(errors, partial(torque_level, band=0.5), initial=0)][1:]
+    assert found == [0, 1, 1, 0, 0, -1, -1, 1, -1, 0, 0]
 
 
 def test_voltage_model_is_the_trapezoidal_rule():
     model = make_estimator(EstimatorParams(), T_S)
-    assert model.update(99.0, 1 + 1j, 0.0) == 0  # the first sample is the start
-    assert model.update(100j, 3 + 1j, 0.0) == pytest.approx(T_S * (100j - R_S * (2 + 1j)))
-    assert model.torque() == pytest.approx(3.0 * (model.psi.conjugate() * (3 + 1j)).imag)
+    first = model(Flux(), 99.0, 1 + 1j, 0.0)
+    assert first.psi == 0  # the first sample is the start
+    flux = model(first, 100j, 3 + 1j, 0.0)
+    assert flux.psi == pytest.approx(T_S * (100j - R_S * (2 + 1j)))
+    assert model.torque(flux) == pytest.approx(3.0 * (flux.psi.conjugate() * (3 + 1j)).imag)
 
 
 def test_observer_stays_near_the_current_model():
     offset, g, omega = 0.05, 10.0, 50.0
     observer = make_estimator(EstimatorParams(estimator="observer", observer_gain=g), T_S)
+    flux = Flux()
     for _ in range(60000):
-        observer.update(R_S * (5.0 + 0j), 5.0 + offset, omega)
+        flux = observer(flux, R_S * (5.0 + 0j), 5.0 + offset, omega)
     current_model = 0.021 * 5.05 + 2.1 * 5.05 / (2.1 / 0.224 - 2j * omega)
-    assert observer.psi - current_model == pytest.approx(-R_S * offset * (1 / g - T_S), rel=1e-6)
+    assert flux.psi - current_model == pytest.approx(-R_S * offset * (1 / g - T_S), rel=1e-6)
 
 
 def test_controller_starts_by_magnetising():
-    controller = DtcController(magnetising_time=0.2)
+    controller = ByHand(DtcController(magnetising_time=0.2))
     zero = {"currents_meas": (0.0, 0.0, 0.0), "dc_link": (540.0,), "torque_ref": (15.0,)}
     found = [controller.update(k * 50_000, **zero)["switches"] for k in range(3999)]
     assert set(found) == {VECTORS[0], VECTORS[1]}
@@ -348,7 +361,7 @@ def test_controller_reproduces_its_record():
     scenario = load_scenario("induction_dtc_short")
     signals = recorded(scenario)
     params = next(m.params for m in rig_of(scenario).members if m.name == "dtc_controller")
-    controller = DtcController(params, "another name")
+    controller = ByHand(DtcController(params, "another name"))
     currents = np.column_stack([signals[f"currents_meas/{c}"].x for c in "xyz"]).tolist()
     torque_ref = signals["torque_ref/shaft/effort"].x.tolist()
     for k, row in enumerate(legs(signals).tolist()):
@@ -368,7 +381,7 @@ def test_computation_delay_is_known_to_the_estimator():
 
 
 def test_speed_controller_slews_and_limits():
-    controller = SpeedController()
+    controller = ByHand(SpeedController())
     first = controller.update(0, joint_states=(0.0,), speed_ref=(100.0,))["torque_ref"][0]
     assert first == pytest.approx(1.5 * 0.5)
     found = [controller.update(k, joint_states=(0.0,), speed_ref=(100.0,))["torque_ref"][0] for k in range(400)]
@@ -402,7 +415,7 @@ def test_monitor_agrees_with_the_recording():
     assert status["leg_transitions"][0] == leg_transitions(legs(signals))
     torque = signals["joint_states/shaft/effort"]
     assert status["torque_std"][0] == pytest.approx(torque.x[(torque.t >= 0.3) & (torque.t < 2.0)].std(), rel=1e-3)
-    assert FluxMonitor().status() == {}
+    assert ByHand(FluxMonitor()).status() == {}
 
 
 def test_flux_error_is_drawn_as_a_difference(monkeypatch, tmp_path):
@@ -478,30 +491,30 @@ def test_malformed_switches_never_reach_the_plant(names, values, text):
 
 
 def test_switch_that_is_neither_0_nor_1_is_held_once_then_a_fault():
-    plant = ImPlant(adc_mode="none")
+    plant = ByHand(ImPlant(adc_mode="none"))
     good, near, bad = VECTORS[1], (1.0 - 5e-10, 5e-10, 0.0), (1.0, 0.5, 0.0)
-    twin = ImPlant(adc_mode="none")
+    twin = ByHand(ImPlant(adc_mode="none"))
 
     def advance(switches, same):
         plant.advance(0, switches=switches, load_torque=None)
         twin.advance(0, switches=same, load_torque=None)
-        assert plant.state == twin.state
+        assert plant.x[:STATES] == twin.x[:STATES]
 
     for switches in (good, near, bad, good, bad):
         advance(switches, good)
     assert plant.reports["bad_switches"][0] == Level.ERROR
-    assert not plant.fault
+    assert not plant.x.fault
     advance(bad, VECTORS[0])
     assert plant.reports["switch_fault"][0] == Level.ERROR
     advance(good, VECTORS[0])  # latched
     plant.reset(0)
-    assert not plant.fault
+    assert not plant.x.fault
     assert plant.reports == {}
 
 
 def test_overcurrent_trips_for_good():
-    plant = ImPlant()
-    while not plant.fault:
+    plant = ByHand(ImPlant())
+    while not plant.x.fault:
         plant.advance(0, switches=VECTORS[1], load_torque=None)
     assert 28.0 < plant.outputs(0)["currents_true"][0] < 30.0
     for _ in range(4000):
@@ -512,7 +525,7 @@ def test_overcurrent_trips_for_good():
 
 
 def test_saturated_converter_warns_after_ten_samples():
-    plant = ImPlant(full_scale=4.0, trip_current=100.0)
+    plant = ByHand(ImPlant(full_scale=4.0, trip_current=100.0))
     beyond = 0
     while beyond <= 10:
         assert "adc_saturated" not in plant.reports
@@ -527,7 +540,7 @@ def test_lost_flux_warns():
     )
     blocks = run_inprocess(rig_of(signals_of), 0)
     assert blocks["dtc_controller"].reports["flux_lost"][0] == Level.WARN
-    assert abs(complex(*blocks["im_plant"].state[:2])) < 0.09
+    assert abs(complex(*blocks["im_plant"].x[:2])) < 0.09
 
 
 @pytest.mark.long  # daily in a container
@@ -540,7 +553,7 @@ def test_the_same_bits_over_topics(tmp_path):
 
 
 def test_a_refused_current_holds_the_switches_and_the_flux_is_integrated_all_the_same():
-    block = DtcController(magnetising_time=0.0)
+    block = ByHand(DtcController(magnetising_time=0.0))
     good = {"currents_meas": (3.0, -1.0, -2.0), "dc_link": (540.0,), "torque_ref": (5.0,)}
     for k in range(5):
         before = block.update(k * 50_000, **good)

@@ -24,7 +24,7 @@ from softrig_drives.lsrm.monitor import MotionMonitor
 from softrig_drives.lsrm.mrac import LsrmMrac
 from softrig_drives.lsrm.pi import LsrmPi
 from softrig_drives.lsrm.plant import LsrmPlant
-from softrig_drives.lsrm.ports import LOAD, PHASE_CURRENTS, PHASE_VOLTAGE
+from softrig_drives.lsrm.ports import FORCE_CMD, LOAD, PHASE_CURRENTS, PHASE_VOLTAGE
 from softrig_drives.lsrm.profile import Profile, Quintic
 from softrig_drives.lsrm.profile_generator import ProfileGenerator
 
@@ -139,7 +139,7 @@ def test_positive_slopes_add_up_to_one_maximum_slope(x):
 
 
 def test_locked_translator():
-    plant = LsrmPlant(locked=True, x_0=0.0415)
+    plant = ByHand(LsrmPlant(locked=True, x_0=0.0415))
     for k in range(200):
         plant.advance(k, phase_voltage=(15.0, 0.0, 0.0, 0.0), load=None)
     found = plant.outputs(0)
@@ -200,7 +200,7 @@ def test_finer_steps_give_the_same_figures():
 
 
 def test_flux_ends_at_zero():
-    plant = LsrmPlant(locked=True, x_0=0.0415)
+    plant = ByHand(LsrmPlant(locked=True, x_0=0.0415))
     for k in range(20):
         plant.advance(k, phase_voltage=(150.0, 0.0, 0.0, 0.0), load=None)
     assert plant.outputs(0)["phase_currents"][0] > 5.0
@@ -214,19 +214,19 @@ def test_without_numba_the_same_bits():
     code = (
         "from softrig_core.run.simulate import simulate\n"
         "plant = simulate('lsrm_fuzzy', duration=0.02).blocks['lsrm_plant']\n"
-        "print([float(x).hex() for x in plant.state])\n"
+        "print([float(x).hex() for x in plant.x[:6]])\n"
     )
     plain = subprocess.run([sys.executable, "-c", code], env=os.environ | {"SOFTRIG_JIT": "0"}, check=True,
                            capture_output=True, text=True).stdout  # fmt: skip
     assert os.environ.get("SOFTRIG_JIT", "1") == "1"
     compiled = simulate("lsrm_fuzzy", duration=0.02).blocks["lsrm_plant"]
-    assert f"{[float(x).hex() for x in compiled.state]}\n" == plain
+    assert f"{[float(x).hex() for x in compiled.x[:6]]}\n" == plain
     assert "0x0.0p+0" in plain
     assert plain.count("0x1.") >= 3
 
 
 def test_added_mass_slows_the_acceleration_at_unchanged_speed():
-    plant = LsrmPlant(x_0=0.0415, C=0.0, k_p=0.0)
+    plant = ByHand(LsrmPlant(x_0=0.0415, C=0.0, k_p=0.0))
     for k in range(200):
         plant.advance(k, phase_voltage=(15.0, 0.0, 0.0, 0.0), load=(0.0, 0.0))
     v = plant.outputs(0)["joint_states"][1]
@@ -236,7 +236,7 @@ def test_added_mass_slows_the_acceleration_at_unchanged_speed():
 
 
 def test_friction_holds_a_translator_at_rest_and_stops_a_moving_one():
-    plant = LsrmPlant(x_0=0.0415, C=0.0, k_p=0.0)
+    plant = ByHand(LsrmPlant(x_0=0.0415, C=0.0, k_p=0.0))
     load = (8.0, 5.0)
     for k in range(100):
         plant.advance(k, phase_voltage=(8.0, 0.0, 0.0, 0.0), load=load)
@@ -405,13 +405,13 @@ def test_fuzzy_controller_is_a_pi_controller():
 
 
 def test_pi_controller_clips_and_does_not_wind_up():
-    controller = LsrmPi()
+    controller = ByHand(LsrmPi())
     rest = {"joint_states": (0.0,), "reference": (0.0, 5.0, 0.0)}
     found = [controller.update(k * MS, **rest)["force_cmd"][0] for k in range(100)]
     assert set(found) == {40.0}
     last = controller.update(101 * MS, joint_states=(5.0,), reference=(0.0, 5.0, 0.0))
     assert last["force_cmd"] == (0.0,)
-    first = LsrmPi().update(0, joint_states=(0.0,), reference=(0.0, 0.1, 0.0))["force_cmd"][0]
+    first = ByHand(LsrmPi()).update(0, joint_states=(0.0,), reference=(0.0, 0.1, 0.0))["force_cmd"][0]
     assert first == pytest.approx(80.0 * 1.3 * 0.1)
 
 
@@ -423,9 +423,9 @@ def test_mrac_gain_solves_the_riccati_equation():
 
 
 def test_mrac_adapts_before_it_acts_and_stays_within_its_bounds():
-    controller = LsrmMrac()
+    controller = ByHand(LsrmMrac())
     found = controller.update(0, joint_states=(0.1,), reference=(0.0, 0.2, 1.0))
-    phi = (1.0 + controller.k * 0.1, 0.1, 1.0)
+    phi = (1.0 + controller.block.k * 0.1, 0.1, 1.0)
     theta = (3.0 + 0.2 * phi[0] * 0.1, 10.0 + 2.0 * 0.1 * 0.1, 0.0 + 2.0 * 0.1)
     assert found["theta"] == pytest.approx(theta)
     assert found["force_cmd"][0] == pytest.approx(sum(a * b for a, b in zip(theta, phi, strict=True)))
@@ -436,7 +436,7 @@ def test_mrac_adapts_before_it_acts_and_stays_within_its_bounds():
 
 
 def test_reversed_force_switches_to_the_phases_with_negative_slope():
-    controller = CurrentController()
+    controller = ByHand(CurrentController())
     at = {"joint_states": (0.004, 0.0), "phase_currents": OFF}
     forward = controller.update(0, force_cmd=(12.0,), **at)["phase_voltage"]
     controller.reset(0)
@@ -458,13 +458,13 @@ def test_reversed_force_pushes_back_without_negative_current():
 
 
 def test_command_is_limited_to_the_rated_current():
-    controller = CurrentController(K_pc=0.001, K_ic=0.0)
+    controller = ByHand(CurrentController(K_pc=0.001, K_ic=0.0))
     found = controller.update(0, joint_states=(0.004, 0.0), phase_currents=OFF, force_cmd=(400.0,))
     assert found["phase_voltage"][1] == pytest.approx(150 * 0.001 * 10.0)
 
 
 def test_position_is_quantised():
-    controller = CurrentController(threshold=0.5)
+    controller = ByHand(CurrentController(threshold=0.5))
     edge = 0.004  # where g_a = -0.4 H/m = -threshold G; the sensor steps half a step later
     seen = [
         controller.update(0, joint_states=(edge + dx, 0.0), phase_currents=OFF, force_cmd=(-12.0,))["phase_voltage"][0]
@@ -549,7 +549,7 @@ def test_monitor_agrees_with_the_recording(name):
 
 
 def test_translator_is_drawn_over_its_stator():
-    plant = LsrmPlant(x_0=0.013)
+    plant = ByHand(LsrmPlant(x_0=0.013))
     stator, translator = plant.markers()
     xs = [p[0] for p in translator.points]
     assert (min(xs) + max(xs)) / 2 == pytest.approx(0.013 + 1.5 * 0.039)
@@ -596,18 +596,22 @@ def test_bad_parameter_is_named(block, values, text):
 
 
 def test_reference_that_the_motor_cannot_follow_warns():
-    assert "infeasible" not in ProfileGenerator().reports
-    fast = ProfileGenerator(v_d=2.5, t_d=0.8)
+    assert "infeasible" not in ByHand(ProfileGenerator()).reports
+    fast = ByHand(ProfileGenerator(v_d=2.5, t_d=0.8))
+    assert fast.reports["infeasible"][2] == 1
     assert fast.reports["infeasible"][0] == Level.WARN
     assert "needs 68.8 N" in fast.reports["infeasible"][1]  # 60 N for the speed alone
-    assert "infeasible" not in ProfileGenerator(v_d=2.5, t_d=0.8, k_p=0.0).reports  # 39.4 N
-    assert "infeasible" in ProfileGenerator(v_d=0.5, t_d=0.1).reports
-    assert "infeasible" in ProfileGenerator(t_b=1.0, t_db=0.04).reports
+    assert "infeasible" not in ByHand(ProfileGenerator(v_d=2.5, t_d=0.8, k_p=0.0)).reports  # 39.4 N
+    assert "infeasible" in ByHand(ProfileGenerator(v_d=0.5, t_d=0.1)).reports
+    assert "infeasible" in ByHand(ProfileGenerator(t_b=1.0, t_db=0.04)).reports
+    fast.change(fast.block.p.model_copy(update={"k_p": 0.0, "v_d": 3.0}))
+    fast.update(0)
+    assert fast.reports["infeasible"][2] == 2
 
 
 def test_distance_that_makes_the_speed_leave_its_range_warns():
     for x_d, warns in ((None, False), (0.1, False), (0.11, False), (0.02, True), (0.25, True), (-0.1, True)):
-        assert ("distance" in ProfileGenerator(x_d=x_d).reports) == warns, x_d
+        assert ("distance" in ByHand(ProfileGenerator(x_d=x_d)).reports) == warns, x_d
 
 
 @pytest.mark.parametrize(
@@ -627,22 +631,19 @@ def test_malformed_message_never_reaches_the_block(port, names, values, text):
 
 
 def test_refused_measurement_holds_the_force_and_frees_the_phases():
-    for controller in (LsrmFuzzy(), LsrmPi(), LsrmMrac()):
-        before = controller.update(0, joint_states=(0.0,), reference=(0.0, 0.1, 0.0))
-        assert before["force_cmd"][0] > 0.0
-        assert controller.refused(MS) == before
-        controller.reset(0)
-        assert controller.refused(MS)["force_cmd"] == (0.0,)
-    assert CurrentController().refused(0) is None
+    for controller in (LsrmFuzzy(), LsrmPi(), LsrmMrac(), CurrentController()):
+        x = controller.first()
+        assert controller.refused(x, MS) == (x, None)  # what was said last is held
+    assert FORCE_CMD.safe == (0.0,)
     assert PHASE_VOLTAGE.safe == OFF
 
 
 def test_voltage_beyond_the_supply_is_clipped():
-    plant, twin = LsrmPlant(), LsrmPlant()
+    plant, twin = ByHand(LsrmPlant()), ByHand(LsrmPlant())
     for k in range(10):
         plant.advance(k, phase_voltage=(900.0, -900.0, 0.0, 0.0), load=None)
         twin.advance(k, phase_voltage=(150.0, -150.0, 0.0, 0.0), load=None)
-    assert plant.state == twin.state
+    assert plant.x == twin.x
     assert plant.reports["clipped"][0] == Level.WARN
     assert plant.reports["clipped"][2] == 10
     assert twin.reports == {}
@@ -650,19 +651,19 @@ def test_voltage_beyond_the_supply_is_clipped():
 
 @pytest.mark.parametrize("load", [(-1.0, 0.0), (1.0, -3.0)])
 def test_negative_load_is_refused(load):
-    plant, twin = LsrmPlant(x_0=0.0415), LsrmPlant(x_0=0.0415)
+    plant, twin = ByHand(LsrmPlant(x_0=0.0415)), ByHand(LsrmPlant(x_0=0.0415))
     for k in range(20):
         plant.advance(k, phase_voltage=(50.0, 0.0, 0.0, 0.0), load=(2.0, 1.0) if k < 10 else load)
         twin.advance(k, phase_voltage=(50.0, 0.0, 0.0, 0.0), load=(2.0, 1.0))
-    assert plant.state == twin.state
+    assert plant.x == twin.x
     assert plant.reports["bad_load"][0] == Level.ERROR
 
 
 def test_overcurrent_trips_for_good():
-    plant = LsrmPlant(locked=True)
+    plant = ByHand(LsrmPlant(locked=True))
     on = (150.0, 150.0, 0.0, 0.0)
     k = 0
-    while not plant.fault:
+    while not plant.x.fault:
         plant.advance(k, phase_voltage=on, load=None)
         k += 1
     assert 12.0 < max(plant.outputs(0)["phase_currents"]) < 13.5
@@ -672,4 +673,4 @@ def test_overcurrent_trips_for_good():
     assert plant.reports["overcurrent"][0] == Level.ERROR
     assert plant.reports["overcurrent"][2] == 1
     plant.reset(0)
-    assert not plant.fault
+    assert not plant.x.fault

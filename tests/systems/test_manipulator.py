@@ -13,6 +13,7 @@ from conftest import differences, in_process
 from scipy.integrate import solve_ivp
 from simulated import SimulatedRig, World
 from softrig_core import (
+    ByHand,
     Level,
     ParameterError,
     RunError,
@@ -308,7 +309,7 @@ def test_coefficients_are_those_of_the_derivative_of_sigma():
 @pytest.mark.parametrize("law", ["adsmc", "dsmc"])
 def test_printed_mu1_reaches_the_law(law):
     def second_voltage(**options):
-        block = VcsController(law=law, **options)
+        block = ByHand(VcsController(law=law, **options))
         for t in (0, 1):
             found = block.update(t, joint_states=(0.0,) * 6, reference=(*(0.0,) * 6, *(1.0,) * 3))
         return found["motor_command"][0]
@@ -321,7 +322,7 @@ def test_printed_mu1_reaches_the_law(law):
 @pytest.mark.parametrize("law", ["adsmc", "dsmc"])
 def test_surfaces_are_those_of_the_error(law):
     gains = {"a1": 3.0, "a2": 2.0, "b1": 5.0, "b2": 4.0}
-    block, T = VcsController(law=law, **{law: gains}), 1e-3
+    block, T = ByHand(VcsController(law=law, **{law: gains})), 1e-3
     t = ca.SX.sym("t")
     e = ca.sin(2 * t) * ca.exp(-t)
     e_int = (2 - ca.exp(-t) * (2 * ca.cos(2 * t) + ca.sin(2 * t))) / 5
@@ -338,7 +339,7 @@ def test_surfaces_are_those_of_the_error(law):
 
 
 def test_trajectory_and_its_derivatives():
-    source = TrajectorySource(amplitude=[1.0, 2.0, 0.5])
+    source = ByHand(TrajectorySource(amplitude=[1.0, 2.0, 0.5]))
     h = 1e-4
     for t in (0.0, 1.3, 7.0, 13.2, 20.0):
         before, now, after = (np.array(source.update(round((t + k * h) * 1e9))["reference"]) for k in (1, 2, 3))

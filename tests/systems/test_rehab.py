@@ -13,6 +13,7 @@ from conftest import in_process
 from scipy.integrate import solve_ivp
 from simulated import SimulatedRig, World
 from softrig_core import (
+    ByHand,
     Level,
     ParameterError,
     Sample,
@@ -194,7 +195,7 @@ def test_motors_drift_to_the_values_asked_for():
 
 
 def test_reference_meets_its_numbers_and_its_derivatives_fit():
-    source = PromReference()
+    source = ByHand(PromReference())
 
     def at(t):
         return np.degrees(source.update(round(t * 1e9))["reference"])
@@ -558,7 +559,7 @@ def test_reference_lost_in_real_time_brings_0_volt_or_stands_still(answer):
         assert set(volts[7022:]) == {0.0}
         assert block.reports["SAFE"][:2] == (Level.ERROR, "SAFE: no new reference for more than 20 periods: 0 V")
     else:
-        wanted = PromReference().update(6_999_000_000)["reference"][0]
+        wanted = ByHand(PromReference()).update(6_999_000_000)["reference"][0]
         assert abs(q[-1] - wanted) < 1e-3
         assert abs(speed[-1]) < 1e-3
         assert "its position is held with speed zero" in block.reports["reference"][1]
@@ -621,7 +622,7 @@ def test_large_force_is_cut_down_with_a_warning():
 
 
 def test_patient_pushes_in_its_window():
-    patient = Patient()
+    patient = ByHand(Patient())
     for t, expected in ((4.9, 0.0), (5.0, 0.0), (5.5, 10.0), (6.0, 20.0), (7.0, 0.0), (16.0, 20.0)):
         force = patient.update(round(t * 1e9))["patient_force"]
         assert force == pytest.approx((expected, 0.0, 0.0, 0.0, 0.0, 0.0), abs=1e-12)
@@ -660,7 +661,7 @@ def test_fast_joint_stops_the_robot_after_the_start():
 
 @pytest.mark.parametrize("alone", [0, 4, 10])
 def test_leg_that_stood_alone_is_taken_over(alone):
-    plant, source, controller = RehabPlant(), PromReference(), VoltageController()
+    plant, source, controller = RehabPlant(), ByHand(PromReference()), VoltageController()
     begin = alone * 1000
     for k in range(begin):
         plant.advance(k * 1_000_000, motor_command=(0.0, 0.0))

@@ -132,9 +132,8 @@ class ResultsFolder:
                 place.rmdir()
 
     def close(self) -> None:
-        """List everything that this run has written, so that a later one may replace it; let others have the folder."""
+        """List everything that this run has written, so that a later one may replace it."""
         self._list(sorted({MANIFEST, *(f for f in _files(self.path) if f not in self._foreign)}))
-        self.let_go()
 
     @contextmanager
     def keeping(self) -> Iterator[None]:

@@ -36,25 +36,18 @@ class CommandReplay:
             self._powers.append(power)
         self._impulse = list(zip(*impulse, strict=True))  # one sequence over j a state
         self._capacity = capacity
-        self.clear()
 
-    def __len__(self) -> int:
-        return len(self._history)
+    def record(self, history: tuple[float, ...], u: float) -> tuple[float, ...]:
+        """Give the commands known with that of this period, as issued (after saturation), newest first."""
+        return (u, *history[: self._capacity - 1]) if self._capacity else ()
 
-    def clear(self) -> None:
-        """Forget the commands."""
-        self._history: list[float] = []
-
-    def record(self, u: float) -> None:
-        """Note the command of this period, as issued (after saturation)."""
-        self._history.insert(0, u)
-        del self._history[self._capacity :]
-
-    def present(self, x: Sequence[float], late: int) -> tuple[float, ...] | None:
+    def present(self, history: tuple[float, ...], x: Sequence[float], late: int) -> tuple[float, ...] | None:
         """Predict the state now.
 
         Parameters
         ----------
+        history : tuple of float
+            Commands known, newest first; () at the start.
         x : (n,) sequence
             State `late` periods ago.
         late : int
@@ -65,9 +58,9 @@ class CommandReplay:
         tuple of float or None
             None when the commands of the last D periods are not all known.
         """
-        if late > len(self._history):
+        if late > len(history):
             return None
-        recent = self._history[:late]
+        recent = history[:late]
         state = []
         for row, impulse in zip(self._powers[late], self._impulse, strict=True):
             total = 0.0  # loops, not sum(): its last bit depends on the Python version

@@ -119,7 +119,7 @@ def _names(poles: Sequence[complex]) -> str:
 
 
 class StateFeedback:
-    """The sampled law u = sat(kr r - K x + ki xi), then xi += (r - y) dt.
+    """The sampled law u = sat(kr r - K x + ki xi), then xi += (r - y) dt; it remembers xi.
 
     Parameters
     ----------
@@ -147,42 +147,41 @@ class StateFeedback:
         self._dt = dt
         self._limit = limit
         self._anti_windup = anti_windup
-        self.xi = 0.0
 
-    def settle(self, x: Sequence[float], r: float = 0.0) -> None:
-        """Set the integrator so that the command at state x is zero: a start without a bump."""
-        self.xi = 0.0
-        if self._ki:
-            self.xi = -self._unlimited(r, x) / self._ki
+    def settle(self, x: Sequence[float], r: float = 0.0) -> float:
+        """Give the integral xi with which the command at state x is zero: a start without a bump."""
+        return -self._unlimited(0.0, r, x) / self._ki if self._ki else 0.0
 
-    def go_on(self, before: StateFeedback, x: Sequence[float], r: float = 0.0) -> None:
-        """Take the place of a law with other gains, without a bump: the command at state x and reference r stays.
+    def go_on(self, xi: float, before: StateFeedback, x: Sequence[float], r: float = 0.0) -> float:
+        """Give the integral that follows a law with other gains without a bump: the command at x and r stays.
 
-        The integrator takes the difference up; without one the command jumps with the gains.
+        The integral takes the difference up; without one the command jumps with the gains.
         """
-        self.xi = before.xi
         if self._ki and (self._ki, self._k) != (before._ki, before._k):
-            self.xi = (before._unlimited(r, x) - (self._unlimited(r, x) - self._ki * self.xi)) / self._ki
+            return (before._unlimited(xi, r, x) - (self._unlimited(xi, r, x) - self._ki * xi)) / self._ki
+        return xi
 
-    def step(self, r: float, x: Sequence[float], y: float) -> float:
-        """Give the saturated command of this period and integrate.
+    def __call__(self, xi: float, r: float, x: Sequence[float], y: float) -> tuple[float, float]:
+        """Give the integral after this period and its saturated command.
 
         Parameters
         ----------
+        xi : float
+            Integral of r - y so far.
         r, y : float
             Reference and output.
         x : (n,) sequence of float
             State.
         """
-        u = self._unlimited(r, x)
+        u = self._unlimited(xi, r, x)
         limited = min(max(u, -self._limit), self._limit)
         error = r - y
         if not (self._anti_windup and (limited - u) * error < 0.0):
-            self.xi += error * self._dt
-        return limited
+            xi += error * self._dt
+        return xi, limited
 
-    def _unlimited(self, r: float, x: Sequence[float]) -> float:
-        u = self._kr * r + self._ki * self.xi
+    def _unlimited(self, xi: float, r: float, x: Sequence[float]) -> float:
+        u = self._kr * r + self._ki * xi
         for gain, state in zip(self._k, x, strict=True):
             u -= gain * state
         return u

@@ -87,6 +87,7 @@ class Block(Generic[P]):
             self.reset(0)
             if self.by_value():
                 self.first()
+                self.reports.clear()  # who holds the block asks again
         except (ParameterError, ScenarioError, RunError):
             raise
         except (

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 from softrig_core import Block, BlockParams, executable, param, to_ns
 
@@ -22,6 +22,12 @@ class StepButtonsParams(BlockParams):
     hold: float = param(0.1, "how long a press lasts", "s", gt=0.0, live=True)
 
 
+class State(NamedTuple):
+    """When its first tick was, ns; None before."""
+
+    zero: int | None = None
+
+
 class StepButtons(Block[StepButtonsParams]):
     """Gives the state of both buttons at every tick: 1 while pressed."""
 
@@ -34,16 +40,15 @@ class StepButtons(Block[StepButtonsParams]):
             name: [(to_ns(at), to_ns(at) + hold) for at in getattr(self.p, name)] for name in ("forward", "reverse")
         }
 
-    def start(self) -> None:
+    def first(self) -> State:
         """Wait for the first tick."""
-        self._zero: int | None = None
+        return State()
 
-    def update(self, t: int, **inputs: Any) -> Mapping[str, tuple[float]]:
+    def update(self, x: State, t: int, **inputs: Any) -> tuple[State, Mapping[str, tuple[float]]]:
         """Give both buttons."""
-        if self._zero is None:
-            self._zero = t
-        since = t - self._zero
-        return {
+        zero = t if x.zero is None else x.zero
+        since = t - zero
+        return State(zero), {
             name: (float(any(down <= since < up for down, up in presses)),) for name, presses in self._presses.items()
         }
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Literal, Self
+from typing import Literal, NamedTuple, Self
 
 from pydantic import model_validator
 from softrig_control.delay import whole_periods
@@ -14,9 +14,9 @@ from softrig_control.state_feedback import Gains, StateFeedback, closed_loop_pol
 from softrig_core import Block, Level, Sample, executable, param, to_ns
 
 from .motor import MotorParams
-from .nominal import NominalAxis
+from .nominal import Nominal, NominalAxis
 from .ports import COMMAND, CONTROLLER_STATE, FEEDBACK, FORWARD, MODEL, REFERENCE, REVERSE
-from .set_point import SetPoint
+from .set_point import Asked, SetPoint
 
 LARGEST_STEP = 60.0  # mm: what the amplifier can do without anti-windup, and only just
 LARGEST_GAP = 5  # periods without an answer after which the drive's watchdog has taken the command to zero
@@ -81,6 +81,23 @@ def design(poles: Sequence[complex], motor: MotorParams | None = None) -> tuple[
     return gains.k[0], gains.k[1], gains.ki
 
 
+class State(NamedTuple):
+    """Nominal loop, set point; times (ns; None before the first) of the newest tick and of the newest measurement.
+
+    That measurement (v, y), late, and compensated, in mm/s and mm; integral (mm s), command (V), commands known (V).
+    """
+
+    nominal: Nominal
+    set_point: Asked = Asked()
+    t: int | None = None
+    stamp: int | None = None
+    measured: tuple[float, float] = (0.0, 0.0)
+    state: tuple[float, ...] = (0.0, 0.0)
+    xi: float = 0.0
+    u: float = 0.0
+    history: tuple[float, ...] = ()
+
+
 class FsfbController(Block[FsfbControllerParams]):
     """u = -kv v - kp y + ki xi, xi' = r - y, on the state that the compensation makes of a late measurement.
 
@@ -114,129 +131,121 @@ class FsfbController(Block[FsfbControllerParams]):
         self._period = to_ns(p.period)
         self._max_age = to_ns(p.max_age)
         phi, gamma = zero_order_hold(p.a, [[b] for b in p.b], p.period)
-        self._law = self._make_law()
-        self._nominal = NominalAxis(p, phi, gamma, self._make_law())
+        self._law = _law(p)
+        self._nominal = NominalAxis(p, phi, gamma, self._law)
         self._replay = CommandReplay(phi, gamma, math.ceil(p.max_age / p.period))
         self._set_point = SetPoint(p.step_mm, self.report, math.inf if p.aw else LARGEST_STEP)
         self._half_count = 0.5 * p.count_mm
         self._fixed, self._rounded = whole_periods(p.delay, p.period)
 
-    def change(self, params: FsfbControllerParams) -> None:
-        """Take other gains without a bump; the known commands and the set point stay."""
-        law, nominal, replay, set_point = self._law, self._nominal, self._replay, self._set_point
-        super().change(params)
-        self._law.go_on(law, self._state, set_point.value)
-        nominal.take(self._make_law())
-        set_point.adjust(params.step_mm, math.inf if params.aw else LARGEST_STEP)
-        self._nominal, self._replay, self._set_point = nominal, replay, set_point
-
-    def _make_law(self) -> StateFeedback:
-        p, scale = self.p, self.p.mm_per_volt
-        kv, kp, ki = p.gains()
-        return StateFeedback(
-            (kv / scale, kp / scale), ki / scale if p.integral else 0.0, p.period, p.u_limit_v,
-            kr=0.0 if p.integral else 1.0 / scale, anti_windup=p.aw,
-        )  # fmt: skip
-
-    def start(self) -> None:
+    def first(self) -> State:
         """Wait for the first measurement."""
-        self._t: int | None = None
-        self._stamp: int | None = None
-        self._measured: tuple[float, float] = (0.0, 0.0)  # (v, y), late
-        self._state: tuple[float, ...] = (0.0, 0.0)  # (v, y), compensated
-        self._u = 0.0
-        self._law.settle(self._state)
-        self._nominal.start(0.0)
-        self._set_point.start(0.0)
-        self._replay.clear()
+        history: tuple[float, ...] = ()
         if self.p.delay_from == "fixed":
             for _ in range(self._fixed):  # before the first command the drive holds 0 V
-                self._replay.record(0.0)
+                history = self._replay.record(history, 0.0)
             if self._rounded:
                 self.report(Level.WARN, "delay", f"delay = {self.p.delay:g} s is not a whole number of periods: "
                                                  f"rounded up to {self._fixed}")  # fmt: skip
+        return State(nominal=self._nominal.rest(0.0), xi=self._law.settle((0.0, 0.0)), history=history)
+
+    def go_on(self, x: State, before: FsfbControllerParams) -> State:
+        """Take other gains without a bump; the known commands and the set point stay."""
+        law = _law(before)
+        xi = self._law.go_on(x.xi, law, x.state, x.set_point.value)
+        return x._replace(xi=xi, nominal=self._nominal.go_on(x.nominal, law))
 
     def update(
-        self, t: int, *, feedback: Sample, reference: tuple[float] | None, forward: tuple[float] | None,
+        self, x: State, t: int, *, feedback: Sample, reference: tuple[float] | None, forward: tuple[float] | None,
         reverse: tuple[float] | None,
-    ) -> Mapping[str, tuple[float, ...]]:  # fmt: skip
+    ) -> tuple[State, Mapping[str, tuple[float, ...]]]:  # fmt: skip
         """Answer one period."""
-        self._note_gap(t)
-        measured = self._measure(t, feedback)
-        self._set_point.update(None if reference is None else reference[0], forward == (1.0,), reverse == (1.0,))
-        r = self._set_point.value
-        u = 0.0
-        if measured and self._compensate(t):
-            self._nominal.step(r)
-            u = self._law.step(r, self._state, self._state[1])
-        return self._send(t, u)
+        history = self._known(x, t)
+        usable = self._usable(t, feedback)
+        if usable:
+            x = self._measure(x, feedback)
+        set_point = self._set_point(
+            x.set_point, None if reference is None else reference[0], forward == (1.0,), reverse == (1.0,)
+        )
+        state, xi, nominal, u = x.state, x.xi, x.nominal, 0.0
+        found = self._compensate(x, t, history) if usable else None
+        if found is not None:
+            state, r = found, set_point.value
+            nominal = self._nominal(nominal, r)
+            xi, u = self._law(xi, r, state, state[1])
+        history = self._replay.record(history, u)
+        return self._answer(State(nominal, set_point, t, x.stamp, x.measured, state, xi, u, history))
 
-    def refused(self, t: int) -> Mapping[str, tuple[float, ...]]:
+    def refused(self, x: State, t: int) -> tuple[State, Mapping[str, tuple[float, ...]]]:
         """0 V, known to the command history; the last good measurement and the integrator hold."""
-        self._note_gap(t)
-        return self._send(t, 0.0)
+        return self._answer(x._replace(t=t, u=0.0, history=self._replay.record(self._known(x, t), 0.0)))
 
-    def _send(self, t: int, u: float) -> Mapping[str, tuple[float, ...]]:
-        self._u = u
-        self._replay.record(u)
-        v, y = self._state
-        age = 0.0 if self._stamp is None else (t - self._stamp) * 1e-9
-        return {
-            "command": (u,),
-            "model": self._nominal.signals,
-            "controller_state": (self._set_point.value, y, v, self._law.xi, age),
+    def _answer(self, x: State) -> tuple[State, Mapping[str, tuple[float, ...]]]:
+        v, y = x.state
+        age = 0.0 if x.stamp is None or x.t is None else (x.t - x.stamp) * 1e-9
+        return x, {
+            "command": (x.u,),
+            "model": x.nominal.signals,
+            "controller_state": (x.set_point.value, y, v, x.xi, age),
         }
 
-    def _note_gap(self, t: int) -> None:
-        """Keep the command history true when periods were left out."""
-        if self._t is not None:
-            gap = (t - self._t) // self._period - 1
+    def _known(self, x: State, t: int) -> tuple[float, ...]:
+        """Give the command history, true when periods were left out."""
+        history = x.history
+        if x.t is not None:
+            gap = (t - x.t) // self._period - 1
             if gap > LARGEST_GAP:
-                self._replay.clear()
-            else:
-                for _ in range(gap):  # the drive held the last command
-                    self._replay.record(self._u)
-        self._t = t
+                return ()
+            for _ in range(gap):  # the drive held the last command
+                history = self._replay.record(history, x.u)
+        return history
 
-    def _measure(self, t: int, feedback: Sample) -> bool:
-        """Take the measurement; False when there is none that may be used."""
-        stamp, (y, v) = feedback
+    def _usable(self, t: int, feedback: Sample) -> bool:
+        """Whether there is a measurement that may be used."""
+        stamp = feedback[0]
         if stamp > t:
             self.report(Level.ERROR, "feedback time", f"feedback stamped {(stamp - t) * 1e-9:g} s in the future: 0 V")
             return False
         if t - stamp > self._max_age:
             self.report(Level.ERROR, "feedback age", f"feedback is older than {self.p.max_age:g} s: 0 V")
             return False
-        if self._stamp is None:
-            self._set_point.start(y)
-            self._law.settle((0.0, y + self._half_count), y)
-            self._nominal.start(y)
-        if self._stamp is None or stamp > self._stamp:
-            self._stamp = stamp
-            self._measured = v, y + self._half_count
-        elif stamp < self._stamp:
-            self.report(Level.WARN, "feedback order", "feedback older than the one before it was dropped")
         return True
 
-    def _compensate(self, t: int) -> bool:
-        """Make the state for the law of the late measurement; False when that cannot be done."""
+    def _measure(self, x: State, feedback: Sample) -> State:
+        """Take the measurement; the first one says where to begin."""
+        stamp, (y, v) = feedback
+        measured = v, y + self._half_count
+        if x.stamp is None:
+            return x._replace(
+                nominal=self._nominal.rest(y), set_point=Asked(y), stamp=stamp, measured=measured,
+                xi=self._law.settle((0.0, y + self._half_count), y),
+            )  # fmt: skip
+        if stamp < x.stamp:
+            self.report(Level.WARN, "feedback order", "feedback older than the one before it was dropped")
+        return x._replace(stamp=stamp, measured=measured) if stamp > x.stamp else x
+
+    def _compensate(self, x: State, t: int, history: tuple[float, ...]) -> tuple[float, ...] | None:
+        """Make the state for the law of the late measurement; None when that cannot be done."""
         p = self.p
-        assert self._stamp is not None
-        v, y = self._measured
-        late = self._fixed
-        if p.delay_from == "stamps":
-            late = -((self._stamp - t) // self._period)
+        assert x.stamp is not None
+        v, y = x.measured
+        late = -((x.stamp - t) // self._period) if p.delay_from == "stamps" else self._fixed
         if p.compensation == "none":
-            self._state = v, y
-        elif p.compensation == "velocity":
-            self._state = v, y + v * late * p.period
-        else:
-            state = self._replay.present((v, y), late)
-            if state is None:
-                self.report(Level.WARN, "predictor", f"the commands of the last {late} periods are not all known: 0 V")
-                return False
-            self._state = state
-        return True
+            return v, y
+        if p.compensation == "velocity":
+            return v, y + v * late * p.period
+        state = self._replay.present(history, (v, y), late)
+        if state is None:
+            self.report(Level.WARN, "predictor", f"the commands of the last {late} periods are not all known: 0 V")
+        return state
+
+
+def _law(p: FsfbControllerParams) -> StateFeedback:
+    scale, (kv, kp, ki) = p.mm_per_volt, p.gains()
+    return StateFeedback(
+        (kv / scale, kp / scale), ki / scale if p.integral else 0.0, p.period, p.u_limit_v,
+        kr=0.0 if p.integral else 1.0 / scale, anti_windup=p.aw,
+    )  # fmt: skip
 
 
 main = executable(FsfbController)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, NamedTuple, Self
 
@@ -35,10 +35,11 @@ class DcAxisParams(MotorParams):
 
 
 class State(NamedTuple):
-    """Position (mm) and speed (mm/s)."""
+    """Position (mm) and speed (mm/s); the encoder's counts of the periods before, oldest first."""
 
-    y: float
-    v: float
+    y: float = 0.0
+    v: float = 0.0
+    past: tuple[int, ...] = ()
 
 
 class DcAxisPlant(Plant[DcAxisParams]):
@@ -78,64 +79,48 @@ class DcAxisPlant(Plant[DcAxisParams]):
         self._resolution = p.mm_per_rev / p.counts_per_rev
         self._per_count = self._resolution / (p.velocity_window * p.period)
 
-    def start(self) -> None:
+    def first(self) -> State:
         """Rest at y = 0."""
-        self._y = self._v = 0.0
-        self._past = [0] * self.p.velocity_window
+        return State(past=(0,) * self.p.velocity_window)
 
-    @property
-    def state(self) -> State:
-        """Give the true state."""
-        return State(self._y, self._v)
+    def _counts(self, y: float) -> int:
+        return math.floor(y / self._resolution + 1e-9)
 
-    def put(self, state: Sequence[float]) -> None:
-        """Go on from another state; the encoder has stood there."""
-        self._y, self._v = state
-        self._past = [self._counts()] * self.p.velocity_window
-
-    def _counts(self) -> int:
-        return math.floor(self._y / self._resolution + 1e-9)
-
-    def outputs(self, t: int) -> Mapping[str, tuple[float, float]]:
+    def outputs(self, x: State, t: int) -> Mapping[str, tuple[float, float]]:
         """Give what the encoder reads, and the true state."""
-        counts = self._counts()
-        return {
-            "state": (counts * self._resolution, (counts - self._past[0]) * self._per_count),
-            "true_state": (self._y, self._v),
-        }
+        y, v, past = x
+        counts = self._counts(y)
+        return {"state": (counts * self._resolution, (counts - past[0]) * self._per_count), "true_state": (y, v)}
 
-    def advance(self, t: int, *, command: tuple[float]) -> None:
+    def advance(self, x: State, t: int, *, command: tuple[float]) -> State:
         """Move one period with the voltage held."""
-        del self._past[0]
-        self._past.append(self._counts())
+        y, v, past = x
+        past = (*past[1:], self._counts(y))
         u, limit = command[0], self.p.u_limit_v
         f = self._gain * min(max(u, -limit), limit)
         if self.p.friction:
             for _ in range(self._steps):
-                self._slide(f)
+                y, v = self._slide(y, v, f)
         else:
-            self._move(f)
+            y, v = self._move(y, v, f)
+        return State(y, v, past)
 
-    def _move(self, f: float) -> None:
+    def _move(self, y: float, v: float, f: float) -> tuple[float, float]:
         """One step under the net force, up to the speed limit."""
-        y, v = self._motion.step(self._y, self._v, f)
-        top = math.copysign(self.p.vmax, v)
-        if abs(v) > self.p.vmax:
-            y, v = self._motion.stop(self._y, self._v, f, top), top
-        self._y, self._v = y, v
+        new_y, new_v = self._motion.step(y, v, f)
+        if abs(new_v) > self.p.vmax:
+            top = math.copysign(self.p.vmax, new_v)
+            return self._motion.stop(y, v, f, top), top
+        return new_y, new_v
 
-    def _slide(self, f: float) -> None:
+    def _slide(self, y: float, v: float, f: float) -> tuple[float, float]:
         """One sub-step with dry friction: stuck, slipping, or coming to rest inside it."""
-        v = self._v
         if v == 0.0:
-            if abs(f) > self.p.stiction:
-                self._move(f - math.copysign(self.p.coulomb, f))
-            return
+            return self._move(y, v, f - math.copysign(self.p.coulomb, f)) if abs(f) > self.p.stiction else (y, v)
         net = f - math.copysign(self.p.coulomb, v)
-        if v * self._motion.step(self._y, v, net)[1] > 0.0:
-            self._move(net)
-        else:
-            self._y, self._v = self._motion.stop(self._y, v, net, 0.0), 0.0
+        if v * self._motion.step(y, v, net)[1] > 0.0:
+            return self._move(y, v, net)
+        return self._motion.stop(y, v, net, 0.0), 0.0
 
 
 main = executable(DcAxisPlant)

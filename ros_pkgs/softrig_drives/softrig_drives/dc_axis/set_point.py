@@ -4,8 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import NamedTuple
 
 from softrig_core import Level
+
+
+class Asked(NamedTuple):
+    """Set point (mm), newest reference (mm; None before the first), and which buttons were down."""
+
+    value: float = 0.0
+    reference: float | None = None
+    forward: bool = False
+    reverse: bool = False
 
 
 class SetPoint:
@@ -22,37 +32,20 @@ class SetPoint:
     """
 
     def __init__(self, step: float, report: Callable[[Level, str, str], None], largest: float = math.inf) -> None:
-        self._report = report
-        self.adjust(step, largest)
-        self.start(0.0)
+        self._step, self._report, self._largest = step, report, largest
 
-    def adjust(self, step: float, largest: float) -> None:
-        """Take another size of a press and another limit; the set point stays."""
-        self._step, self._largest = step, largest
-
-    def start(self, value: float) -> None:
-        """Begin at a value, with the buttons up and no reference yet."""
-        self.value = value
-        self._reference: float | None = None
-        self._forward = self._reverse = False
-
-    def update(self, reference: float | None, forward: bool, reverse: bool) -> None:
+    def __call__(self, x: Asked, reference: float | None, forward: bool, reverse: bool) -> Asked:
         """Take this period's inputs."""
-        before = self.value
-        if reference is not None and reference != self._reference:
-            self.value = self._reference = reference
-        self.value += self._pressed(forward, reverse)
-        if abs(self.value - before) > self._largest:
+        value, newest, was_forward, was_reverse = x
+        if reference is not None and reference != newest:
+            value = newest = reference
+        forward_edge, reverse_edge = forward and not was_forward, reverse and not was_reverse
+        if not (forward and reverse):
+            value += self._step * (forward_edge - reverse_edge)
+        elif forward_edge or reverse_edge:
+            self._report(Level.WARN, "buttons", "both buttons pressed: no motion")
+        if abs(value - x.value) > self._largest:
             self._report(
-                Level.WARN, "step", f"step of {abs(self.value - before):g} mm without anti-windup: it will overshoot"
+                Level.WARN, "step", f"step of {abs(value - x.value):g} mm without anti-windup: it will overshoot"
             )
-
-    def _pressed(self, forward: bool, reverse: bool) -> float:
-        """Motion asked for by a button going down."""
-        forward_edge, reverse_edge = forward and not self._forward, reverse and not self._reverse
-        self._forward, self._reverse = forward, reverse
-        if forward and reverse:
-            if forward_edge or reverse_edge:
-                self._report(Level.WARN, "buttons", "both buttons pressed: no motion")
-            return 0.0
-        return self._step * (forward_edge - reverse_edge)
+        return Asked(value, newest, forward, reverse)

@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from itertools import chain
 from math import floor
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 from softrig_core import Params, param
 
-if TYPE_CHECKING:
-    import numpy as np
-
-_DRAWS = 4096  # dither bits drawn at once; a single draw costs more than the conversion
+ROW = 4096  # samples of one channel whose dither bits stand together in the stream, then those of the other
 
 
 class AdcParams(Params):
@@ -48,7 +43,7 @@ class AdcParams(Params):
 
 
 class Converter:
-    """One channel.
+    """One channel; it remembers nothing.
 
     ::
 
@@ -61,11 +56,6 @@ class Converter:
     Parameters
     ----------
     p : AdcParams
-
-    Attributes
-    ----------
-    clipped : int
-        Samples in a row beyond the range, up to the newest.
     """
 
     def __init__(self, p: AdcParams) -> None:
@@ -73,30 +63,20 @@ class Converter:
         self._q = p.lsb
         self._shift = 0.5 - p.offset
         self._low, self._high = -(2 ** (p.bits - 1)), 2 ** (p.bits - 1) - 1
-        self._p_d = p.dither_p
-        self._dithered = p.dithered
-        self._bits: Iterator[int] | None = None
-        self.clipped = 0
+        self._p_d = p.dither_p if p.dithered else 0.0
 
-    def start(self, rng: np.random.Generator) -> None:
-        """Begin a run; `rng` draws the dither bits, if the mode has some."""
-        self.clipped = 0
-        self._bits = chain.from_iterable(self._draws(rng)) if self._dithered else None
+    def beyond(self, x: float) -> bool:
+        """Whether a sample (A) is beyond the range."""
+        return self._quantised and not self._low <= x / self._q + self._shift < self._high + 1
 
-    def _draws(self, rng: np.random.Generator) -> Iterator[list[int]]:
-        while True:
-            yield (rng.random(_DRAWS) < self._p_d).astype(int).tolist()
-
-    def __call__(self, x: float) -> float:
-        """Convert one sample (A)."""
+    def __call__(self, x: float, uniform: float = 1.0) -> float:
+        """Convert one sample (A); `uniform`, a random number in [0, 1), decides on the dither bit."""
         if not self._quantised:
             return x
-        code = floor(x / self._q + self._shift)
-        if self._low <= code <= self._high:
-            self.clipped = 0
-        else:
-            code = self._low if code < 0 else self._high
-            self.clipped += 1
-        if self._bits is not None:
-            code += next(self._bits)
+        code = min(max(floor(x / self._q + self._shift), self._low), self._high) + (uniform < self._p_d)
         return code * self._q
+
+
+def draw(k: int, channel: int) -> int:
+    """Give the place of sample k of a channel, 0 or 1, in the stream of random numbers: it comes in rows."""
+    return (2 * (k // ROW) + channel) * ROW + k % ROW

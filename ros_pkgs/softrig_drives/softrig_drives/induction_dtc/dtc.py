@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Mapping
 from math import sqrt
-from typing import Self
+from typing import NamedTuple, Self
 
 from pydantic import model_validator
 from softrig_core import Block, BlockParams, Level, Port, executable, param, to_ns, to_s
 
-from .estimator import EstimatorParams, make_estimator
+from .estimator import EstimatorParams, Flux, make_estimator
 from .ports import CURRENTS_MEAS, DC_LINK, FLUX_ESTIMATE, SPEED, SWITCHES, TORQUE_ESTIMATE, TORQUE_REF
-from .switching import SQRT3, TABLES, VECTORS, FluxComparator, TableName, TorqueComparator, sector, voltage
+from .switching import SQRT3, TABLES, VECTORS, TableName, flux_level, sector, torque_level, voltage
 
 LOST_FLUX = 0.1
 
@@ -43,6 +42,18 @@ class DtcControllerParams(EstimatorParams, BlockParams):
         return self
 
 
+class State(NamedTuple):
+    """Fluxes, levels of both comparators, vectors on their way, the one applied; DC link (V), speed (rad/s) as read."""
+
+    flux: Flux = Flux()
+    increase: int = 1
+    more: int = 0
+    pipe: tuple[int, ...] = ()
+    vector: int = 0
+    dc_link: float = 0.0
+    omega: float = 0.0
+
+
 class DtcController(Block[DtcControllerParams]):
     """Flux and torque within hysteresis bands by choosing the inverter's voltage from a table.
 
@@ -66,69 +77,61 @@ class DtcController(Block[DtcControllerParams]):
         return (*cls.INPUTS, SPEED) if params.estimator == "observer" else cls.INPUTS, cls.OUTPUTS
 
     def setup(self) -> None:
-        """Scale the vectors and pick the table."""
+        """Make the estimator, scale the vectors and pick the table."""
         p = self.p
+        self._estimator = make_estimator(p, p.period)
         self._unit = [voltage(v) for v in VECTORS]
         self._table = TABLES[p.table]
         self._magnetised = to_ns(p.magnetising_time)
         self._lost = LOST_FLUX * p.flux_ref
 
-    def change(self, params: DtcControllerParams) -> None:
-        """Tune estimator and comparators, which go on from where they are."""
-        super().change(params)
-        self._estimator.tune(params, params.period)
-        self._flux.band, self._torque.band = params.flux_band, params.torque_band
-
-    def start(self) -> None:
+    def first(self) -> State:
         """No flux, no history."""
-        p = self.p
-        self._estimator = make_estimator(p, p.period)
-        self._flux = FluxComparator(p.flux_band)
-        self._torque = TorqueComparator(p.torque_band)
-        self._pipe = deque([0] * p.delay_steps)
-        self._u = self._i = 0j
-        self._omega = self._dc_link = 0.0
-        self._vector = 0
+        return State(pipe=(0,) * self.p.delay_steps)
 
     def update(
-        self, t: int, *, currents_meas: tuple[float, ...], dc_link: tuple[float, ...], torque_ref: tuple[float, ...],
-        joint_states: tuple[float, ...] = (0.0,),
-    ) -> Mapping[str, tuple[float, ...]]:  # fmt: skip
+        self, x: State, t: int, *, currents_meas: tuple[float, ...], dc_link: tuple[float, ...],
+        torque_ref: tuple[float, ...], joint_states: tuple[float, ...] = (0.0,),
+    ) -> tuple[State, Mapping[str, tuple[float, ...]]]:  # fmt: skip
         """Estimate, compare, choose the switches."""
-        correction = self.p.current_correction
-        i_a, i_b = currents_meas[0] + correction, currents_meas[1] + correction
-        self._i, self._omega = complex(i_a, (i_a + 2.0 * i_b) / SQRT3), joint_states[0]
-        psi = self._estimator.update(self._u, self._i, self._omega)
-        torque = self._estimator.torque()
+        p = self.p
+        flux, increase, more, pipe, vector, link, _ = x
+        i_a, i_b = currents_meas[0] + p.current_correction, currents_meas[1] + p.current_correction
+        i, omega = complex(i_a, (i_a + 2.0 * i_b) / SQRT3), joint_states[0]
+        flux = self._estimator(flux, self._unit[vector] * link, i, omega)
+        psi, torque = flux.psi, self._estimator.torque(flux)
         # abs() would call hypot, whose last digit depends on the C library; a digit is enough to change the switching
         size = sqrt(psi.real * psi.real + psi.imag * psi.imag)
         if t < self._magnetised:
-            vector = self._flux(min(1.0, to_s(t) / self.p.flux_ramp) * self.p.flux_ref - size)
+            increase = flux_level(increase, min(1.0, to_s(t) / p.flux_ramp) * p.flux_ref - size, p.flux_band)
+            vector = increase  # V1 or V0
         else:
-            flux = self._flux(self.p.flux_ref - size)
-            vector = self._table[flux][self._torque(torque_ref[0] - torque)][sector(psi) - 1]
+            increase = flux_level(increase, p.flux_ref - size, p.flux_band)
+            more = torque_level(more, torque_ref[0] - torque, p.torque_band)
+            vector = self._table[increase][more][sector(psi) - 1]
             if size < self._lost:
                 self.report(Level.WARN, "flux_lost", f"estimated flux {size:.3g} Wb: zero vectors let it decay")
-        self._pipe.append(vector)
-        self._vector, self._dc_link = self._pipe.popleft(), dc_link[0]
-        return self._answer(psi, torque)
+        if pipe:
+            vector, *later = *pipe, vector
+            pipe = tuple(later)
+        return State(flux, increase, more, pipe, vector, dc_link[0], omega), _answer(vector, psi, torque)
 
-    def refused(self, t: int) -> Mapping[str, tuple[float, ...]]:
+    def refused(self, x: State, t: int) -> tuple[State, Mapping[str, tuple[float, ...]]]:
         """Hold the switches; the flux is integrated with the last currents."""
-        psi = self._estimator.update(self._u, self._i, self._omega)
-        if self._pipe:
-            self._pipe.append(self._pipe[-1])
-            self._vector = self._pipe.popleft()
-        return self._answer(psi, self._estimator.torque())
+        flux, increase, more, pipe, vector, link, omega = x
+        flux = self._estimator(flux, self._unit[vector] * link, flux.i or 0j, omega)
+        if pipe:
+            vector, pipe = pipe[0], (*pipe[1:], pipe[-1])
+        torque = self._estimator.torque(flux)
+        return State(flux, increase, more, pipe, vector, link, omega), _answer(vector, flux.psi, torque)
 
-    def _answer(self, psi: complex, torque: float) -> Mapping[str, tuple[float, ...]]:
-        vector = self._vector
-        self._u = self._unit[vector] * self._dc_link
-        return {
-            "switches": VECTORS[vector],
-            "flux_estimate": (psi.real, psi.imag, 0.0),
-            "torque_estimate": (torque,),
-        }
+
+def _answer(vector: int, psi: complex, torque: float) -> Mapping[str, tuple[float, ...]]:
+    return {
+        "switches": VECTORS[vector],
+        "flux_estimate": (psi.real, psi.imag, 0.0),
+        "torque_estimate": (torque,),
+    }
 
 
 main = executable(DtcController)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Literal, NamedTuple
 
 from softrig_core import Params, param
 
@@ -21,6 +21,17 @@ class EstimatorParams(Params):
     L_M: float = param(0.224, "observer: magnetising inductance L_M", "H", gt=0.0, live=True)
 
 
+class Flux(NamedTuple):
+    """Estimated stator flux (Wb), newest current (A; None before the first) and, of the observer, rotor flux (Wb).
+
+    Space vectors alpha + j beta.
+    """
+
+    psi: complex = 0j
+    i: complex | None = None
+    psi_R: complex = 0j  # noqa: N815
+
+
 class VoltageModel:
     """Stator flux by integration of u - R_s i, the current by the trapezoidal rule.
 
@@ -35,44 +46,33 @@ class VoltageModel:
     p : EstimatorParams
     T_s : float
         Sampling period in s.
-
-    Attributes
-    ----------
-    psi : complex
-        Estimated stator flux in Wb, as are voltages (V) and currents (A) a space vector alpha + j beta.
     """
 
     def __init__(self, p: EstimatorParams, T_s: float) -> None:
-        self.tune(p, T_s)
-        self.psi = 0j
-        self.i: complex | None = None
-
-    def tune(self, p: EstimatorParams, T_s: float) -> None:
-        """Take other constants of the machine for what comes; the flux found so far stays."""
         self._T_s = T_s
         self._half_R_s = 0.5 * p.R_s_hat
         self._factor = 1.5 * p.pole_pairs
 
-    def update(self, u: complex, i: complex, omega: float) -> complex:
-        """Give the flux now.
+    def __call__(self, x: Flux, u: complex, i: complex, omega: float) -> Flux:
+        """Give the fluxes now.
 
         Parameters
         ----------
+        x : Flux
+            A period ago.
         u : complex
-            Voltage over the past period.
+            Voltage over the past period, V.
         i : complex
-            Current now.
+            Current now, A.
         omega : float
             Speed of the shaft now, rad/s; only the observer needs it.
         """
-        if self.i is not None:
-            self.psi += self._T_s * (u - self._half_R_s * (self.i + i))
-        self.i = i
-        return self.psi
+        psi = x.psi if x.i is None else x.psi + self._T_s * (u - self._half_R_s * (x.i + i))
+        return Flux(psi, i, x.psi_R)
 
-    def torque(self) -> float:
-        """T = 3/2 p (psi_alpha i_beta - psi_beta i_alpha) in N m; after the first update."""
-        psi, i = self.psi, self.i or 0j
+    def torque(self, x: Flux) -> float:
+        """T = 3/2 p (psi_alpha i_beta - psi_beta i_alpha) in N m."""
+        psi, i = x.psi, x.i or 0j
         return self._factor * (psi.real * i.imag - psi.imag * i.real)
 
 
@@ -90,28 +90,22 @@ class FluxObserver(VoltageModel):
 
     def __init__(self, p: EstimatorParams, T_s: float) -> None:
         super().__init__(p, T_s)
-        self._psi_R = 0j
-
-    def tune(self, p: EstimatorParams, T_s: float) -> None:
-        """Take other constants of the machine; both fluxes stay."""
-        super().tune(p, T_s)
         self._g = p.observer_gain * T_s
         self._half_R_R = 0.5 * p.R_R * T_s
         self._L_sigma = p.L_sigma
         self._decay = 0.5 * T_s * p.R_R / p.L_M
         self._turn = 0.5j * T_s * p.pole_pairs
 
-    def update(self, u: complex, i: complex, omega: float) -> complex:
-        """Give the flux now; see `VoltageModel.update`."""
-        before = self.i
-        super().update(u, i, omega)
-        if before is not None:
+    def __call__(self, x: Flux, u: complex, i: complex, omega: float) -> Flux:
+        """Give the fluxes now; see `VoltageModel`."""
+        psi, _, psi_R = super().__call__(x, u, i, omega)
+        if x.i is not None:
             half_a = self._turn * omega - self._decay
-            self._psi_R = ((1.0 + half_a) * self._psi_R + self._half_R_R * (before + i)) / (1.0 - half_a)
-            self.psi += self._g * (self._L_sigma * i + self._psi_R - self.psi)
-        return self.psi
+            psi_R = ((1.0 + half_a) * psi_R + self._half_R_R * (x.i + i)) / (1.0 - half_a)
+            psi += self._g * (self._L_sigma * i + psi_R - psi)
+        return Flux(psi, i, psi_R)
 
 
 def make_estimator(p: EstimatorParams, T_s: float) -> VoltageModel:
-    """Make the estimator that the parameters ask for, with zero flux."""
+    """Make the estimator that the parameters ask for."""
     return (FluxObserver if p.estimator == "observer" else VoltageModel)(p, T_s)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 from softrig_core import Params, param, rk4
 
@@ -23,18 +23,7 @@ class MachineConstants(Params):
     B: float = param(0.0, "viscous friction B", "N m s/rad", ge=0.0)
 
 
-class State(NamedTuple):
-    """Stator and rotor flux linkage in the stator frame (Wb), speed (rad/s), angle (rad)."""
-
-    psi_s_alpha: float
-    psi_s_beta: float
-    psi_R_alpha: float  # noqa: N815
-    psi_R_beta: float  # noqa: N815
-    omega: float
-    theta: float
-
-
-STATES = len(State._fields)
+STATES = 6  # psi_s alpha and beta, psi_R alpha and beta, omega, theta
 INPUTS = 3
 OUTPUTS = 4
 
@@ -55,7 +44,7 @@ def measured(x: Sequence[Any], inv_L_sigma: Any, p: Any) -> tuple[Any, Any, Any,
     """Give i_a, i_b, i_c (A) and T_e (N m) of a state."""
     i_alpha, i_beta, T_e = electric(x, inv_L_sigma, p)
     i_b = -0.5 * i_alpha + 0.75**0.5 * i_beta
-    return i_alpha, i_b, -i_alpha - i_b, T_e
+    return i_alpha, i_b, 0.0 - i_alpha - i_b, T_e  # at rest 0, not -0
 
 
 def step_function(substeps: int = 1) -> ca.Function:

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Mapping
-from typing import Any
+from itertools import chain
+from math import ceil
+from typing import Any, NamedTuple
 
 import numpy as np
 from softrig_core import BlockParams, Observer, executable, param
 
 from .figures import circle, device_frequency, last_revolution, slope
 from .ports import CURRENTS_MEAS, CURRENTS_TRUE, FLUX_ESTIMATE, FLUX_TRUE, SWITCHES
+
+BLOCK = 64  # samples; a tick copies some of the last block only
+Row = tuple[Any, ...]
 
 
 class FluxMonitorParams(BlockParams):
@@ -19,6 +23,15 @@ class FluxMonitorParams(BlockParams):
     period: float = param(5e-5, "sampling period", "s", gt=0.0, le=100.0)
     window: float = param(0.5, "time over which the figures are taken", "s", gt=0.0)
     pole_pairs: int = param(2, "pole pairs p, for the torque", ge=1, le=100)
+
+
+class State(NamedTuple):
+    """Samples of the window, in full blocks and of the one under way; the newest; leg transitions since the start."""
+
+    blocks: tuple[tuple[Row, ...], ...] = ()
+    samples: tuple[Row, ...] = ()
+    newest: Row | None = None
+    transitions: int = 0
 
 
 class FluxMonitor(Observer[FluxMonitorParams]):
@@ -35,35 +48,38 @@ class FluxMonitor(Observer[FluxMonitorParams]):
         """The machine that it judges."""
         return {"induction_dtc/pole_pairs": params.pole_pairs}
 
-    def start(self) -> None:
-        """Forget everything."""
-        self._samples: deque[tuple[Any, ...]] = deque(maxlen=max(2, round(self.p.window / self.p.period)))
-        self._newest: tuple[Any, ...] | None = None
-        self._switches: tuple[float, ...] | None = None
-        self._transitions = 0
+    def setup(self) -> None:
+        """Size the window."""
+        self._size = max(2, round(self.p.window / self.p.period))
+
+    def first(self) -> State:
+        """Nothing seen."""
+        return State()
 
     def update(
-        self, t: int, *, flux_true: tuple[float, ...], flux_estimate: tuple[float, ...],
+        self, x: State, t: int, *, flux_true: tuple[float, ...], flux_estimate: tuple[float, ...],
         currents_true: tuple[float, ...], currents_meas: tuple[float, ...], switches: tuple[float, ...],
-    ) -> Mapping[str, tuple[float, ...]]:  # fmt: skip
+    ) -> tuple[State, Mapping[str, tuple[float, ...]]]:  # fmt: skip
         """Note one sample."""
+        blocks, samples, newest, transitions = x
         # An observer also gets the outputs at the end of the run, beside a flux estimate that is one period old:
         # a sample counts only once the next one is here.
-        if self._newest is not None:
-            self._samples.append(self._newest)
-        self._newest = (t, flux_true, flux_estimate, currents_true, currents_meas, switches)
-        if switches != self._switches:
-            if self._switches is not None:
-                self._transitions += sum(a != b for a, b in zip(switches, self._switches, strict=True))
-            self._switches = switches
-        return {}
+        if newest is not None:
+            samples = (*samples, newest)
+            if len(samples) == BLOCK:
+                blocks, samples = (*blocks, samples)[-ceil(self._size / BLOCK) :], ()
+            if switches != newest[-1]:
+                transitions += sum(a != b for a, b in zip(switches, newest[-1], strict=True))
+        return State(blocks, samples, (t, flux_true, flux_estimate, currents_true, currents_meas, switches),
+                     transitions), {}  # fmt: skip
 
-    def status(self) -> Mapping[str, tuple[float, str]]:
+    def status(self, x: State) -> Mapping[str, tuple[float, str]]:
         """Give the figures; none before the third sample."""
-        if len(self._samples) < 2:
+        samples = [*chain.from_iterable(x.blocks), *x.samples][-self._size :]
+        if len(samples) < 2:
             return {}
-        t = np.array([s[0] for s in self._samples]) * 1e-9
-        true, estimate, i_true, i_meas, switches = (np.array(c) for c in list(zip(*self._samples, strict=True))[1:])
+        t = np.array([s[0] for s in samples]) * 1e-9
+        true, estimate, i_true, i_meas, switches = (np.array(c) for c in list(zip(*samples, strict=True))[1:])
         psi, psi_hat = true[:, 0] + 1j * true[:, 1], estimate[:, 0] + 1j * estimate[:, 1]
         i = i_true[:, 0] + 1j * (i_true[:, 0] + 2.0 * i_true[:, 1]) / np.sqrt(3.0)
         torque = 1.5 * self.p.pole_pairs * (psi.conj() * i).imag
@@ -75,7 +91,7 @@ class FluxMonitor(Observer[FluxMonitorParams]):
             "flux_error_slope_beta": (rate.imag, "Wb/s"),
             "torque_mean": (float(torque.mean()), "N m"),
             "torque_std": (float(torque.std()), "N m"),
-            "leg_transitions": (float(self._transitions), ""),
+            "leg_transitions": (float(x.transitions), ""),
             "device_frequency": (device_frequency(switches, float(t[-1] - t[0])), "Hz"),
         }
         for phase, deviation in zip("ab", (i_meas - i_true).T, strict=False):

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 from softrig_core import BlockParams, Compiled, Level, Plant, executable, param
 
-from .adc import AdcParams, Converter
-from .machine import STATES, MachineConstants, State, measured, numbers, step_function
+from .adc import AdcParams, Converter, draw
+from .machine import STATES, MachineConstants, measured, numbers, step_function
 from .ports import CURRENTS_MEAS, CURRENTS_TRUE, DC_LINK, FLUX_TRUE, JOINT_STATES, LOAD_TORQUE, SWITCHES
 from .switching import VECTORS, voltage
 
-V0 = VECTORS[0]
+NUMBERS: dict[tuple[float, ...], int] = {v: n for n, v in enumerate(VECTORS)}
 SATURATED_SAMPLES = 10
 SWITCH_TOLERANCE = 1e-9
 
@@ -26,6 +26,27 @@ class ImPlantParams(AdcParams, MachineConstants, BlockParams):
     trip_current: float = param(
         28.0, "phase current at which the inverter trips, 4 times the rated peak", "A", gt=0.0, live=True
     )
+
+
+class State(NamedTuple):
+    """Stator and rotor flux linkage in the stator frame (Wb), speed (rad/s), angle (rad).
+
+    Of the inverter the number of its vector, whether the command before was refused, whether it is off for good; of
+    the converters how many samples in a row were beyond the range, and the number of the sample.
+    """
+
+    psi_s_alpha: float = 0.0
+    psi_s_beta: float = 0.0
+    psi_R_alpha: float = 0.0  # noqa: N815
+    psi_R_beta: float = 0.0  # noqa: N815
+    omega: float = 0.0
+    theta: float = 0.0
+    vector: int = 0
+    refused: bool = False
+    fault: bool = False
+    clipped_a: int = 0
+    clipped_b: int = 0
+    k: int = 0
 
 
 class ImPlant(Plant[ImPlantParams]):
@@ -61,90 +82,63 @@ class ImPlant(Plant[ImPlantParams]):
         p = self.p
         self._step = Compiled(step_function(p.substeps))
         self._constants = numbers(p, p.period / p.substeps)
-        vectors = {v: voltage(v) * p.U_dc for v in VECTORS}
-        self._voltages: dict[tuple[float, ...], tuple[float, float]] = {v: (u.real, u.imag) for v, u in vectors.items()}
-        self._converters = Converter(p), Converter(p)
+        self._inv_L_sigma = 1.0 / p.L_sigma
+        self._voltages = [(u.real, u.imag) for u in (voltage(v) * p.U_dc for v in VECTORS)]
+        self._convert = Converter(p)
         self._dc_link = (p.U_dc,)
 
-    def change(self, params: ImPlantParams) -> None:
-        """Scale the voltages anew; the converters go on."""
-        converters = self._converters
-        super().change(params)
-        self._converters = converters
-        self._answer["dc_link"] = self._dc_link
-
-    def start(self) -> None:
+    def first(self) -> State:
         """Rest without flux; the inverter in V0."""
-        for converter in self._converters:
-            converter.start(self.rng)
-        self._u = self._voltages[V0]
-        self._refused = False
-        self.fault = False
-        self._sense((0.0,) * STATES, 0.0, 0.0, 0.0, 0.0)
+        return State()
 
-    @property
-    def state(self) -> State:
-        """Give fluxes, speed and angle."""
-        return State(*self._x)
-
-    def put(self, state: Sequence[float]) -> None:
-        """Go on from another state."""
-        x = State(*state)
-        self._sense(x, *measured(x, 1.0 / self.p.L_sigma, self.p.pole_pairs))
-
-    def outputs(self, t: int) -> Mapping[str, tuple[float, ...]]:
-        """Give speed, currents and fluxes at t."""
-        return self._answer
-
-    def advance(self, t: int, *, switches: tuple[float, ...], load_torque: tuple[float, ...] | None) -> None:
-        """Hold switches and load torque for one period; without a load torque the shaft is free."""
-        u = self._inverter(switches)
-        load = 0.0 if load_torque is None else load_torque[0]
-        found = self._step((*self._x, *u, load, *self._constants))
-        self._sense(found[:STATES], *found[STATES:])
-
-    def _inverter(self, switches: tuple[float, ...]) -> tuple[float, float]:
-        """Give u_alpha, u_beta (V)."""
-        u = self._voltages.get(switches)
-        if u is None:
-            u = self._voltages.get(tuple(map(_snap, switches)))
-        if self.fault:
-            return self._voltages[V0]
-        if u is not None:
-            self._refused = False
-            self._u = u
-            return u
-        text = f"switches {switches}, expected 0 or 1 each"
-        if self._refused:
-            self.fault = True
-            self.report(Level.ERROR, "switch_fault", f"{text}, twice in a row: inverter off for good")
-            return self._voltages[V0]
-        self._refused = True
-        self.report(Level.ERROR, "bad_switches", f"{text}: command refused, the previous one held")
-        return self._u
-
-    def _sense(self, x: tuple[float, ...], i_a: float, i_b: float, i_c: float, T_e: float) -> None:
-        """Prepare the outputs, convert the currents, supervise them."""
-        self._x = x
-        psi_s_alpha, psi_s_beta, _, _, omega, theta = x
-        convert_a, convert_b = self._converters
-        y_a, y_b = convert_a(i_a), convert_b(i_b)
-        self._answer = {
-            "joint_states": (theta, omega, T_e),
+    def outputs(self, x: State, t: int) -> Mapping[str, tuple[float, ...]]:
+        """Give speed, fluxes and currents, and these as they are converted."""
+        i_a, i_b, i_c, T_e = measured(x, self._inv_L_sigma, self.p.pole_pairs)
+        convert, k = self._convert, x.k
+        if self.p.dithered:
+            y_a, y_b = convert(i_a, self.uniform(draw(k, 0))), convert(i_b, self.uniform(draw(k, 1)))
+        else:
+            y_a, y_b = convert(i_a), convert(i_b)
+        return {
+            "joint_states": (x.theta, x.omega, T_e),
             "currents_true": (i_a, i_b, i_c),
             "currents_meas": (y_a, y_b, -y_a - y_b),
-            "flux_true": (psi_s_alpha, psi_s_beta, 0.0),
+            "flux_true": (x.psi_s_alpha, x.psi_s_beta, 0.0),
             "dc_link": self._dc_link,
         }
-        if convert_a.clipped > SATURATED_SAMPLES or convert_b.clipped > SATURATED_SAMPLES:
+
+    def advance(self, x: State, t: int, *, switches: tuple[float, ...], load_torque: tuple[float, ...] | None) -> State:
+        """Hold switches and load torque for one period; without a load torque the shaft is free."""
+        vector, refused, fault = (0, False, True) if x.fault else self._inverter(x, switches)
+        load = 0.0 if load_torque is None else load_torque[0]
+        u = self._voltages[0 if fault else vector]
+        found = self._step((*x[:STATES], *u, load, *self._constants))
+        psi_s_alpha, psi_s_beta, psi_R_alpha, psi_R_beta, omega, theta, i_a, i_b, i_c, _ = found
+        beyond, limit = self._convert.beyond, self.p.trip_current
+        clipped_a, clipped_b = x.clipped_a + 1 if beyond(i_a) else 0, x.clipped_b + 1 if beyond(i_b) else 0
+        if clipped_a > SATURATED_SAMPLES or clipped_b > SATURATED_SAMPLES:
             self.report(Level.WARN, "adc_saturated", f"ADC saturated: currents {i_a:.3g} A, {i_b:.3g} A are beyond "
                         f"{self.p.full_scale:g} A for more than {SATURATED_SAMPLES} samples")  # fmt: skip
-        limit = self.p.trip_current
-        if not (-limit <= i_a <= limit and -limit <= i_b <= limit and -limit <= i_c <= limit):
-            if not self.fault:
-                self.report(Level.ERROR, "overcurrent", f"phase currents {i_a:.3g}, {i_b:.3g}, {i_c:.3g} A beyond "
-                            f"{limit:g} A: inverter tripped to V0 for good")  # fmt: skip
-            self.fault = True
+        if not (fault or (-limit <= i_a <= limit and -limit <= i_b <= limit and -limit <= i_c <= limit)):
+            fault = True
+            self.report(Level.ERROR, "overcurrent", f"phase currents {i_a:.3g}, {i_b:.3g}, {i_c:.3g} A beyond "
+                        f"{limit:g} A: inverter tripped to V0 for good")  # fmt: skip
+        return State(psi_s_alpha, psi_s_beta, psi_R_alpha, psi_R_beta, omega, theta, vector, refused, fault, clipped_a,
+                     clipped_b, x.k + 1)  # fmt: skip
+
+    def _inverter(self, x: State, switches: tuple[float, ...]) -> tuple[int, bool, bool]:
+        """Give the number of the vector, whether the switches were refused, whether that is a fault."""
+        vector = NUMBERS.get(switches)
+        if vector is None:
+            vector = NUMBERS.get(tuple(map(_snap, switches)))
+        if vector is not None:
+            return vector, False, False
+        text = f"switches {switches}, expected 0 or 1 each"
+        if x.refused:
+            self.report(Level.ERROR, "switch_fault", f"{text}, twice in a row: inverter off for good")
+            return 0, False, True
+        self.report(Level.ERROR, "bad_switches", f"{text}: command refused, the previous one held")
+        return x.vector, True, False
 
 
 def _snap(switch: float) -> float:

@@ -57,35 +57,14 @@ def sector(psi: complex) -> int:
     return 5 if alpha < 0.0 else 6
 
 
-class FluxComparator:
-    """Two-level hysteresis: 1 above +band, 0 below -band, else as before; starts at 1."""
-
-    def __init__(self, band: float) -> None:
-        self.band = band
-        self.level = 1
-
-    def __call__(self, error: float) -> int:
-        """Give 1 to increase the flux, 0 to decrease it."""
-        if error > self.band:
-            self.level = 1
-        elif error < -self.band:
-            self.level = 0
-        return self.level
+def flux_level(level: int, error: float, band: float) -> int:
+    """Two-level hysteresis: 1 to increase the flux above +band, 0 to decrease it below -band, else the level before."""
+    return 1 if error > band else 0 if error < -band else level
 
 
-class TorqueComparator:
-    """Three-level hysteresis: +-1 beyond +-band, back to 0 when the error has changed its sign; starts at 0."""
+def torque_level(level: int, error: float, band: float) -> int:
+    """Three-level hysteresis: 1 and -1 beyond +-band, for more and less torque; 0 once the error has changed its sign.
 
-    def __init__(self, band: float) -> None:
-        self.band = band
-        self.level = 0
-
-    def __call__(self, error: float) -> int:
-        """Give 1 for more torque, -1 for less, 0 for no change."""
-        if error > self.band:
-            self.level = 1
-        elif error < -self.band:
-            self.level = -1
-        elif self.level * error <= 0.0:
-            self.level = 0
-        return self.level
+    Else the level before.
+    """
+    return 1 if error > band else -1 if error < -band else 0 if level * error <= 0.0 else level

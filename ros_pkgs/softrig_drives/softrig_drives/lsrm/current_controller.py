@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from typing import NamedTuple
 
 import numpy as np
 from softrig_core import Block, BlockParams, executable, jit, param
 
 from .machine import N_PHASES, Array, Geometry, distance, slope
 from .ports import FORCE_CMD, MOTION, PHASE_CURRENTS, PHASE_VOLTAGE
+
+Vector = tuple[float, ...]
 
 
 class CurrentControllerParams(Geometry, BlockParams):
@@ -29,6 +32,12 @@ class CurrentControllerParams(Geometry, BlockParams):
     resolution: float = param(1e-5, "step of the position sensor (magnetic strip)", "m", gt=0.0, le=1e-3)
     feed_forward: bool = param(False, "add R i* + g v i* to the voltage, which takes the force ripple away", live=True)
     R: float = param(2.5, "phase resistance that the feed-forward assumes", "ohm", gt=0.0, le=1e3, live=True)
+
+
+class State(NamedTuple):
+    """Integrals z of the current errors of the phases, A s."""
+
+    integral: Vector = (0.0,) * N_PHASES
 
 
 class CurrentController(Block[CurrentControllerParams]):
@@ -59,38 +68,51 @@ class CurrentController(Block[CurrentControllerParams]):
         self._law = np.array([p.K_pc, p.K_ic, p.U_dc, p.I_max, p.threshold, p.zero_current, p.resolution, p.period,
                               float(p.feed_forward), p.R])  # fmt: skip
 
-    def change(self, params: CurrentControllerParams) -> None:
-        """Take other gains; what the integrals give stays."""
-        if params.K_ic != self.p.K_ic:
-            self._integral *= self.p.K_ic / params.K_ic if params.K_ic else 0.0
-        super().change(params)
-
-    def start(self) -> None:
+    def first(self) -> State:
         """No integral."""
-        self._integral = np.zeros(N_PHASES)
-        # compiled now: the wall clock leaves no time at the first tick; without a force nothing is kept
-        regulate(self._integral, self._geometry, self._law, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        return State()
+
+    def go_on(self, x: State, before: CurrentControllerParams) -> State:
+        """Take other gains; what the integrals give stays."""
+        if self.p.K_ic == before.K_ic:
+            return x
+        share = before.K_ic / self.p.K_ic if self.p.K_ic else 0.0
+        return State(tuple(z * share for z in x.integral))
 
     def update(
-        self, t: int, *, joint_states: tuple[float, ...], phase_currents: tuple[float, ...],
+        self, x: State, t: int, *, joint_states: tuple[float, ...], phase_currents: tuple[float, ...],
         force_cmd: tuple[float, ...],
-    ) -> Mapping[str, tuple[float, ...]]:  # fmt: skip
+    ) -> tuple[State, Mapping[str, tuple[float, ...]]]:  # fmt: skip
         """Give the voltages."""
-        (x, v), (i_a, i_b, i_c, i_d) = joint_states, phase_currents
-        found = regulate(self._integral, self._geometry, self._law, x, v, i_a, i_b, i_c, i_d, force_cmd[0])
-        return {"phase_voltage": found}
+        found = regulate(x.integral, joint_states, phase_currents, force_cmd[0], self._geometry, self._law)
+        return State(found[:N_PHASES]), {"phase_voltage": found[N_PHASES:]}
 
 
 @jit
-def regulate(integral: Array, geometry: Array, law: Array, x: float, v: float, i_a: float, i_b: float, i_c: float,
-             i_d: float, force: float) -> tuple[float, float, float, float]:  # fmt: skip
-    """Give the four voltages (V) and move the integrals; `law` as `CurrentController.setup` lays it out."""
+def regulate(
+    integral: Vector, motion: Vector, currents: Vector, force: float, geometry: Array, law: Array
+) -> tuple[float, float, float, float, float, float, float, float]:
+    """Give the four integrals and the four voltages (V).
+
+    Parameters
+    ----------
+    integral : tuple (4,)
+        A s.
+    motion : tuple (2,)
+        Position (m) and speed (m/s).
+    currents : tuple (4,)
+        A.
+    force : float
+        N.
+    geometry, law : array
+        As `CurrentController.setup` lays them out.
+    """
     K_pc, K_ic, U_dc, I_max, threshold, zero_current, resolution, period, feed_forward, R = law
+    x, v = motion
     G = geometry[2]
     i_ref = min(math.sqrt(2.0 * abs(force) / G), I_max)
     seen = math.floor(x / resolution + 0.5) * resolution
-    currents = (i_a, i_b, i_c, i_d)
-    u_a = u_b = u_c = u_d = 0.0
+    z, u = np.zeros(N_PHASES), np.zeros(N_PHASES)
     for k in range(N_PHASES):
         i = currents[k]
         g = slope(distance(seen, k, geometry), geometry)
@@ -99,21 +121,13 @@ def regulate(integral: Array, geometry: Array, law: Array, x: float, v: float, i
             ahead = feed_forward * (R * i_ref + g * v * i_ref) / U_dc
             wanted = K_pc * error + K_ic * integral[k] + ahead
             duty = min(max(wanted, -1.0), 1.0)
+            z[k] = integral[k]
             if wanted == duty or wanted * error <= 0.0:
-                integral[k] += error * period
-            u = U_dc * duty
+                z[k] += error * period
+            u[k] = U_dc * duty
         else:
-            integral[k] = 0.0
-            u = -U_dc if i > zero_current else 0.0
-        if k == 0:
-            u_a = u
-        elif k == 1:
-            u_b = u
-        elif k == 2:
-            u_c = u
-        else:
-            u_d = u
-    return u_a, u_b, u_c, u_d
+            u[k] = -U_dc if i > zero_current else 0.0
+    return z[0], z[1], z[2], z[3], u[0], u[1], u[2], u[3]
 
 
 main = executable(CurrentController)

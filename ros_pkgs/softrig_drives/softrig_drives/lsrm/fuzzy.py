@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from itertools import pairwise
-from typing import Self
+from typing import NamedTuple, Self
 
 from pydantic import model_validator
 from softrig_control.fuzzy import And, TakagiSugeno, sum_rules
@@ -39,6 +39,13 @@ class LsrmFuzzyParams(SpeedControlParams):
         return self
 
 
+class State(NamedTuple):
+    """Force (N) and error (m/s) of the period before."""
+
+    force: float = 0.0
+    error: float = 0.0
+
+
 class LsrmFuzzy(SpeedControl[LsrmFuzzyParams]):
     """Incremental fuzzy controller of 49 rules.
 
@@ -60,22 +67,18 @@ class LsrmFuzzy(SpeedControl[LsrmFuzzyParams]):
         table = [outputs[k : k + TERMS] for k in range(0, len(outputs), TERMS)]
         self._surface = TakagiSugeno((p.peaks, p.peaks), table, p.conjunction)
 
-    def start(self) -> None:
+    def first(self) -> State:
         """No force, no error before the first."""
-        super().start()
-        self._force = 0.0
-        self._error = 0.0
+        return State()
 
     def update(
-        self, t: int, *, joint_states: tuple[float, ...], reference: tuple[float, ...]
-    ) -> Mapping[str, tuple[float, ...]]:
+        self, x: State, t: int, *, joint_states: tuple[float, ...], reference: tuple[float, ...]
+    ) -> tuple[State, Mapping[str, tuple[float, ...]]]:
         """Give the force command."""
         p = self.p
         error = reference[1] - joint_states[0]
-        self._force = self.clip(self._force + p.K_u * self._surface(error / p.K_e, (error - self._error) / p.K_de))
-        self._error = error
-        self._answer = {"force_cmd": (self._force,)}
-        return self._answer
+        force = self.clip(x.force + p.K_u * self._surface(error / p.K_e, (error - x.error) / p.K_de))
+        return State(force, error), {"force_cmd": (force,)}
 
 
 main = executable(LsrmFuzzy)

@@ -44,9 +44,9 @@ class LsrmLoad(Block[LsrmLoadParams]):
         p = self.p
         self._answers = StepProfile(p.times, [{"load": (m, p.mu * m * GRAVITY)} for m in p.masses])
 
-    def update(self, t: int, **inputs: Any) -> Mapping[str, tuple[float, ...]]:
+    def update(self, x: Any, t: int, **inputs: Any) -> tuple[Any, Mapping[str, tuple[float, ...]]]:
         """Give the load at t."""
-        return self._answers.at(t)
+        return x, self._answers.at(t)
 
 
 main = executable(LsrmLoad)

@@ -11,6 +11,7 @@ from pydantic import model_validator
 from softrig_core import Params, jit, param
 
 Array = NDArray[np.float64]
+Triple = tuple[float, float, float]
 
 # State vector: flux linkages of the phases a to d (Wb), then position (m) and speed (m/s).
 N_PHASES = 4
@@ -119,8 +120,7 @@ def force(i: float, x: float, phase: int, geometry: Array) -> float:
 
 
 @jit
-def derivative(state: Array, u: Array, geometry: Array, R: float, mass: float, damping: float, drag: float,
-               rate: Array) -> None:  # fmt: skip
+def derivative(state: Array, u: Array, geometry: Array, constants: Triple, drag: float, rate: Array) -> None:
     """Write the rate of change of the state into `rate`.
 
     ::
@@ -133,9 +133,12 @@ def derivative(state: Array, u: Array, geometry: Array, R: float, mass: float, d
     ----------
     u : array (4,)
         Voltages, V.
-    damping, drag : float
-        C + k_p in N s/m; friction force in N with its sign.
+    constants : tuple
+        R in ohm, M in kg, C + k_p in N s/m.
+    drag : float
+        Friction force in N with its sign.
     """
+    R, mass, damping = constants
     x = state[X]
     total = 0.0
     for k in range(N_PHASES):
@@ -157,8 +160,8 @@ def electromagnetic(state: Array, geometry: Array) -> float:
 
 
 @jit
-def advance(state: Array, work: Array, u: Array, geometry: Array, R: float, mass: float, damping: float,
-            friction: float, locked: bool, h: float, steps: int) -> None:  # fmt: skip
+def advance(state: Array, u: Array, geometry: Array, constants: Triple, friction: float, locked: bool, h: float,
+            steps: int) -> None:  # fmt: skip
     """Move the state by `steps` Runge-Kutta steps of order 4 and size `h`, voltages held.
 
     A flux linkage ends at zero in the step in which it gets there (asymmetric half bridge). Coulomb friction keeps its
@@ -168,14 +171,14 @@ def advance(state: Array, work: Array, u: Array, geometry: Array, R: float, mass
     ----------
     state : array (6,)
         Changed in place.
-    work : array (5, 6)
-        Room for the four rates and one state.
-    mass, damping, friction : float
-        kg, N s/m, N.
+    constants : tuple
+        As of `derivative`.
+    friction : float
+        N.
     locked : bool
         Translator clamped.
     """
-    point = work[4]
+    work, point = np.empty((4, STATES)), np.empty(STATES)  # the four rates
     for _ in range(steps):
         v = state[V]
         drag = 0.0
@@ -191,7 +194,7 @@ def advance(state: Array, work: Array, u: Array, geometry: Array, R: float, mass
             ahead = 0.0 if stage == 0 else (h if stage == 3 else 0.5 * h)
             for n in range(STATES):
                 point[n] = state[n] + ahead * work[stage - 1, n] if stage else state[n]
-            derivative(point, u, geometry, R, mass, damping, drag, work[stage])
+            derivative(point, u, geometry, constants, drag, work[stage])
             if stuck:
                 work[stage, X] = 0.0
                 work[stage, V] = 0.0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Self
+from typing import NamedTuple, Self
 
 from pydantic import model_validator
 from softrig_core import executable, param
@@ -37,6 +37,12 @@ class LsrmMracParams(Mechanics, SpeedControlParams):
         return self
 
 
+class State(NamedTuple):
+    """Estimates of mass (kg), damping (N s/m), friction (N)."""
+
+    theta: tuple[float, ...]
+
+
 class LsrmMrac(SpeedControl[LsrmMracParams]):
     """Adaptive control of M v' = F - b v - f with the reference speed as the model's.
 
@@ -64,25 +70,23 @@ class LsrmMrac(SpeedControl[LsrmMracParams]):
         self.k = math.sqrt(a * a + b * b * p.q / p.r)
         self._rates = tuple(gain * p.period for gain in p.gains)
 
-    def start(self) -> None:
+    def first(self) -> State:
         """Begin with theta_0."""
-        self.theta: tuple[float, ...] = self.p.theta_0
-        self._answer = {"force_cmd": (0.0,), "theta": self.theta}
+        return State(self.p.theta_0)
 
     def update(
-        self, t: int, *, joint_states: tuple[float, ...], reference: tuple[float, ...]
-    ) -> Mapping[str, tuple[float, ...]]:
+        self, x: State, t: int, *, joint_states: tuple[float, ...], reference: tuple[float, ...]
+    ) -> tuple[State, Mapping[str, tuple[float, ...]]]:
         """Adapt, then give the force command."""
         p, v = self.p, joint_states[0]
         error = v - reference[1]
         phi = (reference[2] - self.k * error, v, 1.0)
-        self.theta = tuple(
+        theta = tuple(
             min(max(theta - rate * part * error, low), high)
-            for theta, rate, part, low, high in zip(self.theta, self._rates, phi, p.theta_min, p.theta_max, strict=True)
+            for theta, rate, part, low, high in zip(x.theta, self._rates, phi, p.theta_min, p.theta_max, strict=True)
         )
-        force = total(theta * part for theta, part in zip(self.theta, phi, strict=True))
-        self._answer = {"force_cmd": (self.clip(force),), "theta": self.theta}
-        return self._answer
+        force = total(theta * part for theta, part in zip(theta, phi, strict=True))
+        return State(theta), {"force_cmd": (self.clip(force),), "theta": theta}
 
 
 main = executable(LsrmMrac)

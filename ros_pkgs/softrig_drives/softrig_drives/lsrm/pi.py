@@ -27,30 +27,26 @@ class LsrmPi(SpeedControl[LsrmPiParams]):
 
     def setup(self) -> None:
         """Make the law."""
-        self._pid = Pid(self._gains(), self.p.period)
+        self._pid = Pid(_gains(self.p), self.p.period)
 
-    def _gains(self) -> PidParams:
-        p = self.p
-        return PidParams(kp=p.K_F * p.K_p, ki=p.K_F * p.K_i, u_max=p.F_max)
-
-    def change(self, params: LsrmPiParams) -> None:
-        """Take other gains without a bump, see `softrig_control.pid.Pid.go_on`."""
-        before = self._gains()
-        super().change(params)
-        self._x: PidState = self._pid.go_on(self._x, before)
-
-    def start(self) -> None:
+    def first(self) -> PidState:
         """No integral."""
-        super().start()
-        self._x = PidState()
+        return PidState()
+
+    def go_on(self, x: PidState, before: LsrmPiParams) -> PidState:
+        """Take other gains without a bump, see `softrig_control.pid.Pid.go_on`."""
+        return self._pid.go_on(x, _gains(before))
 
     def update(
-        self, t: int, *, joint_states: tuple[float, ...], reference: tuple[float, ...]
-    ) -> Mapping[str, tuple[float, ...]]:
+        self, x: PidState, t: int, *, joint_states: tuple[float, ...], reference: tuple[float, ...]
+    ) -> tuple[PidState, Mapping[str, tuple[float, ...]]]:
         """Give the force command."""
-        self._x, force = self._pid(self._x, reference[1] - joint_states[0])
-        self._answer = {"force_cmd": (self.clip(force),)}
-        return self._answer
+        x, force = self._pid(x, reference[1] - joint_states[0])
+        return x, {"force_cmd": (self.clip(force),)}
+
+
+def _gains(p: LsrmPiParams) -> PidParams:
+    return PidParams(kp=p.K_F * p.K_p, ki=p.K_F * p.K_i, u_max=p.F_max)
 
 
 main = executable(LsrmPi)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,18 +14,28 @@ from .machine import N_PHASES, STATES, Array, Geometry, Mechanics, V, X, advance
 from .markers import stator, translator
 from .ports import FORCE_PHASES, JOINT_STATES, LOAD, PHASE_CURRENTS, PHASE_VOLTAGE, TRANSLATOR
 
+Vector = tuple[Any, ...]  # of floats; a slice of a State has the type of all its fields
 Step = tuple[float, float, float, float, float, float, float, float, float, float, float]
 
 
-class State(NamedTuple):
-    """Flux linkages of the phases (Wb), position (m), speed (m/s)."""
+@dataclass(frozen=True)
+class Load:
+    """Added mass (kg) and friction (N) of the newest message that was good: an input held, no part of a linear view."""
 
-    psi_a: float
-    psi_b: float
-    psi_c: float
-    psi_d: float
-    x: float
-    v: float
+    values: tuple[float, float] = (0.0, 0.0)
+
+
+class State(NamedTuple):
+    """Flux linkages of the phases (Wb), position (m), speed (m/s); load; whether the half bridges have tripped."""
+
+    psi_a: float = 0.0
+    psi_b: float = 0.0
+    psi_c: float = 0.0
+    psi_d: float = 0.0
+    x: float = 0.0
+    v: float = 0.0
+    load: Load = Load()
+    fault: bool = False
 
 
 class LsrmPlantParams(Geometry, Mechanics, BlockParams):
@@ -73,96 +84,98 @@ class LsrmPlant(Plant[LsrmPlantParams]):
         """Lay the constants out for the compiled step."""
         p = self.p
         self._geometry = p.numbers()
-        self._h = p.period / p.substeps
+        self._constants = np.array([p.U_dc, p.R, p.M, p.C + p.k_p, p.period / p.substeps, p.substeps, float(p.locked)])
 
-    def start(self) -> None:
+    def first(self) -> State:
         """Rest without current."""
-        self._x = np.zeros(STATES)
-        self._x[X] = self.p.x_0
-        self._work = np.zeros((5, STATES))
-        self._u = np.zeros(N_PHASES)
-        self._load = (0.0, 0.0)
-        self.fault = False
-        self._move(0.0, 0.0, 0.0, 0.0, steps=0)
+        return State(x=self.p.x_0)
 
-    @property
-    def state(self) -> State:
-        """Give fluxes and motion."""
-        return State(*self._x.tolist())
-
-    def put(self, state: Sequence[float]) -> None:
-        """Go on from another state."""
-        self._x[:] = state
-        self._move(0.0, 0.0, 0.0, 0.0, steps=0)
-
-    def outputs(self, t: int) -> Mapping[str, tuple[float, ...]]:
+    def outputs(self, x: State, t: int) -> Mapping[str, tuple[float, ...]]:
         """Give motion, currents and forces at t."""
-        return self._answer
+        found = sense(x[:STATES], self._geometry)
+        return {"joint_states": found[:3], "phase_currents": found[3:7], "force_phases": found[7:]}
 
-    def advance(self, t: int, *, phase_voltage: tuple[float, ...], load: tuple[float, ...] | None) -> None:
+    def advance(self, x: State, t: int, *, phase_voltage: tuple[float, ...], load: tuple[float, ...] | None) -> State:
         """Hold the voltages and the load for one period."""
-        p = self.p
-        if load is not None and load != self._load:
-            self._take(load)
-        if not self.fault and (max(phase_voltage) > p.U_dc or min(phase_voltage) < -p.U_dc):
+        p, on, fault = self.p, x.load, x.fault
+        if load is not None and load != on.values:
+            on = self._taken(load) or on
+        if not fault and (max(phase_voltage) > p.U_dc or min(phase_voltage) < -p.U_dc):
             self.report(Level.WARN, "clipped", f"voltages {phase_voltage} V clipped to the supply, {p.U_dc:g} V")
-        u_a, u_b, u_c, u_d = phase_voltage
-        self._move(u_a, u_b, u_c, u_d, p.substeps)
-
-    def _move(self, u_a: float, u_b: float, u_c: float, u_d: float, steps: int) -> None:
-        p, (added, friction) = self.p, self._load
-        self._tell(step(self._x, self._work, self._u, self._geometry, u_a, u_b, u_c, u_d, p.U_dc, self.fault, p.R,
-                        p.M + added, p.C + p.k_p, friction, p.locked, self._h, steps))  # fmt: skip
-
-    def _take(self, load: tuple[float, ...]) -> None:
-        added, friction = load
-        if added < 0.0 or friction < 0.0:
-            self.report(Level.ERROR, "bad_load", f"added mass {added:g} kg, friction {friction:g} N: expected none "
-                        "negative; the load before it is kept")  # fmt: skip
-        else:
-            self._load = (added, friction)
-
-    def _tell(self, found: Step) -> None:
-        """Prepare the outputs, supervise the currents."""
-        currents = found[3:7]
-        self._answer = {"joint_states": found[:3], "phase_currents": currents, "force_phases": found[7:]}
-        if max(currents) > self.p.trip_current and not self.fault:
-            self.fault = True
-            self.report(Level.ERROR, "overcurrent", f"phase currents {currents} A beyond {self.p.trip_current:g} A: "
+        found = step(x[:STATES], phase_voltage, on.values, fault, self._geometry, self._constants)
+        psi_a, psi_b, psi_c, psi_d, position, v, largest = found
+        if largest > p.trip_current and not fault:
+            fault = True
+            currents = sense(found[:STATES], self._geometry)[3:7]
+            self.report(Level.ERROR, "overcurrent", f"phase currents {currents} A beyond {p.trip_current:g} A: "
                         "half bridges tripped for good")  # fmt: skip
+        return State(psi_a, psi_b, psi_c, psi_d, position, v, on, fault)
 
-    def markers(self) -> tuple[Marker, ...]:
+    def _taken(self, load: tuple[float, ...]) -> Load | None:
+        added, friction = load
+        if added >= 0.0 and friction >= 0.0:
+            return Load((added, friction))
+        self.report(Level.ERROR, "bad_load", f"added mass {added:g} kg, friction {friction:g} N: expected none "
+                    "negative; the load before it is kept")  # fmt: skip
+        return None
+
+    def markers(self, x: State) -> tuple[Marker, ...]:
         """Draw the stator and the translator over it."""
-        return stator(self.p), translator(self.p, float(self._x[X]))
+        return stator(self.p), translator(self.p, x.x)
 
 
 @jit
-def sense(state: Array, geometry: Array) -> Step:
+def sense(state: Vector, geometry: Array) -> Step:
     """Give position, speed, force, the four currents and the four forces."""
-    x = state[X]
-    i_a = current(state[0], x, 0, geometry)
-    i_b = current(state[1], x, 1, geometry)
-    i_c = current(state[2], x, 2, geometry)
-    i_d = current(state[3], x, 3, geometry)
+    psi_a, psi_b, psi_c, psi_d, x, v = state
+    i_a = current(psi_a, x, 0, geometry)
+    i_b = current(psi_b, x, 1, geometry)
+    i_c = current(psi_c, x, 2, geometry)
+    i_d = current(psi_d, x, 3, geometry)
     f_a = force(i_a, x, 0, geometry)
     f_b = force(i_b, x, 1, geometry)
     f_c = force(i_c, x, 2, geometry)
     f_d = force(i_d, x, 3, geometry)
-    return x, state[V], f_a + f_b + f_c + f_d, i_a, i_b, i_c, i_d, f_a, f_b, f_c, f_d
+    return x, v, f_a + f_b + f_c + f_d, i_a, i_b, i_c, i_d, f_a, f_b, f_c, f_d
 
 
 @jit
-def step(state: Array, work: Array, u: Array, geometry: Array, u_a: float, u_b: float, u_c: float, u_d: float,
-         limit: float, fault: bool, R: float, mass: float, damping: float, friction: float, locked: bool, h: float,
-         steps: int) -> Step:  # fmt: skip
-    """Apply four voltages within plus and minus `limit` (V), or after a fault -limit to phases with current."""
-    u[0], u[1], u[2], u[3] = u_a, u_b, u_c, u_d
+def step(
+    state: Vector, voltages: Vector, load: Vector, fault: bool, geometry: Array, constants: Array
+) -> tuple[float, float, float, float, float, float, float]:
+    """Hold four voltages for a period, within plus and minus U_dc; after a fault -U_dc on phases with current.
+
+    Parameters
+    ----------
+    state : tuple (6,)
+        Flux linkages (Wb), position (m), speed (m/s).
+    voltages : tuple (4,)
+        V.
+    load : tuple (2,)
+        Added mass (kg) and friction (N).
+    fault : bool
+    geometry, constants : array
+        As `LsrmPlant.setup` lays them out.
+
+    Returns
+    -------
+    tuple (7,)
+        The state then, and the largest of the currents (A).
+    """
+    limit, R, M, damping, h, steps, locked = constants
+    x, u = np.empty(STATES), np.empty(N_PHASES)
+    for n in range(STATES):
+        x[n] = state[n]
     for k in range(N_PHASES):
-        u[k] = min(max(u[k], -limit), limit)
+        u[k] = min(max(voltages[k], -limit), limit)
         if fault:
-            u[k] = -limit if state[k] > 0.0 else 0.0
-    advance(state, work, u, geometry, R, mass, damping, friction, locked, h, steps)
-    return sense(state, geometry)
+            u[k] = -limit if x[k] > 0.0 else 0.0
+    added, friction = load
+    advance(x, u, geometry, (R, M + added, damping), friction, locked > 0.0, h, int(steps))
+    largest = 0.0
+    for k in range(N_PHASES):
+        largest = max(largest, current(x[k], x[X], k, geometry))
+    return x[0], x[1], x[2], x[3], x[X], x[V], largest
 
 
 main = executable(LsrmPlant)

@@ -46,13 +46,17 @@ class ProfileGenerator(Block[ProfileGeneratorParams]):
         p = self.p
         self.profile = Profile(p.profile, p.v_d, p.t_d, p.x_d, inf if p.t_b is None else p.t_b, p.t_db)
 
-    def change(self, params: ProfileGeneratorParams) -> None:
-        """Follow another profile, and tell what is wrong with it."""
-        super().change(params)
-        self.start()
+    def first(self) -> tuple[()]:
+        """Tell what is wrong with the profile; nothing is remembered."""
+        self._judge()
+        return ()
 
-    def start(self) -> None:
-        """Tell what is wrong with the profile."""
+    def go_on(self, x: tuple[()], before: ProfileGeneratorParams) -> tuple[()]:
+        """Follow another profile, and tell what is wrong with it."""
+        self._judge()
+        return x
+
+    def _judge(self) -> None:
         p = self.p
         need = self._largest_force()
         if need > p.F_max:
@@ -73,9 +77,9 @@ class ProfileGenerator(Block[ProfileGeneratorParams]):
         points = (self.profile.at(t) for t in times)
         return max(abs(p.M * a + (p.C + p.k_p) * v) for _, v, a in points)
 
-    def update(self, t: int, **inputs: Any) -> Mapping[str, tuple[float, ...]]:
+    def update(self, x: tuple[()], t: int, **inputs: Any) -> tuple[tuple[()], Mapping[str, tuple[float, ...]]]:
         """Give the reference at t."""
-        return {"reference": self.profile.at(to_s(t))}
+        return x, {"reference": self.profile.at(to_s(t))}
 
 
 main = executable(ProfileGenerator)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import ClassVar
 
 from softrig_core import Block, BlockParams, Port, param
@@ -30,15 +29,7 @@ class SpeedControl(Block[P]):
     INPUTS: ClassVar[tuple[Port, ...]] = (SPEED, REFERENCE)
     OUTPUTS: ClassVar[tuple[Port, ...]] = (FORCE_CMD,)
 
-    def start(self) -> None:
-        """No force."""
-        self._answer: Mapping[str, tuple[float, ...]] = {"force_cmd": (0.0,)}
-
     def clip(self, force: float) -> float:
         """Give the force within plus and minus F_max."""
         F_max: float = self.p.F_max
         return min(max(force, -F_max), F_max)
-
-    def refused(self, t: int) -> Mapping[str, tuple[float, ...]]:
-        """Hold."""
-        return self._answer

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 from softrig_core import param
 
 from ..joints import PerJoint
@@ -13,6 +15,23 @@ class AdsmcGains(SurfaceGains):
 
     gamma: PerJoint = param((3000.0,), "adaptation gain", "1/s^2", live=True)
     k: PerJoint = param((10.0,), "gain of sigma", "1/s", live=True)
+
+
+class AdsmcState(NamedTuple):
+    """Voltage (V), both surfaces (rad/s, rad/s^2), estimate f-hat (V/s), integrals of e and s.
+
+    Of the period before the desired acceleration and Sigma, None at the start, and what that Sigma was made of.
+    """
+
+    v: float = 0.0
+    s: float = 0.0
+    sigma: float = 0.0
+    f_hat: float = 0.0
+    e_int: float = 0.0
+    s_int: float = 0.0
+    s_int2: float = 0.0
+    before: tuple[float, float] | None = None
+    last: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 class Adsmc:
@@ -47,47 +66,37 @@ class Adsmc:
         self._mu = Coefficients.of(a1, a2, b1, b2, printed_mu1)
         self._adapt_at_limit = adapt_at_limit
         self._T, self._v_max = T, v_max
-        self.start()
 
-    def start(self) -> None:
-        """Forget everything."""
-        self.v = self.s = self.sigma = self.f_hat = 0.0
-        self._e_int = self._s_int = self._s_int2 = 0.0
-        self._before: tuple[float, float] | None = None
-        self._last = (0.0,) * 5  # what Sigma of `_before` was made of
+    def first(self) -> AdsmcState:
+        """Remember nothing."""
+        return AdsmcState()
 
-    def go_on(self, before: Adsmc) -> None:
-        """Take the place of a law with other gains."""
-        self.v, self.s, self.sigma, self.f_hat = before.v, before.s, before.sigma, before.f_hat
-        self._e_int, self._s_int, self._s_int2 = before._e_int, before._s_int, before._s_int2
-        self._last = ed, e, e_int, s_int, s_int2 = before._last
-        if before._before is not None:
-            s = ed + self._a1 * e + self._a2 * e_int
-            self._before = before._before[0], s + self._b1 * s_int + self._b2 * s_int2
+    def go_on(self, x: AdsmcState) -> AdsmcState:
+        """Give the state with which these gains follow others."""
+        if x.before is None:
+            return x
+        ed, e, e_int, s_int, s_int2 = x.last
+        s = ed + self._a1 * e + self._a2 * e_int
+        return x._replace(before=(x.before[0], s + self._b1 * s_int + self._b2 * s_int2))
 
-    def __call__(self, qdd_d: float, e: float, ed: float) -> float:
+    def __call__(self, x: AdsmcState, qdd_d: float, e: float, ed: float) -> tuple[AdsmcState, float]:
         """Give the voltage for the desired acceleration, the error and its rate (rad, s)."""
         T = self._T
-        e_int = self._e_int
-        self.s = s = ed + self._a1 * e + self._a2 * e_int
-        big_sigma = s + self._b1 * self._s_int + self._b2 * self._s_int2
-        if self._before is not None:
-            qdd_before, sigma_before = self._before
+        v, _, sigma, f_hat, e_int, s_int, s_int2, before, _ = x
+        s = ed + self._a1 * e + self._a2 * e_int
+        big_sigma = s + self._b1 * s_int + self._b2 * s_int2
+        if before is not None:
+            qdd_before, sigma_before = before
             step = big_sigma - sigma_before
-            f_hat = self.f_hat + self._gamma * step
+            new = f_hat + self._gamma * step
             mu1, mu2, mu3, mu4 = self._mu
-            v = self.v
             v += qdd_d - qdd_before + self._k * step + T * (
-                mu1 * (qdd_d - v) + mu2 * ed + mu3 * e + mu4 * e_int + f_hat
+                mu1 * (qdd_d - v) + mu2 * ed + mu3 * e + mu4 * e_int + new
             )  # fmt: skip
             top = self._v_max
             if -top <= v <= top or step * v <= 0.0 or self._adapt_at_limit:
-                self.f_hat = f_hat
-            self.v = min(max(v, -top), top)
-            self.sigma = step / T
-        self._before = (qdd_d, big_sigma)
-        self._last = (ed, e, e_int, self._s_int, self._s_int2)
-        self._s_int2 += T * self._s_int
-        self._s_int += T * s
-        self._e_int = e_int + T * e
-        return self.v
+                f_hat = new
+            v = min(max(v, -top), top)
+            sigma = step / T
+        return AdsmcState(v, s, sigma, f_hat, e_int + T * e, s_int + T * s, s_int2 + T * s_int, (qdd_d, big_sigma),
+                          (ed, e, e_int, s_int, s_int2)), v  # fmt: skip

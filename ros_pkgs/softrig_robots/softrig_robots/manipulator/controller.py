@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Literal, Protocol, Self
+from typing import Any, Literal, NamedTuple, Protocol, Self
 
 from pydantic import model_validator
 from softrig_core import Block, BlockParams, Port, command, executable, joint_state, param, reference, scalars
@@ -18,20 +18,22 @@ Vector = tuple[float, ...]
 
 
 class Law(Protocol):
-    """Voltage of one motor from the error of its joint."""
+    """Voltage of one motor from the error of its joint; its x has the fields s, sigma and f_hat."""
 
-    s: float
-    sigma: float
-    f_hat: float
+    def first(self) -> Any:
+        """Remember nothing."""
 
-    def start(self) -> None:
-        """Forget everything."""
+    def go_on(self, x: Any) -> Any:
+        """Give the state with which these gains follow others."""
 
-    def go_on(self, before: Any) -> None:
-        """Take the place of the same law with other gains."""
+    def __call__(self, x: Any, qdd_d: float, e: float, ed: float) -> tuple[Any, float]:
+        """Give the state after, and the voltage for the desired acceleration, the error and its rate (rad, s)."""
 
-    def __call__(self, qdd_d: float, e: float, ed: float) -> float:
-        """Give the voltage for the desired acceleration, the error and its rate (rad, s)."""
+
+class State(NamedTuple):
+    """What the law of each joint remembers."""
+
+    laws: tuple[Any, ...]
 
 
 class VcsControllerParams(BlockParams):
@@ -92,26 +94,26 @@ class VcsController(Block[VcsControllerParams]):
         self.laws = self.p.laws()
         self._n = len(self.laws)
 
-    def change(self, params: VcsControllerParams) -> None:
+    def first(self) -> State:
+        """Begin with laws that remember nothing."""
+        return State(tuple(law.first() for law in self.laws))
+
+    def go_on(self, x: State, before: VcsControllerParams) -> State:
         """Take other gains; each law goes on, as its docstring says."""
-        before = self.laws
-        super().change(params)
-        for law, old in zip(self.laws, before, strict=True):
-            law.go_on(old)
+        return State(tuple(law.go_on(own) for law, own in zip(self.laws, x.laws, strict=True)))
 
-    def start(self) -> None:
-        """Start every law anew."""
-        for law in self.laws:
-            law.start()
-
-    def update(self, t: int, *, joint_states: Vector, reference: Vector) -> Mapping[str, Vector]:
+    def update(
+        self, x: State, t: int, *, joint_states: Vector, reference: Vector
+    ) -> tuple[State, Mapping[str, Vector]]:
         """Give the voltages."""
-        n, laws = self._n, self.laws
+        n = self._n
         e = [reference[i] - joint_states[i] for i in range(n)]
         rate = [reference[i] - joint_states[i] for i in range(n, 2 * n)]
-        voltages = [law(reference[2 * n + i], e[i], rate[i]) for i, law in enumerate(laws)]
-        state = (*e, *[law.s for law in laws], *[law.sigma for law in laws], *[law.f_hat for law in laws])
-        return {"motor_command": tuple(voltages), "controller_state": state}
+        found = [law(own, reference[2 * n + i], e[i], rate[i])
+                 for i, (law, own) in enumerate(zip(self.laws, x.laws, strict=True))]  # fmt: skip
+        laws, voltages = zip(*found, strict=True)
+        state = (*e, *[own.s for own in laws], *[own.sigma for own in laws], *[own.f_hat for own in laws])
+        return State(laws), {"motor_command": voltages, "controller_state": state}
 
 
 main = executable(VcsController)

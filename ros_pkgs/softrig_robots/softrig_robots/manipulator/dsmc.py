@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 from softrig_control.sliding_mode import switching
 from softrig_core import param
 
@@ -17,6 +19,22 @@ class DsmcGains(SurfaceGains):
     b1: PerJoint = param((200.0,), "proportional gain of the second surface", "1/s", live=True)
     b2: PerJoint = param((600.0,), "integral gain of the second surface", "1/s^2", live=True)
     rho: PerJoint = param((20.0,), "switching gain rho", "V/s", live=True)
+
+
+class DsmcState(NamedTuple):
+    """Voltage (V), both surfaces (rad/s, rad/s^2), integrals of e and s; q_d'' and e' of the period before."""
+
+    v: float = 0.0
+    s: float = 0.0
+    sigma: float = 0.0
+    e_int: float = 0.0
+    s_int: float = 0.0
+    before: tuple[float, float] | None = None
+
+    @property
+    def f_hat(self) -> float:
+        """Zero: the law estimates nothing."""
+        return 0.0
 
 
 class Dsmc:
@@ -40,42 +58,32 @@ class Dsmc:
         Voltage limit; the limited value is what the integration goes on from.
     """
 
-    f_hat = 0.0  # this law estimates nothing
-
     def __init__(self, *, a1: float, a2: float, b1: float, b2: float, rho: float, printed_mu1: bool, T: float,
                  v_max: float) -> None:  # fmt: skip
         self._a1, self._a2, self._b1, self._b2, self._rho = a1, a2, b1, b2, rho
         self._mu = Coefficients.of(a1, a2, b1, b2, printed_mu1)
         self._T, self._v_max = T, v_max
-        self.start()
 
-    def start(self) -> None:
-        """Forget everything."""
-        self.v = self.s = self.sigma = 0.0
-        self._e_int = self._s_int = 0.0
-        self._before: tuple[float, float] | None = None
+    def first(self) -> DsmcState:
+        """Remember nothing."""
+        return DsmcState()
 
-    def go_on(self, before: Dsmc) -> None:
-        """Take the place of a law with other gains."""
-        self.v, self.s, self.sigma = before.v, before.s, before.sigma
-        self._e_int, self._s_int, self._before = before._e_int, before._s_int, before._before
+    def go_on(self, x: DsmcState) -> DsmcState:
+        """Give the state with which these gains follow others."""
+        return x
 
-    def __call__(self, qdd_d: float, e: float, ed: float) -> float:
+    def __call__(self, x: DsmcState, qdd_d: float, e: float, ed: float) -> tuple[DsmcState, float]:
         """Give the voltage for the desired acceleration, the error and its rate (rad, s)."""
         T = self._T
-        e_int = self._e_int
-        self.s = s = ed + self._a1 * e + self._a2 * e_int
-        if self._before is not None:
-            qdd_before, ed_before = self._before
+        v, _, sigma, e_int, s_int, before = x
+        s = ed + self._a1 * e + self._a2 * e_int
+        if before is not None:
+            qdd_before, ed_before = before
             s_rate = (ed - ed_before) / T + self._a1 * ed + self._a2 * e
-            self.sigma = sigma = s_rate + self._b1 * s + self._b2 * self._s_int
+            sigma = s_rate + self._b1 * s + self._b2 * s_int
             mu1, mu2, mu3, mu4 = self._mu
-            v = self.v
             v += qdd_d - qdd_before + T * (
                 mu1 * (qdd_d - v) + mu2 * ed + mu3 * e + mu4 * e_int + self._rho * switching(sigma)
             )  # fmt: skip
-            self.v = min(max(v, -self._v_max), self._v_max)
-        self._before = (qdd_d, ed)
-        self._s_int += T * s
-        self._e_int = e_int + T * e
-        return self.v
+            v = min(max(v, -self._v_max), self._v_max)
+        return DsmcState(v, s, sigma, e_int + T * e, s_int + T * s, (qdd_d, ed)), v

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 from softrig_control.sliding_mode import switching
 from softrig_core import param
 
@@ -14,6 +16,23 @@ class SmcGains(JointGains):
     a1: PerJoint = param((100.0,), "proportional gain of the surface", "1/s", live=True)
     a2: PerJoint = param((400.0,), "integral gain of the surface", "1/s^2", live=True)
     rho: PerJoint = param((10.0,), "switching gain rho_1", "V", live=True)
+
+
+class SmcState(NamedTuple):
+    """Surface (rad/s), integral of e."""
+
+    s: float = 0.0
+    e_int: float = 0.0
+
+    @property
+    def sigma(self) -> float:
+        """Zero: the law has one surface."""
+        return 0.0
+
+    @property
+    def f_hat(self) -> float:
+        """It estimates nothing."""
+        return 0.0
 
 
 class Smc:
@@ -32,26 +51,20 @@ class Smc:
         Voltage limit.
     """
 
-    f_hat = 0.0  # this law estimates nothing
-    sigma = 0.0  # and has one surface
-
     def __init__(self, *, a1: float, a2: float, rho: float, T: float, v_max: float) -> None:
         self._a1, self._a2, self._rho = a1, a2, rho
         self._T, self._v_max = T, v_max
-        self.start()
 
-    def start(self) -> None:
-        """Forget everything."""
-        self.s = 0.0
-        self._e_int = 0.0
+    def first(self) -> SmcState:
+        """Remember nothing."""
+        return SmcState()
 
-    def go_on(self, before: Smc) -> None:
-        """Take the place of a law with other gains: the voltage may jump, as it does at any switching."""
-        self.s, self._e_int = before.s, before._e_int
+    def go_on(self, x: SmcState) -> SmcState:
+        """Give the state with which these gains follow others: the voltage may jump, as it does at any switching."""
+        return x
 
-    def __call__(self, qdd_d: float, e: float, ed: float) -> float:
+    def __call__(self, x: SmcState, qdd_d: float, e: float, ed: float) -> tuple[SmcState, float]:
         """Give the voltage for the desired acceleration, the error and its rate (rad, s)."""
-        self.s = s = ed + self._a1 * e + self._a2 * self._e_int
-        self._e_int += self._T * e
+        s = ed + self._a1 * e + self._a2 * x.e_int
         v = qdd_d + self._a1 * ed + self._a2 * e + self._rho * switching(s)
-        return min(max(v, -self._v_max), self._v_max)
+        return SmcState(s, x.e_int + self._T * e), min(max(v, -self._v_max), self._v_max)

@@ -44,13 +44,13 @@ class TrajectorySource(Block[TrajectoryParams]):
         self._cycle = to_ns(self.p.cycle)
         self._omega = 2.0 * pi / self.p.cycle
 
-    def update(self, t: int, **inputs: Any) -> Mapping[str, tuple[float, ...]]:
+    def update(self, x: Any, t: int, **inputs: Any) -> tuple[Any, Mapping[str, tuple[float, ...]]]:
         """Give the reference at t."""
         w = self._omega
         phase = w * to_s(t % self._cycle)  # whole cycles leave no rounding
         c, s = cos(phase), sin(phase)
         A = self._amplitude
-        return {"reference": (*[a * (1.0 - c) for a in A], *[a * w * s for a in A], *[a * w * w * c for a in A])}
+        return x, {"reference": (*[a * (1.0 - c) for a in A], *[a * w * s for a in A], *[a * w * w * c for a in A])}
 
 
 main = executable(TrajectorySource)

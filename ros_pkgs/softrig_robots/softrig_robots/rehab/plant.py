@@ -17,7 +17,7 @@ from .patient import FOOT, PATIENT_FORCE
 from .prom import PromReference
 from .stability import LinearRobot, RobotDrift
 
-START = tuple(q + radians(10.0) for q in PromReference().update(0)["reference"][:2])
+START = tuple(q + radians(10.0) for q in PromReference().update((), 0)[1]["reference"][:2])
 
 
 class JointFriction(Params):

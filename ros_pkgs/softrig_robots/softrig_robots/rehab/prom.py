@@ -52,7 +52,7 @@ class PromReference(Block[PromReferenceParams]):
         self._width = [r / (4.0 * v) for r, v in zip(self._range, spread("speed", self.p.speed, n), strict=True)]
         self._cycle = to_ns(self.p.cycle)
 
-    def update(self, t: int, **inputs: Any) -> Mapping[str, tuple[float, ...]]:
+    def update(self, x: Any, t: int, **inputs: Any) -> tuple[Any, Mapping[str, tuple[float, ...]]]:
         """Give the reference at t."""
         eta = to_s(t % self._cycle)
         q, v, a = [], [], []
@@ -61,7 +61,7 @@ class PromReference(Block[PromReferenceParams]):
             q.append(span * y + low)
             v.append(span * yd)
             a.append(span * ydd)
-        return {"reference": (*q, *v, *a)}
+        return x, {"reference": (*q, *v, *a)}
 
 
 def _bump(eta: float, eta1: float, eta2: float, width: float) -> Sequence[float]:

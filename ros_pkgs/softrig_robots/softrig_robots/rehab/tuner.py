@@ -9,7 +9,20 @@ from typing import NamedTuple, Self
 
 import numpy as np
 from pydantic import model_validator
-from softrig_core import Result, Sample, Solver, SolverParams, Values, Work, array, button, executable, param, to_ns
+from softrig_core import (
+    ByHand,
+    Result,
+    Sample,
+    Solver,
+    SolverParams,
+    Values,
+    Work,
+    array,
+    button,
+    executable,
+    param,
+    to_ns,
+)
 from softrig_optim.genetic import Genetic
 from softrig_optim.search import Evaluation, Point, run
 
@@ -78,7 +91,7 @@ def exercise(alpha_hat: float, duration: float = 15.0) -> Exercise:
 @lru_cache(maxsize=4)
 def _inputs(duration: float) -> tuple[list[tuple[float, ...]], list[tuple[float, ...]]]:
     """Reference and force at every tick."""
-    source, patient, period = PromReference(), Patient(), to_ns(PERIOD)
+    source, patient, period = ByHand(PromReference()), ByHand(Patient()), to_ns(PERIOD)
     ticks = [k * period for k in range(to_ns(duration) // period)]
     return [source.update(t)["reference"] for t in ticks], [patient.update(t)[PATIENT_FORCE] for t in ticks]
 
