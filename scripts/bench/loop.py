@@ -95,7 +95,8 @@ def tick() -> None:
     """How one tick between two processes splits: plant, law, codec, recording, and the middleware as the rest."""
     rig = dc_motor_rig()
     plant_member, law_member = rig.members
-    plant, law = ByHand(plant_member.block(0)), ByHand(law_member.block(0))
+    plant: Any = ByHand(plant_member.block(0))
+    law = ByHand(law_member.block(0))
     state, sensors = (p.layout() for p in plant_member.outputs)
     command = law_member.outputs[0].layout()
     out = plant.outputs(0)
