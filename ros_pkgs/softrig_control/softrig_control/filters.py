@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
-from typing import Generic, TypeVar
+from typing import Generic, NamedTuple, TypeVar
 
 T = TypeVar("T", float, complex)
 
 
-class SecondOrderFilter(Generic[T]):
-    r"""Low pass of second order, semi-implicit Euler.
+class Filtered(NamedTuple, Generic[T]):
+    """Output of the filter, and its rate (1/s)."""
+
+    y: T
+    rate: T
+
+
+class SecondOrderFilter:
+    r"""Low pass of second order, semi-implicit Euler; what it remembers is a `Filtered`.
 
     .. math:: \ddot y = \omega_n^2 (x - y) - 2 \zeta \omega_n \dot y
 
@@ -20,8 +27,6 @@ class SecondOrderFilter(Generic[T]):
         zeta.
     period : float
         Sampling period, s.
-    start : float or complex
-        Output at the start, at rest there.
 
     Raises
     ------
@@ -29,13 +34,7 @@ class SecondOrderFilter(Generic[T]):
         The sampled filter is not stable.
     """
 
-    def __init__(self, omega: float, damping: float, period: float, start: T) -> None:
-        self.retune(omega, damping, period)
-        self.y: T = start
-        self._rate: T = start - start
-
-    def retune(self, omega: float, damping: float, period: float) -> None:
-        """Take another frequency and damping; the output and its rate stay."""
+    def __init__(self, omega: float, damping: float, period: float) -> None:
         step = omega * period
         if not (step > 0.0 and damping > 0.0 and step * step + 4.0 * damping * step < 4.0):
             raise ValueError(
@@ -45,8 +44,14 @@ class SecondOrderFilter(Generic[T]):
         self._decay = 2.0 * damping * omega * period
         self._period = period
 
-    def __call__(self, x: T) -> T:
-        """Take the sample x in; gives y."""
-        self._rate += self._stiffness * (x - self.y) - self._decay * self._rate
-        self.y += self._period * self._rate
-        return self.y
+    @staticmethod
+    def first(start: T) -> Filtered[T]:
+        """Give the state of rest at `start`."""
+        return Filtered(start, start - start)
+
+    def __call__(self, x: Filtered[T], sample: T) -> tuple[Filtered[T], T]:
+        """Take a sample in; give the state, and y."""
+        y, rate = x
+        rate = rate + (self._stiffness * (sample - y) - self._decay * rate)
+        y = y + self._period * rate
+        return Filtered(y, rate), y

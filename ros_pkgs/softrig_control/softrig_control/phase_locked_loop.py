@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import cmath
 import math
+from typing import NamedTuple
 
 from softrig_core import Params, param
 
@@ -18,14 +19,23 @@ class PllParams(Params):
     )
 
 
+class Locked(NamedTuple):
+    """Angle at the sample to come (rad), angular frequency and its integral part (rad/s)."""
+
+    theta: float
+    omega: float
+    integral: float = 0.0
+
+
 class PhaseLockedLoop:
-    r"""Angle and frequency of a rotating vector u.
+    r"""Angle and frequency of a rotating vector u; what it remembers is a `Locked`.
 
     .. math::
         z_k = u_k e^{-j\theta_k}, \quad e_k = \arg z_k, \quad
         \omega_k = \omega_0 + K_p e_k + K_i T \sum_{i \le k} e_i, \quad \theta_{k+1} = \theta_k + T \omega_k
 
-    Below the magnitude `least` the phase of u means nothing: the frequency stays.
+    Below the magnitude `least` the phase of u means nothing: the frequency stays. The integral is kept in rad/s, so
+    another Ki brings no jump of the frequency.
 
     Parameters
     ----------
@@ -34,33 +44,22 @@ class PhaseLockedLoop:
         Nominal angular frequency omega_0, rad/s.
     period : float
         T, s.
-    theta : float
-        Angle at the start, rad.
     """
 
-    def __init__(self, gains: PllParams, omega: float, period: float, theta: float = 0.0) -> None:
+    def __init__(self, gains: PllParams, omega: float, period: float) -> None:
         self._gains = gains
         self._nominal = omega
         self._period = period
-        self._sum = 0.0
-        self._theta = self._next = theta
-        self.omega = omega
 
-    def retune(self, gains: PllParams) -> None:
-        """Take other gains; the integral is kept in rad/s, so another Ki brings no jump of the frequency."""
-        self._gains = gains
+    def first(self, theta: float) -> Locked:
+        """Begin with an angle, rad, at the nominal frequency."""
+        return Locked(theta, self._nominal)
 
-    @property
-    def theta(self) -> float:
-        """Angle at the newest sample, rad, from -pi to pi."""
-        return self._theta
-
-    def __call__(self, u: complex) -> float:
-        """Take the vector in; gives theta, the angle of the frame at this sample."""
-        self._theta = self._next
+    def __call__(self, x: Locked, u: complex) -> tuple[Locked, float]:
+        """Take the vector in; give the state, and theta, the angle of the frame at this sample, from -pi to pi."""
+        theta, omega, integral = x
         if abs(u) >= self._gains.least:
-            error = cmath.phase(u * cmath.rect(1.0, -self._theta))
-            self._sum += self._gains.ki * self._period * error
-            self.omega = self._nominal + self._gains.kp * error + self._sum
-        self._next = math.remainder(self._theta + self._period * self.omega, math.tau)
-        return self._theta
+            error = cmath.phase(u * cmath.rect(1.0, -theta))
+            integral += self._gains.ki * self._period * error
+            omega = self._nominal + self._gains.kp * error + integral
+        return Locked(math.remainder(theta + self._period * omega, math.tau), omega, integral), theta

@@ -70,32 +70,28 @@ class SeriesController(Block[SeriesControllerParams]):
         # the direction of the voltage that an error of the current asks for
         self._turn = 1j if p.law == "integral" else 1.0
         self._kp = p.kp if p.law == "printed" else 0.0
+        self._pll = PhaseLockedLoop(p.pll, p.network.omega, p.period)
+        self._filter = SecondOrderFilter(2.0 * math.pi * p.filter_frequency, p.damping, p.period)
 
     def change(self, params: SeriesControllerParams) -> None:
         """Take other gains without a bump; filters and loop go on."""
-        p, kp = params, self._kp
-        omega = 2.0 * math.pi * p.filter_frequency
-        self.p = p
-        self._kp = p.kp if p.law == "printed" else 0.0
-        if self._kp != kp and p.ki:
+        kp = self._kp
+        super().change(params)
+        if self._kp != kp and params.ki:
             self._integral += (kp - self._kp) * self._error
-        self._pll.retune(p.pll)
-        self._u_filter.retune(omega, p.damping, p.period)
-        self._i_filter.retune(omega, p.damping, p.period)
 
     def start(self) -> None:
         """Integrator, filters and loop as in the steady state."""
         p = self.p
         theta = cmath.phase(self._u)
         back = cmath.rect(1.0, -theta)
-        omega = 2.0 * math.pi * p.filter_frequency
-        self._pll = PhaseLockedLoop(p.pll, p.network.omega, p.period, theta)
-        self._u_filter = SecondOrderFilter[complex](omega, p.damping, p.period, self._u * back)
-        self._i_filter = SecondOrderFilter[complex](omega, p.damping, p.period, self._i * back)
+        self._locked = self._pll.first(theta)
+        self._u_x, self._i_x = self._filter.first(self._u * back), self._filter.first(self._i * back)
         for u, i in self._point.past(self._voltage, self._current):
-            back = cmath.rect(1.0, -self._pll(u))
-            self._u_filter(u * back)
-            self._i_filter(i * back)
+            self._locked, angle = self._pll(self._locked, u)
+            back = cmath.rect(1.0, -angle)
+            self._u_x, _ = self._filter(self._u_x, u * back)
+            self._i_x, _ = self._filter(self._i_x, i * back)
         self._integral = self._v * cmath.rect(1.0, -theta)
         self._error = 0j
         self._answer = {self._name: (abs(self._v), cmath.phase(self._v), p.network.omega)}
@@ -105,11 +101,12 @@ class SeriesController(Block[SeriesControllerParams]):
         p = self.p
         asked = self._asked if reference is None else complex(reference[0], reference[1])
         u, i = (complex(x[0], x[1]) for x in (inputs[self._voltage], inputs[self._current]))
-        theta = self._pll(u)
+        self._locked, theta = self._pll(self._locked, u)
         back = cmath.rect(1.0, -theta)
         u, i = u * back, i * back
         if p.law == "integral":
-            u, i = self._u_filter(u), self._i_filter(i)
+            self._u_x, u = self._filter(self._u_x, u)
+            self._i_x, i = self._filter(self._i_x, i)
         if abs(u) < LEAST_VOLTAGE:
             u = LEAST_VOLTAGE + 0j
         self._error = error = self._turn * ((asked / u).conjugate() - i)
@@ -122,7 +119,7 @@ class SeriesController(Block[SeriesControllerParams]):
             cut = v * (limit / abs(v))
             self._integral += cut - v
             v = cut
-        self._answer = {self._name: (abs(v), math.remainder(theta + cmath.phase(v), math.tau), self._pll.omega)}
+        self._answer = {self._name: (abs(v), math.remainder(theta + cmath.phase(v), math.tau), self._locked.omega)}
         return self._answer
 
     def refused(self, t: int) -> Mapping[str, tuple[float, ...]]:

@@ -53,7 +53,11 @@ class ShuntController(Block[ShuntControllerParams]):
 
     def setup(self) -> None:
         """Solve the power flow of the start."""
-        self._point = operating_point(self.p)
+        p = self.p
+        self._point = operating_point(p)
+        self._voltage, self._current = (Pid(gains, p.period) for gains in self._gains(p))
+        self._pll = PhaseLockedLoop(p.pll, p.network.omega, p.period)
+        self._filter = SecondOrderFilter(2.0 * math.pi * p.filter_frequency, p.damping, p.period)
 
     def _gains(self, p: ShuntControllerParams) -> tuple[PidParams, PidParams]:
         """Of the voltage and of the current regulator."""
@@ -65,29 +69,22 @@ class ShuntController(Block[ShuntControllerParams]):
 
     def change(self, params: ShuntControllerParams) -> None:
         """Take other gains without a bump; filters and loop go on."""
-        before, self.p, p = self._gains(self.p), params, params
-        omega = 2.0 * math.pi * p.filter_frequency
-        self._voltage, self._current = (Pid(gains, p.period) for gains in self._gains(p))
+        before = self._gains(self.p)
+        super().change(params)
         self._voltage_x = self._voltage.go_on(self._voltage_x, before[0])
         self._current_x = self._current.go_on(self._current_x, before[1])
-        self._pll.retune(p.pll)
-        for low_pass in (self._magnitude, self._reactive):
-            low_pass.retune(omega, p.damping, p.period)
 
     def start(self) -> None:
         """Integrators, filters and loop as in the steady state."""
         p = self.p
         u1, alpha = self._point.u1, math.degrees(cmath.phase(self._point.v_sh / self._point.u1))
         i_q = -(self._point.i_sh * u1.conjugate()).imag / abs(u1)
-        omega = 2.0 * math.pi * p.filter_frequency
-        self._pll = PhaseLockedLoop(p.pll, p.network.omega, p.period, cmath.phase(u1))
-        self._magnitude = SecondOrderFilter(omega, p.damping, p.period, abs(u1))
-        self._reactive = SecondOrderFilter(omega, p.damping, p.period, i_q)
+        self._locked = self._pll.first(cmath.phase(u1))
+        self._magnitude_x, self._reactive_x = self._filter.first(abs(u1)), self._filter.first(i_q)
         for u, i in self._point.past("u1", "i_sh"):
-            theta = self._pll(u)
-            self._magnitude(abs(u))
-            self._reactive(-(i * cmath.rect(1.0, -theta)).imag)
-        self._voltage, self._current = (Pid(gains, p.period) for gains in self._gains(p))
+            self._locked, theta = self._pll(self._locked, u)
+            self._magnitude_x, _ = self._filter(self._magnitude_x, abs(u))
+            self._reactive_x, _ = self._filter(self._reactive_x, -(i * cmath.rect(1.0, -theta)).imag)
         self._voltage_x, self._current_x = PidState(i_q), PidState(-alpha)
         self._answer = {"shunt": (p.network.shunt_sigma, cmath.phase(self._point.v_sh), p.network.omega)}
 
@@ -98,9 +95,10 @@ class ShuntController(Block[ShuntControllerParams]):
         p = self.p
         v_ref = p.initial.v if reference is None else reference[0]
         u = complex(u1[0], u1[1])
-        theta = self._pll(u)
-        v = self._magnitude(abs(u))
-        i_q = self._reactive(-(complex(i_sh[0], i_sh[1]) * cmath.rect(1.0, -theta)).imag)
+        self._locked, theta = self._pll(self._locked, u)
+        self._magnitude_x, v = self._filter(self._magnitude_x, abs(u))
+        q = -(complex(i_sh[0], i_sh[1]) * cmath.rect(1.0, -theta)).imag
+        self._reactive_x, i_q = self._filter(self._reactive_x, q)
         wanted = f"{v_ref:g} pu is asked of a voltage of {v:.4g} pu"
         self._voltage_x, found = self._voltage(self._voltage_x, v_ref - v)
         i_q_ref = self._limited(found, p.current_limit, "reactive_current", "pu", wanted)
@@ -108,7 +106,7 @@ class ShuntController(Block[ShuntControllerParams]):
         self._current_x, found = self._current(self._current_x, i_q_ref - i_q)
         alpha = -self._limited(found, p.angle_limit, "angle", "deg", wanted)
         angle = math.remainder(theta + math.radians(alpha), math.tau)
-        self._answer = {"shunt": (p.network.shunt_sigma, angle, self._pll.omega)}
+        self._answer = {"shunt": (p.network.shunt_sigma, angle, self._locked.omega)}
         return self._answer
 
     def _limited(self, x: float, limit: float, what: str, unit: str, wanted: str) -> float:
