@@ -1,9 +1,12 @@
 """The link block: delay, jitter, loss and quantisation on any message of any rig, with the original stamps."""
 
+import random
+from bisect import insort
+
 import pytest
 from conftest import in_process
 from hypothesis import given, settings, strategies as st
-from softrig_control.delay import FieldbusDelay
+from softrig_control.delay import BLOCK, FieldbusDelay, arrived, sent_on
 from softrig_core import ByHand, Level, ParameterError, Sample, Scenario, ScenarioError, Signals, load_scenario, rig_of
 
 PERIOD = 10_000_000
@@ -43,6 +46,25 @@ def test_jitter_is_uniform_over_whole_periods_and_keeps_the_newest():
     for age, share in expected.items():
         assert found.count(age) / len(found) == pytest.approx(share, abs=0.015)
     assert sum(found.count(age) for age in expected) == len(found)
+
+
+@pytest.mark.parametrize("spread", [0, 3, 300])
+def test_a_long_line_is_a_sorted_list(spread):
+    """Held against one list: in order, nearly so, and at random; over many blocks."""
+    rng, line, plain = random.Random(spread), (), []
+    for t in range(3000):
+        due = t + 400 + rng.randint(0, spread)
+        line = sent_on(line, due, t, (float(t),))
+        insort(plain, (due, t, (float(t),)))
+        before = line
+        line, found = arrived(line, t, t - 500)
+        there = [x for x in plain if x[0] <= t]
+        plain = plain[len(there) :]
+        late = [(stamp, message) for _, stamp, message in there if stamp >= t - 500]
+        assert found == max(late, default=None)
+        assert [x for block in line for x in block] == plain
+        assert all(0 < len(block) <= BLOCK for block in before)
+    assert len(line) > 4
 
 
 def test_stamps_never_go_back():

@@ -111,9 +111,13 @@ def test_a_tick_that_is_dropped_has_reported_nothing_and_draws_again():
     assert held.update(1) == after
 
 
-@pytest.mark.parametrize("name", ["dc_motor_smc_b2", "dc_motor_smc_b5_pid", "induction_dtc"])
-def test_going_back_to_any_tick_repeats_it(name):
-    rig = rig_of(load_scenario(name).changed(duration=0.1 if "dc" in name else 0.005))
+@pytest.mark.parametrize(
+    ("name", "duration"),
+    [("dc_motor_smc_b2", 0.1), ("dc_motor_smc_b5_pid", 0.1), ("induction_dtc", 0.005), ("dc_motor_smc_faults", 0.1),
+     ("dc_motor_fsfb_stretch_jitter", 0.2), ("rectifier_mpc_seed19", 0.02)],
+)  # fmt: skip
+def test_going_back_to_any_tick_repeats_it(name, duration):
+    rig = rig_of(load_scenario(name).changed(duration=duration))
     steps = wired(rig, {m.name: m.block(1) for m in rig.members})
     ticks, states = Runner(list(steps.values())).run(), []
     for _ in range(5):
