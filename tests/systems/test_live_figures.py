@@ -1,8 +1,11 @@
 """The node `figures`: what it says of a rig while it runs is what is measured of the recording."""
 
+from collections import deque
+
 import pytest
 from softrig_core import ByHand, Scenario, ScenarioError, load_scenario, rig_of, simulate
 from softrig_core.node.live_figures import Figures
+from softrig_core.verdict.watch import Kept
 
 SPEED = "motor/true_state/shaft/velocity"
 NODE = {"package": "softrig_core", "executable": "figures"}
@@ -58,6 +61,26 @@ def test_a_step_that_the_window_has_left_behind_has_no_figures():
         in simulate("dc_motor_smc_b2", overrides=overrides, duration=3.5).blocks["dc_motor_metrics"].status()
     )
     assert simulate("dc_motor_smc_b2", overrides=overrides, duration=5.5).blocks["dc_motor_metrics"].status() == {}
+
+
+@pytest.mark.parametrize("window", [5, 700])
+def test_a_window_is_a_queue(window):
+    """Over many blocks, with messages that are repeated and pauses that empty it."""
+    kept, queue, forgot = Kept(), deque(), False
+    for t in range(2000):
+        stamp = t - t % 3
+        if 900 < t < 1800:
+            continue
+        kept = kept.taken(stamp, (float(t),), t - window)
+        if not queue or stamp > queue[-1][0]:
+            queue.append((stamp, (float(t),)))
+        while queue and queue[0][0] < t - window:
+            queue.popleft()
+            forgot = True
+        assert list(kept.rows()) == list(queue)
+        assert kept.forgot == forgot
+    stale = kept.taken(0, (0.0,), 10**6)
+    assert (list(stale.rows()), stale.forgot) == ([], True)
 
 
 def test_by_hand_it_reads_the_topics_of_a_scenario_alone():
