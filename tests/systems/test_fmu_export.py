@@ -153,3 +153,25 @@ def test_what_it_cannot_do_is_told_by_name(exported, tmp_path):
     rig = rig_of("dc_motor_smc")
     with pytest.raises(ScenarioError, match=r"has no node 'dc_motor_plan' \(did you mean 'dc_motor_plant'\?\)"):
         export(rig, "dc_motor_plan", tmp_path)
+
+
+def test_an_export_goes_back_with_its_state(exported):
+    plant = motor(exported)
+    assert plant.block.p.unit.serialises
+
+    def go(n):
+        found = []
+        for k in range(n):
+            plant.advance(0, u=(5.0 + k,))
+            found.append(plant.outputs(0))
+        return found
+
+    go(20)
+    saved = plant.save()
+    rest = go(20)
+    plant.load(saved)
+    assert go(20) == rest
+    other = ByHand(FmuPlant(plant.block.p, "other"))  # in another process
+    other.load(saved)
+    other.advance(0, u=(5.0,))
+    assert other.outputs(0) == rest[0]

@@ -10,7 +10,7 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
-from softrig_core import Rig, ScenarioError, rig_of, simulate
+from softrig_core import Block, Rig, ScenarioError, rig_of, simulate
 from softrig_core.block.codec import Decoder
 from softrig_core.command_line import Parser
 from softrig_core.errors import closest
@@ -67,13 +67,20 @@ def export(rig: Rig, node: str, folder: Path) -> Path:
         what = Path(place, "node.json")
         what.write_text(json.dumps(content(member, rig.scenario.seed, model, start), indent=1), encoding="utf-8")
         path = folder / f"{model}.fmu"
-        code = "import sys; from pythonfmu import FmuBuilder; FmuBuilder.build_FMU(*sys.argv[1:3], [sys.argv[3]])"
+        code = "import sys; from pythonfmu import FmuBuilder; FmuBuilder.build_FMU(*sys.argv[1:3], [sys.argv[3]], "
+        code += "**dict.fromkeys(sys.argv[4:], True))"
         # in a process of its own: it imports the script by its name, and leaves its folder on the path
-        command = [sys.executable, "-P", "-c", code, str(script), str(path), str(what)]
+        command = [sys.executable, "-P", "-c", code, str(script), str(path), str(what), *_can(member)]
         done = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False)
     if done.returncode:
         raise ScenarioError(f"node {node}: no FMU: {(done.stderr.strip().splitlines() or ['no reason given'])[-1]}")
     return path
+
+
+def _can(member: Member) -> tuple[str, ...]:
+    """Give what the FMU can do beside its steps: a node whose state is a value keeps it, and writes it as bytes."""
+    plain = member.block_class.by_value() and member.block_class.save is Block.save
+    return ("canGetAndSetFMUstate", "canSerializeFMUstate") if plain else ()
 
 
 def _first(rig: Rig, member: Member) -> dict[str, list[float]]:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import base64
 import json
+import pickle
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -137,6 +139,21 @@ class Node(Base):  # type: ignore[misc,unused-ignore]
         self._k = 0
         if isinstance(block, Plant):
             self._step.say(0)
+
+    def _get_fmu_state(self) -> dict[str, Any]:
+        """Give all that decides how it goes on, as PythonFMU keeps and writes it."""
+        step = self._step
+        kept = step.save(), dict(step.values), step.said, step.bad, self._k, self._numbers
+        return {"kept": base64.b64encode(pickle.dumps(kept)).decode()}
+
+    def _set_fmu_state(self, state: dict[str, Any]) -> None:
+        """Go on from there; the bytes are those of the tool in whose process we are."""
+        step = self._step
+        saved, values, step.said, step.bad, self._k, numbers = pickle.loads(base64.b64decode(state["kept"]))
+        step.load(saved)
+        step.values.update(values)
+        for name, row in numbers.items():
+            self._numbers[name][:] = row
 
     def _take(self, t: int, rows: Rows) -> None:
         for port, row in zip(self._outputs, rows, strict=True):
