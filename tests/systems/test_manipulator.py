@@ -93,16 +93,18 @@ def answer(block, q, v, tau, acceleration=None):
 
 
 def test_dynamics_node_gives_the_reference_values():
-    found = answer(RobotDynamics(), Q, V, np.zeros(3))
+    found = answer(ByHand(RobotDynamics()), Q, V, np.zeros(3))
     M = [[10.440676, 0, 0], [0, 13.166804, 3.022827], [0, 3.022827, 1.672924]]
     np.testing.assert_allclose(found["mass_matrix"], M, atol=1e-5)
     np.testing.assert_allclose(found["bias"], [-2.299374, 123.854263, 28.000033], atol=1e-5)
     np.testing.assert_allclose(found["gravity"], [0, 124.242844, 27.472338], atol=1e-5)
-    np.testing.assert_allclose(answer(RobotDynamics(), np.zeros(3), V, V)["tool_pose"][:3], [1.69, 0, 0.28], atol=1e-12)
+    np.testing.assert_allclose(
+        answer(ByHand(RobotDynamics()), np.zeros(3), V, V)["tool_pose"][:3], [1.69, 0, 0.28], atol=1e-12
+    )
 
 
 def test_dynamics_node_agrees_with_the_lagrangian():
-    block = RobotDynamics()
+    block = ByHand(RobotDynamics())
     for q, v, tau in random_states(200):
         D, C, gravity, D_dot, _ = (np.array(x) for x in lagrangian()(q, v))
         bias = (C @ v) + gravity.ravel()
@@ -117,7 +119,7 @@ def test_dynamics_node_agrees_with_the_lagrangian():
 
 
 def test_jacobian_is_the_rate_of_the_tool_pose():
-    block, h = RobotDynamics(), 1e-6
+    block, h = ByHand(RobotDynamics()), 1e-6
     before, now, after = (answer(block, Q + k * h * V, V, V) for k in (-1, 0, 1))
     rate = (after["tool_pose"][:3] - before["tool_pose"][:3]) / (2 * h)
     np.testing.assert_allclose(now["jacobian"][:3] @ V, rate, atol=1e-8)
@@ -127,7 +129,10 @@ def test_jacobian_is_the_rate_of_the_tool_pose():
 
 
 def test_armature_adds_to_the_diagonal():
-    plain, geared = answer(RobotDynamics(), Q, V, V, (1.0, 2.0, 3.0)), RobotDynamics(armature=[2.0, 3.0, 4.0])
+    plain, geared = (
+        answer(ByHand(RobotDynamics()), Q, V, V, (1.0, 2.0, 3.0)),
+        ByHand(RobotDynamics(armature=[2.0, 3.0, 4.0])),
+    )
     found = answer(geared, Q, V, V, (1.0, 2.0, 3.0))
     np.testing.assert_allclose(found["mass_matrix"] - plain["mass_matrix"], np.diag([2.0, 3.0, 4.0]), atol=1e-12)
     np.testing.assert_allclose(found["inverse_dynamics"] - plain["inverse_dynamics"], [2, 6, 12], atol=1e-12)
@@ -156,9 +161,9 @@ def test_a_refused_query_is_not_answered():
 
 
 def test_description_and_markers_for_viewers():
-    block = RobotDynamics()
+    block = ByHand(RobotDynamics())
     answer(block, np.zeros(3), V, V)
-    assert block.latched() == {"robot_description": (URDF / "manipulator.urdf").read_text()}
+    assert block.block.latched() == {"robot_description": (URDF / "manipulator.urdf").read_text()}
     lines, balls = marker_array(2_500_000_000, block.markers()).markers
     assert (lines.ns, balls.ns, lines.header.frame_id, lines.header.stamp.sec) == ("links", "joints", "base_link", 2)
     assert len(lines.points) == 8
@@ -485,10 +490,10 @@ def test_a_continuous_joint_has_its_angle_and_poses_are_in_the_frame_of_the_robo
     file = tmp_path / "endless.urdf"
     file.write_text(text.replace('type="revolute"', 'type="continuous"').replace("base_link", "pedestal"))
     names = tuple(load_model(text).names)[1:]
-    given, endless = (RobotDynamics(urdf=source, joints=names) for source in (TWO_LINK, str(file)))
+    given, endless = (ByHand(RobotDynamics(urdf=source, joints=names)) for source in (TWO_LINK, str(file)))
     query = {"joint_query": (0.3, -1.1, 0.2, 0.4, 1.0, -2.0), "reference": None}
     assert endless.update(0, **query) == given.update(0, **query)
-    pose = next(p for p in endless.ports(endless.p)[1] if p.name == "tool_pose")
+    pose = next(p for p in endless.block.ports(endless.block.p)[1] if p.name == "tool_pose")
     assert pose.frame_id == "pedestal"
     assert {m.frame_id for m in endless.markers()} == {"pedestal"}
 

@@ -70,7 +70,7 @@ def lagrangian():
 
 
 def dynamics(q, v, tau):
-    block = RobotDynamics(urdf="package://softrig_robots/urdf/rehab_leg.urdf", joints=JOINTS, tool="foot")
+    block = ByHand(RobotDynamics(urdf="package://softrig_robots/urdf/rehab_leg.urdf", joints=JOINTS, tool="foot"))
     return block.update(0, joint_query=(*q, *v, *tau), reference=None)
 
 
@@ -98,7 +98,7 @@ def test_dynamics_node_gives_the_reference_values():
 
 def test_dynamics_node_agrees_with_the_lagrangian():
     rng = np.random.default_rng(0)
-    block = RobotDynamics(urdf="package://softrig_robots/urdf/rehab_leg.urdf", joints=JOINTS, tool="foot")
+    block = ByHand(RobotDynamics(urdf="package://softrig_robots/urdf/rehab_leg.urdf", joints=JOINTS, tool="foot"))
     for q, v, tau in zip(rng.uniform(-3, 3, (200, 2)), rng.uniform(-5, 5, (200, 2)), rng.uniform(-50, 50, (200, 2)),
                          strict=True):  # fmt: skip
         M, bias, gravity, _ = (np.array(x) for x in lagrangian()(q, v))
