@@ -24,10 +24,10 @@ from softrig_core import (
     load_scenario,
     rig_of,
 )
-from softrig_core.block.floats import numbers
 from softrig_core.block.params import build
 from softrig_core.judge import measures
 from softrig_core.kit import compiled
+from softrig_core.kit.floats import numbers
 from softrig_core.node.ros.messages import marker_array
 from softrig_robots.driven_robot import compile_robot
 from softrig_robots.dynamics import RobotDynamics

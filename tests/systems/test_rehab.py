@@ -26,9 +26,9 @@ from softrig_core import (
     run_inprocess,
     simulate,
 )
-from softrig_core.block.floats import numbers
 from softrig_core.block.params import build, flatten
 from softrig_core.judge import measures
+from softrig_core.kit.floats import numbers
 from softrig_robots.driven_robot import compile_robot
 from softrig_robots.dynamics import RobotDynamics
 from softrig_robots.figures import repeatability
