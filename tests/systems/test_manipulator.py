@@ -27,6 +27,7 @@ from softrig_core import (
 from softrig_core.block.params import build
 from softrig_core.judge import measures
 from softrig_core.kit import compiled
+from softrig_core.kit.floats import numbers
 from softrig_core.node.ros.messages import marker_array
 from softrig_robots.driven_robot import compile_robot
 from softrig_robots.dynamics import RobotDynamics
@@ -92,16 +93,18 @@ def answer(block, q, v, tau, acceleration=None):
 
 
 def test_dynamics_node_gives_the_reference_values():
-    found = answer(RobotDynamics(), Q, V, np.zeros(3))
+    found = answer(ByHand(RobotDynamics()), Q, V, np.zeros(3))
     M = [[10.440676, 0, 0], [0, 13.166804, 3.022827], [0, 3.022827, 1.672924]]
     np.testing.assert_allclose(found["mass_matrix"], M, atol=1e-5)
     np.testing.assert_allclose(found["bias"], [-2.299374, 123.854263, 28.000033], atol=1e-5)
     np.testing.assert_allclose(found["gravity"], [0, 124.242844, 27.472338], atol=1e-5)
-    np.testing.assert_allclose(answer(RobotDynamics(), np.zeros(3), V, V)["tool_pose"][:3], [1.69, 0, 0.28], atol=1e-12)
+    np.testing.assert_allclose(
+        answer(ByHand(RobotDynamics()), np.zeros(3), V, V)["tool_pose"][:3], [1.69, 0, 0.28], atol=1e-12
+    )
 
 
 def test_dynamics_node_agrees_with_the_lagrangian():
-    block = RobotDynamics()
+    block = ByHand(RobotDynamics())
     for q, v, tau in random_states(200):
         D, C, gravity, D_dot, _ = (np.array(x) for x in lagrangian()(q, v))
         bias = (C @ v) + gravity.ravel()
@@ -116,7 +119,7 @@ def test_dynamics_node_agrees_with_the_lagrangian():
 
 
 def test_jacobian_is_the_rate_of_the_tool_pose():
-    block, h = RobotDynamics(), 1e-6
+    block, h = ByHand(RobotDynamics()), 1e-6
     before, now, after = (answer(block, Q + k * h * V, V, V) for k in (-1, 0, 1))
     rate = (after["tool_pose"][:3] - before["tool_pose"][:3]) / (2 * h)
     np.testing.assert_allclose(now["jacobian"][:3] @ V, rate, atol=1e-8)
@@ -126,7 +129,10 @@ def test_jacobian_is_the_rate_of_the_tool_pose():
 
 
 def test_armature_adds_to_the_diagonal():
-    plain, geared = answer(RobotDynamics(), Q, V, V, (1.0, 2.0, 3.0)), RobotDynamics(armature=[2.0, 3.0, 4.0])
+    plain, geared = (
+        answer(ByHand(RobotDynamics()), Q, V, V, (1.0, 2.0, 3.0)),
+        ByHand(RobotDynamics(armature=[2.0, 3.0, 4.0])),
+    )
     found = answer(geared, Q, V, V, (1.0, 2.0, 3.0))
     np.testing.assert_allclose(found["mass_matrix"] - plain["mass_matrix"], np.diag([2.0, 3.0, 4.0]), atol=1e-12)
     np.testing.assert_allclose(found["inverse_dynamics"] - plain["inverse_dynamics"], [2, 6, 12], atol=1e-12)
@@ -155,9 +161,9 @@ def test_a_refused_query_is_not_answered():
 
 
 def test_description_and_markers_for_viewers():
-    block = RobotDynamics()
+    block = ByHand(RobotDynamics())
     answer(block, np.zeros(3), V, V)
-    assert block.latched() == {"robot_description": (URDF / "manipulator.urdf").read_text()}
+    assert block.block.latched() == {"robot_description": (URDF / "manipulator.urdf").read_text()}
     lines, balls = marker_array(2_500_000_000, block.markers()).markers
     assert (lines.ns, balls.ns, lines.header.frame_id, lines.header.stamp.sec) == ("links", "joints", "base_link", 2)
     assert len(lines.points) == 8
@@ -231,8 +237,8 @@ def test_free_swing_meets_its_numbers_and_keeps_its_energy():
 
 
 def test_plant_agrees_with_an_independent_integrator():
-    plant = ManipulatorPlant(position=[0.2, -0.4, 0.6], velocity=[0.5, 0.1, -0.3], disturbance={"time": 0.05},
-                             payload=1.5, substeps=8)  # fmt: skip
+    plant = ByHand(ManipulatorPlant(position=[0.2, -0.4, 0.6], velocity=[0.5, 0.1, -0.3], disturbance={"time": 0.05},
+                                    payload=1.5, substeps=8))  # fmt: skip
     model = load_model(manipulator_urdf())
     model.inertias[3] += pin.SE3(np.eye(3), np.array([0.93, 0, 0])).act(pin.Inertia(1.5, np.zeros(3), np.zeros((3, 3))))
     model.armature = np.full(3, 2.0)
@@ -249,15 +255,15 @@ def test_plant_agrees_with_an_independent_integrator():
         x = solve_ivp(derivative, (begin, end), x, args=(drop,), method="DOP853", rtol=1e-11, atol=1e-12).y[:, -1]
     for k in range(200):
         plant.advance(k * 1_000_000, motor_command=tuple(volts))
-    np.testing.assert_allclose(plant.x, x, atol=2e-9)
+    np.testing.assert_allclose(numbers(plant.x), x, atol=2e-9)
 
 
 def test_substeps_converge_with_fourth_order():
     def positions(substeps):
-        plant = ManipulatorPlant(position=-0.1, substeps=substeps)
+        plant = ByHand(ManipulatorPlant(position=-0.1, substeps=substeps))
         for k in range(200):
             plant.advance(k * 1_000_000, motor_command=(10.0 * math.sin(k / 20), 20.0, -5.0))
-        return np.array(plant.x[:3])
+        return np.array(plant.x.q)
 
     exact = positions(32)
     error = {n: np.abs(positions(n) - exact).max() for n in (1, 2, 4)}
@@ -268,22 +274,22 @@ def test_substeps_converge_with_fourth_order():
 
 
 def test_without_a_compiler_the_same_numbers(monkeypatch, tmp_path):
-    fast = ManipulatorPlant(position=-0.1)
+    fast = ByHand(ManipulatorPlant(position=-0.1))
     monkeypatch.setattr(compiled, "build", lambda function: None)
     compile_robot.cache_clear()
-    slow = ManipulatorPlant(position=-0.1)
+    slow = ByHand(ManipulatorPlant(position=-0.1))
     compile_robot.cache_clear()
-    assert fast._step.native
-    assert not slow._step.native
+    assert fast.block._step.native
+    assert not slow.block._step.native
     for k in range(100):
         fast.advance(k * 1_000_000, motor_command=(10.0, -20.0, 5.0))
         slow.advance(k * 1_000_000, motor_command=(10.0, -20.0, 5.0))
-    np.testing.assert_allclose(fast.x, slow.x, rtol=1e-12)
+    np.testing.assert_allclose(numbers(fast.x), numbers(slow.x), rtol=1e-12)
 
 
 def test_outputs_are_the_reference_values():
-    plant = ManipulatorPlant(position=0.1, velocity=0.2)
-    plant.x = (*plant.x[:6], 1.0, 2.0, 3.0)
+    plant = ByHand(ManipulatorPlant(position=0.1, velocity=0.2))
+    plant.x = plant.x._replace(i=(1.0, 2.0, 3.0))
     found = plant.outputs(0)
     assert found["joint_states"] == pytest.approx((0.1,) * 3 + (0.2,) * 3 + (26.0, 52.0, 78.0))
     assert found["motor_states"] == pytest.approx((10.0,) * 3 + (20.0,) * 3 + (1.0, 2.0, 3.0))
@@ -410,9 +416,9 @@ def test_replayed_commands_reproduce_the_motion():
     signals = run("manipulator_adsmc_s4", 3.0)
     commands = np.array([signals[v].x for v in V_SIGNAL]).T.tolist()
     positions = np.array([signals[f"joint_states/joint{i}/position"].x for i in (1, 2, 3)]).T
-    plant = ManipulatorPlant()
+    plant = ByHand(ManipulatorPlant())
     for k, command in enumerate(commands):
-        np.testing.assert_allclose(plant.x[:3], positions[k], atol=1e-9)
+        np.testing.assert_allclose(plant.x.q, positions[k], atol=1e-9)
         plant.advance(k * 1_000_000, motor_command=tuple(command))
 
 
@@ -484,10 +490,10 @@ def test_a_continuous_joint_has_its_angle_and_poses_are_in_the_frame_of_the_robo
     file = tmp_path / "endless.urdf"
     file.write_text(text.replace('type="revolute"', 'type="continuous"').replace("base_link", "pedestal"))
     names = tuple(load_model(text).names)[1:]
-    given, endless = (RobotDynamics(urdf=source, joints=names) for source in (TWO_LINK, str(file)))
+    given, endless = (ByHand(RobotDynamics(urdf=source, joints=names)) for source in (TWO_LINK, str(file)))
     query = {"joint_query": (0.3, -1.1, 0.2, 0.4, 1.0, -2.0), "reference": None}
     assert endless.update(0, **query) == given.update(0, **query)
-    pose = next(p for p in endless.ports(endless.p)[1] if p.name == "tool_pose")
+    pose = next(p for p in endless.block.ports(endless.block.p)[1] if p.name == "tool_pose")
     assert pose.frame_id == "pedestal"
     assert {m.frame_id for m in endless.markers()} == {"pedestal"}
 
@@ -505,7 +511,7 @@ def test_reference_without_accelerations_is_refused():
 
 
 def test_overspeed_ends_the_run_at_the_last_good_state():
-    plant = ManipulatorPlant(speed_limit=0.2)
+    plant = ByHand(ManipulatorPlant(speed_limit=0.2))
     states = [plant.x]
 
     def drive():
@@ -516,12 +522,12 @@ def test_overspeed_ends_the_run_at_the_last_good_state():
     with pytest.raises(RunError, match=r"limit 0\.2: integration stopped at t = 0\.\d+ s"):
         drive()
     assert plant.x == states[-1]
-    assert max(map(abs, plant.x[3:6])) <= 0.2
+    assert max(map(abs, plant.x.v)) <= 0.2
 
 
 def test_state_that_is_not_finite_ends_the_run():
-    plant = ManipulatorPlant(speed_limit=1e12)
-    plant.x = (*plant.x[:3], 1e200, 1e200, 1e200, *plant.x[6:])
+    plant = ByHand(ManipulatorPlant(speed_limit=1e12))
+    plant.x = plant.x._replace(v=(1e200,) * 3)
     before = plant.x
     with pytest.raises(RunError, match="integration stopped"):
         plant.advance(0, motor_command=(0.0, 0.0, 0.0))
@@ -529,7 +535,7 @@ def test_state_that_is_not_finite_ends_the_run():
 
 
 def test_saturation_is_limited_and_reported_per_motor():
-    plant, same = ManipulatorPlant(), ManipulatorPlant()
+    plant, same = ByHand(ManipulatorPlant()), ByHand(ManipulatorPlant())
     for k in range(10):
         plant.advance(k * 1_000_000, motor_command=(100.0, -50.0 if k < 3 else 0.0, 1.0))
         same.advance(k * 1_000_000, motor_command=(40.0, -40.0 if k < 3 else 0.0, 1.0))
@@ -541,9 +547,9 @@ def test_saturation_is_limited_and_reported_per_motor():
 
 
 def test_links_given_as_parameters_change_the_robot():
-    heavy = ManipulatorPlant(links=Links(mass=(19.0, 18.18, 30.0)))
-    light = ManipulatorPlant()
+    heavy = ByHand(ManipulatorPlant(links=Links(mass=(19.0, 18.18, 30.0))))
+    light = ByHand(ManipulatorPlant())
     for plant in (heavy, light):
         for k in range(50):
             plant.advance(k * 1_000_000, motor_command=(0.0, 0.0, 0.0))
-    assert heavy.x[1] < 1.2 * light.x[1] < 0.0
+    assert heavy.x.q[1] < 1.2 * light.x.q[1] < 0.0

@@ -9,12 +9,12 @@ r"""A robot whose joints are driven through gears by DC motors: equations, compi
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self
 
 from pydantic import model_validator
-from softrig_core import BlockParams, Compiled, Level, Params, Plant, RunError, param, rk4, state_type, to_ns, to_s
+from softrig_core import BlockParams, Compiled, Level, Params, Plant, RunError, param, rk4, to_ns, to_s
 from typing_extensions import TypeVar
 
 from .joints import PerJoint, require_positive, spread
@@ -97,6 +97,15 @@ class Friction(NamedTuple):
 P = TypeVar("P", bound=DrivenRobotParams, default=DrivenRobotParams)
 
 
+class State(NamedTuple):
+    """Positions q (rad), velocities v (rad/s) and currents i (A) a joint; ticks of each motor at its limit."""
+
+    q: Vector
+    v: Vector
+    i: Vector
+    saturated: tuple[int, ...]
+
+
 class DrivenRobot(Plant[P]):
     """Rigid robot, gears and armature circuits, fourth-order Runge-Kutta with the inputs held.
 
@@ -153,27 +162,20 @@ class DrivenRobot(Plant[P]):
         self._inertia = tuple(J / r**2 for J, r in zip(table["inertia"], self._gear, strict=True))
         self._damping = tuple(B / r**2 for B, r in zip(table["damping"], self._gear, strict=True))
         self._friction = self.friction()
-        self.set_motors(1.0, 1.0)
+        self.torque_per_ampere, self._plant = self.motors(1.0, 1.0)
         self._h = self.p.period / self.p.substeps
         period = to_ns(self.p.period)
         self._begins = [k * period // self.p.substeps for k in range(self.p.substeps)]
         self.nowhere = (0.0, 0.0, 0.0)
 
-    def change(self, params: P) -> None:
-        """Take other loads and limits; motors that have drifted stay so."""
-        drifted = self._drifted
-        super().change(params)
-        self.set_motors(*drifted)
-
-    def set_motors(self, resistance: float, constants: float) -> None:
-        """Put R, and K_m and K_b, to these multiples of their parameters."""
+    def motors(self, resistance: float, constants: float) -> tuple[Vector, Vector]:
+        """Give K_m/r (N m/A), and all numbers of the compiled step, with R, K_m and K_b at these multiples."""
         table = self._table
-        self._drifted = resistance, constants
-        self.torque_per_ampere = tuple(constants * K for K in self.torque_constants(table))
-        self._plant = (
+        torque_per_ampere = tuple(constants * K for K in self.torque_constants(table))
+        return torque_per_ampere, (
             *(resistance * R for R in table["resistance"]),
             *table["inductance"],
-            *self.torque_per_ampere,
+            *torque_per_ampere,
             *(constants * K / g for K, g in zip(table["back_emf_constant"], self._gear, strict=True)),
             *self._inertia,
             *self._damping,
@@ -185,88 +187,82 @@ class DrivenRobot(Plant[P]):
             self.p.payload,
         )
 
-    def start(self) -> None:
+    def first(self) -> Any:
         """Put the robot at its initial state with no current."""
         q, v = self.initial()
-        self.x: Vector = (*q, *v, *(0.0,) * self.n)
-        self.saturated = [0] * self.n
+        return State(q, v, (0.0,) * self.n, (0,) * self.n)
 
-    @property
-    def state(self) -> Any:
-        """Give positions q (rad), velocities v (rad/s) and currents I (A), joint after joint."""
-        joints = self.joints()
-        return state_type(("q", joints), ("v", joints), ("I", joints))(*self.x)
-
-    def put(self, state: Sequence[float]) -> None:
-        """Go on from another state."""
-        self.x = tuple(map(float, state))
-
-    def clip(self, command: Vector) -> Vector:
-        """Limit the voltages and keep count of the ticks on which each was at its limit.
+    def clip(self, saturated: tuple[int, ...], command: Vector) -> tuple[tuple[int, ...], Vector]:
+        """Limit the voltages and count the ticks on which each was at its limit.
 
         A controller that keeps the limit itself sends exactly the limit: that is saturation too.
         """
         top = self.p.v_max
         if max(command) < top and min(command) > -top:
-            return command
-        for i, v in enumerate(command):
-            self.saturated[i] += abs(v) >= top
-        seconds = [round(k * self.p.period, 9) for k in self.saturated]
+            return saturated, command
+        saturated = tuple(k + (abs(v) >= top) for k, v in zip(saturated, command, strict=True))
+        seconds = [round(k * self.p.period, 9) for k in saturated]
         self.report(
             Level.WARN, "saturation", f"motor voltages at their limit of {top:g} V for {seconds} s (motor after motor)"
         )
-        return tuple(min(max(v, -top), top) for v in command)
+        return saturated, tuple(min(max(v, -top), top) for v in command)
 
-    def move(self, t: int, voltages: Vector, force: Vector) -> None:
+    def move(self, x: Any, t: int, voltages: Vector, force: Vector, plant: Vector) -> tuple[Vector, Vector, Vector]:
         """Integrate over one period.
 
         Parameters
         ----------
+        x : named tuple
+            As `State`.
         t : int
             Begin, ns.
         voltages : tuple of float
             At the motors, V.
         force : tuple of 3 floats
             With which the tool pushes on its surroundings, base frame, N.
+        plant : tuple of float
+            As of `motors`.
+
+        Returns
+        -------
+        q, v, i : tuple of float
+            rad, rad/s, A.
 
         Raises
         ------
         RunError
-            The state is no longer finite, or a joint is faster than the speed limit. The state stays the last good.
+            The state is no longer finite, or a joint is faster than the speed limit.
         """
-        x = self.x
+        flat, n = (*x.q, *x.v, *x.i), self.n
         for begin in self._begins:
             drop, torque = self.loads(t + begin)
             inputs = [v - d for v, d in zip(voltages, drop, strict=True)]
-            x = self._step((*x, *inputs, *torque, *force, *self._plant, self._h))
-        speeds = x[self.n : 2 * self.n]
+            flat = self._step((*flat, *inputs, *torque, *force, *plant, self._h))
+        speeds = flat[n : 2 * n]
         limit = self.p.speed_limit
         # written so that NaN fails it, wherever it is in the state
-        if not (max(speeds) <= limit and min(speeds) >= -limit and math.isfinite(sum(x))):
+        if not (max(speeds) <= limit and min(speeds) >= -limit and math.isfinite(sum(flat))):
             raise RunError(f"joint speeds {[float(f'{v:.6g}') for v in speeds]} rad/s, limit {limit:g}: integration "
-                           f"stopped at t = {to_s(t):.9g} s, last positions {list(self.x[: self.n])} rad")  # fmt: skip
-        self.x = x
+                           f"stopped at t = {to_s(t):.9g} s, last positions {list(x.q)} rad")  # fmt: skip
+        return flat[:n], speeds, flat[2 * n :]
 
-    def motor_torques(self) -> Vector:
-        """Give the motors' torques on the joint side, K_m I/r, N m."""
-        return tuple(k * i for k, i in zip(self.torque_per_ampere, self.x[2 * self.n :], strict=True))
-
-    def gear_torques(self, t: int, force: Vector) -> Vector:
+    def gear_torques(self, x: Any, t: int, force: Vector, plant: Vector) -> Vector:
         """Give what the gears hand to the links, T_r = K_m I/r - (J_m q'' + B_m q')/r^2, N m."""
         _, torque = self.loads(t)
-        return self._torque((*self.x, *torque, *force, *self._plant))
+        return self._torque((*x.q, *x.v, *x.i, *torque, *force, *plant))
 
-    def advance(self, t: int, *, motor_command: Vector) -> None:
+    def advance(self, x: Any, t: int, *, motor_command: Vector) -> Any:
         """Move with the clipped voltages and no force at the tool."""
-        self.move(t, self.clip(motor_command), self.nowhere)
+        saturated, voltages = self.clip(x.saturated, motor_command)
+        return State(*self.move(x, t, voltages, self.nowhere, self._plant), saturated)
 
-    def outputs(self, t: int) -> Mapping[str, Vector]:
-        """Give joint and motor states."""
-        n = self.n
-        x = self.x
+    def outputs(self, x: Any, t: int) -> Mapping[str, Vector]:
+        """Give joint and motor states; efforts are the motors' torques on the joint side, K_m I/r, and currents."""
+        q, v, i, _ = x
         gear = self._gear
-        motors = (*(q / r for q, r in zip(x[: 2 * n], gear * 2, strict=True)), *x[2 * n :])
-        return {"joint_states": (*x[: 2 * n], *self.motor_torques()), "motor_states": motors}
+        torques = [k * a for k, a in zip(self.torque_per_ampere, i, strict=True)]
+        motors = (*(a / r for a, r in zip((*q, *v), gear * 2, strict=True)), *i)
+        return {"joint_states": (*q, *v, *torques), "motor_states": motors}
 
 
 @lru_cache(maxsize=16)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Self
+from typing import NamedTuple, Self
 
 from pydantic import model_validator
 from softrig_core import Block, BlockParams, Marker, Port, array, executable, joint_state, param, pose, reference
@@ -30,6 +30,12 @@ class RobotDynamicsParams(BlockParams):
         require_positive("armature", spread("armature", self.armature, len(self.joints)), or_zero=True)
         check_robot(self.urdf, self.tool, self.joints)
         return self
+
+
+class State(NamedTuple):
+    """Positions of the newest query, rad."""
+
+    q: Vector
 
 
 class RobotDynamics(Block[RobotDynamicsParams]):
@@ -75,17 +81,18 @@ class RobotDynamics(Block[RobotDynamicsParams]):
         self._data = self._model.createData()
         self._tool = frame_id(self._model, self.p.tool)
 
-    def start(self) -> None:
+    def first(self) -> State:
         """Stand at zero."""
-        self._q = self._np.zeros(self._model.nq)
+        return State((0.0,) * self._model.nq)
 
-    def update(self, t: int, *, joint_query: Vector, reference: Vector | None) -> Mapping[str, Vector]:
+    def update(
+        self, x: State, t: int, *, joint_query: Vector, reference: Vector | None
+    ) -> tuple[State, Mapping[str, Vector]]:
         """Answer the query (q, v, tau)."""
         pin, model, data, n = self._pin, self._model, self._data, self._model.nv
         state = self._np.array(joint_query)
         q, v, tau = state[:n], state[n : 2 * n], state[2 * n :]
         a = self._np.zeros(n) if reference is None else self._np.array(reference)
-        self._q = q
         forward = pin.aba(model, data, q, v, tau).tolist()
         pin.computeAllTerms(model, data, q, v)  # fills the upper half of M only
         upper = data.M
@@ -93,7 +100,7 @@ class RobotDynamics(Block[RobotDynamicsParams]):
         pin.updateFramePlacements(model, data)
         tool = data.oMf[self._tool]
         jacobian = pin.getFrameJacobian(model, data, self._tool, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
-        return {
+        return State(joint_query[:n]), {
             "mass_matrix": tuple(mass.ravel().tolist()),
             "bias": tuple(data.nle.tolist()),
             "gravity": tuple(pin.computeGeneralizedGravity(model, data, q).tolist()),
@@ -103,18 +110,18 @@ class RobotDynamics(Block[RobotDynamicsParams]):
             "tool_pose": (*tool.translation.tolist(), *pin.Quaternion(tool.rotation).coeffs().tolist()),
         }
 
-    def refused(self, t: int) -> Mapping[str, Vector]:
+    def refused(self, x: State, t: int) -> tuple[State, Mapping[str, Vector]]:
         """Stay silent: the last answer under a new stamp would pass for that to this query."""
-        return {}
+        return x, {}
 
     def latched(self) -> Mapping[str, str]:
         """Give the text for late joiners: the URDF under the name that every viewer expects."""
         return {"robot_description": self._urdf}
 
-    def markers(self) -> tuple[Marker, ...]:
+    def markers(self, x: State) -> tuple[Marker, ...]:
         """Draw the robot at the newest query: its links as lines, joints and tool as balls."""
         pin, model, data = self._pin, self._model, self._data
-        pin.framesForwardKinematics(model, data, self._q)
+        pin.framesForwardKinematics(model, data, self._np.array(x.q))
         places = [tuple(data.oMi[i].translation.tolist()) for i in range(model.njoints)]
         tool = tuple(data.oMf[self._tool].translation.tolist())
         lines = [(places[model.parents[i]], places[i]) for i in range(1, model.njoints)]

@@ -134,7 +134,10 @@ class Block(Generic[P]):
         return method.__code__.co_varnames[1] == "x"
 
     def first(self) -> Any:
-        """Give the state before the first tick; a block that remembers nothing has none."""
+        """Give the state before the first tick; a block that remembers nothing has none.
+
+        What is odd about the parameters is reported here, and in `go_on`: who holds the block gets it.
+        """
         return ()
 
     def params(self, x: Any) -> P:

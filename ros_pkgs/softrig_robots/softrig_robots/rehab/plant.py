@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from math import radians
-from typing import Any, Literal, Self
+from typing import Any, Literal, NamedTuple, Self
 
 from pydantic import model_validator
 from softrig_core import Level, Params, command, executable, joint_state, param, to_ns, to_s, wrench
@@ -100,6 +100,25 @@ class RehabParams(DrivenRobotParams):
         return self
 
 
+class State(NamedTuple):
+    """As of `DrivenRobot`; then force at the foot (N) and voltages (V) of the period before, and what is watched.
+
+    Which joints have been inside their range, whether the robot was stopped, when (ns) control began (by hand the plant
+    may long have stood alone), and when the period before did.
+    """
+
+    q: Vector
+    v: Vector
+    i: Vector
+    saturated: tuple[int, ...]
+    force: Vector
+    applied: Vector
+    entered: tuple[bool, ...]
+    safe: bool = False
+    live: int | None = None
+    since: int | None = None
+
+
 class RehabPlant(DrivenRobot[RehabParams]):
     """Motor voltages and the patient's force in; joints, motors and the voltages really applied out.
 
@@ -174,16 +193,8 @@ class RehabPlant(DrivenRobot[RehabParams]):
             return table["torque_constant"]
         return super().torque_constants(table)
 
-    def start(self) -> None:
+    def first(self) -> State:
         """Put the leg at its initial state and say what is odd about the motor table."""
-        super().start()
-        self._force: Vector = self.nowhere
-        self.applied: Vector = (0.0,) * self.n
-        self.safe = False
-        self._live: int | None = None  # when control began; by hand the plant may long have stood alone
-        self._entered = [False] * self.n
-        if self._drifts:
-            self.set_motors(1.0, 1.0)
         table = self._table
         shaft = [k * r for k, r in zip(self.torque_constants(table), table["gear"], strict=True)]
         ratios = [k / b for k, b in zip(shaft, table["back_emf_constant"], strict=True)]
@@ -193,47 +204,54 @@ class RehabPlant(DrivenRobot[RehabParams]):
                 "motors give more mechanical than electrical power"
             )
             self.report(Level.WARN, "torque_constant", text)
+        none = (0.0,) * self.n
+        q, v = self.initial()
+        return State(q, v, none, (0,) * self.n, self.nowhere, none, (False,) * self.n)
 
     def loads(self, t: int) -> tuple[Vector, Vector]:
         """Give the disturbance torques; no voltage drop."""
         return self._disturbed if self._begin <= t < self._end else self._undisturbed
 
-    def advance(self, t: int, *, motor_command: Vector, patient_force: Vector | None = None) -> None:
-        """Move with the clipped voltages and the force held."""
-        if self._live is None and any(motor_command):
-            self._live = t
-        self._watch(t)
-        if self._drifts:
-            done = min(1.0, to_s(t) / self.p.drift.duration)
-            self.set_motors(1.0 + done * self.p.drift.resistance, 1.0 + done * self.p.drift.constants)
-        self._force = clip_force(self, patient_force, self.p.force_limit)
-        self.applied = (0.0,) * self.n if self.safe else self.clip(motor_command)
-        self.move(t, self.applied, self._force)
+    def drifted(self, t: int | None) -> Vector:
+        """Give the numbers of the compiled step of the period that begins at t, None before the first."""
+        if t is None or not self._drifts:
+            return self._plant
+        done = min(1.0, to_s(t) / self.p.drift.duration)
+        return self.motors(1.0 + done * self.p.drift.resistance, 1.0 + done * self.p.drift.constants)[1]
 
-    def _watch(self, t: int) -> None:
-        """Stop the robot when a joint is where or as fast as it must not be."""
-        q, v = self.x[: self.n], self.x[self.n : 2 * self.n]
-        started = self._live is not None and t >= self._live + self._startup
+    def advance(self, x: State, t: int, *, motor_command: Vector, patient_force: Vector | None = None) -> State:
+        """Move with the clipped voltages and the force held."""
+        live = t if x.live is None and any(motor_command) else x.live
+        entered, safe = self._watch(x, t, live)
+        force = clip_force(self, patient_force, self.p.force_limit)
+        saturated, applied = (x.saturated, (0.0,) * self.n) if safe else self.clip(x.saturated, motor_command)
+        q, v, i = self.move(x, t, applied, force, self.drifted(t))
+        return State(q, v, i, saturated, force, applied, entered, safe, live, t)
+
+    def _watch(self, x: State, t: int, live: int | None) -> tuple[tuple[bool, ...], bool]:
+        """Give which joints have been inside their range, and whether one is where or as fast as it must not be."""
+        safe = x.safe
+        started = live is not None and t >= live + self._startup
+        inside = [low <= q <= high for low, q, high in zip(self._low, x.q, self._high, strict=True)]
+        entered = tuple(now or once for now, once in zip(inside, x.entered, strict=True))
         for i, joint in enumerate(JOINTS):
-            inside = self._low[i] <= q[i] <= self._high[i]
-            self._entered[i] |= inside
-            if not inside and self._entered[i]:
-                reason = f"{joint} at {q[i]:.4g} rad, range {self._low[i]:.4g} to {self._high[i]:.4g} rad"
-            elif started and abs(v[i]) > self.p.rom_speed:
-                reason = f"{joint} at {v[i]:.4g} rad/s, limit {self.p.rom_speed:.4g} rad/s"
+            if not inside[i] and entered[i]:
+                reason = f"{joint} at {x.q[i]:.4g} rad, range {self._low[i]:.4g} to {self._high[i]:.4g} rad"
+            elif started and abs(x.v[i]) > self.p.rom_speed:
+                reason = f"{joint} at {x.v[i]:.4g} rad/s, limit {self.p.rom_speed:.4g} rad/s"
             else:
                 continue
-            if not self.safe:
-                self.safe = True
+            if not safe:
+                safe = True
                 self.report(Level.ERROR, "safe", f"SAFE from t = {to_s(t):.9g} s, motors at 0 V: {reason}")
+        return entered, safe
 
-    def outputs(self, t: int) -> Mapping[str, Vector]:
+    def outputs(self, x: State, t: int) -> Mapping[str, Vector]:
         """Give joint states with the torques behind the gears, currents, and the voltages of the last period."""
-        n = self.n
         return {
-            "joint_states": (*self.x[: 2 * n], *self.gear_torques(t, self._force)),
-            "motor_states": self.x[2 * n :],
-            "applied_voltage": self.applied,
+            "joint_states": (*x.q, *x.v, *self.gear_torques(x, t, x.force, self.drifted(x.since))),
+            "motor_states": x.i,
+            "applied_voltage": x.applied,
         }
 
 

@@ -62,7 +62,7 @@ def exercise(alpha_hat: float, duration: float = 15.0) -> Exercise:
     """
     references, forces = _inputs(duration)
     q0 = references[0][:2]
-    plant = RehabPlant(position=q0, disturbance={"torque": 0.0})
+    plant = ByHand(RehabPlant(position=q0, disturbance={"torque": 0.0}))
     impedance = Impedance()
     controller = VoltageController(emvc={"alpha_hat": alpha_hat, "lam": LAMBDA})
     period = to_ns(PERIOD)
@@ -82,7 +82,7 @@ def exercise(alpha_hat: float, duration: float = 15.0) -> Exercise:
             variation += abs(v[0] - last[0]) + abs(v[1] - last[1])
         last = v
         plant.advance(t, motor_command=v, patient_force=force)
-        if plant.safe:
+        if plant.x.safe:
             return Exercise(math.inf, math.inf)
     n = len(references)
     return Exercise(math.degrees(1.0) ** 2 * squares / (2 * n), variation / (2 * (n - 1) * PERIOD))
