@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import nullcontext, suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from softrig_core.guard import plain, say
 
@@ -134,6 +134,15 @@ def _kept(folder: ResultsFolder, force: bool) -> str:
     return ""
 
 
+class _Kept(NamedTuple):
+    """What a run has brought: content of metrics.json, what was changed, whether it repeats another and what of it."""
+
+    content: Mapping[str, Any]
+    changed: Sequence[str]
+    same: bool
+    told: Sequence[str]
+
+
 def conclude(options: argparse.Namespace, done: Run, folder: ResultsFolder | None) -> int:
     """Write what a run has brought, print its figures, judge it.
 
@@ -150,20 +159,25 @@ def conclude(options: argparse.Namespace, done: Run, folder: ResultsFolder | Non
     int
         Exit status.
     """
+    kept = _keep(options, done, folder)
+    _speak(kept, done, folder.path if folder is not None else None)
+    return _judged(options, kept, done)
+
+
+def _keep(options: argparse.Namespace, done: Run, folder: ResultsFolder | None) -> _Kept:
+    """Write the folder and the report for continuous integration."""
     from softrig_core.processes.stopping import unstopped
-    from softrig_core.rig.agreement import assumptions
 
     from ..options.repeat import words
     from ..run.run import illustrate, save, summary, turned
 
-    rig, scenario = done.rig, done.rig.scenario
     changed = changed_words(options) + turned(done) + ([done.stopped_at] if done.stopped else [])
     with unstopped():  # who has waited for the last tick keeps what was recorded
         figures = [] if done.error else done.results
-        command = shlex.join([*words((m.package for m in rig.members), "run"), *repeat(options)])
+        command = shlex.join([*words((m.package for m in done.rig.members), "run"), *repeat(options)])
         content = summary(done, figures, command, options.label) | {"changed": changed}
         if options.external:  # the title of the scenario is about what did not run
-            content["title"] = f"{scenario.name} with {', '.join(options.external)} from outside"
+            content["title"] = f"{done.rig.scenario.name} with {', '.join(options.external)} from outside"
         same, told = True, list[str]()
         if options.like is not None:
             from ..options.like import compared
@@ -175,7 +189,6 @@ def conclude(options: argparse.Namespace, done: Run, folder: ResultsFolder | Non
             save(done, content, folder, record=not options.no_record)
     if folder is not None and not options.no_plots:
         illustrate(done, folder, options.format)
-    out = folder.path if folder is not None else None
     if options.junit is not None:
         from ..page.junit import write_junit
         from .check import outcome_of, suite_of
@@ -184,16 +197,30 @@ def conclude(options: argparse.Namespace, done: Run, folder: ResultsFolder | Non
         if changed and not options.strict:  # compared, not judged
             suite = replace(suite, cases=[replace(case, failure="") for case in suite.cases])
         write_junit(options.junit, [replace(suite, error=suite.error or done.stopped_at)])
+    return _Kept(content, changed, same, told)
+
+
+def _speak(kept: _Kept, done: Run, out: Path | None) -> None:
+    """Print the figures, and what is to be said of the run."""
+    from softrig_core.rig.agreement import assumptions
+
     if done.error:
         say(f"the run broke: {done.error}")
         if out is not None:
             say(f"what was recorded up to there is in {_shown(out)}, what the nodes said in its log/")
-        return 3
-    _print_figures(content, done, out)
-    for line in (*assumptions(rig.members), *told):
+        return
+    _print_figures(kept.content, done, out)
+    for line in (*assumptions(done.rig.members), *kept.told):
         say(line)
     if done.stopped:
         say(done.stopped_at)
+
+
+def _judged(options: argparse.Namespace, kept: _Kept, done: Run) -> int:
+    """Give the exit status."""
+    if done.error:
+        return 3
+    if done.stopped:
         return 128 + done.stopped
     late = _missed(done.status)
     for node, share in late.items():
@@ -202,11 +229,11 @@ def conclude(options: argparse.Namespace, done: Run, folder: ResultsFolder | Non
                 "slower loop; --mode container is faster")  # fmt: skip
     if options.max_missed is not None and any(share > options.max_missed for share in late.values()):
         return 1
-    if not same:
+    if not kept.same:
         return 1
-    if changed and not options.strict:  # the paper's numbers are for its own set-up: compared, not judged
+    if kept.changed and not options.strict:  # the paper's numbers are for its own set-up: compared, not judged
         return 0
-    return 0 if all(f.passed for f in figures) and all(c.holds is not False for c in done.claims) else 1
+    return 0 if all(f.passed for f in done.results) and all(c.holds is not False for c in done.claims) else 1
 
 
 def _missed(status: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
