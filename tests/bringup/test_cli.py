@@ -494,7 +494,7 @@ def test_an_error_of_our_own_in_a_run_is_kept_in_its_folder(folder, monkeypatch,
 
     def once():
         with monkeypatch.context() as patched:
-            patched.setattr("softrig_bringup.run.run." + {"execute": "run_inprocess", "save": "_write"}[where], broken)
+            patched.setattr("softrig_bringup.run.run." + {"execute": "run_inprocess", "save": "_scenes"}[where], broken)
             return run("lag", "--mode", "inprocess", "--out", "out")
 
     assert once() == 4

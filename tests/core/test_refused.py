@@ -5,7 +5,7 @@ import math
 
 import pytest
 from simulated import SimulatedRig, World
-from softrig_core import SECOND, Observer, Signals
+from softrig_core import SECOND, ByHand, Observer, Signals
 from softrig_core.rig.installed import load_main
 from softrig_core.wire.cdr import parse
 from test_outside import SYSTEMS, short
@@ -90,6 +90,6 @@ def test_every_observer_can_be_asked_before_its_first_tick():
         for point in distribution.entry_points if package.startswith("softrig") else ():
             block = getattr(load_main(package, point.name), "block", None)
             if block is not None and issubclass(block, Observer):
-                block().status()
+                ByHand(block()).status()
                 asked += 1
     assert asked > 8

@@ -156,15 +156,15 @@ def test_a_recording_keeps_numbers_until_somebody_asks_for_bytes_and_both_say_th
 def test_nothing_is_loaded_in_the_first_tick_of_a_node_in_real_time(package, executable):
     code = f"""
 import sys
-from softrig_core.block.block import Plant
+from softrig_core import ByHand, Plant
 from softrig_core.solver.rehearsal import rehearse
 from softrig_core.rig.installed import load_block
 kind = load_block({package!r}, {executable!r})
 rehearse(kind, kind.Params(), "node", always=True)
-block = kind(kind.Params(), "node")
-values = {{p.name: p.initial for p in block.ports(block.p)[0]}}
+block = ByHand(kind(kind.Params(), "node"))
+values = {{p.name: p.initial for p in kind.ports(block.block.p)[0]}}
 before = set(sys.modules)
-if isinstance(block, Plant):
+if isinstance(block.block, Plant):
     block.outputs(0)
     block.advance(0, **values)
 else:

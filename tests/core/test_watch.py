@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from conftest import in_process, make_scenario
 from faultrig import COMMAND, REFERENCE, STATE, Gain, Lag, Source
-from softrig_core import Figure, Rig, Signals, Watch, WatchParams, rig_of, run_inprocess
+from softrig_core import ByHand, Figure, Rig, Signals, Watch, WatchParams, rig_of, run_inprocess
 from softrig_core.judge import measures
 
 X, U, R = "lag/state/x/position", "lag/command/u/effort", "lag/reference/x/position"
@@ -13,7 +13,7 @@ X, U, R = "lag/state/x/position", "lag/command/u/effort", "lag/reference/x/posit
 class Eye(Watch[WatchParams]):
     INPUTS = (STATE, COMMAND, REFERENCE)
 
-    def figures(self):
+    def figures(self, x):
         yield self.figure("rms_error", measures.rms, {"signal": X, "reference": R})
         yield self.figure("mean_command", measures.mean, {"signal": U})
         yield self.figure("variation", measures.total_variation, {"signal": U})
@@ -46,7 +46,7 @@ def test_the_window_moves_and_forgets():
 
 
 def test_nothing_seen_gives_no_figures_and_reset_forgets():
-    eye = Eye()
+    eye = ByHand(Eye())
     assert eye.status() == {}
     eye.update(0, state=(1.0, 0.0), command=(2.0,), reference=(3.0,))
     assert eye.status()["last"] == (1.0, "m")

@@ -646,7 +646,7 @@ def runs():
 def test_both_forms_and_the_function_agree_bit_by_bit(runs):
     direct = located(simulated(measurement__profile="m4k"))
     for run in runs.values():
-        assert run.blocks["fault_locator"].result.x_km == direct.x_km
+        assert run.blocks["fault_locator"].block.result.x_km == direct.x_km
         assert run.signals["location/0"].x.tolist() == [direct.x_km]
     assert position(runs["streams"].recording) == position(runs["record"].recording)
 

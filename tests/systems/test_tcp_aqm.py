@@ -514,7 +514,7 @@ def test_anti_windup_freezes_the_integral_while_clipped():
 def test_the_metrics_node_gives_the_figures():
     rig = rig_of(load_scenario("tcp_aqm_smc_detuned", {"aqm_metrics.period": 0.001}))
     blocks = run_inprocess(rig, 0)
-    metrics = next(b for b in blocks.values() if isinstance(b, AqmMonitor))
+    metrics = next(b for b in blocks.values() if isinstance(b.block, AqmMonitor))
     found = figures("tcp_aqm_smc_detuned")
     for name in ("J_q", "J_w", "J_R", "settling_time", "peak", "deviation", "utilisation"):
         assert metrics.status()[name][0] == pytest.approx(found[name].value, rel=1e-3), name

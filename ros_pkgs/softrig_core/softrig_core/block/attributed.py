@@ -27,16 +27,16 @@ class Attributed:
         """See `Plant.outputs`."""
         return self.block.outputs(t)
 
-    def advance(self, x: Any, t: int, **inputs: Any) -> Any:
+    def advance(self, x: Any, t: int, /, **inputs: Any) -> Any:
         """See `Plant.advance`."""
         self.block.advance(t, **inputs)
         return x
 
-    def update(self, x: Any, t: int, **inputs: Any) -> Any:
+    def update(self, x: Any, t: int, /, **inputs: Any) -> Any:
         """See `Block.update`."""
         return x, self.block.update(t, **inputs)
 
-    def finish(self, x: Any, t: int, **inputs: Any) -> Any:
+    def finish(self, x: Any, t: int, /, **inputs: Any) -> Any:
         """See `Block.finish`."""
         return x, self.block.finish(t, **inputs)
 

@@ -113,11 +113,11 @@ class ByHand(Held):
         self.block.reset(seed)
         self.x = self.law.first()
 
-    def update(self, t: int, **inputs: Any) -> Any:
+    def update(self, t: int, /, **inputs: Any) -> Any:
         """Answer a tick; give the values."""
         return self._keep(self.law.update(self.x, t, **inputs))
 
-    def finish(self, t: int, **inputs: Any) -> Any:
+    def finish(self, t: int, /, **inputs: Any) -> Any:
         """Answer the last tick."""
         return self._keep(self.law.finish(self.x, t, **inputs))
 
@@ -131,7 +131,7 @@ class ByHand(Held):
         self.tell()
         return found
 
-    def advance(self, t: int, **inputs: Any) -> None:
+    def advance(self, t: int, /, **inputs: Any) -> None:
         """Move a plant one period on."""
         self.x = self.law.advance(self.x, t, **inputs)  # type: ignore[attr-defined]
         self.tell()
