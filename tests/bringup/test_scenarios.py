@@ -6,6 +6,7 @@ import pytest
 from conftest import in_process, make_scenario
 from faultrig import Gain, Lag, Source
 from softrig_core import (
+    ByHand,
     Rig,
     ScenarioError,
     Signals,
@@ -85,8 +86,8 @@ def test_every_scenario_can_be_judged_before_its_run(name):
 
 def frames(member):
     """The frames that a node publishes on /tf and /tf_static."""
-    block = member.block(0)
-    scene = block.scene(member.params)
+    block = ByHand(member.block(0))
+    scene = member.block_class.scene(member.params)
     port = next((p for p in member.outputs if scene is not None and p.name == scene.port), None)
     q = [0.0] * sum(label.endswith("/position") for label in port.labels) if port else []
     moving = scene.moving(q) if scene is not None else []
