@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 
-from softrig_core import rig_of, simulate
+from softrig_core import ByHand, rig_of, simulate
 from softrig_power.gupfc.network import NetworkParams
 from softrig_power.gupfc.plant import GupfcPlant
 from softrig_power.gupfc.power_flow import PowerFlow, References
@@ -22,7 +22,7 @@ def steady(waveform: str) -> Callable[[], None]:
     block = GupfcPlant(waveform=waveform)
     shunt, first, second = ShuntController(), SeriesController(circuit=1), SeriesController(circuit=2)
     turn = NetworkParams().omega * block.p.period
-    commands = [next(iter(c.refused(0).values())) for c in (shunt, first, second)]
+    commands = [next(iter(ByHand(c).refused(0).values())) for c in (shunt, first, second)]
 
     def run(periods: int = PERIODS) -> None:
         block.reset(0)

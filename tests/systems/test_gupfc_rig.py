@@ -16,7 +16,7 @@ from scipy.sparse import lil_matrix
 from scipy.sparse.linalg import spsolve
 from softrig_control.filters import SecondOrderFilter
 from softrig_control.phase_locked_loop import PhaseLockedLoop, PllParams
-from softrig_core import Level, ParameterError, Signals, load_scenario, rig_of, run_processes, simulate
+from softrig_core import ByHand, Level, ParameterError, Signals, load_scenario, rig_of, run_processes, simulate
 from softrig_core.processes.domain import free_domain
 from softrig_core.processes.executables import environment
 from softrig_core.processes.placement import Listener, Placement
@@ -427,8 +427,8 @@ def test_trip_of_the_dc_link(high):
 
 @pytest.mark.parametrize("reference", [(1e6, -1e6), (5.0, 5.0), (-1.2, -0.4)])
 def test_unreachable_reference_saturates(reference):
-    controller = SeriesController(circuit=2)
-    point = controller._point
+    controller = ByHand(SeriesController(circuit=2))
+    point = controller.block._point
     for k in range(500):
         turn = cmath.rect(1.0, NETWORK.omega * PERIOD * k)
         u, i = point.u4 * turn, point.i34 * turn
@@ -442,8 +442,8 @@ def test_unreachable_reference_saturates(reference):
 
 
 def test_unreachable_voltage_saturates():
-    controller = ShuntController()
-    point = controller._point
+    controller = ByHand(ShuntController())
+    point = controller.block._point
     for k in range(3000):
         turn = cmath.rect(1.0, NETWORK.omega * PERIOD * k)
         u, i = point.u1 * turn, point.i_sh * turn
@@ -457,7 +457,8 @@ def test_unreachable_voltage_saturates():
 
 def test_voltage_that_vanishes():
     """Under 0.1 pu the loop keeps its frequency and nothing is divided by it."""
-    for controller, inputs in ((SeriesController(), ("u2", "i12")), (ShuntController(), ("u1", "i_sh"))):
+    for law, inputs in ((SeriesController(), ("u2", "i12")), (ShuntController(), ("u1", "i_sh"))):
+        controller = ByHand(law)
         for _ in range(200):
             values = {inputs[0]: (1e-9, 0.0, 0.0), inputs[1]: (0.5, 0.5, 0.0)}
             (answer,) = controller.update(0, reference=None, **values).values()
@@ -466,11 +467,14 @@ def test_voltage_that_vanishes():
 
 
 def test_refused_measurement_turns_the_last_voltage_on():
-    for controller in (SeriesController(), SeriesController(circuit=2), ShuntController()):
-        (before,) = controller._answer.values()
-        (after,) = controller.refused(0).values()
-        assert after[0] == before[0]
-        assert math.remainder(after[1] - before[1] - TURN, math.tau) == pytest.approx(0.0, abs=1e-12)
+    for law in (SeriesController(), SeriesController(circuit=2), ShuntController()):
+        controller = ByHand(law)
+        before = controller.x.command
+        for _ in range(3):
+            (after,) = controller.refused(0).values()
+            assert after[0] == before[0]
+            assert math.remainder(after[1] - before[1] - TURN, math.tau) == pytest.approx(0.0, abs=1e-12)
+            before = after
 
 
 @pytest.mark.parametrize(
@@ -531,7 +535,7 @@ def test_monitor():
 
 def test_power_flow_node():
     """Answers at the start, on a press, on a new reference; diverged: status and mismatch, no voltages."""
-    node = PowerFlowNode()
+    node = ByHand(PowerFlowNode())
     still = {"request": None, "series_1": None, "series_2": None, "shunt": None}
     first = node.update(0, **still)
     assert node.update(0, **still) == {}
@@ -562,7 +566,7 @@ def test_power_flow_node():
 
 def test_pulse_generator():
     """Gates of the angle at hand, turned on with omega between commands; a sigma that is none is refused."""
-    node = PulseGenerator(period=1.0 / 46080.0, command_period=PERIOD)
+    node = ByHand(PulseGenerator(period=1.0 / 46080.0, command_period=PERIOD))
     for k in range(40):
         command = (2.0, 0.3 + (k // 16) * TURN, NETWORK.omega)
         found = node.update(round(k * 1e9 / 46080.0), command=command)
