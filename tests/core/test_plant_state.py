@@ -21,7 +21,7 @@ from softrig_power.pv.plant import PvPlant
 from softrig_power.rectifier.plant import RectifierPlant
 
 ROOT = Path(__file__).parents[2]
-MEMORY = {"switched_delay_plant", "tank_plant", "tcp_fluid", "tcp_packets", "line_plant", "gupfc_plant"}
+MEMORY = {"switched_delay_plant", "tank_plant", "tcp_fluid", "tcp_packets", "line_plant"}
 
 
 def plants():

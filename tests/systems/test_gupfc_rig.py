@@ -361,9 +361,10 @@ def test_second_order_filter():
 
 def commands(plant, t=0):
     """The steady commands of a plant at its tick t."""
-    point, turn = plant._point, NETWORK.omega * PERIOD * t
+    point, turn = plant.block._point, NETWORK.omega * PERIOD * t
     shunt = (NETWORK.shunt_sigma, cmath.phase(point.v_sh) + turn, NETWORK.omega)
-    return shunt, *((abs(v), cmath.phase(v) + turn, NETWORK.omega) for v in (point.v12, point.v34))
+    series = [(abs(v), cmath.phase(v) + turn, NETWORK.omega) for v in (point.v12, point.v34)]
+    return {"shunt": shunt, "series_1": series[0], "series_2": series[1]}
 
 
 @pytest.mark.parametrize(
@@ -373,51 +374,47 @@ def commands(plant, t=0):
 )  # fmt: skip
 def test_bad_command_is_held_then_blocks_the_converter(which, bad):
     """One period on the last good command, then the series converter is bypassed or the shunt follows bus 1."""
-    plant = GupfcPlant()
-    good = lambda k: list(commands(plant, k))  # noqa: E731
-    plant.advance(0, *good(0))
-    steady = plant.outputs(0)["status"]
-    given = good(1)
-    given[which] = bad
-    plant.advance(0, *given)
-    assert plant.outputs(0)["status"] == pytest.approx(steady, abs=1e-6)  # as if nothing had been
+    plant = ByHand(GupfcPlant())
     name = ("shunt", "series_1", "series_2")[which]
+    plant.advance(0, **commands(plant, 0))
+    steady = plant.outputs(0)["status"]
+    plant.advance(0, **commands(plant, 1) | {name: bad})
+    assert plant.outputs(0)["status"] == pytest.approx(steady, abs=1e-6)  # as if nothing had been
     assert plant.reports[f"{name}_held"][0] is Level.WARN
     assert f"{name}_blocked" not in plant.reports
     for k in range(2, 30):
-        given = good(k)
-        given[which] = bad
-        plant.advance(0, *given)
+        plant.advance(0, **commands(plant, k) | {name: bad})
         assert plant.reports[f"{name}_blocked"][0] is Level.ERROR  # from the second one on
     found = dict(zip(STATUS, plant.outputs(0)["status"], strict=True))
     assert all(math.isfinite(x) for x in found.values())
     if which == 0:
-        assert plant._sigma[0] == NETWORK.shunt_sigma
-        u1, v_sh = complex(*plant.outputs(0)["u1"][:2]), plant._converter[-1, 0]
+        assert plant.x.commands[0].sigma == NETWORK.shunt_sigma
+        u1, v_sh = complex(*plant.outputs(0)["u1"][:2]), plant.x.seen.converter[-1, 0]
         assert cmath.phase(v_sh / u1) == pytest.approx(-0.5 * TURN / 16, abs=0.02)  # alpha = 0
     else:
         assert found[("v12", "v34")[which - 1]] == 0.0
-        assert np.all(plant._converter[1:, which] == 0.0)
-    plant.advance(0, *good(30))
-    assert plant._bad == [0, 0, 0]
+        assert np.all(plant.x.seen.converter[1:, which] == 0.0)
+    plant.advance(0, **commands(plant, 30))
+    assert [c.bad for c in plant.x.commands] == [0, 0, 0]
     assert plant.outputs(0)["status"][8 + which] > 0.1 or which == 0
 
 
 @pytest.mark.parametrize("high", [True, False])
 def test_trip_of_the_dc_link(high):
     """v_dc outside 0.5 to 1.3 pu: shunt converter disconnected, series converters bypassed, all finite."""
-    plant = GupfcPlant(network={"dc_time": 1e-3})
+    plant = ByHand(GupfcPlant(network={"dc_time": 1e-3}))
     for k in range(200):
-        shunt, series_1, series_2 = commands(plant, k)
-        plant.advance(0, (shunt[0], shunt[1] + (-0.5 if high else 0.5), shunt[2]), series_1, series_2)
-        if plant.tripped:
+        given = commands(plant, k)
+        sigma, angle, omega = given["shunt"]
+        plant.advance(0, **given | {"shunt": (sigma, angle + (-0.5 if high else 0.5), omega)})
+        if plant.x.tripped:
             break
-    assert plant.tripped
+    assert plant.x.tripped
     assert plant.reports["trip"][0] is Level.ERROR
     v_dc = plant.outputs(0)["status"][5]
     assert v_dc > 1.3 if high else v_dc < 0.5
     for k in range(200, 300):
-        plant.advance(0, *commands(plant, k))
+        plant.advance(0, **commands(plant, k))
     found = dict(zip(STATUS, plant.outputs(0)["status"], strict=True))
     assert found["v_dc"] == v_dc
     assert (found["p_sh"], found["p12"], found["v12"], found["v34"]) == (0.0, 0.0, 0.0, 0.0)
@@ -583,9 +580,9 @@ def test_pulse_generator():
 def test_a_stale_command_blocks_the_converters():
     """Real time: a command older than three periods is replaced by the port's safe value, which is no command."""
     assert GupfcPlant.STALE_PERIODS == 3
-    plant = GupfcPlant()
+    plant = ByHand(GupfcPlant())
     for _ in range(3):
-        plant.advance(0, **{port.name: port.safe for port in GupfcPlant.ports(plant.p)[0]})
+        plant.advance(0, **{port.name: port.safe for port in GupfcPlant.ports(plant.block.p)[0]})
     assert {k for k in plant.reports if k.endswith("blocked")} == {
         f"{k}_blocked" for k in ("shunt", "series_1", "series_2")
     }
