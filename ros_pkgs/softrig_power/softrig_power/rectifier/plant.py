@@ -171,7 +171,8 @@ class RectifierPlant(Plant[RectifierPlantParams]):
         self._reach = INJECTION if p.injection else SPWM
         self._forward = 1.0 if p.feedforward == "instantaneous" else 0.0
         self._window = CYCLES / p.f
-        self._late = self.LATE_PERIODS * to_ns(p.period)
+        self._period = to_ns(p.period)  # ns
+        self._late = self.LATE_PERIODS * self._period
         self._kind: Callable[..., State] = StateDq if p.model == "averaged_dq" else StateAbc
         self._size = 3 if p.model == "averaged_dq" else 4
 
@@ -229,7 +230,7 @@ class RectifierPlant(Plant[RectifierPlantParams]):
             moving[:] = 0.0
             moving[-1] = p.v_least
         applied = (command[0],) if x.applied else ()
-        return self._kind(*moving.tolist(), applied, held, t + to_ns(p.period), collapsed, record)
+        return self._kind(*moving.tolist(), applied, held, t + self._period, collapsed, record)
 
     def _move(self, x: State, events: Events, t: int, command: float) -> tuple[Array, Record]:
         """Give currents and voltage a period after t (ns), and what was measured on the way."""
@@ -238,7 +239,7 @@ class RectifierPlant(Plant[RectifierPlantParams]):
         p, record, start = self.p, x.record, t / 1e9
         moving, complete = self._moving(x), opened(record.complete)
         # time does not go on where it was (realtime after a pause of the host): the sums begin anew
-        sums = self._begun(start) if 2 * abs(t - x.end) > to_ns(p.period) else opened(record.sums)
+        sums = self._begun(start) if 2 * abs(t - x.end) > self._period else opened(record.sums)
         trace = np.empty((p.steps if p.waveform else 0, len(ports.WAVEFORM_CHANNELS)))
         both = (self._circuit, self._period_at(x, events, start, command))
         if command == 0.0:
