@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 
-from softrig_core import rig_of, simulate
+from softrig_core import ByHand, rig_of, simulate
 from softrig_power.gupfc.network import NetworkParams
 from softrig_power.gupfc.plant import GupfcPlant
 from softrig_power.gupfc.power_flow import PowerFlow, References
@@ -19,16 +19,17 @@ PERIODS = 4320  # 1.5 s
 
 def steady(waveform: str) -> Callable[[], None]:
     """Give a call that simulates 1.5 s of the plant alone under steady commands, compiled already."""
-    block = GupfcPlant(waveform=waveform)
+    held = ByHand(GupfcPlant(waveform=waveform))
     shunt, first, second = ShuntController(), SeriesController(circuit=1), SeriesController(circuit=2)
-    turn = NetworkParams().omega * block.p.period
-    commands = [next(iter(c.refused(0).values())) for c in (shunt, first, second)]
+    turn = NetworkParams().omega * held.block.p.period
+    commands = [next(iter(ByHand(c).refused(0).values())) for c in (shunt, first, second)]
 
     def run(periods: int = PERIODS) -> None:
-        block.reset(0)
+        held.reset(0)
         for k in range(periods):
-            block.outputs(0)
-            block.advance(0, *((size, angle + turn * k, omega) for size, angle, omega in commands))
+            held.outputs(0)
+            given = [(size, angle + turn * k, omega) for size, angle, omega in commands]
+            held.advance(0, **dict(zip(("shunt", "series_1", "series_2"), given, strict=True)))
 
     run(1)
     return run

@@ -59,7 +59,7 @@ def programme(name: Any, n: int) -> tuple[float, float]:
 
 def plant(values: dict[str, Any], periods: int) -> float:
     """CPU time in s for one simulated second."""
-    block, drop = RectifierPlant(**values), RectifierConstants().drop
+    block, drop = ByHand(RectifierPlant(**values)), RectifierConstants().drop
     block.advance(0, command=(drop,), events=None)
 
     def run() -> None:

@@ -99,7 +99,7 @@ def _rectifier() -> Iterator[Work]:
     free, bounded = ByHand(RectifierGpc()), ByHand(RectifierGpc(solver="daqp", du_max=2.0))
     yield Work("rectifier", "control step, closed form", lambda: control(free), steps)
     yield Work("rectifier", "control step, constrained", lambda: control(bounded), steps)
-    plant, drop, periods = RectifierPlant(model="switched"), RectifierConstants().drop, 361
+    plant, drop, periods = ByHand(RectifierPlant(model="switched")), RectifierConstants().drop, 361
 
     def switched() -> None:
         plant.reset(0)

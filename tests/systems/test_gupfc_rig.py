@@ -16,7 +16,7 @@ from scipy.sparse import lil_matrix
 from scipy.sparse.linalg import spsolve
 from softrig_control.filters import SecondOrderFilter
 from softrig_control.phase_locked_loop import PhaseLockedLoop, PllParams
-from softrig_core import Level, ParameterError, Signals, load_scenario, rig_of, run_processes, simulate
+from softrig_core import ByHand, Level, ParameterError, Signals, load_scenario, rig_of, run_processes, simulate
 from softrig_core.processes.domain import free_domain
 from softrig_core.processes.executables import environment
 from softrig_core.processes.placement import Listener, Placement
@@ -361,9 +361,10 @@ def test_second_order_filter():
 
 def commands(plant, t=0):
     """The steady commands of a plant at its tick t."""
-    point, turn = plant._point, NETWORK.omega * PERIOD * t
+    point, turn = plant.block._point, NETWORK.omega * PERIOD * t
     shunt = (NETWORK.shunt_sigma, cmath.phase(point.v_sh) + turn, NETWORK.omega)
-    return shunt, *((abs(v), cmath.phase(v) + turn, NETWORK.omega) for v in (point.v12, point.v34))
+    series = [(abs(v), cmath.phase(v) + turn, NETWORK.omega) for v in (point.v12, point.v34)]
+    return {"shunt": shunt, "series_1": series[0], "series_2": series[1]}
 
 
 @pytest.mark.parametrize(
@@ -373,51 +374,47 @@ def commands(plant, t=0):
 )  # fmt: skip
 def test_bad_command_is_held_then_blocks_the_converter(which, bad):
     """One period on the last good command, then the series converter is bypassed or the shunt follows bus 1."""
-    plant = GupfcPlant()
-    good = lambda k: list(commands(plant, k))  # noqa: E731
-    plant.advance(0, *good(0))
-    steady = plant.outputs(0)["status"]
-    given = good(1)
-    given[which] = bad
-    plant.advance(0, *given)
-    assert plant.outputs(0)["status"] == pytest.approx(steady, abs=1e-6)  # as if nothing had been
+    plant = ByHand(GupfcPlant())
     name = ("shunt", "series_1", "series_2")[which]
+    plant.advance(0, **commands(plant, 0))
+    steady = plant.outputs(0)["status"]
+    plant.advance(0, **commands(plant, 1) | {name: bad})
+    assert plant.outputs(0)["status"] == pytest.approx(steady, abs=1e-6)  # as if nothing had been
     assert plant.reports[f"{name}_held"][0] is Level.WARN
     assert f"{name}_blocked" not in plant.reports
     for k in range(2, 30):
-        given = good(k)
-        given[which] = bad
-        plant.advance(0, *given)
+        plant.advance(0, **commands(plant, k) | {name: bad})
         assert plant.reports[f"{name}_blocked"][0] is Level.ERROR  # from the second one on
     found = dict(zip(STATUS, plant.outputs(0)["status"], strict=True))
     assert all(math.isfinite(x) for x in found.values())
     if which == 0:
-        assert plant._sigma[0] == NETWORK.shunt_sigma
-        u1, v_sh = complex(*plant.outputs(0)["u1"][:2]), plant._converter[-1, 0]
+        assert plant.x.commands[0].sigma == NETWORK.shunt_sigma
+        u1, v_sh = complex(*plant.outputs(0)["u1"][:2]), plant.x.seen.converter[-1, 0]
         assert cmath.phase(v_sh / u1) == pytest.approx(-0.5 * TURN / 16, abs=0.02)  # alpha = 0
     else:
         assert found[("v12", "v34")[which - 1]] == 0.0
-        assert np.all(plant._converter[1:, which] == 0.0)
-    plant.advance(0, *good(30))
-    assert plant._bad == [0, 0, 0]
+        assert np.all(plant.x.seen.converter[1:, which] == 0.0)
+    plant.advance(0, **commands(plant, 30))
+    assert [c.bad for c in plant.x.commands] == [0, 0, 0]
     assert plant.outputs(0)["status"][8 + which] > 0.1 or which == 0
 
 
 @pytest.mark.parametrize("high", [True, False])
 def test_trip_of_the_dc_link(high):
     """v_dc outside 0.5 to 1.3 pu: shunt converter disconnected, series converters bypassed, all finite."""
-    plant = GupfcPlant(network={"dc_time": 1e-3})
+    plant = ByHand(GupfcPlant(network={"dc_time": 1e-3}))
     for k in range(200):
-        shunt, series_1, series_2 = commands(plant, k)
-        plant.advance(0, (shunt[0], shunt[1] + (-0.5 if high else 0.5), shunt[2]), series_1, series_2)
-        if plant.tripped:
+        given = commands(plant, k)
+        sigma, angle, omega = given["shunt"]
+        plant.advance(0, **given | {"shunt": (sigma, angle + (-0.5 if high else 0.5), omega)})
+        if plant.x.tripped:
             break
-    assert plant.tripped
+    assert plant.x.tripped
     assert plant.reports["trip"][0] is Level.ERROR
     v_dc = plant.outputs(0)["status"][5]
     assert v_dc > 1.3 if high else v_dc < 0.5
     for k in range(200, 300):
-        plant.advance(0, *commands(plant, k))
+        plant.advance(0, **commands(plant, k))
     found = dict(zip(STATUS, plant.outputs(0)["status"], strict=True))
     assert found["v_dc"] == v_dc
     assert (found["p_sh"], found["p12"], found["v12"], found["v34"]) == (0.0, 0.0, 0.0, 0.0)
@@ -427,8 +424,8 @@ def test_trip_of_the_dc_link(high):
 
 @pytest.mark.parametrize("reference", [(1e6, -1e6), (5.0, 5.0), (-1.2, -0.4)])
 def test_unreachable_reference_saturates(reference):
-    controller = SeriesController(circuit=2)
-    point = controller._point
+    controller = ByHand(SeriesController(circuit=2))
+    point = controller.block._point
     for k in range(500):
         turn = cmath.rect(1.0, NETWORK.omega * PERIOD * k)
         u, i = point.u4 * turn, point.i34 * turn
@@ -442,8 +439,8 @@ def test_unreachable_reference_saturates(reference):
 
 
 def test_unreachable_voltage_saturates():
-    controller = ShuntController()
-    point = controller._point
+    controller = ByHand(ShuntController())
+    point = controller.block._point
     for k in range(3000):
         turn = cmath.rect(1.0, NETWORK.omega * PERIOD * k)
         u, i = point.u1 * turn, point.i_sh * turn
@@ -457,7 +454,8 @@ def test_unreachable_voltage_saturates():
 
 def test_voltage_that_vanishes():
     """Under 0.1 pu the loop keeps its frequency and nothing is divided by it."""
-    for controller, inputs in ((SeriesController(), ("u2", "i12")), (ShuntController(), ("u1", "i_sh"))):
+    for law, inputs in ((SeriesController(), ("u2", "i12")), (ShuntController(), ("u1", "i_sh"))):
+        controller = ByHand(law)
         for _ in range(200):
             values = {inputs[0]: (1e-9, 0.0, 0.0), inputs[1]: (0.5, 0.5, 0.0)}
             (answer,) = controller.update(0, reference=None, **values).values()
@@ -466,11 +464,14 @@ def test_voltage_that_vanishes():
 
 
 def test_refused_measurement_turns_the_last_voltage_on():
-    for controller in (SeriesController(), SeriesController(circuit=2), ShuntController()):
-        (before,) = controller._answer.values()
-        (after,) = controller.refused(0).values()
-        assert after[0] == before[0]
-        assert math.remainder(after[1] - before[1] - TURN, math.tau) == pytest.approx(0.0, abs=1e-12)
+    for law in (SeriesController(), SeriesController(circuit=2), ShuntController()):
+        controller = ByHand(law)
+        before = controller.x.command
+        for _ in range(3):
+            (after,) = controller.refused(0).values()
+            assert after[0] == before[0]
+            assert math.remainder(after[1] - before[1] - TURN, math.tau) == pytest.approx(0.0, abs=1e-12)
+            before = after
 
 
 @pytest.mark.parametrize(
@@ -531,7 +532,7 @@ def test_monitor():
 
 def test_power_flow_node():
     """Answers at the start, on a press, on a new reference; diverged: status and mismatch, no voltages."""
-    node = PowerFlowNode()
+    node = ByHand(PowerFlowNode())
     still = {"request": None, "series_1": None, "series_2": None, "shunt": None}
     first = node.update(0, **still)
     assert node.update(0, **still) == {}
@@ -562,7 +563,7 @@ def test_power_flow_node():
 
 def test_pulse_generator():
     """Gates of the angle at hand, turned on with omega between commands; a sigma that is none is refused."""
-    node = PulseGenerator(period=1.0 / 46080.0, command_period=PERIOD)
+    node = ByHand(PulseGenerator(period=1.0 / 46080.0, command_period=PERIOD))
     for k in range(40):
         command = (2.0, 0.3 + (k // 16) * TURN, NETWORK.omega)
         found = node.update(round(k * 1e9 / 46080.0), command=command)
@@ -579,9 +580,9 @@ def test_pulse_generator():
 def test_a_stale_command_blocks_the_converters():
     """Real time: a command older than three periods is replaced by the port's safe value, which is no command."""
     assert GupfcPlant.STALE_PERIODS == 3
-    plant = GupfcPlant()
+    plant = ByHand(GupfcPlant())
     for _ in range(3):
-        plant.advance(0, **{port.name: port.safe for port in GupfcPlant.ports(plant.p)[0]})
+        plant.advance(0, **{port.name: port.safe for port in GupfcPlant.ports(plant.block.p)[0]})
     assert {k for k in plant.reports if k.endswith("blocked")} == {
         f"{k}_blocked" for k in ("shunt", "series_1", "series_2")
     }

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from softrig_core import ScenarioError, load_scenario, rig_of, simulate
+from softrig_core import ByHand, ScenarioError, load_scenario, rig_of, simulate
 from softrig_power.gupfc.power_flow_node import PowerFlowNode
 
 SHARED = [
@@ -98,7 +98,7 @@ def test_an_operating_point_that_a_flat_start_misses_is_held_by_the_rig():
 
 
 def test_power_flow_says_how_many_operating_points_there_are():
-    node = PowerFlowNode()
-    node.update(0, None, (1.3, 0.15), (0.85, -0.1), (1.02,))
+    node = ByHand(PowerFlowNode())
+    node.update(0, request=None, series_1=(1.3, 0.15), series_2=(0.85, -0.1), shunt=(1.02,))
     text = node.health()["operating points"]
     assert text == "8; taken: the one with the smallest series voltage, 0.2363 pu, the next needs 1.022 pu"

@@ -5,13 +5,15 @@ from __future__ import annotations
 import cmath
 import math
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from dataclasses import dataclass
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
-from softrig_core import Level, Plant, Port, array, executable, param, state_type
+from numpy.typing import NDArray
+from softrig_core import Level, Plant, Port, array, executable, param
 from softrig_core.kit import dense
 
-from .circuit import BUS1, BUS2, BUS4, I12, I34, I_SH, State, advance, circuit
+from .circuit import BUS1, BUS2, BUS4, I12, I34, I_SH, State as Network, advance, circuit
 from .measurement import Weights
 from .operating_point import DeviceParams, conduction, operating_point
 from .ports import DC_LINK, SERIES, SHUNT, STATUS, TRACE, measured
@@ -23,8 +25,34 @@ FREQUENCY_LIMIT = (0.5, 1.5)  # of nominal, of a command that can be meant
 TRIP = (0.5, 1.3)  # pu, of the DC voltage
 
 
-BRANCHES = ("A", "B", "12", "34", "sh")  # of circuit.State.i
-STATE = state_type(("", ["v_dc"]), ("i", [f"{b}_{part}" for b in BRANCHES for part in ("alpha", "beta")]))
+@dataclass(frozen=True)
+class Command:
+    """What acts on a converter: conduction angle, angle (rad), its speed (rad/s); bad commands in a row. An input."""
+
+    sigma: float
+    angle: float
+    omega: float
+    bad: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """The newest period at every step, see `circuit.advance`, of which the outputs are means. Nobody writes into it."""
+
+    bus: NDArray[np.complex128]
+    current: NDArray[np.complex128]
+    converter: NDArray[np.complex128]
+    power: NDArray[np.float64]
+
+
+class State(NamedTuple):
+    """Waves, voltages and currents (never written in place); commands; steps taken; whether the link has tripped."""
+
+    network: Network
+    commands: tuple[Command, Command, Command]
+    seen: Seen
+    steps: int = 0
+    tripped: bool = False
 
 
 class GupfcPlantParams(DeviceParams):
@@ -78,65 +106,70 @@ class GupfcPlant(Plant[GupfcPlantParams]):
         p = self.p
         self._circuit, self._lines = circuit(p.network, p.step)
         self._weights = Weights(p.network.omega, p.step, p.substeps)
-        self._point = operating_point(p)
+        self._point = point = operating_point(p)
+        begin, rows = point.start, slice(-p.substeps - 1, None)
+        bus, current, converter = (row[rows].copy() for row in (begin.bus, begin.current, begin.converter))
+        between = 0.5 * (current[1:] + current[:-1])[:, [I_SH, I12, I34]]
+        power = dense.times(converter[1:], between.conj()).real.mean(axis=0)
+        sigmas = (p.network.shunt_sigma, *(self._conduction(v, point.v_dc) for v in (point.v12, point.v34)))
+        omega = p.network.omega
+        shunt, series_1, series_2 = (
+            Command(sigma, cmath.phase(v) - p.period * omega, omega)
+            for sigma, v in zip(sigmas, (point.v_sh, point.v12, point.v34), strict=True)
+        )
+        self._begin = State(begin.state, (shunt, series_1, series_2), Seen(bus, current, converter, power))
 
-    def start(self) -> None:
+    def first(self) -> State:
         """Steady state at the references of the parameters, as if its last command had always held."""
-        p = self.p
-        point, begin = self._point, self._point.start
-        self._sigma = np.array(
-            [p.network.shunt_sigma, *(self._conduction(v, point.v_dc) for v in (point.v12, point.v34))]
-        )
-        self._omega = np.full(3, p.network.omega)
-        self._angle = np.array([cmath.phase(v) for v in (point.v_sh, point.v12, point.v34)]) - p.period * self._omega
-        self._bad = [0, 0, 0]
-        self.tripped = False
-        self._steps = 0
-        self._state = State(*[x.copy() for x in begin.state])  # type: ignore[arg-type]
-        rows = slice(-p.substeps - 1, None)
-        self._bus, self._current, self._converter = (
-            x[rows].copy() for x in (begin.bus, begin.current, begin.converter)
-        )
-        between = 0.5 * (self._current[1:] + self._current[:-1])[:, [I_SH, I12, I34]]
-        self._power = dense.times(self._converter[1:], between.conj()).real.mean(axis=0)
-        self._sense()
+        return self._begin
 
     def _conduction(self, v: complex, v_dc: float) -> float:
         return conduction(abs(v), v_dc, self.p.network.series_limit)
 
-    @property
-    def state(self) -> Any:
-        """Give DC voltage and branch currents (pu) of now; the waves on the lines count as well."""
-        parts = (part for i in self._state.i.tolist() for part in (i.real, i.imag))
-        return STATE(float(self._state.v_dc[0]), *parts)
-
-    def outputs(self, t: int) -> Mapping[str, tuple[float, ...]]:
+    def outputs(self, x: State, t: int) -> Mapping[str, tuple[float, ...]]:
         """Give the measured vectors, the DC voltage and the status at t."""
-        return self._answer
+        seen = x.seen
+        bus, current = self._weights(seen.bus), self._weights(seen.current)
+        vectors = {name: complex((bus if name[0] == "u" else current)[k]) for name, k in VECTORS.items()}
+        v_dc = float(x.network.v_dc[0])
+        s1, s2 = vectors["u2"] * vectors["i12"].conjugate(), vectors["u4"] * vectors["i34"].conjugate()
+        limit = self.p.network.series_limit * v_dc
+        v12, v34 = (0.0 if x.tripped else limit * math.sin(0.5 * c.sigma) for c in x.commands[1:])
+        found: dict[str, tuple[float, ...]] = {name: (v.real, v.imag, 0.0) for name, v in vectors.items()}
+        found["dc_link"] = (v_dc * self.p.network.dc_voltage,)
+        found["status"] = (s1.real, s1.imag, s2.real, s2.imag, abs(vectors["u1"]), v_dc, *seen.power.tolist(),
+                           v12, v34)  # fmt: skip
+        if self.p.trace:
+            rows = (seen.converter[1:, 0], seen.converter[1:, 1], seen.bus[1:, BUS1], seen.current[1:, I_SH])
+            parts = np.column_stack([part for row in rows for part in (row.real, row.imag)])
+            found["trace"] = tuple(parts.ravel().tolist())
+        return found
 
     def advance(
-        self, t: int, shunt: tuple[float, ...], series_1: tuple[float, ...], series_2: tuple[float, ...]
-    ) -> None:
+        self, x: State, t: int, *, shunt: tuple[float, ...], series_1: tuple[float, ...], series_2: tuple[float, ...]
+    ) -> State:
         """Move by one control period."""
-        p = self.p
-        for k, command in enumerate((shunt, series_1, series_2)):
-            self._take(k, command)
-        self._power = advance(
-            self._circuit, self._lines, self._state, self._steps, self._sigma, self._angle, self._omega, p.pulse,
-            self.tripped, self._bus, self._current, self._converter,
+        p, tripped = self.p, x.tripped
+        commands = (self._taken(x, 0, shunt), self._taken(x, 1, series_1), self._taken(x, 2, series_2))
+        sigma, angle, omega = np.array([(c.sigma, c.angle, c.omega) for c in commands]).T.copy()
+        ring, u, i, link = x.network
+        network = Network(ring.copy(), u.copy(), i.copy(), link.copy())
+        bus, current, converter = (np.zeros_like(row) for row in (x.seen.bus, x.seen.current, x.seen.converter))
+        power = advance(
+            self._circuit, self._lines, network, x.steps, sigma, angle, omega, p.pulse, tripped, bus, current,
+            converter,
         )  # fmt: skip
-        self._steps += p.substeps
-        v_dc = float(self._state.v_dc[0])
-        if not self.tripped and not TRIP[0] <= v_dc <= TRIP[1]:
-            self.tripped = True
+        v_dc = float(network.v_dc[0])
+        if not tripped and not TRIP[0] <= v_dc <= TRIP[1]:
+            tripped = True
             text = f"DC voltage {v_dc:.4g} pu, outside {TRIP[0]:g} to {TRIP[1]:g} pu: tripped"
             self.report(Level.ERROR, "trip", text)
-            self._state.i[I_SH] = 0.0
-        self._sense()
+            network.i[I_SH] = 0.0
+        return State(network, commands, Seen(bus, current, converter, power), x.steps + p.substeps, tripped)
 
-    def _take(self, k: int, command: tuple[float, ...]) -> None:
-        """Take the command of converter k over, or what stands in for it."""
-        p = self.p
+    def _taken(self, x: State, k: int, command: tuple[float, ...]) -> Command:
+        """Give the command of converter k, or what stands in for it."""
+        p, last = self.p, x.commands[k]
         amplitude, angle, omega = command
         nominal = p.network.omega
         highest = math.pi * (1.0 + 1e-12) if k == 0 else MAGNITUDE_LIMIT
@@ -144,40 +177,18 @@ class GupfcPlant(Plant[GupfcPlantParams]):
             0.0 <= amplitude <= highest
             and FREQUENCY_LIMIT[0] * nominal <= omega <= FREQUENCY_LIMIT[1] * nominal
         ):  # fmt: skip
-            self._bad[k] = 0
-            v_dc = float(self._state.v_dc[0])
-            self._sigma[k] = amplitude if k == 0 else self._conduction(amplitude, max(v_dc, TRIP[0]))
-            self._angle[k], self._omega[k] = angle, omega
-            return
-        self._bad[k] += 1
-        self._angle[k] = math.remainder(self._angle[k] + p.period * self._omega[k], math.tau)
+            v_dc = float(x.network.v_dc[0])
+            return Command(amplitude if k == 0 else self._conduction(amplitude, max(v_dc, TRIP[0])), angle, omega)
+        bad = last.bad + 1
+        angle = math.remainder(last.angle + p.period * last.omega, math.tau)
         text = f"{CONVERTERS[k]}: command {tuple(command)} cannot be meant"
-        if self._bad[k] == 1:
+        if bad == 1:
             self.report(Level.WARN, f"{CONVERTERS[k]}_held", f"{text}: the last one holds for a period")
-            return
+            return Command(last.sigma, angle, last.omega, bad)
         self.report(Level.ERROR, f"{CONVERTERS[k]}_blocked", f"{text}, twice in a row: converter blocked")
         if k == 0:
-            self._angle[0], self._omega[0] = cmath.phase(self._vectors["u1"]), nominal
-        else:
-            self._sigma[k] = 0.0
-
-    def _sense(self) -> None:
-        """Prepare the outputs."""
-        bus, current = self._weights(self._bus), self._weights(self._current)
-        vectors = {name: complex((bus if name[0] == "u" else current)[k]) for name, k in VECTORS.items()}
-        self._vectors = vectors
-        v_dc = float(self._state.v_dc[0])
-        s1, s2 = vectors["u2"] * vectors["i12"].conjugate(), vectors["u4"] * vectors["i34"].conjugate()
-        limit = self.p.network.series_limit * v_dc
-        v12, v34 = (0.0 if self.tripped else limit * math.sin(0.5 * s) for s in self._sigma[1:].tolist())
-        self._answer: dict[str, tuple[float, ...]] = {name: (v.real, v.imag, 0.0) for name, v in vectors.items()}
-        self._answer["dc_link"] = (v_dc * self.p.network.dc_voltage,)
-        self._answer["status"] = (s1.real, s1.imag, s2.real, s2.imag, abs(vectors["u1"]), v_dc, *self._power.tolist(),
-                                  v12, v34)  # fmt: skip
-        if self.p.trace:
-            rows = (self._converter[1:, 0], self._converter[1:, 1], self._bus[1:, BUS1], self._current[1:, I_SH])
-            parts = np.column_stack([part for row in rows for part in (row.real, row.imag)])
-            self._answer["trace"] = tuple(parts.ravel().tolist())
+            return Command(last.sigma, cmath.phase(self._weights(x.seen.bus)[BUS1]), nominal, bad)
+        return Command(0.0, angle, last.omega, bad)
 
 
 main = executable(GupfcPlant)

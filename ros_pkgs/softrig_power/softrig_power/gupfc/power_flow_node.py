@@ -5,6 +5,7 @@ from __future__ import annotations
 import cmath
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import NamedTuple
 
 from softrig_core import Block, BlockParams, Level, array, button, executable, param
 
@@ -15,6 +16,14 @@ from .power_flow import Diverged, PowerFlow, References, Solution
 DEVICE = {"v12": "pu", "v12_angle": "rad", "v34": "pu", "v34_angle": "rad", "v_sh": "pu", "v_sh_angle": "rad",
           "p12": "pu", "p34": "pu", "p_sh": "pu", "q_sh": "pu"}  # fmt: skip
 RESULT = {"converged": "", "iterations": "", "mismatch": "pu"}
+
+
+class State(NamedTuple):
+    """References answered last, whether the button was down; largest series voltage (pu) of each operating point."""
+
+    asked: References | None = None
+    pressed: bool = False
+    sizes: tuple[float, ...] = ()
 
 
 class PowerFlowParams(BlockParams):
@@ -50,38 +59,34 @@ class PowerFlowNode(Block[PowerFlowParams]):
         """Prepare the network."""
         self._solver = PowerFlow(self.p.network)
 
-    def start(self) -> None:
+    def first(self) -> State:
         """Nothing answered yet."""
-        self._asked: References | None = None
-        self._pressed = False
-        self._sizes: tuple[float, ...] = ()
+        return State()
 
     def update(
-        self, t: int, request: tuple[float] | None, series_1: tuple[float, ...] | None,
+        self, x: State, t: int, *, request: tuple[float] | None, series_1: tuple[float, ...] | None,
         series_2: tuple[float, ...] | None, shunt: tuple[float, ...] | None,
-    ) -> Mapping[str, tuple[float, ...]]:  # fmt: skip
+    ) -> tuple[State, Mapping[str, tuple[float, ...]]]:  # fmt: skip
         """Answer if there is anything to answer."""
         pressed = request == (1.0,)
         asked = self._references(series_1, series_2, shunt)
-        due = asked is not None and (asked != self._asked or (pressed and not self._pressed))
-        self._pressed = pressed
+        due = asked is not None and (asked != x.asked or (pressed and not x.pressed))
         if asked is None or not due:
-            return {}
-        self._asked = asked
+            return State(x.asked, pressed, x.sizes), {}
         found = self._solver.solve(asked)
-        self._sizes = () if isinstance(found, Diverged) else found.sizes
         if isinstance(found, Diverged):
             text = f"diverged: mismatch {found.mismatch:.3g} pu after {found.iterations} iterations"
             self.report(Level.ERROR, "diverged", text)
-            return {"result": (0.0, float(found.iterations), found.mismatch)}
-        return {"result": (1.0, float(found.iterations), found.mismatch), **self._tables(found)}
+            return State(asked, pressed), {"result": (0.0, float(found.iterations), found.mismatch)}
+        answer = {"result": (1.0, float(found.iterations), found.mismatch), **self._tables(found)}
+        return State(asked, pressed, found.sizes), answer
 
-    def health(self) -> Mapping[str, str]:
+    def health(self, x: State) -> Mapping[str, str]:
         """Tell how many operating points there are, and which one was taken."""
-        if not self._sizes:
+        if not x.sizes:
             return {}
-        taken, *others = self._sizes
-        text = f"{len(self._sizes)}; taken: the one with the smallest series voltage, {taken:.4g} pu"
+        taken, *others = x.sizes
+        text = f"{len(x.sizes)}; taken: the one with the smallest series voltage, {taken:.4g} pu"
         return {"operating points": text + (f", the next needs {others[0]:.4g} pu" if others else "")}
 
     def _references(self, *given: tuple[float, ...] | None) -> References | None:
@@ -107,7 +112,7 @@ class PowerFlowNode(Block[PowerFlowParams]):
         bus = [(*cmath.polar(found.bus[b]), injected.get(b, 0j).real, injected.get(b, 0j).imag) for b in BUSES]
         device = (*cmath.polar(found.v12), *cmath.polar(found.v34), *cmath.polar(found.v_sh), found.p12, found.p34,
                   found.s_sh.real, found.s_sh.imag)  # fmt: skip
-        return {"bus": tuple(x for row in bus for x in row), "device": device}
+        return {"bus": tuple(value for row in bus for value in row), "device": device}
 
 
 main = executable(PowerFlowNode)

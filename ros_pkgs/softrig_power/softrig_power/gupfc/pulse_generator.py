@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from functools import lru_cache
+from typing import NamedTuple
 
 from softrig_core import Block, BlockParams, Level, array, executable, param, scalars, vector3
 
@@ -13,6 +15,12 @@ from .ports import converter_command
 SIGMA = math.radians(172.5)
 OMEGA = 2.0 * math.pi * 60.0
 ORDERS = (1, -23, 25, -47, 49, -71, 73, -95, 97)
+
+
+class State(NamedTuple):
+    """Command that acts: conduction angle (rad), angle (rad) and its speed (rad/s)."""
+
+    command: tuple[float, ...] = (SIGMA, 0.0, OMEGA)
 
 
 class PulseGeneratorParams(BlockParams):
@@ -48,38 +56,38 @@ class PulseGenerator(Block[PulseGeneratorParams]):
         """Ticks of a command."""
         self._ticks = max(1, round(self.p.command_period / self.p.period))
 
-    def start(self) -> None:
+    def first(self) -> State:
         """Nominal command."""
-        self._command: tuple[float, ...] = (SIGMA, 0.0, OMEGA)
-        self._judge()
+        return State()
 
-    def update(self, t: int, command: tuple[float, ...] | None) -> Mapping[str, tuple[float, ...]]:
+    def update(
+        self, x: State, t: int, *, command: tuple[float, ...] | None
+    ) -> tuple[State, Mapping[str, tuple[float, ...]]]:
         """Answer one tick."""
-        if command is not None and command != self._command:
+        if command is not None and command != x.command:
             if 0.0 < command[0] <= math.pi * (1.0 + 1e-12):
-                judged = command[0] == self._command[0]
-                self._command = command
-                if not judged:
-                    self._judge()
+                x = State(command)
             else:
                 self.report(Level.ERROR, "command", f"command {tuple(command)} refused, the last one holds")
-        sigma, angle, omega = self._command
+        sigma, angle, omega = x.command
         since = round(t * 1e-9 / self.p.period) % self._ticks * self.p.period
         theta = angle + omega * since
         v = pulses.vector(theta, sigma)
-        return {
+        spectrum, quality = judged(sigma)
+        return x, {
             "gates": tuple(pulses.gates(theta, sigma).ravel().tolist()),
             "voltage": (v.real, v.imag, 0.0),
-            "spectrum": self._spectrum,
-            "quality": self._quality,
+            "spectrum": spectrum,
+            "quality": quality,
         }
 
-    def _judge(self) -> None:
-        """Spectrum and distortion of the conduction angle."""
-        sigma = self._command[0]
-        first, found = pulses.fundamental(sigma), pulses.harmonics(sigma, max(ORDERS))
-        self._spectrum = tuple(x for n in ORDERS for x in (float(n), 100.0 * found[n] / first))
-        self._quality = (first, pulses.distortion(sigma), pulses.distortion(sigma, 50))
+
+@lru_cache(maxsize=16)
+def judged(sigma: float) -> tuple[tuple[float, ...], tuple[float, float, float]]:
+    """Spectrum, and fundamental with distortion (all, up to the 50th), of a conduction angle (rad)."""
+    first, found = pulses.fundamental(sigma), pulses.harmonics(sigma, max(ORDERS))
+    spectrum = tuple(part for n in ORDERS for part in (float(n), 100.0 * found[n] / first))
+    return spectrum, (first, pulses.distortion(sigma), pulses.distortion(sigma, 50))
 
 
 main = executable(PulseGenerator)

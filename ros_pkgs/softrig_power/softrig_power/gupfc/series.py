@@ -5,16 +5,27 @@ from __future__ import annotations
 import cmath
 import math
 from collections.abc import Mapping
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
-from softrig_control.filters import SecondOrderFilter
-from softrig_control.phase_locked_loop import PhaseLockedLoop, PllParams
+from softrig_control.filters import Filtered, SecondOrderFilter
+from softrig_control.phase_locked_loop import Locked, PhaseLockedLoop, PllParams
 from softrig_core import Block, Level, Port, executable, param
 
 from .operating_point import DeviceParams, operating_point
 from .ports import SERIES, SERIES_REFERENCE, measured
 
 LEAST_VOLTAGE = 0.1  # pu; below it a current reference is not taken from the voltage any more
+
+
+class State(NamedTuple):
+    """Integral and newest error, turned to the voltage asked for (pu); loop; filters of u and i; newest command."""
+
+    integral: complex
+    error: complex
+    locked: Locked
+    u: Filtered[complex]
+    i: Filtered[complex]
+    command: tuple[float, float, float]
 
 
 class SeriesControllerParams(DeviceParams):
@@ -69,64 +80,70 @@ class SeriesController(Block[SeriesControllerParams]):
         self._name = SERIES[p.circuit].name
         # the direction of the voltage that an error of the current asks for
         self._turn = 1j if p.law == "integral" else 1.0
-        self._kp = p.kp if p.law == "printed" else 0.0
+        self._kp = self._gain(p)
         self._pll = PhaseLockedLoop(p.pll, p.network.omega, p.period)
         self._filter = SecondOrderFilter(2.0 * math.pi * p.filter_frequency, p.damping, p.period)
 
-    def change(self, params: SeriesControllerParams) -> None:
-        """Take other gains without a bump; filters and loop go on."""
-        kp = self._kp
-        super().change(params)
-        if self._kp != kp and params.ki:
-            self._integral += (kp - self._kp) * self._error
+    @staticmethod
+    def _gain(p: SeriesControllerParams) -> float:
+        return p.kp if p.law == "printed" else 0.0
 
-    def start(self) -> None:
+    def go_on(self, x: State, before: SeriesControllerParams) -> State:
+        """Take other gains without a bump; filters and loop go on."""
+        kp = self._gain(before)
+        if self._kp != kp and self.p.ki:
+            return x._replace(integral=x.integral + (kp - self._kp) * x.error)
+        return x
+
+    def first(self) -> State:
         """Integrator, filters and loop as in the steady state."""
         p = self.p
         theta = cmath.phase(self._u)
         back = cmath.rect(1.0, -theta)
-        self._locked = self._pll.first(theta)
-        self._u_x, self._i_x = self._filter.first(self._u * back), self._filter.first(self._i * back)
+        locked = self._pll.first(theta)
+        u_x, i_x = self._filter.first(self._u * back), self._filter.first(self._i * back)
         for u, i in self._point.past(self._voltage, self._current):
-            self._locked, angle = self._pll(self._locked, u)
+            locked, angle = self._pll(locked, u)
             back = cmath.rect(1.0, -angle)
-            self._u_x, _ = self._filter(self._u_x, u * back)
-            self._i_x, _ = self._filter(self._i_x, i * back)
-        self._integral = self._v * cmath.rect(1.0, -theta)
-        self._error = 0j
-        self._answer = {self._name: (abs(self._v), cmath.phase(self._v), p.network.omega)}
+            u_x, _ = self._filter(u_x, u * back)
+            i_x, _ = self._filter(i_x, i * back)
+        integral = self._v * cmath.rect(1.0, -theta)
+        return State(integral, 0j, locked, u_x, i_x, (abs(self._v), cmath.phase(self._v), p.network.omega))
 
-    def update(self, t: int, reference: tuple[float, ...] | None, **inputs: Any) -> Mapping[str, tuple[float, ...]]:
+    def update(
+        self, x: State, t: int, *, reference: tuple[float, ...] | None, **inputs: Any
+    ) -> tuple[State, Mapping[str, tuple[float, ...]]]:
         """Answer one tick; P and Q are those of the parameters until a reference comes."""
         p = self.p
         asked = self._asked if reference is None else complex(reference[0], reference[1])
-        u, i = (complex(x[0], x[1]) for x in (inputs[self._voltage], inputs[self._current]))
-        self._locked, theta = self._pll(self._locked, u)
+        u, i = (complex(s[0], s[1]) for s in (inputs[self._voltage], inputs[self._current]))
+        locked, theta = self._pll(x.locked, u)
         back = cmath.rect(1.0, -theta)
+        u_x, i_x = x.u, x.i
         u, i = u * back, i * back
         if p.law == "integral":
-            self._u_x, u = self._filter(self._u_x, u)
-            self._i_x, i = self._filter(self._i_x, i)
+            u_x, u = self._filter(u_x, u)
+            i_x, i = self._filter(i_x, i)
         if abs(u) < LEAST_VOLTAGE:
             u = LEAST_VOLTAGE + 0j
-        self._error = error = self._turn * ((asked / u).conjugate() - i)
-        self._integral += p.ki * p.period * error
-        v = self._kp * error + self._integral
+        error = self._turn * ((asked / u).conjugate() - i)
+        integral = x.integral + p.ki * p.period * error
+        v = self._kp * error + integral
         limit = p.network.series_limit
         if abs(v) > limit:
             self.report(Level.WARN, "series_voltage_limited", f"series voltage at its limit of {limit:g} pu while "
                         f"{asked:g} pu is asked for and {(u * i.conjugate()):.4g} pu flows")  # fmt: skip
             cut = v * (limit / abs(v))
-            self._integral += cut - v
+            integral += cut - v
             v = cut
-        self._answer = {self._name: (abs(v), math.remainder(theta + cmath.phase(v), math.tau), self._locked.omega)}
-        return self._answer
+        command = (abs(v), math.remainder(theta + cmath.phase(v), math.tau), locked.omega)
+        return State(integral, error, locked, u_x, i_x, command), {self._name: command}
 
-    def refused(self, t: int) -> Mapping[str, tuple[float, ...]]:
+    def refused(self, x: State, t: int) -> tuple[State, Mapping[str, tuple[float, ...]]]:
         """Turn the last voltage on."""
-        magnitude, angle, omega = self._answer[self._name]
-        self._answer = {self._name: (magnitude, math.remainder(angle + self.p.period * omega, math.tau), omega)}
-        return self._answer
+        magnitude, angle, omega = x.command
+        command = (magnitude, math.remainder(angle + self.p.period * omega, math.tau), omega)
+        return x._replace(command=command), {self._name: command}
 
 
 main = executable(SeriesController)

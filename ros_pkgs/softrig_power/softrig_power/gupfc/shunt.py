@@ -5,15 +5,26 @@ from __future__ import annotations
 import cmath
 import math
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
-from softrig_control.filters import SecondOrderFilter
-from softrig_control.phase_locked_loop import PhaseLockedLoop, PllParams
+from softrig_control.filters import Filtered, SecondOrderFilter
+from softrig_control.phase_locked_loop import Locked, PhaseLockedLoop, PllParams
 from softrig_control.pid import Pid, PidParams, PidState
 from softrig_core import Block, Level, executable, param
 
 from .operating_point import DeviceParams, operating_point
 from .ports import SHUNT, SHUNT_REFERENCE, measured
+
+
+class State(NamedTuple):
+    """Loop on u1; filters of its magnitude and of the reactive current (pu); both regulators; newest command."""
+
+    locked: Locked
+    magnitude: Filtered[float]
+    reactive: Filtered[float]
+    voltage: PidState
+    current: PidState
+    command: tuple[float, float, float]
 
 
 class ShuntControllerParams(DeviceParams):
@@ -64,50 +75,47 @@ class ShuntController(Block[ShuntControllerParams]):
         return (PidParams(kp=p.voltage_kp, ki=p.voltage_ki, u_max=p.current_limit),
                 PidParams(kp=p.current_kp, ki=p.current_ki, u_max=p.angle_limit))  # fmt: skip
 
-    _voltage_x: Any
-    _current_x: Any
-
-    def change(self, params: ShuntControllerParams) -> None:
+    def go_on(self, x: State, before: ShuntControllerParams) -> State:
         """Take other gains without a bump; filters and loop go on."""
-        before = self._gains(self.p)
-        super().change(params)
-        self._voltage_x = self._voltage.go_on(self._voltage_x, before[0])
-        self._current_x = self._current.go_on(self._current_x, before[1])
+        voltage, current = self._gains(before)
+        return x._replace(
+            voltage=self._voltage.go_on(x.voltage, voltage), current=self._current.go_on(x.current, current)
+        )
 
-    def start(self) -> None:
+    def first(self) -> State:
         """Integrators, filters and loop as in the steady state."""
         p = self.p
         u1, alpha = self._point.u1, math.degrees(cmath.phase(self._point.v_sh / self._point.u1))
         i_q = -(self._point.i_sh * u1.conjugate()).imag / abs(u1)
-        self._locked = self._pll.first(cmath.phase(u1))
-        self._magnitude_x, self._reactive_x = self._filter.first(abs(u1)), self._filter.first(i_q)
+        locked = self._pll.first(cmath.phase(u1))
+        magnitude, reactive = self._filter.first(abs(u1)), self._filter.first(i_q)
         for u, i in self._point.past("u1", "i_sh"):
-            self._locked, theta = self._pll(self._locked, u)
-            self._magnitude_x, _ = self._filter(self._magnitude_x, abs(u))
-            self._reactive_x, _ = self._filter(self._reactive_x, -(i * cmath.rect(1.0, -theta)).imag)
-        self._voltage_x, self._current_x = PidState(i_q), PidState(-alpha)
-        self._answer = {"shunt": (p.network.shunt_sigma, cmath.phase(self._point.v_sh), p.network.omega)}
+            locked, theta = self._pll(locked, u)
+            magnitude, _ = self._filter(magnitude, abs(u))
+            reactive, _ = self._filter(reactive, -(i * cmath.rect(1.0, -theta)).imag)
+        command = (p.network.shunt_sigma, cmath.phase(self._point.v_sh), p.network.omega)
+        return State(locked, magnitude, reactive, PidState(i_q), PidState(-alpha), command)
 
     def update(
-        self, t: int, u1: tuple[float, ...], i_sh: tuple[float, ...], reference: tuple[float, ...] | None
-    ) -> Mapping[str, tuple[float, ...]]:
+        self, x: State, t: int, *, u1: tuple[float, ...], i_sh: tuple[float, ...], reference: tuple[float, ...] | None
+    ) -> tuple[State, Mapping[str, tuple[float, ...]]]:
         """Answer one tick; v_ref is that of the parameters until a reference comes."""
         p = self.p
         v_ref = p.initial.v if reference is None else reference[0]
         u = complex(u1[0], u1[1])
-        self._locked, theta = self._pll(self._locked, u)
-        self._magnitude_x, v = self._filter(self._magnitude_x, abs(u))
+        locked, theta = self._pll(x.locked, u)
+        magnitude, v = self._filter(x.magnitude, abs(u))
         q = -(complex(i_sh[0], i_sh[1]) * cmath.rect(1.0, -theta)).imag
-        self._reactive_x, i_q = self._filter(self._reactive_x, q)
+        reactive, i_q = self._filter(x.reactive, q)
         wanted = f"{v_ref:g} pu is asked of a voltage of {v:.4g} pu"
-        self._voltage_x, found = self._voltage(self._voltage_x, v_ref - v)
+        voltage, found = self._voltage(x.voltage, v_ref - v)
         i_q_ref = self._limited(found, p.current_limit, "reactive_current", "pu", wanted)
         wanted = f"{i_q_ref:.4g} pu is asked of a reactive current of {i_q:.4g} pu"
-        self._current_x, found = self._current(self._current_x, i_q_ref - i_q)
+        current, found = self._current(x.current, i_q_ref - i_q)
         alpha = -self._limited(found, p.angle_limit, "angle", "deg", wanted)
         angle = math.remainder(theta + math.radians(alpha), math.tau)
-        self._answer = {"shunt": (p.network.shunt_sigma, angle, self._locked.omega)}
-        return self._answer
+        command = (p.network.shunt_sigma, angle, locked.omega)
+        return State(locked, magnitude, reactive, voltage, current, command), {"shunt": command}
 
     def _limited(self, x: float, limit: float, what: str, unit: str, wanted: str) -> float:
         if -limit <= x <= limit:
@@ -116,11 +124,11 @@ class ShuntController(Block[ShuntControllerParams]):
         self.report(Level.WARN, f"{what}_limited", text)
         return math.copysign(limit, x)
 
-    def refused(self, t: int) -> Mapping[str, tuple[float, ...]]:
+    def refused(self, x: State, t: int) -> tuple[State, Mapping[str, tuple[float, ...]]]:
         """Turn the last voltage on."""
-        sigma, angle, omega = self._answer["shunt"]
-        self._answer = {"shunt": (sigma, math.remainder(angle + self.p.period * omega, math.tau), omega)}
-        return self._answer
+        sigma, angle, omega = x.command
+        command = (sigma, math.remainder(angle + self.p.period * omega, math.tau), omega)
+        return x._replace(command=command), {"shunt": command}
 
 
 main = executable(ShuntController)

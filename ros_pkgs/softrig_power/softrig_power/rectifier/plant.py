@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from typing import Any, Literal, NamedTuple, Self
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Self
 
 from pydantic import model_validator
 from softrig_core import BlockParams, Level, Plant, Port, check_steps, executable, param, to_ns
@@ -12,7 +13,13 @@ from softrig_core import BlockParams, Level, Plant, Port, check_steps, executabl
 from . import averaged, diodes, ports, switched
 from .circuit import INJECTION, SPWM, Circuit, Period, grid, phases, turned
 from .parameters import RectifierConstants
-from .quality import CYCLES, FIGURES, PLAIN, TIME, WINDOWS, empty, figures
+from .quality import CYCLES, FIGURES, PLAIN, TIME, WINDOWS, empty, figures, opened
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    Array = NDArray[np.float64]
 
 
 class RectifierPlantParams(RectifierConstants, BlockParams):
@@ -56,21 +63,67 @@ class RectifierPlantParams(RectifierConstants, BlockParams):
         return max(1, math.ceil(self.period / self.substep - 1e-9))
 
 
+@dataclass(frozen=True)
+class Record:
+    """What is measured on the way and moves nothing: no part of a linear view.
+
+    Attributes
+    ----------
+    sums, complete : bytes
+        Of the window under way and of the last whole one, see `quality`.
+    figures : tuple
+        As `FIGURES`.
+    trace : tuple
+        Waveforms of the newest period; empty where nobody has asked for them.
+    """
+
+    sums: bytes
+    complete: bytes
+    figures: tuple[float, ...]
+    trace: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Events:
+    """Inputs held: load (ohm), grid amplitude and its fifth harmonic (V). No part of a linear view."""
+
+    load: float
+    amplitude: float
+    fifth: float
+
+
 class StateDq(NamedTuple):
-    """Currents in the frame of the grid voltage (A, peak), DC voltage (V)."""
+    """Currents in the frame of the grid voltage (A, peak), DC voltage (V).
+
+    `applied`: the reference of the period before (A), empty where the command is no reference. `end`: of the period
+    before, ns. `collapsed`: whether the converter is given up.
+    """
 
     i_d: float
     i_q: float
     v: float
+    applied: tuple[float, ...]
+    events: Events
+    end: int
+    collapsed: bool
+    record: Record
 
 
 class StateAbc(NamedTuple):
-    """Phase currents (A), DC voltage (V)."""
+    """Phase currents (A), DC voltage (V); the rest as in `StateDq`."""
 
     i_a: float
     i_b: float
     i_c: float
     v: float
+    applied: tuple[float, ...]
+    events: Events
+    end: int
+    collapsed: bool
+    record: Record
+
+
+State = StateDq | StateAbc
 
 
 class RectifierPlant(Plant[RectifierPlantParams]):
@@ -118,122 +171,116 @@ class RectifierPlant(Plant[RectifierPlantParams]):
         self._reach = INJECTION if p.injection else SPWM
         self._forward = 1.0 if p.feedforward == "instantaneous" else 0.0
         self._window = CYCLES / p.f
-        self._late = self.LATE_PERIODS * to_ns(p.period)
+        self._period = to_ns(p.period)  # ns
+        self._late = self.LATE_PERIODS * self._period
+        self._kind: Callable[..., State] = StateDq if p.model == "averaged_dq" else StateAbc
+        self._size = 3 if p.model == "averaged_dq" else 4
 
-    def start(self) -> None:
+    def first(self) -> State:
         """Begin at the given voltage and current, on the nominal grid and load."""
-        import numpy as np
-
         p = self.p
         abc = phases(p.i_first, 0.0, 0.0)
-        self._x = np.array((p.i_first, 0.0, p.v_start) if p.model == "averaged_dq" else (*abc, p.v_start))
-        self._legs = np.zeros(3)
-        self._sums, self._complete = empty(), empty()
-        self._trace = np.zeros((p.steps if p.waveform else 0, len(ports.WAVEFORM_CHANNELS)))
-        self._trace[:] = (*abc, 0.0, p.v_start)
-        self._end = 0.0
-        self._before = p.i_first
-        self._load, self._amplitude, self._fifth = p.R_L, p.V_g, 0.0
-        self._figures: tuple[float, ...] = (0.0,) * len(FIGURES)
-        self.collapsed = False
+        i = (p.i_first, 0.0) if p.model == "averaged_dq" else abc
+        trace = (*abc, 0.0, p.v_start) * p.steps if p.waveform else ()
+        record = Record(empty().tobytes(), empty().tobytes(), (0.0,) * len(FIGURES), trace)
+        applied = (p.i_first,) if p.structure == "decoupled" else ()
+        return self._kind(*i, p.v_start, applied, Events(p.R_L, p.V_g, 0.0), 0, False, record)
 
-    @property
-    def state(self) -> Any:
-        """Give currents and DC voltage."""
-        return (StateDq if self.p.model == "averaged_dq" else StateAbc)(*self._x.tolist())
-
-    def put(self, state: Sequence[float]) -> None:
-        """Go on from another state."""
-        self._x[:] = state
-
-    def outputs(self, t: int) -> Mapping[str, tuple[float, ...]]:
+    def outputs(self, x: State, t: int) -> Mapping[str, tuple[float, ...]]:
         """Give DC link, currents and voltages of the phases, power quality at t."""
         seconds = t / 1e9
-        v = float(self._x[-1])
-        now = self._period_at(seconds, 0.0)
+        now = self._period_at(x, x.events, seconds, 0.0)
         found: dict[str, tuple[float, ...]] = {
-            "dc_link": (v, v / self._load),
-            "grid_current": averaged.read(seconds, self._x, self._circuit)[:3],
+            "dc_link": (x.v, x.v / x.events.load),
+            "grid_current": averaged.read(seconds, self._moving(x), self._circuit)[:3],
             "grid_voltage": grid(seconds, self._circuit, now),
-            "power_quality": self._figures,
+            "power_quality": x.record.figures,
         }
         if self.p.waveform:
-            found["waveform"] = tuple(self._trace.ravel().tolist())
+            found["waveform"] = x.record.trace
         return found
 
-    def _period_at(self, start: float, command: float) -> Period:
-        p = self.p
-        decoupled = p.structure == "decoupled"
-        return Period(start, p.period, self._amplitude, self._fifth, self._load, self._reach, self._forward, decoupled,
-                      self._before, command)  # fmt: skip
-
-    def advance(self, t: int, *, command: tuple[float, ...], events: tuple[float, ...] | None) -> None:
-        """Hold the command over one period."""
-        p = self.p
-        if events is not None:
-            self._take(events)
-        start = t / 1e9
-        if (self.age("command") or 0) > self._late:
-            self.report(Level.WARN, "late", f"command older than {self.LATE_PERIODS} periods is held")
-        wanted = 0.0 if self.collapsed else command[0]
-        if wanted == 0.0:
-            self.report(Level.WARN, "off", "switches off: the diodes carry the current")
-        v = self._move(start, wanted)
-        self._before = command[0]
-        complete = self._complete[PLAIN]
-        if complete[WINDOWS] != self._figures[0] and complete[TIME] > 0.999 * self._window:
-            self._figures = tuple(figures(self._complete).values())
-        if not p.v_least < v < math.inf:
-            self._collapse(v)
-
-    def _move(self, start: float, command: float) -> float:
-        """Move the state over the period from `start` (s); give the DC voltage."""
-        p = self.p
-        if abs(start - self._end) > 0.5 * p.period:
-            self._skip(start)
-        self._end = start + p.period
-        both = (self._circuit, self._period_at(start, command))
-        if command == 0.0:
-            return self._rectify(start, both)
-        if p.model == "switched":
-            return switched.advance(self._x, self._legs, p.steps, self._window, both, p.carrier_hz, p.injection,
-                                    self._sums, self._complete, self._trace)  # fmt: skip
-        return averaged.advance(self._x, p.steps, self._window, both, self._sums, self._complete, self._trace)
-
-    def _rectify(self, start: float, both: tuple[Circuit, Period]) -> float:
-        """Move over the period with the switches off."""
+    def _moving(self, x: State) -> Array:
+        """Give currents and voltage for the native code, which moves them in place."""
         import numpy as np
 
+        return np.array(x[: self._size], dtype=float)
+
+    def _period_at(self, x: State, events: Events, start: float, command: float) -> Period:
         p = self.p
-        x = np.array(averaged.read(start, self._x, self._circuit))
-        v = diodes.advance(x, p.steps, self._window, both, self._sums, self._complete, self._trace)
-        self._legs[:] = 0.0
-        if self._x.size == len(x):
-            self._x[:] = x
+        decoupled = p.structure == "decoupled"
+        before = x.applied[0] if decoupled else 0.0
+        return Period(start, p.period, events.amplitude, events.fifth, events.load, self._reach, self._forward,
+                      decoupled, before, command)  # fmt: skip
+
+    def advance(self, x: State, t: int, *, command: tuple[float, ...], events: tuple[float, ...] | None) -> State:
+        """Hold the command over one period."""
+        p, collapsed = self.p, x.collapsed
+        held = x.events if events is None else self._taken(events, x.events)
+        if (self.age("command") or 0) > self._late:
+            self.report(Level.WARN, "late", f"command older than {self.LATE_PERIODS} periods is held")
+        wanted = 0.0 if collapsed else command[0]
+        if wanted == 0.0:
+            self.report(Level.WARN, "off", "switches off: the diodes carry the current")
+        moving, record = self._move(x, held, t, wanted)
+        v = float(moving[-1])
+        if not collapsed and not p.v_least < v < math.inf:
+            collapsed = True
+            self.report(Level.ERROR, "collapse", f"DC voltage {v:g} V, below {p.v_least:g} V: converter given up")
+            moving[:] = 0.0
+            moving[-1] = p.v_least
+        applied = (command[0],) if x.applied else ()
+        return self._kind(*moving.tolist(), applied, held, t + self._period, collapsed, record)
+
+    def _move(self, x: State, events: Events, t: int, command: float) -> tuple[Array, Record]:
+        """Give currents and voltage a period after t (ns), and what was measured on the way."""
+        import numpy as np
+
+        p, record, start = self.p, x.record, t / 1e9
+        moving, complete = self._moving(x), opened(record.complete)
+        # time does not go on where it was (realtime after a pause of the host): the sums begin anew
+        sums = self._begun(start) if 2 * abs(t - x.end) > self._period else opened(record.sums)
+        trace = np.empty((p.steps if p.waveform else 0, len(ports.WAVEFORM_CHANNELS)))
+        both = (self._circuit, self._period_at(x, events, start, command))
+        if command == 0.0:
+            moving = self._rectified(moving, start, both, (sums, complete, trace))
+        elif p.model == "switched":
+            switched.advance(
+                moving, p.steps, self._window, both, p.carrier_hz, p.injection, sums, complete, trace
+            )  # fmt: skip
         else:
-            self._x[:] = (*turned(x[0], x[1], x[2], self._circuit.omega * self._end), v)
-        return v
+            averaged.advance(moving, p.steps, self._window, both, sums, complete, trace)
+        found, plain = record.figures, complete[PLAIN]
+        if plain[WINDOWS] != found[0] and plain[TIME] > 0.999 * self._window:
+            found = tuple(figures(complete).values())
+        return moving, Record(sums.tobytes(), complete.tobytes(), found, tuple(trace.ravel().tolist()))
 
-    def _skip(self, start: float) -> None:
-        """Begin with the sums anew: time does not go on where it was (realtime after a pause of the host)."""
-        self._sums = empty()
-        self._sums[PLAIN, WINDOWS] = math.floor(start / self._window + 1e-9)
+    def _begun(self, start: float) -> Array:
+        """Give sums without samples of the window that `start` (s) is in."""
+        sums = empty()
+        sums[PLAIN, WINDOWS] = math.floor(start / self._window + 1e-9)
+        return sums
 
-    def _take(self, events: tuple[float, ...]) -> None:
+    def _rectified(
+        self, moving: Array, start: float, both: tuple[Circuit, Period], measured: tuple[Array, Array, Array]
+    ) -> Array:
+        """Give currents and voltage after a period with the switches off."""
+        import numpy as np
+
+        x = np.array(averaged.read(start, moving, self._circuit))
+        v = diodes.advance(x, self.p.steps, self._window, both, *measured)
+        if self._size == len(x):
+            return x
+        end = start + self.p.period
+        return np.array((*turned(x[0], x[1], x[2], self._circuit.omega * end), v))
+
+    def _taken(self, events: tuple[float, ...], before: Events) -> Events:
         load, amplitude, fifth = events
         if load > 0.0 and amplitude > 0.0:
-            self._load, self._amplitude, self._fifth = load, amplitude, fifth
-        else:
-            self.report(Level.ERROR, "bad_event", f"load {load:g} ohm, grid {amplitude:g} V: expected both positive; "
-                        "the last good ones hold")  # fmt: skip
-
-    def _collapse(self, v: float) -> None:
-        if self.collapsed:
-            return
-        self.collapsed = True
-        self.report(Level.ERROR, "collapse", f"DC voltage {v:g} V, below {self.p.v_least:g} V: converter given up")
-        self._x[:] = 0.0
-        self._x[-1] = self.p.v_least
+            return Events(load, amplitude, fifth)
+        self.report(Level.ERROR, "bad_event", f"load {load:g} ohm, grid {amplitude:g} V: expected both positive; "
+                    "the last good ones hold")  # fmt: skip
+        return before
 
 
 main = executable(RectifierPlant)

@@ -49,6 +49,13 @@ def empty() -> Array:
     return sums
 
 
+def opened(kept: bytes) -> Array:
+    """Make sums of what was kept of them, to be added to."""
+    import numpy as np
+
+    return np.frombuffer(kept).reshape(ROWS, HARMONICS + 1).copy()
+
+
 @jit
 def sample(
     sums: Array, t: float, weight: float, state: tuple[float, float, float, float], grid: Three, omega: float

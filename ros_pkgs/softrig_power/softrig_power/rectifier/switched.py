@@ -59,8 +59,8 @@ def carrier(t: float, frequency: float, half: float) -> float:
 
 @jit
 def advance(
-    x: Array, legs: Array, steps: int, window: float, p: tuple[Circuit, Period], frequency: float, injection: bool,
-    sums: Array, complete: Array, trace: Array,
+    x: Array, steps: int, window: float, p: tuple[Circuit, Period], frequency: float, injection: bool, sums: Array,
+    complete: Array, trace: Array,
 ) -> float:  # fmt: skip
     """Move a state over one period.
 
@@ -68,8 +68,6 @@ def advance(
     ----------
     x : (4,) ndarray
         (i_a, i_b, i_c, v), changed in place.
-    legs : (3,) ndarray
-        Switch states, changed in place.
     steps : int
         The longest piece is length/steps.
     window : float
@@ -88,6 +86,7 @@ def advance(
     h = period.length / steps
     t = period.start
     half = float(math.floor(2.0 * frequency * t + 1e-9))
+    legs = x[:3].copy()  # `compare` sets them: the command has jumped
     compare(t, x[3], legs, circuit, period, frequency, half, injection)  # the command has jumped
     for j in range(steps):
         end = period.start + (j + 1) * h
