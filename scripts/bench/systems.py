@@ -125,6 +125,7 @@ def _dispatch() -> Iterator[Work]:
 
 
 def _tcp() -> Iterator[Work]:
+    from softrig_core import ByHand
     from softrig_systems.tcp_aqm.controller import AqmController
     from softrig_systems.tcp_aqm.fluid_plant import TcpFluid
     from softrig_systems.tcp_aqm.packets_plant import TcpPackets
@@ -134,13 +135,13 @@ def _tcp() -> Iterator[Work]:
 
         def run() -> None:
             plant.reset(0)
-            controller.reset(0)
+            law = ByHand(controller)
             command: Any = (0.0,)
             for k in range(round(seconds / plant.p.period)):
                 t = round(k * plant.p.period * 1e9)
                 state = plant.outputs(t)["state"]
                 if k % every == 0:
-                    command = controller.update(t, state=state, reference=None)["command"]
+                    command = law.update(t, state=state, reference=None)["command"]
                 plant.advance(t, command=command)
 
         return run

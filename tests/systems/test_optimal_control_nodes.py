@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from conftest import differences, in_process
 from softrig_core import (
+    ByHand,
     Level,
     ParameterError,
     Result,
@@ -71,8 +72,8 @@ def test_the_exact_feedback_beats_the_plan_made_again():
 
 @pytest.mark.parametrize("kind", [ScalarPlant, TwoStatePlant])
 def test_a_state_that_escapes_may_not_be_said(kind):
-    plant = kind()
-    (port,) = plant.ports(plant.p)[1]
+    plant = ByHand(kind())
+    (port,) = plant.block.ports(plant.block.p)[1]
     while max(map(abs, plant.x)) <= 1e3:
         check(plant.outputs(0), port, "plant", 0)
         plant.advance(0, command=(1e6,))
@@ -83,7 +84,7 @@ def test_a_state_that_escapes_may_not_be_said(kind):
 
 
 def test_torques_are_limited_and_biased():
-    plant, same = SpacecraftPlant(torque_limit=0.5, bias=(0.1, 0.0, 0.0)), SpacecraftPlant()
+    plant, same = ByHand(SpacecraftPlant(torque_limit=0.5, bias=(0.1, 0.0, 0.0))), ByHand(SpacecraftPlant())
     plant.advance(0, command=(2.0, 0.1, -3.0))
     same.advance(0, command=(0.6, 0.1, -0.5))
     assert plant.outputs(0)["state"][:3] == same.outputs(0)["state"][:3]
@@ -96,7 +97,7 @@ def test_half_the_step_changes_nothing(name):
     period = find(name).horizon / 100.0
     ends = []
     for substeps in (4, 8):
-        plant = OcpPlant(problem=name, period=period, substeps=substeps)
+        plant = ByHand(OcpPlant(problem=name, period=period, substeps=substeps))
         for k in range(100):
             plant.advance(k, command=(0.2,) * len(find(name).controls))
         ends.append(np.array(plant.outputs(0)["state"]))
@@ -165,11 +166,11 @@ def test_a_plan_with_a_large_residual_is_published_as_not_converged():
     values = answered(planner, asked(planner))
     assert planner.reports["not_converged"][0] is Level.WARN
     assert values["summary"][-2:] == (0.0, 0.0)
-    player = OcpPlayer(order=4)
+    player = ByHand(OcpPlayer(order=4))
     silent = player.update(0, state=STATE, plan=values["plan"], summary=values["summary"])
     assert silent["command"] == (0.0, 0.0, 0.0)
     assert player.reports["plan_refused"][0] is Level.ERROR
-    player = OcpPlayer(order=4, allow_unconverged=True)
+    player = ByHand(OcpPlayer(order=4, allow_unconverged=True))
     assert player.update(0, state=STATE, plan=values["plan"], summary=values["summary"])["command"] != (0.0, 0.0, 0.0)
 
 
@@ -265,46 +266,46 @@ def planned(horizon=100.0, start=0.0, x=W0):
 
 def fed(player, t, plan=None, summary=None, state=STATE):
     """Without a plan: nothing new has come."""
-    player.ages = (lambda name: 0) if plan is not None else (lambda name: None)
+    player.block.ages = (lambda name: 0) if plan is not None else (lambda name: None)
     return player.update(t, state=state, plan=plan or (0.0,) * 81, summary=summary or (0.0,) * 8)
 
 
 def test_the_player_holds_the_middle_of_each_period_and_zero_after_the_horizon():
     found = solve(find("spacecraft"), 8)
-    player = OcpPlayer()
+    player = ByHand(OcpPlayer())
     assert fed(player, 0)["command"] == (0.0, 0.0, 0.0)
     assert fed(player, 0, *planned())["command"] == pytest.approx(found(0.5)[6:], rel=1e-12)
     assert fed(player, 37 * S)["command"] == pytest.approx(found(37.5)[6:], rel=1e-12)
     assert fed(player, 37 * S)["progress"] == (37.0, 63.0)
     assert fed(player, 100 * S) == {"command": (0.0, 0.0, 0.0), "progress": (100.0, 0.0)}
     assert player.refused(38 * S)["command"] == pytest.approx(found(38.5)[6:], rel=1e-12)
-    player = OcpPlayer(sampling="start")
+    player = ByHand(OcpPlayer(sampling="start"))
     assert fed(player, 0, *planned())["command"] == pytest.approx(found(0.0)[6:], rel=1e-12)
 
 
 def test_a_plan_that_comes_ticks_after_its_stamp_is_played():
     found = solve(find("spacecraft"), 8)
     plan, summary = planned()
-    player = OcpPlayer()
-    player.ages = lambda name: {"plan": None, "summary": 2 * S}.get(name)
+    player = ByHand(OcpPlayer())
+    player.block.ages = lambda name: {"plan": None, "summary": 2 * S}.get(name)
     assert player.update(2 * S, state=STATE, plan=plan, summary=summary)["command"] == (0.0, 0.0, 0.0)  # half of it
-    player.ages = lambda name: 3 * S
+    player.block.ages = lambda name: 3 * S
     command = player.update(3 * S, state=STATE, plan=plan, summary=summary)["command"]
     assert command == pytest.approx(found(3.5)[6:], rel=1e-12)
 
 
 def test_markers_show_the_momentum():
-    line, ball = SpacecraftPlant().markers()
+    line, ball = ByHand(SpacecraftPlant()).markers()
     assert line.points[1] == ball.points[0] == pytest.approx((0.8624, 0.42535, 0.11359))
 
 
 def test_a_plan_that_is_over_or_another_problems_is_refused():
     for plan, why in ((planned(start=-100.0), "over"), (planned(x=(0.02, 0.0, 0.0)), "another problem")):
-        player = OcpPlayer()
+        player = ByHand(OcpPlayer())
         assert fed(player, 0, *plan)["command"] == (0.0, 0.0, 0.0)
         assert player.reports["plan_refused"][0] is Level.ERROR
         assert why in player.reports["plan_refused"][1]
-    player = OcpPlayer()
+    player = ByHand(OcpPlayer())
     held = fed(player, 0, *planned())["command"]
     assert fed(player, 0, *planned(x=(0.02, 0.0, 0.0)))["command"] == held  # the plan before goes on
 
@@ -317,10 +318,10 @@ def test_ports_refuse_plans_and_states_of_another_length():
 
 
 def test_the_feedback_is_zero_after_the_horizon_and_bounded_in_the_last_period():
-    feedback = MomentumFeedback()
+    feedback = ByHand(MomentumFeedback())
     feedback.update(0, state=STATE)
     last = feedback.update(99_500_000_000, state=STATE)["command"]
-    assert last == pytest.approx([-m * w for m, w in zip(feedback.p.inertia, W0, strict=True)])
+    assert last == pytest.approx([-m * w for m, w in zip(feedback.block.p.inertia, W0, strict=True)])
     assert feedback.update(100 * S, state=STATE)["command"] == (0.0, 0.0, 0.0)
 
 
@@ -331,7 +332,7 @@ def evaluated(problem, order, **mode):
     """What the evaluator says of a plan of a given order."""
     found = solve(find(problem), order, **mode)
     about = (0.0, found.horizon, float(order), found.J[-1], found.residual[-1], found.end_error, 0.0, 0.0)
-    evaluator = OcpEvaluator(problem=problem, order=order)
+    evaluator = ByHand(OcpEvaluator(problem=problem, order=order))
     n = len(find(problem).states)
     state = (*find(problem).x0, *((0.0,) * n if problem == "spacecraft" else ()))
     control = (0.0,) * len(find(problem).controls)
@@ -353,7 +354,7 @@ def test_impossible_optima_are_flagged(problem, order, mode, flag):
 
 
 def test_a_cost_below_the_least_is_flagged_whatever_the_residual():
-    evaluator = OcpEvaluator()
+    evaluator = ByHand(OcpEvaluator())
     plan, about = planned()
     said = (*about[:3], 0.00467886, *about[4:])
     evaluator.update(0, state=STATE, command=(0.0, 0.0, 0.0), plan=plan, summary=said)

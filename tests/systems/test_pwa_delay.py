@@ -11,6 +11,7 @@ import pytest
 from conftest import differences, in_process
 from pages import generated as pages
 from softrig_core import (
+    ByHand,
     Level,
     ParameterError,
     Rig,
@@ -274,7 +275,7 @@ def test_no_delay_empties_the_tank_below_its_certified_level(seed):
     h = 5.97
     bound = level_bound(h)
     plant = TankPlant(delay=h, profile="telegraph", seed=seed, x0=min(bound.highest, 0.99), period=0.05, step=0.05)
-    controller, lowest = TankController(period=0.05), 1.0
+    controller, lowest = ByHand(TankController(period=0.05)), 1.0
     for k in range(4000):
         level = plant.outputs(k)["level"]
         lowest = min(lowest, level[0])
@@ -657,35 +658,35 @@ def test_a_state_beyond_reach_ends_the_run():
 
 def test_a_delay_beyond_its_limit_is_clamped():
     for block in (SwitchedDelayPlant(delay=0.1, max_delay=0.05), DelayLine(delay=0.1, max_delay=0.05)):
-        assert block.reports["delay"][0] is Level.WARN
+        assert ByHand(block).reports["delay"][0] is Level.WARN
     assert SwitchedDelayPlant(delay=0.1, max_delay=0.05).outputs(0)["mode"][1] == 0.05
 
 
 def test_delay_line_interpolates_and_begins_with_the_first_value():
-    line = DelayLine(delay=0.0025)
+    line = ByHand(DelayLine(delay=0.0025))
     found = [line.update(k * 10**6, state=(float(k), -float(k)))["delayed"][0] for k in range(6)]
     assert found == pytest.approx([0.0, 0.0, 0.0, 0.5, 1.5, 2.5])
     assert line.refused(6 * 10**6)["delayed"] == pytest.approx((3.5, -3.5))
 
 
-@pytest.mark.parametrize("controller", [TankController(), PendulumController()])
+@pytest.mark.parametrize("controller", [TankController, PendulumController])
 def test_controllers_hold_their_command_without_a_state(controller):
-    tank_like = isinstance(controller, TankController)
-    held = controller.update(0, **({"level": (0.4,)} if tank_like else {"state": (0.2, 0.1)}))
-    assert controller.refused(0) == held
-    assert len(controller.reports) == 1
+    law = ByHand(controller())
+    law.update(0, **({"level": (0.4,)} if controller is TankController else {"state": (0.2, 0.1)}))
+    assert law.refused(0) is None  # what was said last is held
+    assert len(law.reports) == 1
 
 
 def test_laws_of_tank_and_pendulum():
-    assert TankController().update(0, level=(0.4,))["inflow"] == pytest.approx((800.0,))
-    assert TankController().update(0, level=(0.5,))["inflow"] == pytest.approx((-500.0,))
-    assert PendulumController().update(0, state=(-0.1, 0.3))["torque"] == pytest.approx((-0.2,))
-    assert PendulumController().update(0, state=(0.1, 0.3))["torque"] == pytest.approx((-2.0,))
+    assert ByHand(TankController()).update(0, level=(0.4,))["inflow"] == pytest.approx((800.0,))
+    assert ByHand(TankController()).update(0, level=(0.5,))["inflow"] == pytest.approx((-500.0,))
+    assert ByHand(PendulumController()).update(0, state=(-0.1, 0.3))["torque"] == pytest.approx((-0.2,))
+    assert ByHand(PendulumController()).update(0, state=(0.1, 0.3))["torque"] == pytest.approx((-2.0,))
 
 
 def test_a_monitor_that_is_too_coarse_says_so():
-    monitor = LyapunovMonitor(period=1e-3)
-    size = int(np.prod(monitor.p.padded()))
+    monitor = ByHand(LyapunovMonitor(period=1e-3))
+    size = int(np.prod(monitor.block.p.padded()))
     verdict = (0.0192, 1.0, 1e-4, 1e-6, 20.0)
     assert monitor.update(0, state=(1.0, 0.0), mode=(0.0, 0.02), matrices=(0.0,) * size, verdict=verdict) == {}
     assert monitor.reports["coarse"][0] is Level.ERROR

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from conftest import PATIENCE, differences, in_process
 from softrig_core import (
+    ByHand,
     Level,
     ParameterError,
     Signals,
@@ -51,12 +52,12 @@ def measured(name):
 def loop(plant, controller, seconds):
     """Queue, window and command of a closed loop at every tick of the plant, the end included."""
     period, every = plant.p.period, round(controller.p.period / plant.p.period)
-    command, found = (0.0,), []
+    law, command, found = ByHand(controller), (0.0,), []
     for k in range(round(seconds / period) + 1):
         t = round(k * period * 1e9)
         state = plant.outputs(t)["state"]
         if k % every == 0:
-            command = controller.update(t, state=state, reference=None)["command"]
+            command = law.update(t, state=state, reference=None)["command"]
         found.append((state[1], state[0], command[0]))
         plant.advance(t, command=command)
     return np.array(found).T
@@ -427,20 +428,20 @@ def test_a_command_beyond_0_and_1_is_clipped(kind):
 
 @pytest.mark.parametrize("bad", [(10.0, -1.0, 0.2), (-1.0, 100.0, 0.2), (10.0, 100.0, 0.0)])
 def test_an_impossible_state_holds_the_command(bad):
-    controller = AqmController()
+    controller = ByHand(AqmController())
     good = (15.0, 130.0, 0.2347)
     held = controller.update(0, state=good, reference=None)["command"]
     assert 0.0 < held[0] < 1.0
-    integral = controller.integral
+    integral = controller.x.integral
     for _ in range(3):
         assert controller.update(0, state=bad, reference=None)["command"] == held
-    assert controller.integral == integral
+    assert controller.x.integral == integral
     assert controller.reports["bad_state"][0] is Level.ERROR
     assert controller.update(0, state=good, reference=None)["command"] == pytest.approx(held)
 
 
 def test_without_a_state_the_command_is_held_then_0():
-    controller = AqmController()
+    controller = ByHand(AqmController())
     held = controller.update(0, state=(15.0, 130.0, 0.2347), reference=None)["command"]
     assert [controller.refused(0)["command"] for _ in range(HOLD - 1)] == [held] * (HOLD - 1)
     assert controller.refused(0)["command"] == (0.0,)
@@ -449,10 +450,10 @@ def test_without_a_state_the_command_is_held_then_0():
 
 
 def test_a_stale_state_is_not_used():
-    controller, good = AqmController(), (15.0, 130.0, 0.2347)
+    controller, good = ByHand(AqmController()), (15.0, 130.0, 0.2347)
     held = controller.update(0, state=good, reference=None)["command"]
     for age, command in ((5, None), (6, held), (49, held), (50, (0.0,))):
-        controller.ages = lambda name, age=age: age * 10**6
+        controller.block.ages = lambda name, age=age: age * 10**6
         found = controller.update(0, state=(16.0, 140.0, 0.237), reference=None)["command"]
         if command is None:
             held = found
@@ -464,14 +465,14 @@ def test_a_stale_state_is_not_used():
 
 
 def test_references_step_and_impossible_ones_are_ignored():
-    controller = AqmController(law="pid")
+    controller = ByHand(AqmController(law="pid"))
     state = (15.0, 130.0, 0.2347)
     first = controller.update(0, state=state, reference=(130.0,))["command"][0]
     assert controller.update(0, state=state, reference=(100.0,))["command"][0] == pytest.approx(30.0 * 2.9067e-5)
     assert first == 0.0
     controller.update(0, state=state, reference=(-5.0,))
     assert controller.reports["bad_reference"][0] is Level.ERROR
-    assert controller._q_d == 100.0
+    assert controller.x.q_d == 100.0
 
 
 def test_a_delay_that_outruns_time_is_reported():
@@ -482,7 +483,7 @@ def test_a_delay_that_outruns_time_is_reported():
 
 
 def test_round_trips_beyond_the_record_read_the_oldest_value():
-    controller = AqmController()
+    controller = ByHand(AqmController())
     for k in range(600):
         controller.update(k, state=(10.0 + k, 100.0, 0.6), reference=None)
     assert controller.reports["deep"][0] is Level.WARN
@@ -501,14 +502,14 @@ def test_the_boundary_layer_takes_the_chatter_away():
 
 
 def test_anti_windup_freezes_the_integral_while_clipped():
-    controller = AqmController(law="pi", anti_windup=True)
+    controller = ByHand(AqmController(law="pi", anti_windup=True))
     for _ in range(100):
         controller.update(0, state=(1.0, 0.0, 0.2), reference=None)
-    assert controller.integral == 0.0
-    wound = AqmController(law="pi")
+    assert controller.x.integral == 0.0
+    wound = ByHand(AqmController(law="pi"))
     for _ in range(100):
         wound.update(0, state=(1.0, 0.0, 0.2), reference=None)
-    assert wound.integral == pytest.approx(-12.0)
+    assert wound.x.integral == pytest.approx(-12.0)
 
 
 def test_the_metrics_node_gives_the_figures():
@@ -523,11 +524,12 @@ def test_the_metrics_node_gives_the_figures():
 
 PLAIN = """
 import numpy as np
+from softrig_core import ByHand
 from softrig_systems.tcp_aqm.controller import AqmController
 from softrig_systems.tcp_aqm.fluid_plant import TcpFluid
 from softrig_systems.tcp_aqm.packets_plant import TcpPackets
 for plant, period in ((TcpFluid(input_delay=True, w0=14.0, q0=110.0), 0.001), (TcpPackets(), 0.01)):
-    controller, command = AqmController(period=period), (0.0,)
+    controller, command = ByHand(AqmController(period=period)), (0.0,)
     for k in range(400):
         command = controller.update(k, state=plant.outputs(k)["state"], reference=None)["command"]
         plant.advance(k, command=command)

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
-from softrig_core import SignalMap, simulate
+from softrig_core import ByHand, SignalMap, simulate
 from softrig_systems.pwa_delay.certify import Criterion, certified_margin
 from softrig_systems.pwa_delay.controllers import TankController
 from softrig_systems.pwa_delay.level import level_bound
@@ -93,7 +93,7 @@ def level(runs: Sequence[tuple[float, Array, Array]], path: Path) -> None:
 
 def _lowest(h: float, profile: str, seed: int) -> float:
     plant = TankPlant(delay=h, profile=profile, seed=seed, x0=0.49, period=0.05, step=0.05)
-    controller, lowest = TankController(period=0.05), 1.0
+    controller, lowest = ByHand(TankController(period=0.05)), 1.0
     for k in range(round(30.0 * h / 0.05)):
         now = plant.outputs(k)["level"]
         lowest = min(lowest, now[0])

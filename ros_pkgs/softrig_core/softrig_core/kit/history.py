@@ -6,6 +6,29 @@ import math
 from collections import deque
 from collections.abc import Sequence
 
+Row = tuple[float, ...]
+
+
+def aged(samples: Sequence[Row], age: float) -> Row:
+    """Read all channels of samples, the newest last, at an age in samples; beyond the oldest, that one.
+
+    Between two samples it is the straight line. There are at least two.
+    """
+    size = len(samples)
+    back = min(int(age), size - 2)
+    part = min(age, size - 1.0) - back
+    newer = samples[-1 - back]
+    if part == 0.0:
+        return newer
+    older = samples[-2 - back]
+    return tuple([new + part * (old - new) for new, old in zip(newer, older, strict=True)])
+
+
+def samples_of(step: float, longest: float) -> int:
+    """Give how many samples a line needs whose longest delay is so long (both in s)."""
+    # more than the samples around the longest delay, so that a delay that rounds up is still inside
+    return math.ceil(longest / step - 1e-9) + 3
+
 
 class History:
     """The newest samples of a signal, read on a straight line between two at any age up to the longest delay.
@@ -41,8 +64,7 @@ class History:
         if not longest >= 0.0 or not math.isfinite(longest):
             raise ValueError(f"longest delay = {longest} s: expected a finite time of at least 0")
         self.step, self.longest = step, longest
-        # more than the samples around the longest delay, so that a delay that rounds up is still inside
-        self._size = math.ceil(longest / step - 1e-9) + 3
+        self._size = samples_of(step, longest)
         self.reset(past)
 
     def reset(self, past: Sequence[float]) -> None:
@@ -85,10 +107,4 @@ class History:
 
     def aged(self, age: float) -> tuple[float, ...]:
         """Read all channels at an age in samples: 0 is the newest, 1 the one before; beyond the oldest, that one."""
-        back = min(int(age), self._size - 2)
-        part = min(age, self._size - 1.0) - back
-        newer = self._samples[-1 - back]
-        if part == 0.0:
-            return newer
-        older = self._samples[-2 - back]
-        return tuple([new + part * (old - new) for new, old in zip(newer, older, strict=True)])
+        return aged(self._samples, age)

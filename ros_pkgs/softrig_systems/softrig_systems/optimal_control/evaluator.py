@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
-from typing import Any, Literal
+from dataclasses import dataclass, replace
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from softrig_core import Level, Observer, Port, executable, param, scalars, to_s
@@ -18,7 +18,43 @@ from .plants import step_function
 from .ports import SUMMARY, control, plan, state, summary
 
 MARGIN = 1e-6  # of the least cost: a claim below it by more is impossible
-FIGURES = ("J_plant", "J_exact", "J_series", "end_error", "end_error_max", "distance", "residual", "infeasible")
+
+
+class Figures(NamedTuple):
+    """What is published: costs, errors at the end, largest distance from the plan, residual, whether infeasible."""
+
+    J_plant: float = 0.0
+    J_exact: float = 0.0
+    J_series: float = 0.0
+    end_error: float = 0.0
+    end_error_max: float = 0.0
+    distance: float = 0.0
+    residual: float = 0.0
+    infeasible: float = 0.0
+
+
+FIGURES = Figures._fields
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """Start and length (s) of the newest plan, its states, and its summary."""
+
+    start: float = 0.0
+    horizon: float = 0.0
+    states: Any = None
+    summary: tuple[float, ...] = ()
+
+
+NO_PLAN = Plan()
+
+
+class State(NamedTuple):
+    """The figures so far, when the first sample came (ns), and the newest plan."""
+
+    figures: Figures
+    begin: int | None = None
+    plan: Plan = NO_PLAN
 
 
 class EvaluatorParams(ProblemParams):
@@ -65,70 +101,69 @@ class OcpEvaluator(Observer[EvaluatorParams]):
         """A plan comes later."""
         polynomials(np.zeros((1, 1, 1)), 0.0)
 
-    def start(self) -> None:
+    def first(self) -> State:
         """Nothing seen."""
-        self._begin: float | None = None
-        self._table: Any = None
-        self._start = self._horizon = 0.0
-        self._first = True
-        self._seen: tuple[float, ...] = ()
-        self._found = dict.fromkeys(FIGURES, 0.0) | {"J_exact": self._exact}
+        return State(Figures(J_exact=self._exact))
 
     def update(
-        self, t: int, *, state: tuple[float, ...], command: tuple[float, ...], plan: tuple[float, ...] | None,
-        summary: tuple[float, ...] | None,
-    ) -> Mapping[str, tuple[float, ...]]:  # fmt: skip
+        self, x: State, t: int, *, state: tuple[float, ...], command: tuple[float, ...],
+        plan: tuple[float, ...] | None, summary: tuple[float, ...] | None,
+    ) -> tuple[State, Mapping[str, tuple[float, ...]]]:  # fmt: skip
         """Take one sample in."""
-        now, x, found = to_s(t), np.array(state[: self._n]), self._found
-        if self._begin is None:
-            self._begin = now
-            if tuple(x) != self._problem.x0:
-                found["J_exact"] = least_cost(self._problem.changed(x0=tuple(x)))
+        now, at = to_s(t), np.array(state[: self._n])
+        found, begin, newest = x
+        if begin is None:
+            begin = t
+            if tuple(at) != self._problem.x0:
+                found = found._replace(J_exact=least_cost(self._problem.changed(x0=tuple(at))))
         together = self.age("plan") == self.age("summary")
-        if plan is not None and summary is not None and together and summary != self._seen:
-            self._seen = summary
-            self._take(plan, dict(zip(SUMMARY, summary, strict=True)))
-        if self._table is not None and now <= self._start + self._horizon + 1e-9:
-            found["distance"] = max(found["distance"], float(np.max(np.abs(x - self._planned(now)))))
-        left = self._problem.horizon - (now - self._begin)
+        if plan is not None and summary is not None and together and summary != newest.summary:
+            found, newest = self._take(found, newest, plan, summary)
+        J_plant, J_exact, J_series, end_error, end_error_max, distance, residual, infeasible = found
+        if newest.states is not None and now <= newest.start + newest.horizon + 1e-9:
+            distance = max(distance, float(np.max(np.abs(at - self._planned(newest, now)))))
+        left = self._problem.horizon - (now - to_s(begin))
         if left > -1e-9 and self._problem.x_end is not None:
-            missed = x - np.array(self._problem.x_end)
-            found["end_error"], found["end_error_max"] = dense.norm(missed), float(np.max(np.abs(missed)))
+            missed = at - np.array(self._problem.x_end)
+            end_error, end_error_max = dense.norm(missed), float(np.max(np.abs(missed)))
         if left > 1e-9:
-            *_, paid = self._step((*x, *command, min(self.p.period, left)))
-            found["J_plant"] += paid if math.isfinite(paid) else 0.0
-        return {"evaluation": tuple(found[name] for name in FIGURES)}
+            *_, paid = self._step((*at, *command, min(self.p.period, left)))
+            J_plant = J_plant + (paid if math.isfinite(paid) else 0.0)
+        found = Figures(J_plant, J_exact, J_series, end_error, end_error_max, distance, residual, infeasible)
+        return State(found, begin, newest), {"evaluation": tuple(found)}
 
-    def _take(self, plan: tuple[float, ...], about: Mapping[str, float]) -> None:
-        self._start, self._horizon = about["start"], about["horizon"]
+    def _take(
+        self, found: Figures, before: Plan, plan: tuple[float, ...], summary: tuple[float, ...]
+    ) -> tuple[Figures, Plan]:
+        about = dict(zip(SUMMARY, summary, strict=True))
+        states: Any
         if self.p.form == "power":
-            self._table = np.reshape(plan, (self.p.stages, -1, self.p.order + 1))[:, : self._n]
+            states = np.reshape(plan, (self.p.stages, -1, self.p.order + 1))[:, : self._n]
         else:
             from scipy.interpolate import CubicSpline
 
             rows = np.reshape(plan, (-1, self.p.samples))[: self._n]
-            self._table = CubicSpline(np.linspace(0.0, 1.0, self.p.samples), rows, axis=1)
-        self._found["residual"] = about["residual"]
-        if not self._first:
-            return
-        self._first = False
-        self._found["J_series"] = about["J_series"]
-        whole = abs(self._horizon - self._problem.horizon) < 1e-9  # not of what is left after a late start
-        below = whole and about["J_series"] < self._found["J_exact"] - MARGIN * abs(self._found["J_exact"])
-        if below or about["residual"] >= self.p.eps_res:
-            self._found["infeasible"] = 1.0
-            said = (
-                f"J = {about['J_series']:.10g}, least {self._found['J_exact']:.10g}, residual {about['residual']:.3g}"
-            )
+            states = CubicSpline(np.linspace(0.0, 1.0, self.p.samples), rows, axis=1)
+        newest = Plan(about["start"], about["horizon"], states, summary)
+        found = found._replace(residual=about["residual"])
+        if before.states is not None:
+            return found, newest
+        found = found._replace(J_series=about["J_series"])
+        whole = abs(newest.horizon - self._problem.horizon) < 1e-9  # not of what is left after a late start
+        below = whole and found.J_series < found.J_exact - MARGIN * abs(found.J_exact)
+        if below or found.residual >= self.p.eps_res:
+            found = found._replace(infeasible=1.0)
+            said = f"J = {found.J_series:.10g}, least {found.J_exact:.10g}, residual {found.residual:.3g}"
             self.report(Level.WARN, "infeasible", f"infeasible: not an optimum: the plan says {said}")
+        return found, newest
 
-    def _planned(self, now: float) -> Any:
-        s = min(max((now - self._start) / self._horizon, 0.0), 1.0)
-        return polynomials(self._table, s) if self.p.form == "power" else self._table(s)
+    def _planned(self, plan: Plan, now: float) -> Any:
+        s = min(max((now - plan.start) / plan.horizon, 0.0), 1.0)
+        return polynomials(plan.states, s) if self.p.form == "power" else plan.states(s)
 
-    def status(self) -> Mapping[str, tuple[float, str]]:
+    def status(self, x: State) -> Mapping[str, tuple[float, str]]:
         """Give the figures so far."""
-        return {name: (value, "") for name, value in self._found.items()}
+        return {name: (value, "") for name, value in x.figures._asdict().items()}
 
 
 main = executable(OcpEvaluator)

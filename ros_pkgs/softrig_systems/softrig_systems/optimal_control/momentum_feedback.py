@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 from softrig_core import Block, Port, executable, to_s
 
 from .parameters import ProblemParams
 from .ports import control, state
 from .problem import ProblemError
+
+
+class State(NamedTuple):
+    """When it began, ns."""
+
+    begin: int | None = None
 
 
 class MomentumFeedback(Block[ProblemParams]):
@@ -36,19 +42,20 @@ class MomentumFeedback(Block[ProblemParams]):
         """Horizon."""
         self._T = self.p.statement().horizon
 
-    def start(self) -> None:
+    def first(self) -> State:
         """Not begun."""
-        self._begin: int | None = None
+        return State()
 
-    def update(self, t: int, *, state: tuple[float, ...]) -> Mapping[str, tuple[float, ...]]:
+    def update(self, x: State, t: int, *, state: tuple[float, ...]) -> tuple[State, Mapping[str, tuple[float, ...]]]:
         """Give the torques."""
-        if self._begin is None:
-            self._begin = t
-        left = self._T - to_s(t - self._begin)
+        if x.begin is None:
+            x = State(t)
+        assert x.begin is not None
+        left = self._T - to_s(t - x.begin)
         if left <= 1e-9:
-            return {"command": (0.0, 0.0, 0.0)}
+            return x, {"command": (0.0, 0.0, 0.0)}
         gain = -1.0 / max(left, self.p.period)
-        return {"command": tuple(gain * moment * w for moment, w in zip(self.p.inertia, state[:3], strict=True))}
+        return x, {"command": tuple(gain * moment * w for moment, w in zip(self.p.inertia, state[:3], strict=True))}
 
 
 main = executable(MomentumFeedback)

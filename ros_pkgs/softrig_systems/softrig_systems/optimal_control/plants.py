@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any, Self
 
 from pydantic import model_validator
@@ -51,7 +51,7 @@ class OcpPlant(Plant[P]):
     """Any problem's equations, integrated by Runge-Kutta steps of order 4 with the command held.
 
     The scalar and the two-state problem can escape in finite time: a state beyond 1000 is what no output may say, and
-    ends the run.
+    ends the run. Its state is the problem's, by its names; with velocities also the command `applied` until now.
     """
 
     @classmethod
@@ -73,47 +73,32 @@ class OcpPlant(Plant[P]):
         return (control(problem),), (state(problem),)
 
     def setup(self) -> None:
-        """Compile the step."""
-        self._problem = self.p.statement()
-        self._step = step_function("ocp_step", self._problem, self.p.substeps)
-        self._limits()
-
-    def _limits(self) -> None:
-        self._bias = self.p.bias or (0.0,) * len(self._problem.controls)
+        """Compile the step, once: what is live is no part of it."""
+        problem = self.p.statement()
+        made = self.__dict__.get("_step")
+        self._step = step_function("ocp_step", problem, self.p.substeps) if made is None else made
+        self._n, self._rest, self._x0 = len(problem.states), (0.0,) * len(problem.controls), problem.x0
+        self._says_applied = problem.carrier == "velocity"
+        self._state = state_type(("", (*problem.states, *(("applied",) if self._says_applied else ()))))
+        self._bias = self.p.bias or self._rest
         self._limit = math.inf if self.p.torque_limit is None else self.p.torque_limit
 
-    def change(self, params: P) -> None:
-        """Take another disturbance or limit."""
-        self.p = params
-        self._limits()
-
-    def start(self) -> None:
+    def first(self) -> Any:
         """The problem's start."""
-        self.x = self._problem.x0
-        self._applied = (0.0,) * len(self._problem.controls)
+        return self._state(*self._x0, *((self._rest,) if self._says_applied else ()))
 
-    @property
-    def state(self) -> Any:
-        """Give the state under the names of the problem."""
-        return state_type(("", self._problem.states))(*self.x)
-
-    def put(self, state: Sequence[float]) -> None:
-        """Go on from another state."""
-        self.x = tuple(map(float, state))
-
-    def outputs(self, t: int) -> Mapping[str, tuple[float, ...]]:
+    def outputs(self, x: Any, t: int) -> Mapping[str, tuple[float, ...]]:
         """Give the state; with velocities the command that was applied until now."""
-        return {"state": (*self.x, *self._applied) if self._problem.carrier == "velocity" else self.x}
+        return {"state": (*x[: self._n], *x.applied) if self._says_applied else tuple(x)}
 
-    def advance(self, t: int, **inputs: Any) -> None:
+    def advance(self, x: Any, t: int, **inputs: Any) -> Any:
         """Move on by a period."""
         u = inputs["command"]
         if max(map(abs, u)) > self._limit:
             self.report(Level.WARN, "limited", f"command beyond {self._limit:g}: limited")
             u = tuple(min(max(v, -self._limit), self._limit) for v in u)
-        self._applied = tuple(u)
-        *x, _ = self._step((*self.x, *(v + b for v, b in zip(u, self._bias, strict=True)), self.p.period))
-        self.x = tuple(x)
+        *now, _ = self._step((*x[: self._n], *(v + b for v, b in zip(u, self._bias, strict=True)), self.p.period))
+        return self._state(*now, tuple(u)) if self._says_applied else self._state(*now)
 
 
 class ScalarPlantParams(OcpPlantParams):
@@ -144,9 +129,9 @@ class SpacecraftPlant(OcpPlant):
 
         return Spacecraft
 
-    def markers(self) -> tuple[Marker, ...]:
+    def markers(self, x: Any) -> tuple[Marker, ...]:
         """Draw the momentum vector I w in axes of the body, 1 m for 1 kg m^2/s, and a ball at its tip."""
-        h1, h2, h3 = (moment * w for moment, w in zip(self.p.inertia, self.x, strict=True))
+        h1, h2, h3 = (moment * w for moment, w in zip(self.p.inertia, x[: self._n], strict=True))
         tip = (h1, h2, h3)
         return (
             Marker("body", "momentum", "line_strip", ((0.0, 0.0, 0.0), tip), 0.02),

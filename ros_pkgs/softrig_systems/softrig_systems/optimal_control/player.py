@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any, Literal
+from dataclasses import dataclass, replace
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from softrig_core import Block, Level, Port, executable, param, scalars, to_s
@@ -34,6 +35,32 @@ class PlayerParams(ProblemParams):
         return self.order + 1 if self.form == "power" else self.samples
 
 
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """Start and length (s) of the plan that is played, its controls, and the summary last seen, refused or not.
+
+    `begin` (s) is the start of the first one.
+    """
+
+    start: float = 0.0
+    horizon: float = 0.0
+    controls: Any = None
+    begin: float | None = None
+    seen: tuple[float, ...] = ()
+
+
+NO_PLAN = Plan()
+
+
+class State(NamedTuple):
+    """The plan; no numbers of a linear view."""
+
+    plan: Plan = NO_PLAN
+
+
+Answer = tuple[State, Mapping[str, tuple[float, ...]]]
+
+
 class OcpPlayer(Block[PlayerParams]):
     """Holds u(t_k + dt/2) of the newest plan for a period; zero before the first plan and after the horizon.
 
@@ -58,29 +85,26 @@ class OcpPlayer(Block[PlayerParams]):
         """A plan comes later."""
         polynomials(np.zeros((1, 1, 1)), 0.0)
 
-    def start(self) -> None:
+    def first(self) -> State:
         """No plan."""
-        self._plan: Any = None
-        self._start = self._horizon = 0.0
-        self._begin: float | None = None
-        self._seen: tuple[float, ...] = ()
+        return State()
 
     def update(
-        self, t: int, *, state: tuple[float, ...], plan: tuple[float, ...], summary: tuple[float, ...]
-    ) -> Mapping[str, tuple[float, ...]]:
+        self, x: State, t: int, *, state: tuple[float, ...], plan: tuple[float, ...], summary: tuple[float, ...]
+    ) -> Answer:
         """Give the command of a period."""
         age = self.age("summary")
         # in real time a plan may come ticks after its stamp; its two messages belong together when they are of one age
-        if age is not None and age == self.age("plan") and summary != self._seen:
-            self._seen = summary
-            self._take(t, state, plan, dict(zip(SUMMARY, summary, strict=True)))
-        return self._play(t)
+        if age is not None and age == self.age("plan") and summary != x.plan.seen:
+            x = State(self._take(replace(x.plan, seen=summary), t, state, plan))
+        return x, self._play(x.plan, t)
 
-    def refused(self, t: int) -> Mapping[str, tuple[float, ...]]:
+    def refused(self, x: State, t: int) -> Answer:
         """Go on with the plan."""
-        return self._play(t)
+        return x, self._play(x.plan, t)
 
-    def _take(self, t: int, state: tuple[float, ...], values: tuple[float, ...], about: Mapping[str, float]) -> None:
+    def _take(self, before: Plan, t: int, state: tuple[float, ...], values: tuple[float, ...]) -> Plan:
+        about = dict(zip(SUMMARY, before.seen, strict=True))
         start, horizon = about["start"], about["horizon"]
         shape = (self.p.stages, -1, self.p.columns) if self.p.form == "power" else (-1, self.p.columns)
         table = np.reshape(values, shape)
@@ -95,27 +119,26 @@ class OcpPlayer(Block[PlayerParams]):
             why = f"the plan has not converged: residual {about['residual']:.3g}"
         if why:
             self.report(Level.ERROR, "plan_refused", why)
-            return
-        if self._begin is None:
-            self._begin = start
-        self._start, self._horizon = start, horizon
+            return before
+        controls: Any
         if self.p.form == "power":
-            self._plan = table[:, 2 * self._n :, :]
+            controls = table[:, 2 * self._n :, :]
         else:
             from scipy.interpolate import CubicSpline
 
-            self._plan = CubicSpline(np.linspace(0.0, 1.0, self.p.columns), table[2 * self._n :], axis=1)
+            controls = CubicSpline(np.linspace(0.0, 1.0, self.p.columns), table[2 * self._n :], axis=1)
+        return Plan(start, horizon, controls, start if before.begin is None else before.begin, before.seen)
 
-    def _play(self, t: int) -> Mapping[str, tuple[float, ...]]:
+    def _play(self, plan: Plan, t: int) -> Mapping[str, tuple[float, ...]]:
         now = to_s(t)
-        elapsed = now - self._begin if self._begin is not None else 0.0
-        remaining = max(self._start + self._horizon - now, 0.0) if self._plan is not None else 0.0
+        elapsed = now - plan.begin if plan.begin is not None else 0.0
+        remaining = max(plan.start + plan.horizon - now, 0.0) if plan.controls is not None else 0.0
         progress = (elapsed, remaining)
-        if self._plan is None or remaining <= 1e-9:
+        if plan.controls is None or remaining <= 1e-9:
             return {"command": (0.0,) * self._m, "progress": progress}
-        within = now - self._start + (0.5 * self.p.period if self.p.sampling == "middle" else 0.0)
-        s = min(within / self._horizon, 1.0)
-        u = polynomials(self._plan, s) if self.p.form == "power" else self._plan(s)
+        within = now - plan.start + (0.5 * self.p.period if self.p.sampling == "middle" else 0.0)
+        s = min(within / plan.horizon, 1.0)
+        u = polynomials(plan.controls, s) if self.p.form == "power" else plan.controls(s)
         return {"command": tuple(map(float, u)), "progress": progress}
 
 

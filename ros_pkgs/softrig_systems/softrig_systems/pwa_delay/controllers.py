@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Literal
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple
 
-from softrig_core import Block, BlockParams, History, Level, Port, executable, joint_state, param
+from softrig_core import Block, BlockParams, Level, Port, executable, joint_state, param
+from softrig_core.kit.history import aged, samples_of
 
 from .params import DelayParams, law_of_the_tank
 from .ports import INFLOW, LEVEL, SEEN, TORQUE
-from .profiles import delay_at
+from .profiles import Profile, delay_at
+
+Answer = tuple[Any, Mapping[str, tuple[float, ...]]]
 
 
 class TankControllerParams(BlockParams):
@@ -38,20 +42,15 @@ class TankController(Block[TankControllerParams]):
         return {**law_of_the_tank(params.switch, params.k_low, params.k_high), "tank/A phi": params.A * params.phi,
                 "tank/hold": params.period}  # fmt: skip
 
-    def start(self) -> None:
-        """No inflow before a level."""
-        self._answer: Mapping[str, tuple[float, ...]] = {"inflow": (0.0,)}
-
-    def update(self, t: int, *, level: tuple[float, ...]) -> Mapping[str, tuple[float, ...]]:
+    def update(self, x: Any, t: int, *, level: tuple[float, ...]) -> Answer:
         """Give the inflow."""
-        p, x = self.p, level[0]
-        self._answer = {"inflow": (p.A * p.phi * x * (p.k_low if x < p.switch else -p.k_high),)}
-        return self._answer
+        p, now = self.p, level[0]
+        return x, {"inflow": (p.A * p.phi * now * (p.k_low if now < p.switch else -p.k_high),)}
 
-    def refused(self, t: int) -> Mapping[str, tuple[float, ...]]:
-        """Hold the last inflow."""
+    def refused(self, x: Any, t: int) -> tuple[Any, None]:
+        """Hold the last inflow, none before the first level."""
         self.report(Level.ERROR, "bad_level", "no valid level: the last inflow is held")
-        return self._answer
+        return x, None
 
 
 class PendulumControllerParams(BlockParams):
@@ -76,20 +75,15 @@ class PendulumController(Block[PendulumControllerParams]):
         """The gains."""
         return {"pendulum/k_negative": params.k_negative, "pendulum/k_positive": params.k_positive}
 
-    def start(self) -> None:
-        """No torque before a state."""
-        self._answer: Mapping[str, tuple[float, ...]] = {"torque": (0.0,)}
-
-    def update(self, t: int, *, state: tuple[float, ...]) -> Mapping[str, tuple[float, ...]]:
+    def update(self, x: Any, t: int, *, state: tuple[float, ...]) -> Answer:
         """Give the torque."""
         theta, omega = state
-        self._answer = {"torque": (-(self.p.k_positive if theta > 0.0 else self.p.k_negative) * (theta + omega),)}
-        return self._answer
+        return x, {"torque": (-(self.p.k_positive if theta > 0.0 else self.p.k_negative) * (theta + omega),)}
 
-    def refused(self, t: int) -> Mapping[str, tuple[float, ...]]:
-        """Hold the last torque."""
+    def refused(self, x: Any, t: int) -> tuple[Any, None]:
+        """Hold the last torque, none before the first state."""
         self.report(Level.ERROR, "bad_state", "no valid state: the last torque is held")
-        return self._answer
+        return x, None
 
 
 class DelayLineParams(DelayParams, BlockParams):
@@ -101,6 +95,20 @@ class DelayLineParams(DelayParams, BlockParams):
         ("position", "velocity"), "fields that are delayed", min_length=1
     )
     unit: str = param("rad", "unit of a position or effort; a velocity is in this per s")
+
+
+@dataclass(frozen=True, eq=False)
+class Delay:
+    """The delay over time; drawn at the seed, so it stands with the state, but it is none of its numbers."""
+
+    profile: Profile
+
+
+class Line(NamedTuple):
+    """The delay over time, and samples of the channels, the newest last; none before the first."""
+
+    delay: Delay
+    samples: tuple[tuple[float, ...], ...] = ()
 
 
 class DelayLine(Block[DelayLineParams]):
@@ -118,30 +126,30 @@ class DelayLine(Block[DelayLineParams]):
             (joint_state("delayed", "delayed_state", params.channels, **units),),  # type: ignore[arg-type]
         )
 
-    def start(self) -> None:
+    def setup(self) -> None:
+        """Size the memory."""
+        self._h = min(self.p.delay, self.p.max_delay)
+        self._size = samples_of(self.p.period, self._h)
+
+    def first(self) -> Line:
         """Remember nothing."""
-        self._profile = self.p.bounded_profile(self)
-        self._line: History | None = None
-        self._h = self._profile.h
+        return Line(Delay(self.p.bounded_profile(self)))
 
-    def update(self, t: int, *, state: tuple[float, ...]) -> Mapping[str, tuple[float, ...]]:
+    def update(self, x: Line, t: int, *, state: tuple[float, ...]) -> Answer:
         """Give the delayed values."""
-        if self._line is None:
-            self._line = History(self.p.period, self._h, state)
-        else:
-            self._line.put(state)
-        return self._out(t)
+        samples = (*x.samples[1:], state) if x.samples else (state,) * self._size
+        return self._out(Line(x.delay, samples), t)
 
-    def refused(self, t: int) -> Mapping[str, tuple[float, ...]] | None:
+    def refused(self, x: Line, t: int) -> tuple[Line, Mapping[str, tuple[float, ...]] | None]:
         """Take the last value again."""
-        if self._line is None:
-            return None
-        self._line.put(self._line.at(0.0))
-        return self._out(t)
+        if not x.samples:
+            return x, None
+        samples = (*x.samples[1:], x.samples[-1])
+        return self._out(Line(x.delay, samples), t)
 
-    def _out(self, t: int) -> Mapping[str, tuple[float, ...]]:
-        assert self._line is not None
-        return {"delayed": self._line.at(min(delay_at(self._profile, t / 1e9), self._h))}
+    def _out(self, x: Line, t: int) -> tuple[Line, Mapping[str, tuple[float, ...]]]:
+        back = min(delay_at(x.delay.profile, t / 1e9), self._h)
+        return x, {"delayed": aged(x.samples, back / self.p.period)}
 
 
 tank = executable(TankController)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Mapping
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 from softrig_core import Block, BlockParams, Level, Port, executable, param, scalars
@@ -76,6 +76,30 @@ class LyapunovMonitorParams(CriterionParams, BlockParams):
     rise: float = param(1e-3, "relative rise of V over one delay that is told", gt=0.0, le=1.0)
 
 
+@dataclass(frozen=True, eq=False)
+class Certificate:
+    """The message that it came in, samples in the delay bound (0: too few), and the matrices."""
+
+    given: tuple[float, ...] | None = None
+    m: int = 0
+    matrices: Mapping[str, Array] | None = None
+
+
+NONE = Certificate()
+
+
+class State(NamedTuple):
+    """The certificate; samples of state, slope and V, the newest last."""
+
+    certificate: Certificate = NONE
+    rows: tuple[Array, ...] = ()
+    slopes: tuple[Array, ...] = ()
+    values: tuple[float, ...] = ()
+
+
+Answer = tuple[State, Mapping[str, tuple[float, ...]]]
+
+
 class LyapunovMonitor(Block[LyapunovMonitorParams]):
     """V and its rate from the plant's state and a certificate; a rise over one delay is a warning.
 
@@ -101,71 +125,53 @@ class LyapunovMonitor(Block[LyapunovMonitorParams]):
         """Build the system."""
         self._system = self.p.build()
 
-    def start(self) -> None:
+    def first(self) -> State:
         """Know no certificate."""
-        self._x: deque[Array] = deque(maxlen=1)
-        self._slopes: deque[Array] = deque(maxlen=1)
-        self._values: deque[float] = deque(maxlen=1)
-        self._given: tuple[float, ...] | None = None
-        self._matrices: dict[str, Array] = {}
-        self._m = 0
-        self.worst = -np.inf
+        return State()
 
     def update(
-        self, t: int, *, state: tuple[float, ...], mode: tuple[float, ...], matrices: tuple[float, ...] | None,
-        verdict: tuple[float, ...] | None,
-    ) -> Mapping[str, tuple[float, ...]]:  # fmt: skip
+        self, x: State, t: int, *, state: tuple[float, ...], mode: tuple[float, ...],
+        matrices: tuple[float, ...] | None, verdict: tuple[float, ...] | None,
+    ) -> Answer:  # fmt: skip
         """Give V once the record is long enough."""
         if matrices is None or verdict is None or verdict[1] != 1.0:
-            return {}
-        if matrices is not self._given:
-            self._take(matrices, verdict[0])
-        if not self._m:
-            return {}
-        h = self._m * self.p.period
+            return x, {}
+        if matrices is not x.certificate.given:
+            x = self._take(matrices, verdict[0])
+        known, rows, slopes, values = x
+        m = known.m
+        if known.matrices is None:
+            return x, {}
+        h = m * self.p.period
         share = min(mode[1] / h, 1.0)
-        x = np.array(state)
-        self._x.append(x)
+        now = np.array(state)
+        rows = (*rows, now)[-4 * m - 1 :]
         back = round(mode[1] / self.p.period)
-        x_d = self._x[-1 - back] if len(self._x) > back else self._x[0]
-        cell = self._system.cell(x, x_d)
-        self._slopes.append(h * (product(self._system.A[cell], x) + product(self._system.Ad[cell], x_d)))
-        if len(self._slopes) <= self._m + min(back, 3 * self._m):
-            return {}
-        m = self._m
-        xs, slopes = np.array(self._x)[-m - 1 :], np.array(self._slopes)[-m - 1 :]
-        value = functional(self._system, self._matrices, xs, slopes, share)
-        before = self._values[0] if len(self._values) > m else None
-        rate = (value - self._values[-1]) / self.p.period if self._values else 0.0
-        self._values.append(value)
-        if before is not None:
-            rise = value / before - 1.0
-            self.worst = max(self.worst, rise)
+        then = rows[-1 - back] if len(rows) > back else rows[0]
+        cell = self._system.cell(now, then)
+        slope = h * (product(self._system.A[cell], now) + product(self._system.Ad[cell], then))
+        slopes = (*slopes, slope)[-4 * m - 1 :]
+        if len(slopes) <= m + min(back, 3 * m):
+            return State(known, rows, slopes, values), {}
+        value = functional(self._system, known.matrices, np.array(rows[-m - 1 :]), np.array(slopes[-m - 1 :]), share)
+        rate = (value - values[-1]) / self.p.period if values else 0.0
+        if len(values) > m:
+            rise = value / values[0] - 1.0
             if rise > self.p.rise:
                 self.report(Level.WARN, "rises", f"V rises by {rise:.3g} over one delay")
-        return {"value": (value, rate)}
+        return State(known, rows, slopes, (*values, value)[-m - 1 :]), {"value": (value, rate)}
 
-    def refused(self, t: int) -> Mapping[str, tuple[float, ...]]:
+    def refused(self, x: State, t: int) -> Answer:
         """Say nothing; the record begins again."""
-        if self._m:
-            self._clear()
-        return {}
+        return State(x.certificate), {}
 
-    def _take(self, matrices: tuple[float, ...], h: float) -> None:
-        self._given = matrices
-        self._m = round(h / self.p.period)
-        if self._m < SAMPLES:
+    def _take(self, matrices: tuple[float, ...], h: float) -> State:
+        m = round(h / self.p.period)
+        if m < SAMPLES:
             self.report(Level.ERROR, "coarse", f"period {self.p.period:g} s: expected at most h/{SAMPLES} = "
                         f"{h / SAMPLES:.3g} s")  # fmt: skip
-            self._m = 0
-            return
-        self._matrices = self.p.unpad(matrices)
-        self._clear()
-
-    def _clear(self) -> None:
-        self._x = deque(maxlen=4 * self._m + 1)
-        self._slopes = deque(maxlen=4 * self._m + 1)
-        self._values = deque(maxlen=self._m + 1)
+            return State(Certificate(matrices))
+        return State(Certificate(matrices, m, self.p.unpad(matrices)))
 
 
 main = executable(LyapunovMonitor)

@@ -113,5 +113,5 @@ class DelayParams(Params):
         if self.delay > self.max_delay:
             text = f"delay {self.delay:g} s clamped to max_delay = {self.max_delay:g} s"
             block.report(Level.WARN, "delay", text)
-        drawn = int(block.rng.integers(2**32)) if self.profile == "telegraph" else 0
+        drawn = int(block.generator().integers(2**32)) if self.profile == "telegraph" else 0
         return profile(self.profile, h, self.mu, seed=[self.seed, drawn], horizon=self.horizon)

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Literal, Self
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple, Self
 
 from pydantic import model_validator
-from softrig_core import Block, BlockParams, History, Level, executable, param, to_ns
+from softrig_core import Block, BlockParams, Level, executable, param, to_ns
+from softrig_core.kit.history import aged, samples_of
 
 from .laws import INTEGRAL, LAWS, Gains, LawName, Measured
 from .model import Bottleneck, phi, psi
@@ -41,6 +43,38 @@ class AqmControllerParams(Gains, Bottleneck, BlockParams):
         return self
 
 
+@dataclass(frozen=True)
+class Said:
+    """The last answer, which a state that cannot be used repeats; no numbers of a linear view."""
+
+    command: tuple[float, ...] = (0.0,)
+    health: tuple[float, ...] = (0.0, 0.0, 0.0)
+
+    def values(self) -> Mapping[str, tuple[float, ...]]:
+        """Give it by ports."""
+        return {"command": self.command, "health": self.health}
+
+
+SILENCE = Said()
+
+
+class State(NamedTuple):
+    """Integral of e (packet s), set point q_d and last e (packets), (window, round trip) before, the newest last.
+
+    Besides the ticks in a row without a valid state, and the last answer.
+    """
+
+    integral: float
+    q_d: float
+    e: float | None = None
+    line: tuple[tuple[float, ...], ...] = ()
+    silent: int = 0
+    said: Said = SILENCE
+
+
+Answer = tuple[State, Mapping[str, tuple[float, ...]]]
+
+
 class AqmController(Block[AqmControllerParams]):
     """Drop probability from window, queue and round trip time, by one of `laws`, clipped to [0, 1].
 
@@ -72,96 +106,81 @@ class AqmController(Block[AqmControllerParams]):
         self._rate = 1.0 / p.period
         self._period = to_ns(p.period)
         self._stale = STALE * self._period
-        self._history = History(p.period, p.history)
+        self._size = samples_of(p.period, p.history)
 
-    def change(self, params: AqmControllerParams) -> None:
-        """Take other gains; the record of the state goes on."""
-        history, share = self._history, INTEGRAL[params.law]
-        before, after = share(self.p), share(params)
-        if before != after and after:
-            self.integral *= before / after
-        super().change(params)
-        self._history = history
-
-    def start(self) -> None:
+    def first(self) -> State:
         """Know nothing, drop nothing."""
-        self.integral = 0.0
-        self._q_d = self.p.set_point
-        self._known = False
-        self._e: float | None = None
-        self._silent = 0
-        self._answer: Mapping[str, tuple[float, ...]] = {"command": (0.0,), "health": (0.0, 0.0, 0.0)}
+        return State(0.0, self.p.set_point)
 
-    def update(
-        self, t: int, *, state: tuple[float, ...], reference: tuple[float, ...] | None
-    ) -> Mapping[str, tuple[float, ...]]:
+    def go_on(self, x: State, before: AqmControllerParams) -> State:
+        """Take other gains; the record of the state goes on."""
+        share = INTEGRAL[self.p.law]
+        was, now = share(before), share(self.p)
+        return x._replace(integral=x.integral * (was / now)) if was != now and now else x
+
+    def update(self, x: State, t: int, *, state: tuple[float, ...], reference: tuple[float, ...] | None) -> Answer:
         """Give the drop probability."""
+        integral, q_d, e_before, line, silent, said = x
         age = self.age("state") or 0
         if age > self._stale:
             self.report(Level.WARN, "stale", f"the state is older than {STALE} periods: the last command is held")
-            self._silent = max(self._silent, age // self._period - 1)
-            return self._hold()
+            silent = max(silent, age // self._period - 1)
+            return self._hold(State(integral, q_d, e_before, line, silent, said))
         w, q, R = state
         if w <= 0.0 or q < 0.0 or R <= 0.0:
             self.report(Level.ERROR, "bad_state", f"state window {w:g}, queue {q:g}, rtt {R:g}: impossible, the last "
                         "command is held")  # fmt: skip
-            return self._hold()
-        if reference is not None and reference[0] != self._q_d:
-            self._aim(reference[0])
-        self._silent = 0
-        w_R, R_R = self._look_back(w, R)
+            return self._hold(x)
+        if reference is not None and reference[0] != q_d:
+            q_d, e_before = self._aim(q_d, e_before, reference[0])
+        line = (*line[1:], (w, R)) if line else ((w, R),) * self._size
+        w_R, R_R = self._look_back(line, R)
         p = self.p
-        e = q - self._q_d
+        e = q - q_d
         m = Measured(
             e,
             p.N * w / R - p.C,
             phi(w, R, p.N, p.C, printed=self._printed),
             psi(w, R, w_R, R_R, p.N),
-            0.0 if self._e is None else (e - self._e) * self._rate,
-            self.integral,
+            0.0 if e_before is None else (e - e_before) * self._rate,
+            integral,
         )
-        self._e = e
         u, s = self._law(m, p)
         drop = min(max(u, 0.0), 1.0)
         if not (self._freezes and ((u > 1.0 and e > 0.0) or (u < 0.0 and e < 0.0))):
-            self.integral += e * p.period
-        self._answer = {"command": (drop,), "health": (s, self.integral, float(drop != u))}
-        return self._answer
+            integral += e * p.period
+        said = Said((drop,), (s, integral, float(drop != u)))
+        return State(integral, q_d, e, line, 0, said), said.values()
 
-    def refused(self, t: int) -> Mapping[str, tuple[float, ...]]:
+    def refused(self, x: State, t: int) -> Answer:
         """Hold the last command; after 50 ticks give 0."""
-        return self._hold()
+        return self._hold(x)
 
-    def _hold(self) -> Mapping[str, tuple[float, ...]]:
-        self._silent += 1
-        if self._known:
-            self._history.put(self._history.at(0.0))  # the record has one entry a tick
-        if self._silent >= HOLD:
+    def _hold(self, x: State) -> Answer:
+        integral, q_d, e, line, silent, said = x
+        silent += 1
+        if line:
+            line = (*line[1:], line[-1])  # the record has one entry a tick
+        if silent >= HOLD:
             self.report(Level.ERROR, "no_state", f"no valid state for {HOLD} ticks: nothing is dropped")
-            self._answer = {**self._answer, "command": (0.0,)}
-        return self._answer
+            said = Said(health=said.health)
+        return State(integral, q_d, e, line, silent, said), said.values()
 
-    def _aim(self, q_d: float) -> None:
-        if not 0.0 < q_d < self.p.q_max:
-            self.report(Level.ERROR, "bad_reference", f"reference {q_d:g} packets is not within 0 and q_max = "
-                        f"{self.p.q_max:g}; {self._q_d:g} stays")  # fmt: skip
-            return
-        if self._e is not None:
-            self._e += self._q_d - q_d  # no kick of the derivative
-        self._q_d = q_d
+    def _aim(self, q_d: float, e: float | None, wanted: float) -> tuple[float, float | None]:
+        """Give set point and last e, so that the derivative gets no kick."""
+        if 0.0 < wanted < self.p.q_max:
+            return wanted, None if e is None else e + (q_d - wanted)
+        self.report(Level.ERROR, "bad_reference", f"reference {wanted:g} packets is not within 0 and q_max = "
+                    f"{self.p.q_max:g}; {q_d:g} stays")  # fmt: skip
+        return q_d, e
 
-    def _look_back(self, w: float, R: float) -> tuple[float, ...]:
-        """Note the state and give window and round trip time of one round trip ago."""
-        line = self._history
-        if not self._known:
-            line.reset((w, R))
-            self._known = True
+    def _look_back(self, line: tuple[tuple[float, ...], ...], R: float) -> tuple[float, ...]:
+        """Give window and round trip time of one round trip ago."""
         back = R
         if back > self.p.history:
             self.report(Level.WARN, "deep", f"round trip {R:g} s is beyond the record of {self.p.history:g} s")
             back = self.p.history
-        line.put((w, R))
-        return line.aged(back * self._rate)
+        return aged(line, back * self._rate)
 
 
 main = executable(AqmController)
