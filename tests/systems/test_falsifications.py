@@ -25,7 +25,8 @@ def test_every_shipped_falsification_fits_its_rig(name):
 def test_outcome(name, tmp_path):
     # least margins of the worst run, and what the small case changes
     known = {
-        "dc_motor_insensitive": ({"settles": -2.0828}, {"dc_motor_plant.Kt": 0.0149055, "dc_motor_plant.J": 0.000397656}),
+        "dc_motor_insensitive": ({"settles": -2.0828},
+                                 {"dc_motor_plant.Kt": 0.0149055, "dc_motor_plant.J": 0.000397656}),
         "dc_motor_fsfb_late": ({"no_overshoot": -0.02531},
                                {"fieldbus_delay.delay": 0.1000045, "fieldbus_delay.jitter": 0.0200057}),
         "lsrm_fuzzy_load": ({"overshoot_within": -0.025948, "arrives": -0.029151}, {"lsrm_plant.C": 6.16821}),
