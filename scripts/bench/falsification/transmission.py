@@ -1,10 +1,11 @@
 """A car with an automatic transmission, and what must hold of it: AT1, AT2, AT6a to c of ARCH-COMP.
 
-Equations: MathWorks, "Modeling an Automatic Transmission Controller" (documentation of Simulink), equations 1 to 5,
-with the tables of that example. Requirements and inputs (throttle and brake constant for 5 s each): Ernst et al.,
-"ARCH-COMP falsification category", from Hoxha, Abbas and Fainekos, "Benchmarks for temporal logic requirements for
-automotive systems", ARCH 2014. Written anew; differences from the Simulink model: RK4 of 10 ms, shifts decided once
-a step.
+Equations: MathWorks' demonstration "Modeling an Automatic Transmission Controller" (documentation of Simulink),
+equations 1 to 5. Numbers of its tables and constants: the public benchmark, as read in an open-source translation,
+zlscheck (I. Bennani); its code is not used. Requirements and inputs (throttle and brake constant for 5 s each): Ernst
+et al., "ARCH-COMP falsification category", from Hoxha, Abbas and Fainekos, "Benchmarks for temporal logic requirements
+for automotive systems", ARCH 2014. Written anew; differences from the Simulink model: RK4 of 10 ms, shifts decided
+once a step.
 """
 
 from __future__ import annotations
