@@ -20,8 +20,7 @@ from softrig_core.node.seam.exchange import BURST, Exchange
 from softrig_core.processes.domain import free_domain
 from softrig_core.processes.executables import environment, find_executable
 from softrig_core.processes.fork_server import start_node
-from softrig_core.processes.placement import Listener, Placement
-from softrig_core.processes.processes import NOBODY
+from softrig_core.processes.placement import NOBODY, Listener, Placement
 from test_processes import BASIC, OUTSIDE, RIGS, params, rig
 
 pytestmark = pytest.mark.processes

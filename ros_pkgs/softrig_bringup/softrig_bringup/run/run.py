@@ -35,8 +35,7 @@ from softrig_core.block.held import Held
 from softrig_core.block.params import declarations, flatten
 from softrig_core.block.port import CLOCK
 from softrig_core.guard import naming
-from softrig_core.processes.placement import Listener, Placement
-from softrig_core.processes.processes import NOBODY
+from softrig_core.processes.placement import NOBODY, Listener, Placement
 from softrig_core.processes.stopping import signal_of, stoppable, unstopped
 from softrig_core.rig.code import fingerprints
 from softrig_core.timebase import SECOND

@@ -11,7 +11,7 @@ from softrig_core.command_line import Number
 from ..options import run_options
 from . import animate, layouts, set_verb
 
-Verb = Callable[[str, str, str], argparse.ArgumentParser]  # of name, function and text
+Verb = Callable[..., argparse.ArgumentParser]  # of name, function and text, and of the verb whose part it is
 
 
 def verbs(verb: Verb) -> None:
@@ -46,8 +46,7 @@ def _run_and_look(verb: Verb) -> None:
     draw = verb("draw", "cli:main", "pictures of a run for a paper, its plant in motion, layouts for other viewers")
     kinds = draw.add_subparsers(required=True, metavar="WHAT")
     text = "pictures of a run that is over, for a paper: size, letters, data"
-    plot = kinds.add_parser("plot", help=text, description=text)
-    plot.set_defaults(verb=_called("report.redraw", "main"))
+    plot = verb("plot", "report.redraw:main", text, kinds)
     plot.add_argument("run", type=Path, metavar="DIR", help="of a run, or a bag that a run has written")
     plot.add_argument(
         "signals", nargs="*", metavar="SIGNAL", help="one picture of these (default: the scenario's plots)"
@@ -60,28 +59,15 @@ def _run_and_look(verb: Verb) -> None:
     plot.add_argument("--window", type=float, nargs=2, metavar=("FROM", "TO"), help="s")
     plot.add_argument("--csv", action="store_true", help="the data beside each picture, units in the head")
     text = "a run's plant in motion: a short SVG, GIF, WebP or PNG"
-    film = kinds.add_parser("animate", help=text, description=text)
-    film.set_defaults(verb=animate.animate)
-    animate.arguments(film)
+    animate.arguments(verb("animate", "verbs.animate:animate", text, kinds))
     text = "a scenario's plots as layouts for PlotJuggler, Foxglove, RViz"
-    views = kinds.add_parser("layouts", help=text, description=text)
-    views.set_defaults(verb=layouts.layouts)
-    layouts.arguments(views)
+    layouts.arguments(verb("layouts", "verbs.layouts:layouts", text, kinds))
     listed = verb("list", "terminal.listing:main", "scenarios by system, with duration and title; signals, figures")
     listed.add_argument("filter", nargs="?", default="", help="only scenarios or systems with this in their name")
     listed.add_argument("--signals", metavar="SCENARIO",
                         help="signals of a scenario: unit, message type, who publishes and who reads them")  # fmt: skip
     listed.add_argument("--figures", nargs="?", const="", metavar="NAME",
                         help="functions that figures of a scenario may name, or all about one")  # fmt: skip
-
-
-def _called(module: str, name: str) -> Callable[[argparse.Namespace], int]:
-    def call(options: argparse.Namespace) -> int:
-        from importlib import import_module
-
-        return int(getattr(import_module(f"softrig_bringup.{module}"), name)(options))
-
-    return call
 
 
 def _vary(verb: Verb) -> None:

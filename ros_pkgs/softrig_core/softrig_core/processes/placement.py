@@ -71,3 +71,6 @@ class Listener:
     progress: Callable[[int], object] | None = None
     announce: Callable[[str], object] | None = None
     opened: Callable[[int], object] | None = None
+
+
+PROCESSES, NOBODY = Placement(), Listener()

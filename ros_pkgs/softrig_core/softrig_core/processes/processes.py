@@ -17,13 +17,11 @@ from .domain import free_domain, require_loopback
 from .executables import environment
 from .guests import Guests
 from .peers import starter
-from .placement import Listener, Placement
+from .placement import NOBODY, PROCESSES, Listener, Placement
 from .shared_memory import remove_leftovers
 from .spawning import groups, start
 from .stopping import signal_of, stoppable, undisturbed, unstopped
 from .supervision import supervise
-
-EVERYWHERE, NOBODY = Placement(), Listener()
 
 
 @dataclass
@@ -57,7 +55,7 @@ def run_processes(
     rig: Rig,
     seed: int,
     directory: Path,
-    placement: Placement = EVERYWHERE,
+    placement: Placement = PROCESSES,
     listener: Listener = NOBODY,
 ) -> Outcome:
     """Start all nodes of a rig, wait for them, gather what they recorded.

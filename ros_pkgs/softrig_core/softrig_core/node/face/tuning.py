@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.node import Node
@@ -11,6 +10,7 @@ from rclpy.parameter import Parameter
 
 from ...block.params import ParameterError, flatten
 from ..adapter.adapter import Adapter
+from ..ros.ros import plain
 
 
 class Tuning:
@@ -30,7 +30,7 @@ class Tuning:
 
     def _set(self, parameters: Sequence[Parameter]) -> SetParametersResult:
         adapter = self._adapter
-        values = {p.name: _plain(p) for p in parameters if p.name in self._own}
+        values = {p.name: plain(p) for p in parameters if p.name in self._own}
         try:
             if adapter.state in ("done", "failed"):
                 raise ParameterError("the run is over")
@@ -42,9 +42,3 @@ class Tuning:
         except ParameterError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
-
-
-def _plain(parameter: Parameter) -> Any:
-    """Give a value as the block's parameters take it: arrays as lists."""
-    value = parameter.value
-    return value if value is None or isinstance(value, bool | int | float | str) else list(value)

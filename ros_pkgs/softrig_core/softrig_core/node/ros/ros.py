@@ -78,7 +78,8 @@ class ServingNode(Node):  # type: ignore[misc]
         return [self._set_together([one]) for one in wanted]
 
     def _set_together(self, wanted: Sequence[Parameter]) -> SetParametersResult:
-        new = [p for p in wanted if p.name not in self._parameters or _told(self._parameters[p.name]) != _told(p)]
+        now = {p.name: self._parameters[p.name] for p in wanted if p.name in self._parameters}
+        new = [p for p in wanted if p.name not in now or now[p.name].type_ != p.type_ or plain(now[p.name]) != plain(p)]
         return self.set_parameters_atomically(new) if new else SetParametersResult(successful=True)
 
     def _meant(self, message: Any) -> Parameter:
@@ -95,10 +96,10 @@ class ServingNode(Node):  # type: ignore[misc]
         return given
 
 
-def _told(parameter: Parameter) -> Any:
-    """Give type and value, arrays of any kind as tuples."""
+def plain(parameter: Parameter) -> Any:
+    """Give a value as the block's parameters take it: arrays of any kind as lists."""
     value = parameter.value
-    return parameter.type_, value if value is None or isinstance(value, bool | int | float | str) else tuple(value)
+    return value if value is None or isinstance(value, bool | int | float | str) else list(value)
 
 
 Arguments = ParamSpec("Arguments")
