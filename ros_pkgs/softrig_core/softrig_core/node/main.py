@@ -69,7 +69,7 @@ def run_node(block_class: type[Block], argv: Sequence[str]) -> NoReturn:
     leave([node], status)
 
 
-def make_adapter(node: Node, block_class: type[Block], middleware: Middleware) -> Adapter:
+def make_adapter(node: ServingNode, block_class: type[Block], middleware: Middleware) -> Adapter:
     """Declare and validate a node's parameters, make its block and its adapter; a `Group` drives it.
 
     Raises
