@@ -216,7 +216,7 @@ def test_of_a_flood_of_sets_each_holds_from_a_tick_or_is_named_as_replaced():
     expected = [k for (k, _), (_, replaced) in zip(told, [*told[1:], (0.0, [])], strict=True) if not replaced]
     assert held == expected
     assert 2 < len(held) < 300
-    script = {at: values for at, values in events(run.recording)}
+    script = dict(events(run.recording))
     assert not differences(run.recording, in_process(changed_rig("dc_motor_smc_b2", 0.3, script)))
 
 
