@@ -2,6 +2,7 @@
 
 import json
 import random
+from argparse import Namespace
 from contextlib import suppress
 from functools import partial
 
@@ -13,6 +14,7 @@ from softrig_bags.read import read_bag
 from softrig_bags.topics import typestore
 from softrig_bringup.cli import main
 from softrig_bringup.folder import ResultsFolder
+from softrig_bringup.options.like import Recalled, compared
 from softrig_bringup.report.report import write_report
 from softrig_bringup.run.run import save, summary, turned
 from softrig_core import (
@@ -20,6 +22,7 @@ from softrig_core import (
     BlockParams,
     ByHand,
     ParameterError,
+    Recording,
     Run,
     ScenarioError,
     Signals,
@@ -252,6 +255,14 @@ def test_run_like_repeats_a_tuned_run_and_its_repetition(tmp_path, capsys):
     assert "expected the directory of a run" in capsys.readouterr().err
     assert main(["run"]) == 2
     assert "expected a scenario, or --like RUN" in capsys.readouterr().err
+
+
+def test_of_nothing_no_repetition_is_said(tmp_path):
+    run = simulate("dc_motor_smc_b2", duration=0.1)
+    before = Recalled(tmp_path, Namespace(), tmp_path, Recording(()), 0, {})
+    same, told = compared(before, run)
+    assert not same
+    assert told == [f"nothing of {tmp_path} could be compared: no message of any node that runs here"]
 
 
 def test_what_is_refused_while_it_runs_changes_nothing():

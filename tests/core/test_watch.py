@@ -40,8 +40,8 @@ def test_running_figures_equal_those_of_the_recording_to_the_last_bit(period):
 
 
 def test_running_figures_go_out_while_somebody_reads_them():
-    import diagnostic_msgs.msg  # noqa: F401, PLC0415
-    from softrig_core.node.face.faces import Faces  # noqa: PLC0415
+    import diagnostic_msgs.msg  # noqa: F401
+    from softrig_core.node.face.faces import Faces
 
     rig = Rig.from_blocks({"plant": Lag(), "source": Source(), "gain": Gain(), "eye": Eye()}, 1.0)
     eye, said, readers = run_inprocess(rig, 3)["eye"], [], [0]

@@ -12,6 +12,7 @@ from ..kit.resource import prefixes
 from ..rig.installed import load_main
 
 PROFILE = Path(__file__).parent.with_name("fastdds_profile.xml")
+LOOPBACK = PROFILE.with_name("fastdds_loopback.xml")  # the same for who is not to be reached from elsewhere
 
 
 def find_executable(package: str, executable: str) -> Path:
@@ -50,7 +51,8 @@ def environment(domain: int, directory: Path, *, discovery: str = "LOCALHOST") -
         "OPENBLAS_NUM_THREADS": "1",
     }
     variables.pop("ROS_LOCALHOST_ONLY", None)  # deprecated, would override the discovery range
-    variables.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(PROFILE))
+    profile = LOOPBACK if discovery == "LOCALHOST" else PROFILE
+    variables.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(profile))
     return variables
 
 
