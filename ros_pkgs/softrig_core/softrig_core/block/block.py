@@ -323,6 +323,8 @@ class Plant(Block[P]):
     The outputs at t_k never depend on the inputs of t_k.
     """
 
+    AWAITS_COMMAND: ClassVar[bool] = False  # realtime, by hand: t = 0 with the first command; it cannot do without one
+
     @property
     def state(self) -> tuple[float, ...]:
         """Of the older kind: the state of now as a named tuple, with the names of the paper and in SI units."""
