@@ -66,6 +66,7 @@ class Block(Generic[P]):
     INPUTS: ClassVar[tuple[Port, ...]] = ()
     OUTPUTS: ClassVar[tuple[Port, ...]] = ()
     realtime = False  # whether the wall clock drives it, as its runner says: nothing may then wait in `update`
+    TRIPS: ClassVar[frozenset[str]] = frozenset({"trip"})  # keys of reports: it has switched something off for good
     STALE_PERIODS: ClassVar[int] = 5  # realtime: age in its own periods at which a plant no longer trusts a command
 
     def __init_subclass__(cls, **keywords: Any) -> None:
