@@ -138,7 +138,7 @@ def test_a_system_clock_that_jumps_decides_nothing_in_lockstep(monkeypatch):
 
 
 def test_the_wall_clock_of_a_node_goes_on_steadily_whatever_the_system_clock_does(monkeypatch):
-    ros = RosMiddleware(SimpleNamespace(get_name=lambda: "a", get_fully_qualified_name=lambda: "/a"))
+    ros = RosMiddleware(SimpleNamespace(monitor=None, get_name=lambda: "a", get_fully_qualified_name=lambda: "/a"))
     before = ros.now()
     assert abs(before - time.time_ns()) < HOUR
     monkeypatch.setattr(time, "time_ns", lambda: 0)

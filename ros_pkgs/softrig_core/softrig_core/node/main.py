@@ -50,7 +50,8 @@ def run_node(block_class: type[Block], argv: Sequence[str]) -> NoReturn:
         rclpy.init(args=list(argv))
         interrupt.early = False
         node = ServingNode(name)
-        adapter = make_adapter(node, block_class, RosMiddleware(node))
+        middleware = RosMiddleware(node)
+        adapter = make_adapter(node, block_class, middleware)
         Group([adapter])
         if not adapter.options.links:
             node.get_logger().info(introduction(adapter.block, adapter.options))
@@ -63,7 +64,7 @@ def run_node(block_class: type[Block], argv: Sequence[str]) -> NoReturn:
         tell(where, error)
         leave([node] if node else [], 2)
     try:
-        status = spin(node, adapter)
+        status = spin(node, adapter, middleware)
     except KeyboardInterrupt:  # before the first turn, or a second one
         status = 0
     leave([node], status)

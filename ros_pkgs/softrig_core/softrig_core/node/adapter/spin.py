@@ -12,10 +12,12 @@ from rclpy.task import Future
 from ...errors import RunError, describe
 from ...guard import tell
 from ...timebase import SECOND
-from .adapter import Adapter
+from ..ros.garbage import Garbage
+from ..ros.ros import RosMiddleware
+from .adapter import WATCH_PERIOD, Adapter
 
 
-def spin(node: Node, adapter: Adapter) -> int:
+def spin(node: Node, adapter: Adapter, middleware: RosMiddleware) -> int:
     """Spin; gives the exit status."""
     from rclpy.experimental.events_executor import EventsExecutor
 
@@ -25,13 +27,20 @@ def spin(node: Node, adapter: Adapter) -> int:
     try:
         executor = EventsExecutor()
         executor.add_node(node)
-        gc.collect()
-        gc.freeze()
-        while rclpy.ok() and not finished.done():
-            # without a timeout this executor never delivers anything (rclpy 7.1)
-            executor.spin_until_future_complete(finished, 5.0)
+        if middleware.prompt:
+            garbage = Garbage(off=True)
+            middleware.timer(WATCH_PERIOD, garbage.step)
+        else:
+            gc.collect()
+            gc.freeze()
+        try:
+            while rclpy.ok() and not finished.done():
+                # without a timeout this executor never delivers anything (rclpy 7.1)
+                executor.spin_until_future_complete(finished, 5.0)
+        finally:
+            middleware.close()
         if adapter.state == "done":
-            adapter.middleware.drain()
+            middleware.drain()
         stopped = not finished.done()
     except (KeyboardInterrupt, ExternalShutdownException):
         stopped = True
