@@ -33,7 +33,7 @@ class Monitor:
     Attributes
     ----------
     closed : bool
-        Whether nothing that has come is worked on any more.
+        Whether nothing that has come is worked on any more: it is over, or something was raised.
     """
 
     def __init__(self, wake: Callable[[], object], clock: Callable[[], int] = time.perf_counter_ns) -> None:
@@ -89,11 +89,15 @@ class Monitor:
         self._lock.acquire()
         return self
 
-    def __exit__(self, *failed: object) -> None:
+    def __exit__(self, kind: object, *failed: object) -> None:
+        self.closed = self.closed or kind is not None
         try:
             self._asked = False  # before the look at what has come: from here on who brings something looks himself
             for _ in range(len(self._came)):
                 self._do(self._came.popleft())
+        except BaseException:
+            self.closed = True
+            raise
         finally:
             self._lock.release()
         if self._error is not None:
