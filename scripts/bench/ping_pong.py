@@ -67,9 +67,8 @@ def _spin(node: Node, done: Future[None], *, where_it_arrives: bool) -> None:
     if where_it_arrives and rcl is None:
         raise SystemExit(f"only with {RMW}")
 
-    arrivals = (
-        [Arrival(rcl, s, s.callback, lambda take: take()) for s in node.subscriptions] if where_it_arrives else []
-    )
+    found = list(node.subscriptions) if where_it_arrives else []
+    arrivals = [Arrival(rcl, s, s.callback, lambda count: None, lambda take: take()) for s in found]
     for arrival in arrivals:
         node._subscriptions.remove(arrival.subscription)
         arrival.begin()

@@ -2,7 +2,8 @@
 
 The functions are those of rcl that rclpy itself is linked with, called through ctypes, which lets go of Python's lock
 meanwhile: the thread that has received a message holds the lock of its reader in Fast DDS while it waits for Python's.
-For the same reason nothing may take from such a reader, make, or destroy an endpoint under Python's lock.
+For the same reason nothing may take messages or events of such a reader, make, or destroy an endpoint under Python's
+lock; rclpy does all of that so.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 RMW = "rmw_fastrtps_cpp"  # whose locks are known: what may be called while it tells of a message
 NAMES = (
     "rcl_subscription_set_on_new_message_callback", "rcl_take_serialized_message", "rcutils_reset_error",
-    "rcutils_get_default_allocator", "rcutils_uint8_array_init",
+    "rcl_subscription_get_publisher_count", "rcutils_get_default_allocator", "rcutils_uint8_array_init",
 )  # fmt: skip
 TAKE_FAILED = 401  # RCL_RET_SUBSCRIPTION_TAKE_FAILED: nothing there
 SIZE = 4096  # bytes of a message to begin with; a longer one makes it grow
@@ -66,12 +67,16 @@ class Arrival:
         One that no executor knows.
     receive : callable
         Gets the bytes of a message.
+    matched : callable
+        Gets the number of writers when that has changed.
     arrive : callable
         Gets, for each new message and in a thread of the middleware, what hands it to `receive`; raises nothing.
     """
 
-    def __init__(self, rcl: Any, subscription: Any, receive: Callable[[bytes], object],
-                 arrive: Callable[[Callable[[], object]], object]) -> None:  # fmt: skip
+    def __init__(
+        self, rcl: Any, subscription: Any, receive: Callable[[bytes], object], matched: Callable[[int], object],
+        arrive: Callable[[Callable[[], object]], object],
+    ) -> None:  # fmt: skip
         self._rcl = rcl
         self.subscription = subscription  # lives as long as this
         self._reader = ctypes.c_void_p(subscription.handle.pointer)
@@ -81,7 +86,8 @@ class Arrival:
         if rcl.rcutils_uint8_array_init(self._where, ctypes.c_size_t(SIZE), ctypes.byref(allocator)):
             raise MemoryError(f"{SIZE} bytes for messages on {subscription.topic_name}")
         self._take = rcl.rcl_take_serialized_message
-        self._receive = receive
+        self._receive, self._matched = receive, matched
+        self._writers, self._counted = 0, ctypes.c_size_t()
         known: set[int] = set()
         hand_over = self.hand_over
 
@@ -107,6 +113,14 @@ class Arrival:
         if self._rcl.rcl_subscription_set_on_new_message_callback(self._reader, call, None):
             self._rcl.rcutils_reset_error()
             raise RCLError(f"{self.subscription.topic_name}: cannot be told of its messages")
+
+    def look(self) -> None:
+        """Tell of the writers, if they are more or less than at the last look."""
+        if self._rcl.rcl_subscription_get_publisher_count(self._reader, ctypes.byref(self._counted)):
+            self._rcl.rcutils_reset_error()
+        elif self._counted.value != self._writers:
+            self._writers = self._counted.value
+            self._matched(self._writers)
 
     def take(self) -> bytes | None:
         """Give the bytes of the oldest message; None when there is none."""

@@ -38,6 +38,7 @@ POLICIES = (
     QoSPolicyKind.LIFESPAN, QoSPolicyKind.DEADLINE,
 )  # fmt: skip
 
+LOOK = 20_000_000  # ns: between two looks at who writes
 PATIENCE = 2.0  # s: for a tick under way in another thread at the end
 
 PAUSE = 1_000_000  # ns: this executor looks at no other timer while one is always due
@@ -170,7 +171,7 @@ class RosMiddleware(Middleware):
     def __init__(self, node: ServingNode) -> None:
         self.node = node
         self.monitor = node.monitor
-        self._read: list[tuple[Any, Receive]] = []  # subscriptions
+        self._read: list[tuple[Any, Receive, Matched]] = []  # subscriptions
         self._arrivals: list[Arrival] = []
         self.name: str = node.get_name()
         self.full_name: str = node.get_fully_qualified_name()
@@ -202,7 +203,7 @@ class RosMiddleware(Middleware):
                 message_class(msgtype), topic, take, copy(QOS), raw=True, event_callbacks=events,
                 qos_overriding_options=self._overrides(topic),
             )  # fmt: skip
-        self._read.append((made, receive))
+        self._read.append((made, receive, matched))
 
     def _counting(self, matched: Matched) -> Callable[[Any], None]:
         """Give what takes news of who is matched."""
@@ -227,13 +228,24 @@ class RosMiddleware(Middleware):
         if rcl is None:
             return
         own = {p.topic_name for p in self.node.publishers}  # what one says to oneself arrives while it is published
-        for subscription, receive in self._read:
-            if subscription.topic_name not in own:
-                self.node._subscriptions.remove(subscription)  # the executor would ask for its messages, too
-                self._arrivals.append(Arrival(rcl, subscription, quiet_after_shutdown(receive), self.monitor.arrive))
+        for subscription, receive, matched in self._read:
+            if subscription.topic_name in own:
+                continue
+            self.node._subscriptions.remove(subscription)  # the executor would ask for its messages and events, too
+            for handler in subscription.event_handlers:
+                self.node.remove_waitable(handler)
+            self._arrivals.append(
+                Arrival(rcl, subscription, quiet_after_shutdown(receive), matched, self.monitor.arrive)
+            )
         self.prompt = bool(self._arrivals)
+        if self.prompt:
+            self.timer(LOOK, self._look)
         for arrival in self._arrivals:
             arrival.begin()
+
+    def _look(self) -> None:
+        for arrival in self._arrivals:
+            arrival.look()
 
     @contextmanager
     def _deaf(self) -> Iterator[None]:
@@ -262,6 +274,8 @@ class RosMiddleware(Middleware):
             arrival = self._arrivals.pop()
             arrival.end()
             self.node._subscriptions.append(arrival.subscription)
+            for handler in arrival.subscription.event_handlers:
+                self.node.add_waitable(handler)
         self.monitor.serve()
 
     def _overrides(self, topic: str) -> QoSOverridingOptions | None:
