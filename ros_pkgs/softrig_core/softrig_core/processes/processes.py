@@ -92,7 +92,7 @@ def run_processes(
     with ExitStack() as stack:
         own_domain = domain is None
         domain = stack.enter_context(free_domain()) if domain is None else domain
-        remove_leftovers()
+        remove_leftovers(domain if own_domain else None)
         variables = environment(
             domain, directory, discovery="SUBNET" if only else "LOCALHOST", silence=rig.scenario.timeout
         )
