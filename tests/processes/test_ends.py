@@ -11,7 +11,7 @@ import time
 from pathlib import Path
 
 import pytest
-from conftest import PATIENCE, make_scenario, no_process_left, processes_of, until
+from conftest import PATIENCE, differences, in_process, make_scenario, no_process_left, processes_of, until
 from softrig_core import rig_of, run_inprocess, run_processes
 from softrig_core.node.seam import health
 from softrig_core.processes import spawning
@@ -211,6 +211,28 @@ def test_nodes_whose_processes_are_held_end_the_run_by_name(containers, tmp_path
     held = "plant, source, gain" if containers else "plant"
     assert outcome.error.startswith(f"node {held}: its process is stopped (SIGSTOP)")
     assert len(outcome.recording.topics["lag/state"].times) > 10
+
+
+@pytest.mark.processes
+@pytest.mark.long
+@pytest.mark.parametrize("held", ["plant", "source", "gain"])
+@pytest.mark.parametrize("seconds", [4.5, 9.0, 13.0])
+def test_a_node_that_is_held_for_less_than_the_timeout_is_waited_for(held, seconds, tmp_path):
+    """Nobody takes it for dead meanwhile, and nothing that is sent to it is lost."""
+    rig, strikes = rig_of(make_scenario(BASIC, 30.0, timeout=10.0)), [seconds]
+
+    def progress(t):
+        if t > 100_000_000 and strikes:
+            (pid,) = [p for p, command in processes_of(tmp_path).items() if f"__node:={held}".encode() in command]
+            os.kill(pid, signal.SIGSTOP)
+            threading.Timer(strikes.pop(), os.kill, (pid, signal.SIGCONT)).start()
+
+    outcome = run_processes(rig, 0, tmp_path, Placement(), Listener(progress=progress))
+    if seconds < 10:
+        assert outcome.error == ""
+        assert differences(in_process(rig), outcome.recording) == []
+    else:
+        assert outcome.error.startswith(f"node {held}: its process is stopped (SIGSTOP)")
 
 
 @pytest.mark.processes

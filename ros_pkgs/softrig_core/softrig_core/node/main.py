@@ -52,8 +52,7 @@ def run_node(block_class: type[Block], argv: Sequence[str]) -> NoReturn:
         rclpy.init(args=list(argv))
         interrupt.early = False
         node = ServingNode(name)
-        middleware = RosMiddleware(node)
-        adapter = make_adapter(node, block_class, middleware)
+        adapter = make_adapter(node, block_class, RosMiddleware(node))
         Group([adapter])
         if not adapter.options.links:
             node.get_logger().info(introduction(adapter.block, adapter.options))
@@ -66,7 +65,7 @@ def run_node(block_class: type[Block], argv: Sequence[str]) -> NoReturn:
         tell(where, error)
         leave([node] if node else [], 2)
     try:
-        status = spin(node, adapter, middleware)
+        status = spin(node, adapter)
     except KeyboardInterrupt:  # before the first turn, or a second one
         status = 0
     leave([node], status)

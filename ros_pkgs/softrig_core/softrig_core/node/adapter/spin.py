@@ -12,12 +12,10 @@ from rclpy.task import Future
 from ...errors import RunError, describe
 from ...guard import tell
 from ...timebase import SECOND
-from ..ros.garbage import Garbage
-from ..ros.ros import RosMiddleware
-from .adapter import WATCH_PERIOD, Adapter
+from .adapter import Adapter
 
 
-def spin(node: Node, adapter: Adapter, middleware: RosMiddleware) -> int:
+def spin(node: Node, adapter: Adapter) -> int:
     """Spin; gives the exit status."""
     from rclpy.experimental.events_executor import EventsExecutor
 
@@ -27,20 +25,16 @@ def spin(node: Node, adapter: Adapter, middleware: RosMiddleware) -> int:
     try:
         executor = EventsExecutor()
         executor.add_node(node)
-        if middleware.prompt:
-            garbage = Garbage(off=True)
-            middleware.timer(WATCH_PERIOD, garbage.step)
-        else:
-            gc.collect()
-            gc.freeze()
+        gc.collect()
+        gc.freeze()
         try:
             while rclpy.ok() and not finished.done():
                 # without a timeout this executor never delivers anything (rclpy 7.1)
                 executor.spin_until_future_complete(finished, 5.0)
         finally:
-            middleware.close()
+            adapter.middleware.close()
         if adapter.state == "done":
-            middleware.drain()
+            adapter.middleware.drain()
         stopped = not finished.done()
     except (KeyboardInterrupt, ExternalShutdownException):
         stopped = True

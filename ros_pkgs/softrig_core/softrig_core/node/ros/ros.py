@@ -28,6 +28,7 @@ from ...errors import RunError
 from ..seam.middleware import Matched, Middleware, Peer, Receive
 from ..seam.monitor import Monitor
 from .arrival import Arrival, library
+from .garbage import Garbage
 from .messages import message_class
 
 # Depth 10: in lockstep at most two messages of a topic are ever under way; outside readers get some slack.
@@ -39,6 +40,7 @@ POLICIES = (
 )  # fmt: skip
 
 LOOK = 20_000_000  # ns: between two looks at who writes
+SEARCH = 250_000_000  # ns: between two looks for garbage that a tick may have left
 PATIENCE = 2.0  # s: for a tick under way in another thread at the end
 
 PAUSE = 1_000_000  # ns: this executor looks at no other timer while one is always due
@@ -240,6 +242,7 @@ class RosMiddleware(Middleware):
         self.prompt = bool(self._arrivals)
         if self.prompt:
             self.timer(LOOK, self._look)
+            self.timer(SEARCH, Garbage(off=True).step)
         for arrival in self._arrivals:
             arrival.begin()
 
@@ -259,15 +262,7 @@ class RosMiddleware(Middleware):
                 arrival.begin()
 
     def close(self) -> None:
-        """Work on no message any more.
-
-        Raises
-        ------
-        RunError
-            A tick does not come to its end.
-        Exception
-            What a tick in another thread has raised, if nobody has been told yet.
-        """
+        """Hand over nothing more; a RunError when a tick does not come to its end."""
         if not self.monitor.close(PATIENCE):
             raise RunError(f"a tick has not come to its end within {PATIENCE:g} s")
         while self._arrivals:

@@ -108,6 +108,9 @@ class Middleware(Protocol):
     def log(self, level: Level, text: str) -> None:
         """Say something to whoever operates the node."""
 
+    def close(self) -> None:
+        """Hand over nothing more; what is under way returns first, or a RunError. Raises what nobody has seen yet."""
+
     def drain(self) -> None:
         """Wait, in bounded time, until every reader has what was sent."""
 
