@@ -12,8 +12,10 @@ from conftest import differences, in_process
 from pages import generated as pages
 from softrig_core import (
     ByHand,
+    Jobs,
     Level,
     ParameterError,
+    Result,
     Rig,
     RunError,
     ScenarioError,
@@ -243,10 +245,10 @@ def test_the_node_says_which_delays_its_certificate_covers():
                         ({"h": 1.5, "method": "theorem1"}, "delays from 0 s to 1.5 s, without a gap"),
                         ({"h": 1.6}, "nothing")):  # fmt: skip
         node = CertificateNode(**{**own, **asked})
-        node.start()
-        answer = CertificateNode.solve(node.request(0), SimpleNamespace(status=lambda **_: None))
-        node._result = SimpleNamespace(answer=answer)
-        assert re.fullmatch(text, node.health()["covers"])
+        x, request = node.request(node.first(), 0)
+        answer = CertificateNode.solve(request, SimpleNamespace(status=lambda **_: None))
+        x = x._replace(jobs=Jobs(result=Result(0, request, answer, True)))
+        assert re.fullmatch(text, node.health(x)["covers"])
 
 
 def test_a_damaged_certificate_fails_its_check():

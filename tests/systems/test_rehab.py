@@ -465,7 +465,7 @@ def test_guarded_cost_keeps_a_margin():
 
 def test_tuner_node_waits_for_its_trigger_and_repeats_itself():
     def tuned(seed, ticks=9):
-        block = Tuner(duration=0.02, n_pop=3, n_iter=2, name="tuner")
+        block = ByHand(Tuner(duration=0.02, n_pop=3, n_iter=2, name="tuner"))
         block.reset(seed)
         assert block.update(0, start=None) == {"result": (0.0, 0.0, 0.0)}
         return [block.update(k, start=(1.0,) if k == 1 else (0.0,))["result"] for k in range(1, ticks)]
