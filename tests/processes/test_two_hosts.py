@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 from contextlib import contextmanager
+from pathlib import Path
 
 import link
 import pytest
@@ -116,7 +117,7 @@ def test_a_part_that_cannot_be_is_told(arguments, text, tmp_path, capsys):
     assert text in capsys.readouterr().err
 
 
-def test_the_profile_of_this_host_is_the_other_one_but_for_its_sockets():
+def test_the_profile_of_this_host_is_the_other_one_but_for_its_sockets(tmp_path, monkeypatch):
     transports = "|".join(
         (
             r" *<transport_descriptors>.*</transport_descriptors>\n",
@@ -126,6 +127,10 @@ def test_the_profile_of_this_host_is_the_other_one_but_for_its_sockets():
     )
     own, other = (re.sub(transports, "", file.read_text(), flags=re.S) for file in (LOOPBACK, PROFILE))
     assert own == other
+    monkeypatch.delenv("FASTRTPS_DEFAULT_PROFILES_FILE", raising=False)
+    for discovery, here in (("LOCALHOST", True), ("SUBNET", False)):  # as `run` writes it
+        found = environment(1, tmp_path, discovery=discovery, silence=10.0)["FASTRTPS_DEFAULT_PROFILES_FILE"]
+        assert ("<address>127.0.0.1</address>" in Path(found).read_text()) == here
 
 
 INTRUDER = """
