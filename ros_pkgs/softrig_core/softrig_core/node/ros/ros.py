@@ -67,9 +67,11 @@ class Credit:
     def spent(self) -> Iterator[None]:
         """Take off what the block within takes."""
         start = time.monotonic()
-        yield
-        self._since = time.monotonic()
-        self.left = max(-self.MOST, self.left - (self._since - start))
+        try:
+            yield
+        finally:
+            self._since = time.monotonic()
+            self.left = max(-self.MOST, self.left - (self._since - start))
 
 
 class ServingNode(Node):  # type: ignore[misc]
