@@ -12,6 +12,7 @@ from rclpy._rclpy_pybind11 import RCLError
 from simulated import Discovery, SimulatedNode, SimulatedRig, World
 from simulated_outside import SimulatedOutside
 from softrig_core import rig_of
+from softrig_core.node import group as group_module
 from softrig_core.node.adapter.adapter import Adapter
 from softrig_core.node.group import Group
 from softrig_core.node.ros.ros import RosMiddleware, quiet_after_shutdown
@@ -90,6 +91,21 @@ def test_in_real_time_the_start_is_after_the_controller_has_come():
     (epoch,) = {a.epoch for a in run.adapters.values()}
     assert came < epoch < world.now + SECOND
     assert lacking(run) == []
+
+
+@pytest.mark.parametrize("groups", [(), [("plant", "source", "gain")], [("plant", "gain")]],
+                         ids=["processes", "a container", "both"])  # fmt: skip
+def test_a_run_that_takes_longer_than_a_start_may_take_has_begun(groups, monkeypatch):
+    """In a container nobody waits for a message of another process, which is what shows the others."""
+    rig = rig_of(make_scenario({"plant": "plant", "source": "source", "gain": "gain"}, 0.4))
+    world = World(lambda *_: 20 * MS)
+    monkeypatch.setattr(group_module, "SLICE", 0)
+    monkeypatch.setattr(SimulatedNode, "post", lambda node, call: world.at(world.now + 20 * MS, call))
+    run = SimulatedRig(rig, world, "lockstep", groups=groups, start_timeout=0.3, timeout=5.0)
+    began = world.now
+    assert set(run.run().values()) == {"done"}, {n: str(a.error) for n, a in run.adapters.items()}
+    assert world.now - began > 600 * MS
+    assert differences(in_process(rig), run.recording) == []
 
 
 def test_a_topic_of_an_outside_node_is_not_remapped_by_who_looks_for_it():
@@ -192,7 +208,7 @@ def test_a_system_clock_that_jumps_decides_nothing_in_lockstep(monkeypatch):
 
 
 def test_the_wall_clock_of_a_node_goes_on_steadily_whatever_the_system_clock_does(monkeypatch):
-    ros = RosMiddleware(SimpleNamespace(get_name=lambda: "a", get_fully_qualified_name=lambda: "/a"))
+    ros = RosMiddleware(SimpleNamespace(monitor=None, get_name=lambda: "a", get_fully_qualified_name=lambda: "/a"))
     before = ros.now()
     assert abs(before - time.time_ns()) < HOUR
     monkeypatch.setattr(time, "time_ns", lambda: 0)

@@ -21,6 +21,7 @@ from rclpy.node import Node
 from ..errors import RunError
 from ..guard import secure_streams, tell
 from ..interrupt import interrupt
+from ..processes.shared_memory import clear_ports, domain_id
 from ..rig.installed import load_block
 from ..timebase import SECOND
 from .adapter.adapter import Adapter
@@ -137,6 +138,7 @@ def main(args: Sequence[str] | None = None) -> NoReturn:
     where = "container"
     try:
         with exclusive():
+            clear_ports(domain_id())
             rclpy.init(args=[])
             interrupt.early = False
             if "fastrtps" not in (rmw := rclpy.get_rmw_implementation_identifier()):

@@ -69,6 +69,8 @@ class Stalls:
             return True
         # a source of an outside plant says t = 0 unasked
         others = [row for row in self._senders.rows if not row.earlier]
+        if not self._senders.rows:  # all that it waits for is in its own process
+            return True
         return any(row.have for row in others) or (node.ticks > 0 and bool(others))
 
     def _name(self, item: Input, waited: float) -> None:
