@@ -19,6 +19,7 @@ from softrig_core.processes.children import read_status
 from softrig_core.processes.domain import join_domain
 from softrig_core.processes.peers import starter
 from softrig_core.processes.processes import gathered
+from softrig_core.processes.shared_memory import remove_leftovers
 from softrig_core.processes.spawning import container_arguments, groups, node_parameters, parameter_file
 from softrig_core.rig.members import Member
 
@@ -84,6 +85,7 @@ class Launched:
         self._rig = rig = checked(run_options.scenario_of(options))
         self._seed, self._placement = rig.scenario.seed, run_options.placement_of(options)
         self._realtime = self._placement.clock == "realtime"
+        remove_leftovers()
         join_domain(int(os.environ.get("ROS_DOMAIN_ID") or 0))  # so that no run chooses it
         self._folder = run_verb.results_folder(options, rig.scenario.name) if self._record else None
         if self._folder is not None:

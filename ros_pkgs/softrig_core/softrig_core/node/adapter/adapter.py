@@ -49,7 +49,8 @@ class Drive(Protocol):
     status_every: int
 
     @property
-    def t(self) -> int: ...  # noqa: D102
+    def t(self) -> int:
+        """Time of the tick under way, ns."""
 
     def row(self, port: Port) -> Input:
         """Make the row of an input in the table of senders."""
