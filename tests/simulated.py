@@ -291,14 +291,14 @@ class SimulatedWorker:
 
     def __init__(self, world, solve, takes=30_000_000):
         self.world, self.solve, self.takes = world, solve, takes
-        self.state, self.status, self.has_best, self.begun = "idle", {}, False, 0
+        self.state, self.status, self.begun, self.struck, self.job = "idle", {}, 0, False, None
 
     def warm(self):
         pass
 
-    def submit(self, request):
+    def submit(self, request, job=None):
         self.answer = self.solve(request, Work(lambda *said: None))
-        self.state, self.begun = "working", self.world.now
+        self.state, self.job, self.begun = "working", job, self.world.now
         self.world.at(self.world.now + self.takes, self._done)
 
     def _done(self):
@@ -308,7 +308,7 @@ class SimulatedWorker:
         return (self.world.now - self.begun) / 1e9
 
     def cancel(self):
-        self.state = "idle"
+        self.state, self.job = "idle", None
 
 
 class _Sink:
@@ -381,7 +381,7 @@ class SimulatedRig:
         if world.discovery is not None:
             adapter.on_finished = partial(world.discovery.leave, node)
         if isinstance(adapter.block, Solver):
-            adapter.block._worker = SimulatedWorker(world, type(adapter.block).solve)
+            adapter.block.worker = SimulatedWorker(world, type(adapter.block).solve)
         self.nodes[member.name], self.adapters[member.name] = node, adapter
         return adapter
 

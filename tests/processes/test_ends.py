@@ -116,6 +116,8 @@ def test_ctrl_c_cannot_be_swallowed_while_a_node_starts():
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
     late = code.replace("interrupt.install()", "interrupt.install(); interrupt.early = False")
     assert subprocess.run([sys.executable, "-c", late], capture_output=True, text=True).stdout == "alive\n"
+    leaving = late.replace("try: os", "try:\n  with interrupt.leaving(lambda: os._exit(7)): os")
+    assert subprocess.run([sys.executable, "-c", leaving], capture_output=True, text=True).returncode == 7
 
 
 SLOW = """

@@ -11,6 +11,7 @@ import sys
 import time
 import traceback
 from collections.abc import Sequence
+from functools import partial
 from typing import NoReturn
 
 import rclpy
@@ -53,7 +54,8 @@ class Container:
         node = ServingNode(executable, cli_args=arguments, use_global_arguments=False)
         self.nodes.append(node)
         middleware = ContainedMiddleware(node, self.exchange)
-        self.adapters.append(make_adapter(node, load_block(package, executable), middleware))
+        with interrupt.leaving(partial(leave, self.nodes, 0)):  # to compile takes seconds
+            self.adapters.append(make_adapter(node, load_block(package, executable), middleware))
 
     def connect(self) -> None:
         """Have the nodes know each other and begin; a RunError says what does not fit."""

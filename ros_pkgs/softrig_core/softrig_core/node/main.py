@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -52,7 +53,8 @@ def run_node(block_class: type[Block], argv: Sequence[str]) -> NoReturn:
         rclpy.init(args=list(argv))
         interrupt.early = False
         node = ServingNode(name)
-        adapter = make_adapter(node, block_class, RosMiddleware(node))
+        with interrupt.leaving(partial(leave, [node], 0)):  # to compile takes seconds
+            adapter = make_adapter(node, block_class, RosMiddleware(node))
         Group([adapter])
         if not adapter.options.links:
             node.get_logger().info(introduction(adapter.block, adapter.options))
@@ -71,7 +73,7 @@ def run_node(block_class: type[Block], argv: Sequence[str]) -> NoReturn:
     leave([node], status)
 
 
-def make_adapter(node: Node, block_class: type[Block], middleware: Middleware) -> Adapter:
+def make_adapter(node: ServingNode, block_class: type[Block], middleware: Middleware) -> Adapter:
     """Declare and validate a node's parameters, make its block and its adapter; a `Group` drives it.
 
     Raises

@@ -7,6 +7,7 @@ from typing import Any, ClassVar, Literal, Self
 
 from pydantic import model_validator
 from softrig_core import BlockParams, Level, Plant, Port, check_steps, command, executable, param, scalars
+from softrig_core.kit.dense import total
 
 from .array import ArrayParams, possible, split
 from .converter import Converter, ConverterParams, State, steady_state
@@ -98,7 +99,7 @@ class PvPlant(Plant[PvPlantParams]):
         self._conditions = environment
         irradiance, temperature = split(environment)
         self.source = characteristic(self.p.module, irradiance, temperature)
-        self._temperature = sum(temperature) / len(temperature)
+        self._temperature = total(temperature) / len(temperature)
 
     def outputs(self, t: int) -> Mapping[str, tuple[float, ...]]:
         """Give the sensors and the true converter state."""

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from ...block.block import Level
 from ...timebase import SECOND
 from ..adapter.handshake import Handshake
 from ..seam.endpoint import Input
 from .paired import PairedSenders
 
 GONE_AFTER = 0.5  # s without the awaited message after its only sender has vanished
+GOODBYE = 2.0  # s: who vanishes within them has taken leave; the graph keeps the dead for longer (a lease of 3 s)
 
 
 class Stalls:
@@ -87,6 +89,12 @@ class Stalls:
         if node.ticks <= 1:  # somebody in the rig may not have begun: as long as he may take for that
             limit = max(limit, node.options.start_timeout)
         if lacking and (waited > limit or (gone and waited > GONE_AFTER)):
+            if gone and waited < min(limit, GOODBYE) and not (node.options.links or node.options.duration):
+                names = ", ".join(row.port.topic for row in gone)
+                text = f"{names}: the sender has left at t = {node.t / SECOND:.9g} s, and this node with it"
+                node.middleware.log(Level.OK, text)
+                node.finish()
+                return
             lacking = gone or lacking
             what = ", ".join(
                 f"{row.port.topic} from {row.who}{' (gone)' if row in gone else ''}"

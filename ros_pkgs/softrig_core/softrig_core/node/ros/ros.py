@@ -48,17 +48,47 @@ PAUSE = 1_000_000  # ns: this executor looks at no other timer while one is alwa
 SEVERITY = {Level.OK: LoggingSeverity.INFO, Level.WARN: LoggingSeverity.WARN, Level.ERROR: LoggingSeverity.ERROR}
 
 
+class Credit:
+    """Wall-clock time that sets of parameters may still take: a share of what passes, at most some in a row."""
+
+    SHARE, MOST = 0.2, 2.0  # s; a timeout of a rig is longer
+
+    def __init__(self) -> None:
+        self.left, self._since = self.MOST, time.monotonic()
+
+    def wanting(self) -> float:
+        """Give how long to wait until there is some again, s; zero if there is."""
+        now = time.monotonic()
+        self.left = min(self.MOST, self.left + self.SHARE * (now - self._since))
+        self._since = now
+        return max(0.0, -self.left / self.SHARE)
+
+    @contextmanager
+    def spent(self) -> Iterator[None]:
+        """Take off what the block within takes."""
+        start = time.monotonic()
+        yield
+        self._since = time.monotonic()
+        self.left = max(-self.MOST, self.left - (self._since - start))
+
+
 class ServingNode(Node):  # type: ignore[misc]
     """A node whose services outlive what they are asked: rclpy's own end it at a parameter of an unknown type.
 
     What is set together is taken together where all of it fits, each by itself where not all does (`ros2 param load` of
     a whole file); a whole number stands for a real one, and what a read-only parameter is already may be set again.
+    The ticks of the nodes go first: who sets more than fits beside them is refused and told when to come back.
 
     Attributes
     ----------
+    remark : str
+        What whoever takes a set has to say of it: rclpy tells the reason of a refusal only.
     monitor : Monitor
         Of whatever calls the node: no service is answered while a tick is under way.
     """
+
+    remark = ""
+    _credit = Credit()  # one for all nodes of a process
 
     def __init__(self, *names: Any, **options: Any) -> None:
         self.monitor = Monitor(self._wake)
@@ -78,9 +108,11 @@ class ServingNode(Node):  # type: ignore[misc]
         def answered(request: Any, response: Any) -> Any:
             try:
                 if srv_type is SetParameters:
-                    response.results = self._set(request.parameters)
+                    with self._credit.spent():
+                        response.results = self._set(request.parameters)
                 elif srv_type is SetParametersAtomically:
-                    response.result = self._set_together([self._meant(p) for p in request.parameters])
+                    with self._credit.spent():
+                        response.result = self._set_together([self._meant(p) for p in request.parameters])
                 else:
                     return callback(request, response)
                 return response
@@ -103,9 +135,15 @@ class ServingNode(Node):  # type: ignore[misc]
         return [self._set_together([one]) for one in wanted]
 
     def _set_together(self, wanted: Sequence[Parameter]) -> SetParametersResult:
+        if wait := self._credit.wanting():
+            text = f"more is set than fits between the ticks, expected a pause of {wait:.1f} s"
+            return SetParametersResult(successful=False, reason=text)
         now = {p.name: self._parameters[p.name] for p in wanted if p.name in self._parameters}
         new = [p for p in wanted if p.name not in now or now[p.name].type_ != p.type_ or plain(now[p.name]) != plain(p)]
-        return self.set_parameters_atomically(new) if new else SetParametersResult(successful=True)
+        self.remark = ""
+        result = self.set_parameters_atomically(new) if new else SetParametersResult(successful=True)
+        result.reason = result.reason or self.remark
+        return result
 
     def _meant(self, message: Any) -> Parameter:
         """Give what is to be set, a whole number as a real one where that is expected."""
