@@ -673,9 +673,9 @@ def test_a_run_that_is_over_leaves_its_process_to_the_next():
     second = run_inprocess(rig, 0)["planner"]
     assert _Process.idle == [left]
     first.block.reset(0)
-    first.block._worker.warm()  # asked again, it has one again
-    assert first.block._worker._process is left
-    assert second.block._worker._process is None
+    first.block.worker.warm()  # asked again, it has one again
+    assert first.block.worker._process is left
+    assert second.block.worker._process is None
 
 
 def test_sweep_names_the_missing_package(monkeypatch):
