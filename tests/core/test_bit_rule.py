@@ -25,8 +25,9 @@ REFUSED = frozenset(_REFUSED.split())
 # modules that judge or show what was recorded
 WHOLE = ("figures", "pictures", "drawing", "study", "study_tool", "cases")
 # the same bits wherever there is IEEE 754
-EXACT = frozenset("""ceil copysign degrees fabs floor fmod frexp fsum gcd inf isclose isfinite isinf isnan lcm ldexp
-modf nan nextafter pi prod radians remainder sqrt tau trunc ulp""".split())
+_EXACT = """ceil copysign degrees fabs floor fmod frexp fsum gcd inf isclose isfinite isinf isnan lcm ldexp
+modf nan nextafter pi prod radians remainder sqrt tau trunc ulp"""
+EXACT = frozenset(_EXACT.split())
 PARTS = {"phase": {"atan2"}, "polar": {"atan2", "hypot"}, "rect": {"sin", "cos"}}  # of cmath
 COUNT = "a sum of whole numbers, or whether one is finite"
 CASADI = "casadi's own products, unrolled into scalar operations"
@@ -106,9 +107,18 @@ def uses(module: str, tree: ast.AST) -> set[str]:
             found.add(where)
         if isinstance(node, ast.Attribute):
             numpy = isinstance(node.value, ast.Name) and node.value.id in ("np", "numpy")
-            if (numpy and node.attr in REFUSED) or node.attr == "sumprod" or (node.attr == "dot" and not isinstance(node.value, ast.Name)):
+            if (
+                (numpy and node.attr in REFUSED)
+                or node.attr == "sumprod"
+                or (node.attr == "dot" and not isinstance(node.value, ast.Name))
+            ):
                 found.add(where)
-        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "sum" and not counts(node):
+        if (
+            isinstance(node, ast.Call)
+            and isinstance(node.func, ast.Name)
+            and node.func.id == "sum"
+            and not counts(node)
+        ):
             found.add(where)
         if isinstance(node, ast.ImportFrom) and (node.module or "").startswith(("scipy", "numpy.linalg")):
             found.add(where)
@@ -124,7 +134,7 @@ def uses(module: str, tree: ast.AST) -> set[str]:
 
 
 def calls(tree: ast.AST) -> tuple[set[str], set[str]]:
-    """Which functions of the C library a module calls, by itself, in CasADi's C or from numpy: real ones, complex ones."""
+    """Which functions of the C library a module calls, by itself, in CasADi's C or from numpy: real, complex."""
     real: set[str] = set()
     whole: set[str] = set()
     for node in ast.walk(tree):
