@@ -200,6 +200,26 @@ def test_a_run_that_was_tuned_by_hand_is_repeated_from_its_record(seed, groups):
     assert not differences(run.recording, in_process(changed_rig("dc_motor_smc_b2", 0.3, script, faults=OFFSET), seed))
 
 
+def test_of_a_flood_of_sets_each_holds_from_a_tick_or_is_named_as_replaced():
+    """Also before the first tick, where each set once checked all that waited: a rig that was flooded never began."""
+    rig, world, rng, told = changed_rig("dc_motor_smc_b2", 0.3, {}), World(), random.Random(1), []
+    run = SimulatedRig(rig, world, "lockstep")
+
+    def turn(k):
+        told.append((k, run.adapters["dc_motor_smc"].step.set({"k": k})))
+
+    moments = [0] * 300 + [rng.randrange(20_002_000, 20_085_000) for _ in range(300)]
+    for k, moment in enumerate(moments):
+        world.at(world.now + moment, partial(turn, 10.0 + k / 10))
+    assert set(run.run().values()) == {"done"}
+    held = [values["dc_motor_smc.k"] for _, values in events(run.recording)]
+    expected = [k for (k, _), (_, replaced) in zip(told, [*told[1:], (0.0, [])], strict=True) if not replaced]
+    assert held == expected
+    assert 2 < len(held) < 300
+    script = dict(events(run.recording))
+    assert not differences(run.recording, in_process(changed_rig("dc_motor_smc_b2", 0.3, script)))
+
+
 def tuned(folder, duration="0.3"):
     """The folder of a run whose law somebody has tuned while it ran."""
     world = World()

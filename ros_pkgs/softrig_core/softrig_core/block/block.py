@@ -66,6 +66,7 @@ class Block(Generic[P]):
     INPUTS: ClassVar[tuple[Port, ...]] = ()
     OUTPUTS: ClassVar[tuple[Port, ...]] = ()
     realtime = False  # whether the wall clock drives it, as its runner says: nothing may then wait in `update`
+    TRIPS: ClassVar[frozenset[str]] = frozenset({"trip"})  # keys of reports: it has switched something off for good
     STALE_PERIODS: ClassVar[int] = 5  # realtime: age in its own periods at which a plant no longer trusts a command
 
     def __init_subclass__(cls, **keywords: Any) -> None:
@@ -336,6 +337,8 @@ class Plant(Block[P]):
 
     The outputs at t_k never depend on the inputs of t_k.
     """
+
+    AWAITS_COMMAND: ClassVar[bool] = False  # realtime, by hand: t = 0 with the first command; it cannot do without one
 
     @property
     def state(self) -> tuple[float, ...]:

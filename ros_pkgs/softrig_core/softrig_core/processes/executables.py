@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import os
+import re
 import sys
 from os.path import isfile
 from pathlib import Path
@@ -12,6 +14,7 @@ from ..kit.resource import prefixes
 from ..rig.installed import load_main
 
 PROFILE = Path(__file__).parent.with_name("fastdds_profile.xml")
+MARGIN = 2  # s: an announcement in 0.5 s renews the lease; on a busy host it comes late
 
 
 def find_executable(package: str, executable: str) -> Path:
@@ -36,8 +39,13 @@ def find_executable(package: str, executable: str) -> Path:
                         f"{', '.join(there)}")  # fmt: skip
 
 
-def environment(domain: int, directory: Path, *, discovery: str = "LOCALHOST") -> dict[str, str]:
-    """Give the environment of a node process: its domain, as far as `discovery` reaches, its logs in a directory."""
+def environment(
+    domain: int, directory: Path, *, discovery: str = "LOCALHOST", silence: float | None = None
+) -> dict[str, str]:
+    """Give the environment of a node process: its domain, as far as `discovery` reaches, its logs in a directory.
+
+    With `silence`, others take it for dead only after more than so many s; the profile for that is written there.
+    """
     variables = dict(os.environ)
     variables |= {
         "ROS_DOMAIN_ID": str(domain),
@@ -50,8 +58,18 @@ def environment(domain: int, directory: Path, *, discovery: str = "LOCALHOST") -
         "OPENBLAS_NUM_THREADS": "1",
     }
     variables.pop("ROS_LOCALHOST_ONLY", None)  # deprecated, would override the discovery range
+    if silence is not None and "FASTRTPS_DEFAULT_PROFILES_FILE" not in variables:
+        variables["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(_patient(directory, silence))
     variables.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(PROFILE))
     return variables
+
+
+def _patient(directory: Path, silence: float) -> Path:
+    """Write our profile with a lease that a silence of so many s does not end."""
+    lease = f"<leaseDuration><sec>{math.ceil(silence) + MARGIN}</sec></leaseDuration>"
+    file = directory / "profile.xml"
+    file.write_text(re.sub("<leaseDuration>.*</leaseDuration>", lease, PROFILE.read_text()))
+    return file
 
 
 def node_main(package: str, executable: str, arguments: list[str]) -> int:

@@ -64,8 +64,8 @@ def exercise(alpha_hat: float, duration: float = 15.0) -> Exercise:
     references, forces = _inputs(duration)
     q0 = references[0][:2]
     plant = ByHand(RehabPlant(position=q0, disturbance={"torque": 0.0}))
-    impedance = Impedance()
-    controller = VoltageController(emvc={"alpha_hat": alpha_hat, "lam": LAMBDA})
+    impedance = ByHand(Impedance())
+    controller = ByHand(VoltageController(emvc={"alpha_hat": alpha_hat, "lam": LAMBDA}))
     period = to_ns(PERIOD)
     squares = variation = 0.0
     last: tuple[float, ...] | None = None

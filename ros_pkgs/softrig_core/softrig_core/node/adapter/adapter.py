@@ -341,6 +341,7 @@ class Adapter:
             "waits_for": self.waits_for, "lacking": self.lacking, "epoch": self.epoch, "refused": refused,
             "reports": {key: [int(level), text, n] for key, (level, text, n) in self.block.reports.items()},
             "busy": self.drive.busy(), "held": self.hold.held, "cpu_s": round(time.process_time(), 3),
+            "prompt": self.middleware.prompt,
         }  # fmt: skip
         status |= self.drive.counts()
         if self.lacking:

@@ -102,6 +102,8 @@ class Lockstep:
         self.handshake = Handshake(node, awaited, wanted, local)
         self._stalls.handshake = self.handshake
         self._begin = begin
+        if self._solving is None:  # whose timers belong to the executor's thread
+            node.middleware.be_prompt()
         self._starter = node.middleware.timer(CHECK, self._start)
 
     # peers -----------------------------------------------------------------------------------------------------
