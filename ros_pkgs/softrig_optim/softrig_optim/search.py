@@ -66,6 +66,8 @@ class Search(ABC):
         Iteration (generation) the pending candidates belong to; 0 is the initial one.
     settle : bool
         Whether the pending candidate is to be measured in steady state; a sweep is measured on the fly.
+    watches : bool
+        Whether it uses what is measured on the way to the pending candidate, see `watch`.
     remembers : bool
         Whether what was told long ago still decides, so that it must be of the same objective.
 
@@ -82,6 +84,7 @@ class Search(ABC):
     """
 
     remembers = True
+    watches = False
 
     def __init__(
         self,
