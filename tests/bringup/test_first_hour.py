@@ -41,9 +41,9 @@ class Law(Block[Params]):
     )
     OUTPUTS = (command("command", "motor/command", ["armature"], "V"),)
 
-    def update(self, t, state, reference):
+    def update(self, x, t, state, reference):
         """Answer a tick."""
-        return {"command": (self.p.k * (reference[0] - state[0]),)}
+        return x, {"command": (self.p.k * (reference[0] - state[0]),)}
 
 
 main = executable(Law)

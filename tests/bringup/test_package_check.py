@@ -14,11 +14,11 @@ PACKAGES = sorted(p.parent for p in (Path(__file__).parents[2] / "ros_pkgs").glo
 class Steady(Plant):
     OUTPUTS = (scalars("state", "state", {"x": "m"}),)
 
-    def start(self):
-        self.x = 1.0
+    def first(self):
+        return 1.0
 
-    def outputs(self, t):
-        return {"state": (self.x,)}
+    def outputs(self, x, t):
+        return {"state": (x,)}
 
 
 class Twice(Block):
@@ -28,14 +28,14 @@ class Twice(Block):
 class Drifting(Steady):
     made = 0
 
-    def start(self):
+    def first(self):
         Drifting.made += 1
-        self.x = float(Drifting.made)
+        return float(Drifting.made)
 
 
 class Infinite(Steady):
-    def start(self):
-        self.x = float("inf")
+    def first(self):
+        return float("inf")
 
 
 class Gain(BlockParams):

@@ -4,6 +4,7 @@ import json
 import math
 import platform
 from html.parser import HTMLParser
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -38,6 +39,11 @@ from softrig_core.rig.members import signal_units
 from softrig_core.verdict.figures import Result
 
 
+class Shaft(NamedTuple):
+    theta: float
+    w: float
+
+
 class Drive(Plant):
     """Machine whose flux turns while its speed follows the command; a bus with many channels."""
 
@@ -53,21 +59,21 @@ class Drive(Plant):
         joint_state("bus", "drive/bus", [f"cell_{i}" for i in range(12)], position="V"),
     )
 
-    def start(self):
-        self.theta = self.w = 0.0
+    def first(self):
+        return Shaft(0.0, 0.0)
 
-    def outputs(self, t):
-        s, c = math.sin(self.theta), math.cos(self.theta)
+    def outputs(self, x, t):
+        s, c = math.sin(x.theta), math.cos(x.theta)
         return {
-            "state": (self.theta, self.w, 0.2 * s),
+            "state": (x.theta, x.w, 0.2 * s),
             "flux": (0.9 * c, 0.9 * s, 0.0),
-            "sensors": (1.0 + 0.3 * s, math.floor(self.theta)),
+            "sensors": (1.0 + 0.3 * s, math.floor(x.theta)),
             "bus": [3.7 + 0.01 * i * c for i in range(12)],
         }
 
-    def advance(self, t, v, load):
-        self.w += self.p.period * (v[0] - 0.05 * self.w) / self.p.J
-        self.theta += self.p.period * self.w
+    def advance(self, x, t, v, load):
+        w = x.w + self.p.period * (v[0] - 0.05 * x.w) / self.p.J
+        return Shaft(x.theta + self.p.period * w, w)
 
 
 class Law(Block):
@@ -80,9 +86,10 @@ class Law(Block):
     )
     OUTPUTS = (command("v", "drive/command", ["phase"], "V"), vector3("flux", "law/flux", "alpha_beta", "Wb"))
 
-    def update(self, t, state, wanted):
+    def update(self, x, t, state, wanted):
         e = wanted[0] - state[0]
-        return {"v": (max(-8.0, min(8.0, 2.0 * e)),), "flux": (0.8 * math.cos(t / 2e7), 0.8 * math.sin(t / 2e7), 0.0)}
+        flux = (0.8 * math.cos(t / 2e7), 0.8 * math.sin(t / 2e7), 0.0)
+        return x, {"v": (max(-8.0, min(8.0, 2.0 * e)),), "flux": flux}
 
 
 class Steps(Block):
@@ -91,8 +98,8 @@ class Steps(Block):
 
     OUTPUTS = (reference("wanted", "drive/reference", ["shaft"], velocity="rad/s"),)
 
-    def update(self, t):
-        return {"wanted": (50.0 if t < 1_000_000_000 else 80.0,)}
+    def update(self, x, t):
+        return x, {"wanted": (50.0 if t < 1_000_000_000 else 80.0,)}
 
 
 PLOTS = [

@@ -89,7 +89,7 @@ def feeder(ports: list[Port], seed: int) -> type[Block]:
     class Feeder(Block[FeederParams]):
         OUTPUTS = tuple(ports)
 
-        def update(self, t: int, **inputs: object) -> dict:
+        def update(self, x: object, t: int, **inputs: object) -> tuple:
             chance = random.Random(seed + t)
             found: dict = {}
             for port in self.OUTPUTS:
@@ -97,7 +97,7 @@ def feeder(ports: list[Port], seed: int) -> type[Block]:
                 drawn = tuple(max(-most, min(most, chance.gauss(0, size))) for most in port.limits)
                 values = port.safe if chance.random() < 0.3 else drawn
                 found[port.name] = Sample(t, values) if port.delayed else values
-            return found
+            return x, found
 
     return Feeder
 

@@ -23,9 +23,9 @@ class Judge(Block[MassParams]):
         """The mass, and what it carries."""
         return {"cart/mass": params.mass, "cart/loads": params.loads}
 
-    def update(self, t):
+    def update(self, x, t):
         """Say nothing."""
-        return {}
+        return x, {}
 
 
 class Law(Judge):

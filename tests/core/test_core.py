@@ -11,6 +11,7 @@ from hypothesis import given, strategies as st
 from softrig_core import (
     Block,
     BlockParams,
+    ByHand,
     ParameterError,
     Params,
     Recording,
@@ -250,7 +251,7 @@ def test_an_external_node_needs_processes():
 
 
 def test_a_block_is_usable_from_a_prompt():
-    plant, gain = Lag(gain=2.0), Gain(k=3.0)
+    plant, gain = ByHand(Lag(gain=2.0)), ByHand(Gain(k=3.0))
     command = gain.update(0, state=plant.outputs(0)["state"], reference=(1.0,))["command"]
     plant.advance(0, command=command, offset=None, kick=None)
     assert plant.outputs(10_000_000)["state"][0] == pytest.approx(0.06)
@@ -262,7 +263,7 @@ def test_random_numbers_depend_on_seed_and_name_only():
     def draw(name, seed):
         block = Block(name=name)
         block.reset(seed)
-        return block.rng.standard_normal()
+        return block.standard_normal(0)
 
     assert draw("a", 1) == draw("a", 1)
     assert len({draw("a", 1), draw("a", 2), draw("b", 1)}) == 3

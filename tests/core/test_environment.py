@@ -157,21 +157,21 @@ class Tank(Plant):
     INPUTS = (command("pump", "tank/pump", ["pump"], "V"),)
     OUTPUTS = (scalars("level", "tank/level", {"height": "m"}, limits=(1.0,)),)
 
-    def start(self):
-        self.h = 0.0
+    def first(self):
+        return 0.0
 
-    def outputs(self, t):
-        return {"level": (self.h,)}
+    def outputs(self, x, t):
+        return {"level": (x,)}
 
-    def advance(self, t, pump):
-        self.h += 0.1 * pump[0]
+    def advance(self, x, t, pump):
+        return x + 0.1 * pump[0]
 
 
 class Valve(Block):
     INPUTS, OUTPUTS = Tank.OUTPUTS, Tank.INPUTS
 
-    def update(self, t, level):
-        return {"pump": (1.0 - level[0],)}
+    def update(self, x, t, level):
+        return x, {"pump": (1.0 - level[0],)}
 
 
 def test_a_value_beyond_the_limits_of_its_port_ends_an_episode():

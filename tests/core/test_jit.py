@@ -258,13 +258,13 @@ def _twice(x):
 class _Native(Block):
     """Begins with its native code, counts its copies."""
 
-    INPUTS = (number("x", "x", "V"),)
+    INPUTS = (number("u", "u", "V"),)
     OUTPUTS = (number("y", "y", "V"),)
     ticks: list = []
 
-    def update(self, t, x):
+    def update(self, x, t, u):
         self.ticks.append(t)
-        return {"y": (_twice(x[0]),)}
+        return x, {"y": (_twice(u[0]),)}
 
 
 @jit
@@ -278,7 +278,7 @@ class _Later(_Native):
 
 
 class _Broken(_Native):
-    def update(self, t, x):
+    def update(self, x, t, u):
         raise ArithmeticError("only in the run")
 
 

@@ -1,7 +1,6 @@
-"""Every plant tells its state by name; where that is all of its past, it can be put into one, and linearised."""
+"""Every plant names its state, and can be linearised."""
 
 import configparser
-import math
 import re
 from pathlib import Path
 
@@ -21,7 +20,6 @@ from softrig_power.pv.plant import PvPlant
 from softrig_power.rectifier.plant import RectifierPlant
 
 ROOT = Path(__file__).parents[2]
-MEMORY = {"switched_delay_plant", "tank_plant", "tcp_fluid", "tcp_packets", "line_plant"}
 
 
 def plants():
@@ -52,47 +50,27 @@ def stepped(held, first, count):
     for k in range(first, first + count):
         held.outputs(k * period)
         held.advance(k * period, **safe)
-    return held.x if plant.by_value() else plant.state
+    return held.x
 
 
 def test_all_plants_are_here():
     assert len(PLANTS) >= 20
-    assert {name for name, kind in PLANTS.items() if not kind.by_value() and not kind.can_be_put()} <= MEMORY
 
 
 @pytest.mark.parametrize("name", PLANTS)
 def test_every_plant_names_its_state(name):
     plant = PLANTS[name]()
     held = ByHand(plant)
-    begin = held.x if plant.by_value() else plant.state
+    begin = held.x
     if name != "clock":
         assert len(set(begin._fields)) == len(begin) > 0
     later = stepped(held, 0, 3)
     assert type(later) is type(begin)
-    if plant.by_value():
-        assert np.isfinite([*numbers(begin), *numbers(later)]).all()
-        assert plant.first() == begin
-        return
-    assert all(isinstance(x, float) and math.isfinite(x) for x in (*begin, *later))
-    plant.reset(0)
-    assert plant.state == begin
+    assert np.isfinite([*numbers(begin), *numbers(later)]).all()
+    assert plant.first() == begin
 
 
-@pytest.mark.parametrize("name", sorted(n for n in PLANTS.keys() - MEMORY if not PLANTS[n].by_value()))
-def test_a_state_is_all_that_counts_of_the_past(name):
-    plant = PLANTS[name]()
-    held = ByHand(plant)
-    before = stepped(held, 0, 3)
-    if before:
-        before = before._replace(**{f: x + 1e-3 for f, x in before._asdict().items()})  # nothing stays at zero
-    plant.put(before)
-    assert plant.state == before
-    after = stepped(held, 3, 3)
-    plant.put(before)
-    assert stepped(held, 3, 3) == pytest.approx(after, rel=1e-12)  # the time of a step may round differently
-
-
-def test_a_plant_with_a_past_says_that_it_cannot_be_put():
+def test_a_state_of_another_length_is_refused():
     with pytest.raises(ValueError, match=r"3 numbers, expected the \d+ of the state"):
         Sampled(PLANTS["tcp_fluid"]()).linearise((1.0, 0.0, 0.0), (0.0, *(0.0,) * 4))
 

@@ -194,8 +194,8 @@ def test_absurd_numbers_are_refused_and_what_overflows_all_the_same_brings_the_s
         INPUTS = (STATE,)
         OUTPUTS = (COMMAND,)
 
-        def update(self, t, state):
-            return {"command": (math.exp(state[0]),)}
+        def update(self, x, t, state):
+            return x, {"command": (math.exp(state[0]),)}
 
     rig = Rig.from_blocks({"plant": Lag(), "law": Exponential()}, 1.0)
     world = World()
@@ -270,15 +270,15 @@ def test_a_plant_waits_for_a_good_command_also_where_commands_have_no_stamp():
     class Pushed(Lag):
         INPUTS = (force,)
 
-        def advance(self, t, force):
-            super().advance(t, force, None, None)
+        def advance(self, x, t, force):
+            return super().advance(x, t, force, None, None)
 
     class Push(Block):
         INPUTS = (STATE,)
         OUTPUTS = (force,)
 
-        def update(self, t, state):
-            return {"force": (1.0 - state[0],)}
+        def update(self, x, t, state):
+            return x, {"force": (1.0 - state[0],)}
 
     rig = Rig.from_blocks({"plant": Pushed(), "law": Push()}, 0.2)
     world = World()

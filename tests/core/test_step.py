@@ -78,9 +78,9 @@ def _alone(answer):
         INPUTS = (scalars("for", "for", {"x": ""}), scalars("of-all", "all", {"x": ""}))
         OUTPUTS = (scalars("out", "out", {"a": "V", "b": "V"}),)
 
-        def update(self, t, **inputs):
+        def update(self, x, t, **inputs):
             assert inputs == {"for": (0.0,), "of-all": (0.0,)}
-            return answer
+            return x, answer
 
     block, rows = Odd(name="odd"), []
     step = Step("odd", block, Schedule(0.1), *block.ports(block.p))
@@ -95,21 +95,21 @@ def test_a_rig_is_stepped_tick_by_tick_with_a_member_that_python_plays():
         INPUTS, OUTPUTS = Gain.INPUTS, Gain.OUTPUTS
         action = 0.0
 
-        def update(self, t, state, reference):
-            self.seen = state[0]
-            return {"command": (self.action,)}
+        def update(self, x, t, state, reference):
+            return state[0], {"command": (self.action,)}
 
     rig = Rig.from_blocks({"plant": Lag(), "law": Agent(), "source": Source()}, 0.1)
     blocks = {m.name: m.block(0) for m in rig.members}
-    ticks = Runner(list(wired(rig, blocks).values())).run()
+    steps = wired(rig, blocks)
+    ticks = Runner(list(steps.values())).run()
     x = 0.0
     for k in range(11):
         blocks["law"].action = float(k)
         assert next(ticks) == 10_000_000 * k
         if k < 10:  # a law that has no last word is not asked at the end
-            assert blocks["law"].seen == x
+            assert steps["law"].x == x
             x += 0.01 * (k - x)
-    assert blocks["plant"].x == x
+    assert steps["plant"].x.x == x
     assert next(ticks, "over") == "over"
 
 

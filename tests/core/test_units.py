@@ -20,11 +20,11 @@ def buck(duty="1"):
         INPUTS = (command("duty", "buck/duty", ["d"], duty),)
         OUTPUTS = (scalars("state", "buck/state", {"voltage": "V", "current": "A"}),)
 
-        def outputs(self, t):
+        def outputs(self, x, t):
             return {"state": (12.0, 1.0)}
 
-        def advance(self, t, duty):
-            pass
+        def advance(self, x, t, duty):
+            return x
 
     return Buck()
 
@@ -34,8 +34,8 @@ def law(voltage="V", current="A", duty="1", topic="buck/state"):
         INPUTS = (scalars("state", topic, {"voltage": voltage, "current": current}),)
         OUTPUTS = (command("duty", "buck/duty", ["d"], duty),)
 
-        def update(self, t, state):
-            return {"duty": (0.5,)}
+        def update(self, x, t, state):
+            return x, {"duty": (0.5,)}
 
     return Law()
 

@@ -368,19 +368,19 @@ class Dish(Plant):
     def setup(self):
         self.target = (0.4, -0.2)
 
-    def start(self):
-        self.x = (0.0, 0.0)
+    def first(self):
+        return (0.0, 0.0)
 
     def power(self, x):
         miss = math.dist(x, self.target)
         side = math.dist(x, (self.target[0] - 0.9, self.target[1] + 0.5))
         return 10.0 * math.exp(-8.0 * miss**2) + 5.0 * math.exp(-20.0 * side**2)
 
-    def outputs(self, t):
-        return {"objective": (self.power(self.x),)}
+    def outputs(self, x, t):
+        return {"objective": (self.power(x),)}
 
-    def advance(self, t, command):
-        self.x = tuple(x + 0.2 * (u - x) for x, u in zip(self.x, command, strict=True))
+    def advance(self, x, t, command):
+        return tuple(q + 0.2 * (u - q) for q, u in zip(x, command, strict=True))
 
 
 DISH = {"channels": ("azimuth", "elevation"), "lower": (-1.0, -1.0), "upper": (1.0, 1.0), "unit": "rad",
@@ -393,7 +393,7 @@ class Loop:
     """The dish and the optimiser, tick by tick."""
 
     def __init__(self, seed=0, **changes):
-        self.optimiser, self.dish = ByHand(Optimiser(**(DISH | changes))), Dish()
+        self.optimiser, self.dish = ByHand(Optimiser(**(DISH | changes))), ByHand(Dish())
         self.optimiser.reset(seed)
         self.t = 0
         self.commands = []
@@ -409,7 +409,7 @@ class Loop:
             self.commands.append(answer["command"])
             names = ("phase", "iteration", "evaluations", "restarts", "best_value", "bound", "azimuth", "elevation")
             self.state = dict(zip(names, answer["state"], strict=True))
-            self.dish.advance(self.t, answer["command"])
+            self.dish.advance(self.t, command=answer["command"])
             self.t += TICK
         return self.state
 
@@ -421,7 +421,7 @@ def test_optimiser_points_a_dish():
     assert state["phase"] == Phase.HOLD
     assert state["evaluations"] == 192
     state = loop.run(1.0)
-    assert loop.dish.power(loop.dish.x) > 9.9
+    assert loop.dish.block.power(loop.dish.x) > 9.9
     assert state["restarts"] == 0
     assert loop.commands[-1] == (state["azimuth"], state["elevation"])
     commands = np.array(loop.commands)
@@ -440,20 +440,20 @@ def test_optimiser_is_reproducible_by_seed():
 def test_restart_when_the_objective_changes():
     loop = Loop()
     loop.run(0.01 + 192 * 0.3 + 2.0)
-    loop.dish.target = (-0.3, 0.3)
+    loop.dish.block.target = (-0.3, 0.3)
     before = loop.t
     while loop.state["phase"] == Phase.HOLD:
         loop.run(0.01)
     assert (loop.t - before) * 1e-9 <= 3 * 0.3 + 0.02
     assert loop.run(192 * 0.3 + 1.5)["restarts"] == 1
     assert loop.state["phase"] == Phase.HOLD
-    assert loop.dish.power(loop.dish.x) > 9.9
+    assert loop.dish.block.power(loop.dish.x) > 9.9
 
 
 def test_small_changes_and_single_dips_do_not_restart():
     loop = Loop()
     loop.run(0.01 + 192 * 0.3 + 2.0)
-    held = loop.dish.power(loop.dish.x)
+    held = loop.dish.block.power(loop.dish.x)
     loop.run(3.0, objective=0.96 * held)
     loop.run(0.3, objective=0.5 * held)
     loop.run(1.0, objective=held)
@@ -533,7 +533,7 @@ def test_bad_measurements_in_hold_do_not_blind(bad):
     """Far into a hold, one bad sample in each dwell: a change is still seen in two samples a dwell apart."""
     loop = Loop()
     loop.run(0.01 + 192 * 0.3 + 20.0)
-    held = loop.dish.power(loop.dish.x)
+    held = loop.dish.block.power(loop.dish.x)
     loop.run(1.0, **bad)
     loop.run(0.29, objective=0.5 * held)  # one look at it
     assert (loop.state["phase"], loop.state["restarts"]) == (Phase.HOLD, 0)

@@ -283,16 +283,16 @@ class Pushed(Lag):
 
     INPUTS = (PUSH,)
 
-    def advance(self, t, push):
-        super().advance(t, push, None, None)
+    def advance(self, x, t, push):
+        return super().advance(x, t, push, None, None)
 
 
 class Push(Block):
     INPUTS = (STATE,)
     OUTPUTS = (PUSH,)
 
-    def update(self, t, state):
-        return {"push": (1.0 - state[0],)}
+    def update(self, x, t, state):
+        return x, {"push": (1.0 - state[0],)}
 
 
 def test_a_plant_takes_the_better_array_after_a_bad_one():

@@ -136,15 +136,15 @@ def test_a_held_input_said_together_with_an_awaited_one_is_of_the_same_tick(monk
     class Both(Lag):
         OUTPUTS = (STATE, extra)
 
-        def outputs(self, t):
-            return {**super().outputs(t), "extra": (t * 1e-9,)}
+        def outputs(self, x, t):
+            return {**super().outputs(x, t), "extra": (t * 1e-9,)}
 
     class Law(Block):
         INPUTS = (STATE, extra)
         OUTPUTS = (COMMAND,)
 
-        def update(self, t, state, extra):
-            return {"command": extra}
+        def update(self, x, t, state, extra):
+            return x, {"command": extra}
 
     run = Contained(Rig.from_blocks({"plant": Both(), "law": Law()}, 0.5), monkeypatch)
     assert run.run() == {"done"}
@@ -160,15 +160,15 @@ def test_who_is_late_answers_with_what_had_been_said_by_its_tick(monkeypatch):
     class Both(Lag):
         OUTPUTS = (STATE, extra)
 
-        def outputs(self, t):
-            return {**super().outputs(t), "extra": (t * 1e-9,)}
+        def outputs(self, x, t):
+            return {**super().outputs(x, t), "extra": (t * 1e-9,)}
 
     class Slow(Block):
         INPUTS = (extra,)
         OUTPUTS = (COMMAND,)
 
-        def update(self, t, extra):
-            return {"command": extra}
+        def update(self, x, t, extra):
+            return x, {"command": extra}
 
     run = Contained(Rig.from_blocks({"plant": Both(), "law": Slow(Slow.Params(period=0.03))}, 0.3), monkeypatch)
     run.run(run.epoch + 105_000_000)
@@ -190,11 +190,11 @@ def test_a_law_that_was_slow_once_has_not_been_silent(monkeypatch):
         INPUTS = (STATE,)
         OUTPUTS = (COMMAND,)
 
-        def update(self, t, state):
+        def update(self, x, t, state):
             if t == 100_000_000:
                 slow.append(t)
                 run.clock.t += 60_000_000
-            return {"command": (1.0,)}
+            return x, {"command": (1.0,)}
 
     run = Contained(Rig.from_blocks({"plant": Lag(), "law": Slow()}, 0.3), monkeypatch)
     assert run.run() == {"done"}

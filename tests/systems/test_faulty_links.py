@@ -37,8 +37,8 @@ class Tap(Block[TapParams]):
     def ports(cls, params):
         return ports_of(params.ports), ()
 
-    def update(self, t, **inputs):
-        return {}
+    def update(self, x, t, **inputs):
+        return x, {}
 
 
 def tapped(name, duration, kinds=KINDS):

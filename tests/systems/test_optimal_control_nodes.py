@@ -127,16 +127,16 @@ def test_impossible_parameters_are_refused_by_name(kind, values, named):
 
 
 def asked(planner, t=0, state=STATE, **more):
-    planner.x, request = planner.law.request(planner.x, t, state=state, **more)
+    planner.x, request = planner.block.request(planner.x, t, state=state, **more)
     return request
 
 
 def answered(planner, request, t=0):
-    return taken(planner, Result(t, request, planner.law.solve(request, None), True))
+    return taken(planner, Result(t, request, planner.block.solve(request, None), True))
 
 
 def taken(planner, result):
-    planner.x, values = planner.law.answer(planner.x, result.stamp, result, True)
+    planner.x, values = planner.block.answer(planner.x, result.stamp, result, True)
     planner.tell()
     return values
 

@@ -36,22 +36,27 @@ class LagParams(BlockParams):
     limit: float = param(10.0, "command limit", "N", gt=0.0)
 
 
+class LagState(NamedTuple):
+    x: float = 0.0  # m
+    u: float = 0.0  # N
+
+
 class Lag(Plant[LagParams]):
     """x' = gain (u - x), explicit Euler."""
 
     INPUTS = (COMMAND, number("offset", "lag/offset", "N", held=True), button("kick", "lag/kick", held=True))
     OUTPUTS = (STATE, joint_state("applied", "lag/applied", ["u"], effort="N"))
 
-    def start(self) -> None:
-        self.x, self.u = 0.0, 0.0
+    def first(self):
+        return LagState()
 
-    def outputs(self, t):
-        return {"state": (self.x, self.p.gain * (self.u - self.x)), "applied": (self.u,)}
+    def outputs(self, x, t):
+        return {"state": (x.x, self.p.gain * (x.u - x.x)), "applied": (x.u,)}
 
-    def advance(self, t, command, offset, kick):
+    def advance(self, x, t, command, offset, kick):
         u = command[0] + (offset[0] if offset else 0.0) + (1.0 if kick and kick[0] else 0.0)
-        self.u = max(-self.p.limit, min(self.p.limit, u))
-        self.x += self.p.period * self.p.gain * (self.u - self.x)
+        u = max(-self.p.limit, min(self.p.limit, u))
+        return LagState(x.x + self.p.period * self.p.gain * (u - x.x), u)
 
 
 class Source(Block):
@@ -59,8 +64,8 @@ class Source(Block):
 
     OUTPUTS = (REFERENCE,)
 
-    def update(self, t):
-        return {"reference": (0.001 * (t // 1_000_000 % 2000),)}
+    def update(self, x, t):
+        return x, {"reference": (0.001 * (t // 1_000_000 % 2000),)}
 
 
 class GainParams(BlockParams):
@@ -69,14 +74,17 @@ class GainParams(BlockParams):
 
 
 class Gain(Block[GainParams]):
-    """u = k (r - x) + noise."""
+    """u = k (r - x) + noise; the state is the number of its ticks."""
 
     INPUTS = (STATE, REFERENCE)
     OUTPUTS = (COMMAND,)
 
-    def update(self, t, state, reference):
-        noise = self.p.noise * self.rng.standard_normal() if self.p.noise else 0.0
-        return {"command": (self.p.k * (reference[0] - state[0]) + noise,)}
+    def first(self):
+        return 0
+
+    def update(self, x, t, state, reference):
+        noise = self.p.noise * self.standard_normal(x) if self.p.noise else 0.0
+        return x + 1, {"command": (self.p.k * (reference[0] - state[0]) + noise,)}
 
 
 class Outer(Block):
@@ -85,8 +93,8 @@ class Outer(Block):
     INPUTS = (STATE, REFERENCE)
     OUTPUTS = (reference("inner", "lag/inner_reference", ["x"], position="m"),)
 
-    def update(self, t, state, reference):
-        return {"inner": (reference[0] + 0.5 * (reference[0] - state[0]),)}
+    def update(self, x, t, state, reference):
+        return x, {"inner": (reference[0] + 0.5 * (reference[0] - state[0]),)}
 
 
 class WatcherParams(BlockParams):
@@ -99,27 +107,26 @@ class Watcher(Observer[WatcherParams]):
 
     INPUTS = (STATE, COMMAND)
 
-    def start(self) -> None:
-        self.seen = 0
+    def first(self):
         if not self.p.comes_up:
             time.sleep(3600)
+        return 0
 
-    def update(self, t, state, command):
-        self.seen += 1
-        return {}
+    def update(self, x, t, state, command):
+        return x + 1, {}
 
-    def status(self):
-        if self.seen == self.p.lingers_after > 0:
+    def status(self, x):
+        if x == self.p.lingers_after > 0:
             time.sleep(3600)
-        return {"seen": (float(self.seen), "")}
+        return {"seen": (float(x), "")}
 
 
 class Dawdler(Gain):
     """Takes longer than its peers."""
 
-    def update(self, t, state, reference):
+    def update(self, x, t, state, reference):
         time.sleep(0.005)
-        return super().update(t, state, reference)
+        return super().update(x, t, state, reference)
 
 
 class FaultParams(BlockParams):
@@ -130,18 +137,18 @@ class Killed(Gain):
     class Params(FaultParams):
         how: str = param("kill", "kill, stop, nan, raise or hang")
 
-    def update(self, t, state, reference):
+    def update(self, x, t, state, reference):
         if t >= self.p.at * 1e9:
             if self.p.how == "kill":
                 os.kill(os.getpid(), signal.SIGKILL)
             if self.p.how == "stop":
                 os.kill(os.getpid(), signal.SIGSTOP)
             if self.p.how == "nan":
-                return {"command": (float("nan"),)}
+                return x, {"command": (float("nan"),)}
             if self.p.how == "hang":
                 time.sleep(3600)
             raise ArithmeticError("deliberate")
-        return {"command": (2.0 * (reference[0] - state[0]),)}
+        return x, {"command": (2.0 * (reference[0] - state[0]),)}
 
 
 class LinkParams(BlockParams):
@@ -149,17 +156,14 @@ class LinkParams(BlockParams):
 
 
 class DelayedLink(Block[LinkParams]):
-    """The state some samples late, with its acquisition stamp."""
+    """The state some samples late, with its acquisition stamp; remembers those samples."""
 
     INPUTS = (STATE,)
     OUTPUTS = (joint_state("late", "lag/late_state", ["x"], position="m", velocity="m/s", delayed=True),)
 
-    def start(self) -> None:
-        self.past: list[Sample] = []
-
-    def update(self, t, state):
-        self.past.append(Sample(t, state))
-        return {"late": self.past[max(0, len(self.past) - 1 - self.p.samples)]}
+    def update(self, x, t, state):
+        x = (*x, Sample(t, state))[-self.p.samples - 1 :]
+        return x, {"late": x[0]}
 
 
 class LateGain(Block):
@@ -167,8 +171,8 @@ class LateGain(Block):
     OUTPUTS = (COMMAND,)
     ages: ClassVar[list[int]] = []
 
-    def update(self, t, state, reference):
-        return {"command": (reference[0] - state.data[0] - (t - state.stamp) * 1e-12,)}
+    def update(self, x, t, state, reference):
+        return x, {"command": (reference[0] - state.data[0] - (t - state.stamp) * 1e-12,)}
 
 
 class BurstParams(BlockParams):
@@ -180,9 +184,9 @@ class Burst(Block[BurstParams]):
 
     OUTPUTS = (command("burst", "lag/burst", ["b"], "V", sporadic=True),)
 
-    def update(self, t):
+    def update(self, x, t):
         k = [round(at * 1e9) for at in self.p.at]
-        return {"burst": (float(1 + k.index(t)),)} if t in k else {"burst": None}
+        return x, {"burst": (float(1 + k.index(t)),) if t in k else None}
 
 
 class BurstGain(Block):
@@ -194,11 +198,11 @@ class BurstGain(Block):
     )
     OUTPUTS = (COMMAND,)
 
-    def update(self, t, state, burst):
+    def update(self, x, t, state, burst):
         age = self.age("burst")
         fresh = age is not None and age < 30_000_000
         assert self.realtime or self.age("state") == 0
-        return {"command": (burst[0] + (burst[1] if fresh else -burst[1]) - state[0],)}
+        return x, {"command": (burst[0] + (burst[1] if fresh else -burst[1]) - state[0],)}
 
 
 class Record(Block):
@@ -207,16 +211,12 @@ class Record(Block):
     INPUTS = (STATE,)
     OUTPUTS = (array("record", "lag/record", {"k": 3}, "m", sporadic=True),)
 
-    def start(self) -> None:
-        self.seen: list[float] = []
+    def update(self, x, t, state):
+        return (*x, state[0]), {}
 
-    def update(self, t, state):
-        self.seen.append(state[0])
-        return {}
-
-    def finish(self, t, state):
-        self.seen.append(state[0])
-        return {"record": (self.seen[min(1, len(self.seen) - 1)], self.seen[-1], float(len(self.seen)))}
+    def finish(self, x, t, state):
+        x = (*x, state[0])
+        return x, {"record": (x[min(1, len(x) - 1)], x[-1], float(len(x)))}
 
 
 class Analyst(Block):
@@ -225,8 +225,8 @@ class Analyst(Block):
     INPUTS = (array("record", "lag/record", {"k": 3}, "m", held=True, sporadic=True),)
     OUTPUTS = (joint_state("result", "lag/result", ["x"], position="m", sporadic=True),)
 
-    def update(self, t, record):  # at the end; in real time who was held up until then sees it before
-        return {"result": (record[1] - record[0],)} if record else {}
+    def update(self, x, t, record):  # at the end; in real time who was held up until then sees it before
+        return x, {"result": (record[1] - record[0],)} if record else {}
 
     finish = update
 
@@ -241,8 +241,8 @@ class Spread(Block):
     INPUTS = (STATE,)
     OUTPUTS = (MATRIX,)
 
-    def update(self, t, state):
-        return {"matrix": (state[0], 2.0 * state[0])}
+    def update(self, x, t, state):
+        return x, {"matrix": (state[0], 2.0 * state[0])}
 
 
 class Peaks(Block):
@@ -251,8 +251,8 @@ class Peaks(Block):
     INPUTS = (STATE,)
     OUTPUTS = (PEAKS,)
 
-    def update(self, t, state):
-        return {"peaks": (state[0], state[0] ** 2)} if t % 30_000_000 == 10_000_000 else {}
+    def update(self, x, t, state):
+        return x, {"peaks": (state[0], state[0] ** 2)} if t % 30_000_000 == 10_000_000 else {}
 
 
 class Weigh(Block):
@@ -261,8 +261,8 @@ class Weigh(Block):
     INPUTS = (MATRIX, PEAKS)
     OUTPUTS = (COMMAND,)
 
-    def update(self, t, matrix, peaks):
-        return {"command": (1.0 - 0.5 * matrix[1] - 0.1 * peaks[1],)}
+    def update(self, x, t, matrix, peaks):
+        return x, {"command": (1.0 - 0.5 * matrix[1] - 0.1 * peaks[1],)}
 
 
 class Accumulator(Block):
@@ -271,8 +271,8 @@ class Accumulator(Block):
     INPUTS = (joint_state("back", "loop/back", ["y"], position="1"),)
     OUTPUTS = (joint_state("sum", "loop/sum", ["y"], position="1"),)
 
-    def update(self, t, back):
-        return {"sum": (1.0 + 0.5 * back[0],)}
+    def update(self, x, t, back):
+        return x, {"sum": (1.0 + 0.5 * back[0],)}
 
 
 class PlannerParams(SolverParams):

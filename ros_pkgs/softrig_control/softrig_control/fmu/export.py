@@ -78,8 +78,8 @@ def export(rig: Rig, node: str, folder: Path) -> Path:
 
 
 def _can(member: Member) -> tuple[str, ...]:
-    """Give what the FMU can do beside its steps: a node whose state is a value keeps it, and writes it as bytes."""
-    plain = member.block_class.by_value() and member.block_class.save is Block.save
+    """Give what the FMU can do beside its steps: keep its state and write it, where nothing in it is opaque."""
+    plain = member.block_class.save is Block.save
     return ("canGetAndSetFMUstate", "canSerializeFMUstate") if plain else ()
 
 

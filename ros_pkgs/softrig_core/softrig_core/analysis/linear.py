@@ -3,8 +3,7 @@ r"""Equilibria and linearisation of a model written once.
 .. math:: \dot x = f(x, u), \quad y = g(x, u)
 
 A model is a casadi function ``(x, u) -> (dx, y)``, whose Jacobians are exact, or a Python function of two float64
-arrays with the same result, whose Jacobians are differences of order 4. `sampled` makes such a model of any plant that
-can be put into a state.
+arrays with the same result, whose Jacobians are differences of order 4. `Sampled` makes such a model of any plant.
 """
 
 from __future__ import annotations
@@ -74,7 +73,7 @@ class Sampled:
     Parameters
     ----------
     plant : Plant
-        It is put into states and moved: give one that no run uses.
+        Only its methods are asked; a run that uses it notices nothing.
     t : int
         When the period begins, ns.
 
@@ -93,22 +92,15 @@ class Sampled:
 
     def __call__(self, x: Array, u: Array) -> tuple[Array, Array]:
         """Give (dx, y)."""
-        valued = self.plant.by_value()
-        if valued:
-            at0 = put(self.plant.first(), split(self.plant.first(), x))
-        else:
-            self.plant.put(x.tolist())
+        first = self.plant.first()
+        now = put(first, split(first, x))
         given, at = {}, 0
         for port in self.inputs:
             given[port.name] = tuple(u[at : at + port.size].tolist())
             at += port.size
-        found = self.plant.outputs(at0, self.t) if valued else self.plant.outputs(self.t)
+        found = self.plant.outputs(now, self.t)
         y = [value for port in self.outputs for value in found[port.name]]
-        if valued:
-            after = numbers(self.plant.advance(at0, self.t, **given))
-        else:
-            self.plant.advance(self.t, **given)
-            after = np.array(self.plant.state)
+        after = numbers(self.plant.advance(now, self.t, **given))
         return (after - x) / self.period, np.array(y, dtype=float)
 
     def linearise(self, x: Sequence[float], u: Sequence[float]) -> Linear:

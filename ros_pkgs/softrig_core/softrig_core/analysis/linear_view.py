@@ -381,7 +381,7 @@ class Differences:
         m, rounds = self.map, 0
         for name in [*self.inputs, *([self.link] if self.link else [])]:
             self._signal(name)
-        waiting = {int(i) for i in np.flatnonzero(m.moved & self.finite & ~m.whole)}  # stamps move as well
+        waiting = {int(i) for i in np.flatnonzero(m.moved & self.finite)}
         waiting |= {int(i) for column, _ in self.columns.values() for i in np.flatnonzero(column)}
         while waiting:
             if len(waiting) + len(self.columns) > TRIED:
@@ -473,7 +473,7 @@ class Differences:
 
         def at(height: float) -> tuple[Array, Array, float]:
             moved = begin.copy()
-            moved[i] += round(height) if self.map.whole[i] else height
+            moved[i] += height
             x, said = self.map(moved, {}, self.fixed)
             return x, np.array([said[s] for s in self.heard]), float(moved[i] - begin[i])
 
@@ -489,7 +489,7 @@ class Differences:
                 before = None
                 continue
             width = up[2] - down[2]
-            if not width:  # a whole number that is moved by less than one
+            if not width:  # a number so large that it has not moved
                 break
             apart_by = np.subtract(up[0], down[0], out=np.zeros(len(up[0])), where=self.finite)
             now = apart_by / width, (up[1] - down[1]) / width
@@ -502,8 +502,6 @@ class Differences:
                 if error <= AGREED:
                     break
             before = now
-        if best is None and isinstance(key, int) and self.map.whole[key]:  # a switch
-            best = 0.0, (np.zeros(len(self.map.start)), np.zeros(len(self.heard))), 0.0
         if best is None:
             name = self.map.names[key] if isinstance(key, int) else key
             raise RunError(f"{self.map.rig.scenario.name}: {name} cannot be moved at {self.map.t:g} s, however little")

@@ -15,11 +15,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..block.memory import Memory
 from ..block.port import Port, Sample
 from ..block.runner import Runner
 from ..block.step import Step
 from ..errors import RunError, ScenarioError, closest
+from ..kit.floats import numbers as numbers_of, put, read, split
 from ..rig.members import Member, signal_units
 from ..rig.rig import Rig
 from ..run.expand import rig_of
@@ -79,6 +79,13 @@ def is_source(member: Member) -> bool:
     return not member.is_plant and not member.links
 
 
+class _Known(NamedTuple):
+    """What a member remembers, and what its inputs hold."""
+
+    x: Any
+    inputs: tuple[Any, ...]
+
+
 @dataclass
 class _Probe:
     """Listens to a value of an output from a tick on, and changes what others get of it."""
@@ -131,11 +138,9 @@ class StateMap:
     Attributes
     ----------
     names : list of str
-        Of all numbers that are remembered, whether they are states or not.
+        Of all numbers that blocks remember and their inputs hold, whether they are states or not.
     start : array
         Those numbers there.
-    whole : array of bool
-        Which of them are whole numbers.
     sizes : array
         Largest magnitude of each, seen on the way there; 0 where it never was anything else.
     moved : array of bool
@@ -184,25 +189,22 @@ class StateMap:
         members = {m.name: m for m in self.rig.members if m.name in names}
         self._steps = wired(self.rig, {name: m.block(seed) for name, m in members.items()})
         self._runner = Runner(list(self._steps.values()))
-        self.memory = Memory(
-            {name: (step if step.block.by_value() else step.block, step.values) for name, step in self._steps.items()}
-        )
         self.probes = {name: _Probe() for name in self.places}
         for name, probe in self.probes.items():
             probe.put_in(self._steps[self.places[name].member.name], self.places[name])
 
     def _come(self) -> None:
         """Run to where it begins, and see on the way what changes."""
-        looks: list[tuple[list[str], Array]] = [(self.memory.names(), self.memory.read())]
+        looks: list[tuple[list[str], Array]] = [self._read()]
         often = max(1, self._first // LOOKS)
         if self._first:
             for k, _ in enumerate(self._runner.run()):
                 if k % often == 0 or k == self._first - 1:
-                    looks.append((self.memory.names(), self.memory.read()))
+                    looks.append(self._read())
                 if k == self._first - 1:
                     break
         self._saved = self._save()
-        self.names, self.start, self.whole = self.memory.names(), self.memory.read(), self.memory.whole()
+        self.names, self.start = self._read()
         self._labels = {
             f"{n}.{p.name}{'.data' if p.delayed else ''}" + (f"[{k}]" if p.size > 1 else ""): f"{n}.{p.name}.{label}"
             for n, s in self._steps.items() for p in s.inputs for k, label in enumerate(p.labels)
@@ -227,20 +229,44 @@ class StateMap:
         if not np.array_equal(once, again):
             bad = sorted({n.partition(".")[0] for n, a, b in zip(self.names, once, again, strict=True) if a != b})
             raise RunError(f"{self.rig.scenario.name}: {', '.join(bad)} cannot be put back to where it was at "
-                           f"{self.t:g} s: what it remembers is not in its attributes")  # fmt: skip
+                           f"{self.t:g} s: what it remembers is not in its state")  # fmt: skip
 
     def step_names(self) -> list[str]:
         """Give the names of the members that count."""
         return list(self._steps)
 
+    def _read(self) -> tuple[list[str], Array]:
+        """Give the names and values of all numbers as they are now."""
+        names: list[str] = []
+        rows: list[Array] = [np.empty(0)]
+        for name, step in self._steps.items():
+            parts = [read(step.x), *(read(value, port) for port, value in step.values.items())]
+            for path, row in (pair for part in parts for pair in part):
+                own = f"{name}.{path}" if path else name
+                names.extend([own] if len(row) == 1 else [f"{own}[{k}]" for k in range(len(row))])
+                rows.append(row)
+        return names, np.concatenate(rows)
+
+    def _write(self, numbers: Array) -> None:
+        """Put other numbers in their place."""
+        at = 0
+        for step in self._steps.values():
+            whole = _Known(step.x, tuple(step.values.values()))
+            size = len(numbers_of(whole))
+            step.x, inputs = put(whole, split(whole, numbers[at : at + size]))
+            step.values.update(zip(step.values, inputs, strict=True))
+            at += size
+
     def _save(self) -> Any:
-        loose = [(s, s.t, s.bad, list(s.spoken), s.said, list(s._changes), s.change_at) for s in self._steps.values()]
-        return self.memory.save(), loose
+        return [
+            (s, s.save(), dict(s.values), s.t, s.bad, list(s.spoken), s.said, list(s._changes), s.change_at)
+            for s in self._steps.values()
+        ]
 
     def _restore(self) -> None:
-        memory, loose = self._saved
-        self.memory.restore(memory)
-        for step, t, bad, spoken, said, changes, change_at in loose:
+        for step, held, values, t, bad, spoken, said, changes, change_at in self._saved:
+            step.load(held)
+            step.values.update(values)
             step.t, step.bad, step.spoken, step.said, step.change_at = t, bad, list(spoken), said, change_at
             step._changes.clear()
             step._changes.extend(changes)
@@ -274,7 +300,7 @@ class StateMap:
     ) -> Iterator[tuple[Array, dict[str, float]]]:  # fmt: skip
         """Go some periods on; gives what `__call__` gives after each of them."""
         self._restore()
-        self.memory.write(numbers)
+        self._write(numbers)
         added, fixed = added or {}, fixed or {}
         for name, probe in self.probes.items():
             probe.said, probe.added, probe.fixed = math.nan, added.get(name, 0.0), fixed.get(name)
@@ -285,13 +311,13 @@ class StateMap:
             for _ in range(self._every):
                 if next(ticks, None) is None:
                     raise RunError(f"{self.rig.scenario.name}: the run ends before {periods} periods of the whole")
-            found = self.memory.read()
+            found = self._read()[1]
             if len(found) != len(self.start):
                 raise RunError(f"{self._grown()}: what it remembers has another length one period after {self.t:g} s; "
                                "choose a later time")  # fmt: skip
             yield found, {name: probe.said for name, probe in self.probes.items()}
 
     def _grown(self) -> str:
-        odd = set(self.names) ^ {self._labels.get(name, name) for name in self.memory.names()}
+        odd = set(self.names) ^ {self._labels.get(name, name) for name in self._read()[0]}
         members = sorted({name.partition(".")[0] for name in odd})
         return f"{self.rig.scenario.name}: {', '.join(members)}"

@@ -40,9 +40,6 @@ class Block(Generic[P]):
     its methods and given back by them. Who runs the block holds x (`softrig_core.block.held`); the block itself is
     constants: nothing writes an attribute outside `setup`. Whatever follows from x is computed from x.
 
-    A block whose methods take no x is of the older kind, which keeps its state in attributes; see
-    `softrig_core.block.attributed`.
-
     ``class Lag(Block[LagParams])`` has parameters of that type, as `Params` and as type of ``self.p``. A base of
     several blocks leaves it open, ``class Law(Block[P])``; by itself it has the default of `P`, or what binds it.
 
@@ -87,9 +84,8 @@ class Block(Generic[P]):
         try:
             self.setup()
             self.reset(0)
-            if self.by_value():
-                self.first()
-                self.reports.clear()  # who holds the block asks again
+            self.first()
+            self.reports.clear()  # who holds the block asks again
         except (ParameterError, ScenarioError, RunError):
             raise
         except (
@@ -128,12 +124,6 @@ class Block(Generic[P]):
 
     def setup(self) -> None:
         """Compute what depends on the parameters only; called once. Import heavy libraries here."""
-
-    @classmethod
-    def by_value(cls) -> bool:
-        """Whether its state is a value: its methods take x."""
-        method = cls.outputs if issubclass(cls, Plant) else cls.update
-        return method.__code__.co_varnames[1] == "x"
 
     def first(self) -> Any:
         """Give the state before the first tick; a block that remembers nothing has none.
@@ -176,7 +166,7 @@ class Block(Generic[P]):
     def change(self, params: P) -> None:
         """Take other parameters, between two ticks: `setup` is called again; the state is the matter of `go_on`.
 
-        The values were checked on a spare block. Only the older kind overrides it.
+        The values were checked on a spare block.
 
         Parameters
         ----------
@@ -190,21 +180,12 @@ class Block(Generic[P]):
         """Call native code that a tick on first values does not reach; asked before a node begins, of a spare block."""
 
     def reset(self, seed: int) -> None:
-        """Go back to the initial state; override `start` for the block's own state."""
+        """Take a seed, and forget what was reported; who holds the block then asks for its `first` state."""
         self._seed = seed
-        for name in ("rng", "standard_normal", "uniform"):
+        for name in ("standard_normal", "uniform"):
             self.__dict__.pop(name, None)
         self.reports.clear()
         self.anew.clear()
-        self.start()
-
-    def start(self) -> None:
-        """Set the initial state."""
-
-    @cached_property
-    def rng(self) -> np.random.Generator:
-        """Random numbers seeded by (rig seed, block name), drawn one after the other: for the older kind."""
-        return self.generator()
 
     def generator(self) -> np.random.Generator:
         """Give a generator at the beginning of this block's random numbers, a function of (rig seed, block name)."""
@@ -329,7 +310,7 @@ class Block(Generic[P]):
             As `update`; None, the default: the values given last are held, at first the ports' safe ones, and
             sporadic ports are silent.
         """
-        return (x_t[0], None) if self.by_value() else None
+        return x_t[0], None
 
 
 class Plant(Block[P]):
@@ -339,24 +320,6 @@ class Plant(Block[P]):
     """
 
     AWAITS_COMMAND: ClassVar[bool] = False  # realtime, by hand: t = 0 with the first command; it cannot do without one
-
-    @property
-    def state(self) -> tuple[float, ...]:
-        """Of the older kind: the state of now as a named tuple, with the names of the paper and in SI units."""
-        raise NotImplementedError(f"{type(self).__name__} does not tell its state")
-
-    def put(self, state: Sequence[float]) -> None:
-        """Of the older kind: go on from another state, in the order of `state`.
-
-        Only plants whose state is all that counts of their past have it: a delay, a travelling wave or packets under
-        way are more than that.
-        """
-        raise NotImplementedError(f"{type(self).__name__} cannot be put into a state")
-
-    @classmethod
-    def can_be_put(cls) -> bool:
-        """Whether `put` is there."""
-        return cls.put is not Plant.put
 
     def outputs(self, *x_t: Any) -> Any:
         """Give the outputs at t (ns), ``outputs(x, t) -> values``."""

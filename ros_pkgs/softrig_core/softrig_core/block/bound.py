@@ -100,7 +100,7 @@ def sayer(step: Step) -> Callable[[int], None]:
 
 def mover(step: Step) -> Callable[..., None]:
     """Make the function that moves a plant on; see `Step.advance`."""
-    known = {"move": step.law.advance}
+    known = {"move": step.block.advance}
     return _made("advance", ADVANCE.format(inputs=_inputs(step.values), failed=FAILED), step, known)
 
 

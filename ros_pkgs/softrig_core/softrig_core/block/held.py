@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-from .attributed import valued
 from .block import Block, Level
 from .marker import Marker
 from .params import BlockParams
@@ -30,8 +29,6 @@ class Held:
     Attributes
     ----------
     block : Block
-    law : Block
-        The same, as one whose state is a value.
     x : named tuple
         What it remembers.
     """
@@ -39,8 +36,7 @@ class Held:
     x: Any
 
     def __init__(self, block: Block) -> None:
-        self.block, self.law = block, valued(block)
-        self.x = self.law.first()
+        self.block, self.x = block, block.first()
         block.events = []
 
     @property
@@ -51,7 +47,7 @@ class Held:
     @property
     def params(self) -> BlockParams:
         """The block's parameters as they stand."""
-        return self.law.params(self.x)  # type: ignore[no-any-return]
+        return self.block.params(self.x)  # type: ignore[no-any-return]
 
     def tell(self) -> None:
         """Take down what the block has reported in a tick that is kept."""
@@ -67,30 +63,30 @@ class Held:
     def change(self, params: BlockParams) -> None:
         """Go on with other parameters."""
         before = self.params
-        self.law.change(params)
-        self.x = self.law.go_on(self.x, before)
+        self.block.change(params)
+        self.x = self.block.go_on(self.x, before)
 
     def status(self) -> Mapping[str, tuple[float, str]]:
         """Give the figures of an observer, see `Observer.status`."""
-        return self.law.status(self.x)  # type: ignore[attr-defined, no-any-return]
+        return self.block.status(self.x)  # type: ignore[attr-defined, no-any-return]
 
     def health(self) -> Mapping[str, str]:
         """Give what /diagnostics shows, see `Block.health`."""
-        return self.law.health(self.x)
+        return self.block.health(self.x)
 
     def markers(self) -> Sequence[Marker]:
         """Give something to look at, see `Block.markers`."""
-        return self.law.markers(self.x)
+        return self.block.markers(self.x)
 
     def save(self) -> Saved:
         """Give what `load` goes back to."""
-        return Saved(self.block.p, self.law.save(self.x), dict(self.block.reports))
+        return Saved(self.block.p, self.block.save(self.x), dict(self.block.reports))
 
     def load(self, saved: Saved) -> None:
         """Go back to what `save` gave, as often as wanted."""
         if self.block.p is not saved.params:
-            self.law.change(saved.params)
-        self.x = self.law.load(saved.x)
+            self.block.change(saved.params)
+        self.x = self.block.load(saved.x)
         self.block.reports.clear()
         self.block.reports.update(saved.reports)
         self.drop()
@@ -111,29 +107,29 @@ class ByHand(Held):
     def reset(self, seed: int) -> None:
         """Go back to the first state, with the random numbers of a seed."""
         self.block.reset(seed)
-        self.x = self.law.first()
+        self.x = self.block.first()
 
     def update(self, t: int, /, **inputs: Any) -> Any:
         """Answer a tick; give the values."""
-        return self._keep(self.law.update(self.x, t, **inputs))
+        return self._keep(self.block.update(self.x, t, **inputs))
 
     def finish(self, t: int, /, **inputs: Any) -> Any:
         """Answer the last tick."""
-        return self._keep(self.law.finish(self.x, t, **inputs))
+        return self._keep(self.block.finish(self.x, t, **inputs))
 
     def refused(self, t: int) -> Any:
         """Answer a tick of which something was refused."""
-        return self._keep(self.law.refused(self.x, t))
+        return self._keep(self.block.refused(self.x, t))
 
     def outputs(self, t: int) -> Any:
         """Give what a plant shows."""
-        found = self.law.outputs(self.x, t)  # type: ignore[attr-defined]
+        found = self.block.outputs(self.x, t)  # type: ignore[attr-defined]
         self.tell()
         return found
 
     def advance(self, t: int, /, **inputs: Any) -> None:
         """Move a plant one period on."""
-        self.x = self.law.advance(self.x, t, **inputs)  # type: ignore[attr-defined]
+        self.x = self.block.advance(self.x, t, **inputs)  # type: ignore[attr-defined]
         self.tell()
 
     def _keep(self, answer: tuple[Any, Any]) -> Any:

@@ -96,7 +96,7 @@ class Step(Held):
         self.readers: list[tuple[int, dict[str, Any], str, Callable[[Any], Any] | None]] = []
         self.asked_for = () if isinstance(block, Plant) else tuple(self.values)
         self.plant = isinstance(block, Plant)
-        self.respond: Callable[..., Any] = self.law.outputs if self.plant else self.law.update
+        self.respond: Callable[..., Any] = block.outputs if isinstance(block, Plant) else block.update
         if not self.plant and block.finishes():
             self.respond = self._finish_or_update
         block.ages = self.age
@@ -157,7 +157,7 @@ class Step(Held):
     def refused(self, t: int) -> Any:
         """Answer a tick of which something was refused."""
         self.bad = False
-        x, own = self.law.refused(self.x, t)
+        x, own = self.block.refused(self.x, t)
         return x, self.held() if own is None else own
 
     def set(self, values: Mapping[str, Any]) -> list[str]:
@@ -195,7 +195,7 @@ class Step(Held):
 
     def _finish_or_update(self, x: Any, t: int, **inputs: Any) -> Any:
         last = self.schedule.last
-        return (self.law.update if last is None or t < last else self.law.finish)(x, t, **inputs)
+        return (self.block.update if last is None or t < last else self.block.finish)(x, t, **inputs)
 
     def checked(self, found: Any) -> Rows:
         """Give what each output says, checked."""
