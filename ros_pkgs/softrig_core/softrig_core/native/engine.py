@@ -20,6 +20,7 @@ from ..errors import RunError
 from .compile import compiled
 from .rig_text import RigText, rig_text
 from .translate import follow
+from .twins import packed, unpacked
 from .value import NotNative
 
 SHORTEST, LONGEST = 1 << 10, 1 << 20  # ticks that are answered in one go
@@ -195,7 +196,7 @@ class Engine:
 
     def _go(self, first: int, last: int) -> int:
         """Answer ticks of the clock from `first` up to `last`, or as far as native code goes; give how far that is."""
-        before = (*(s.x for s in self._core), *(tuple(map(float, s.numbers)) for s in self._core))
+        before = (*(packed(s.x) for s in self._core), *(tuple(map(float, s.numbers)) for s in self._core))
         reached, after, rows = self._called(first, last, before)
         if after is None:
             return first
@@ -245,7 +246,7 @@ class Engine:
             begin, end = (first + every - 1) // every, (last + every - 1) // every
             if begin == end:
                 continue
-            s.x, numbers = after[k], after[count + k]
+            s.x, numbers = unpacked(after[k]), after[count + k]
             s.t = self._time((end - 1) * every)
             at = 0
             said = {}

@@ -10,6 +10,7 @@ from typing import Any
 
 from ..block.step import Step
 from .translate import GIVEN_UP, LONGEST, Program, made
+from .twins import packed
 from .value import Dynamic, Group, NotNative, Static, Value
 from .words import TEXTS
 from .writer import Writer
@@ -56,8 +57,8 @@ def rig_text(steps: Sequence[Step], recorded: Sequence[Step]) -> RigText:
     NotNative
         What of them native code does not know.
     """
-    program = Program([s.block for s in steps])
     numbers = {id(s): k for k, s in enumerate(steps)}
+    program = Program([s.block for s in steps], _ages(steps))
     stride = math.gcd(*(s.schedule.every for s in steps))
     arrays: set[str] = set()
     inputs = [_inputs(s, steps, numbers) for s in steps]
@@ -105,12 +106,30 @@ def _reached(functions: Sequence[str], rig: str) -> list[str]:
     return [text for text in functions if text in found.values()]
 
 
+def _ages(steps: Sequence[Step]) -> dict[tuple[int, str], int | None]:
+    """Give the ages of inputs that are always the same: 0 of what is said at each tick of the reader."""
+    found: dict[tuple[int, str], int | None] = {}
+    for k, step in enumerate(steps):
+        for port in step.inputs:
+            source = _source(step, port.name)
+            if source is None:
+                found[k, port.name] = None
+            elif step.schedule.every % source[0].schedule.every == 0:
+                found[k, port.name] = 0
+    return found
+
+
+def _source(step: Step, name: str) -> tuple[Step, int, Any] | None:
+    """Give whose output fills an input, which one, and how."""
+    return next(((s, j, take) for s in step.sources for j, values, n, take in s.readers
+                 if values is step.values and n == name), None)  # fmt: skip
+
+
 def _inputs(step: Step, steps: Sequence[Step], numbers: Mapping[int, int]) -> dict[str, Value]:
     """Say where a step has its inputs from: of whom, and which numbers."""
     found: dict[str, Value] = {}
     for port in step.inputs:
-        source = next(((s, j, take) for s in step.sources for j, values, name, take in s.readers
-                       if values is step.values and name == port.name), None)  # fmt: skip
+        source = _source(step, port.name)
         if source is None:
             if not port.held or step.values[port.name] is not None:
                 raise NotNative(f"{step.name}: {port.topic} does not come from a member of the rig")
@@ -124,6 +143,8 @@ def _inputs(step: Step, steps: Sequence[Step], numbers: Mapping[int, int]) -> di
         if len(places) > LONGEST:
             raise NotNative(f"{step.name}: {port.topic} has {len(places)} numbers, expected at most {LONGEST}")
         values = step.values[port.name]
+        if port.delayed:
+            raise NotNative(f"{step.name}: {port.topic} is delayed")
         found[port.name] = Group(tuple(
             Dynamic(f"r{numbers[id(s)]}[{before + p}]", float(v)) for p, v in zip(places, values, strict=True)
         ))  # fmt: skip
@@ -134,7 +155,7 @@ def _asked(
     program: Program, step: Step, k: int, name: str, inputs: Mapping[str, Value], arrays: set[str]
 ) -> Value:
     method = getattr(type(step.block), name)
-    state: Value = Dynamic(f"x{k}", step.x)
+    state: Value = Dynamic(f"x{k}", packed(step.x))
     return made(program, method, [Static(step.block, (k,)), state, Dynamic("t", step.t or 1)], inputs, arrays)
 
 

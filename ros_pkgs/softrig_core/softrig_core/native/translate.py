@@ -60,9 +60,12 @@ class Program:
     ----------
     roots : sequence
         Blocks; paths begin with their numbers.
+    ages : mapping of (number of a block, input) to int or None
+        What `Block.age` answers, where it is always the same.
     """
 
     roots: Sequence[Any]
+    ages: Mapping[tuple[int, str], int | None] = field(default_factory=dict)
     functions: list[str] = field(default_factory=list)
     names: dict[str, Any] = field(default_factory=dict)
     words: set[str] = field(default_factory=set)
@@ -85,6 +88,13 @@ class Program:
         name = f"{hint}_{len(self.names)}"
         self.names[name] = thing
         return name
+
+    def age(self, block: Any, name: str | None) -> int | None:
+        """Give what `Block.age` answers at each tick."""
+        number = next(k for k, root in enumerate(self.roots) if root is block)
+        if name is None or (number, name) not in self.ages:
+            raise NotNative(f"{block.name}: the age of {name}, which comes more seldom than its ticks")
+        return self.ages[number, name]
 
     def guard(self, value: Static) -> Any:
         """Give a fixed value that chooses the text."""

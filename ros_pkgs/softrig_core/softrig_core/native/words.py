@@ -34,6 +34,9 @@ TEXTS: dict[str, str] = {
     **{f"{n}_": _CUT.format(name=f"{n}_", call=n) for n in ("int", "round")},
     "fmod": "def fmod(x, y):\n    if y == 0.0 or (x - x != 0.0 and x == x):\n        raise ValueError\n"
             "    return math.fmod(x, y)\n",
+    "power_": "def power_(x, y):\n    if (x < 0.0 and y != math.floor(y)) or (x == 0.0 and y < 0.0):\n"
+              "        raise ValueError\n    z = power(x, y)\n"
+              "    if z - z != 0.0 and x - x == 0.0 and y - y == 0.0:\n        raise OverflowError\n    return z\n",
     "times_": "def times_(x, y):\n    if not (-3000000000 < x < 3000000000 and -3000000000 < y < 3000000000):\n"
               "        raise OverflowError\n    return x * y\n",
     "bisect_right": "def bisect_right(a, x):\n    low, high = 0, len(a)\n    while low < high:\n"

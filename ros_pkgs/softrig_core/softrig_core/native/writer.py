@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import builtins
+import inspect
 import math
 import operator
 import types
@@ -19,6 +20,7 @@ from ..kit.draws import Draws
 from ..kit.jit import NUMPY, Jit, power
 from .translate import BINARY, COMPARE, GIVEN_UP, LONGEST, NUMBERS, SMALL, TURNS, UNARY, Program, as_slot, made
 from .value import UNKNOWN, Dynamic, Group, NotNative, Record, Static, Value, computed, is_sure, sample_of
+from .twins import is_twinned, twin
 from .words import TEXTS, word
 
 NONE = Static(None)
@@ -155,9 +157,12 @@ class Writer:
     # statements ---------------------------------------------------------------------------------------------------
 
     def run(self, statements: Sequence[ast.stmt]) -> None:
-        """Write statements, as far as they are reached."""
-        for statement in statements:
+        """Write statements, as far as they are reached; those that surely lead to a report give the tick up at once."""
+        for k, statement in enumerate(statements):
             if self.ended:
+                return
+            if _reporting(statements[k:]):
+                self._give_up()
                 return
             self.statement(statement)
 
@@ -173,6 +178,14 @@ class Writer:
 
     def _expr(self, node: ast.Expr) -> None:
         if isinstance(node.value, ast.Constant):
+            return
+        call = node.value
+        if isinstance(call, ast.Call) and isinstance(call.func, ast.Attribute) and call.func.attr == "append" and (
+            isinstance(call.func.value, ast.Name) and call.func.value.id in self.env
+        ):  # a list is written as a tuple: with one more it is another
+            before = self.parts(self.env[call.func.value.id], node)
+            self.assign(ast.Name(call.func.value.id, ast.Store()),
+                        Group((*(self._held(v) for v in before), self.value(call.args[0]))))  # fmt: skip
             return
         found = self.value(node.value)
         if isinstance(found, Dynamic) and not self.ended:
@@ -546,7 +559,13 @@ class Writer:
                     return [Static(k) for k in turns] if len(turns) <= TURNS else None
                 return None
             if name == "zip":
-                rows = [self.listed(a) for a in node.args]
+                rows: list[list[Value] | None] = []
+                for a in node.args:
+                    if isinstance(a, ast.Starred):
+                        outer = self.listed(a.value)
+                        rows += [None] if outer is None else [self.parts(v, node) for v in outer]
+                    else:
+                        rows.append(self.listed(a))
                 if any(r is None for r in rows):
                     return None
                 return [Group(tuple(parts)) for parts in zip(*(r for r in rows if r is not None), strict=False)]
@@ -621,6 +640,13 @@ class Writer:
                 base = self.simple(base)
                 found = getattr(base.sample, name)
                 return Dynamic(f"{base.code}.{name}", found, base.sure)
+            own = _class(base.sample)
+            if own is not None and base.keys is None and hasattr(own, name):
+                found = inspect.getattr_static(own, name)
+                if isinstance(found, property) and isinstance(found.fget, types.FunctionType):
+                    return made(self.program, found.fget, [base], {}, self.arrays)
+                if not callable(found):
+                    return Static(getattr(own, name))
             if name in ("real", "imag") and isinstance(base.sample, (complex, float)):
                 return Dynamic(f"{self.simple(base).code}.{name}", getattr(base.sample, name))
             if name in ("shape", "size") and isinstance(base.sample, np.ndarray):
@@ -740,8 +766,14 @@ class Writer:
                 return Static(function(*(self.program.guard(v) for v in both)))
             except Exception as error:
                 raise self.unknown(f"{type(error).__name__}: {error}", node) from None
+        if isinstance(op, ast.Pow) and isinstance(sample_of(left), float) and isinstance(sample_of(right), (int, float)):
+            self.program.words.add("power_")
+            self.program.names["power"] = power
+            x, y = self.dynamic(left), self.dynamic(right)
+            sample = computed(pow, x.sample, y.sample)
+            return Dynamic(f"power_({x.code}, float({y.code}))", x.sample if sample is UNKNOWN else sample)
         if type(op) not in BINARY:
-            raise self.unknown({ast.Pow: "**, expected products or power(x, y)"}.get(type(op), "an operation on bits"),
+            raise self.unknown({ast.Pow: "** of whole or complex numbers"}.get(type(op), "an operation on bits"),
                                node)  # fmt: skip
         a, b = sample_of(left), sample_of(right)
         if isinstance(a, (tuple, list)) or isinstance(b, (tuple, list)):
@@ -973,6 +1005,10 @@ class Writer:
                 return NONE
             if not isinstance(base, Static):
                 return self._method(base, node)
+            if isinstance(base.value, Block) and node.func.attr == "age" and base.value.ages is not None:
+                wanted = self.value(node.args[0])
+                name = self.program.guard(wanted) if isinstance(wanted, Static) else None
+                return Static(self.program.age(base.value, name))
             function: Value = self.attribute(base, node.func.attr, node)
         else:
             function = self.value(node.func)
@@ -1029,6 +1065,11 @@ class Writer:
             return Dynamic(f"{base.code}.conjugate()", sample.conjugate())
         if name == "get" and isinstance(base, Record):
             return base.items.get(self.program.guard(self.value(node.args[0])), NONE)  # type: ignore[arg-type]
+        own = _class(sample)
+        method = getattr(own, name, None) if own is not None else None
+        if isinstance(method, types.FunctionType):
+            words = {str(k.arg): self.value(k.value) for k in node.keywords}
+            return made(self.program, method, [base, *(self.value(a) for a in node.args)], words, self.arrays)
         raise self.unknown(f".{name}() of {_said(base)}", node)
 
     def _named(self, kind: Any, parts: Sequence[Value], node: ast.AST) -> Dynamic:
@@ -1079,6 +1120,8 @@ class Writer:
             return self._looked_up(table, given[0], node)
         if isinstance(called, types.FunctionType):
             return made(self.program, called, given, words, self.arrays)
+        if isinstance(called, type) and is_twinned(called):
+            called = twin(called)
         if isinstance(called, type) and issubclass(called, tuple) and hasattr(called, "_fields"):
             defaults = {k: Static(v) for k, v in called._field_defaults.items()}
             bound = dict(zip(called._fields, given, strict=False)) | dict(words)
@@ -1215,6 +1258,27 @@ def _before(roots: Sequence[Any], path: Any) -> Any:
     from .translate import follow
 
     return follow(path[:-1], roots)
+
+
+def _class(sample: Any) -> type | None:
+    """Give the class of a named tuple, or the dataclass that it stands for."""
+    kind = type(sample)
+    return getattr(kind, "twin_of_", kind) if hasattr(kind, "_fields") else None
+
+
+def _reports(node: ast.stmt) -> bool:
+    call = node.value if isinstance(node, ast.Expr) else None
+    return isinstance(call, ast.Call) and isinstance(call.func, ast.Attribute) and call.func.attr == "report"
+
+
+def _reporting(statements: Sequence[ast.stmt]) -> bool:
+    """Whether something is reported, whatever the statements before that find."""
+    for one in statements:
+        if _reports(one):
+            return True
+        if any(isinstance(n, (ast.Return, ast.Break, ast.Continue)) for n in ast.walk(one)):
+            return False
+    return False
 
 
 def _is_super(node: ast.expr) -> bool:
