@@ -29,6 +29,7 @@ SELDOM = 16  # at least so many ticks are native for each that is given up, or t
 PATIENCE = 64  # given up before that is judged
 WORTH = 4_000_000  # answers of members, which take Python some 2 us each: longer than native code is made
 QUICK = 2_000  # the same where it is there already
+RUNS_A_TEXT = 20  # that ask in vain for each text beyond the first
 KEPT = 8  # texts that are kept for rigs to come
 
 
@@ -60,6 +61,7 @@ class _Kept:
 
 
 _texts: list[_Kept] = []
+_counts: dict[Any, tuple[int, int]] = {}  # of each kind: rigs that asked for another text, texts
 
 
 class Engine:
@@ -167,6 +169,9 @@ class Engine:
         try:
             kept = next((n for n in _texts if n.kinds == kinds and not n.text.program.differs(roots)), None)
             if kept is None:
+                if not _worth_another(kinds):
+                    self.native.reason = "what is varied chooses another text each time"
+                    return False
                 text = rig_text(core, recorded)
                 kept = _Kept(kinds, text, compiled(text))
                 _texts.insert(0, kept)
@@ -259,7 +264,7 @@ class Engine:
                 row = said[s.outputs[j].name]
                 values[name] = row if take is None else take(row)
             if s.send_all is not None:
-                times = np.array([self._time(m * every) for m in range(begin, end)], np.int64)
+                times = s.schedule.times(begin, end)
                 s.send_all(times, rows[id(s)] if s.outputs else np.empty((len(times), 0)))
 
     def _watch(self, first: int, last: int, rows: dict[int, NDArray[np.float64]]) -> None:
@@ -292,6 +297,14 @@ class Engine:
 
 
 NATIVE = (RuntimeError, ArithmeticError, ValueError, LookupError, TypeError)  # what gives a tick up
+
+
+def _worth_another(kinds: Any) -> bool:
+    """Whether one more text of a kind of rig is worth its making: the first, then one in some runs."""
+    asked, made = _counts.get(kinds, (0, 0))
+    worth = asked >= made * RUNS_A_TEXT
+    _counts[kinds] = (asked + 1, made + worth)
+    return worth
 
 
 def pays(steps: Sequence[Step], runs: int = 1) -> bool:
