@@ -4,10 +4,12 @@ The adapters are the real ones. A message takes as long as `latency` says. Witho
 matched from the start. With it every order that DDS allows is drawn from a seed: nodes come one by one, a writer knows
 a reader before or after that reader knows the writer, the graph of each node shows an endpoint before or after either,
 a volatile message that is sent before its writer is matched is lost, nodes stall, leave and die. Everything is a
-function of the seed.
+function of the seed. Where `World.prompt` says so, nodes answer where messages arrive, which may be at once: then the
+reader's tick runs inside the `publish` of the writer, and its answer arrives while the writer's tick is under way.
 """
 
 import heapq
+import random
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
@@ -17,6 +19,7 @@ from softrig_core import Recording, Solver, Work
 from softrig_core.node.adapter.adapter import Adapter
 from softrig_core.node.group import Group
 from softrig_core.node.seam.middleware import Middleware, Peer
+from softrig_core.node.seam.monitor import LONG, SHORT_ONES, Monitor
 from softrig_core.processes.spawning import node_parameters
 from softrig_core.rig.options import RunOptions
 
@@ -54,6 +57,7 @@ class World:
     readers: list = field(default_factory=list)
     last: dict = field(default_factory=dict)
     discovery: "Discovery | None" = None
+    prompt: "random.Random | None" = None  # draws what arrives at once, and how long work seems to take
 
     def at(self, t, call, node=None):
         heapq.heappush(self.events, (t, next(self.order), call, node))
@@ -66,8 +70,13 @@ class World:
         for reader, accepts in readers:
             key = (writer, reader)  # one writer's messages never overtake each other
             when = max(self.now + self.latency(writer.topic, writer.node.name, reader.node.name), accepts)
+            if self.prompt is not None and reader.node.hears_now(self.last.get(key, 0), accepts) \
+                    and self.prompt.random() < 0.5:  # fmt: skip
+                self.last[key] = self.now
+                reader.node.deliver(reader, data)
+                continue
             self.last[key] = when = max(when, self.last.get(key, 0))
-            self.at(when, partial(reader.receive, data), reader.node)
+            self.at(when, partial(reader.node.deliver, reader, data), reader.node)
 
     def add(self, end):
         ends, others = (self.readers, self.writers) if end.receive else (self.writers, self.readers)
@@ -134,7 +143,7 @@ class Discovery:
 
     def _change(self, end, by):
         end.peers += by
-        end.matched(end.peers)
+        end.node.in_turn(end.matched, end.peers)
 
     def shown(self, end, observer):
         """Whether the graph of a node shows an endpoint; each endpoint is announced by itself."""
@@ -178,7 +187,7 @@ class SimulatedTimer:
         def fire():
             if generation == self.generation:
                 self._arm(generation)
-                self.callback()
+                self.node.in_turn(self.callback) if self.node is not None else self.callback()
 
         self.world.at(self.world.now + self.period, fire, self.node)
 
@@ -191,7 +200,40 @@ class SimulatedNode(Middleware):
         self.process = process
         self.logs = []
         self.dead, self.stalled, self.born = 0, 0, world.now
+        self.monitor = Monitor(self._wake, self._clock)
         self.ahead = 0  # ns by which its clock differs
+
+    def be_prompt(self):
+        self.prompt = self.world.prompt is not None and self.process is None
+        if self.prompt:
+            self.monitor._short = self.world.prompt.choice((0, SHORT_ONES))  # some have been at it for long
+
+    def _wake(self):
+        self.world.at(self.world.now, self.monitor.serve, self)
+
+    def _clock(self):
+        """Time by which work seems short, one time in fifty long."""
+        self.worked = getattr(self, "worked", 0) + (LONG if self.world.prompt.random() < 0.01 else 0)
+        return self.worked
+
+    def hears_now(self, last, accepts):
+        """Whether a message may arrive at once: none that was sent before is under way."""
+        now = self.world.now
+        return self.prompt and not self.dead and max(last, accepts, self.stalled) < now
+
+    def deliver(self, end, data):
+        if self.prompt:
+            self.monitor.arrive(partial(end.receive, data))
+        else:
+            end.receive(data)
+
+    def in_turn(self, call, *given):
+        """What is not a message."""
+        if self.prompt:
+            with self.monitor:
+                call(*given)
+        else:
+            call(*given)
 
     def resolve(self, topic):
         topic = self.remap.get(topic, topic)
@@ -249,14 +291,14 @@ class SimulatedWorker:
 
     def __init__(self, world, solve, takes=30_000_000):
         self.world, self.solve, self.takes = world, solve, takes
-        self.state, self.status, self.has_best, self.begun = "idle", {}, False, 0
+        self.state, self.status, self.begun, self.struck, self.job = "idle", {}, 0, False, None
 
     def warm(self):
         pass
 
-    def submit(self, request):
+    def submit(self, request, job=None):
         self.answer = self.solve(request, Work(lambda *said: None))
-        self.state, self.begun = "working", self.world.now
+        self.state, self.job, self.begun = "working", job, self.world.now
         self.world.at(self.world.now + self.takes, self._done)
 
     def _done(self):
@@ -266,7 +308,7 @@ class SimulatedWorker:
         return (self.world.now - self.begun) / 1e9
 
     def cancel(self):
-        self.state = "idle"
+        self.state, self.job = "idle", None
 
 
 class _Sink:
@@ -339,7 +381,7 @@ class SimulatedRig:
         if world.discovery is not None:
             adapter.on_finished = partial(world.discovery.leave, node)
         if isinstance(adapter.block, Solver):
-            adapter.block._worker = SimulatedWorker(world, type(adapter.block).solve)
+            adapter.block.worker = SimulatedWorker(world, type(adapter.block).solve)
         self.nodes[member.name], self.adapters[member.name] = node, adapter
         return adapter
 

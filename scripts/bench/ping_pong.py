@@ -1,7 +1,8 @@
 """The two sides of a bare rclpy ping-pong, each in its own process: ``python -m bench.ping_pong``.
 
-``bytes``: EventsExecutor and serialized bytes, about as fast as bare Fast DDS. ``objects``: what people usually
-write, message objects and rclpy.spin (SingleThreadedExecutor).
+``bytes``: EventsExecutor and serialized bytes, about as fast as bare Fast DDS. ``arrival``: the same bytes, answered
+in the thread that has received them, which is what is possible here. ``objects``: what people usually write, message
+objects and rclpy.spin (SingleThreadedExecutor).
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import rclpy
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.task import Future
+from softrig_core.node.ros.arrival import RMW, Arrival, library
 from softrig_core.node.ros.leave import leave
 from softrig_core.wire.cdr import Layout
 
@@ -31,16 +33,17 @@ def main() -> None:
     rclpy.init()
     node = Node(role, start_parameter_services=False, enable_rosout=False)
     done: Future[None] = Future()
-    (_bytes if kind == "bytes" else _objects)(node, role, loops, done)
+    if kind == "objects":
+        _objects(node, role, loops, done)
+    else:
+        _bytes(node, role, loops, done)
+        _spin(node, done, where_it_arrives=kind == "arrival")
     leave([node], 0)
 
 
 def _bytes(node: Node, role: str, loops: int, done: Future[None]) -> None:
-    from rclpy.experimental.events_executor import EventsExecutor
     from sensor_msgs.msg import JointState
 
-    executor = EventsExecutor()
-    executor.add_node(node)
     if role == "pong":
         command = node.create_publisher(JointState, "bench/command", QOS)
         answer = COMMAND.encode(0, (0.0,))
@@ -55,8 +58,26 @@ def _bytes(node: Node, role: str, loops: int, done: Future[None]) -> None:
             sensors.publish(second)
 
         _ping(node, send, loops, done, state, raw=True)
+
+
+def _spin(node: Node, done: Future[None], *, where_it_arrives: bool) -> None:
+    from rclpy.experimental.events_executor import EventsExecutor
+
+    rcl: Any = library() if where_it_arrives else None
+    if where_it_arrives and rcl is None:
+        raise SystemExit(f"only with {RMW}")
+
+    found = list(node.subscriptions) if where_it_arrives else []
+    arrivals = [Arrival(rcl, s, s.callback, lambda count: None, lambda take: take()) for s in found]
+    for arrival in arrivals:
+        node._subscriptions.remove(arrival.subscription)
+        arrival.begin()
+    executor = EventsExecutor()
+    executor.add_node(node)
     while not done.done():
         executor.spin_until_future_complete(done, 5.0)
+    for arrival in arrivals:
+        arrival.end()
 
 
 def _objects(node: Node, role: str, loops: int, done: Future[None]) -> None:

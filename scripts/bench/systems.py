@@ -134,15 +134,14 @@ def _tcp() -> Iterator[Work]:
         every = round(controller.p.period / plant.p.period)
 
         def run() -> None:
-            plant.reset(0)
-            law = ByHand(controller)
+            held, law = ByHand(plant), ByHand(controller)
             command: Any = (0.0,)
             for k in range(round(seconds / plant.p.period)):
                 t = round(k * plant.p.period * 1e9)
-                state = plant.outputs(t)["state"]
+                state = held.outputs(t)["state"]
                 if k % every == 0:
                     command = law.update(t, state=state, reference=None)["command"]
-                plant.advance(t, command=command)
+                held.advance(t, command=command)
 
         return run
 

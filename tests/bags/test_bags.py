@@ -557,6 +557,9 @@ def test_types_defined_in_the_bag_alone_are_paired_by_stamp(tmp_path):
             writer.write(number, k + delay, layout.encode(k, (k, 0, 0)))
         writer.close()
     assert compare(signals(tmp_path / "a"), signals(tmp_path / "b")).equal
+    again = repair(tmp_path / "a", tmp_path / "repaired")  # with the definition, for nobody else has it
+    assert compare(signals(tmp_path / "a"), signals(again.bag)).equal
+    assert list(signals(again.bag).decodable) == list(signals(tmp_path / "a").decodable) == ["x"]
 
 
 def test_constants_may_stand_before_the_header():

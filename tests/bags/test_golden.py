@@ -19,7 +19,7 @@ from conftest import replay
 from softrig_bags.compare import compare
 from softrig_bags.read import read_bag
 from softrig_bringup.run.run import versions
-from softrig_bringup.verbs.golden import create, load, remade
+from softrig_bringup.verbs.golden import create, line, load, remade
 from softrig_core import RunError, ScenarioError, Signals, bits, load_scenario, rig_of, run_processes
 from softrig_core.processes.spawning import node_parameters
 
@@ -111,8 +111,29 @@ def test_other_versions_take_the_tolerances_for_elsewhere():
     assert not other.made_here
     assert other.how == f"within tolerances: numpy 1.0 there, {versions()['numpy']} here"
     assert other.compare(golden.shaken(2.0)).equal
-    python = golden.recipe.model_copy(update={"made_with": golden.recipe.made_with | {"python": "3.11.0"}})
+    python = golden.recipe.model_copy(update={"made_with": golden.recipe.made_with | {"python": "3.10.0"}})
     assert type(golden)(golden.folder, python, golden.rig).made_here
+
+
+@pytest.mark.parametrize(("there", "same"), [("3.10.0", False), ("3.12.1", True), ("3.13.9", True), ("3.14.0", False)])
+def test_python_decides_where_a_block_is_not_ours(monkeypatch, there, same):
+    """Its `sum` is another one since 3.12 and since 3.14; our own blocks do without."""
+    golden = load(BAGS / "dc_motor_smc_b1")
+    now = versions() | {"python": "3.13.0"}
+    monkeypatch.setattr("softrig_bringup.verbs.golden.versions", lambda: now)
+    recipe = golden.recipe.model_copy(update={"made_with": now | {"python": there}})
+    golden = type(golden)(golden.folder, recipe, golden.rig)
+    assert golden.made_here
+    monkeypatch.setattr(golden.rig.members[-1].block_class, "__module__", "my_laws.law")
+    assert golden.made_here == same
+    assert golden.others == ({} if same else {"python": (there, "3.13.0")})
+
+
+def test_each_line_of_the_page_is_one_that_a_check_says():
+    text = (BAGS.parent / "ros_pkgs/softrig_core/doc/bits.md").read_text()
+    said = {line({*differ}) for differ in ((), ("python",), ("numpy",), ("math", "numpy"), ("machine", "math"))}
+    assert len(said) == 5
+    assert set(re.findall(r"^\| \*(.*?)\*", text, re.M)) == said
 
 
 def digest(folder):

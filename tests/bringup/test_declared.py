@@ -1,11 +1,13 @@
-"""What each package needs is in its package.xml, under a key that rosdep has, or in the pip line of the page Set-up."""
+"""What each package imports is in its package.xml, under a key of rosdistro or of config/rosdep.yaml, and no more."""
 
 import ast
+import configparser
 import importlib
 import re
 import sys
 import tomllib
 from pathlib import Path
+from xml.etree import ElementTree
 
 import pytest
 import softrig_core
@@ -18,11 +20,15 @@ PAGE = (ROOT / "ros_pkgs/softrig_bringup/doc/set_up.md").read_text()
 (LINE,) = re.findall(r"pip install ((?:.*\\\n)*.*pydantic(?:.*\\\n)*.*)", PAGE)
 FROM_PIP = {re.match(r"[\w.-]+", word).group() for word in LINE.replace("'", "").split() if word != "\\"}
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+OWN = yaml.safe_load((ROOT / "config/rosdep.yaml").read_text())  # keys that rosdistro has not
 SOURCES = {  # modules that another name brings
-    "yaml": "python3-yaml", "ruamel": "python3-ruamel.yaml", "typing_extensions": "python3-typing-extensions",
-    "pinocchio": "pin", "PIL": "pillow", "llvmlite": "numba", "backports": "backports.zstd",
-    "compression": "backports.zstd",
+    "ruamel": "ruamel.yaml", "typing_extensions": "typing-extensions", "PIL": "pil", "llvmlite": "numba",
+    "backports": "backports.zstd", "compression": "backports.zstd",
 }  # fmt: skip
+COMMON = configparser.ConfigParser()
+COMMON.read(ROOT / "ros_pkgs/softrig_core/setup.cfg")
+STYLE = (ROOT / "ros_pkgs/softrig_core/test/test_style.py").read_text()
+LENGTH = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["ruff"]["line-length"]
 OTHERS = {"motulator", "gym_electric_motor"}  # compared with where somebody has installed them
 
 
@@ -30,7 +36,13 @@ TEMPLATE = ROOT / "ros_pkgs/softrig_bringup/softrig_bringup/template/package.xml
 
 
 def depends(file, kind="exec"):
-    return set(re.findall(f"<{kind}_depend>(.+?)</", file.read_text()))
+    return set(re.findall(f"<{kind}_depend.*?>(.+?)</", file.read_text()))
+
+
+def keys(module):
+    """Names under which a module may be declared."""
+    name = SOURCES.get(module, module)
+    return {name, f"{name}-pip", f"python3-{name}", f"python3-{name}-pip"}
 
 
 def imports(folder):
@@ -49,7 +61,7 @@ def test_every_key_exists():
     ours = {folder.name for folder in PACKAGES}
     files = [TEMPLATE, *(folder / "package.xml" for folder in PACKAGES)]
     used = {key for file in files for kind in ("exec", "test", "build") for key in depends(file, kind)} - ours
-    assert used == {*KEYS["ros"], *KEYS["system"]}
+    assert used == {*KEYS["ros"], *KEYS["system"], *KEYS["pip"], *OWN}
     for key, system in KEYS["system"].items():  # none that rosdep would have pip put into the system's Python
         names = system["ubuntu"]["*"] if isinstance(system["ubuntu"], dict) else system["ubuntu"]
         assert names == [key]
@@ -58,9 +70,34 @@ def test_every_key_exists():
 @pytest.mark.parametrize("folder", PACKAGES, ids=lambda f: f.name)
 def test_every_import_is_declared(folder):
     extras = {name for requirements in PROJECT["optional-dependencies"].values() for name in requirements}
-    declared = depends(folder / "package.xml") | FROM_PIP | extras
-    missing = {name for name in imports(folder) if not {name, f"python3-{name}", SOURCES.get(name, name)} & declared}
-    assert not missing
+    declared = depends(folder / "package.xml")
+    used = imports(folder) - extras
+    assert {name for name in used if not keys(name) & declared} == set()
+    python = {key for key in declared if key in {*KEYS["system"], *KEYS["pip"], *OWN}}
+    assert python <= set().union(*map(keys, used))
+
+
+def test_our_own_keys_say_what_the_project_asks_of_pip():
+    wanted = {re.match(r"[\w.-]+", r).group(): r.partition(";")[0].strip() for r in PROJECT["dependencies"]}
+    for key, systems in OWN.items():
+        name = key.removeprefix("python3-").removesuffix("-pip")
+        assert systems == {s: {"pip": {"packages": [wanted[name]]}} for s in ("debian", "ubuntu")}
+        assert key not in {*KEYS["system"], *KEYS["pip"]}
+
+
+@pytest.mark.parametrize("folder", PACKAGES, ids=lambda f: f.name)
+def test_each_package_stands_alone_with_licence_and_configuration(folder):
+    """As a distribution takes them: one by one."""
+    root = ElementTree.parse(folder / "package.xml").getroot()
+    assert root.find("license").attrib == {"file": "LICENSE"}
+    assert (folder / "LICENSE").read_text() == (ROOT / "LICENSE").read_text()
+    assert {url.get("type") for url in root.iter("url")} == {"repository", "bugtracker"}
+    config = configparser.ConfigParser()
+    config.read(folder / "setup.cfg")
+    assert int(config["flake8"]["max-line-length"]) == LENGTH
+    assert config["flake8"] == {**COMMON["flake8"]}
+    assert "LICENSE" in config["options.data_files"][f"share/{folder.name}"]
+    assert (folder / "test/test_style.py").read_text().replace(folder.name, "softrig_core") == STYLE
 
 
 def test_the_pip_line_has_what_the_set_up_installs():

@@ -7,9 +7,11 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from rosbags.interfaces import QosDurability
-from softrig_bags.read import deserialised, signals
+from softrig_bags.read import deserialised, read_bag, signals
 from softrig_bags.reader import BagReader
+from softrig_bags.topics import typestore
 from softrig_bringup.cli import main
+from softrig_core import rig_of
 
 # scenario, topic of the joints, tip, links that move
 ROBOTS = [("manipulator_adsmc", "tool", 3), ("rehab_impedance", "foot", 2)]
@@ -90,3 +92,24 @@ def test_a_rig_without_a_robot_has_no_such_topics(tmp_path):
     bag = signals(run("dc_motor_smc_b2", "inprocess", tmp_path))
     assert not {"tf", "robot_description"} & set(bag.recording.topics)
     assert Path(tmp_path / "bag").is_dir()
+
+
+def test_record_all_adds_descriptions_health_and_figures_and_nothing_else_changes(tmp_path):
+    words = ["run", "dc_motor_smc", "--mode", "inprocess", "--duration", "0.2", "--no-plots"]
+    for name, more in (("plain", []), ("all", ["--record-all"]), ("again", ["--record-all"])):
+        main([*words, *more, "--out", str(tmp_path / name)])
+    plain, whole = (read_bag(tmp_path / name / "bag") for name in ("plain", "all"))
+    assert all(whole.topics[name].data == topic.data for name, topic in plain.topics.items())
+    assert whole.topics.keys() - plain.topics.keys() == {"robot_description", "diagnostics", "dc_motor_metrics/metrics"}
+    (said,) = whole.topics["diagnostics"].data
+    health = typestore().deserialize_cdr(said, "diagnostic_msgs/msg/DiagnosticArray")
+    members = rig_of("dc_motor_smc").members
+    assert [s.name for s in health.status] == sorted(f"/{m.name}" for m in members)
+    assert {s.message for s in health.status} == {"done"}
+    (text,) = whole.topics["robot_description"].data
+    assert typestore().deserialize_cdr(text, "std_msgs/msg/String").data.endswith("</robot>\n")
+    again = read_bag(tmp_path / "again" / "bag")
+    assert {n: t.data for n, t in again.topics.items()} == {n: t.data for n, t in whole.topics.items()}
+    with BagReader(tmp_path / "all" / "bag") as bag:
+        latched = {t.name for t in bag.topics if t.offered[0].durability == QosDurability.TRANSIENT_LOCAL}
+    assert latched == {"/robot_description"}

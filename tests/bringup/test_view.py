@@ -1,5 +1,6 @@
 """The page beside a run, over its websocket as a browser has it: knobs, pause, step; nothing of it in the numbers."""
 
+import logging
 import math
 import re
 import signal
@@ -7,7 +8,8 @@ import subprocess
 import sys
 from contextlib import contextmanager
 from urllib.error import HTTPError
-from urllib.request import HTTPCookieProcessor, build_opener, urlopen
+from urllib.parse import urlsplit
+from urllib.request import HTTPCookieProcessor, Request, build_opener, urlopen
 
 import numpy as np
 import pytest
@@ -18,6 +20,7 @@ from softrig_bags.read import signals
 from softrig_bringup.cli import main
 from softrig_bringup.view.control import Control, Knob
 from softrig_bringup.view.page import Page, reach
+from softrig_bringup.view.serve import OneLine
 from softrig_bringup.view.sources import Recorded
 from softrig_bringup.view.tracks import Track
 from softrig_core import Recording, Signals, rig_of
@@ -136,9 +139,33 @@ def test_only_who_says_the_token_is_let_in(tmp_path, at):
         kept = build_opener(HTTPCookieProcessor())
         assert b"dc_motor_smc - softrig" in kept.open(f"{base}?token={token}").read()
         assert b"dc_motor_smc - softrig" in kept.open(f"{base}view").read()  # as the browser loads it again
+        evil = Request(f"{base}view?token={token}", headers={"Host": f"evil.example:{urlsplit(base).port}"})
+        if at.startswith("127"):  # a name of somebody else that leads here
+            with pytest.raises(HTTPError, match="403: the page is of this host only, expected its own address"):
+                urlopen(evil)
+        else:
+            assert urlopen(evil).status == 200
         browser = Browser(base, token=token)
         browser.until(lambda: "0.05 s, recorded" in browser["state"].text)
+        browser["window"].value = "abc"
+        browser.until(lambda: browser["window"].value == "all")
         browser.close()
+        process.send_signal(signal.SIGINT)
+        assert "Traceback" not in process.stderr.read()
+
+
+def test_what_a_browser_should_not_say_is_told_in_one_line(caplog):
+    logger = logging.getLogger("bokeh.server.protocol_handler")
+    logger.addFilter(one := OneLine())
+    try:
+        try:
+            int(math.nan)
+        except ValueError:
+            logger.error("error handling message", exc_info=True)
+    finally:
+        logger.removeFilter(one)
+    assert "Traceback" not in caplog.text
+    assert "a page was told what cannot be: ValueError: cannot convert float NaN to integer" in caplog.text
 
 
 def test_a_track_keeps_extremes_and_stays_small():

@@ -64,7 +64,13 @@ def left_in_memory(before: set[str], domain: int | None) -> list[str]:
             time.sleep(AGE + 0.1)  # the clearing itself leaves alone what is younger
             remove_leftovers(domain)
             with ExitStack() as held:
-                left &= {n for n in segments() if (n in ours or n.endswith("_el")) and _taken(SHARED / n, held)}
+                left &= {n for n in segments() if _judged(n, ours) and _taken(SHARED / n, held)}
             if not left:
                 break
     return sorted(left)
+
+
+def _judged(name: str, ours: set[str]) -> bool:
+    """Whether the next run removes a file: ports of another domain go when that is used again."""
+    stem = name.removesuffix("_el")
+    return stem in ours if "_port" in name else stem != name

@@ -61,6 +61,20 @@ def test_the_time_shift_is_found(tmp_path, late):
     assert y.shift == 0.0  # a constant comes neither early nor late
 
 
+def test_the_start_is_that_of_the_first_message_that_is_compared(tmp_path):
+    """A bag of somebody else begins with a topic that the other one lacks."""
+    a = bag(tmp_path / "a", wave, 0.01)
+    found = Recording([("before", STATE), ("plant/state", STATE)])
+    for topic, offset in ((0, 0.0), (1, 0.7)):
+        for k in range(401):
+            stamp = EPOCH_NS + round((k * 0.01 + offset) * 1e9)
+            found.add(topic, stamp, LAYOUT.encode(stamp, (float(wave(k * 0.01)), 1.0)))
+    write_bag(tmp_path / "b", found)
+    result = align(a, signals(tmp_path / "b"))
+    assert result.span == (0.0, pytest.approx(4.0))
+    assert result.deviations[0].largest < 1e-6
+
+
 @pytest.mark.parametrize("periods", [(0.01, 0.04), (0.04, 0.01)])
 def test_different_rates_are_compared_at_the_samples_of_the_slower_one(tmp_path, periods, capsys):
     a = bag(tmp_path / "a", wave, periods[0])

@@ -1,15 +1,19 @@
-"""What decides a number uses no BLAS, no LAPACK, no transcendental function of numpy: their bits depend on the CPU.
+"""What decides a number uses no BLAS, no LAPACK, no transcendental function of numpy: their bits depend on the CPU;
+and no built-in `sum`, whose bits depend on the version of Python.
 
-`jit` refuses them in what it compiles; here they are refused in plants, laws and solvers. Not seen by this rule:
+`jit` refuses them in what it compiles; here they are refused in plants, laws and solvers. The same reading of the
+sources finds the functions of the C library that they call: `bits.math_digest` is of those. Not seen by this rule:
 products of complex arrays, which numpy fuses on some CPUs (`softrig_core.kit.dense.times`); the golden rigs under
 other kernels see them.
 """
 
 import ast
+import math
 from functools import cache
 from pathlib import Path
 
 import pytest
+from softrig_core import bits
 
 PACKAGES = Path(__file__).parents[2] / "ros_pkgs"
 DECIDING = ("core", "control", "optim", "drives", "power", "robots", "systems")
@@ -18,13 +22,21 @@ _REFUSED = """linalg dot vdot inner matmul tensordot einsum convolve correlate p
 corrcoef exp expm1 exp2 log log1p log2 log10 tan arcsin arccos arctan arctan2 sinh cosh tanh arcsinh arccosh arctanh
 cbrt power float_power angle logspace geomspace"""
 REFUSED = frozenset(_REFUSED.split())
-WHOLE = ("figures", "pictures", "study", "study_tool", "cases")  # modules that judge or show what was recorded
+# modules that judge or show what was recorded
+WHOLE = ("figures", "pictures", "drawing", "study", "study_tool", "cases")
+# the same bits wherever there is IEEE 754
+_EXACT = """ceil copysign degrees fabs floor fmod frexp fsum gcd inf isclose isfinite isinf isnan lcm ldexp
+modf nan nextafter pi prod radians remainder sqrt tau trunc ulp"""
+EXACT = frozenset(_EXACT.split())
+PARTS = {"phase": {"atan2"}, "polar": {"atan2", "hypot"}, "rect": {"sin", "cos"}}  # of cmath
+COUNT = "a sum of whole numbers, or whether one is finite"
 CASADI = "casadi's own products, unrolled into scalar operations"
 CHECK = "a check or a certificate: its verdict is compared with a margin, no number of a run comes from it"
 SOLVER = "a solver of others (IPOPT, OSQP, SCS, SuperLU), which brings its own algebra: pinned kernels are all there is"
 SCALAR = "scipy's scalar search or quadrature, or a tridiagonal solve: no kernels chosen by CPU"
 EXEMPT = {
-    "softrig_core.bits.blas_core": "asks which BLAS is loaded",
+    "softrig_control.fmu.description": COUNT,
+    "softrig_control.fmu.instance": COUNT,
     "softrig_control.predictive.certificate": CHECK,
     "softrig_control.predictive.certificate_node": CHECK,
     "softrig_control.predictive.gpc.Gpc.poles": CHECK,
@@ -32,14 +44,23 @@ EXEMPT = {
     "softrig_control.state_feedback.closed_loop_poles": CHECK,
     "softrig_control.state_feedback.place": "the rank, a check; gains come from `dense`",
     "softrig_core.analysis.linear_view": "looks at a rig from outside",
-    "softrig_core.judge.measures.growth_rate": "judges what was recorded",
     "softrig_core.analysis.steady": "looks at a rig from outside",
+    "softrig_core.bits.blas_core": "asks which BLAS is loaded",
+    "softrig_core.block.answer": "whether values are below a bound",
+    "softrig_core.judge.measures.growth_rate": "judges what was recorded",
+    "softrig_core.node": COUNT,
+    "softrig_core.scenario.yaml_file": COUNT,
+    "softrig_core.wire": COUNT,
     "softrig_drives.lsrm.profile.Quintic.speed_range": CHECK,
+    "softrig_optim.sweep": COUNT,
     "softrig_power.dispatch.baselines": SCALAR,
+    "softrig_power.dispatch.certify": "seconds of the wall clock",
+    "softrig_power.fault_location.comtrade_file": COUNT,
     "softrig_power.fault_location.confidence": CHECK,
     "softrig_power.fault_location.ends._least": SCALAR,
     "softrig_power.fault_location.locator.FaultLocator.setup": SCALAR,
     "softrig_power.fault_location.search.brent": SCALAR,
+    "softrig_robots.driven_robot.DrivenRobot": COUNT,
     "softrig_robots.driven_robot._equations": CASADI,
     "softrig_robots.rehab.stability": CHECK,
     "softrig_robots.rigid_body": CASADI + "; moments of inertia are checked",
@@ -48,6 +69,7 @@ EXEMPT = {
     "softrig_systems.optimal_control.exact": CHECK,
     "softrig_systems.optimal_control.player.OcpPlayer._take": SCALAR,
     "softrig_systems.optimal_control.problem": CASADI + "; weights are checked",
+    "softrig_systems.optimal_control.problems": CHECK,
     "softrig_systems.pwa_delay.applicability": CHECK,
     "softrig_systems.pwa_delay.bessel": SOLVER,
     "softrig_systems.pwa_delay.certify": CHECK,
@@ -62,6 +84,18 @@ EXEMPT = {
 }
 
 
+def counts(call: ast.Call) -> bool:
+    """Whether a `sum` can only be one of whole numbers: of comparisons, ones, lengths."""
+    of = call.args[0]
+    term = of.elt if isinstance(of, (ast.GeneratorExp, ast.ListComp)) else of
+    return (
+        isinstance(term, ast.Compare)
+        or (isinstance(term, ast.Constant) and isinstance(term.value, int))
+        or (isinstance(term, ast.Call) and ast.unparse(term.func) == "len")
+        or (isinstance(term, ast.Attribute) and term.attr in ("size", "passed"))
+    )
+
+
 def uses(module: str, tree: ast.AST) -> set[str]:
     """Where a module uses what is refused: qualified names of the functions or classes."""
     found: set[str] = set()
@@ -73,8 +107,19 @@ def uses(module: str, tree: ast.AST) -> set[str]:
             found.add(where)
         if isinstance(node, ast.Attribute):
             numpy = isinstance(node.value, ast.Name) and node.value.id in ("np", "numpy")
-            if (numpy and node.attr in REFUSED) or (node.attr == "dot" and not isinstance(node.value, ast.Name)):
+            if (
+                (numpy and node.attr in REFUSED)
+                or node.attr == "sumprod"
+                or (node.attr == "dot" and not isinstance(node.value, ast.Name))
+            ):
                 found.add(where)
+        if (
+            isinstance(node, ast.Call)
+            and isinstance(node.func, ast.Name)
+            and node.func.id == "sum"
+            and not counts(node)
+        ):
+            found.add(where)
         if isinstance(node, ast.ImportFrom) and (node.module or "").startswith(("scipy", "numpy.linalg")):
             found.add(where)
         if isinstance(node, ast.Import) and any(a.name.startswith(("scipy", "numpy.")) for a in node.names):
@@ -88,22 +133,59 @@ def uses(module: str, tree: ast.AST) -> set[str]:
     return found
 
 
+def calls(tree: ast.AST) -> tuple[set[str], set[str]]:
+    """Which functions of the C library a module calls, by itself, in CasADi's C or from numpy: real, complex."""
+    real: set[str] = set()
+    whole: set[str] = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
+            home, names = node.value.id, [node.attr]
+        elif isinstance(node, ast.ImportFrom):
+            home, names = node.module or "", [a.name for a in node.names]
+        elif isinstance(node, ast.BinOp) and isinstance(node.op, ast.Pow):
+            home, names = "math", ["pow"]
+        else:
+            continue
+        if home == "cmath":
+            whole |= set(names) - EXACT - PARTS.keys() | set(names) & {"sqrt"}
+            real |= set().union(*(PARTS.get(name, ()) for name in names))
+        elif home in ("math", "ca", "casadi", "np", "numpy"):
+            real |= {name for name in names if hasattr(math, name)} - EXACT
+    return real, whole
+
+
+@cache
+def deciding() -> dict[str, ast.AST]:
+    """Each module that decides numbers, read."""
+    found: dict[str, ast.AST] = {}
+    for short in DECIDING:
+        root = PACKAGES / f"softrig_{short}"
+        for file in sorted((root / root.name).rglob("*.py")):
+            place = file.relative_to(root).with_suffix("").parts
+            if file.stem not in WHOLE and "drawing" not in place:
+                found[".".join(place)] = ast.parse(file.read_text())
+    return found
+
+
 @cache
 def found() -> dict[str, str]:
     """Each use to what exempts it, empty where nothing does."""
     names: dict[str, str] = {}
-    for short in DECIDING:
-        root = PACKAGES / f"softrig_{short}"
-        for file in sorted((root / root.name).rglob("*.py")):
-            if file.stem not in WHOLE:
-                module = ".".join(file.relative_to(root).with_suffix("").parts)
-                for name in uses(module, ast.parse(file.read_text())):
-                    names[name] = next((e for e in EXEMPT if name == e or name.startswith(f"{e}.")), "")
+    for module, tree in deciding().items():
+        for name in uses(module, tree):
+            names[name] = next((e for e in EXEMPT if name == e or name.startswith(f"{e}.")), "")
     return names
 
 
 def test_what_decides_the_bits_uses_nothing_that_depends_on_the_cpu():
     assert sorted(name for name, exempt in found().items() if not exempt) == []
+
+
+def test_the_digest_is_of_the_functions_in_use():
+    """Neither of more, which would tell machines apart that give the same bits, nor of fewer."""
+    found = [calls(tree) for module, tree in deciding().items() if module != "softrig_core.bits"]
+    assert set().union(*(real for real, _ in found)) == {*bits.FUNCTIONS, *bits.OF_TWO}
+    assert set().union(*(whole for _, whole in found)) == {*bits.COMPLEX}
 
 
 def test_no_exemption_outlives_its_reason():
@@ -116,7 +198,8 @@ def test_no_exemption_outlives_its_reason():
      ("def f(x):\n    return np.exp(x)", True), ("from scipy.linalg import solve", True), ("a @= b", True),
      ("import numpy.linalg", True), ("y = np.sin(x) + np.sqrt(x) * np.hypot(x, x)", False), ("y = math.exp(x)", False),
      ("try:\n    f()\nexcept np.linalg.LinAlgError:\n    pass", False), ("y = ca.dot(x, x)", False),
-     ("y = dense.product(K, x)", False)],
+     ("y = dense.product(K, x)", False), ("y = sum(a * b for a, b in pairs)", True), ("y = sum(row)", True),
+     ("y = dense.total(row)", False), ("n = sum(x > 0.0 for x in row)", False), ("y = math.sumprod(a, b)", True)],
 )  # fmt: skip
 def test_the_rule_sees_what_it_should(code, refused):
     assert bool(uses("module", ast.parse(code))) == refused

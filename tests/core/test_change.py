@@ -2,6 +2,7 @@
 
 import json
 import random
+from argparse import Namespace
 from contextlib import suppress
 from functools import partial
 
@@ -13,6 +14,7 @@ from softrig_bags.read import read_bag
 from softrig_bags.topics import typestore
 from softrig_bringup.cli import main
 from softrig_bringup.folder import ResultsFolder
+from softrig_bringup.options.like import Recalled, compared
 from softrig_bringup.report.report import write_report
 from softrig_bringup.run.run import save, summary, turned
 from softrig_core import (
@@ -20,6 +22,7 @@ from softrig_core import (
     BlockParams,
     ByHand,
     ParameterError,
+    Recording,
     Run,
     ScenarioError,
     Signals,
@@ -200,6 +203,26 @@ def test_a_run_that_was_tuned_by_hand_is_repeated_from_its_record(seed, groups):
     assert not differences(run.recording, in_process(changed_rig("dc_motor_smc_b2", 0.3, script, faults=OFFSET), seed))
 
 
+def test_of_a_flood_of_sets_each_holds_from_a_tick_or_is_named_as_replaced():
+    """Also before the first tick, where each set once checked all that waited: a rig that was flooded never began."""
+    rig, world, rng, told = changed_rig("dc_motor_smc_b2", 0.3, {}), World(), random.Random(1), []
+    run = SimulatedRig(rig, world, "lockstep")
+
+    def turn(k):
+        told.append((k, run.adapters["dc_motor_smc"].step.set({"k": k})))
+
+    moments = [0] * 300 + [rng.randrange(20_002_000, 20_085_000) for _ in range(300)]
+    for k, moment in enumerate(moments):
+        world.at(world.now + moment, partial(turn, 10.0 + k / 10))
+    assert set(run.run().values()) == {"done"}
+    held = [values["dc_motor_smc.k"] for _, values in events(run.recording)]
+    expected = [k for (k, _), (_, replaced) in zip(told, [*told[1:], (0.0, [])], strict=True) if not replaced]
+    assert held == expected
+    assert 2 < len(held) < 300
+    script = dict(events(run.recording))
+    assert not differences(run.recording, in_process(changed_rig("dc_motor_smc_b2", 0.3, script)))
+
+
 def tuned(folder, duration="0.3"):
     """The folder of a run whose law somebody has tuned while it ran."""
     world = World()
@@ -232,6 +255,14 @@ def test_run_like_repeats_a_tuned_run_and_its_repetition(tmp_path, capsys):
     assert "expected the directory of a run" in capsys.readouterr().err
     assert main(["run"]) == 2
     assert "expected a scenario, or --like RUN" in capsys.readouterr().err
+
+
+def test_of_nothing_no_repetition_is_said(tmp_path):
+    run = simulate("dc_motor_smc_b2", duration=0.1)
+    before = Recalled(tmp_path, Namespace(), tmp_path, Recording(()), 0, {})
+    same, told = compared(before, run)
+    assert not same
+    assert told == [f"nothing of {tmp_path} could be compared: no message of any node that runs here"]
 
 
 def test_what_is_refused_while_it_runs_changes_nothing():

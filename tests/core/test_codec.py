@@ -166,6 +166,18 @@ def test_no_bytes_do_more_than_be_refused(data):
         assert all(math.isfinite(v) for v in values)
 
 
+@given(st.sampled_from(PORTS), st.lists(st.binary(min_size=8, max_size=8), min_size=40, max_size=40))
+def test_any_numbers_are_refused_or_what_they_are(port, numbers):
+    """Whole messages, so that most of them come to be read."""
+    values = struct.unpack(f"<{port.size}d", b"".join(numbers)[: 8 * port.size])
+    try:
+        _, found = Decoder(port)(port.layout().encode(5, values))
+    except Refused:
+        assert not all(abs(v) < 1e5 for v in values)
+    else:
+        assert tuple(found) == values
+
+
 @given(st.data())
 def test_a_damaged_message_is_refused_or_finite(data):
     port = PORTS[0]

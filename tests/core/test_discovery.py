@@ -73,7 +73,7 @@ def start(kind, seed, outside=(), stalls=0):
     ours, expected = rig_and_record(kind)
     rig = with_guests(kind, outside)
     longest = rng.choice((1, 5, 20)) * MS
-    world = World(lambda *_: rng.randrange(1_000, longest))
+    world = World(lambda *_: rng.randrange(1_000, longest), prompt=perhaps_prompt(seed))
     Discovery(world, rng)
     run = SimulatedRig(rig, world, "lockstep", after=lambda name: rng.randrange(300 * MS), start_timeout=0.0,
                        groups=some(rig, rng))  # fmt: skip
@@ -93,6 +93,12 @@ def start(kind, seed, outside=(), stalls=0):
     wrong += [f"{n} refused {i.port.topic}: {i.last_refusal}" for n, a in run.adapters.items()
               for i in (*a.inputs, *a.paces) if i.refused]  # fmt: skip
     return wrong
+
+
+def perhaps_prompt(seed):
+    """Draw whether nodes answer where messages arrive."""
+    rng = random.Random(f"prompt {seed}")
+    return rng if rng.random() < 0.5 else None
 
 
 def stall(run, rng, longest=3_000):
@@ -135,7 +141,7 @@ def test_a_recorder_in_the_domain_of_a_rig_has_all_of_it(asks, seeds):
     rig, expected = rig_and_record("three plants")
     for seed in seeds:
         rng = random.Random(seed)
-        world = World(lambda *_, rng=rng: rng.randrange(1_000, 5 * MS))
+        world = World(lambda *_, rng=rng: rng.randrange(1_000, 5 * MS), prompt=perhaps_prompt(seed))
         Discovery(world, rng)
         skipped = "/third/state" if asks else "/nobody"
         recorder = SimulatedRecorder(world, asks, skipped, rng)
@@ -175,7 +181,7 @@ def death(kind, seed):
     """One run in which a node dies at any point: the others end, say why, and what they said is right."""
     rng = random.Random(seed)
     rig, expected = rig_and_record(kind)
-    world = World(lambda *_: rng.randrange(1_000, 5 * MS))
+    world = World(lambda *_: rng.randrange(1_000, 5 * MS), prompt=perhaps_prompt(seed))
     discovery = Discovery(world, rng)
     run = SimulatedRig(rig, world, "lockstep", after=lambda name: rng.randrange(300 * MS), start_timeout=2.0)
     victim = rng.choice(rig.members).name
@@ -305,6 +311,11 @@ def test_who_dies_before_it_reads_is_named_by_who_waits_for_it():
     what, wrong = trial(56041)
     assert what.startswith("death"), what
     assert wrong == []
+
+
+def test_who_is_answered_while_it_speaks_does_not_begin_a_tick_inside_another():
+    """One of a thousand seeds that find a `Monitor` which lets that happen."""
+    assert trial(522)[1] == []
 
 
 @pytest.mark.parametrize("kind", ["basic", "two plants", "delayed link"])

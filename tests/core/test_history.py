@@ -26,7 +26,7 @@ def test_a_line_is_read_exactly_and_a_curve_to_order_two():
         for signal in (linear, math.sin):
             line = History(1.0 / n, 2.0, (signal(-2.0),))
             for k in range(-2 * n, n + 1):
-                line.put((signal(k / n),))
+                line = line.put((signal(k / n),))
             errors.append(max(abs(line.at(d)[0] - signal(1.0 - d)) for d in np.linspace(0.3, 1.7, 301)))
     assert errors[0] < 1e-14
     assert errors[2] < 1e-14
@@ -45,7 +45,7 @@ def test_constant_past_of_several_channels_and_longest_delay():
     line = History(0.25, 1.0, (1.0, -2.0))
     assert line.at(1.0) == (1.0, -2.0)
     for k in range(1, 9):
-        line.put((float(k), 0.0))
+        line = line.put((float(k), 0.0))
         assert line.at(0.0) == (float(k), 0.0)
         assert line.at(1.0) == (max(k - 4.0, 1.0), -2.0 if k < 5 else 0.0)
     assert line.at(0.125) == (7.5, 0.0)
@@ -56,7 +56,7 @@ def test_state_dependent_and_time_varying_delay_against_closed_form():
     line = History(0.01, 2.0, (-2.0,))
     for k in range(-200, 1000):
         t = 0.01 * k
-        line.put((t,))
+        line = line.put((t,))
         tau = 0.2 + 0.7 * (1.0 + math.sin(t))
         if t > 0.0:
             assert line.at(tau)[0] == pytest.approx(t - tau, abs=1e-12)
@@ -65,7 +65,7 @@ def test_state_dependent_and_time_varying_delay_against_closed_form():
 def test_jump_stays_in_its_interval_when_linear():
     line = History(0.1, 1.0)
     for _ in range(5):
-        line.put((1.0,))
+        line = line.put((1.0,))
     values = [line.at(0.1 * k)[0] for k in range(9)]
     assert values == [1.0] * 5 + [0.0] * 4
     assert line.at(0.45)[0] == pytest.approx(0.5)

@@ -1,5 +1,7 @@
 """Hostile numbers and files: bounds of every parameter, set-ups that fail, absurd lengths, and a short campaign."""
 
+import math
+import re
 import sys
 from pathlib import Path
 
@@ -20,7 +22,7 @@ from softrig_core import (
     rig_of,
 )
 from softrig_core.block.answer import check
-from softrig_core.block.params import LONGEST, build, declarations
+from softrig_core.block.params import LONGEST, Params, build, declarations
 from softrig_core.processes.domain import free_domain
 from softrig_core.rig.options import RunOptions
 
@@ -58,6 +60,44 @@ def test_every_number_of_every_executable_has_bounds():
                 count = d.type is int and not isinstance(d.default, tuple)  # sets an effort or a size
                 assert abs(d.upper) <= (2**31 if count else 1e12), (package, name, d)
     assert all(d.upper is not None for d in declarations(RunOptions) if d.type in (int, float))
+
+
+def refusal(model, name, value):
+    """What is said of one value of a parameter; beside an unknown one, so that nothing is worked out of all."""
+    with pytest.raises(ParameterError) as error:
+        build(model, {name: value, "unheard_of": 0})
+    return str(error.value)
+
+
+def edges(model, prefix=""):
+    """Name, bound, the way out of it, and whether it is within itself, of every number of a model."""
+    for name, field in model.model_fields.items():
+        if isinstance(field.annotation, type) and issubclass(field.annotation, Params):
+            yield from edges(field.annotation, f"{prefix}{name}.")
+            continue
+        whole = field.annotation is int
+        for rule in field.metadata:
+            for key, out in (("ge", -1), ("gt", -1), ("le", 1), ("lt", 1)):
+                if hasattr(rule, key) and (whole or field.annotation is float):
+                    yield prefix + name, getattr(rule, key), out, len(key) == 2 and key[1] == "e", whole
+
+
+def test_every_bound_of_every_executable_holds_at_its_edge():
+    """Accepted up to it, refused by name beyond, as declared; what a check of all of them says is no matter here."""
+    models = {block.Params for _, _, block in executables()} | {RunOptions}
+    tried = 0
+    for model in models:
+        for name, bound, out, within, whole in edges(model):
+            beyond = bound + out if whole else math.nextafter(bound, out * math.inf)
+            inside = bound - out if whole else math.nextafter(bound, -out * math.inf)
+            wrong = re.compile(rf"parameter {re.escape(name)} = .*: input should be (greater|less) than")
+            assert wrong.search(refusal(model, name, beyond)), (model, name, beyond)
+            assert bool(wrong.search(refusal(model, name, bound))) is not within, (model, name, bound)
+            assert within or not wrong.search(refusal(model, name, inside)), (model, name, inside)
+            tried += 1
+    assert tried > 300
+    for values in ({"seed": 2**63 - 1}, {"seed": 126}, {"duration": 1e9, "timeout": 1e6}):
+        assert build(RunOptions, values).model_dump().items() >= values.items()
 
 
 @pytest.mark.parametrize(

@@ -130,10 +130,11 @@ def test_linear_plant_has_its_poles():
 
 def test_resting_converter_is_the_steady_state():
     plant = PvPlant()
-    wanted = steady_state(plant.p.converter, plant.source, 0.4)
-    environment = (*plant.p.irradiance, *plant.p.temperature)
-    x, _ = equilibrium(Sampled(plant), steady_state(plant.p.converter, plant.source, 0.38), (0.4, *environment))
-    assert x == pytest.approx(wanted, rel=1e-7)
+    conditions = plant.first().conditions
+    source = plant.p.sources()(conditions)
+    start = (*steady_state(plant.p.converter, source, 0.38), *conditions)
+    x, _ = equilibrium(Sampled(plant), start, (0.4, *conditions))
+    assert x == pytest.approx((*steady_state(plant.p.converter, source, 0.4), *conditions), rel=1e-7)
 
 
 def test_resting_rectifier_and_its_poles():

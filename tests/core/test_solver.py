@@ -13,7 +13,7 @@ import pytest
 from conftest import PATIENCE, differences, in_process, make_scenario, until
 from faultrig import Planner, Unreadable, unreadable
 from simulated import SimulatedRig, World
-from softrig_core import RunError, Signals, Solver, rig_of, run_processes
+from softrig_core import ByHand, RunError, Signals, Solver, rig_of, run_processes
 from softrig_core.solver.worker import Worker
 
 
@@ -68,23 +68,35 @@ def drive(block, ticks, first=0):
 
 
 def test_a_request_may_kill_the_work_under_way():
-    block = Impatient(latency=0.2, work=0.0)
+    block = ByHand(Impatient(latency=0.2, work=0.0))
     assert [round(v["plan"][0], 9) for v in drive(block, 5)] == [-1.0] * 5  # asked anew at every tick: never a plan
-    block.request = lambda t, **_: None  # nobody asks any more: the last request is worked on
+    block.block.request = lambda x, t, **_: (x, None)  # nobody asks any more: the last request is worked on
     assert [round(v["plan"][0], 9) for v in drive(block, 3, 5)] == [-1.0, 0.4, 0.4]
 
 
 def test_reset_kills_the_work_and_repeats_the_run():
-    block = Planner(latency=0.2, work=0.1)
+    block = ByHand(Planner(latency=0.2, work=0.1))
     first = drive(block, 4)
-    pid = block._worker._process.pid
+    pid = block.block.worker._process.pid
     block.reset(0)
     assert not os.path.exists(f"/proc/{pid}")
     assert drive(block, 4) == first
 
 
+def test_going_back_has_the_work_of_then_done_once_more():
+    block = ByHand(Planner(latency=0.2))
+    drive(block, 1)
+    saved = block.save()  # the request of t = 0 is under way
+    first = drive(block, 6, 1)
+    job = block.block.worker.job
+    block.load(saved)
+    assert drive(block, 6, 1) == first
+    assert block.block.worker.job is not job
+    assert [round(v["plan"][0], 9) for v in first] == [-1.0, 0.0, 0.0, 0.2, 0.2, 0.4]
+
+
 def test_a_limit_gives_the_best_so_far_and_says_that_it_does_not_repeat():
-    block = Planner(fault="hang", limit=1.0)
+    block = ByHand(Planner(fault="hang", limit=1.0))
     first, second, third = drive(block, 3)
     assert first["plan"] == (0.0, 1.0)
     assert second["plan"] == (0.1, 0.0)
@@ -99,41 +111,43 @@ def test_a_limit_gives_the_best_so_far_and_says_that_it_does_not_repeat():
     ("kill", "request of t = 0.1 s failed: the process that works was killed by SIGKILL"),
 ])  # fmt: skip
 def test_failed_work_ends_a_run_and_is_reported_against_the_wall_clock(fault, reason):
-    block = Planner(fault=fault)
+    block = ByHand(Planner(fault=fault))
     with pytest.raises(RunError, match=reason):
         drive(block, 2)
     block.reset(0)
-    block.realtime = True
+    block.block.realtime = True
     found = []
     for k in range(5):  # in its two parts: how fast the work is decides nothing
-        block.begin(k * 100_000_000, state=(0.01 * k, 0.0), reference=(1.0,))
-        assert block._worker.wait(PATIENCE)
-        found.append(block.end(k * 100_000_000))
+        block.x = block.block.begin(block.x, k * 100_000_000, state=(0.01 * k, 0.0), reference=(1.0,))
+        assert block.block.worker.wait(PATIENCE)
+        block.x, values = block.block.end(block.x, k * 100_000_000)
+        block.tell()
+        found.append(values)
     # the second work failed, the third plan comes from a new process
     assert [round(v["plan"][0], 9) for v in found] == [0.0, 0.0, 0.2, 0.3, 0.4]
     assert block.reports["work"][2] == 1
 
 
 def test_against_the_wall_clock_nothing_waits():
-    block = Planner(work=0.5)
-    block.realtime = True
-    block._worker.warm()
+    block = ByHand(Planner(work=0.5))
+    block.block.realtime = True
+    block.block.worker.warm()
     found = drive(block, 5)  # answers without the plan, which takes longer than five ticks
     assert [v["plan"][0] for v in found] == [-1.0] * 5
-    assert block._worker.wait(PATIENCE)
+    assert block.block.worker.wait(PATIENCE)
     assert drive(block, 1, 5)[0]["plan"] == (0.0, 1.0)
-    assert block._active[0] == 500_000_000, "the newest request is next, the four between are forgotten"
+    assert block.x.jobs.active.stamp == 500_000_000, "the newest request is next, the four between are forgotten"
     assert set(block.health()) >= {"work"}
     while "plan" not in block.health():
-        block._worker.wait(0.01)
+        block.block.worker.wait(0.01)
     assert block.health()["plan"] == "6"
 
 
 def test_a_refused_request_asks_nothing():
-    block = Planner()
+    block = ByHand(Planner())
     (first,) = drive(block, 1)
     assert block.refused(100_000_000) == first
-    assert block.asked == 1
+    assert block.x.asked == 1
 
 
 def test_worker_ends_with_its_owner_and_with_the_process_that_started_it():
@@ -186,7 +200,7 @@ def test_a_function_that_no_other_process_can_import_is_refused():
 
 def test_what_a_solver_must_give():
     with pytest.raises(NotImplementedError):
-        Solver().update(0)
+        ByHand(Solver()).update(0)
 
 
 @pytest.mark.processes
@@ -220,7 +234,7 @@ def test_realtime_node_answers_every_tick_while_a_plan_is_made():
     world.match()
     planner = run.adapters["planner"]
     until = run.epoch
-    while planner.block._result is None or planner.block._result.stamp == 0:
+    while (result := planner.step.x.jobs.result) is None or result.stamp == 0:
         until += 10_000_000
         world.run(until + 1_000_000)
         assert until < run.epoch + 60_000_000_000

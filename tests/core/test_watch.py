@@ -1,5 +1,7 @@
 """Observers as windows with figures: each message once, nothing paired that does not belong together."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from conftest import in_process, make_scenario
@@ -35,6 +37,36 @@ def test_running_figures_equal_those_of_the_recording_to_the_last_bit(period):
         "variation": (measures.total_variation(signals, U), "N/s"),
         "last": (signals[X].x[-1], "m"),
     }
+
+
+def test_running_figures_go_out_while_somebody_reads_them():
+    import diagnostic_msgs.msg  # noqa: F401
+    from softrig_core.node.face.faces import Faces
+
+    rig = Rig.from_blocks({"plant": Lag(), "source": Source(), "gain": Gain(), "eye": Eye()}, 1.0)
+    eye, said, readers = run_inprocess(rig, 3)["eye"], [], [0]
+
+    class Publisher:
+        publish = said.append
+
+        def get_subscription_count(self):
+            return readers[0]
+
+    class Nobody(Publisher):
+        def get_subscription_count(self):
+            return 0
+
+    faces = object.__new__(Faces)
+    faces._adapter = SimpleNamespace(step=eye, block=eye.block, t=eye.t, middleware=SimpleNamespace(name="eye"))
+    faces._figures, faces._diagnostics = Publisher(), Nobody()
+    faces._publish_diagnostics()
+    assert not said
+    readers[0] = 1
+    faces._publish_diagnostics()
+    ((status,),) = [message.status for message in said]
+    expected = {name: f"{value:.9g} {unit}" for name, (value, unit) in eye.status().items()}
+    assert {v.key: v.value for v in status.values} == expected
+    assert "mean_command" in expected
 
 
 def test_the_window_moves_and_forgets():

@@ -17,7 +17,7 @@ from conftest import PATIENCE, make_scenario
 from hypothesis import given, settings, strategies as st
 from scipy import stats
 from scipy.optimize import differential_evolution, minimize_scalar
-from softrig_core import Level, ParameterError, Plant, ScenarioError, rig_of, run_inprocess
+from softrig_core import ByHand, Level, ParameterError, Plant, ScenarioError, rig_of, run_inprocess
 from softrig_core.solver.worker import Worker, _Process
 from softrig_optim.algorithms import AlgorithmParams, make
 from softrig_optim.de import DifferentialEvolution
@@ -393,7 +393,7 @@ class Loop:
     """The dish and the optimiser, tick by tick."""
 
     def __init__(self, seed=0, **changes):
-        self.optimiser, self.dish = Optimiser(**(DISH | changes)), Dish()
+        self.optimiser, self.dish = ByHand(Optimiser(**(DISH | changes))), Dish()
         self.optimiser.reset(seed)
         self.t = 0
         self.commands = []
@@ -402,7 +402,10 @@ class Loop:
         for _ in range(round(seconds * 100)):
             measured = self.dish.outputs(self.t)["objective"] if objective is None else (objective,)
             pressed = {name: buttons.get(name) for name in ("start", "stop", "restart")}
-            answer = self.optimiser.refused(self.t) if refuse else self.optimiser.update(self.t, measured, **pressed)
+            if refuse:
+                answer = self.optimiser.refused(self.t)
+            else:
+                answer = self.optimiser.update(self.t, measurement=measured, **pressed)
             self.commands.append(answer["command"])
             names = ("phase", "iteration", "evaluations", "restarts", "best_value", "bound", "azimuth", "elevation")
             self.state = dict(zip(names, answer["state"], strict=True))
@@ -673,9 +676,9 @@ def test_a_run_that_is_over_leaves_its_process_to_the_next():
     second = run_inprocess(rig, 0)["planner"]
     assert _Process.idle == [left]
     first.block.reset(0)
-    first.block._worker.warm()  # asked again, it has one again
-    assert first.block._worker._process is left
-    assert second.block._worker._process is None
+    first.block.worker.warm()  # asked again, it has one again
+    assert first.block.worker._process is left
+    assert second.block.worker._process is None
 
 
 def test_sweep_names_the_missing_package(monkeypatch):

@@ -18,6 +18,7 @@ from softrig_core.node.ros.garbage import CLEAN, UNCLEAN, YOUNG, Garbage
 from softrig_core.node.seam import exchange as exchange_module
 from softrig_core.node.seam.exchange import Exchange
 from softrig_core.node.seam.health import StatusFile
+from softrig_core.node.seam.monitor import Monitor
 from softrig_core.processes.spawning import node_parameters
 from softrig_core.rig.options import RunOptions
 
@@ -86,7 +87,7 @@ class Contained:
             return topic if topic.startswith("/") else f"/{topic}"
 
         node = SimpleNamespace(get_name=lambda: member.name, get_fully_qualified_name=lambda: f"/{member.name}",
-                               resolve_topic_name=resolve)  # fmt: skip
+                               resolve_topic_name=resolve, monitor=Monitor(lambda: None))  # fmt: skip
         given = {k.removeprefix("run."): v for k, v in node_parameters(rig, member, seed, "realtime").items()
                  if k.startswith("run.")} | {"epoch": self.epoch}  # fmt: skip
         sink = _Sink.__new__(_Sink)

@@ -6,11 +6,13 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
-from conftest import PATIENCE, make_scenario, no_process_left, processes_of, until
+from conftest import PATIENCE, differences, in_process, make_scenario, no_process_left, processes_of, until
 from softrig_core import rig_of, run_inprocess, run_processes
 from softrig_core.node.seam import health
 from softrig_core.processes import spawning
@@ -19,7 +21,7 @@ from softrig_core.processes.domain import free_domain
 from softrig_core.processes.executables import environment, find_executable
 from softrig_core.processes.fork_server import start_node
 from softrig_core.processes.placement import Listener, Placement
-from softrig_core.processes.shared_memory import MADE, remove_leftovers
+from softrig_core.processes.shared_memory import MADE, clear_ports, remove_leftovers
 from softrig_core.processes.spawning import node_parameters, parameter_file
 from softrig_core.processes.stopping import Stopped, stoppable
 
@@ -77,12 +79,29 @@ def test_leftovers_of_the_dead_go_and_those_of_the_living_stay(tmp_path):
     code = f"import fcntl; {lock}; print(1, flush=True); input()"
     owner = subprocess.Popen([sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
     owner.stdout.readline()
-    assert remove_leftovers(folder=tmp_path) == 7
+    assert remove_leftovers(folder=tmp_path) == 4  # a port of another domain may be about to be opened
+    assert remove_leftovers(0, tmp_path) == 3
     left = {"fastrtps_00bb", "fastrtps_00bb_el", "fastrtps_00cc", "fastrtps_00cc_el", "fastrtps_port7002", "other"}
     assert {p.name for p in tmp_path.iterdir()} == left | {"fastrtps_port7661"}
     owner.communicate(b"\n")
     assert remove_leftovers(1, tmp_path) == 3  # of a domain that is over: ports that nobody had locked, too
     assert {p.name for p in tmp_path.iterdir()} == {"fastrtps_00cc", "fastrtps_00cc_el", "fastrtps_port7002", "other"}
+
+
+def test_a_node_waits_for_a_port_that_is_being_made_and_removes_one_whose_maker_is_dead(tmp_path):
+    """Who opens it waits for ever."""
+    ports = [tmp_path / f"fastrtps_port{7400 + 250 + k}" for k in range(4)]
+    for port in ports:
+        port.write_bytes(MADE)
+    ports[0].write_bytes(b"")
+    ports[1].write_bytes(bytes(8))
+    os.utime(ports[1], (0, 0))
+    threading.Timer(0.1, ports[0].write_bytes, [MADE]).start()
+    other = tmp_path / "fastrtps_port7400"
+    other.touch()
+    clear_ports(1, tmp_path)
+    assert ports[0].read_bytes() == MADE
+    assert {p.name for p in tmp_path.iterdir()} == {p.name for p in (*ports, other)} - {ports[1].name}
 
 
 def test_ctrl_c_cannot_be_swallowed_while_a_node_starts():
@@ -97,6 +116,8 @@ def test_ctrl_c_cannot_be_swallowed_while_a_node_starts():
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
     late = code.replace("interrupt.install()", "interrupt.install(); interrupt.early = False")
     assert subprocess.run([sys.executable, "-c", late], capture_output=True, text=True).stdout == "alive\n"
+    leaving = late.replace("try: os", "try:\n  with interrupt.leaving(lambda: os._exit(7)): os")
+    assert subprocess.run([sys.executable, "-c", leaving], capture_output=True, text=True).returncode == 7
 
 
 SLOW = """
@@ -139,7 +160,7 @@ def test_nobody_takes_a_port_while_it_is_removed(tmp_path, monkeypatch):
         unlink(path)
 
     monkeypatch.setattr(Path, "unlink", contested)
-    assert remove_leftovers(folder=tmp_path) == 3
+    assert remove_leftovers(0, tmp_path) == 3
     assert removed == ["fastrtps_port7411", "sem.fastrtps_port7411_mutex", "fastrtps_port7411_el"]
 
 
@@ -193,6 +214,32 @@ def test_nodes_whose_processes_are_held_end_the_run_by_name(containers, tmp_path
     held = "plant, source, gain" if containers else "plant"
     assert outcome.error.startswith(f"node {held}: its process is stopped (SIGSTOP)")
     assert len(outcome.recording.topics["lag/state"].times) > 10
+
+
+@pytest.mark.processes
+@pytest.mark.long
+@pytest.mark.parametrize("held", ["plant", "source", "gain"])
+@pytest.mark.parametrize("seconds", [4.5, 9.0, 13.0])
+def test_a_node_that_is_held_for_less_than_the_timeout_is_waited_for(held, seconds, tmp_path):
+    """Nobody takes it for dead meanwhile, and nothing that is sent to it is lost."""
+    rig, strikes = rig_of(make_scenario(BASIC, 30.0, timeout=10.0)), [seconds]
+
+    def progress(t):
+        if t > 100_000_000 and strikes:
+            (pid,) = [p for p, command in processes_of(tmp_path).items() if f"__node:={held}".encode() in command]
+            os.kill(pid, signal.SIGSTOP)
+            threading.Timer(strikes.pop(), go_on, [pid]).start()
+
+    def go_on(pid):
+        with suppress(ProcessLookupError):  # the run has not waited for it
+            os.kill(pid, signal.SIGCONT)
+
+    outcome = run_processes(rig, 0, tmp_path, Placement(), Listener(progress=progress))
+    if seconds < 10:
+        assert outcome.error == ""
+        assert differences(in_process(rig), outcome.recording) == []
+    else:
+        assert outcome.error.startswith(f"node {held}: its process is stopped (SIGSTOP)")
 
 
 @pytest.mark.processes

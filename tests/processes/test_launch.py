@@ -3,13 +3,16 @@
 import json
 import signal
 import subprocess
+from pathlib import Path
 
 import pytest
 from conftest import differences, in_process, until
 from launching import launch, nodes_of
 from softrig_bags.read import read_bag
 from softrig_bringup.cli import main
-from softrig_core import ScenarioError, load_scenario, rig_of
+from softrig_bringup.run.run import _status, tripped
+from softrig_bringup.verbs.launched import strange
+from softrig_core import ScenarioError, load_scenario, rig_of, run_inprocess
 from softrig_core.node.container import split
 from softrig_core.processes.domain import free_domain
 from softrig_core.processes.executables import environment, find_executable
@@ -129,6 +132,30 @@ def test_a_launch_that_is_judged_ends_with_a_status(lag, tmp_path, monkeypatch, 
     assert (status, said.splitlines()[-1]) == (1, "judged: status 1")
     assert "claim last" in capsys.readouterr().out
     assert not (tmp_path / "runs").exists()  # nothing was to be recorded
+
+
+@pytest.mark.processes
+def test_a_rig_that_trips_ends_its_launch_with_a_status_unless_the_scenario_expects_it(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("surprise.yaml").write_text("extends: lsrm_fuzzy_b5_trip\ntrips: []\n")
+    with free_domain() as domain:
+        values = {"scenario": "surprise.yaml", "mode": "lockstep", "place": "container"}
+        status, said = launch(values, environment(domain, tmp_path))
+    assert status == 1, said
+    assert said.splitlines()[-1].startswith("lsrm_plant: phase currents")
+    for scenario, found in (("surprise.yaml", ["lsrm_plant"]), ("lsrm_fuzzy_b5_trip", [])):
+        rig = rig_of(scenario)
+        held = run_inprocess(rig, 0)
+        assert list(tripped(rig, {name: _status(h) for name, h in held.items()})) == found
+    with pytest.raises(ScenarioError, match="trips: no node 'motor'"):
+        rig_of("surprise.yaml").scenario.having(trips=["motor"])
+
+
+def test_an_unknown_argument_of_our_launch_file_is_said():
+    words = ["ros2", "launch", "softrig_bringup", "rig.launch.py", "scenarioo:=1"]
+    assert strange(words).startswith("scenarioo: no argument of rig.launch.py (did you mean 'scenario'?); expected")
+    assert strange([*words[:4], "scenario:=lag", "seed:=1"]) == ""
+    assert strange(["ros2", "launch", "theirs.launch.py", "scenarioo:=1"]) == ""  # includes ours, say
 
 
 @pytest.mark.parametrize(

@@ -1,14 +1,23 @@
-"""Real starts of all kinds of rig, outside nodes and containers included, three at a time: none is lost."""
+"""Real starts of all kinds of rig, outside nodes and containers included, three at a time: none is lost.
+
+Nor beside processes that join the domains of the runs, before, after and in between, and are killed at any moment.
+"""
 
 import os
 import random
+import subprocess
+import sys
 import tempfile
+import threading
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 
 import pytest
 from conftest import differences
 from softrig_core import run_processes
+from softrig_core.processes.domain import DOMAINS
+from softrig_core.processes.executables import environment
 from softrig_core.processes.placement import Placement
 from test_discovery import KINDS, guests, rig_and_record
 from test_outside import replaced
@@ -33,10 +42,42 @@ def trial(seed):
         return f"{kind}{' in a container' if together else ''}", wrong
 
 
+JOINS = "import rclpy; rclpy.init(); rclpy.create_node('victim'); input()"
+
+
+@contextmanager
+def killings():
+    """Meanwhile processes join one of the domains that the runs of this process take, and are killed."""
+    over, killed = threading.Event(), []
+
+    def kill():
+        rng = random.Random(0)
+        with tempfile.TemporaryDirectory() as folder:
+            while not over.is_set():
+                domain = DOMAINS[(os.getpid() + rng.randrange(4)) % len(DOMAINS)]
+                variables = environment(domain, Path(folder))
+                victim = subprocess.Popen([sys.executable, "-c", JOINS], env=variables, stdin=subprocess.PIPE)
+                # half of them while it makes its files, which takes some ten ms about 0.4 s after its start
+                over.wait(rng.uniform(0.25, 0.6) if rng.random() < 0.5 else rng.uniform(0.6, 2.0))
+                victim.kill()
+                victim.communicate()
+                killed.append(domain)
+
+    thread = threading.Thread(target=kill)
+    thread.start()
+    try:
+        yield killed
+    finally:
+        over.set()
+        thread.join()
+
+
 @pytest.mark.timeout(3600)
-def test_no_start_is_lost():
+@pytest.mark.parametrize("beside", [nullcontext, killings])
+def test_no_start_is_lost(beside):
     """Some minutes on two cores; `SOFTRIG_REAL_STARTS` sets another number, `trial(seed)` repeats one."""
     number = int(os.environ.get("SOFTRIG_REAL_STARTS", "400"))
-    with ThreadPoolExecutor(3) as pool:
+    with beside() as killed, ThreadPoolExecutor(3) as pool:
         found = [(seed, *result) for seed, result in enumerate(pool.map(trial, range(number)))]
     assert [f"seed {seed}, {what}: {wrong}" for seed, what, wrong in found if wrong] == []
+    assert killed is None or len(killed) > number / 10

@@ -14,6 +14,7 @@ from softrig_bags.read import read_bag
 from softrig_bags.write import write_bag
 from softrig_core import load_scenario, rig_of
 from softrig_core.block.params import flatten
+from softrig_core.node.ros.ros import Credit
 from softrig_core.processes.domain import free_domain
 from softrig_core.processes.executables import find_executable
 
@@ -98,6 +99,65 @@ def test_what_is_set_by_services_and_by_the_command_is_checked(tmp_path):
     assert [ok for ok, _ in said["in one"]] == [True, True]
     assert [ok for ok, _ in said["whole"] + said["as it is"]] == [True, True, True]
     assert said["types"] == [ParameterType.PARAMETER_DOUBLE] * 2
+
+
+FLOOD = (
+    ASKING
+    + """
+from collections import deque
+from itertools import count
+from time import monotonic
+values = count(500)
+found, asked, end = [], deque(), monotonic() + 3.0
+while asked or monotonic() < end:
+    while len(asked) < 8 and monotonic() < end:
+        asked.append(client.set_parameters([Parameter("U_dc", value=float(next(values)))]))
+    found.append(ask(asked.popleft()).results[0])
+print(json.dumps([[r.successful, r.reason] for r in found]))
+"""
+)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("mode", "duration"), [("processes", "1"), ("container", "20")])
+def test_a_flood_of_sets_does_not_keep_a_rig_from_its_ticks(mode, duration, tmp_path):
+    """Of a plant that takes milliseconds to be made anew: each set is answered, and each change recorded."""
+    with free_domain() as domain:
+        pass  # the run reserves it
+    variables = Bench(tmp_path, domain).environment
+    person = subprocess.Popen([sys.executable, "-c", FLOOD, "im_plant"], env=variables, stdout=subprocess.PIPE)
+    command = ["run", "induction_dtc", "--duration", duration, "--mode", mode, "--no-plots", "--domain", str(domain),
+               "--out", str(tmp_path / "run")]  # fmt: skip
+    try:
+        done = subprocess.run([sys.executable, "-m", "softrig_bringup", *command], timeout=PATIENCE,
+                              capture_output=True, text=True)  # fmt: skip
+        answers = json.loads(person.communicate(timeout=10.0)[0])
+    finally:
+        person.kill()
+        person.wait()
+    assert done.returncode in (0, 1), done.stderr
+    replaced = sum(reason.startswith("in place of U_dc") for ok, reason in answers if ok)
+    assert all("expected a pause of" in reason for ok, reason in answers if not ok)
+    changes = json.loads((tmp_path / "run/metrics.json").read_text())["changes"]
+    assert len(changes) + replaced == sum(ok for ok, _ in answers) > 2
+
+
+def test_sets_may_take_a_share_of_the_time(monkeypatch):
+    now = [0.0]
+    monkeypatch.setattr("softrig_core.node.ros.ros.time.monotonic", lambda: now[0])
+    credit = Credit()
+    for _ in range(4):
+        assert credit.wanting() == 0.0
+        with credit.spent():
+            now[0] += 0.5
+        now[0] += 0.1
+    assert credit.left == pytest.approx(Credit.MOST - 2.0 + Credit.SHARE * 0.3)
+    with credit.spent():
+        now[0] += 60.0  # one long one
+    wait = credit.wanting()
+    assert 0.0 < wait <= Credit.MOST / Credit.SHARE
+    now[0] += wait
+    assert credit.wanting() == pytest.approx(0.0, abs=1e-9)
 
 
 LISTER = (

@@ -2,10 +2,12 @@
 made and removed by the test."""
 
 import os
+import re
 import shutil
 import subprocess
 import sys
 from contextlib import contextmanager
+from pathlib import Path
 
 import link
 import pytest
@@ -14,6 +16,7 @@ from softrig_bags.read import read_bag
 from softrig_bags.repair import repair
 from softrig_bringup.cli import main
 from softrig_core.processes.domain import free_domain
+from softrig_core.processes.executables import LOOPBACK, PROFILE, environment, find_executable
 from test_processes import BASIC, rig
 
 pytestmark = pytest.mark.processes
@@ -112,6 +115,61 @@ def test_a_part_that_cannot_be_is_told(arguments, text, tmp_path, capsys):
     scenario.write_text(f"title: t\nsystem: lag\nsource: s\nduration: 1.0\nnodes:\n{nodes}")
     assert main(["run", str(scenario), *arguments]) == 2
     assert text in capsys.readouterr().err
+
+
+def test_the_profile_of_this_host_is_the_other_one_but_for_its_sockets(tmp_path, monkeypatch):
+    transports = "|".join(
+        (
+            r" *<transport_descriptors>.*</transport_descriptors>\n",
+            r" *<userTransports>.*</useBuiltinTransports>\n",
+            "<!--.*?-->",
+        )
+    )
+    own, other = (re.sub(transports, "", file.read_text(), flags=re.S) for file in (LOOPBACK, PROFILE))
+    assert own == other
+    monkeypatch.delenv("FASTRTPS_DEFAULT_PROFILES_FILE", raising=False)
+    for discovery, here in (("LOCALHOST", True), ("SUBNET", False)):  # as `run` writes it
+        found = environment(1, tmp_path, discovery=discovery, silence=10.0)["FASTRTPS_DEFAULT_PROFILES_FILE"]
+        assert ("<address>127.0.0.1</address>" in Path(found).read_text()) == here
+
+
+INTRUDER = """
+import time, rclpy
+from rclpy.node import Node
+rclpy.init()
+node = Node("intruder")
+end = time.monotonic() + float(PATIENCE)
+while time.monotonic() < end and "plant" not in node.get_node_names():
+    time.sleep(0.1)
+print(*node.get_node_names())
+"""
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("profile", [LOOPBACK, PROFILE])
+def test_who_comes_from_another_host_finds_nobody(profile, tmp_path):
+    """By the address, which discovery on this host alone does not hinder; with the sockets of any interface it does."""
+    with free_domain() as domain, two_hosts() as (a, b):
+        here = environment(domain, tmp_path)
+        assert here["FASTRTPS_DEFAULT_PROFILES_FILE"] == str(LOOPBACK)
+        here["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(profile)
+        there = here | {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET", "ROS_STATIC_PEERS": "10.213.7.1",
+                        "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4", "FASTRTPS_DEFAULT_PROFILES_FILE": ""}  # fmt: skip
+        enter = ["ip", "netns", "exec"]
+        plant = subprocess.Popen([*enter, a, find_executable("faultrig", "plant"), "--ros-args", "-r", "__node:=plant"],
+                                 env=here)  # fmt: skip
+        try:
+            code = INTRUDER.replace("PATIENCE", "8" if profile == LOOPBACK else str(PATIENCE))
+            seen = subprocess.run([*enter, b, sys.executable, "-c", code], env=there, capture_output=True, text=True,
+                                  timeout=PATIENCE)  # fmt: skip
+            neighbour = here | {"FASTDDS_BUILTIN_TRANSPORTS": "UDPv4", "FASTRTPS_DEFAULT_PROFILES_FILE": ""}
+            near = subprocess.run([*enter, a, sys.executable, "-c", INTRUDER.replace("PATIENCE", "60")], env=neighbour,
+                                  capture_output=True, text=True, timeout=PATIENCE)  # fmt: skip
+        finally:
+            plant.kill()
+            plant.wait()
+    assert "plant" in near.stdout.split(), near.stderr
+    assert ("plant" in seen.stdout.split()) == (profile == PROFILE), seen.stdout + seen.stderr
 
 
 @pytest.mark.long

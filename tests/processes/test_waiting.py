@@ -7,11 +7,12 @@ from types import SimpleNamespace
 import pytest
 import rclpy
 from conftest import differences, in_process, make_scenario
-from faultrig import COMMAND, Gain
+from faultrig import COMMAND, Gain, Lag
 from rclpy._rclpy_pybind11 import RCLError
 from simulated import Discovery, SimulatedNode, SimulatedRig, World
 from simulated_outside import SimulatedOutside
 from softrig_core import rig_of
+from softrig_core.node import group as group_module
 from softrig_core.node.adapter.adapter import Adapter
 from softrig_core.node.group import Group
 from softrig_core.node.ros.ros import RosMiddleware, quiet_after_shutdown
@@ -92,6 +93,21 @@ def test_in_real_time_the_start_is_after_the_controller_has_come():
     assert lacking(run) == []
 
 
+@pytest.mark.parametrize("groups", [(), [("plant", "source", "gain")], [("plant", "gain")]],
+                         ids=["processes", "a container", "both"])  # fmt: skip
+def test_a_run_that_takes_longer_than_a_start_may_take_has_begun(groups, monkeypatch):
+    """In a container nobody waits for a message of another process, which is what shows the others."""
+    rig = rig_of(make_scenario({"plant": "plant", "source": "source", "gain": "gain"}, 0.4))
+    world = World(lambda *_: 20 * MS)
+    monkeypatch.setattr(group_module, "SLICE", 0)
+    monkeypatch.setattr(SimulatedNode, "post", lambda node, call: world.at(world.now + 20 * MS, call))
+    run = SimulatedRig(rig, world, "lockstep", groups=groups, start_timeout=0.3, timeout=5.0)
+    began = world.now
+    assert set(run.run().values()) == {"done"}, {n: str(a.error) for n, a in run.adapters.items()}
+    assert world.now - began > 600 * MS
+    assert differences(in_process(rig), run.recording) == []
+
+
 def test_a_topic_of_an_outside_node_is_not_remapped_by_who_looks_for_it():
     """An observer of this rig reads `other/command` in place of `lag/command`."""
     nodes = {n: e.model_dump() | {"external": n == "gain"} for n, e in KINDS["basic"].nodes.items()}
@@ -128,6 +144,60 @@ def test_a_node_by_hand_does_not_take_a_stamp_from_the_future_for_the_beginning(
     assert gain.epoch == first + 20 * MS
 
 
+@pytest.mark.parametrize(("lease", "state"), [(0.0, "done"), (3.0, "failed")])
+def test_a_law_by_hand_leaves_with_those_that_it_reads_and_fails_when_they_die(lease, state):
+    """Who is killed stays in the graph for its lease."""
+    world = World()
+    node, player = SimulatedNode(world, "gain", {}), SimulatedNode(world, "player", {})
+    gain, sent = Adapter(node, Gain(), RunOptions(mode="lockstep")), []
+    Group([gain])
+    player.subscribe(COMMAND.topic, COMMAND.msgtype, sent.append, lambda count: None)
+    say = [(p, player.publisher(p.topic, p.msgtype, lambda count: None)) for p in Gain.INPUTS]
+    world.match()
+    world.run(world.now + 2 * SECOND)
+    for k in range(3):
+        for port, send in say:
+            send(port.layout().encode(k * 10 * MS, (1.0,) * port.size))
+    world.run(world.now + round((0.1 + lease) * SECOND))
+    assert (len(sent), gain.state) == (3, "running")
+    for item in gain.inputs:
+        item.matched(0)
+    world.run(world.now + 2 * SECOND)
+    assert gain.state == state
+    assert ("(gone)" in str(gain.error)) == (state == "failed")
+
+
+class Needy(Lag):
+    """A plant that cannot do without commands."""
+
+    AWAITS_COMMAND = True
+
+
+def test_a_plant_that_needs_commands_stays_at_the_beginning_until_one_comes():
+    world = World()
+    node, law = SimulatedNode(world, "plant", {}), SimulatedNode(world, "law", {})
+    plant, said = Adapter(node, Needy(), RunOptions(mode="realtime", duration=0.1)), []
+    Group([plant])
+    state = next(p for p in Needy.OUTPUTS if p.name == "state")
+    law.subscribe(state.topic, state.msgtype, said.append, lambda count: None)
+    send = law.publisher(COMMAND.topic, COMMAND.msgtype, lambda count: None)
+    world.match()
+    begun = world.now
+    world.run(begun + SECOND)
+    assert "stays at t = 0 until it is commanded on lag/command" in [text for _, text in node.logs]
+    values = {state.layout().decode(data)[1] for data in said}
+    assert (len(said) > 50, len(values)) == (True, 1)
+    stamp = state.layout().decode(said[-1])[0]
+    assert world.now - stamp < 20 * MS
+    send(COMMAND.layout().encode(stamp, (1.0,)))
+    world.run(world.now + 50 * MS)
+    assert plant.epoch - stamp in (0, 10 * MS)
+    assert plant.step.x != plant.block.first()
+    assert plant.state == "running"
+    world.run(world.now + 100 * MS)
+    assert plant.state == "done"
+
+
 def test_a_system_clock_that_jumps_decides_nothing_in_lockstep(monkeypatch):
     rng = random.Random(0)
     monkeypatch.setattr(SimulatedNode, "now", lambda self: self.world.now + rng.randrange(-HOUR, HOUR))
@@ -138,7 +208,7 @@ def test_a_system_clock_that_jumps_decides_nothing_in_lockstep(monkeypatch):
 
 
 def test_the_wall_clock_of_a_node_goes_on_steadily_whatever_the_system_clock_does(monkeypatch):
-    ros = RosMiddleware(SimpleNamespace(get_name=lambda: "a", get_fully_qualified_name=lambda: "/a"))
+    ros = RosMiddleware(SimpleNamespace(monitor=None, get_name=lambda: "a", get_fully_qualified_name=lambda: "/a"))
     before = ros.now()
     assert abs(before - time.time_ns()) < HOUR
     monkeypatch.setattr(time, "time_ns", lambda: 0)

@@ -147,7 +147,7 @@ def test_tables_as_the_field_has_them(tmp_path):
     solver = DispatchSolver(unit_table=str(tmp_path / "units.csv"), loss_table=str(losses), demand=850.0)
     outputs = {p.name: p for p in solver.ports(solver.p)[1]}
     assert outputs["setpoints"].size == 3
-    request = solver.request(0, demand=None)
+    _, request = solver.request(solver.first(), 0, demand=None)
     found = solver.solve(request, None)
     assert found.reason == "proven"
     assert found.losses == pytest.approx(read.of(found.P))
@@ -174,10 +174,9 @@ def test_the_scenario_takes_any_table_whatever_the_names_of_its_units(tmp_path):
 def test_ramps_count_from_the_last_dispatch(tmp_path):
     table = write(tmp_path / "units.csv", CASES["ramps"][0], MORE[:3])
     solver = DispatchSolver(unit_table=table)
-    solver.start()
-    first = solver.solve(solver.request(0, demand=(850.0,)), None)
-    solver._last = first
-    second = solver.request(1, demand=(900.0,))
+    x, request = solver.request(solver.first(), 0, demand=(850.0,))
+    first = solver.solve(request, None)
+    x, second = solver.request(x._replace(last=first), 1, demand=(900.0,))
     np.testing.assert_allclose(second.conditions.high, np.minimum(THREE.p_max, first.P + [80.0, 70.0, 50.0]))
-    assert solver.request(2, demand=(1190.0,)) is None
+    assert solver.request(x, 2, demand=(1190.0,))[1] is None
     assert solver.reports["infeasible"][0] == Level.ERROR

@@ -5,7 +5,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from conftest import differences, in_process
-from softrig_core import Level, ParameterError, list_scenarios, load_scenario, rig_of, run_processes, simulate
+from softrig_core import ByHand, Level, ParameterError, list_scenarios, load_scenario, rig_of, run_processes, simulate
 from softrig_power.dispatch.baselines import lambda_iteration, swarm, without_ripples
 from softrig_power.dispatch.branch import branch_and_bound, chord_excess
 from softrig_power.dispatch.certify import InfeasibleError, Optimiser, lowering
@@ -361,7 +361,7 @@ def test_every_scenario_meets_its_expectations(name):
 
 @pytest.fixture
 def node():
-    block = DispatchSolver(unit_table="units_3")
+    block = ByHand(DispatchSolver(unit_table="units_3"))
     block.reset(0)
     yield block
     block.reset(0)  # ends the working process
@@ -394,7 +394,7 @@ def test_a_late_result_is_that_of_its_request():
     units = Units.read("units_3")
     dear = units.table.copy()
     dear[:, 4] += 100.0
-    block = DispatchSolver(unit_table="units_3", latency=2.0)
+    block = ByHand(DispatchSolver(unit_table="units_3", latency=2.0))
     assert ask(block, 0, 850.0) == {}
     assert ask(block, 1, 900.0, units=tuple(dear.ravel())) == {}
     found = ask(block, 2, 1300.0, units=tuple(dear.ravel()))  # which they cannot give: nothing is asked
@@ -417,8 +417,8 @@ def test_an_infeasible_demand_is_an_error_and_the_last_set_points_stay(node):
         assert level == Level.ERROR
         assert f"demand {demand:g} MW, but the units give 250 to 1200 MW" in text
         assert count == 1 + k
-        assert node.anew == {"infeasible"}  # logged each time
-        node.anew.clear()
+        assert node.block.anew == {"infeasible"}  # logged each time
+        node.block.anew.clear()
     assert ask(node, 5, 900.0)["setpoints"]
     assert "infeasible" not in node.reports  # diagnostics are those of the dispatch in effect
 
@@ -449,7 +449,7 @@ def test_a_bad_table_stops_the_node_and_the_scenario(tmp_path):
 
 
 def test_the_fleet_follows_within_limits_and_ramp():
-    fleet = UnitFleet(unit_table="units_3", ramp=50.0)
+    fleet = ByHand(UnitFleet(unit_table="units_3", ramp=50.0))
     assert fleet.outputs(0)["state"][:3] == (100.0, 50.0, 100.0)
     fleet.advance(0, setpoints=(300.0, 10.0, 110.0))
     assert fleet.outputs(1)["state"][:3] == (150.0, 50.0, 110.0)

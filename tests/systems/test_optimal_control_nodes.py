@@ -127,26 +127,32 @@ def test_impossible_parameters_are_refused_by_name(kind, values, named):
 
 
 def asked(planner, t=0, state=STATE, **more):
-    return planner.request(t, state=state, **more)
+    planner.x, request = planner.law.request(planner.x, t, state=state, **more)
+    return request
 
 
 def answered(planner, request, t=0):
-    result = Result(t, request, type(planner).solve(request, None), True)
-    return planner.answer(t, result, True)
+    return taken(planner, Result(t, request, planner.law.solve(request, None), True))
+
+
+def taken(planner, result):
+    planner.x, values = planner.law.answer(planner.x, result.stamp, result, True)
+    planner.tell()
+    return values
 
 
 def test_when_a_planner_plans():
-    planner = MvimPlanner(k_replan=5)
+    planner = ByHand(MvimPlanner(k_replan=5))
     plans = [k for k in range(101) if asked(planner, k * S) is not None]
     assert plans == list(range(0, 100, 5))
-    planner = MvimPlanner(k_replan=1)
+    planner = ByHand(MvimPlanner(k_replan=1))
     assert [k for k in range(101) if asked(planner, k * S) is not None] == list(range(99))  # not in the last 2 s
-    planner = MvimPlanner()
+    planner = ByHand(MvimPlanner())
     assert [k for k in range(101) if asked(planner, k * S) is not None] == [0]
 
 
 def test_a_press_asks_for_a_plan_once():
-    planner = MvimPlanner()
+    planner = ByHand(MvimPlanner())
     given = [asked(planner, k * S, replan=(float(k in (3, 4)),)) for k in range(6)]
     assert [r is not None for r in given] == [True, False, False, True, False, False]
     assert given[3].horizon == 97.0
@@ -154,15 +160,15 @@ def test_a_press_asks_for_a_plan_once():
 
 
 def test_a_plan_that_misses_the_end_is_not_published():
-    planner = MvimPlanner()
+    planner = ByHand(MvimPlanner())
     answered(planner, asked(planner))
-    request = Request(planner.p.model_copy(update={"order": 2}), (1e6, 1e6, 1e6), 1e6, None)  # no root to be found
+    request = Request(planner.params.model_copy(update={"order": 2}), (1e6, 1e6, 1e6), 1e6, None)  # no root to be found
     assert answered(planner, request) == {}
     assert planner.reports["no_plan"][0] is Level.ERROR
 
 
 def test_a_plan_with_a_large_residual_is_published_as_not_converged():
-    planner = MvimPlanner(order=4)
+    planner = ByHand(MvimPlanner(order=4))
     values = answered(planner, asked(planner))
     assert planner.reports["not_converged"][0] is Level.WARN
     assert values["summary"][-2:] == (0.0, 0.0)
@@ -175,7 +181,7 @@ def test_a_plan_with_a_large_residual_is_published_as_not_converged():
 
 
 def test_diagnostics_name_alpha_and_the_costs_of_all_orders():
-    planner = MvimPlanner()
+    planner = ByHand(MvimPlanner())
     answered(planner, asked(planner))
     health = planner.health()
     assert len(health["alpha"].split()) == 3
@@ -185,7 +191,7 @@ def test_diagnostics_name_alpha_and_the_costs_of_all_orders():
 
 
 def test_orders_rise_until_the_rule_is_met():
-    planner = MvimPlanner(order=2, order_max=20)
+    planner = ByHand(MvimPlanner(order=2, order_max=20))
     values = answered(planner, asked(planner))
     assert dict(zip(("start", "horizon", "order"), values["summary"], strict=False))["order"] == 6.0
     table = np.reshape(values["plan"], (9, 21))
@@ -194,8 +200,8 @@ def test_orders_rise_until_the_rule_is_met():
 
 
 def test_a_planner_without_an_answer_keeps_the_last_plan():
-    planner = CollocationPlanner()
-    assert planner.answer(0, Result(0, None, None, False), True) == {}
+    planner = ByHand(CollocationPlanner())
+    assert taken(planner, Result(0, None, None, False)) == {}
     assert planner.reports["limit"][0] is Level.ERROR
 
 

@@ -16,6 +16,7 @@ from softrig_bringup.study.draw import cases
 from softrig_bringup.study.table import results
 from softrig_bringup.study.work import Work, run as run_case
 from softrig_core import (
+    ByHand,
     Level,
     ParameterError,
     Signals,
@@ -26,15 +27,17 @@ from softrig_core import (
     run_processes,
     simulate,
 )
+from softrig_core.block.runner import Runner
 from softrig_core.judge.measures import mean
+from softrig_core.run.inprocess import wired
 from softrig_optim.algorithms import AlgorithmParams, make
 from softrig_optim.search import run
 from softrig_power.pv import figures as pv_figures
 from softrig_power.pv.converter import (
     BuckBoostMatching,
+    Circuit,
     Converter,
     ConverterParams,
-    State,
     seen_resistance,
     steady_state,
 )  # fmt: skip
@@ -196,7 +199,7 @@ def test_models_agree_in_steady_state(d):
     start = steady_state(CONVERTER, source, d)
     static = start.v * source.current(start.v)
     assert start.v / source.current(start.v) == pytest.approx(float(seen_resistance(CONVERTER, np.array(d))))
-    averaged = converter.step(State(1.02 * start.v, start.i_L, start.v_o), source, d, 2e-5, 20000)
+    averaged = converter.step(Circuit(1.02 * start.v, start.i_L, start.v_o), source, d, 2e-5, 20000)
     assert averaged.v * source.current(averaged.v) == pytest.approx(static, rel=1e-4)
     x, T = start, 2e-5
     for _ in range(4000):
@@ -256,14 +259,14 @@ def test_transients_converge(before, after, peak):
 
 def test_switched_plant_follows_the_averaged_one():
     """The step 0.4 to 0.551 with its interval of zero current: within 0.6 V and 5 W, then the same."""
-    plants = [PvPlant(model=model) for model in ("averaged", "switched")]
+    plants = [ByHand(PvPlant(model=model)) for model in ("averaged", "switched")]
     for plant in plants:
         for _ in range(60):
-            plant.advance(0, (0.4,), None)
+            plant.advance(0, duty=(0.4,), environment=None)
     worst_v = worst_p = 0.0
     for _ in range(60):
         for plant in plants:
-            plant.advance(0, (0.551,), None)
+            plant.advance(0, duty=(0.551,), environment=None)
         a, b = (plant.outputs(0)["converter"] for plant in plants)
         worst_v, worst_p = max(worst_v, abs(a[0] - b[0])), max(worst_p, abs(a[3] - b[3]))
     assert 0.1 < worst_v < 0.6
@@ -434,18 +437,26 @@ CLOUDS = [  # light while it passes, from when to when, s
 ]
 
 
+def tracked(tracker, t, measurement):
+    return tracker.update(t, measurement=measurement, start=None, stop=None, restart=None)
+
+
+def power_of(plant):
+    return plant.outputs(0)["converter"][3]
+
+
 def after_a_cloud(algorithm, light, begin, end, seconds, seed=0):
     """Power at each tick after a cloud over pattern 1, and the states."""
     powers, states = [], []
-    plant, tracker = PvPlant(), MpptOptimizer(algorithm=algorithm)
+    plant, tracker = ByHand(PvPlant()), ByHand(MpptOptimizer(algorithm=algorithm))
     tracker.reset(seed)
     for tick in range(round((end + seconds) * 1000)):
         t = tick * 1_000_000
         outputs = plant.outputs(t)
-        answer = tracker.update(t, outputs["port"], None, None, None)
+        answer = tracked(tracker, t, outputs["port"])
         powers.append(outputs["converter"][3])
         states.append(answer["state"])
-        plant.advance(t, answer["command"], (light if begin <= tick / 1000 < end else PATTERN1) + ROOM)
+        plant.advance(t, duty=answer["command"], environment=(light if begin <= tick / 1000 < end else PATTERN1) + ROOM)
     return np.array(powers)[round(end * 1000) + 1 :], np.array(states)[round(end * 1000) + 1 :]
 
 
@@ -548,48 +559,50 @@ def test_tracker_knows_nothing_of_the_plant():
 
 def test_metrics_node():
     """Its running figures are those of the recording."""
-    node = MpptMonitor(period=0.5)
+    node = ByHand(MpptMonitor(period=0.5))
     best = string(PATTERN1).gmpp
     everything = PATTERN1 + ROOM
-    node.update(0, (best.v, 0.5 * best.i, 25.0), everything)
-    node.update(500_000_000, (best.v, best.i, 25.0), everything)
+    node.update(0, port=(best.v, 0.5 * best.i, 25.0), environment=everything)
+    node.update(500_000_000, port=(best.v, best.i, 25.0), environment=everything)
     figures = {name: value for name, (value, _) in node.status().items()}
     assert figures == pytest.approx({"gmpp": best.p, "power": best.p, "in_global_basin": 1.0, "tracking_time": 0.5,
                                      "efficiency": 100.0, "energy_share": 75.0})  # fmt: skip
-    node.update(1_000_000_000, (best.v, best.i, 25.0), UNIFORM + ROOM)
-    node.update(1_500_000_000, (best.v, best.i, 25.0), UNIFORM + ROOM)
+    node.update(1_000_000_000, port=(best.v, best.i, 25.0), environment=UNIFORM + ROOM)
+    node.update(1_500_000_000, port=(best.v, best.i, 25.0), environment=UNIFORM + ROOM)
     figures = {name: value for name, (value, _) in node.status().items()}
     assert figures["efficiency"] == pytest.approx(100.0 * 116.460 / 239.528, abs=0.02)
     assert figures["tracking_time"] == pytest.approx(1.0)
-    node.update(2_000_000_000, (0.0, 0.0, 25.0), (0.0,) * 4 + ROOM)
+    node.update(2_000_000_000, port=(0.0, 0.0, 25.0), environment=(0.0,) * 4 + ROOM)
     assert "efficiency" not in node.status()
 
 
 def test_curves_on_request():
-    node = PvCurves(n_points=101)
-    first = np.reshape(node.update(0, None, None)["curves"], (3, 101))
+    node = ByHand(PvCurves(n_points=101))
+    first = np.reshape(node.update(0, environment=None, request=None)["curves"], (3, 101))
     assert first[2] == pytest.approx(first[0] * first[1])
     assert first[2].max() == pytest.approx(116.46, abs=0.3)
     assert first[1][-1] == pytest.approx(0.0, abs=1e-5)
     shaded = PATTERN2 + ROOM
-    assert np.reshape(node.update(0, shaded, None)["curves"], (3, 101)) == pytest.approx(first)
-    pressed = np.reshape(node.update(0, shaded, (1.0,))["curves"], (3, 101))
+    assert np.reshape(node.update(0, environment=shaded, request=None)["curves"], (3, 101)) == pytest.approx(first)
+    pressed = np.reshape(node.update(0, environment=shaded, request=(1.0,))["curves"], (3, 101))
     assert pressed[2].max() == pytest.approx(98.22, abs=0.3)
-    held = node.update(0, UNIFORM + ROOM, (1.0,))["curves"]
+    held = node.update(0, environment=UNIFORM + ROOM, request=(1.0,))["curves"]
     assert np.reshape(held, (3, 101)) == pytest.approx(pressed)
 
 
 def test_shading_patterns_change_in_time():
-    source = ShadingSource(times=(0.0, 2.0), irradiance=PATTERN1 + UNIFORM, temperature=(25.0, 30.0, 35.0, 40.0))
+    source = ByHand(
+        ShadingSource(times=(0.0, 2.0), irradiance=PATTERN1 + UNIFORM, temperature=(25.0, 30.0, 35.0, 40.0))
+    )
     assert source.update(1_999_999_999)["environment"] == (*PATTERN1, 25.0, 30.0, 35.0, 40.0)
     assert source.update(2_000_000_000)["environment"] == (*UNIFORM, 25.0, 30.0, 35.0, 40.0)
-    warmer = ShadingSource(times=(0.0, 2.0), irradiance=PATTERN1 + UNIFORM, temperature=ROOM + (50.0,) * 4)
+    warmer = ByHand(ShadingSource(times=(0.0, 2.0), irradiance=PATTERN1 + UNIFORM, temperature=ROOM + (50.0,) * 4))
     assert warmer.update(0)["environment"] == PATTERN1 + ROOM
     assert warmer.update(2_000_000_000)["environment"] == UNIFORM + (50.0,) * 4
 
 
 def test_fluctuation_is_drawn_once_a_run():
-    source = ShadingSource(fluctuation=0.15)
+    source = ByHand(ShadingSource(fluctuation=0.15))
     source.reset(1)
     first = source.update(0)["environment"]
     assert source.update(10**9)["environment"] == first
@@ -600,16 +613,37 @@ def test_fluctuation_is_drawn_once_a_run():
     assert source.update(0)["environment"] != first
 
 
+@pytest.mark.parametrize("name", ["pv_mppt", "pv_mppt_certified_transients", "pv_mppt_s5_cloud"])
+def test_going_back_in_mid_search_repeats_it(name):
+    """Three times from the same tick: a search that is asked of an older state is told again what it knew then."""
+    rig = rig_of(load_scenario(name).changed(duration=0.4))
+    steps = wired(rig, {m.name: m.block(1) for m in rig.members})
+    ticks = Runner(list(steps.values())).run()
+    for _ in range(150):
+        next(ticks)
+    saved = {n: (s.save(), dict(s.values)) for n, s in steps.items()}
+    told = steps["mppt_optimizer"].x.search.now.evaluations
+    ways = []
+    for _ in range(3):
+        for n, (kept, values) in saved.items():
+            steps[n].load(kept)
+            steps[n].values.update(values)
+        again = Runner(list(steps.values())).run(150)
+        ways.append([(next(again), *(s.x for s in steps.values())) for _ in range(200)])
+        assert steps["mppt_optimizer"].x.search.now.evaluations > told
+    assert ways[0] == ways[1] == ways[2]
+
+
 # bad input ------------------------------------------------------------------------------------------------------
 
 
 def test_bad_duty():
     """Outside the limits: clipped. (One that is not finite never reaches the plant.)"""
-    plant, twin = PvPlant(), PvPlant()
+    plant, twin = ByHand(PvPlant()), ByHand(PvPlant())
     for duty, meant, level in ((0.5, 0.5, None), (1.7, 0.9, Level.WARN), (-1.0, 0.1, Level.WARN)):
         plant.reports.clear()
-        plant.advance(0, (duty,), None)
-        twin.advance(0, (meant,), None)
+        plant.advance(0, duty=(duty,), environment=None)
+        twin.advance(0, duty=(meant,), environment=None)
         assert plant.x == twin.x
         assert (plant.reports["duty"][0] if plant.reports else None) == level
 
@@ -638,36 +672,36 @@ def test_plant_waits_for_a_slow_tracker(gap, stale):
 )  # fmt: skip
 def test_impossible_conditions_are_refused(change, text):
     """The whole message is refused, the conditions before it hold."""
-    plant, twin = PvPlant(), PvPlant()
-    plant.advance(0, (0.5,), change)
-    twin.advance(0, (0.5,), None)
+    plant, twin = ByHand(PvPlant()), ByHand(PvPlant())
+    plant.advance(0, duty=(0.5,), environment=change)
+    twin.advance(0, duty=(0.5,), environment=None)
     assert plant.x == twin.x
     assert text in plant.reports["environment"][1]
-    plant.advance(0, (0.5,), PATTERN2 + ROOM)
-    assert plant.source is string(PATTERN2)
+    plant.advance(0, duty=(0.5,), environment=PATTERN2 + ROOM)
+    assert plant.x.conditions == PATTERN2 + ROOM
 
-    node, best = MpptMonitor(), string(PATTERN1).gmpp
+    node, best = ByHand(MpptMonitor()), string(PATTERN1).gmpp
     for t in (0, 1_000_000):
-        node.update(t, (best.v, best.i, 25.0), change)
+        node.update(t, port=(best.v, best.i, 25.0), environment=change)
     assert text in node.reports["environment"][1]
     assert node.status()["efficiency"][0] == pytest.approx(100.0)
     assert node.status()["tracking_time"][0] == 0.0
 
-    node = PvCurves()
-    node.update(0, PATTERN2 + ROOM, None)
-    power = np.reshape(node.update(0, change, (1.0,))["curves"], (3, -1))[2]
+    node = ByHand(PvCurves())
+    node.update(0, environment=PATTERN2 + ROOM, request=None)
+    power = np.reshape(node.update(0, environment=change, request=(1.0,))["curves"], (3, -1))[2]
     assert text in node.reports["environment"][1]
     assert power.max() == pytest.approx(98.22, abs=0.3)
 
 
 def test_darkness_and_light_again():
     """All modules dark: no power, no division; the tracker keeps its duty and searches when the light is back."""
-    plant, tracker = PvPlant(), MpptOptimizer(algorithm="ramp")
+    plant, tracker = ByHand(PvPlant()), ByHand(MpptOptimizer(algorithm="ramp"))
     phases, duties, t = [], [], 0
     for tick in range(2000):
         light = PATTERN1 if tick < 500 or tick >= 1500 else (0.0,) * 4
-        answer = tracker.update(t, plant.outputs(t)["port"], None, None, None)
-        plant.advance(t, answer["command"], light + ROOM)
+        answer = tracked(tracker, t, plant.outputs(t)["port"])
+        plant.advance(t, duty=answer["command"], environment=light + ROOM)
         phases.append(answer["state"][0])
         duties.append(answer["command"][0])
         t += 1_000_000
@@ -676,19 +710,19 @@ def test_darkness_and_light_again():
     assert len(set(duties[600:1500])) == 1
     assert 1.0 in phases[1500:1600]
     assert phases[-1] == 2.0
-    assert plant.x.v * plant.source.current(plant.x.v) > 115.9
+    assert power_of(plant) > 115.9
 
 
 def in_changing_light(light, duration, *, seed=0, **values):
     """Run tracker and string with light(s) on the modules; give the power at the end and the states."""
-    plant, tracker, states = PvPlant(), MpptOptimizer(**values), []
+    plant, tracker, states = ByHand(PvPlant()), ByHand(MpptOptimizer(**values)), []
     tracker.reset(seed)
     for tick in range(round(duration * 1000)):
         t = tick * 1_000_000
-        answer = tracker.update(t, plant.outputs(t)["port"], None, None, None)
+        answer = tracked(tracker, t, plant.outputs(t)["port"])
         states.append(answer["state"])
-        plant.advance(t, answer["command"], light(t / 1e9) + ROOM)
-    return plant.x.v * plant.source.current(plant.x.v), states, tracker
+        plant.advance(t, duty=answer["command"], environment=light(t / 1e9) + ROOM)
+    return power_of(plant), states, tracker
 
 
 SHIPPED = next(m.params for m in rig_of("pv_mppt").members if m.name == "mppt_optimizer")
@@ -716,7 +750,7 @@ def test_a_search_in_the_dark_stands_still_at_open_circuit():
     assert power < 1e-3
     assert set(dark[:, 0]) == {1.0}
     assert len(set(dark[:, 2])) == 1
-    assert set(tracker.update(1_500_000_000, (0.0, 0.0, 25.0), None, None, None)["command"]) == {0.1}
+    assert set(tracked(tracker, 1_500_000_000, (0.0, 0.0, 25.0))["command"]) == {0.1}
 
 
 def test_a_short_gap_has_the_candidate_measured_again():
@@ -757,24 +791,24 @@ def test_the_proven_bound_goes_when_the_light_changes(algorithm):
 @pytest.mark.parametrize("algorithm", ["certified", "ramp"])
 def test_refused_measurements_leave_a_gap_and_no_trace(algorithm):
     """The node refuses NaN: the tracker stays with its duty, measures it again, and finds what it finds without."""
-    plant, tracker, found = PvPlant(), MpptOptimizer(algorithm=algorithm), []
+    plant, tracker, found = ByHand(PvPlant()), ByHand(MpptOptimizer(algorithm=algorithm)), []
     for tick in range(1500):
         t, duty = tick * 1_000_000, found[-1] if found else None
         if tick % 50 == 30:
             answer = tracker.refused(t)
             assert answer["command"] == duty
         else:
-            answer = tracker.update(t, plant.outputs(t)["port"], None, None, None)
+            answer = tracked(tracker, t, plant.outputs(t)["port"])
         found.append(answer["command"])
-        plant.advance(t, found[-1], None)
+        plant.advance(t, duty=found[-1], environment=None)
     assert answer["state"][0] == 2.0
-    assert plant.x.v * plant.source.current(plant.x.v) > 0.99 * 116.46
+    assert power_of(plant) > 0.99 * 116.46
 
 
 def test_search_in_the_dark_makes_no_claim():
-    tracker = MpptOptimizer(algorithm="issa")
+    tracker = ByHand(MpptOptimizer(algorithm="issa"))
     for tick in range(4000):
-        state = tracker.update(tick * 1_000_000, (0.0, 0.0, 25.0), None, None, None)["state"]
+        state = tracked(tracker, tick * 1_000_000, (0.0, 0.0, 25.0))["state"]
         assert state[0] == 1.0
     assert tracker.reports["no signal"][0] is Level.WARN
 

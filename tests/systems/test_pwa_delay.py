@@ -12,8 +12,10 @@ from conftest import differences, in_process
 from pages import generated as pages
 from softrig_core import (
     ByHand,
+    Jobs,
     Level,
     ParameterError,
+    Result,
     Rig,
     RunError,
     ScenarioError,
@@ -243,10 +245,10 @@ def test_the_node_says_which_delays_its_certificate_covers():
                         ({"h": 1.5, "method": "theorem1"}, "delays from 0 s to 1.5 s, without a gap"),
                         ({"h": 1.6}, "nothing")):  # fmt: skip
         node = CertificateNode(**{**own, **asked})
-        node.start()
-        answer = CertificateNode.solve(node.request(0), SimpleNamespace(status=lambda **_: None))
-        node._result = SimpleNamespace(answer=answer)
-        assert re.fullmatch(text, node.health()["covers"])
+        x, request = node.request(node.first(), 0)
+        answer = CertificateNode.solve(request, SimpleNamespace(status=lambda **_: None))
+        x = x._replace(jobs=Jobs(result=Result(0, request, answer, True)))
+        assert re.fullmatch(text, node.health(x)["covers"])
 
 
 def test_a_damaged_certificate_fails_its_check():
@@ -274,7 +276,8 @@ def test_no_delay_empties_the_tank_below_its_certified_level(seed):
     """Adversarial: the delay jumps between nothing and all of it, in the tank's own loop, from the highest level."""
     h = 5.97
     bound = level_bound(h)
-    plant = TankPlant(delay=h, profile="telegraph", seed=seed, x0=min(bound.highest, 0.99), period=0.05, step=0.05)
+    plant = ByHand(TankPlant(delay=h, profile="telegraph", seed=seed, x0=min(bound.highest, 0.99), period=0.05,
+                             step=0.05))  # fmt: skip
     controller, lowest = ByHand(TankController(period=0.05)), 1.0
     for k in range(4000):
         level = plant.outputs(k)["level"]
@@ -503,10 +506,10 @@ def test_figures_of_the_scenarios(name):
 )  # fmt: skip
 def test_plants_fall_at_the_certified_delay_and_grow_beyond_their_margin(system, x0, stable, unstable, mu, seconds):
     def sizes(delay, kind):
-        plant = SwitchedDelayPlant(system=system, x0=x0, delay=delay, period=delay / 2.0, step=delay / 50.0,
-                                   profile=kind, mu=mu)  # fmt: skip
+        plant = ByHand(SwitchedDelayPlant(system=system, x0=x0, delay=delay, period=delay / 2.0, step=delay / 50.0,
+                                          profile=kind, mu=mu))  # fmt: skip
         found = []
-        for k in range(round(seconds / plant.p.period)):
+        for k in range(round(seconds / plant.params.period)):
             plant.advance(k)
             found.append(max(map(abs, plant.outputs(k)["state"])))
         quarters = np.array_split(np.array(found), 4)
@@ -640,7 +643,7 @@ def test_bad_parameters_are_refused(make, named):
 
 
 def test_an_empty_tank_stays_empty_and_says_so():
-    plant = TankPlant(x0=0.001, delay=1.0)
+    plant = ByHand(TankPlant(x0=0.001, delay=1.0))
     for k in range(400):
         plant.advance(k, inflow=(-1000.0,))
     assert plant.outputs(0)["level"] == (0.0,)
@@ -659,7 +662,7 @@ def test_a_state_beyond_reach_ends_the_run():
 def test_a_delay_beyond_its_limit_is_clamped():
     for block in (SwitchedDelayPlant(delay=0.1, max_delay=0.05), DelayLine(delay=0.1, max_delay=0.05)):
         assert ByHand(block).reports["delay"][0] is Level.WARN
-    assert SwitchedDelayPlant(delay=0.1, max_delay=0.05).outputs(0)["mode"][1] == 0.05
+    assert ByHand(SwitchedDelayPlant(delay=0.1, max_delay=0.05)).outputs(0)["mode"][1] == 0.05
 
 
 def test_delay_line_interpolates_and_begins_with_the_first_value():

@@ -861,7 +861,7 @@ def test_time_may_jump():
         plant.advance(t, command=(CONSTANTS.drop,), events=None)
     found = dict(zip(FIGURES, plant.outputs(t)["power_quality"], strict=True))
     assert found["windows"] == 80.0
-    assert found["current"] == pytest.approx(CONSTANTS.current, rel=0.5)
+    assert found["current"] == pytest.approx(CONSTANTS.current, rel=0.05)
     short = ByHand(RectifierPlant())
     for k in range(100):  # from the middle of a window to a tenth of a window beyond its end
         short.advance(k * NS + 50_000_000, command=(CONSTANTS.drop,), events=None)

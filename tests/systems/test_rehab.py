@@ -345,10 +345,10 @@ def test_stability_limit_over_the_period(T, delayed):
     ],
 )
 def test_gain_above_the_limit_warns_with_the_limit(values, limit):
-    level, text, _ = VoltageController(build(VoltageController.Params, values)).reports["stability hip"]
+    level, text, _ = ByHand(VoltageController(build(VoltageController.Params, values))).reports["stability hip"]
     assert level == Level.WARN
     assert f"stability limit {limit}" in text
-    assert VoltageController().reports == {}
+    assert ByHand(VoltageController()).reports == {}
 
 
 # A parameter of the robot that changes, and whether above its limit the motion tells it too (else friction hides it).
@@ -370,7 +370,7 @@ FREE_OF_THE_LIMIT = {  # how a run is computed, where it begins, what stops it; 
 def limit_in(rig):
     law = next(m for m in rig.members if m.name == "voltage_controller")
     p = law.params
-    return alpha_hat_limit(p.period, p.emvc.lam[0], p.loop_delay, p.use_applied, p.robot), law.block(0).reports
+    return alpha_hat_limit(p.period, p.emvc.lam[0], p.loop_delay, p.use_applied, p.robot), ByHand(law.block(0)).reports
 
 
 def test_every_parameter_of_the_robot_is_held_against_the_stability_limit():
@@ -413,9 +413,9 @@ def test_stability_limit_of_another_robot_is_refused_by_name():
 def test_each_joint_has_the_limit_of_its_own_motor():
     """A slow motor at the hip limits the hip alone."""
     values = {"robot.motors.inductance": [6e-3, 2.5e-3]}
-    block = VoltageController(build(VoltageController.Params, values | {"emvc.alpha_hat": [1.9, 4.5]}))
+    block = ByHand(VoltageController(build(VoltageController.Params, values | {"emvc.alpha_hat": [1.9, 4.5]})))
     assert block.reports == {}
-    block = VoltageController(build(VoltageController.Params, values | {"emvc.alpha_hat": [2.3, 4.5]}))
+    block = ByHand(VoltageController(build(VoltageController.Params, values | {"emvc.alpha_hat": [2.3, 4.5]})))
     assert "stability hip" in block.reports
 
 
@@ -465,7 +465,7 @@ def test_guarded_cost_keeps_a_margin():
 
 def test_tuner_node_waits_for_its_trigger_and_repeats_itself():
     def tuned(seed, ticks=9):
-        block = Tuner(duration=0.02, n_pop=3, n_iter=2, name="tuner")
+        block = ByHand(Tuner(duration=0.02, n_pop=3, n_iter=2, name="tuner"))
         block.reset(seed)
         assert block.update(0, start=None) == {"result": (0.0, 0.0, 0.0)}
         return [block.update(k, start=(1.0,) if k == 1 else (0.0,))["result"] for k in range(1, ticks)]
@@ -490,7 +490,7 @@ def test_computation_times_has_every_law():
 
 
 def impedance_run(force, ticks, block=None, start=0):
-    block = block or Impedance()
+    block = block or ByHand(Impedance())
     found = []
     for k in range(start, start + ticks):
         wrench = None if force is None else Sample(k * 1_000_000, (*force, 0.0, 0.0, 0.0))
@@ -570,7 +570,7 @@ def test_reference_lost_in_real_time_brings_0_volt_or_stands_still(answer):
 
 def test_reference_lost_behind_an_impedance_law_stands_still():
     block, _ = impedance_run((0.0, 0.0, 0.0), 200)
-    block.ages = {"reference": 21_000_000}.get
+    block.block.ages = {"reference": 21_000_000}.get
     kept = [block.update(k, reference=(0.5, -0.5, 0.3, 0.3, 0.0, 0.0), patient_force=None,
                          joint_states=(0.5, -0.5))["regenerated"] for k in range(200_000_000, 200_000_003)]  # fmt: skip
     assert kept[0] == kept[2]
@@ -578,18 +578,19 @@ def test_reference_lost_behind_an_impedance_law_stands_still():
     assert block.reports["reference"][0] == Level.ERROR
 
 
-@pytest.mark.parametrize("block", [VoltageController(), Impedance()])
-def test_references_refused_for_good_bring_0_volt_or_stand_still(block):
+@pytest.mark.parametrize("law", [VoltageController, Impedance])
+def test_references_refused_for_good_bring_0_volt_or_stand_still(law):
     """In lockstep a tick of which something was refused sees nothing else; the last answer is held for 20 of them."""
     inputs = {"joint_states": (0.2, -0.5, 0.0, 0.0), "motor_states": (0.5, 0.2), "applied_voltage": (2.0, 1.0)}
-    if isinstance(block, Impedance):
+    block = ByHand(law())
+    if law is Impedance:
         inputs = {"joint_states": (0.2, -0.5), "patient_force": None}
     reference = (0.21, -0.49, 0.1, 0.1, 0.0, 0.0)
     said = dict(block.update(0, reference=reference, **inputs))
     for _ in range(20):
         assert block.refused(0) is None
     after = block.refused(0)
-    if isinstance(block, Impedance):
+    if law is Impedance:
         assert after["regenerated"][2:] == (0.0,) * 4
     else:
         assert min(said["motor_command"]) > 0.0
@@ -601,8 +602,8 @@ def test_references_refused_for_good_bring_0_volt_or_stand_still(block):
 
 @pytest.mark.parametrize("lost", ["joint_states", "motor_states"])
 def test_lost_states_bring_0_volt_whatever_the_reference(lost):
-    block = VoltageController(reference_lost="hold")
-    block.ages = {lost: 21_000_000}.get
+    block = ByHand(VoltageController(reference_lost="hold"))
+    block.block.ages = {lost: 21_000_000}.get
     found = block.update(0, joint_states=(0.2, -0.5, 0.0, 0.0), motor_states=(0.5, 0.2), applied_voltage=(2.0, 1.0),
                          reference=(0.21, -0.49, 0.1, 0.1, 0.0, 0.0))  # fmt: skip
     assert found["motor_command"] == (0.0, 0.0)
@@ -662,7 +663,7 @@ def test_fast_joint_stops_the_robot_after_the_start():
 
 @pytest.mark.parametrize("alone", [0, 4, 10])
 def test_leg_that_stood_alone_is_taken_over(alone):
-    plant, source, controller = ByHand(RehabPlant()), ByHand(PromReference()), VoltageController()
+    plant, source, controller = ByHand(RehabPlant()), ByHand(PromReference()), ByHand(VoltageController())
     begin = alone * 1000
     for k in range(begin):
         plant.advance(k * 1_000_000, motor_command=(0.0, 0.0))
@@ -742,6 +743,6 @@ def test_start_outside_the_range_can_be_allowed():
 def test_emvc_by_hand():
     law = Emvc(alpha_hat=2.0, lam=3.0, resistance=5.0, T=1e-3, v_max=24.0)
     # psi = (1 - 5*0.1)/2 - 0.4 = -0.15, V = 0.5 + 2*(0.6 + 3*0.2 - 0.15)
-    assert law(q=0.3, qd=0.4, current=0.1, ref=0.5, ref_d=0.6, ref_dd=0.0, V=1.0) == pytest.approx(2.6)
-    assert law.state == pytest.approx((-0.15,))
-    assert law(q=-9.0, qd=0.0, current=0.0, ref=0.0, ref_d=0.0, ref_dd=0.0, V=0.0) == 24.0
+    x, V = law(law.first(), q=0.3, qd=0.4, current=0.1, ref=0.5, ref_d=0.6, ref_dd=0.0, V=1.0)
+    assert (x.psi, V) == pytest.approx((-0.15, 2.6))
+    assert law(x, q=-9.0, qd=0.0, current=0.0, ref=0.0, ref_d=0.0, ref_dd=0.0, V=0.0)[1] == 24.0

@@ -26,6 +26,7 @@ from softrig_systems.tcp_aqm.controller import HOLD, AqmController
 from softrig_systems.tcp_aqm.fluid_plant import TcpFluid
 from softrig_systems.tcp_aqm.model import Bottleneck, equilibrium, phi, psi
 from softrig_systems.tcp_aqm.monitor import AqmMonitor
+from softrig_systems.tcp_aqm.packets import EVENTS, LOST, MOST_EVENTS, SERVED, WAITING
 from softrig_systems.tcp_aqm.packets_plant import TcpPackets
 
 NAMES = sorted(n for n in list_scenarios() if n.startswith("tcp_aqm_smc"))
@@ -50,8 +51,8 @@ def measured(name):
 
 
 def loop(plant, controller, seconds):
-    """Queue, window and command of a closed loop at every tick of the plant, the end included."""
-    period, every = plant.p.period, round(controller.p.period / plant.p.period)
+    """Queue, window and command of a closed loop at every tick of the held plant, the end included."""
+    period, every = plant.params.period, round(controller.p.period / plant.params.period)
     law, command, found = ByHand(controller), (0.0,), []
     for k in range(round(seconds / period) + 1):
         t = round(k * period * 1e9)
@@ -187,26 +188,25 @@ def test_runs_repeat_bit_for_bit(name):
 @pytest.mark.parametrize("p", [0.0, 1.0])
 @pytest.mark.parametrize("kind", [TcpFluid, TcpPackets])
 def test_nothing_breaks_at_the_bounds(kind, p):
-    plant = kind()
-    for k in range(round(8.0 / plant.p.period)):
-        plant.advance(round(k * plant.p.period * 1e9), command=(p,))
+    plant = ByHand(kind())
+    for k in range(round(8.0 / plant.params.period)):
+        plant.advance(round(k * plant.params.period * 1e9), command=(p,))
         window, queue, rtt = plant.outputs(0)["state"]
         assert 1.0 <= window <= 60.0
         assert 0.0 <= queue <= 300.0
         assert 0.2 <= rtt <= 0.28
-    assert plant.queue == (0.0 if p else 300.0 if kind is TcpFluid else plant.queue)
+    assert p == 0.0 or queue == 0.0
+    assert p == 1.0 or kind is TcpPackets or queue == 300.0
     if p:
-        assert plant.window == pytest.approx(
-            math.sqrt(2.0) if kind is TcpFluid else 1.0, abs=1e-9 + (kind is TcpPackets)
-        )
+        assert window == pytest.approx(math.sqrt(2.0) if kind is TcpFluid else 1.0, abs=1e-9 + (kind is TcpPackets))
     assert math.isfinite(sum(plant.outputs(0)["truth"]))
 
 
 def test_the_window_stops_at_its_floor():
-    plant, windows = TcpFluid(w0=14.5), []
+    plant, windows = ByHand(TcpFluid(w0=14.5)), []
     for k in range(400):
         plant.advance(k * 10**6, command=(1.0,))
-        windows.append(plant.window)
+        windows.append(plant.x.w)
     assert min(windows) == 1.0
 
 
@@ -302,43 +302,44 @@ def test_packets_under_sspd_with_gains_for_the_delay():
 
 
 def test_packets_are_conserved_and_events_bounded():
-    plant, controller = TcpPackets(), AqmController(period=0.01, law="pi")
+    plant, controller = ByHand(TcpPackets()), AqmController(period=0.01, law="pi")
     plant.reset(1)
     loop(plant, controller, 20.0)
-    counts, sources = plant._counts, plant._sources
-    acknowledgements = sum(int(k == 1 or k == 2) for k in plant._agenda.kind[: counts.events[0]])
-    assert int(sources.on_the_way.sum()) == int(counts.waiting[0]) + acknowledgements
-    assert 60 <= plant.most_events <= 60 * 60 + 300
-    assert plant.served / (3750.0 * 20.0) == pytest.approx(0.93, abs=0.02)
+    sources, agenda, _, counts = plant.x.traffic.inside
+    acknowledgements = sum(int(k == 1 or k == 2) for k in agenda.kind[: counts[EVENTS]])
+    assert int(sources.on_the_way.sum()) == int(counts[WAITING]) + acknowledgements
+    assert 60 <= counts[MOST_EVENTS] <= 60 * 60 + 300
+    assert counts[SERVED] / (3750.0 * 20.0) == pytest.approx(0.93, abs=0.02)
     assert not plant.reports
 
 
 def test_packets_that_find_no_room_are_lost_and_halve_windows():
-    plant = TcpPackets(q_max=50.0)
+    plant = ByHand(TcpPackets(q_max=50.0))
     for k in range(600):
         plant.advance(k * 10**7, command=(0.0,))
-    assert plant.lost > 0
-    assert plant.queue <= 50
-    assert plant.window < 20.0  # 60 without any loss
+    assert plant.x.traffic.inside.counts[LOST] > 0
+    window, queue, _ = plant.outputs(0)["state"]
+    assert queue <= 50
+    assert window < 20.0  # 60 without any loss
 
 
 def test_dropping_instead_of_marking_loses_packets():
-    marked, dropped = TcpPackets(), TcpPackets(ecn=False)
+    marked, dropped = ByHand(TcpPackets()), ByHand(TcpPackets(ecn=False))
     for k in range(400):
         for plant in (marked, dropped):
             plant.advance(k * 10**7, command=(0.01,))
-    assert marked.lost == 0 < dropped.lost
+    assert [plant.x.traffic.inside.counts[LOST] > 0 for plant in (marked, dropped)] == [False, True]
 
 
 # Disturbances and events
 
 
 def test_events_change_the_network_at_the_plant_step():
-    plant = TcpFluid()
+    plant = ByHand(TcpFluid())
     plant.advance(0, command=(0.0,), events=(30.0, 3000.0, 0.1, 5.0))
     plant.advance(10**6, command=(0.0,), events=(30.0, 3000.0, 0.1, 5.0))
     assert plant.outputs(0)["state"][2] == pytest.approx(0.1)
-    same = TcpFluid(N=30, C=3000.0, tau_p=0.1, disturbance="rate", disturbance_value=5.0, disturbance_time=0.0)
+    same = ByHand(TcpFluid(N=30, C=3000.0, tau_p=0.1, disturbance="rate", disturbance_value=5.0, disturbance_time=0.0))
     for k in range(2):
         same.advance(k * 10**6, command=(0.0,))
     assert plant.outputs(0)["state"] == same.outputs(0)["state"]
@@ -347,37 +348,37 @@ def test_events_change_the_network_at_the_plant_step():
 @pytest.mark.parametrize("events", [(0.0, 3750.0, 0.2, 0.0), (60.0, -1.0, 0.2, 0.0), (60.0, 3750.0, 0.0, 0.0),
                                     (60.0, 3750.0, 2.0, 0.0), (60.0, 100.0, 0.2, 0.0)])  # fmt: skip
 def test_impossible_events_are_ignored(events):
-    for plant in (TcpFluid(), TcpPackets()):
-        before = plant.flows, plant.capacity, plant.propagation
+    for plant in (ByHand(TcpFluid()), ByHand(TcpPackets())):
+        before = plant.x.net[:3]
         plant.advance(0, command=(0.0,), events=events)
-        assert (plant.flows, plant.capacity, plant.propagation) == before
+        assert plant.x.net[:3] == before
         assert plant.reports["impossible_event"][0] is Level.ERROR
 
 
 def test_packet_flows_come_and_go():
-    plant = TcpPackets(N=10)
+    plant = ByHand(TcpPackets(N=10))
     for k in range(300):
         plant.advance(k * 10**7, command=(0.0,), events=(20.0 if k < 200 else 5.0, 3750.0, 0.2, 0.0))
         if k == 199:
-            assert plant._sources.active.sum() == 20
-    assert plant._sources.active.sum() == 5
-    assert plant._sources.on_the_way[10:].sum() == 0
+            assert plant.x.traffic.inside.sources.active.sum() == 20
+    assert plant.x.traffic.inside.sources.active.sum() == 5
+    assert plant.x.traffic.inside.sources.on_the_way[10:].sum() == 0
 
 
 def test_disturbances_act_on_both_plants():
     for kind in (TcpFluid, TcpPackets):
-        jump = kind(disturbance="queue_jump", disturbance_time=0.1)
-        offset = kind(disturbance="sensor_offset", disturbance_time=0.1)
-        rate = kind(disturbance="rate", disturbance_time=0.1, disturbance_value=4000.0)
-        n = round(0.1 / jump.p.period)
+        jump = ByHand(kind(disturbance="queue_jump", disturbance_time=0.1))
+        offset = ByHand(kind(disturbance="sensor_offset", disturbance_time=0.1))
+        rate = ByHand(kind(disturbance="rate", disturbance_time=0.1, disturbance_value=4000.0))
+        n = round(0.1 / jump.params.period)
         for k in range(n):
             for plant in (jump, offset, rate):
-                plant.advance(round(k * plant.p.period * 1e9), command=(0.0,))
+                plant.advance(round(k * plant.params.period * 1e9), command=(0.0,))
         assert jump.outputs(0)["truth"][1] == pytest.approx(20.0, abs=2.0)
         assert offset.outputs(0)["state"][1] - offset.outputs(0)["truth"][1] == 20.0
         for k in range(n, 2 * n):
-            rate.advance(round(k * rate.p.period * 1e9), command=(0.0,))
-        assert rate.queue > 20.0
+            rate.advance(round(k * rate.params.period * 1e9), command=(0.0,))
+        assert rate.outputs(0)["truth"][1] > 20.0
 
 
 # Bad input
@@ -418,7 +419,7 @@ def test_controller_history_must_hold_the_longest_delay():
 @pytest.mark.parametrize("kind", [TcpFluid, TcpPackets])
 def test_a_command_beyond_0_and_1_is_clipped(kind):
     for given, applied in ((-0.5, 0.0), (1.5, 1.0)):
-        plant, same = kind(), kind()
+        plant, same = ByHand(kind()), ByHand(kind())
         for k in range(20):
             plant.advance(k * 10**7, command=(given,))
             same.advance(k * 10**7, command=(applied,))
@@ -476,10 +477,10 @@ def test_references_step_and_impossible_ones_are_ignored():
 
 
 def test_a_delay_that_outruns_time_is_reported():
-    plant = TcpFluid(w0=60.0)  # N w/R = 18000 > 2 C
+    plant = ByHand(TcpFluid(w0=60.0))  # N w/R = 18000 > 2 C
     plant.advance(0, command=(0.0,))
     assert plant.reports["fast_delay"][0] is Level.WARN
-    assert math.isfinite(plant.queue)
+    assert math.isfinite(plant.x.q)
 
 
 def test_round_trips_beyond_the_record_read_the_oldest_value():
@@ -494,7 +495,7 @@ def test_round_trips_beyond_the_record_read_the_oldest_value():
 
 def test_the_boundary_layer_takes_the_chatter_away():
     def chatter(width):
-        _, _, p = loop(TcpFluid(), AqmController(boundary=width), 8.0)
+        _, _, p = loop(ByHand(TcpFluid()), AqmController(boundary=width), 8.0)
         return np.abs(np.diff(p[6000:8000])).max()
 
     assert chatter(0.0) == pytest.approx(2 * 8.5e-5, rel=0.1)  # from -k2/|Psi| to k2/|Psi|
@@ -529,7 +530,7 @@ from softrig_systems.tcp_aqm.controller import AqmController
 from softrig_systems.tcp_aqm.fluid_plant import TcpFluid
 from softrig_systems.tcp_aqm.packets_plant import TcpPackets
 for plant, period in ((TcpFluid(input_delay=True, w0=14.0, q0=110.0), 0.001), (TcpPackets(), 0.01)):
-    controller, command = ByHand(AqmController(period=period)), (0.0,)
+    plant, controller, command = ByHand(plant), ByHand(AqmController(period=period)), (0.0,)
     for k in range(400):
         command = controller.update(k, state=plant.outputs(k)["state"], reference=None)["command"]
         plant.advance(k, command=command)

@@ -52,38 +52,41 @@ def with_scenery(recording: Recording, scenes: Mapping[str, Scene]) -> Recording
             rows.append(i)
     path = [scene.tip(q[i]) for i in rows[:: -(-len(rows) // PATH)]]
     first = times[0]
-    _add(found, "robot_description", STRING, first, data=scene.description)
+    add(found, "robot_description", STRING, first, data=scene.description)
     still = [at_origin(scene.base), *scene.fixed()]
-    _add(found, "tf_static", TF, first, transforms=[_transform(first, pose) for pose in still])
-    _add(found, "markers", MARKERS, first, markers=[_line(first, scene.base, path)])
+    add(found, "tf_static", TF, first, transforms=[_transform(first, pose) for pose in still])
+    add(found, "markers", MARKERS, first, markers=[_line(first, scene.base, path)])
     for i in rows:
-        _add(found, "tf", TF, times[i], transforms=[_transform(times[i], pose) for pose in scene.moving(q[i])])
+        add(found, "tf", TF, times[i], transforms=[_transform(times[i], pose) for pose in scene.moving(q[i])])
     return found
 
 
-def _add(recording: Recording, name: str, msgtype: str, t: int, **fields: Any) -> None:
+def add(recording: Recording, name: str, msgtype: str, t: int, **fields: Any) -> None:
+    """Add a message to a topic of a recording."""
     topic = recording.topics[name]
     topic.times.append(t)
-    topic.data.append(bytes(typestore().serialize_cdr(_make(msgtype, **fields), msgtype)))
+    topic.data.append(bytes(typestore().serialize_cdr(make(msgtype, **fields), msgtype)))
 
 
-def _make(msgtype: str, **fields: Any) -> Any:
+def make(msgtype: str, **fields: Any) -> Any:
+    """Make a message of rosbags' own."""
     return typestore().types[msgtype](**fields)
 
 
-def _header(t: int, frame: str) -> Any:
-    stamp = _make("builtin_interfaces/msg/Time", sec=t // SECOND, nanosec=t % SECOND)
-    return _make("std_msgs/msg/Header", stamp=stamp, frame_id=frame)
+def header(t: int, frame: str) -> Any:
+    """Make a header of a time in ns."""
+    stamp = make("builtin_interfaces/msg/Time", sec=t // SECOND, nanosec=t % SECOND)
+    return make("std_msgs/msg/Header", stamp=stamp, frame_id=frame)
 
 
 def _vector(kind: str, values: Sequence[float]) -> Any:
-    return _make(f"geometry_msgs/msg/{kind}", **dict(zip("xyzw", values, strict=False)))
+    return make(f"geometry_msgs/msg/{kind}", **dict(zip("xyzw", values, strict=False)))
 
 
 def _transform(t: int, pose: Pose) -> Any:
     place, turn = _vector("Vector3", pose.position), _vector("Quaternion", pose.rotation)
-    transform = _make("geometry_msgs/msg/Transform", translation=place, rotation=turn)
-    return _make("geometry_msgs/msg/TransformStamped", header=_header(t, pose.parent), child_frame_id=pose.child,
+    transform = make("geometry_msgs/msg/Transform", translation=place, rotation=turn)
+    return make("geometry_msgs/msg/TransformStamped", header=header(t, pose.parent), child_frame_id=pose.child,
                  transform=transform)  # fmt: skip
 
 
@@ -93,15 +96,15 @@ def _line(t: int, frame: str, points: Sequence[Point]) -> Any:
     kind: Any = typestore().types["visualization_msgs/msg/Marker"]
     origin, upright = _vector("Point", (0.0, 0.0, 0.0)), _vector("Quaternion", (0.0, 0.0, 0.0, 1.0))
     nothing = np.array([], dtype=np.uint8)
-    image = _make("sensor_msgs/msg/CompressedImage", header=_header(t, frame), format="", data=nothing)
+    image = make("sensor_msgs/msg/CompressedImage", header=header(t, frame), format="", data=nothing)
     return kind(
-        header=_header(t, frame), ns="path", id=0, type=kind.LINE_STRIP, action=kind.ADD,
-        pose=_make("geometry_msgs/msg/Pose", position=origin, orientation=upright),
+        header=header(t, frame), ns="path", id=0, type=kind.LINE_STRIP, action=kind.ADD,
+        pose=make("geometry_msgs/msg/Pose", position=origin, orientation=upright),
         scale=_vector("Vector3", (0.005, 0.0, 0.0)),
-        color=_make("std_msgs/msg/ColorRGBA", r=0.9, g=0.4, b=0.1, a=1.0),
-        lifetime=_make("builtin_interfaces/msg/Duration", sec=0, nanosec=0), frame_locked=False,
+        color=make("std_msgs/msg/ColorRGBA", r=0.9, g=0.4, b=0.1, a=1.0),
+        lifetime=make("builtin_interfaces/msg/Duration", sec=0, nanosec=0), frame_locked=False,
         points=[_vector("Point", p) for p in points], colors=[], texture_resource="", texture=image,
         uv_coordinates=[], text="",
-        mesh_resource="", mesh_file=_make("visualization_msgs/msg/MeshFile", filename="", data=nothing),
+        mesh_resource="", mesh_file=make("visualization_msgs/msg/MeshFile", filename="", data=nothing),
         mesh_use_embedded_materials=False,
     )  # fmt: skip

@@ -4,13 +4,14 @@ The scenario files, the changes and the end of `softrig run`; here the nodes are
 They have one t = 0 and one end; a node that fails ends the launch, with status 1. ``--show-args`` lists what it takes.
 """
 
+import sys
 from functools import partial
 
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction, Shutdown
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
-from softrig_bringup.verbs.launched import ARGUMENTS, Launched
+from softrig_bringup.verbs.launched import ARGUMENTS, Launched, strange
 
 
 def generate_launch_description():
@@ -29,6 +30,8 @@ def _ended(launched, event, context):
 
 
 def _nodes(context):
+    if told := strange(sys.argv):
+        raise RuntimeError(told)
     launched = Launched({name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS})
     at_end = {"rig": partial(_ended, launched), "viewer": Shutdown(reason="the viewer is closed")}
     # launch_ros itself has no empty lists, and a container names its nodes in its arguments

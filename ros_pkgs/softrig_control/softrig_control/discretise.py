@@ -9,6 +9,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from softrig_core.kit.dense import total
+
 Matrix = tuple[tuple[float, ...], ...]
 
 
@@ -71,8 +73,4 @@ def zero_order_hold(a: Sequence[Sequence[float]], b: Sequence[Sequence[float]], 
 
 
 def _dot(a, b) -> float:  # type: ignore[no-untyped-def]
-    # not sum(): from Python 3.12 on it compensates rounding, so its last bit depends on the version
-    total = 0.0
-    for x, y in zip(a, b, strict=True):
-        total += x * y
-    return total
+    return total(x * y for x, y in zip(a, b, strict=True))

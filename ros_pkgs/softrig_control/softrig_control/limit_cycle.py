@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from softrig_core.kit.dense import total
+
 SWINGS = 8  # in a row, from one turning point to the next
 KEPT = 0.9  # share of the first half of them that the second half has at least, when they do not decay
 ALIKE = 0.5  # of the largest of them, each
@@ -61,5 +63,5 @@ def limit_cycle(x: Swinging, y: float, reference: float) -> tuple[Swinging, floa
     x = Swinging(reference, turn, far, up, since, swings, spans)
     if len(swings) < SWINGS or min(swings) < ALIKE * max(swings):
         return x, 0.0
-    first, second = sum(swings[: SWINGS // 2]), sum(swings[SWINGS // 2 :])
+    first, second = total(swings[: SWINGS // 2]), total(swings[SWINGS // 2 :])
     return x, second / (SWINGS // 2) if second >= KEPT * first else 0.0

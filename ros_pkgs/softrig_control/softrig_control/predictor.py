@@ -63,7 +63,7 @@ class CommandReplay:
         recent = history[:late]
         state = []
         for row, impulse in zip(self._powers[late], self._impulse, strict=True):
-            total = 0.0  # loops, not sum(): its last bit depends on the Python version
+            total = 0.0
             for a, b in zip(row, x, strict=True):
                 total += a * b
             for g, u in zip(impulse, recent, strict=False):

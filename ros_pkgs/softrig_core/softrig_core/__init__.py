@@ -70,7 +70,7 @@ if TYPE_CHECKING:
     from .run.simulate import Run as Run, simulate as simulate
     from .scenario.scenario import Scenario as Scenario, load_scenario as load_scenario
     from .scenario.scenario_file import list_scenarios as list_scenarios
-    from .solver.solver import Result as Result, Solver as Solver, SolverParams as SolverParams
+    from .solver.solver import Jobs as Jobs, Result as Result, Solver as Solver, SolverParams as SolverParams
     from .solver.worker import Work as Work
     from .timebase import SECOND as SECOND, to_ns as to_ns, to_s as to_s
     from .verdict.figures import Figure as Figure, evaluate as evaluate, figures_of as figures_of
@@ -93,7 +93,7 @@ else:
         "wrench",
         "kit.resource": "resource",
         "block.scene": "Pose Scene",
-        "solver.solver": "Result Solver SolverParams",
+        "solver.solver": "Jobs Result Solver SolverParams",
         "block.state": "state_type",
         "timebase": "SECOND to_ns to_s",
         "solver.worker": "Work",

@@ -8,12 +8,20 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Mapping, MutableMapping
+from collections.abc import Callable, Iterable, Mapping, MutableMapping
 from functools import cache
 
 CORE, SIMD = "OPENBLAS_CORETYPE", "NPY_DISABLE_CPU_FEATURES"
 PINS = {CORE: "Haswell", SIMD: "X86_V4 AVX512_ICL AVX512_SPR"}
 ARGUMENTS = 1000  # of each function in the digest
+# what decides numbers calls these: of `math`, each with its interval; of `cmath`; of two arguments
+FUNCTIONS = {
+    "sin": (-40.0, 40.0), "cos": (-40.0, 40.0), "tan": (-10.0, 10.0), "asin": (-1.0, 1.0), "acos": (-1.0, 1.0),
+    "tanh": (-3.0, 3.0), "exp": (-30.0, 30.0), "expm1": (-2.0, 2.0),
+    "log": (0.0, 3.0), "log2": (0.0, 3.0), "log10": (0.0, 3.0), "log1p": (-0.9, 2.0),
+}  # fmt: skip
+COMPLEX = ("exp", "sqrt", "sinh", "cosh", "atanh")
+OF_TWO = ("pow", "atan2", "hypot")
 
 
 def cpu_has_avx512(cpuinfo: str = "/proc/cpuinfo") -> bool:
@@ -93,32 +101,36 @@ def simd_level() -> str:
 
 @cache
 def math_digest() -> str:
-    """Give a digest of the C library's functions: the bits of their results at `ARGUMENTS` arguments each.
+    """Give a digest of the functions that decide numbers: the bits of their results at `ARGUMENTS` arguments each.
 
-    The name of a library does not tell: Debian changed functions within glibc 2.36, and glibc chooses by CPU (FMA).
+    They are those that plants, laws and searches call (`FUNCTIONS`; a test finds them in the sources), and the products
+    and quotients of complex numbers, which a compiler may fuse. The name of a library does not tell: Debian changed
+    functions within glibc 2.36, and glibc chooses by CPU (FMA).
     """
+    import cmath
     import hashlib
     import math
     import struct
 
-    intervals: dict[Callable[[float], float], tuple[float, float]] = {
-        math.sin: (-40.0, 40.0), math.cos: (-40.0, 40.0), math.tan: (-10.0, 10.0),
-        math.asin: (-1.0, 1.0), math.acos: (-1.0, 1.0), math.atan: (-10.0, 10.0),
-        math.sinh: (-5.0, 5.0), math.cosh: (-5.0, 5.0), math.tanh: (-3.0, 3.0),
-        math.asinh: (-9.0, 9.0), math.acosh: (1.0, 9.0), math.atanh: (-0.99, 0.99),
-        math.exp: (-30.0, 30.0), math.exp2: (-30.0, 30.0), math.expm1: (-2.0, 2.0),
-        math.log: (0.0, 3.0), math.log2: (0.0, 3.0), math.log10: (0.0, 3.0), math.log1p: (-0.9, 2.0),
-        math.cbrt: (0.0, 9.0), math.erf: (-3.0, 3.0), math.erfc: (-3.0, 3.0),
-    }  # fmt: skip
     # spread over an interval by the golden ratio; multiplication and addition are alike everywhere
     spread = [(k * 0.6180339887498949) % 1.0 for k in range(1, ARGUMENTS + 1)]
+    pairs = list(zip(spread, reversed(spread), strict=True))
+    plane = [complex(4.0 * u - 2.0, 4.0 * v - 2.0) for u, v in pairs]
     digest = hashlib.sha256()
 
-    def take(values: list[float]) -> None:
-        digest.update(struct.pack(f"<{len(values)}d", *values))
+    def take(values: Iterable[complex]) -> None:
+        digest.update(b"".join(struct.pack("<2d", z.real, z.imag) for z in values))
 
-    for function, (low, high) in intervals.items():
-        take([function(low + (high - low) * u) for u in spread])
-    for u, v in zip(spread, reversed(spread), strict=True):
-        take([math.pow(9.0 * u, 8.0 * v - 4.0), math.atan2(u - 0.5, v - 0.5), abs(complex(u, v))])
+    for name, (low, high) in FUNCTIONS.items():
+        function: Callable[..., complex] = getattr(math, name)
+        take(function(low + (high - low) * u) for u in spread)
+    for name in COMPLEX:
+        function = getattr(cmath, name)
+        take(function(z) for z in plane)
+    take(math.pow(9.0 * u, 8.0 * v - 4.0) for u, v in pairs)
+    take(math.atan2(u - 0.5, v - 0.5) for u, v in pairs)
+    take(math.hypot(u, v) for u, v in pairs)  # Python's own
+    take(abs(z) for z in plane)  # the C library's, as numpy.hypot
+    take(z * w for z, w in zip(plane, reversed(plane), strict=True))
+    take(z / w for z, w in zip(plane, reversed(plane), strict=True))
     return digest.hexdigest()[:12]

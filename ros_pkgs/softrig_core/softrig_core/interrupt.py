@@ -6,6 +6,8 @@ import os
 import signal
 import sys
 import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from types import FrameType
 
 AT_ONCE = 3  # times that a person has to ask for the end of a node that does not hear: its code never returns
@@ -21,12 +23,25 @@ class Interrupt:
 
     def __init__(self) -> None:
         self.early = True
+        self._leave: Callable[[], object] | None = None
         self._times = 0
 
     def install(self) -> None:
         """Take SIGINT from Python's own handler, and from no other."""
         if _is_pythons_own():
             signal.signal(signal.SIGINT, self)
+
+    @contextmanager
+    def leaving(self, leave: Callable[[], object]) -> Iterator[None]:
+        """Within the block it calls what ends the process: for work that may take long and that nobody has seen yet.
+
+        An exception would not do: a compiler's callbacks swallow it.
+        """
+        self._leave = leave
+        try:
+            yield
+        finally:
+            self._leave = None
 
     def __call__(self, number: int, frame: FrameType | None) -> None:
         """Nothing has been published, recorded or said yet when it is early."""
@@ -35,6 +50,8 @@ class Interrupt:
             os._exit(0)
         if self._times >= AT_ONCE:
             os._exit(128 + number)
+        if self._leave is not None:
+            self._leave()
 
 
 interrupt = Interrupt()

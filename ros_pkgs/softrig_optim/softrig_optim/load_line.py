@@ -121,7 +121,7 @@ class CertifiedSearch(LoadLineSearch):
         self, lower: Sequence[float], upper: Sequence[float], seed: int = 0, *, matching: Matching, eps: float = 0.01,
         n_iter: int = 60, transients: bool = False, corrections: int = 3, **options: Unpack[Options],
     ) -> None:  # fmt: skip
-        self.eps, self.n_iter, self.transients = eps, n_iter, transients
+        self.eps, self.n_iter, self.watches = eps, n_iter, transients
         self._points: list[tuple[float, float]] = []
         self._spanned = False  # both ends of the commands were measured
         super().__init__(lower, upper, seed, matching=matching, corrections=corrections, **options)
@@ -152,9 +152,8 @@ class CertifiedSearch(LoadLineSearch):
 
     def watch(self, sample: Sequence[float]) -> None:
         """Take a point of the characteristic passed on the way."""
-        if self.transients:
-            self._remember(sample[0], sample[1])
-            insort(self._points, (sample[0], sample[1]))
+        self._remember(sample[0], sample[1])
+        insort(self._points, (sample[0], sample[1]))
 
     def _bounds(self) -> list[float]:
         pairs = zip(self._points, self._points[1:], strict=False)

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections import deque
 from collections.abc import Mapping
 from enum import IntEnum
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 from pydantic import model_validator
@@ -16,7 +15,7 @@ from typing_extensions import TypeVar
 
 from .algorithms import Algorithm, AlgorithmParams, make
 from .falling import FallingCurve
-from .search import Point, Search
+from .search import Point, Search, Told
 
 CONSECUTIVE = 2  # deviations of the held objective in a row that start a new search
 STEADY = 0.1  # share of a change that counts by which a value may move in a hold_time and be the one held
@@ -62,6 +61,80 @@ class SearchParams(AlgorithmParams, BlockParams):
             )
         return self
 
+    def search(self, rng: np.random.Generator) -> Search:
+        """Make a search."""
+        raise NotImplementedError
+
+
+class State(NamedTuple):
+    """What a search over topics remembers from tick to tick; times in ns."""
+
+    search: Told
+    phase: Phase
+    began: int
+    """When the newest search did."""
+
+    restarts: int
+    """New searches after the first; -1 before that."""
+
+    void: bool
+    """Whether the search proves nothing, or no more."""
+
+    curve: FallingCurve | None
+    """What sees that the plant is another one."""
+
+    target: Point
+    """Where the command goes."""
+
+    state: Point = ()
+    """The state output; it changes only with a value told, a phase or a button."""
+
+    pressed: tuple[bool, ...] = (False, False, False)
+    """Buttons that are down."""
+
+    command: Point | None = None
+    window: tuple[float, ...] = ()
+    """The newest values of the objective since the command arrived."""
+
+    since: int | None = None
+    """When the command arrived at the target."""
+
+    unconfirmed: int = 0
+    """Searches in a row whose result the plant did not bear out."""
+
+    dark: int | None = None
+    """Since when candidates end without a signal."""
+
+    streak: int = 0
+    """Samples in a row without one."""
+
+    waiting: bool = False
+    """Whether it waits for a signal."""
+
+    looking: int | None = None
+    """Since when the search is done and looks back."""
+
+    broken: bool = False
+    """Whether a change of the plant has broken the search off, or should have."""
+
+    reference: float | None = None
+    """Value held that changes are measured against."""
+
+    again: float = math.inf
+    """When the next search starts whatever is held."""
+
+    next_sample: int = 0
+    """Time after `since` at which what is held is looked at next."""
+
+    seen: float = math.inf
+    """The value at the last look."""
+
+    deviations: int = 0
+    """Looks in a row that differ from the reference."""
+
+    lost: bool = False
+    """Whether the value held has fallen to the floor."""
+
 
 def buttons(prefix: str) -> tuple[Port, ...]:
     """Give the held buttons of a search; each acts when it goes down."""
@@ -106,16 +179,6 @@ class CommandSearch(Block[P], ABC):
     changed during the search, or the value held differs from what was found, by more than the gap that was proven.
     """
 
-    _since: int | None  # when the command arrived at the target
-    _reference: float | None  # value held that changes are measured against
-    _looking: int | None  # since when the search is done and looks back
-    _dark: int | None  # since when candidates end without a signal
-    _streak: int  # samples in a row without one
-
-    @abstractmethod
-    def new_search(self, rng: np.random.Generator) -> Search:
-        """Make a search."""
-
     @abstractmethod
     def objective(self, sample: Point) -> float:
         """Give the objective of a measurement."""
@@ -141,261 +204,233 @@ class CommandSearch(Block[P], ABC):
         self._window_size = max(1, round(p.measure_window / p.period))
         self._step = self.slew() * p.period or math.inf
 
-    def start(self) -> None:
-        """No candidate yet."""
-        self._pressed: tuple[bool, ...] = (False, False, False)
-        self._window: deque[float] = deque(maxlen=self._window_size)
-        self._command: Point | None = None
-        self._restarts = -1
-        self._unconfirmed = 0  # searches in a row whose result the plant did not bear out
-        self._begin(0)
+    def first(self) -> State:
+        """Begin the first search, or wait for the start."""
+        x = self._begin(None, 0)
         if not self.p.autostart:  # the search begun only answers for the state; the first start makes another
-            self._phase = Phase.STOPPED
-            self._restarts = -1
-            self._aim(tuple(self._search.lower.tolist()))
-        self._note()
+            x = x._replace(phase=Phase.STOPPED, restarts=-1, target=tuple(x.search.now.lower.tolist()))
+        return self._note(x)
 
     def update(
-        self, t: int, measurement: Point, start: Point | None, stop: Point | None, restart: Point | None
-    ) -> Mapping[str, Point]:
+        self, x: State, t: int, *, measurement: Point, start: Point | None, stop: Point | None, restart: Point | None
+    ) -> tuple[State, Mapping[str, Point]]:
         """Answer one tick."""
-        self._press(t, start == (1.0,), stop == (1.0,), restart == (1.0,))
+        pressed = (start == (1.0,), stop == (1.0,), restart == (1.0,))
+        if pressed != x.pressed:
+            x = self._press(x, t, pressed)
         value = self.objective(measurement)
         if not math.isfinite(value):
             self.report(Level.ERROR, "objective", f"the objective is {value}: the candidate is measured again")
-            self._discard(t)
+            x = self._discard(x, t)
         else:
-            self._window.append(value)
-            if self._phase is Phase.SEARCH:
-                if self._waiting:
-                    self._wait_tick(t)
+            x = x._replace(window=(*x.window, value)[-self._window_size :])
+            if x.phase is Phase.SEARCH:
+                if x.waiting:
+                    x = self._wait_tick(x, t)
                 else:
-                    self._search_tick(t, measurement, self.no_signal(measurement, value))
-            elif self._phase is Phase.HOLD:
-                self._hold_tick(t, measurement)
-        return {"command": self._move(t), "state": self._state}
+                    x = self._search_tick(x, t, measurement, self.no_signal(measurement, value))
+            elif x.phase is Phase.HOLD:
+                x = self._hold_tick(x, t, measurement)
+        return self._moved(x, t)
 
-    def refused(self, t: int) -> Mapping[str, Point]:
+    def refused(self, x: State, t: int) -> tuple[State, Mapping[str, Point]]:
         """Stay with the candidate; the safe command would be measured in its name."""
-        self._discard(t)
-        return {"command": self._move(t), "state": self._state}
+        return self._moved(self._discard(x, t), t)
 
-    def _discard(self, t: int) -> None:
+    def _discard(self, x: State, t: int) -> State:
         """Forget the samples next to a bad one; a candidate is then applied for a whole dwell again."""
-        self._window.clear()
         # what is held is not judged anew: bad samples now and then must not keep off the looks at it and the timer
-        if self._phase is Phase.SEARCH and self._since is not None:
-            self._since = t
+        again = x.phase is Phase.SEARCH and x.since is not None
+        return x._replace(window=(), since=t if again else x.since)
 
     # the command -----------------------------------------------------------------------------------------------
 
-    def _aim(self, target: Point) -> None:
-        self._target = target
-        self._since = None
-
-    def _move(self, t: int) -> Point:
+    def _moved(self, x: State, t: int) -> tuple[State, Mapping[str, Point]]:
         """Go towards the target; note when it is there."""
-        limit = self._step
-        if self._command is None:
-            self._command = self._target
-        pairs = zip(self._command, self._target, strict=True)
-        self._command = tuple(
-            to if abs(to - x) <= limit else x + math.copysign(limit, to - x) for x, to in pairs
-        )  # fmt: skip
-        if self._since is None and self._command == self._target:
-            self._since = t
-            self._window.clear()
-        return self._command
+        if x.since is None or x.command != x.target:
+            limit, target = self._step, x.target
+            command = tuple(
+                to if abs(to - at) <= limit else at + math.copysign(limit, to - at)
+                for at, to in zip(target if x.command is None else x.command, target, strict=True)
+            )
+            there = x.since is None and command == target
+            x = x._replace(command=command, since=t, window=()) if there else x._replace(command=command)
+        return x, {"command": x.command, "state": x.state}  # type: ignore[dict-item]
 
     # the search ------------------------------------------------------------------------------------------------
 
-    def _begin(self, t: int) -> None:
+    def _begin(self, x: State | None, t: int) -> State:
         """Start a new search."""
-        self._phase = Phase.SEARCH
-        self._began = t
-        self._restarts += 1
-        self._search = self.new_search(self.rng)
-        self._dark = None
-        self._streak = 0
-        self._waiting = self._broken = False
-        self._void = math.isinf(self._search.gap)
-        self._reference = None
-        self._again = math.inf
-        self._looking = None
-        watched = self._search.remembers and (self.p.restart_threshold > 0.0 or not self._void)
-        self._curve = self.characteristic(max(1, self._hold // (4 * self._period))) if watched else None
-        self._aim(self._search.ask())
+        told = Told(self.p.search, self.generator() if x is None else x.search.now.rng)
+        search = told.now
+        void = math.isinf(search.gap)
+        watched = search.remembers and (self.p.restart_threshold > 0.0 or not void)
+        curve = self.characteristic(max(1, self._hold // (4 * self._period))) if watched else None
+        begun = State(told, Phase.SEARCH, t, 0 if x is None else x.restarts + 1, void, curve, search.ask())
+        if x is None:
+            return begun
+        return begun._replace(
+            state=x.state, pressed=x.pressed, command=x.command, window=x.window, unconfirmed=x.unconfirmed
+        )
 
-    def _gone(self, t: int) -> None:
+    def _gone(self, x: State, t: int) -> State:
         """Measure the candidate again; after a while give up the search."""
-        self._discard(t)
-        self._dark = t if self._dark is None else self._dark
-        if t - self._dark >= self._hold:
-            self.report(Level.WARN, "no signal", "the signal is gone: the search stops; another one when it is back")
-            self._waiting = True
-            self._aim(tuple(self._search.lower.tolist()))
+        x = self._discard(x, t)
+        dark = t if x.dark is None else x.dark
+        if t - dark < self._hold:
+            return x._replace(dark=dark)
+        self.report(Level.WARN, "no signal", "the signal is gone: the search stops; another one when it is back")
+        return x._replace(dark=dark, waiting=True, target=tuple(x.search.now.lower.tolist()), since=None)
 
-    def _wait_tick(self, t: int) -> None:
-        if self._since is not None and t - self._since >= self._hold:
-            if self.p.floor is None or self._mean() > self.p.floor:
-                self._begin(t)
-                self._note()
-            else:
-                self._since = t
+    def _wait_tick(self, x: State, t: int) -> State:
+        if x.since is None or t - x.since < self._hold:
+            return x
+        if self.p.floor is None or _mean(x) > self.p.floor:
+            return self._note(self._begin(x, t))
+        return x._replace(since=t)
 
-    def _search_tick(self, t: int, sample: Point, dark: bool) -> None:
-        search = self._search
+    def _search_tick(self, x: State, t: int, sample: Point, dark: bool) -> State:
+        search = x.search.now
         wait = self._hold if search.settle else self._period
-        self._streak = self._streak + 1 if dark else self._streak
-        if not dark:
-            if 2 * self._streak * self._period >= self._hold:  # not one of a transient: the candidate has not settled
-                self._discard(t)
-            self._streak = 0
-            if self._breaks_off(t, sample):
-                return
-        if self._looking is not None:
-            self._look_back(t, t - self._looking)
-            return
-        if self._since is None or t - self._since < wait:
-            if not dark:
-                search.watch(sample)
-            return
-        if dark and self.no_signal(sample, self._mean()):
-            self._gone(t)
-            return
-        self._dark = None
-        search.tell(self._mean(), sample)
+        if dark:
+            x = x._replace(streak=x.streak + 1)
+        else:
+            if 2 * x.streak * self._period >= self._hold:  # not one of a transient: the candidate has not settled
+                x = self._discard(x, t)
+            if x.streak:
+                x = x._replace(streak=0)
+            x, begun = self._breaks_off(x, t, sample)
+            if begun:
+                return x
+        if x.looking is not None:
+            return self._look_back(x, t - x.looking)
+        if x.since is None or t - x.since < wait:
+            return x if dark or not search.watches else x._replace(search=x.search.watch(sample))
+        if dark and self.no_signal(sample, _mean(x)):
+            return self._gone(x, t)
+        x = x._replace(dark=None, search=x.search.tell(_mean(x), sample))
         if not search.done:
-            self._aim(search.ask())
+            x = x._replace(target=search.ask(), since=None)
         elif self.p.floor is not None and search.expected <= self.p.floor:
             self.report(Level.WARN, "no signal", "no candidate gave a value above the floor: searching on")
-            self._begin(t)
-        elif self._curve is not None and self.p.restart_threshold > 0.0:
-            self._looking = t
+            x = self._begin(x, t)
+        elif x.curve is not None and self.p.restart_threshold > 0.0:
+            x = x._replace(looking=t)
         else:
-            self._keep()
-        self._note()
+            x = self._keep(x)
+        return self._note(x)
 
-    def _look_back(self, t: int, elapsed: int) -> None:
+    def _look_back(self, x: State, elapsed: int) -> State:
         """Pass through the range of the command once: the search may have measured what is no more."""
         share = elapsed / (LOOK_BACK * self._hold)
-        lower, upper = self._search.lower, self._search.upper
+        lower, upper = x.search.now.lower, x.search.now.upper
         if share < 1.0:
-            self._aim(tuple((lower + share * (upper - lower)).tolist()))
-        elif self._command == self._target:
-            self._keep()
-            self._note()
+            return x._replace(target=tuple((lower + share * (upper - lower)).tolist()), since=None)
+        return self._note(self._keep(x)) if x.command == x.target else x
 
-    def _keep(self) -> None:
+    def _keep(self, x: State) -> State:
         """Hold what was found."""
-        self._phase = Phase.HOLD
-        self._aim(self._search.result)
-        self._next_sample = self._hold
-        self._seen = math.inf
-        self._deviations = 0
-        self._lost = False
+        return x._replace(
+            phase=Phase.HOLD, target=x.search.now.result, since=None, next_sample=self._hold, seen=math.inf,
+            deviations=0, lost=False,
+        )  # fmt: skip
 
-    def _breaks_off(self, t: int, sample: Point) -> bool:
+    def _breaks_off(self, x: State, t: int, sample: Point) -> tuple[State, bool]:
         """See in a measurement that the plant changed since the search began; tell whether another one has begun."""
-        if self._curve is None:
-            return False
-        change, gap, threshold = self._curve.take(sample), self._search.gap, self.p.restart_threshold
-        if change > gap and not self._void:
-            self._withdraw()
-        if self._broken or self._reference is not None or not change > min(threshold, gap) > 0.0:
-            return False
-        self._broken = True
-        self._unconfirmed += 1
-        if self._unconfirmed > BROKEN:
-            return False
+        if x.curve is None:
+            return x, False
+        change, curve = x.curve.take(sample)
+        x = x._replace(curve=curve)
+        gap = x.search.now.gap
+        if change > gap and not x.void:
+            x = self._withdraw(x)
+        if x.broken or x.reference is not None or not change > min(self.p.restart_threshold, gap) > 0.0:
+            return x, False
+        x = x._replace(broken=True, unconfirmed=x.unconfirmed + 1)
+        if x.unconfirmed > BROKEN:
+            return x, False
         self.report(Level.WARN, "changed", "the plant changed during the search: searching anew")
-        self._begin(t)
-        self._note()
-        return True
+        return self._note(self._begin(x, t)), True
 
-    def _withdraw(self) -> None:
-        if self._search.bound is not None:
+    def _withdraw(self, x: State) -> State:
+        if x.search.now.bound is not None:
             self.report(Level.WARN, "proof", "the plant is not the one of the proof any more: the bound is withdrawn")
-        self._void = True
-        self._note()
+        return self._note(x._replace(void=True))
 
-    def _refuted(self, t: int, value: float) -> bool:
+    def _refuted(self, x: State, t: int, value: float) -> tuple[State, bool]:
         """Whether the value held calls for a new search, now; plan one for later when that has been tried."""
-        free = BROKEN if self._broken else 1
-        if not self._broken:
-            if not self._differs(value, self._search.expected):
-                self._unconfirmed = 0
-                return False
-            self._unconfirmed += 1
-        self._again = t + (t - self._began) * 2 ** max(self._unconfirmed - free, 0)
-        return self._unconfirmed <= free
+        free = BROKEN if x.broken else 1
+        unconfirmed = x.unconfirmed
+        if not x.broken:
+            if not self._differs(value, x.search.now.expected):
+                return x._replace(unconfirmed=0), False
+            unconfirmed += 1
+        again = t + (t - x.began) * 2 ** max(unconfirmed - free, 0)
+        return x._replace(unconfirmed=unconfirmed, again=again), unconfirmed <= free
 
-    def _hold_tick(self, t: int, sample: Point) -> None:
-        watched = self._reference is None or not self._void
-        if watched and not self.no_signal(sample, self._window[-1]) and self._breaks_off(t, sample):
-            return
-        if self._since is None or t - self._since < self._next_sample:
-            return
-        held, value = t - self._since, self._mean()
-        self._next_sample = held + self._hold  # also after bad samples a whole hold_time apart
-        expected, changed = self._search.expected, self._changed(t, value, held)
-        judged = self._lost or self._reference is not None
-        if judged and not self._void and abs(value - expected) > self._search.gap * abs(expected):
-            self._withdraw()
-        timer = t >= self._again or (self._rescan and t - self._began >= self._rescan)
-        if changed or (timer and not self._lost):
-            self._begin(t)
-            self._note()
+    def _hold_tick(self, x: State, t: int, sample: Point) -> State:
+        watched = x.reference is None or not x.void
+        if watched and not self.no_signal(sample, x.window[-1]):
+            x, begun = self._breaks_off(x, t, sample)
+            if begun:
+                return x
+        if x.since is None or t - x.since < x.next_sample:
+            return x
+        held, value = t - x.since, _mean(x)
+        # also after bad samples a whole hold_time apart
+        x, changed = self._changed(x._replace(next_sample=held + self._hold), t, value, held)
+        search = x.search.now
+        judged = x.lost or x.reference is not None
+        if judged and not x.void and abs(value - search.expected) > search.gap * abs(search.expected):
+            x = self._withdraw(x)
+        timer = t >= x.again or (self._rescan and t - x.began >= self._rescan)
+        return self._note(self._begin(x, t)) if changed or (timer and not x.lost) else x
 
-    def _changed(self, t: int, value: float, held: int) -> bool:
+    def _changed(self, x: State, t: int, value: float, held: int) -> tuple[State, bool]:
         """Whether the value held calls for a new search."""
         if self.p.floor is not None and value <= self.p.floor:
-            self._lost = True
             self.report(Level.WARN, "no signal", "the value held fell to the floor: waiting for it")
-            return False
-        if self._lost:
-            return True
-        if self._reference is None:
-            before, self._seen = self._seen, value
+            return x._replace(lost=True), False
+        if x.lost:
+            return x, True
+        if x.reference is None:
+            before, x = x.seen, x._replace(seen=value)
             if held < self._settle or self._differs(value, before, STEADY):
-                return False
-            self._reference = value
-            return self._refuted(t, value)
-        self._deviations = self._deviations + 1 if self._differs(value, self._reference) else 0
-        return self._deviations == CONSECUTIVE
+                return x, False
+            return self._refuted(x._replace(reference=value), t, value)
+        deviations = x.deviations + 1 if self._differs(value, x.reference) else 0
+        return x._replace(deviations=deviations), deviations == CONSECUTIVE
 
     def _differs(self, value: float, reference: float, part: float = 1.0) -> bool:
         threshold = part * self.p.restart_threshold
         return threshold > 0.0 and abs(value - reference) > threshold * abs(reference)
 
-    def _mean(self) -> float:
-        return math.fsum(self._window) / len(self._window)
-
     # people ----------------------------------------------------------------------------------------------------
 
-    def _press(self, t: int, *pressed: bool) -> None:
+    def _press(self, x: State, t: int, pressed: tuple[bool, ...]) -> State:
         """Act on the buttons that went down: stop before restart before start."""
-        if pressed == self._pressed:
-            return
-        start, stop, restart = (now and not before for now, before in zip(pressed, self._pressed, strict=True))
-        self._pressed = pressed
+        start, stop, restart = (now and not before for now, before in zip(pressed, x.pressed, strict=True))
+        x = x._replace(pressed=pressed)
         if stop:
-            self._phase = Phase.STOPPED
-            if self._search.best is not None:
-                self._aim(self._search.result)
-        elif restart or (start and self._phase is Phase.STOPPED):
-            self._unconfirmed = 0
-            self._begin(t)
-        self._note()
+            x = x._replace(phase=Phase.STOPPED)
+            if x.search.now.best is not None:
+                x = x._replace(target=x.search.now.result, since=None)
+        elif restart or (start and x.phase is Phase.STOPPED):
+            x = self._begin(x._replace(unconfirmed=0), t)
+        return self._note(x)
 
-    def _note(self) -> None:
-        """Prepare the state output; it changes only with a value told, a phase or a button."""
-        search = self._search
-        best, x = (0.0, self._target) if search.best is None else (search.expected, search.result)
-        self._state = (
-            float(self._phase), float(search.iteration), float(search.evaluations), float(max(self._restarts, 0)), best,
-            (not self._void and search.bound) or 0.0, *x,
-        )  # fmt: skip
+    def _note(self, x: State) -> State:
+        """Prepare the state output."""
+        search = x.search.now
+        best, at = (0.0, x.target) if search.best is None else (search.expected, search.result)
+        return x._replace(state=(
+            float(x.phase), float(search.iteration), float(search.evaluations), float(max(x.restarts, 0)), best,
+            (not x.void and search.bound) or 0.0, *at,
+        ))  # fmt: skip
+
+
+def _mean(x: State) -> float:
+    return math.fsum(x.window) / len(x.window)
 
 
 class OptimiserParams(SearchParams):
@@ -414,8 +449,12 @@ class OptimiserParams(SearchParams):
     def _search(self) -> Self:
         if len(self.lower) != len(self.channels):
             raise ValueError(f"{len(self.lower)} values of lower for {len(self.channels)} channels")
-        make(self.algorithm, self.lower, self.upper, 0, self, maximise=self.maximise)
+        self.search(np.random.default_rng(0))
         return self
+
+    def search(self, rng: np.random.Generator) -> Search:
+        """Make a search over the channels."""
+        return make(self.algorithm, self.lower, self.upper, rng, self, maximise=self.maximise)
 
 
 class Optimiser(CommandSearch[OptimiserParams]):
@@ -431,11 +470,6 @@ class Optimiser(CommandSearch[OptimiserParams]):
         to = command("command", "command", params.channels, params.unit, safe=params.lower)
         state = state_port("optimiser/state", dict.fromkeys(params.channels, params.unit))
         return (measurement, *buttons("optimiser")), (to, state)
-
-    def new_search(self, rng: np.random.Generator) -> Search:
-        """Make a search over the channels."""
-        p = self.p
-        return make(p.algorithm, p.lower, p.upper, rng, p, maximise=p.maximise)
 
     def objective(self, sample: Point) -> float:
         """The one measured scalar."""

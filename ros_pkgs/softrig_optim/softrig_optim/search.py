@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
-from typing import NamedTuple, TypedDict, Unpack
+from typing import Any, NamedTuple, TypedDict, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,6 +66,8 @@ class Search(ABC):
         Iteration (generation) the pending candidates belong to; 0 is the initial one.
     settle : bool
         Whether the pending candidate is to be measured in steady state; a sweep is measured on the fly.
+    watches : bool
+        Whether it uses what is measured on the way to the pending candidate, see `watch`.
     remembers : bool
         Whether what was told long ago still decides, so that it must be of the same objective.
 
@@ -81,6 +84,7 @@ class Search(ABC):
     """
 
     remembers = True
+    watches = False
 
     def __init__(
         self,
@@ -260,6 +264,75 @@ class Population(Search):
 def points(x: Array) -> list[Point]:
     """Give the rows of an array as candidates."""
     return [tuple(row) for row in x.tolist()]
+
+
+class Told:
+    """A search as a value, for the state of a block: how it was made, and what it has been told since.
+
+    The live search belongs to the newest value of its line. Asked of an older one, as after a rig has gone back,
+    another search is made and told again what that one knows.
+
+    Parameters
+    ----------
+    make : callable
+        Gives the search; gets its random numbers.
+    rng : numpy.random.Generator
+        As they begin; it is not drawn from.
+    said : sequence of (str, tuple)
+        The calls of `Search.tell` and `Search.watch` so far.
+    """
+
+    __slots__ = ("_line", "_n")
+
+    def __init__(
+        self, make: Callable[[np.random.Generator], Search], rng: np.random.Generator,
+        said: Sequence[tuple[str, tuple[Any, ...]]] = (),
+    ) -> None:  # fmt: skip
+        self._line = _Line(make, rng, said)
+        self._n = len(said)
+
+    @property
+    def now(self) -> Search:
+        """The search as it stands, to be read only."""
+        line = self._line
+        if len(line.said) != self._n:
+            line = self._line = _Line(line.make, line.rng, line.said[: self._n])
+        return line.live
+
+    def tell(self, value: float, sample: Sequence[float] = ()) -> Told:
+        """Give it as after `Search.tell`."""
+        return self._after("tell", (value, sample))
+
+    def watch(self, sample: Sequence[float]) -> Told:
+        """Give it as after `Search.watch`."""
+        return self._after("watch", (sample,))
+
+    def _after(self, method: str, values: tuple[Any, ...]) -> Told:
+        getattr(self.now, method)(*values)
+        self._line.said.append((method, values))
+        told = object.__new__(Told)
+        told._line, told._n = self._line, self._n + 1
+        return told
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Told):
+            return NotImplemented
+        return self._line.said[: self._n] == other._line.said[: other._n]
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def __reduce__(self) -> Any:
+        return Told, (self._line.make, self._line.rng, self._line.said[: self._n])
+
+
+class _Line:
+    """What the values of one search share: the live one, which knows all that was said."""
+
+    def __init__(self, make: Any, rng: np.random.Generator, said: Sequence[tuple[str, tuple[Any, ...]]]) -> None:
+        self.make, self.rng, self.said = make, copy.deepcopy(rng), list(said)
+        self.live: Search = make(copy.deepcopy(rng))
+        for method, values in said:
+            getattr(self.live, method)(*values)
 
 
 def run(

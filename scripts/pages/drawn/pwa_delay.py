@@ -92,7 +92,7 @@ def level(runs: Sequence[tuple[float, Array, Array]], path: Path) -> None:
 
 
 def _lowest(h: float, profile: str, seed: int) -> float:
-    plant = TankPlant(delay=h, profile=profile, seed=seed, x0=0.49, period=0.05, step=0.05)
+    plant = ByHand(TankPlant(delay=h, profile=profile, seed=seed, x0=0.49, period=0.05, step=0.05))
     controller, lowest = ByHand(TankController(period=0.05)), 1.0
     for k in range(round(30.0 * h / 0.05)):
         now = plant.outputs(k)["level"]

@@ -4,11 +4,12 @@ import os
 import signal
 import sys
 import time
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 from softrig_core import (
     Block,
     BlockParams,
+    Jobs,
     Observer,
     Plant,
     Sample,
@@ -280,6 +281,11 @@ class PlannerParams(SolverParams):
     fault: str = param("", "raise, kill or hang in the second plan")
 
 
+class PlannerState(NamedTuple):
+    asked: int = 0
+    jobs: Jobs = Jobs()
+
+
 class Planner(Solver[PlannerParams]):
     """Plans the reference that puts the plant onto the wanted one; a plan takes longer than a tick may."""
 
@@ -289,12 +295,12 @@ class Planner(Solver[PlannerParams]):
         scalars("plan", "lag/plan", {"asked_at": "s", "repeatable": ""}),
     )
 
-    def start(self):
-        self.asked = 0
+    def first(self):
+        return PlannerState()
 
-    def request(self, t, state, reference):
-        self.asked += 1
-        return self.asked, state[0], reference[0], self.p.work, self.p.fault
+    def request(self, x, t, state, reference):
+        x = PlannerState(x.asked + 1, x.jobs)
+        return x, (x.asked, state[0], reference[0], self.p.work, self.p.fault)
 
     @staticmethod
     def solve(request, work):
@@ -309,10 +315,10 @@ class Planner(Solver[PlannerParams]):
         time.sleep(3600.0 if fault == "hang" and number == 2 else seconds)
         return wanted + 0.5 * (wanted - x)
 
-    def answer(self, t, result, new):
+    def answer(self, x, t, result, new):
         if result is None:
-            return {"inner": (0.0,), "plan": (-1.0, 1.0)}
-        return {"inner": (result.answer,), "plan": (result.stamp * 1e-9, float(result.repeatable))}
+            return x, {"inner": (0.0,), "plan": (-1.0, 1.0)}
+        return x, {"inner": (result.answer,), "plan": (result.stamp * 1e-9, float(result.repeatable))}
 
 
 class Unreadable:

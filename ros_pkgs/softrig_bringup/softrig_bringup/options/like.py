@@ -174,9 +174,11 @@ def compared(before: Recalled, run: Run) -> tuple[bool, list[str]]:
             if a != b:
                 at = min([rows[k][0] for rows in (a, b) if k < len(rows)], default=0)
                 lines.append(f"{port.topic} from t = {at / SECOND:.9g} s")
-    same = not lines
+    same = not lines and messages > 0
     told = [f"repeats {before.path} number for number: {messages} messages on {topics} topics"]
-    if not same:
+    if not messages:
+        told = [f"nothing of {before.path} could be compared: no message of any node that runs here"]
+    if lines:
         told = [f"differs from {before.path}: {', '.join(lines)}"]
     if before.late:
         told.append(f"that run was late: {words(before.late)}")

@@ -41,7 +41,10 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--max-missed", type=Number(float, 0, 100), metavar="PERCENT",
                         help="in real time: status 1 when a node misses more of its deadlines")  # fmt: skip
     parser.add_argument("--label", default="", metavar="TEXT", help="what reports call this run")
-    parser.add_argument("--no-record", action="store_true", help="no bag")
+    recorded = parser.add_mutually_exclusive_group()
+    recorded.add_argument("--no-record", action="store_true", help="no bag")
+    recorded.add_argument("--record-all", action="store_true",
+                          help="the bag has robot_description, diagnostics and figures of observers, too")  # fmt: skip
     parser.add_argument("--format", choices=("svg", "pdf"), default="", help="pictures of this kind beside the PNG")
     parser.add_argument("--junit", type=Path, metavar="FILE", help="what was judged, as JUnit XML")
     parser.add_argument("--no-plots", action="store_true", help="only metrics.json and the bag")

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from softrig_core import (
+    Block,
     Observer,
     Recording,
     Rig,
@@ -88,6 +89,15 @@ def _status(held: Held) -> dict[str, Any]:
     if isinstance(held.block, Observer):
         status["figures"] = {k: [v, unit] for k, (v, unit) in held.status().items() if math.isfinite(v)}
     return status
+
+
+def tripped(rig: Rig, status: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
+    """Give the nodes whose protection has acted though the scenario does not expect it, and what each said."""
+    return {
+        m.name: text
+        for m in rig.members if m.name not in rig.scenario.trips
+        for key, (_, text, _) in status.get(m.name, {}).get("reports", {}).items() if key in m.block_class.TRIPS
+    }  # fmt: skip
 
 
 def checked(scenario: Scenario) -> Rig:
@@ -228,7 +238,9 @@ def checkout() -> dict[str, str]:
     return {"commit": said[0] + ("+" if said[1] else "")} | found
 
 
-def save(run: Run, content: Mapping[str, Any], folder: ResultsFolder, *, record: bool = True) -> None:
+def save(
+    run: Run, content: Mapping[str, Any], folder: ResultsFolder, record: bool = True, health: bool = False
+) -> None:
     """Write metrics.json and bag/ into a folder, and the list of what was written.
 
     Parameters
@@ -239,16 +251,21 @@ def save(run: Run, content: Mapping[str, Any], folder: ResultsFolder, *, record:
     folder : ResultsFolder
     record : bool
         Whether the bag is written.
+    health : bool
+        Whether what the nodes say beside their signals is in it.
     """
     with _writing(folder) as directory, unstopped():
         # first: if the disk is full, this is what tells why
         (directory / "metrics.json").write_text(json.dumps(content, indent=1) + "\n")
         if record:
+            from softrig_bags.health import with_health
             from softrig_bags.scenery import LATCHED, with_scenery
             from softrig_bags.write import write_bag
 
             recording = with_scenery(run.recording, _scenes(run.rig))
-            write_bag(directory / "bag", recording, custom_data=_provenance(run, content), latched=LATCHED)
+            texts = _texts(run.rig) if health else {}
+            recording = with_health(recording, texts, run.status) if health else recording
+            write_bag(directory / "bag", recording, custom_data=_provenance(run, content), latched=[*LATCHED, *texts])
 
 
 def illustrate(run: Run, folder: ResultsFolder, also: str = "") -> None:
@@ -277,6 +294,12 @@ def _writing(folder: ResultsFolder) -> Iterator[Path]:
             yield folder.path
     finally:
         folder.close()
+
+
+def _texts(rig: Rig) -> dict[str, str]:
+    """Give topic to text of what the nodes of the rig latch."""
+    own = [m for m in rig.members if not m.external and m.block_class.latched is not Block.latched]
+    return {topic: text for m in own for topic, text in m.block(rig.scenario.seed).latched().items()}
 
 
 def _scenes(rig: Rig) -> dict[str, Scene]:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import argparse
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from io import StringIO
 from pathlib import Path
@@ -30,6 +30,9 @@ from ..page.junit import Case, Suite, write_reports
 from ..run.run import versions
 
 DECIDE = ("machine", "math", "numpy", "scipy", "casadi", "pin")  # of the versions: the bits of a run
+# Python decides where a block is not ours: since 3.12 its `sum` compensates floats, since 3.14 complex numbers too
+ERAS = ((3, 12), (3, 14))
+OURS = re.compile(r"softrig_(core|control|optim|drives|power|robots|systems)\.")
 
 
 class Allowed(BaseModel):
@@ -51,7 +54,8 @@ class Recipe(BaseModel):
     seed : int
     default : Allowed
         For every signal without a pattern of its own. Tolerances are for other versions than those that wrote the bag
-        (another C library, numpy, casadi, machine; never another Python); with the same ones bytes are compared.
+        (another C library, numpy, casadi, machine; another Python only for blocks that are not softrig's); with the
+        same ones bytes are compared.
     tolerances : dict of str to Allowed
         By pattern of the signal name (``motor/state/*``).
     elsewhere : dict of str to Allowed
@@ -127,6 +131,9 @@ class Golden:
         """What decides the bits and is not as it was when the bag was made: name to there and here."""
         now, there = versions(), self.recipe.made_with
         pairs = {name: (there.get(name, "unknown"), now.get(name, "unknown")) for name in DECIDE}
+        if not all(OURS.match(member.block_class.__module__) for member in self.rig.members):
+            python = there.get("python", "unknown"), now["python"]
+            pairs |= {"python": python} if _era(python[0]) != _era(python[1]) else {}
         return {name: pair for name, pair in pairs.items() if pair[0] != pair[1]}
 
     @property
@@ -189,6 +196,30 @@ class Golden:
             (Path(aside) / self.bag.name).replace(self.bag)
         _write(self.folder / "golden.yaml", recipe)
         return difference
+
+
+def _era(python: str) -> int:
+    """Say which `sum` a version of Python has; -1 when that is not known."""
+    found = re.match(r"(\d+)\.(\d+)", python)
+    return sum((int(found[1]), int(found[2])) >= era for era in ERAS) if found else -1
+
+
+def line(others: Iterable[str]) -> str:
+    """Say which line of the table of doc/bits.md a machine is.
+
+    Parameters
+    ----------
+    others : iterable of str
+        What is not as it was when golden bags were made: `Golden.others` of all of them.
+    """
+    differ = set(others)
+    if "machine" in differ:
+        return "another architecture"
+    if "math" in differ:
+        return "other functions of the C library"
+    if differ - {"python"}:
+        return "other packages"
+    return "another Python, and blocks of your own" if differ else "the same functions and packages"
 
 
 def _ours(bag: Path) -> None:
@@ -296,10 +327,12 @@ def remade(names: Sequence[str], folder: Path, *, duration: float | None, seed: 
     if not chosen:
         raise ScenarioError(f"{folder} has no golden bags yet; name the scenarios to make them of")
     status, suites, content = 0, [], []
+    differing: set[str] = set()
     for name in chosen:
         there = (folder / name / "golden.yaml").is_file()
         golden = load(folder / name, **changes) if there or check else create(folder / name, name, **changes)
         how = golden.how if golden.bag.exists() else ""
+        differing |= golden.others.keys()
         try:
             result = golden.compare(golden.rerun()) if check else golden.make()
         except RunError as error:
@@ -316,4 +349,10 @@ def remade(names: Sequence[str], folder: Path, *, duration: float | None, seed: 
                         "seed": golden.recipe.seed, "pass": not differs, "compared": how,
                         "differs": differs})  # fmt: skip
     write_reports(junit, suites, as_json, content)
+    if check:
+        now = versions()
+        here = (
+            f"{now['machine']}, CPython {now['python']}, {now.get('libc') or 'unknown C library'}, math {now['math']}"
+        )
+        print(f'{here}: in bits.md the line "{line(differing)}"')
     return status

@@ -7,21 +7,24 @@ import atexit
 import os
 import signal
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from shutil import rmtree
 from tempfile import mkdtemp
+from typing import Any
 
-from softrig_core import Run, ScenarioError
+from softrig_core import Recording, Run, ScenarioError
+from softrig_core.errors import closest
 from softrig_core.processes.children import read_status
 from softrig_core.processes.domain import join_domain
 from softrig_core.processes.peers import starter
 from softrig_core.processes.processes import gathered
+from softrig_core.processes.shared_memory import remove_leftovers
 from softrig_core.processes.spawning import container_arguments, groups, node_parameters, parameter_file
 from softrig_core.rig.members import Member
 
 from ..options import run_options
-from ..run.run import checked, gaps
+from ..run.run import checked, gaps, tripped
 from . import run_verb
 from .viewer import ROOTED, Process, viewer
 
@@ -37,11 +40,25 @@ ARGUMENTS: dict[str, tuple[str | None, tuple[str, ...], str]] = {
     "external": ("", (), "nodes that somebody else starts, names parted by spaces"),
     "wait_for": ("", (), "recorders that are to have all from t = 0 and do not ask for it, as rosbag2_recorder"),
     "frames": ("true", ("true", "false"), "/tf and /tf_static from the rig's nodes; false for publishers of your own"),
-    "record": ("false", ("true", "false"), "bag, metrics.json, plots and report at the end, as `softrig run` writes"),
+    "record": ("false", ("true", "false", "all"), "results at the end, as `softrig run` writes; all: with diagnostics"),
     "out": ("", (), "folder for them (default: runs/SCENARIO and what was changed, below the working folder)"),
     "judge": ("false", ("true", "false"), "table of the figures at the end; status 1 of the launch where they miss"),
     "use_rviz": ("false", ("true", "false"), "RViz with a file for this rig; the launch ends when it is closed"),
 }
+
+
+def strange(words: Sequence[str]) -> str:
+    """Say which of the words of a `ros2 launch` of our file is no argument of it; launch itself takes any.
+
+    Empty when none is, or when the file is included by another one, whose arguments they may be.
+    """
+    if not any(Path(word).name == "rig.launch.py" for word in words):
+        return ""
+    names = [word.partition(":=")[0] for word in words if ":=" in word]
+    unknown = next((name for name in names if name not in ARGUMENTS), None)
+    if unknown is None:
+        return ""
+    return f"{unknown}: no argument of rig.launch.py{closest(unknown, ARGUMENTS)}; expected {', '.join(ARGUMENTS)}"
 
 
 class Launched:
@@ -63,11 +80,12 @@ class Launched:
     def __init__(self, values: Mapping[str, str]) -> None:
         given = {name: values.get(name) or default or "" for name, (default, _, _) in ARGUMENTS.items()}
         self._options = options = _options(given)
-        self._record, self._judge = given["record"] == "true", given["judge"] == "true"
+        self._record, self._judge = given["record"] != "false", given["judge"] == "true"
         self._frames = given["frames"] == "true"
         self._rig = rig = checked(run_options.scenario_of(options))
         self._seed, self._placement = rig.scenario.seed, run_options.placement_of(options)
         self._realtime = self._placement.clock == "realtime"
+        remove_leftovers()
         join_domain(int(os.environ.get("ROS_DOMAIN_ID") or 0))  # so that no run chooses it
         self._folder = run_verb.results_folder(options, rig.scenario.name) if self._record else None
         if self._folder is not None:
@@ -130,17 +148,20 @@ class Launched:
         self._stopped = self._stopped or interrupted
         wrong = f"{name} ended with status {status}" if status and not interrupted else ""
         self._error = self._error or wrong
-        if self._running or not (self._record or self._judge):
+        if self._running:
             return wrong
-        found = self._conclude()
-        if self._judge and found and not wrong:
-            return f"judged: status {found}" if not self._error and not self._stopped else ""
-        return wrong
-
-    def _conclude(self) -> int:
-        rig, options = self._rig, self._options
+        rig = self._rig
         names = [m.name for m in rig.members if not m.external]
-        recording, status = gathered(rig, self._log, names, f"{self._namespace}/" if self._namespace else "")
+        recording, nodes = gathered(rig, self._log, names, f"{self._namespace}/" if self._namespace else "")
+        found = self._conclude(recording, nodes) if self._record or self._judge else 0
+        if wrong or self._error or self._stopped:
+            return wrong
+        if trips := tripped(rig, nodes):
+            return "; ".join(f"{name}: {text}" for name, text in trips.items())
+        return f"judged: status {found}" if self._judge and found else ""
+
+    def _conclude(self, recording: Recording, status: dict[str, dict[str, Any]]) -> int:
+        rig, options = self._rig, self._options
         epoch = int(read_status(self._log / f"{starter(rig).name}.status").get("epoch", 0))
         told = [f"{name}: {s['error']}" for name, s in status.items() if s.get("error")]
         run = Run(rig, self._seed, recording, time.monotonic() - self._begun, str(self._placement), epoch, status)
@@ -158,6 +179,7 @@ def _options(given: Mapping[str, str]) -> argparse.Namespace:
     words = [given["scenario"], "--mode", given["place"], *(["--realtime"] if given["mode"] == "realtime" else [])]
     for name, option in (("duration", "duration"), ("seed", "seed"), ("params_file", "params-file"), ("out", "out")):
         words += [f"--{option}={given[name]}"] if given[name] else []
+    words += ["--record-all"] if given["record"] == "all" else []
     for node in given["external"].split():
         words += ["--external", node]
     parser = argparse.ArgumentParser(exit_on_error=False)

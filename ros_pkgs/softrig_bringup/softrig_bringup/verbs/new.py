@@ -34,6 +34,12 @@ def command() -> str:
     return shlex.quote(os.environ.get("SOFTRIG_COMMAND") or "softrig")
 
 
+def first(place: str) -> str:
+    """Give how a command begins that uses the package in a relative folder: a wheel's knows what is installed."""
+    checkout = "SOFTRIG_COMMAND" in os.environ
+    return f"{command()} --workspace {place}" if checkout else f"pip install ./{place} && softrig"
+
+
 def new_package(name: str, parent: Path) -> Path:
     """Write a package.
 
@@ -62,7 +68,7 @@ def new_package(name: str, parent: Path) -> Path:
     folder = parent / name
     if folder.exists() or folder.is_symlink():
         raise ScenarioError(f"{folder} is there already; choose another name or --into DIR")
-    values = {"name": name, "softrig": command()}
+    values = {"name": name, "softrig": command(), "first": first(".")}
     source = files("softrig_bringup") / "template"
     texts = {Template(to).substitute(values): Template((source / f"{file}.template").read_text(encoding="utf-8"))
              for file, to in FILES.items()}  # fmt: skip
@@ -83,5 +89,5 @@ def main(options: argparse.Namespace) -> int:
     folder = new_package(options.name, options.into)
     shown = shlex.quote(os.path.relpath(folder))
     print(f"wrote {shown}: a plant, a law, their scenario, tests, README.md; now:")
-    print(f"  {command()} --workspace {shown} run {options.name}")
+    print(f"  {first(shown)} run {options.name}")
     return 0

@@ -263,7 +263,11 @@ class Page:
             return
         self._calm = True
         try:
-            changed = self._draw()
+            try:
+                changed = self._draw()
+            except (ValueError, TypeError, ArithmeticError):  # a window that no page of ours asks for
+                self._window.value, self._follow.active = "all", True
+                changed = self._draw()
             self._count += 1
             if self._count % SLOW == 1 or source.outcome:
                 changed = self._write() or changed

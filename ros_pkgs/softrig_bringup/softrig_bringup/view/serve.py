@@ -70,16 +70,37 @@ class Watched(BaseModel):
     address: str
 
 
-class _Token(AuthProvider):  # type: ignore[misc]
-    """Lets in who says the token in the address of the page; a cookie says it from then on."""
+class OneLine(logging.Filter):
+    """Bokeh logs the stack of what a browser says that no page of ours does; here it is one line."""
 
-    def __init__(self, token: str) -> None:
-        self._token = token
+    def filter(self, record: logging.LogRecord) -> bool:
+        """Let every record pass, without its stack."""
+        error = record.exc_info[1] if record.exc_info else None
+        if error is not None:
+            record.msg, record.args = "a page was told what cannot be: %s: %.200s", (type(error).__name__, error)
+            record.exc_info = record.exc_text = None
+        return True
+
+
+class _Token(AuthProvider):  # type: ignore[misc]
+    """Lets in who says the token in the address of the page; a cookie says it from then on.
+
+    Parameters
+    ----------
+    token : str
+    names : tuple of str
+        By which the page may be asked for; none: any. A name of somebody else may lead to this host, too.
+    """
+
+    def __init__(self, token: str, names: tuple[str, ...]) -> None:
+        self._token, self._names = token, names
         super().__init__()
 
     @property
     def get_user_async(self) -> Any:  # every version of Bokeh asks it before it answers, of a websocket, too
         async def user(handler: RequestHandler) -> str:
+            if self._names and handler.request.host_name.strip("[]") not in self._names:
+                raise HTTPError(403, reason="the page is of this host only, expected its own address")
             said = handler.get_argument("token", "") or handler.get_cookie("softrig_token", "") or ""
             if not secrets.compare_digest(said.encode(), self._token.encode()):
                 raise HTTPError(403, reason="the address of the page with its token is wanted")
@@ -147,6 +168,8 @@ class Pages:
         self._next, self._busy = 0.0, False
         self.came = False
         host, chosen = free_address(address)
+        for name in ("bokeh.server.protocol_handler", "bokeh.server.views.ws", "tornado.application"):
+            logging.getLogger(name).addFilter(OneLine())
         token = secrets.token_urlsafe(16)  # on this host, too: other users, and pages of others whose name leads here
         if host in LOOPBACK:
             origins = [f"{name}:{chosen}" for name in ("localhost", host)]
@@ -158,7 +181,7 @@ class Pages:
                 {PAGE: Application(FunctionHandler(self._page))}, io_loop=loop, address=host, port=chosen,
                 extra_patterns=[("/", _ToPage)], check_unused_sessions_milliseconds=1000,
                 unused_session_lifetime_milliseconds=5000, allow_websocket_origin=origins,
-                auth_provider=_Token(token),
+                auth_provider=_Token(token, LOOPBACK if host in LOOPBACK else ()),
             )  # fmt: skip
         except OSError as error:
             raise ScenarioError(f"--address {address}: {error.strerror}") from None

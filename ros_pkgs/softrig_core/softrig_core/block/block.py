@@ -66,6 +66,7 @@ class Block(Generic[P]):
     INPUTS: ClassVar[tuple[Port, ...]] = ()
     OUTPUTS: ClassVar[tuple[Port, ...]] = ()
     realtime = False  # whether the wall clock drives it, as its runner says: nothing may then wait in `update`
+    TRIPS: ClassVar[frozenset[str]] = frozenset({"trip"})  # keys of reports: it has switched something off for good
     STALE_PERIODS: ClassVar[int] = 5  # realtime: age in its own periods at which a plant no longer trusts a command
 
     def __init_subclass__(cls, **keywords: Any) -> None:
@@ -79,7 +80,8 @@ class Block(Generic[P]):
         self.p: P = build(self.Params, values) if params is None else params  # type: ignore[assignment]
         self.name = name
         self.ages: Callable[[str], int | None] | None = None  # set by who runs the block
-        self.events: list[tuple[Level, str, str, bool]] | None = None  # reported in the tick under way; None: by nobody
+        # reported in the tick under way; None: nobody holds it
+        self.events: list[tuple[Level | None, str, str, bool]] | None = None
         self.reports: dict[str, tuple[Level, str, int]] = {}
         self.anew: set[str] = set()  # keys of reports to be logged once more
         try:
@@ -227,8 +229,21 @@ class Block(Generic[P]):
         else:
             self.events.append((level, key, text, anew))
 
-    def note(self, level: Level, key: str, text: str, anew: bool = False) -> None:
-        """Take down an event: logged the first time a key appears or when it is `anew`, counted always."""
+    def withdraw(self, key: str) -> None:
+        """Say that what was reported under a key is over, if anything was: it leaves /diagnostics."""
+        if self.events is None:
+            self.note(None, key, "")
+        else:
+            self.events.append((None, key, "", False))
+
+    def note(self, level: Level | None, key: str, text: str, anew: bool = False) -> None:
+        """Take down an event: logged the first time a key appears or when it is `anew`, counted always.
+
+        One without a level withdraws what was reported under its key.
+        """
+        if level is None:
+            self.reports.pop(key, None)
+            return
         if anew:
             self.anew.add(key)
         count = self.reports[key][2] if key in self.reports else 0
@@ -322,6 +337,8 @@ class Plant(Block[P]):
 
     The outputs at t_k never depend on the inputs of t_k.
     """
+
+    AWAITS_COMMAND: ClassVar[bool] = False  # realtime, by hand: t = 0 with the first command; it cannot do without one
 
     @property
     def state(self) -> tuple[float, ...]:

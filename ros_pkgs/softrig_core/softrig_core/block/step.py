@@ -163,33 +163,36 @@ class Step(Held):
         x, own = self.law.refused(self.x, t)
         return x, self.held() if own is None else own
 
-    def set(self, values: Mapping[str, Any]) -> None:
-        """Change parameters at the next tick, all or none.
+    def set(self, values: Mapping[str, Any]) -> list[str]:
+        """Change parameters at the next tick, all or none; names those of which another value waits for it already.
 
         Raises
         ------
         ParameterError
             See `softrig_core.block.change.check`.
         """
-        now, due = self.params, sum(c.at <= self.t for c in self._changes)
-        for k in range(due):
-            now = revise(now, self._changes[k].values)
+        waiting: dict[str, Any] = {}
+        for change in self._changes:
+            waiting |= change.values if change.at <= self.t else {}
+        now = revise(self.params, waiting) if waiting else self.params
         known = flatten(check_change(type(self.block), now, values, self.name))
-        self._changes.insert(due, Change(self.t, {name: known[name] for name in values}))
-        self.change_at = self._changes[0].at
+        while self._changes and self._changes[0].at <= self.t:
+            self._changes.popleft()
+        self._changes.appendleft(Change(self.t, waiting | {name: known[name] for name in values}))
+        self.change_at = self.t
+        return [name for name in values if name in waiting]
 
     def _change(self, t: int) -> None:
-        """Take the changes that are due: those up to `t`."""
-        changes = self._changes
+        """Take the changes that are due, those up to `t`, as one: so they are recorded, and so a rerun takes them."""
         taken: dict[str, Any] = {}
-        while changes and changes[0].at <= t:
-            revised = revise(self.params, changes[0].values)
-            self.change(revised)
-            known = flatten(revised)
-            taken |= {name: known[name] for name in changes.popleft().values}
-        self.change_at = changes[0].at if changes else math.inf
+        while self._changes and self._changes[0].at <= t:
+            taken |= self._changes.popleft().values
+        self.change_at = self._changes[0].at if self._changes else math.inf
+        revised = revise(self.params, taken)
+        self.change(revised)
         if self.changed is not None:
-            self.changed(t, taken)
+            known = flatten(revised)
+            self.changed(t, {name: known[name] for name in taken})
 
     # its parts ----------------------------------------------------------------------------------------------------
 

@@ -24,10 +24,13 @@ if TYPE_CHECKING:
 
 
 Past = float | Sequence[float] | Callable[[float], float | Sequence[float]]
+FIELDS = ("x0", "x1", "dx0", "dx1")  # of a trajectory, with a channel each
 
 
 class Trajectory(NamedTuple):
-    """The newest steps of a solution, a ring; made by `trajectory`, read by `delayed`.
+    """The newest steps of a solution, a ring that native loops write; made by `trajectory`, read by `delayed`.
+
+    What a plant remembers of it from tick to tick is a `Track`.
 
     Step k is row k modulo capacity: from ``begin`` over ``length`` seconds, values and slopes at its two ends
     (capacity, width). ``meta`` is (steps so far, whether a time on a border reads the step before it).
@@ -84,6 +87,97 @@ def trajectory(step: float, longest: float, past: Past, spare: int = 0) -> Traje
     length = np.full(capacity, step)
     meta = np.array([capacity, 0])
     return Trajectory(begin, length, x[:-1].copy(), x[1:].copy(), dx[:-1].copy(), dx[1:].copy(), meta)
+
+
+class Track:
+    """The newest steps of a solution, a value: what a plant remembers of its past between two calls of native loops.
+
+    Parameters
+    ----------
+    begin : Trajectory
+        As `trajectory` gives it; nobody else writes it from now on.
+
+    Notes
+    -----
+    Steps more cost as many rows of arrays that tracks share: who goes on from the newest of them writes behind it, who
+    goes on from an older one gets arrays of his own.
+
+    Examples
+    --------
+    ::
+
+        past = track.open(rows=n)
+        advance(past, t, x, h, n, p)
+        track = track.after(past)
+    """
+
+    __slots__ = ("_capacity", "_count", "_shared")
+
+    _capacity: int  # steps that count
+    _count: int  # rows of this one
+    _shared: _Shared
+
+    def __init__(self, begin: Trajectory) -> None:
+        self._capacity = self._count = len(begin.begin)
+        self._shared = _Shared(begin, self._count)
+
+    def open(self, rows: int = 0) -> Trajectory:
+        """Give it to native loops, with room for so many steps more; with none it is only to be read."""
+        shared, count = self._shared, self._count
+        if rows and (count != shared.written or count + rows > len(shared.past.begin)):
+            room = max(2 * self._capacity, self._capacity + rows)
+            shared = self._shared = _Shared(self._copy(room), self._capacity)
+            count = self._count = self._capacity
+        meta = shared.past.meta
+        meta[0], meta[1] = count, 0
+        return shared.past
+
+    def after(self, past: Trajectory) -> Track:
+        """Give the track with the steps that native loops have put behind this one, in what `open` gave last."""
+        new = Track.__new__(Track)
+        new._capacity, new._shared = self._capacity, self._shared
+        new._count = new._shared.written = int(past.meta[0])
+        return new
+
+    def numbers(self) -> Array:
+        """Give values and slopes of all its steps in one row: what a linear view takes for states."""
+        import numpy as np
+
+        past = self._copy(self._capacity)
+        return np.concatenate([getattr(past, field).ravel() for field in FIELDS])
+
+    def with_numbers(self, row: Array) -> Track:
+        """Give it with other values and slopes, in the order of `numbers`."""
+        past = self._copy(self._capacity)
+        rows = row.reshape(len(FIELDS), *past.x0.shape)
+        return Track(past._replace(**{field: own.copy() for field, own in zip(FIELDS, rows, strict=True)}))
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Track):
+            return NotImplemented
+        mine, theirs = self._copy(self._capacity), other._copy(other._capacity)
+        return all(a.shape == b.shape and (a == b).all() for a, b in zip(mine, theirs, strict=True))
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def _copy(self, room: int) -> Trajectory:
+        """Give the steps that count at the begin of arrays of so many rows."""
+        import numpy as np
+
+        past, first, size = self._shared.past, self._count - self._capacity, self._capacity
+        made = [np.zeros((room, *rows.shape[1:])) for rows in past[:-1]]
+        for rows, new in zip(past[:-1], made, strict=True):
+            new[:size] = rows[first : self._count]
+        return Trajectory._make([*made, np.array([size, 0])])
+
+
+class _Shared:
+    """Arrays of several tracks, and how many of their rows the longest of them has."""
+
+    __slots__ = ("past", "written")
+
+    def __init__(self, past: Trajectory, written: int) -> None:
+        self.past, self.written = past, written
 
 
 def _slope(function: Callable[[float], Array], t: float, step: float) -> Array:
@@ -147,10 +241,11 @@ def delayed(past: Trajectory, t: float, channel: int) -> float:
     row = newest % size
     usual = past.length[row]
     guess = int((past.begin[row] - t) / usual)
-    k = newest - min(max(guess, 0), size - 1)
+    oldest = max(newest - size + 1, 0)  # more than that where the ring is not full yet
+    k = max(newest - max(guess, 0), oldest)
     # on a border: the last stage of a step still belongs to the time before a jump that comes back there
     edge = 1e-9 * usual if past.meta[1] == 1 else -1e-9 * usual
-    while k > newest - size + 1 and t < past.begin[k % size] + edge:
+    while k > oldest and t < past.begin[k % size] + edge:
         k -= 1
     while k < newest and t >= past.begin[(k + 1) % size] + edge:
         k += 1

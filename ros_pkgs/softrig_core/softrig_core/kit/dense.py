@@ -9,13 +9,14 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Iterable
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .jit import Jit, jit
 
+Number = TypeVar("Number", float, complex)
 FEW = 20_000  # multiplications that plain Python does in some milliseconds
 
 
@@ -146,9 +147,12 @@ def solve(a: ArrayLike, b: ArrayLike) -> Any:
     return x[:, 0] if B.ndim == 1 else x
 
 
-def total(values: Iterable[float]) -> float:
-    """Add from the first to the last; Python's `sum` compensates rounding from version 3.12 on, so its bits differ."""
-    found = 0.0
+def total(values: Iterable[Number]) -> Number:
+    """Add floats or complex numbers from the first to the last, which is what `sum` did before it compensated rounding.
+
+    Python's `sum` does so for floats since 3.12 and for complex numbers since 3.14: its bits depend on the version.
+    """
+    found: Number = 0.0
     for value in values:
         found += value
     return found

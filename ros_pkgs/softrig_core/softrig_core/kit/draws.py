@@ -13,6 +13,38 @@ SIZE = 4096  # numbers drawn at once
 KEPT = 4  # such rows at hand
 
 
+class Stream:
+    """A stream of uniform numbers for native loops that draw it themselves, one after the other.
+
+    Parameters
+    ----------
+    generator : numpy.random.Generator
+        At its beginning, as `numpy.random.default_rng` makes it; nobody else draws from it from now on.
+    """
+
+    def __init__(self, generator: np.random.Generator) -> None:
+        self._generator, self._begin, self._at = generator, generator.bit_generator.state, 0
+
+    def at(self, k: int) -> np.random.Generator:
+        """Give a generator whose next number is the k-th of the stream, and that is to draw as far as `drawn` says."""
+        if k != self._at:
+            bits: Any = self._generator.bit_generator
+            bits.state = self._begin
+            bits.advance(k)
+            self._at = k
+        return self._generator
+
+    def drawn(self, k: int) -> int:
+        """Say that numbers up to the k-th have been drawn; gives k."""
+        self._at = k
+        return k
+
+    def __eq__(self, other: object) -> bool:
+        return self._begin == other._begin if isinstance(other, Stream) else NotImplemented
+
+    __hash__ = None  # type: ignore[assignment]
+
+
 class Draws:
     """A stream of random numbers as a function of an index.
 

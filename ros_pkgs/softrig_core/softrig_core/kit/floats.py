@@ -15,7 +15,8 @@ def read(x: Any, path: str = "") -> Iterator[tuple[str, Array]]:
     """Give (name, numbers) of every float in a state.
 
     Floats, complex numbers (two each), arrays of them, and tuples of these, also named ones within: ``pid.integral``.
-    Whole numbers, words and switches are no part of a linear view; nor are objects, which are opaque.
+    Whole numbers, words and switches are no part of a linear view; nor are objects, which are opaque, but for those
+    that tell their own, by ``numbers()`` and ``with_numbers(row)``: a history.
     """
     kind = type(x)
     if isinstance(x, float):
@@ -33,6 +34,8 @@ def read(x: Any, path: str = "") -> Iterator[tuple[str, Array]]:
             for name, item in zip(getattr(x, "_fields", range(len(x))), x, strict=True):
                 here = f"{path}[{name}]" if isinstance(name, int) else f"{path}.{name}" if path else name
                 yield from read(item, here)
+    elif hasattr(x, "with_numbers"):
+        yield path, x.numbers()
 
 
 def numbers(x: Any) -> Array:
@@ -41,8 +44,16 @@ def numbers(x: Any) -> Array:
 
 
 def split(x: Any, row: Array) -> list[Array]:
-    """Cut a row as `numbers` gives it into what `put` takes."""
+    """Cut a row as `numbers` gives it into what `put` takes.
+
+    Raises
+    ------
+    ValueError
+        It has another length than the numbers of the state.
+    """
     ends = np.cumsum([len(part) for _, part in read(x)])
+    if len(row) != (ends[-1] if len(ends) else 0):
+        raise ValueError(f"{len(row)} numbers, expected the {sum(len(part) for _, part in read(x))} of the state")
     return np.split(row, ends[:-1]) if len(ends) else []
 
 
@@ -71,4 +82,7 @@ def _put(x: Any, rows: Iterator[Array]) -> Any:
             items = [_put(item, rows) for item in x]
         same = all(a is b or (type(a) is float and a == b) for a, b in zip(items, x, strict=True))
         return x if same else x._make(items) if hasattr(x, "_make") else tuple(items)
+    if hasattr(x, "with_numbers"):
+        row = next(rows)
+        return x if np.array_equal(row, x.numbers()) else x.with_numbers(np.asarray(row))
     return x

@@ -3,35 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
 
 Row = tuple[float, ...]
 
 
-def aged(samples: Sequence[Row], age: float) -> Row:
-    """Read all channels of samples, the newest last, at an age in samples; beyond the oldest, that one.
-
-    Between two samples it is the straight line. There are at least two.
-    """
-    size = len(samples)
-    back = min(int(age), size - 2)
-    part = min(age, size - 1.0) - back
-    newer = samples[-1 - back]
-    if part == 0.0:
-        return newer
-    older = samples[-2 - back]
-    return tuple([new + part * (old - new) for new, old in zip(newer, older, strict=True)])
-
-
-def samples_of(step: float, longest: float) -> int:
-    """Give how many samples a line needs whose longest delay is so long (both in s)."""
-    # more than the samples around the longest delay, so that a delay that rounds up is still inside
-    return math.ceil(longest / step - 1e-9) + 3
-
-
 class History:
-    """The newest samples of a signal, read on a straight line between two at any age up to the longest delay.
+    """The newest samples of a signal, a value: read on a straight line between two at any age up to the longest delay.
 
     That is exact where the signal is a line, and a jump between two samples stays between them; elsewhere the error
     is h^2/8 x''. A plant's own delay equation wants order four: `softrig_core.kit.dde`.
@@ -50,40 +33,57 @@ class History:
     ValueError
         A step that is not positive, a longest delay that is not finite or negative.
 
+    Notes
+    -----
+    A sample more costs one place in a list that histories share: who adds to the newest of them writes behind it, who
+    adds to an older one gets a list of his own.
+
     Examples
     --------
     >>> line = History(step=0.001, longest=0.25, past=(0.0,))
-    >>> line.put((1.0,))
-    >>> line.at(0.0005)
-    (0.5,)
+    >>> later = line.put((1.0,))
+    >>> later.at(0.0005), line.at(0.0005)
+    ((0.5,), (0.0,))
     """
+
+    __slots__ = ("_count", "_line")
+
+    _line: _Line
+    _count: int  # rows of the line up to its newest sample
 
     def __init__(self, step: float, longest: float, past: Sequence[float] = (0.0,)) -> None:
         if not step > 0.0 or not math.isfinite(step):
             raise ValueError(f"step = {step} s: expected a positive time")
         if not longest >= 0.0 or not math.isfinite(longest):
             raise ValueError(f"longest delay = {longest} s: expected a finite time of at least 0")
-        self.step, self.longest = step, longest
-        self._size = samples_of(step, longest)
-        self.reset(past)
+        # more than the samples around the longest delay, so that a delay that rounds up is still inside
+        self._count = size = math.ceil(longest / step - 1e-9) + 3
+        self._line = _Line(step, longest, size, [tuple(past)] * size)
 
-    def reset(self, past: Sequence[float]) -> None:
-        """Fill in the past again; the sample at age 0 is the past at time 0."""
-        self._samples = deque([tuple(past)] * self._size, self._size)  # the newest last
-
-    def put(self, values: Sequence[float]) -> None:
-        """Add the next sample, one value a channel.
+    def put(self, values: Sequence[float]) -> History:
+        """Give the history with one sample more, one value a channel.
 
         Raises
         ------
         ValueError
             Another number of values than before.
         """
-        if len(values) != len(self._samples[0]):
-            raise ValueError(f"{len(values)} values, expected {len(self._samples[0])}")
-        self._samples.append(tuple(values))
+        line, count = self._line, self._count
+        if len(values) != line.width:
+            raise ValueError(f"{len(values)} values, expected {line.width}")
+        if count != len(line.rows) or count == line.full:
+            line = _Line(line.step, line.longest, line.size, self._newest())
+            count = line.size
+        line.rows.append(tuple(values))
+        new = _new(History)
+        new._line, new._count = line, count + 1
+        return new
 
-    def at(self, delay: float) -> tuple[float, ...]:
+    def again(self) -> History:
+        """Give the history with its newest sample once more."""
+        return self.put(self._line.rows[self._count - 1])
+
+    def at(self, delay: float) -> Row:
         """Read all channels a delay before the newest sample.
 
         Parameters
@@ -101,10 +101,56 @@ class History:
         ValueError
             The delay is negative, longer than the longest, or NaN.
         """
-        if not 0.0 <= delay <= self.longest * (1.0 + 1e-9):
-            raise ValueError(f"delay = {delay} s: expected 0 to {self.longest} s")
-        return self.aged(delay / self.step)
+        line = self._line
+        if not 0.0 <= delay <= line.longest * (1.0 + 1e-9):
+            raise ValueError(f"delay = {delay} s: expected 0 to {line.longest} s")
+        return self.aged(delay / line.step)
 
-    def aged(self, age: float) -> tuple[float, ...]:
+    def aged(self, age: float) -> Row:
         """Read all channels at an age in samples: 0 is the newest, 1 the one before; beyond the oldest, that one."""
-        return aged(self._samples, age)
+        line = self._line
+        back = min(int(age), line.size - 2)
+        part = min(age, line.size - 1.0) - back
+        place = self._count - 1 - back
+        newer = line.rows[place]
+        if part == 0.0:
+            return newer
+        older = line.rows[place - 1]
+        return tuple([new + part * (old - new) for new, old in zip(newer, older, strict=True)])
+
+    def numbers(self) -> NDArray[np.float64]:
+        """Give all its samples in one row, the oldest first: what a linear view takes for states."""
+        import numpy as np
+
+        return np.array(self._newest(), dtype=np.float64).ravel()
+
+    def with_numbers(self, row: NDArray[np.float64]) -> History:
+        """Give it with other samples, in the order of `numbers`."""
+        line, new = self._line, _new(History)
+        rows = [tuple(values) for values in row.reshape(line.size, -1).tolist()]
+        new._line, new._count = _Line(line.step, line.longest, line.size, rows), line.size
+        return new
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, History):
+            return NotImplemented
+        mine, theirs = self._line, other._line
+        return (mine.step, mine.longest, self._newest()) == (theirs.step, theirs.longest, other._newest())
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def _newest(self) -> list[Row]:
+        return self._line.rows[self._count - self._line.size : self._count]
+
+
+_new = object.__new__
+
+
+class _Line:
+    """Rows of several histories that follow one another, of which `size` count."""
+
+    __slots__ = ("full", "longest", "rows", "size", "step", "width")
+
+    def __init__(self, step: float, longest: float, size: int, rows: list[Row]) -> None:
+        self.step, self.longest, self.size, self.rows = step, longest, size, rows
+        self.width, self.full = len(rows[0]), 2 * size

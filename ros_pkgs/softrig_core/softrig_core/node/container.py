@@ -11,6 +11,7 @@ import sys
 import time
 import traceback
 from collections.abc import Sequence
+from functools import partial
 from typing import NoReturn
 
 import rclpy
@@ -20,6 +21,7 @@ from rclpy.node import Node
 from ..errors import RunError
 from ..guard import secure_streams, tell
 from ..interrupt import interrupt
+from ..processes.shared_memory import clear_ports, domain_id
 from ..rig.installed import load_block
 from ..timebase import SECOND
 from .adapter.adapter import Adapter
@@ -52,7 +54,8 @@ class Container:
         node = ServingNode(executable, cli_args=arguments, use_global_arguments=False)
         self.nodes.append(node)
         middleware = ContainedMiddleware(node, self.exchange)
-        self.adapters.append(make_adapter(node, load_block(package, executable), middleware))
+        with interrupt.leaving(partial(leave, self.nodes, 0)):  # to compile takes seconds
+            self.adapters.append(make_adapter(node, load_block(package, executable), middleware))
 
     def connect(self) -> None:
         """Have the nodes know each other and begin; a RunError says what does not fit."""
@@ -135,6 +138,7 @@ def main(args: Sequence[str] | None = None) -> NoReturn:
     where = "container"
     try:
         with exclusive():
+            clear_ports(domain_id())
             rclpy.init(args=[])
             interrupt.early = False
             if "fastrtps" not in (rmw := rclpy.get_rmw_implementation_identifier()):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -16,6 +17,7 @@ from ..block.block import Block, Plant
 from ..block.params import Declaration, build, declarations, flatten
 from ..guard import secure_streams, tell
 from ..interrupt import interrupt
+from ..processes.shared_memory import clear_ports, domain_id
 from ..rig.options import RunOptions
 from ..solver.rehearsal import rehearse
 from .adapter.adapter import Adapter
@@ -47,10 +49,12 @@ def run_node(block_class: type[Block], argv: Sequence[str]) -> NoReturn:
         if stray:
             raise ValueError(f"unexpected argument {stray[0]!r}: expected --ros-args -p NAME:=VALUE and the like; "
                              "--help shows the parameters")  # fmt: skip
+        clear_ports(domain_id())
         rclpy.init(args=list(argv))
         interrupt.early = False
         node = ServingNode(name)
-        adapter = make_adapter(node, block_class, RosMiddleware(node))
+        with interrupt.leaving(partial(leave, [node], 0)):  # to compile takes seconds
+            adapter = make_adapter(node, block_class, RosMiddleware(node))
         Group([adapter])
         if not adapter.options.links:
             node.get_logger().info(introduction(adapter.block, adapter.options))
@@ -69,7 +73,7 @@ def run_node(block_class: type[Block], argv: Sequence[str]) -> NoReturn:
     leave([node], status)
 
 
-def make_adapter(node: Node, block_class: type[Block], middleware: Middleware) -> Adapter:
+def make_adapter(node: ServingNode, block_class: type[Block], middleware: Middleware) -> Adapter:
     """Declare and validate a node's parameters, make its block and its adapter; a `Group` drives it.
 
     Raises

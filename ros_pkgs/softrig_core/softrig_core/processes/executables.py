@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import os
+import re
 import sys
 from os.path import isfile
 from pathlib import Path
@@ -12,6 +14,8 @@ from ..kit.resource import prefixes
 from ..rig.installed import load_main
 
 PROFILE = Path(__file__).parent.with_name("fastdds_profile.xml")
+LOOPBACK = PROFILE.with_name("fastdds_loopback.xml")  # the same for who is not to be reached from elsewhere
+MARGIN = 2  # s: an announcement in 0.5 s renews the lease; on a busy host it comes late
 
 
 def find_executable(package: str, executable: str) -> Path:
@@ -36,8 +40,13 @@ def find_executable(package: str, executable: str) -> Path:
                         f"{', '.join(there)}")  # fmt: skip
 
 
-def environment(domain: int, directory: Path, *, discovery: str = "LOCALHOST") -> dict[str, str]:
-    """Give the environment of a node process: its domain, as far as `discovery` reaches, its logs in a directory."""
+def environment(
+    domain: int, directory: Path, *, discovery: str = "LOCALHOST", silence: float | None = None
+) -> dict[str, str]:
+    """Give the environment of a node process: its domain, as far as `discovery` reaches, its logs in a directory.
+
+    With `silence`, others take it for dead only after more than so many s; the profile for that is written there.
+    """
     variables = dict(os.environ)
     variables |= {
         "ROS_DOMAIN_ID": str(domain),
@@ -50,8 +59,19 @@ def environment(domain: int, directory: Path, *, discovery: str = "LOCALHOST") -
         "OPENBLAS_NUM_THREADS": "1",
     }
     variables.pop("ROS_LOCALHOST_ONLY", None)  # deprecated, would override the discovery range
-    variables.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(PROFILE))
+    profile = LOOPBACK if discovery == "LOCALHOST" else PROFILE
+    if silence is not None and "FASTRTPS_DEFAULT_PROFILES_FILE" not in variables:
+        profile = _patient(profile, directory, silence)
+    variables.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(profile))
     return variables
+
+
+def _patient(profile: Path, directory: Path, silence: float) -> Path:
+    """Write a profile of ours with a lease that a silence of so many s does not end."""
+    lease = f"<leaseDuration><sec>{math.ceil(silence) + MARGIN}</sec></leaseDuration>"
+    file = directory / "profile.xml"
+    file.write_text(re.sub("<leaseDuration>.*</leaseDuration>", lease, profile.read_text()))
+    return file
 
 
 def node_main(package: str, executable: str, arguments: list[str]) -> int:

@@ -92,8 +92,10 @@ def run_processes(
     with ExitStack() as stack:
         own_domain = domain is None
         domain = stack.enter_context(free_domain()) if domain is None else domain
-        remove_leftovers()
-        variables = environment(domain, directory, discovery="SUBNET" if only else "LOCALHOST")
+        remove_leftovers(domain if own_domain else None)
+        variables = environment(
+            domain, directory, discovery="SUBNET" if only else "LOCALHOST", silence=rig.scenario.timeout
+        )
         guests = Guests(rig, listener.announce)
         if listener.opened is not None:
             listener.opened(domain)

@@ -17,21 +17,23 @@ def remove_leftovers(domain: int | None = None, folder: Path = FOLDER) -> int:
     """Remove the segments and ports whose owner is dead; gives how many files that were.
 
     As `fastdds shm clean` does: an owner holds a lock on ``NAME_el`` (or, with others, on ``NAME_sl``), which the
-    operating system drops when the process ends. What belongs to other users is left alone. A port whose maker was
-    killed before it had finished goes as well, in any domain: whoever opens it waits for the maker for ever.
+    operating system drops when the process ends. What belongs to other users is left alone, and so are the ports of
+    other domains: who looks whether a port is locked locks it, and a node that starts in that moment cannot open it.
+    A port whose maker was killed before it had finished goes in any domain: whoever opens it waits for the maker for
+    ever.
 
     Parameters
     ----------
     domain : int, optional
-        A ROS_DOMAIN_ID that nobody uses any more: its ports go also where nobody has ever held a lock on them.
+        A ROS_DOMAIN_ID in which nobody is or starts: its ports go, also where nobody has ever held a lock on them.
     folder : Path
     """
     removed = 0
-    stems = {p.name[:-3] for p in (*folder.glob("fastrtps_*_el"), *folder.glob("fastrtps_*_sl"))}
-    stems |= {p.name for p in folder.glob("fastrtps_port*") if p.name[-3:] not in ("_el", "_sl") and _half_made(p)}
+    locked = {p.name[:-3] for p in (*folder.glob("fastrtps_*_el"), *folder.glob("fastrtps_*_sl"))}
+    ports = {p.name for p in folder.glob("fastrtps_port*") if p.name[-3:] not in ("_el", "_sl")}
+    stems = {s for s in locked if not s.startswith("fastrtps_port")} | {p for p in ports if _half_made(folder / p)}
     if domain is not None:
-        first = 7400 + 250 * domain  # RTPS 9.6.1
-        stems |= {f"fastrtps_port{n}" for n in range(first, first + 250) if (folder / f"fastrtps_port{n}").exists()}
+        stems |= {f"fastrtps_port{n}" for n in _numbers(domain)} & (ports | locked)
     for stem in sorted(stems):
         locks = [p for p in (folder / f"{stem}_el", folder / f"{stem}_sl") if p.exists()]
         # the locks last, and held until then: a node that starts now must not take the port meanwhile
@@ -45,11 +47,57 @@ def remove_leftovers(domain: int | None = None, folder: Path = FOLDER) -> int:
     return removed
 
 
+def clear_ports(domain: int, folder: Path = FOLDER) -> None:
+    """Make sure that a node which starts in a domain hangs at no port whose maker was killed while he made it.
+
+    A maker needs some microseconds; he has `AGE`.
+
+    Parameters
+    ----------
+    domain : int
+        ROS_DOMAIN_ID; others may be in it.
+    folder : Path
+    """
+    ours = {f"fastrtps_port{n}" for n in _numbers(domain)}
+    while True:
+        there = os.listdir(folder) if folder.is_dir() else []
+        unfinished = [folder / name for name in there if name in ours and _unfinished(folder / name)]
+        for port in (p for p in unfinished if _half_made(p)):
+            for path in (port, folder / f"sem.{port.name}_mutex"):
+                with suppress(OSError):
+                    path.unlink()
+            if port.exists():
+                return  # another user's
+        if not unfinished:
+            return
+        time.sleep(0.02)
+
+
+def domain_id() -> int:
+    """Give the ROS_DOMAIN_ID of the environment; what is none is refused by rcl."""
+    text = os.environ.get("ROS_DOMAIN_ID", "")
+    return int(text) if text.isdecimal() else 0
+
+
+def _numbers(domain: int) -> range:
+    """Give the numbers of a domain's ports."""
+    first = 7400 + 250 * domain  # RTPS 9.6.1
+    return range(first, first + 250)
+
+
 def _half_made(path: Path) -> bool:
     """Whether a segment is old and was never finished."""
     try:
+        return time.time() - path.stat().st_mtime >= AGE and _unfinished(path)
+    except OSError:
+        return False
+
+
+def _unfinished(path: Path) -> bool:
+    """Whether the maker of a segment is not, or was never, ready with it."""
+    try:
         with path.open("rb") as file:
-            return time.time() - path.stat().st_mtime >= AGE and file.read(len(MADE)) != MADE
+            return file.read(len(MADE)) != MADE
     except OSError:
         return False
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PrivateAttr, ValidationError, model_validator
 
@@ -117,6 +117,10 @@ class Scenario(_Model):
         What must hold in a run, as formulas of temporal logic over shared names.
     containers : list of lists of str
         Nodes that share a process when the rig runs in containers; when empty, all do.
+    record : str
+        ``signals``, or ``all``: the bag has descriptions, diagnostics and figures of observers, too.
+    trips : list of str
+        Nodes whose protection is expected to switch something off for good.
     shared : dict
         Values that other entries name as ``$name``; for the record, they are filled in already.
     """
@@ -134,6 +138,8 @@ class Scenario(_Model):
     shared: Annotated[dict[str, Any], BeforeValidator(_or_empty)] = {}
     nodes: dict[NodeName, NodeEntry] = Field(min_length=1)
     containers: tuple[tuple[str, ...], ...] = ()
+    record: Literal["signals", "all"] = "signals"
+    trips: tuple[str, ...] = ()
     faults: Annotated[dict[NodeName, FaultEntry], BeforeValidator(_or_empty)] = {}
     changes: tuple[ChangeEntry, ...] = ()
     figures: Annotated[dict[str, FigureEntry], BeforeValidator(_or_empty)] = {}
@@ -157,6 +163,12 @@ class Scenario(_Model):
                 raise ValueError(f"containers: no node {name!r}; the nodes are {', '.join(self.nodes)}")
             if named.count(name) > 1:
                 raise ValueError(f"containers: node {name} is in more than one")
+        return self
+
+    @model_validator(mode="after")
+    def _who_trips_is_there(self) -> Scenario:
+        if strange := [name for name in self.trips if name not in self.nodes]:
+            raise ValueError(f"trips: no node {strange[0]!r}; the nodes are {', '.join(self.nodes)}")
         return self
 
     @model_validator(mode="after")

@@ -2,22 +2,26 @@
 
 A tick of a `Solver`::
 
-    ask = request(t, inputs)              # None: nothing new
+    x, ask = request(x, t, inputs)        # None: nothing new
     if ask: it waits; a waiting one is replaced (or, with CANCELS, the one under way is killed)
     if nothing is under way and one waits: work on it begins, its result takes effect at t + latency
     if the result of the one under way is due at t:
         lockstep, in process: wait for it (peers are told that we are busy)
         realtime: take it if it is there, else go on without
-    answer(t, newest result in effect, whether it is new at this tick)
+    x, values = answer(x, t, newest result in effect, whether it is new at this tick)
 
 When a result takes effect is decided by simulated time alone, so runs repeat however fast the host is. The one
 exception is the limit: a wall-clock time after which the work is killed. Its result, the best answer that the work left
 so far, says that it is not repeatable.
+
+Which requests wait, are under way or answered is part of the state, `x.jobs`. The process is none: what it works on
+follows from x, so who goes back to an earlier x has the work that was under way then done once more.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar, NamedTuple
 
 from typing_extensions import TypeVar
@@ -62,6 +66,35 @@ class Result(NamedTuple):
     """Whether every run gives it; False when the limit struck."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Job:
+    """A request, itself and no other that is equal."""
+
+    stamp: int
+    """When it was made, ns."""
+
+    request: Any
+
+
+@dataclass(frozen=True, slots=True)
+class Jobs:
+    """How far a solver is with its requests; opaque to a linear view."""
+
+    waiting: Job | None = None
+    active: Job | None = None
+    effect: int = 0
+    """When the result of the active one takes effect, ns."""
+
+    result: Result | None = None
+    """The newest in effect."""
+
+
+class SolverState(NamedTuple):
+    """State of a solver that remembers nothing but its requests."""
+
+    jobs: Jobs = Jobs()
+
+
 class Solver(Block[S]):
     """A block that answers requests by slow work; a subclass gives `request`, `solve` and `answer`.
 
@@ -69,26 +102,34 @@ class Solver(Block[S]):
     with its process. What a warm start needs belongs into the request. Parameters are those of the start: a request
     under way was made with them.
 
+    A subclass that remembers something gives a state of its own in `first`, with a field ``jobs: Jobs = Jobs()``.
+
     Examples
     --------
+    >>> class State(NamedTuple):
+    ...     asked: tuple[float, ...] | None = None
+    ...     jobs: Jobs = Jobs()
     >>> class Dispatch(Solver[DispatchParams]):
-    ...     def request(self, t, *, demand):
-    ...         return None if demand == self.asked else demand
+    ...     def first(self):
+    ...         return State()
+    ...
+    ...     def request(self, x, t, *, demand):
+    ...         return x._replace(asked=demand), None if demand == x.asked else demand
     ...
     ...     @staticmethod
     ...     def solve(demand, work):
     ...         return cheapest(demand, tell=work.status)
     ...
-    ...     def answer(self, t, result, new):
-    ...         return {"dispatch": result.answer if result else self.idle}
+    ...     def answer(self, x, t, result, new):
+    ...         return x, {"dispatch": result.answer if result else self.idle}
     """
 
     # a new request kills the work under way instead of waiting for its end; with requests that come faster than
     # the latency there is never a result then
     CANCELS: ClassVar[bool] = False
 
-    def request(self, t: int, **inputs: Any) -> Any:
-        """Give what is to be worked on, picklable; None when this tick asks nothing new."""
+    def request(self, x: Any, t: int, **inputs: Any) -> tuple[Any, Any]:
+        """Give x and what is to be worked on, picklable; None when this tick asks nothing new."""
         raise NotImplementedError
 
     @staticmethod
@@ -104,102 +145,90 @@ class Solver(Block[S]):
         """
         raise NotImplementedError
 
-    def answer(self, t: int, result: Result | None, new: bool) -> Values:
-        """Give the outputs of a tick.
+    def answer(self, x: Any, t: int, result: Result | None, new: bool) -> tuple[Any, Values]:
+        """Give x and the outputs of a tick.
 
         Parameters
         ----------
+        x : named tuple
         t : int
             ns.
         result : Result or None
-            The newest in effect; None before the first.
+            The newest in effect, ``x.jobs.result``; None before the first.
         new : bool
             Whether it takes effect at this tick.
         """
         raise NotImplementedError
 
+    def first(self) -> Any:
+        """Give the state before the first tick."""
+        return SolverState()
+
     def reset(self, seed: int) -> None:
         """Go back to the initial state; work under way is killed."""
-        worker: Worker | None = self.__dict__.get("_worker")
-        if worker is None:
-            self._worker = Worker(type(self).solve)
-        elif worker.state == "working":
-            worker.cancel()
-        self._latency = to_ns(self.p.latency)
-        self._waiting: tuple[int, Any] | None = None
-        self._active: tuple[int, int, Any] | None = None  # stamp, when it takes effect, request
-        self._result: Result | None = None
-        self._struck = False
+        self.worker = Worker(type(self).solve)
         super().reset(seed)
 
     def rest(self) -> None:
         """Leave the process that works to others, if it does nothing: the run is over."""
-        self._worker.rest()
+        self.worker.rest()
 
-    @property
-    def working(self) -> bool:
+    def working(self, x: Any) -> bool:
         """Whether a request is under way or waits."""
-        return self._active is not None or self._waiting is not None
+        return x.jobs.active is not None or x.jobs.waiting is not None
 
-    def update(self, t: int, **inputs: Any) -> Values:
+    def update(self, x: Any, t: int, **inputs: Any) -> tuple[Any, Values]:
         """Answer one tick; waits for a result that is due, unless the loop runs against the wall clock."""
-        self.begin(t, **inputs)
-        return self._finish(t)
+        return self._finish(self.begin(x, t, **inputs), t)
 
-    def refused(self, t: int) -> Values | None:
+    def refused(self, x: Any, t: int) -> tuple[Any, Values | None]:
         """Go on with what is under way; a request that was refused asks nothing."""
-        self.carry_on(t)
-        return self._finish(t)
+        return self._finish(self.carry_on(x, t), t)
 
-    def begin(self, t: int, **inputs: Any) -> None:
+    def begin(self, x: Any, t: int, **inputs: Any) -> Any:
         """Take the request of a tick and begin to work; the first of the three parts of `update`."""
-        asked = self.request(t, **inputs)
+        x, asked = self.request(x, t, **inputs)
         if asked is not None:
-            if self.CANCELS and self._active is not None and self._in_vain(t, self._active[1]):
-                self._worker.cancel()
-                self._active = None
-            self._waiting = (t, asked)
-        self.carry_on(t)
+            jobs: Jobs = replace(x.jobs, waiting=Job(t, asked))
+            if self.CANCELS and jobs.active is not None and self._in_vain(t, jobs.effect):
+                jobs = replace(jobs, active=None)
+            x = x._replace(jobs=jobs)
+        return self.carry_on(x, t)
 
     def _in_vain(self, t: int, effect: int) -> bool:
-        return self._worker.state == "working" if self.realtime else t < effect
+        return self.worker.state == "working" if self.realtime else t < effect
 
-    def carry_on(self, t: int) -> None:
+    def carry_on(self, x: Any, t: int) -> Any:
         """Begin to work on what waits, if nothing is under way; in place of `begin` at a tick without request."""
-        if self._active is not None:
-            return
-        if self._waiting is None:
-            self._worker.warm()
-            return
-        stamp, asked = self._waiting
-        self._waiting = None
-        self._active = (stamp, t + self._latency, asked)
-        self._worker.submit(asked)
+        jobs: Jobs = x.jobs
+        if jobs.active is None and jobs.waiting is not None:
+            jobs = Jobs(None, jobs.waiting, t + to_ns(self.p.latency), jobs.result)
+            x = x._replace(jobs=jobs)
+        if jobs.active is None:
+            if self.worker.state == "working":
+                self.worker.cancel()
+            self.worker.warm()
+        elif self.worker.job is not jobs.active:
+            if self.worker.state == "working":
+                self.worker.cancel()
+            self.worker.submit(jobs.active.request, jobs.active)
+        return x
 
-    def ready(self, t: int) -> bool:
+    def ready(self, x: Any, t: int) -> bool:
         """Tell whether the answer of a tick can be given now, and kill work that is beyond its limit."""
-        if self._active is None or (t < self._active[1] and not self.realtime):
+        if x.jobs.active is None or (t < x.jobs.effect and not self.realtime):
             return True
-        if self._worker.state == "working" and self._worker.elapsed() > self.p.limit:
-            self._strike()
-        return self.realtime or self._worker.state != "working"
+        if self.worker.state == "working" and self.worker.elapsed() > self.p.limit:
+            self.worker.strike()
+        return self.realtime or self.worker.state != "working"
 
-    def _strike(self) -> None:
-        worker = self._worker
-        best, found = worker.best, worker.has_best
-        worker.cancel()
-        worker.answer, worker.state = best if found else None, "done"
-        self._struck = True
-        text = f"{'best answer so far' if found else 'no answer'} after {self.p.limit:g} s: this result does not repeat"
-        self.report(Level.WARN, "limit", text)
-
-    def _finish(self, t: int) -> Values:
-        while not self.ready(t):
+    def _finish(self, x: Any, t: int) -> tuple[Any, Values]:
+        while not self.ready(x, t):
             # a while at a time: the limit counts from a begin that may not have come yet
-            self._worker.wait(min(max(0.0, self.p.limit - self._worker.elapsed()), 0.25) + 1e-3)
-        return self.end(t)
+            self.worker.wait(min(max(0.0, self.p.limit - self.worker.elapsed()), 0.25) + 1e-3)
+        return self.end(x, t)
 
-    def end(self, t: int) -> Values:
+    def end(self, x: Any, t: int) -> tuple[Any, Values]:
         """Take the result that is due and give the outputs; the last part of `update`.
 
         Raises
@@ -207,25 +236,28 @@ class Solver(Block[S]):
         RunError
             The work raised or its process died; against the wall clock that is reported instead.
         """
-        new = False
-        if self._active is not None and t >= self._active[1] and self._worker.state != "working":
-            stamp, _, asked = self._active
-            self._active = None
-            if self._worker.state == "failed":
-                text = f"work on the request of t = {to_s(stamp):.9g} s failed: {self._worker.error}"
+        jobs: Jobs = x.jobs
+        worker, job, new = self.worker, jobs.active, False
+        if job is not None and t >= jobs.effect and worker.state != "working":
+            jobs = replace(jobs, active=None)
+            if worker.state == "failed":
+                text = f"work on the request of t = {to_s(job.stamp):.9g} s failed: {worker.error}"
                 if not self.realtime:
                     raise RunError(text)
                 self.report(Level.ERROR, "work", text)
             else:
-                self._result = Result(stamp, asked, self._worker.answer, not self._struck)
-                self._struck = False
+                if worker.struck:
+                    text = f"{'best answer so far' if worker.has_best else 'no answer'} after {self.p.limit:g} s"
+                    self.report(Level.WARN, "limit", f"{text}: this result does not repeat")
+                jobs = replace(jobs, result=Result(job.stamp, job.request, worker.answer, not worker.struck))
                 new = True
-            self.carry_on(t)
-        return self.answer(t, self._result, new)
+            x = self.carry_on(x._replace(jobs=jobs), t)
+        return self.answer(x, t, jobs.result, new)
 
-    def health(self) -> Mapping[str, str]:
+    def health(self, x: Any) -> Mapping[str, str]:
         """Tell how far the work is."""
-        if self._active is None:
+        if x.jobs.active is None:
             return {"work": "idle"}
-        figures = {name: f"{v:.9g}" if isinstance(v, float) else str(v) for name, v in self._worker.status.items()}
-        return {"work": f"request of t = {to_s(self._active[0]):.9g} s, {self._worker.elapsed():.1f} s", **figures}
+        figures = {name: f"{v:.9g}" if isinstance(v, float) else str(v) for name, v in self.worker.status.items()}
+        stamp = to_s(x.jobs.active.stamp)
+        return {"work": f"request of t = {stamp:.9g} s, {self.worker.elapsed():.1f} s", **figures}

@@ -77,6 +77,8 @@ class Worker:
         self.status: Figures = {}
         self.error = ""
         self.since: float | None = None
+        self.struck = False
+        self.job: object = None
 
     def elapsed(self) -> float:
         """Wall-clock time of the work so far, s, without the start of its process."""
@@ -90,8 +92,14 @@ class Worker:
         process.owner = weakref.ref(self)
         self._end = weakref.finalize(self, process.leave)
 
-    def submit(self, request: Any) -> None:
+    def submit(self, request: Any, job: object = None) -> None:
         """Begin to work on a request.
+
+        Parameters
+        ----------
+        request : any
+        job : object
+            By which the caller knows it: `job` until the next one or `cancel`.
 
         Raises
         ------
@@ -102,7 +110,7 @@ class Worker:
             raise RuntimeError("a worker does one thing at a time; cancel it first")
         self.warm()
         self._forget()
-        self.state = "working"
+        self.state, self.job = "working", job
         assert self._process is not None
         self._process.busy = True
         self._process.write(request)
@@ -118,7 +126,14 @@ class Worker:
             self._end.detach()
             self._process.kill()
         self._process = None
-        self.state = "idle"
+        self._forget()
+
+    def strike(self) -> None:
+        """Kill the process: the best answer so far is the answer, None without one, and `struck` tells of it."""
+        best, found, job = self.best, self.has_best, self.job
+        self.cancel()
+        self.answer, self.has_best, self.job = best if found else None, found, job
+        self.state, self.struck = "done", True
 
     def rest(self) -> None:
         """Leave an idle process to others until there is work again."""

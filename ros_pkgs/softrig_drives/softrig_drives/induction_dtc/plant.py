@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 from softrig_core import BlockParams, Compiled, Level, Plant, executable, param
 
@@ -62,6 +62,7 @@ class ImPlant(Plant[ImPlantParams]):
     The DC-link voltage and the trip may change while it runs; the load comes by its topic.
     """
 
+    TRIPS: ClassVar[frozenset[str]] = frozenset({"overcurrent", "switch_fault"})
     INPUTS = (SWITCHES, LOAD_TORQUE)
     OUTPUTS = (JOINT_STATES, CURRENTS_TRUE, CURRENTS_MEAS, FLUX_TRUE, DC_LINK)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from softrig_control.hardware import axis_urdf, hardware_tag
@@ -60,6 +60,7 @@ class LsrmPlant(Plant[LsrmPlantParams]):
     0 V, for good.
     """
 
+    TRIPS: ClassVar[frozenset[str]] = frozenset({"overcurrent"})
     INPUTS = (PHASE_VOLTAGE, LOAD)
     OUTPUTS = (JOINT_STATES, PHASE_CURRENTS, FORCE_PHASES)
 

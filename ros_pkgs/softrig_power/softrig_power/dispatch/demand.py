@@ -34,9 +34,9 @@ class DemandSource(Block[DemandParams]):
         """Instants in ns."""
         self._times = [to_ns(s) for s in self.p.times]
 
-    def update(self, t: int) -> Mapping[str, tuple[float, ...]]:
+    def update(self, x: tuple[()], t: int) -> tuple[tuple[()], Mapping[str, tuple[float, ...]]]:
         """Give the demand of now."""
-        return {"demand": (self.p.demands[sum(t >= at for at in self._times)],)}
+        return x, {"demand": (self.p.demands[sum(t >= at for at in self._times)],)}
 
 
 main = executable(DemandSource)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -61,33 +61,23 @@ class UnitFleet(Plant[FleetParams]):
         """Read the table."""
         self._units = Units.read(self.p.unit_table)
 
-    def start(self) -> None:
-        """All units at their lower limits."""
-        self.P = self._units.p_min.copy()
+    def first(self) -> Any:
+        """All units at their lower limits; the state is the output P (MW) of each."""
+        return state_type(("P", self._units.ids))(*self._units.p_min.tolist())
 
-    @property
-    def state(self) -> Any:
-        """Give the output P (MW) of each unit."""
-        return state_type(("P", self._units.ids))(*self.P.tolist())
-
-    def put(self, state: Sequence[float]) -> None:
-        """Go on from other outputs."""
-        self.P = np.array(state, dtype=float)
-
-    def outputs(self, t: int) -> Mapping[str, tuple[float, ...]]:
+    def outputs(self, x: Any, t: int) -> Mapping[str, tuple[float, ...]]:
         """Give outputs, marginal costs and sums."""
-        units = self._units
-        left, right = units.slopes(self.P)
+        units, P = self._units, np.array(x)
+        left, right = units.slopes(P)
         slope = np.where(np.isinf(left), right, np.where(np.isinf(right), left, 0.5 * (left + right)))
         slope = np.where(np.isfinite(slope), slope, 0.0)  # a fixed unit has none
-        total = (float(self.P.sum()), units.total(self.P))
-        return {"state": (*self.P.tolist(), *slope.tolist()), "total": total}
+        return {"state": (*x, *slope.tolist()), "total": (float(P.sum()), units.total(P))}
 
-    def advance(self, t: int, setpoints: tuple[float, ...]) -> None:
+    def advance(self, x: Any, t: int, *, setpoints: tuple[float, ...]) -> Any:
         """Move towards the set points."""
-        wanted = np.clip(setpoints, self._units.p_min, self._units.p_max)
+        P, wanted = np.array(x), np.clip(setpoints, self._units.p_min, self._units.p_max)
         reach = self.p.ramp * self.p.period if self.p.ramp else np.inf
-        self.P = self.P + np.clip(wanted - self.P, -reach, reach)
+        return x._make((P + np.clip(wanted - P, -reach, reach)).tolist())
 
 
 main = executable(UnitFleet)

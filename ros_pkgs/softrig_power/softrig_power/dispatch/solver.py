@@ -9,6 +9,7 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from pydantic import field_validator, model_validator
 from softrig_core import (
+    Jobs,
     Level,
     Port,
     Result,
@@ -84,6 +85,25 @@ class Request(NamedTuple):
     drawn: int  # random number of the baseline
 
 
+class State(NamedTuple):
+    """What is remembered from tick to tick."""
+
+    units: Units
+    """Those of now."""
+
+    asked: tuple[float, Any] | None = None
+    """Demand (MW) and table of the newest request."""
+
+    pressed: bool = False
+    """Whether `solve` is."""
+
+    last: Dispatch | None = None
+    requests: int = 0
+    """How many there were: index of the next random number."""
+
+    jobs: Jobs = Jobs()
+
+
 class DispatchSolver(Solver[DispatchParams]):
     """Economic dispatch on request.
 
@@ -121,46 +141,49 @@ class DispatchSolver(Solver[DispatchParams]):
         )  # fmt: skip
         return inputs, outputs
 
-    def start(self) -> None:
+    def first(self) -> State:
         """No demand seen, no dispatch known."""
-        self._units = Units.read(self.p.unit_table)
-        self._asked: tuple[float, Any] | None = None
-        self._pressed = False
-        self._last: Dispatch | None = None
+        return State(Units.read(self.p.unit_table))
 
-    def request(self, t: int, *, demand: Any = None, units: Any = None, solve: Any = None) -> Request | None:
+    def request(
+        self, x: State, t: int, *, demand: Any = None, units: Any = None, solve: Any = None
+    ) -> tuple[State, Request | None]:
         """Ask when the demand or the table has changed, or at a press."""
-        pressed, self._pressed = solve == (1.0,) and not self._pressed, solve == (1.0,)
+        down = solve == (1.0,)
+        pressed = down and not x.pressed
+        x = x._replace(pressed=down)
         wanted = demand[0] if demand is not None else self.p.demand
         if demand is None and not wanted:
-            return None
-        if (wanted, units) == self._asked and not pressed:
-            return None
-        before, self._asked = self._asked, (wanted, units)
+            return x, None
+        if (wanted, units) == x.asked and not pressed:
+            return x, None
+        before = x.asked
+        x = x._replace(asked=(wanted, units))
         if units is not None and (before is None or units != before[1]):
             try:
-                self._units = Units(self._units.ids, np.reshape(units, (-1, 7)), self._units.more)
+                x = x._replace(units=Units(x.units.ids, np.reshape(units, (-1, 7)), x.units.more))
             except TableError as error:
                 self.report(Level.ERROR, "units", f"dispatch/units: {error}; the last table stays", anew=True)
                 if before is not None and before[0] == wanted and not pressed:
-                    return None  # nothing new is asked of the table that stays
+                    return x, None  # nothing new is asked of the table that stays
             else:
-                self.reports.pop("units", None)
-        last = self._last.P if self._last is not None else None
-        conditions = self._conditions(last)
-        why = conditions.infeasible(self._units, wanted) if conditions else infeasible(self._units, wanted)
+                self.withdraw("units")
+        last = x.last.P if x.last is not None else None
+        conditions = self._conditions(x.units, last)
+        why = conditions.infeasible(x.units, wanted) if conditions else infeasible(x.units, wanted)
         if why:
             self.report(Level.ERROR, "infeasible", f"{why}; the last set points stay", anew=True)
-            return None
-        drawn = int(self.rng.integers(2**32))
-        return Request(self.p, self._units, wanted, last if self.p.warm_start else None, conditions, drawn)
+            return x, None
+        drawn = int(self.generator().integers(2**32, size=x.requests + 1)[-1])
+        start = last if self.p.warm_start else None
+        return x._replace(requests=x.requests + 1), Request(self.p, x.units, wanted, start, conditions, drawn)
 
-    def _conditions(self, last: Any) -> Conditions | None:
+    def _conditions(self, units: Units, last: Any) -> Conditions | None:
         """What is to be met now: ramps count from the last dispatch, at first from the table's outputs."""
-        if not self.p.conditioned(self._units):
+        if not self.p.conditioned(units):
             return None
-        losses = Losses.read(self.p.loss_table, self._units.ids) if self.p.loss_table else None
-        return Conditions.of(self._units, losses, self.p.reserve, last)
+        losses = Losses.read(self.p.loss_table, units.ids) if self.p.loss_table else None
+        return Conditions.of(units, losses, self.p.reserve, last)
 
     @staticmethod
     def solve(request: Request, work: Work) -> Dispatch | str:
@@ -187,22 +210,23 @@ class DispatchSolver(Solver[DispatchParams]):
         found.bound = plain.total(lambda_iteration(plain, demand))
         return found
 
-    def answer(self, t: int, result: Result | None, new: bool) -> Mapping[str, tuple[float, ...]]:
+    def answer(
+        self, x: State, t: int, result: Result | None, new: bool
+    ) -> tuple[State, Mapping[str, tuple[float, ...]]]:
         """Give a new dispatch once, nothing at other ticks."""
         if not new or result is None:
-            return {}
+            return x, {}
         found = result.answer
         if found is None or isinstance(found, str):
             self.report(Level.ERROR, "no dispatch", f"{found or 'no dispatch in time'}; the last set points stay",
                         anew=True)  # fmt: skip
-            return {}
+            return x, {}
         for key in ("infeasible", "no dispatch", "NLP", "time limit"):  # what was wrong with an earlier demand is over
-            self.reports.pop(key, None)
+            self.withdraw(key)
         if "failed" in found.reason:
             self.report(Level.WARN, "NLP", found.reason)
         if found.limited:
             self.report(Level.WARN, "time limit", f"{found.reason}: gap {found.gap:.6g} $/h, not repeatable")
-        self._last = found
         units, demand = result.request.units, result.request.demand  # newer ones may have come meanwhile
         low, high = arch_bounds(units, found.P)
         arches = [int(np.searchsorted(units.valve_points(j), low[j] + 1e-9, "right")) for j in range(len(units))]
@@ -212,18 +236,19 @@ class DispatchSolver(Solver[DispatchParams]):
         repeatable = float(result.repeatable and not found.limited)
         summary = (demand, found.cost, found.bound, found.gap, float(price[0]), float(price[1]), float(found.nodes),
                    float(found.binaries), repeatable)  # fmt: skip
-        return {"setpoints": tuple(found.P.tolist()), "result": tuple(rows.ravel().tolist()), "summary": summary}
+        values = {"setpoints": tuple(found.P.tolist()), "result": tuple(rows.ravel().tolist()), "summary": summary}
+        return x._replace(last=found), values
 
-    def health(self) -> Mapping[str, str]:
+    def health(self, x: State) -> Mapping[str, str]:
         """Add the stages of the last dispatch."""
-        last = self._last
+        last = x.last
         if last is None:
-            return super().health()
+            return super().health(x)
         met = (
             {} if math.isnan(last.losses) else {"losses": f"{last.losses:.6g} MW", "reserve": f"{last.reserve:.6g} MW"}
         )
         figures = {f"stage {name}": f"{seconds:.3g} s" for name, seconds in last.stages.items()}
-        return {**super().health(), "cost": f"{last.cost:.9g} $/h", "lower bound": f"{last.bound:.9g} $/h",
+        return {**super().health(x), "cost": f"{last.cost:.9g} $/h", "lower bound": f"{last.bound:.9g} $/h",
                 "gap": f"{last.gap:.3g} $/h", "stage reached": last.stage, "stop reason": last.reason,
                 "nodes": str(last.nodes), "binaries": str(last.binaries), **met, **figures}  # fmt: skip
 

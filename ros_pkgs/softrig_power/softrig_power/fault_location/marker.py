@@ -30,33 +30,33 @@ class LocationMarker(Observer[LocationMarkerParams]):
         """Only the location."""
         return (location_port(),), ()
 
-    def start(self) -> None:
-        """Nothing located yet."""
-        self._location: tuple[float, ...] | None = None
+    def first(self) -> tuple[float, ...] | None:
+        """Nothing located yet; the state is the newest location."""
+        return None
 
-    def update(self, t: int, location: tuple[float, ...]) -> Mapping[str, tuple[float, ...]]:
+    def update(
+        self, x: tuple[float, ...] | None, t: int, *, location: tuple[float, ...]
+    ) -> tuple[tuple[float, ...] | None, Mapping[str, tuple[float, ...]]]:
         """Keep the newest location; before the first the input has an age of None."""
-        if self.age("location") == 0:
-            self._location = location
-        return {}
+        return (location if self.age("location") == 0 else x), {}
 
-    def status(self) -> Mapping[str, tuple[float, str]]:
+    def status(self, x: tuple[float, ...] | None) -> Mapping[str, tuple[float, str]]:
         """Give the location, when there is one."""
-        if self._location is None:
+        if x is None:
             return {}
-        named = dict(zip(LOCATION, self._location, strict=True))
+        named = dict(zip(LOCATION, x, strict=True))
         return {"x": (named["x_km"], "km"), "f_min": (named["f_min"], "V"), "scatter": (named["scatter_km"], "km")}
 
-    def markers(self) -> Sequence[Marker]:
+    def markers(self, x: tuple[float, ...] | None) -> Sequence[Marker]:
         """Draw conductor and towers, and the fault."""
         p = self.p
-        x = (p.scale * np.linspace(0.0, p.length, p.towers)).tolist()
-        wire = tuple((place, 0.0, HEIGHT) for place in x)
-        poles = tuple(point for place in x for point in ((place, 0.0, 0.0), (place, 0.0, HEIGHT)))
+        places = (p.scale * np.linspace(0.0, p.length, p.towers)).tolist()
+        wire = tuple((place, 0.0, HEIGHT) for place in places)
+        poles = tuple(point for place in places for point in ((place, 0.0, 0.0), (place, 0.0, HEIGHT)))
         found = [Marker("line", "conductor", "line_strip", wire, 0.02, GREY),
                  Marker("line", "towers", "line_list", poles, 0.02, GREY)]  # fmt: skip
-        if self._location is not None:
-            place = p.scale * self._location[LOCATION.index("x_km")]
+        if x is not None:
+            place = p.scale * x[LOCATION.index("x_km")]
             found.append(Marker("line", "fault", "sphere_list", ((place, 0.0, HEIGHT),), 0.2, RED))
         return found
 

@@ -81,6 +81,7 @@ class GupfcPlant(Plant[GupfcPlantParams]):
     """
 
     STALE_PERIODS: ClassVar[int] = 3
+    AWAITS_COMMAND: ClassVar[bool] = True
 
     @classmethod
     def drawing(cls) -> Any:

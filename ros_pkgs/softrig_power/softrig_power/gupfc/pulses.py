@@ -158,7 +158,7 @@ def distortion(sigma: float, highest: int = 0) -> float:
     """
     first = fundamental(sigma)
     if highest:
-        square = sum(a * a for n, a in harmonics(sigma, highest).items() if n != 1)
+        square = dense.total(a * a for n, a in harmonics(sigma, highest).items() if n != 1)
     else:
         square = _mean_square(sigma) - first * first
     return 100.0 * math.sqrt(max(0.0, square)) / first
@@ -171,4 +171,5 @@ def _mean_square(sigma: float) -> float:
     edges = sorted({(lag + corner) % TURN for lag in _LAGS for corner in corners})
     widths = np.diff([*edges, edges[0] + TURN])
     middle = np.array(edges) + 0.5 * widths
-    return float(sum(w * abs(vector(m, sigma)) ** 2 for w, m in zip(widths, middle, strict=True) if w > 1e-12) / TURN)
+    pieces = (w * abs(vector(m, sigma)) ** 2 for w, m in zip(widths, middle, strict=True) if w > 1e-12)
+    return float(dense.total(pieces) / TURN)

@@ -104,7 +104,7 @@ def history_length(prepared: Lines) -> int:
 def delay_factor(section: Section, omega: float, step: float) -> complex:
     """Give D(omega) of the interpolated delay, exp(-j omega tau) to order (omega step)^4."""
     newest, weights = interpolation(section.tau / step)
-    return sum(w * cmath.exp(-1j * omega * step * (newest + k)) for k, w in enumerate(weights.tolist()))
+    return dense.total(w * cmath.exp(-1j * omega * step * (newest + k)) for k, w in enumerate(weights.tolist()))
 
 
 def discrete_two_port(section: Section, omega: float, step: float) -> Complex:

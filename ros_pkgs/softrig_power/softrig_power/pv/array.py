@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import lru_cache
 from typing import Any, Self
 
 from pydantic import model_validator
 from softrig_core import Block, Level, Params, param
 
 from .module import ModuleParams
+from .string import Characteristic, characteristic
 
 IRRADIANCE = (0.0, 1500.0)  # W/m^2
 TEMPERATURE = (-40.0, 100.0)  # deg C
@@ -27,6 +30,10 @@ class ArrayParams(Params):
     def agreed(self) -> dict[str, Any]:
         """Give what a string and who judges it must have in common: its modules, and the conditions it begins in."""
         return {"pv/module": self.module.model_dump(), "pv/conditions": self.irradiance + self.temperature}
+
+    def sources(self) -> Callable[[tuple[float, ...]], Characteristic]:
+        """Give what gives the characteristic under the values of pv/environment; the newest are at hand."""
+        return lru_cache(maxsize=4)(lambda environment: characteristic(self.module, *split(environment)))
 
     @model_validator(mode="after")
     def _conditions(self) -> Self:

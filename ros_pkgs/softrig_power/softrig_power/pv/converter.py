@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,7 +24,7 @@ class ConverterParams(Params):
     r: float = param(0.25, "all losses, as a resistance in series with the inductor", "ohm", ge=0.0)
 
 
-class State(NamedTuple):
+class Circuit(NamedTuple):
     """Voltage of the input capacitor, inductor current, magnitude of the output voltage (V, A, V)."""
 
     v: float
@@ -39,11 +40,11 @@ def seen_resistance(p: ConverterParams, d: Array) -> Array:
     return (p.R_L * (1.0 - d) ** 2 + p.r) / d**2
 
 
-def steady_state(p: ConverterParams, source: Characteristic, d: float) -> State:
+def steady_state(p: ConverterParams, source: Characteristic, d: float) -> Circuit:
     """Give the steady state of the averaged model under the duty d."""
     (v,), (i,) = source.under_load(seen_resistance(p, np.array([d])))
     i_L = float(i) / d
-    return State(float(v), i_L, (1.0 - d) * i_L * p.R_L)
+    return Circuit(float(v), i_L, (1.0 - d) * i_L * p.R_L)
 
 
 class BuckBoostMatching:
@@ -73,7 +74,7 @@ class Converter:
     def __init__(self, p: ConverterParams) -> None:
         self.p = p
 
-    def step(self, x: State, source: Characteristic, d: float, h: float, n: int) -> State:
+    def step(self, x: Sequence[float], source: Characteristic, d: float, h: float, n: int) -> Circuit:
         """Advance by n steps of the classical Runge-Kutta method of h seconds each under the duty d."""
         p = self.p
         per_C, d_C = 1.0 / p.C_i, d / p.C_i
@@ -81,7 +82,7 @@ class Converter:
         e_o, g_o = (1.0 - d) / p.C_o, 1.0 / (p.R_L * p.C_o)
         found = np.array(x)
         _advance(0.0, found, h, n, (*source.segments, per_C, d_C, d_L, e_L, r_L, e_o, g_o))
-        return State(*found.tolist())
+        return Circuit(*found.tolist())
 
 
 @jit

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from softrig_core import Block, BlockParams, Port, array, button, executable, param
@@ -17,6 +19,19 @@ class PvCurvesParams(ArrayParams, BlockParams):
 
     period: float = param(0.5, "how often a request is looked for", "s", gt=0.0, le=100.0)
     n_points: int = param(201, "points from 0 V to open circuit", ge=2, le=1000)
+
+
+class State(NamedTuple):
+    """What is remembered from tick to tick."""
+
+    conditions: tuple[float, ...]
+    """Irradiance (W/m^2) and temperature (deg C) of each module."""
+
+    shown: tuple[float, ...] | None = None
+    """Those of the curve that is published."""
+
+    pressed: bool = False
+    """Whether the button is."""
 
 
 class PvCurves(Block[PvCurvesParams]):
@@ -34,27 +49,30 @@ class PvCurves(Block[PvCurvesParams]):
         curves = array("curves", "pv/curves", {"quantity": 3, "point": params.n_points}, units)
         return (environment(len(params.irradiance), held=True), request), (curves,)
 
-    def start(self) -> None:
+    def setup(self) -> None:
+        """Keep the newest curves at hand."""
+        self._curves = lru_cache(maxsize=2)(self._computed)
+
+    def first(self) -> State:
         """Nothing published yet, conditions of the parameters."""
-        self._pressed = False
-        self._answer: tuple[float, ...] = ()
-        self._conditions = self.p.irradiance + self.p.temperature
+        return State(self.p.irradiance + self.p.temperature)
 
     def update(
-        self, t: int, environment: tuple[float, ...] | None, request: tuple[float] | None
-    ) -> Mapping[str, tuple[float, ...]]:
+        self, x: State, t: int, *, environment: tuple[float, ...] | None, request: tuple[float] | None
+    ) -> tuple[State, Mapping[str, tuple[float, ...]]]:
         """Give the newest curve asked for."""
-        if environment is not None and environment != self._conditions and possible(self, environment):
-            self._conditions = environment
-        pressed = request == (1.0,)
-        if (pressed and not self._pressed) or not self._answer:
-            p = self.p
-            curve = characteristic(p.module, *split(self._conditions))
-            v = np.linspace(0.0, curve.open_circuit, p.n_points)
-            i = np.interp(v, curve.v, curve.i)
-            self._answer = (*v.tolist(), *i.tolist(), *(v * i).tolist())
-        self._pressed = pressed
-        return {"curves": self._answer}
+        conditions, shown, pressed = x.conditions, x.shown, request == (1.0,)
+        if environment is not None and environment != conditions and possible(self, environment):
+            conditions = environment
+        if (pressed and not x.pressed) or shown is None:
+            shown = conditions
+        return State(conditions, shown, pressed), {"curves": self._curves(shown)}
+
+    def _computed(self, conditions: tuple[float, ...]) -> tuple[float, ...]:
+        curve = characteristic(self.p.module, *split(conditions))
+        v = np.linspace(0.0, curve.open_circuit, self.p.n_points)
+        i = np.interp(v, curve.v, curve.i)
+        return (*v.tolist(), *i.tolist(), *(v * i).tolist())
 
 
 main = executable(PvCurves)

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 from softrig_core import BlockParams, Observer, Port, executable, param
 
 from .array import ArrayParams, possible
-from .figures import characteristic_of
 from .ports import array_port, environment
 
 
@@ -17,6 +16,31 @@ class MpptMonitorParams(ArrayParams, BlockParams):
 
     period: float = param(0.001, "sampling period", "s", gt=0.0, le=100.0)
     level: float = param(0.98, "tracked: at least this share of the maximum", gt=0.0, le=1.0)
+
+
+class State(NamedTuple):
+    """What is remembered from tick to tick."""
+
+    conditions: tuple[float, ...]
+    """Irradiance (W/m^2) and temperature (deg C) of each module."""
+
+    changed: float = 0.0
+    """When they did, s."""
+
+    reached: float = 0.0
+    """From when on the power has been at the level, s."""
+
+    energy: float = 0.0
+    """Sum of the powers, W."""
+
+    available: float = 0.0
+    """Sum of the maxima, W."""
+
+    v: float = 0.0
+    """V."""
+
+    power: float = 0.0
+    """W."""
 
 
 class MpptMonitor(Observer[MpptMonitorParams]):
@@ -38,43 +62,41 @@ class MpptMonitor(Observer[MpptMonitorParams]):
         """One irradiance and one temperature a module."""
         return (array_port("port"), environment(len(params.irradiance), held=True)), ()
 
-    def start(self) -> None:
+    def setup(self) -> None:
+        """Characteristics of the string."""
+        self._source = self.p.sources()
+
+    def first(self) -> State:
         """Conditions of the parameters."""
-        self._conditions = self.p.irradiance + self.p.temperature
-        self._source = characteristic_of(self._conditions, self.p.module)
-        self._changed = self._reached = 0.0
-        self._energy = self._available = 0.0
-        self._v = self._power = 0.0
+        return State(self.p.irradiance + self.p.temperature)
 
     def update(
-        self, t: int, port: tuple[float, ...], environment: tuple[float, ...] | None
-    ) -> Mapping[str, tuple[float, ...]]:
+        self, x: State, t: int, *, port: tuple[float, ...], environment: tuple[float, ...] | None
+    ) -> tuple[State, Mapping[str, tuple[float, ...]]]:
         """Take one sample in; it still belongs to the conditions of the tick before."""
-        seconds, best = t / 1e9, self._source.gmpp.p
-        self._v, self._power = port[0], port[0] * port[1]
-        self._energy += self._power
-        self._available += best
-        if self._power < self.p.level * best:
-            self._reached = seconds + self.p.period
-        if environment is not None and environment != self._conditions and possible(self, environment):
-            self._conditions = environment
-            self._source = characteristic_of(environment, self.p.module)
-            self._changed = self._reached = seconds
-        return {}
+        conditions, changed, reached, energy, available, _, _ = x
+        seconds, best = t / 1e9, self._source(conditions).gmpp.p
+        v, power = port[0], port[0] * port[1]
+        if power < self.p.level * best:
+            reached = seconds + self.p.period
+        if environment is not None and environment != conditions and possible(self, environment):
+            conditions = environment
+            changed = reached = seconds
+        return State(conditions, changed, reached, energy + power, available + best, v, power), {}
 
-    def status(self) -> Mapping[str, tuple[float, str]]:
+    def status(self, x: State) -> Mapping[str, tuple[float, str]]:
         """Give the figures so far; no ratio to a maximum of zero."""
-        source = self._source
+        source = self._source(x.conditions)
         figures = {
             "gmpp": (source.gmpp.p, "W"),
-            "power": (self._power, "W"),
-            "in_global_basin": (float(source.basin(self._v) == source.global_basin), ""),
-            "tracking_time": (self._reached - self._changed, "s"),
+            "power": (x.power, "W"),
+            "in_global_basin": (float(source.basin(x.v) == source.global_basin), ""),
+            "tracking_time": (x.reached - x.changed, "s"),
         }
         if source.gmpp.p > 0.0:
-            figures["efficiency"] = (100.0 * self._power / source.gmpp.p, "%")
-        if self._available > 0.0:
-            figures["energy_share"] = (100.0 * self._energy / self._available, "%")
+            figures["efficiency"] = (100.0 * x.power / source.gmpp.p, "%")
+        if x.available > 0.0:
+            figures["energy_share"] = (100.0 * x.energy / x.available, "%")
         return figures
 
 

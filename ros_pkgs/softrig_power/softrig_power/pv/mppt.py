@@ -35,10 +35,10 @@ class MpptParams(SearchParams):
     def _tracker(self) -> Self:
         if self.d_min >= self.d_max:
             raise ValueError(f"d_min = {self.d_min:g} is not below d_max = {self.d_max:g}")
-        self.search(0)
+        self.search(np.random.default_rng(0))
         return self
 
-    def search(self, seed: int | np.random.Generator) -> Search:
+    def search(self, rng: np.random.Generator) -> Search:
         """Make a search."""
         lower, upper, matching = (self.d_min,), (self.d_max,), BuckBoostMatching()
         match self.algorithm:
@@ -51,7 +51,7 @@ class MpptParams(SearchParams):
                 n_ramp = round(self.ramp_time / self.period)
                 return RampScan(lower, upper, matching=matching, n_ramp=n_ramp, budget=self.budget)
             case algorithm:
-                return make(algorithm, lower, upper, seed, self, maximise=True)
+                return make(algorithm, lower, upper, rng, self, maximise=True)
 
 
 class MpptOptimizer(CommandSearch[MpptParams]):
@@ -65,10 +65,6 @@ class MpptOptimizer(CommandSearch[MpptParams]):
         """The duty; near open circuit without a measurement."""
         duty = command("command", "converter/duty", ("duty",), "1", safe=(params.d_min,))
         return (array_port("measurement"), *buttons("mppt")), (duty, state_port("mppt/status", {"duty": ""}))
-
-    def new_search(self, rng: np.random.Generator) -> Search:
-        """Make a search over the duty."""
-        return self.p.search(rng)
 
     def objective(self, sample: Point) -> float:
         """The power in W."""

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar, Literal, Self
+from collections.abc import Mapping
+from typing import Any, ClassVar, Literal, NamedTuple, Self
 
 from pydantic import model_validator
 from softrig_core import BlockParams, Level, Plant, Port, check_steps, command, executable, param, scalars
+from softrig_core.kit.dense import total
 
 from .array import ArrayParams, possible, split
-from .converter import Converter, ConverterParams, State, steady_state
+from .converter import Converter, ConverterParams, steady_state
 from .ports import array_port, environment
-from .string import characteristic
 
 PHASE_STEPS = 8  # Runge-Kutta steps in each of the two circuits of a switching period
 
@@ -36,6 +36,25 @@ class PvPlantParams(ArrayParams, BlockParams):
         if abs(self.period / inner - round(self.period / inner)) > 1e-6 or self.period < 0.5 * inner:
             raise ValueError(f"period = {self.period:g} s is not a multiple of {name} = {inner:g} s")
         return self
+
+
+class State(NamedTuple):
+    """What is remembered from tick to tick."""
+
+    v: float
+    """Voltage of the input capacitor, V."""
+
+    i_L: float  # noqa: N815
+    """Inductor current, A."""
+
+    v_o: float
+    """Magnitude of the output voltage, V."""
+
+    conditions: tuple[float, ...]
+    """Irradiance (W/m^2) and temperature (deg C) of each module."""
+
+    k: int = 0
+    """Random numbers drawn."""
 
 
 class PvPlant(Plant[PvPlantParams]):
@@ -74,67 +93,44 @@ class PvPlant(Plant[PvPlantParams]):
     def setup(self) -> None:
         """Steps of a period."""
         p = self.p
+        self._source = p.sources()
         self._converter = Converter(p.converter)
         self._switching = 1.0 / p.converter.f_sw
         self._steps = round(p.period / (p.step if p.model == "averaged" else self._switching))
 
-    def start(self) -> None:
+    def first(self) -> State:
         """Steady state at d_min under the conditions of the parameters."""
         p = self.p
-        self._adopt(p.irradiance + p.temperature)
-        self._duty = p.d_min
-        self.x = steady_state(p.converter, self.source, self._duty)
+        conditions = p.irradiance + p.temperature
+        return State(*steady_state(p.converter, self._source(conditions), p.d_min), conditions)
 
-    @property
-    def state(self) -> State:
-        """Give voltages and current of the converter."""
-        return self.x
-
-    def put(self, state: Sequence[float]) -> None:
-        """Go on from another state."""
-        self.x = State(*map(float, state))
-
-    def _adopt(self, environment: tuple[float, ...]) -> None:
-        self._conditions = environment
-        irradiance, temperature = split(environment)
-        self.source = characteristic(self.p.module, irradiance, temperature)
-        self._temperature = sum(temperature) / len(temperature)
-
-    def outputs(self, t: int) -> Mapping[str, tuple[float, ...]]:
+    def outputs(self, x: State, t: int) -> Mapping[str, tuple[float, ...]]:
         """Give the sensors and the true converter state."""
-        v, i = self.x.v, self.source.current(self.x.v)
-        state = (*self.x, v * i)
+        v, i = x.v, self._source(x.conditions).current(x.v)
+        state = (v, x.i_L, x.v_o, v * i)
         if self.p.noise:
-            scale = 1.0 + self.p.noise * self.rng.standard_normal(2)
-            v, i = v * float(scale[0]), i * float(scale[1])
-        return {"port": (v, i, self._temperature), "converter": state}
+            noise, normal = self.p.noise, self.standard_normal
+            v, i = v * (1.0 + noise * normal(x.k)), i * (1.0 + noise * normal(x.k + 1))
+        temperature = split(x.conditions)[1]
+        return {"port": (v, i, total(temperature) / len(temperature)), "converter": state}
 
-    def advance(self, t: int, duty: tuple[float], environment: tuple[float, ...] | None) -> None:
+    def advance(self, x: State, t: int, *, duty: tuple[float], environment: tuple[float, ...] | None) -> State:
         """Move by one period under the duty, in the newest conditions."""
-        if environment is not None and environment != self._conditions and possible(self, environment):
-            self._adopt(environment)
-        d = self._limited(duty[0])
-        if self.p.model == "averaged":
-            self.x = self._converter.step(self.x, self.source, d, self.p.step, self._steps)
-        else:
-            self.x = self._switch(d)
-
-    def _limited(self, d: float) -> float:
-        p = self.p
-        if p.d_min <= d <= p.d_max:
-            self._duty = d
-        else:
-            self._duty = min(max(d, p.d_min), p.d_max)
-            self.report(Level.WARN, "duty", f"the duty {d:g} is outside [{p.d_min:g}, {p.d_max:g}]: clipped")
-        return self._duty
-
-    def _switch(self, d: float) -> State:
-        """One circuit after the other, in every switching period."""
-        x, step, source = self.x, self._converter.step, self.source
-        on, off = d * self._switching / PHASE_STEPS, (1.0 - d) * self._switching / PHASE_STEPS
-        for _ in range(self._steps):
-            x = step(step(x, source, 1.0, on, PHASE_STEPS), source, 0.0, off, PHASE_STEPS)
-        return x
+        p, conditions = self.p, x.conditions
+        if environment is not None and environment != conditions and possible(self, environment):
+            conditions = environment
+        d = min(max(duty[0], p.d_min), p.d_max)
+        if d != duty[0]:
+            self.report(Level.WARN, "duty", f"the duty {duty[0]:g} is outside [{p.d_min:g}, {p.d_max:g}]: clipped")
+        source, move = self._source(conditions), self._converter.step
+        circuit = x[:3]
+        if p.model == "averaged":
+            circuit = move(circuit, source, d, p.step, self._steps)
+        else:  # one circuit after the other, in every switching period
+            on, off = d * self._switching / PHASE_STEPS, (1.0 - d) * self._switching / PHASE_STEPS
+            for _ in range(self._steps):
+                circuit = move(move(circuit, source, 1.0, on, PHASE_STEPS), source, 0.0, off, PHASE_STEPS)
+        return State(*circuit, conditions, x.k + 2 if p.noise else x.k)
 
 
 main = executable(PvPlant)

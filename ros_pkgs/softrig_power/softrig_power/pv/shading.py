@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Self
+from functools import lru_cache
+from typing import Self
 
 from pydantic import model_validator
 from softrig_control.profile import StepProfile
@@ -71,30 +72,28 @@ class ShadingSource(Block[ShadingSourceParams]):
         """One irradiance and one temperature a module."""
         return (), (environment(params.modules),)
 
-    def start(self) -> None:
-        """Draw the fluctuation of this run."""
-        self._drawn = self.rng.uniform(-1.0, 1.0, 2 * self.p.modules)
-        self._prepare()
+    def setup(self) -> None:
+        """Keep the patterns of a run at hand."""
+        self._profile = lru_cache(maxsize=2)(self._drawn)
 
-    def change(self, params: ShadingSourceParams) -> None:
-        """Follow other patterns."""
-        super().change(params)
-        self._prepare()
+    def first(self) -> tuple[float, ...]:
+        """Draw the fluctuation of this run, the state: one number in [-1, 1] a value."""
+        return tuple(self.generator().uniform(-1.0, 1.0, 2 * self.p.modules).tolist())
 
-    def _prepare(self) -> None:
+    def _drawn(self, x: tuple[float, ...]) -> StepProfile[tuple[float, ...]]:
         p = self.p
         n, patterns = p.modules, [p.pattern(k) for k in range(len(p.times))]
-        factors = (1.0 + p.fluctuation * self._drawn).tolist()
+        factors = [1.0 + p.fluctuation * u for u in x]
         limits = [IRRADIANCE] * n + [TEMPERATURE] * n
         values = [
             tuple(min(max(x * f, low), high) for x, f, (low, high) in zip(g + t, factors, limits, strict=True))
             for g, t in patterns
         ]
-        self._profile = StepProfile(p.times, values)
+        return StepProfile(p.times, values)
 
-    def update(self, t: int, **inputs: Any) -> Mapping[str, tuple[float, ...]]:
+    def update(self, x: tuple[float, ...], t: int) -> tuple[tuple[float, ...], Mapping[str, tuple[float, ...]]]:
         """Give the pattern that holds at t."""
-        return {"environment": self._profile.at(t)}
+        return x, {"environment": self._profile(x).at(t)}
 
 
 main = executable(ShadingSource)

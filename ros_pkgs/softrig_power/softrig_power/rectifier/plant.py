@@ -145,6 +145,7 @@ class RectifierPlant(Plant[RectifierPlantParams]):
     switches stay off, the diodes carry on.
     """
 
+    TRIPS = frozenset({"collapse"})
     STALE_PERIODS = 20  # realtime: an older command is replaced by 0
     LATE_PERIODS = 5  # older than this it is held with a warning
 

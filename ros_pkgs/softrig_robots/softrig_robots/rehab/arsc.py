@@ -6,6 +6,7 @@ The paper cites this law; its text was not available. This is the standard form 
 from __future__ import annotations
 
 from math import tanh
+from typing import NamedTuple
 
 from softrig_core import param
 
@@ -24,10 +25,18 @@ class ArscGains(JointGains):
     gamma4: PerJoint = param((20.0,), "adaptation gain of the constant term", live=True)
 
 
-START = (0.1, 4.592, 0.0, 0.0)
 LOWEST = (0.02, 2.0, 0.0, -8.0)
 HIGHEST = (0.6, 8.0, 1.0, 8.0)
 EDGE = 0.05  # rad/s; smooths both signs
+
+
+class ArscState(NamedTuple):
+    """Estimates theta-hat of inertia (V s^2/rad), damping (V s/rad), friction and a constant (V)."""
+
+    theta1: float = 0.1
+    theta2: float = 4.592
+    theta3: float = 0.0
+    theta4: float = 0.0
 
 
 class Arsc:
@@ -51,34 +60,30 @@ class Arsc:
         Voltage limit, V.
     """
 
-    STATE = {"theta1": "V s^2/rad", "theta2": "V s/rad", "theta3": "V", "theta4": "V"}
+    UNITS = {"theta1": "V s^2/rad", "theta2": "V s/rad", "theta3": "V", "theta4": "V"}
 
     def __init__(self, *, k1: float, k2: float, h: float, gamma1: float, gamma2: float, gamma3: float, gamma4: float,
                  T: float, v_max: float) -> None:  # fmt: skip
         self._k1, self._k2, self._h = k1, k2, h
         self._gamma = tuple(T * gamma for gamma in (gamma1, gamma2, gamma3, gamma4))
         self._v_max = v_max
-        self.start()
 
-    def start(self) -> None:
+    def first(self) -> ArscState:
         """Begin with the first estimates."""
-        self.state: tuple[float, ...] = START
+        return ArscState()
 
-    def go_on(self, before: Arsc) -> None:
-        """Take the place of a law with other gains."""
-        self.state = before.state
-
-    def __call__(self, q: float, qd: float, current: float, ref: float, ref_d: float, ref_dd: float, V: float) -> float:
+    def __call__(
+        self, x: ArscState, q: float, qd: float, current: float, ref: float, ref_d: float, ref_dd: float, V: float
+    ) -> tuple[ArscState, float]:
         """Give the voltage for joint state and reference."""
         ed = qd - ref_d
         z = ed + self._k1 * (q - ref)
         phi = (ref_dd - self._k1 * ed, qd, tanh(qd / EDGE), 1.0)
-        theta = self.state
         v = -self._k2 * z - self._h * tanh(z / EDGE)
-        for p, th in zip(phi, theta, strict=True):
+        for p, th in zip(phi, x, strict=True):
             v += p * th
-        self.state = tuple(
+        theta = ArscState._make(
             min(max(th - g * p * z, low), high)
-            for th, g, p, low, high in zip(theta, self._gamma, phi, LOWEST, HIGHEST, strict=True)
+            for th, g, p, low, high in zip(x, self._gamma, phi, LOWEST, HIGHEST, strict=True)
         )
-        return min(max(v, -self._v_max), self._v_max)
+        return theta, min(max(v, -self._v_max), self._v_max)

@@ -40,9 +40,10 @@ def _mean_time(controller: VoltageController, updates: int) -> float:
         x = sin(1e-3 * k)
         ticks.append({"joint_states": (x, -x, 0.2, -0.1), "motor_states": (0.1 * x, 0.2),
                       "reference": (x + 0.01, 0.01 - x, 0.2, -0.1, 0.0, x), "applied_voltage": (x, -x)})  # fmt: skip
+    state = controller.first()
     start = time.process_time()
     for k, inputs in enumerate(ticks):
-        controller.update(k, **inputs)
+        state, _ = controller.update(state, k, **inputs)
     return (time.process_time() - start) / updates * 1e6
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, ClassVar, Literal, Protocol, Self
+from typing import Any, ClassVar, Literal, NamedTuple, Protocol, Self
 
 from pydantic import model_validator
 from softrig_core import (
@@ -27,25 +27,21 @@ from .stability import LinearRobot, alpha_hat_limit, is_stable
 from .tsarc import Tsarc, TsarcGains
 
 Vector = tuple[float, ...]
+NOTHING = (0.0,) * len(JOINTS)  # V
 
 
 class Law(Protocol):
-    """Voltage of one motor."""
+    """Voltage of one motor; its x is a row of numbers that stays when the gains change."""
 
-    STATE: ClassVar[dict[str, str]]  # names of what the law remembers, with units
+    UNITS: ClassVar[dict[str, str]]  # of the first fields of x, which are shown
 
-    @property
-    def state(self) -> Vector:
-        """Values of `STATE`."""
+    def first(self) -> Any:
+        """Remember nothing."""
 
-    def start(self) -> None:
-        """Forget everything."""
-
-    def go_on(self, before: Any) -> None:
-        """Take the place of the same law with other gains."""
-
-    def __call__(self, q: float, qd: float, current: float, ref: float, ref_d: float, ref_dd: float, V: float) -> float:
-        """Give the voltage for joint state, current and reference; V is the voltage of the last period."""
+    def __call__(
+        self, x: Any, q: float, qd: float, current: float, ref: float, ref_d: float, ref_dd: float, V: float
+    ) -> tuple[Any, float]:
+        """Give x and voltage for joint state, current and reference; V is the voltage of the last period."""
 
 
 LAWS: dict[str, Any] = {"emvc": Emvc, "tsarc": Tsarc, "arsc": Arsc}
@@ -83,6 +79,18 @@ class VoltageControllerParams(BlockParams):
         return [LAWS[self.law](**gains.of_joint(self.law, i, n), **common) for i in range(n)]
 
 
+class State(NamedTuple):
+    """What the law of each joint remembers, voltages sent (V), errors (rad) last seen, ticks refused in a row."""
+
+    laws: tuple[Any, ...]
+    sent: Vector = NOTHING
+    errors: Vector | None = None
+    refusals: int = 0
+
+
+Answer = tuple[State, Mapping[str, Vector]]
+
+
 class VoltageController(Block[VoltageControllerParams]):
     """Joint and motor states and a reference in, motor voltages out.
 
@@ -99,7 +107,7 @@ class VoltageController(Block[VoltageControllerParams]):
     @classmethod
     def ports(cls, params: VoltageControllerParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
         """The state has what the law remembers."""
-        units = {"e": "rad", **LAWS[params.law].STATE}
+        units = {"e": "rad", **LAWS[params.law].UNITS}
         applied = (command("applied_voltage", "applied_voltage", JOINTS, "V"),)
         return (
             joint_state("joint_states", "joint_states", JOINTS, position="rad", velocity="rad/s"),
@@ -120,34 +128,29 @@ class VoltageController(Block[VoltageControllerParams]):
     def setup(self) -> None:
         """Make the laws."""
         self._laws = self.p.laws()
+        self._shown = len(self._laws[0].UNITS)
         self._stale = self.p.stale_after * to_ns(self.p.period)
 
-    def change(self, params: VoltageControllerParams) -> None:
-        """Take other gains; each law goes on, as its docstring says. Warn as at the start."""
-        before = self._laws
-        super().change(params)
-        for law, old in zip(self._laws, before, strict=True):
-            law.go_on(old)
-        if params.law == "emvc":
-            self._check_stability()
+    def first(self) -> State:
+        """Begin with laws that remember nothing, and warn of an expected-model law that cannot be stable."""
+        self._check_stability()
+        return State(tuple(law.first() for law in self._laws))
 
-    def start(self) -> None:
-        """Start every law anew, and warn of an expected-model law that cannot be stable."""
-        for law in self._laws:
-            law.start()
-        self._sent: Vector = (0.0,) * len(JOINTS)
-        self._refusals = 0
-        self._said: Mapping[str, Vector] = {}
-        if self.p.law == "emvc":
-            self._check_stability()
+    def go_on(self, x: State, before: VoltageControllerParams) -> State:
+        """Take other gains; each law goes on, as its docstring says. Warn as at the start."""
+        self._check_stability()
+        return x
 
     def _check_stability(self) -> None:
         p = self.p
+        if p.law != "emvc":
+            return
         late = "one period of delay" if p.loop_delay else "no delay"
         gains = [p.emvc.of_joint("emvc", i, len(JOINTS)) for i in range(len(JOINTS))]
         (a1, a2), (l1, l2) = ([g[k] for g in gains] for k in ("alpha_hat", "lam"))
         if is_stable(p.period, (a1, a2), (l1, l2), p.loop_delay, p.use_applied, p.robot):
             return
+        together = True
         for joint, alpha_hat, lam in zip(JOINTS, (a1, a2), (l1, l2), strict=True):
             limit = alpha_hat_limit(p.period, lam, p.loop_delay, p.use_applied, p.robot)
             if alpha_hat > limit:
@@ -156,15 +159,15 @@ class VoltageController(Block[VoltageControllerParams]):
                     f"T = {p.period:g} s, lambda = {lam:g} 1/s and {late}"
                 )
                 self.report(Level.WARN, f"stability {joint}", text)
-        if not self.reports:
+                together = False
+        if together:
             self.report(Level.WARN, "stability", "alpha_hat and lambda of hip and knee together are unstable")
 
     def update(
-        self, t: int, *, joint_states: Vector, motor_states: Vector, reference: Vector,
+        self, x: State, t: int, *, joint_states: Vector, motor_states: Vector, reference: Vector,
         applied_voltage: Vector | None = None,
-    ) -> Mapping[str, Vector]:  # fmt: skip
+    ) -> Answer:  # fmt: skip
         """Give the voltages."""
-        self._refusals = 0
         q1, q2, v1, v2 = joint_states
         r1, r2, rv1, rv2, ra1, ra2 = reference
         lost = (self.age("reference") or 0) > self._stale
@@ -175,33 +178,30 @@ class VoltageController(Block[VoltageControllerParams]):
         blind = [n for n in ("joint_states", "motor_states") if (self.age(n) or 0) > self._stale]
         if lost or blind:
             self.report(Level.ERROR, "SAFE", f"SAFE: {self._lost(*blind or ['reference'])}: 0 V")
-            self._sent = (0.0,) * len(JOINTS)
-            return self._say(r1 - q1, r2 - q2)
-        last = self._sent if applied_voltage is None else applied_voltage
+            return self._say(x.laws, NOTHING, (r1 - q1, r2 - q2))
+        V1, V2 = x.sent if applied_voltage is None else applied_voltage
         first, second = self._laws
-        self._sent = (
-            first(q1, v1, motor_states[0], r1, rv1, ra1, last[0]),
-            second(q2, v2, motor_states[1], r2, rv2, ra2, last[1]),
-        )
-        return self._say(r1 - q1, r2 - q2)
+        x1, u1 = first(x.laws[0], q1, v1, motor_states[0], r1, rv1, ra1, V1)
+        x2, u2 = second(x.laws[1], q2, v2, motor_states[1], r2, rv2, ra2, V2)
+        return self._say((x1, x2), (u1, u2), (r1 - q1, r2 - q2))
 
-    def refused(self, t: int) -> Mapping[str, Vector] | None:
+    def refused(self, x: State, t: int) -> tuple[State, Mapping[str, Vector] | None]:
         """Give the last voltages, after `stale_after` ticks 0 V."""
-        self._refusals += 1
-        if self._refusals <= self.p.stale_after:
-            return None
+        refusals = x.refusals + 1
+        if refusals <= self.p.stale_after:
+            return x._replace(refusals=refusals), None
         self.report(Level.ERROR, "SAFE", f"SAFE: {self.p.stale_after} ticks of which something was refused: 0 V")
-        self._sent = (0.0,) * len(JOINTS)
-        return {**self._said, "motor_command": self._sent} if self._said else None
+        if x.errors is None:
+            return x._replace(refusals=refusals), None
+        return self._say(x.laws, NOTHING, x.errors, refusals)
 
     def _lost(self, *names: str) -> str:
         return f"no new {' and '.join(names)} for more than {self.p.stale_after} periods"
 
-    def _say(self, *errors: float) -> Mapping[str, Vector]:
-        first, second = self._laws
-        remembered = [x for pair in zip(first.state, second.state, strict=True) for x in pair]
-        self._said = {"motor_command": self._sent, "controller_state": (*errors, *remembered)}
-        return self._said
+    def _say(self, laws: tuple[Any, Any], sent: Vector, errors: Vector, refusals: int = 0) -> Answer:
+        first, second = laws
+        shown = [v for k in range(self._shown) for v in (first[k], second[k])]
+        return State(laws, sent, errors, refusals), {"motor_command": sent, "controller_state": (*errors, *shown)}
 
 
 main = executable(VoltageController)

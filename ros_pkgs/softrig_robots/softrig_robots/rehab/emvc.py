@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Self
+from typing import NamedTuple, Self
 
 from pydantic import model_validator
 from softrig_core import param
@@ -22,6 +22,12 @@ class EmvcGains(JointGains):
         require_positive("alpha_hat", self.alpha_hat)
         require_positive("lam", self.lam)
         return self
+
+
+class EmvcState(NamedTuple):
+    """What the model says of the voltage that was applied, psi (rad/s)."""
+
+    psi: float = 0.0
 
 
 class Emvc:
@@ -47,28 +53,20 @@ class Emvc:
     then nothing winds up when the voltage is limited, and other gains bring no jump.
     """
 
-    STATE = {"psi": "rad/s"}
+    UNITS = {"psi": "rad/s"}
 
     def __init__(self, *, alpha_hat: float, lam: float, resistance: float, T: float, v_max: float) -> None:
         self._alpha, self._lam, self._R, self._v_max = alpha_hat, lam, resistance, v_max
-        self.start()
 
-    def start(self) -> None:
+    def first(self) -> EmvcState:
         """No voltage yet."""
-        self._psi = 0.0
+        return EmvcState()
 
-    def go_on(self, before: Emvc) -> None:
-        """Take the place of a law with other gains."""
-        self._psi = before._psi
-
-    @property
-    def state(self) -> tuple[float, ...]:
-        """Values of `STATE`."""
-        return (self._psi,)
-
-    def __call__(self, q: float, qd: float, current: float, ref: float, ref_d: float, ref_dd: float, V: float) -> float:
+    def __call__(
+        self, x: EmvcState, q: float, qd: float, current: float, ref: float, ref_d: float, ref_dd: float, V: float
+    ) -> tuple[EmvcState, float]:
         """Give the voltage for joint state, current and reference; V is the voltage of the last period."""
         ri = self._R * current
-        self._psi = psi = (V - ri) / self._alpha - qd
+        psi = (V - ri) / self._alpha - qd
         v = ri + self._alpha * (ref_d + self._lam * (ref - q) + psi)
-        return min(max(v, -self._v_max), self._v_max)
+        return EmvcState(psi), min(max(v, -self._v_max), self._v_max)

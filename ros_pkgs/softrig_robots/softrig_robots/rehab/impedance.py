@@ -7,7 +7,7 @@ r"""Impedance law: the patient's force bends the reference, equations (23) and (
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 from pydantic import model_validator
 from softrig_core import (
@@ -55,6 +55,22 @@ class ImpedanceParams(BlockParams):
         return self
 
 
+class State(NamedTuple):
+    """Damping (N m s/rad), stiffness (N m/rad), q_r (rad) and its rate (rad/s) a joint, ticks refused in a row.
+
+    q_r and its rate are empty before the first reference.
+    """
+
+    damping: Vector
+    stiffness: Vector
+    q: Vector = ()
+    v: Vector = ()
+    refusals: int = 0
+
+
+Answer = tuple[State, Mapping[str, Vector]]
+
+
 class Impedance(Block[ImpedanceParams]):
     """Reference, force and joint states in, regenerated reference out; semi-implicit Euler.
 
@@ -84,23 +100,18 @@ class Impedance(Block[ImpedanceParams]):
         self._M = spread("inertia", self.p.inertia, n)
         self._stale = self.p.stale_after * to_ns(self.p.period)
 
-    def change(self, params: ImpedanceParams) -> None:
-        """Take another impedance."""
-        n, before = len(JOINTS), self.p
-        super().change(params)
-        if params.damping != before.damping:
-            self._B = spread("damping", params.damping, n)
-        if params.stiffness != before.stiffness:
-            self._K = spread("stiffness", params.stiffness, n)
-
-    def start(self) -> None:
+    def first(self) -> State:
         """Wait for the first reference."""
         n = len(JOINTS)
-        self._B = spread("damping", self.p.damping, n)
-        self._K = spread("stiffness", self.p.stiffness, n)
-        self._q: list[float] = []
-        self._v: list[float] = []
-        self._refusals = 0
+        return State(spread("damping", self.p.damping, n), spread("stiffness", self.p.stiffness, n))
+
+    def go_on(self, x: State, before: ImpedanceParams) -> State:
+        """Take another impedance; where it did not change, that of the topic stays."""
+        now, p = self.first(), self.p
+        return x._replace(
+            damping=x.damping if p.damping == before.damping else now.damping,
+            stiffness=x.stiffness if p.stiffness == before.stiffness else now.stiffness,
+        )
 
     def _wanted(self, name: str, value: Vector | None, now: Vector) -> Vector:
         """Take a new value for both joints, unless there is none or it is negative."""
@@ -112,46 +123,46 @@ class Impedance(Block[ImpedanceParams]):
         return value * len(JOINTS)
 
     def update(
-        self, t: int, *, reference: Vector, patient_force: Sample | None, joint_states: Vector,
+        self, x: State, t: int, *, reference: Vector, patient_force: Sample | None, joint_states: Vector,
         stiffness: Vector | None = None, damping: Vector | None = None,
-    ) -> Mapping[str, Vector]:  # fmt: skip
+    ) -> Answer:  # fmt: skip
         """Give q_r, its rate and acceleration at t."""
         n, T = len(JOINTS), self.p.period
-        self._K = self._wanted("stiffness", stiffness, self._K)
-        self._B = self._wanted("damping", damping, self._B)
-        if not self._q:
-            self._q, self._v = list(reference[:n]), list(reference[n : 2 * n])
-        self._refusals = 0
+        B, K, q, v, _ = x
+        K = self._wanted("stiffness", stiffness, K)
+        B = self._wanted("damping", damping, B)
+        if not q:
+            q, v = reference[:n], reference[n : 2 * n]
         if patient_force is not None and t - patient_force.stamp > self._stale:
             self.report(Level.ERROR, "patient", "the patient's force has stopped coming: the reference stands still")
-            return self._stand()
+            return _stand(B, K, q, 0)
         if (self.age("reference") or 0) > self._stale:
             self.report(Level.ERROR, "reference", "the reference has stopped coming: what is regenerated stands still")
-            return self._stand()
+            return _stand(B, K, q, 0)
         fx, _, fz = clip_force(self, patient_force and patient_force.data, self.p.force_limit)
         x1, x2, z1, z2 = foot_jacobian(joint_states[0], joint_states[1], *self.p.length)
         torque = (x1 * fx + z1 * fz, x2 * fx + z2 * fz)  # J^T F_e
-        q, v = tuple(self._q), tuple(self._v)
-        a = []
+        a, v_next, q_next = [], [], []
         for i in range(n):
-            pull = self._B[i] * (reference[n + i] - v[i]) + self._K[i] * (reference[i] - q[i])
+            pull = B[i] * (reference[n + i] - v[i]) + K[i] * (reference[i] - q[i])
             a.append(reference[2 * n + i] + (pull - torque[i]) / self._M[i])
-            self._v[i] += T * a[i]
-            self._q[i] += T * self._v[i]
-        return {"regenerated": (*q, *v, *a)}
+            v_next.append(v[i] + T * a[i])
+            q_next.append(q[i] + T * v_next[i])
+        return State(B, K, tuple(q_next), tuple(v_next)), {"regenerated": (*q, *v, *a)}
 
-    def refused(self, t: int) -> Mapping[str, Vector] | None:
+    def refused(self, x: State, t: int) -> tuple[State, Mapping[str, Vector] | None]:
         """Say the last again, after `stale_after` ticks stand still."""
-        self._refusals += 1
-        if not self._q or self._refusals <= self.p.stale_after:
-            return None
+        refusals = x.refusals + 1
+        if not x.q or refusals <= self.p.stale_after:
+            return x._replace(refusals=refusals), None
         self.report(Level.ERROR, "refused", f"{self.p.stale_after} ticks of which something was refused: stands still")
-        return self._stand()
+        return _stand(x.damping, x.stiffness, x.q, refusals)
 
-    def _stand(self) -> Mapping[str, Vector]:
-        """Stay where it is."""
-        self._v = [0.0] * len(self._q)
-        return {"regenerated": (*self._q, *(0.0,) * (2 * len(self._q)))}
+
+def _stand(damping: Vector, stiffness: Vector, q: Vector, refusals: int) -> Answer:
+    """Stay where it is."""
+    still = (0.0,) * len(q)
+    return State(damping, stiffness, q, still, refusals), {"regenerated": (*q, *still, *still)}
 
 
 main = executable(Impedance)

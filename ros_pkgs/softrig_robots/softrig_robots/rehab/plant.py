@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from math import radians
-from typing import Any, Literal, NamedTuple, Self
+from typing import Any, ClassVar, Literal, NamedTuple, Self
 
 from pydantic import model_validator
 from softrig_core import Level, Params, command, executable, joint_state, param, to_ns, to_s, wrench
@@ -126,6 +126,7 @@ class RehabPlant(DrivenRobot[RehabParams]):
     A joint outside its range of motion or too fast stops the robot: 0 V until the next start.
     """
 
+    TRIPS: ClassVar[frozenset[str]] = frozenset({"safe"})
     TIP = FOOT
     INPUTS = (
         command("motor_command", "motor_command", JOINTS, "V"),

@@ -7,7 +7,7 @@ part of the voltage, a first-order Taylor series in time with adapted coefficien
 from __future__ import annotations
 
 from math import tanh
-from typing import Self
+from typing import NamedTuple, Self
 
 from pydantic import model_validator
 from softrig_core import param
@@ -36,6 +36,14 @@ class TsarcGains(JointGains):
         return self
 
 
+class TsarcState(NamedTuple):
+    """Coefficients a (V) and b (V/s) of the series under way, and its periods so far."""
+
+    a: float = 0.0
+    b: float = 0.0
+    k: int = 0
+
+
 class Tsarc:
     r"""Voltage of one motor.
 
@@ -56,7 +64,7 @@ class Tsarc:
         Voltage limit, V.
     """
 
-    STATE = {"a": "V", "b": "V/s"}
+    UNITS = {"a": "V", "b": "V/s"}
 
     def __init__(self, *, alpha_hat: float, lam: float, resistance: float, gamma_a: float, gamma_b: float, rho: float,
                  phi: float, window: float, T: float, v_max: float) -> None:  # fmt: skip
@@ -64,33 +72,25 @@ class Tsarc:
         self._gamma_a, self._gamma_b, self._rho, self._phi = gamma_a, gamma_b, rho, phi
         self._steps = max(1, round(window / T))
         self._T, self._v_max = T, v_max
-        self.start()
 
-    def start(self) -> None:
+    def first(self) -> TsarcState:
         """No series yet."""
-        self._a = self._b = 0.0
-        self._k = 0
+        return TsarcState()
 
-    def go_on(self, before: Tsarc) -> None:
-        """Take the place of a law with other gains."""
-        self._a, self._b, self._k = before._a, before._b, before._k
-
-    @property
-    def state(self) -> tuple[float, ...]:
-        """Values of `STATE`."""
-        return (self._a, self._b)
-
-    def __call__(self, q: float, qd: float, current: float, ref: float, ref_d: float, ref_dd: float, V: float) -> float:
+    def __call__(
+        self, x: TsarcState, q: float, qd: float, current: float, ref: float, ref_d: float, ref_dd: float, V: float
+    ) -> tuple[TsarcState, float]:
         """Give the voltage for joint state, current and reference."""
         T = self._T
-        tau = self._k * T
+        a, b, k = x
+        tau = k * T
         e = ref - q
-        v = self._alpha * (ref_d + self._lam * e) + self._R * current + self._a + self._b * tau
+        v = self._alpha * (ref_d + self._lam * e) + self._R * current + a + b * tau
         v += self._rho * tanh(e / self._phi)
-        self._a += T * self._gamma_a * e
-        self._b += T * self._gamma_b * e * tau
-        self._k += 1
-        if self._k == self._steps:
-            self._k = 0
-            self._a += self._b * self._steps * T
-        return min(max(v, -self._v_max), self._v_max)
+        a += T * self._gamma_a * e
+        b += T * self._gamma_b * e * tau
+        k += 1
+        if k == self._steps:
+            k = 0
+            a += b * self._steps * T
+        return TsarcState(a, b, k), min(max(v, -self._v_max), self._v_max)

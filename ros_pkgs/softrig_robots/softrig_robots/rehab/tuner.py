@@ -11,6 +11,7 @@ import numpy as np
 from pydantic import model_validator
 from softrig_core import (
     ByHand,
+    Jobs,
     Result,
     Sample,
     Solver,
@@ -24,7 +25,7 @@ from softrig_core import (
     to_ns,
 )
 from softrig_optim.genetic import Genetic
-from softrig_optim.search import Evaluation, Point, run
+from softrig_optim.search import Evaluation, Point, Told, run
 
 from .controller import VoltageController
 from .impedance import Impedance
@@ -63,8 +64,8 @@ def exercise(alpha_hat: float, duration: float = 15.0) -> Exercise:
     references, forces = _inputs(duration)
     q0 = references[0][:2]
     plant = ByHand(RehabPlant(position=q0, disturbance={"torque": 0.0}))
-    impedance = Impedance()
-    controller = VoltageController(emvc={"alpha_hat": alpha_hat, "lam": LAMBDA})
+    impedance = ByHand(Impedance())
+    controller = ByHand(VoltageController(emvc={"alpha_hat": alpha_hat, "lam": LAMBDA}))
     period = to_ns(PERIOD)
     squares = variation = 0.0
     last: tuple[float, ...] | None = None
@@ -177,6 +178,19 @@ class TunerParams(SolverParams):
         return self
 
 
+class State(NamedTuple):
+    """What is remembered from tick to tick."""
+
+    pressed: bool = False
+    """Whether the trigger is."""
+
+    search: Told | None = None
+    candidate: Point | None = None
+    """The one that is tried."""
+
+    jobs: Jobs = Jobs()
+
+
 class Tuner(Solver[TunerParams]):
     """Tunes alpha_hat while nobody waits for it: candidate after candidate, the result so far after each.
 
@@ -187,48 +201,47 @@ class Tuner(Solver[TunerParams]):
     INPUTS = (button("start", "tuner/start", held=True),)
     OUTPUTS = (array("result", "tuner/result", {"generation, alpha_hat, cost": 3}, ("", "V s/rad", "deg^2")),)
 
-    def start(self) -> None:
+    def first(self) -> State:
         """Wait for the trigger."""
-        self._pressed = False
-        self._search: Genetic | None = None
-        self._candidate: Point | None = None
-        if self.p.autostart:
-            self._begin()
+        return State(search=self._begin(None) if self.p.autostart else None)
 
-    def _begin(self) -> None:
+    def _begin(self, before: Told | None) -> Told:
         p = self.p
-        self._search = search(self.rng, guarded=p.guarded, lower=p.lower, upper=p.upper, n_pop=p.n_pop, n_iter=p.n_iter)
+        make = partial(search, guarded=p.guarded, lower=p.lower, upper=p.upper, n_pop=p.n_pop, n_iter=p.n_iter)
+        return Told(make, self.generator() if before is None else before.now.rng)
 
-    def request(self, t: int, *, start: tuple[float, ...] | None) -> tuple[Point, float, bool] | None:
+    def request(
+        self, x: State, t: int, *, start: tuple[float, ...] | None
+    ) -> tuple[State, tuple[Point, float, bool] | None]:
         """Give the next candidate, when there is one and the last one has its cost."""
         pressed = start == (1.0,)
-        if pressed and not self._pressed:
-            self._begin()
-            self._candidate = None
-        self._pressed = pressed
-        if self._search is None or self._search.done or self._candidate is not None:
-            return None
-        self._candidate = self._search.ask()
-        return self._candidate, self.p.duration, self.p.guarded
+        if pressed and not x.pressed:
+            x = x._replace(search=self._begin(x.search), candidate=None)
+        x = x._replace(pressed=pressed)
+        if x.search is None or x.search.now.done or x.candidate is not None:
+            return x, None
+        candidate = x.search.now.ask()
+        return x._replace(candidate=candidate), (candidate, self.p.duration, self.p.guarded)
 
     @staticmethod
     def solve(request: tuple[Point, float, bool], work: Work) -> float:
         """Give the cost of a candidate."""
         return cost(*request)
 
-    def answer(self, t: int, result: Result | None, new: bool) -> Values:
+    def answer(self, x: State, t: int, result: Result | None, new: bool) -> tuple[State, Values]:
         """Tell the best so far."""
-        found = self._search
+        found = x.search
+        if found is None:
+            return x, {"result": (0.0, 0.0, 0.0)}
         # a candidate whose exercise took longer than the limit is worth nothing; one of a search that the button ended
         # is nobody's
-        if new and found is not None and result is not None and result.request[0] == self._candidate:
-            found.tell(math.inf if result.answer is None else result.answer)
-            self._candidate = None
-        if found is None:
-            return {"result": (0.0, 0.0, 0.0)}
-        if found.best is None or math.isinf(found.best.value):
-            return {"result": (float(found.iteration), 0.0, 0.0)}
-        return {"result": (float(found.iteration), found.best.x[0], found.best.value)}
+        if new and result is not None and result.request[0] == x.candidate:
+            found = found.tell(math.inf if result.answer is None else result.answer)
+            x = x._replace(search=found, candidate=None)
+        now = found.now
+        if now.best is None or math.isinf(now.best.value):
+            return x, {"result": (float(now.iteration), 0.0, 0.0)}
+        return x, {"result": (float(now.iteration), now.best.x[0], now.best.value)}
 
 
 main = executable(Tuner)

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
-from softrig_core import Level, Port, Result, Solver, SolverParams, button, param, to_s
+from softrig_core import Jobs, Level, Port, Result, Solver, SolverParams, button, param, to_s
 from typing_extensions import TypeVar
 
 from .parameters import ProblemParams
@@ -57,6 +57,22 @@ class Planned(NamedTuple):
 P = TypeVar("P", bound=PlannerParams, default=PlannerParams)
 
 
+class State(NamedTuple):
+    """What is remembered from tick to tick."""
+
+    begin: int | None = None
+    """When the first state came, ns."""
+
+    ticks: int = 0
+    """Since then."""
+
+    pressed: bool = False
+    """Whether `replan` is."""
+
+    last: Planned | None = None
+    jobs: Jobs = Jobs()
+
+
 class Planner(Solver[P]):
     """Plans from the first measured state to the end of the horizon, and again from later ones on what is left of it.
 
@@ -85,54 +101,55 @@ class Planner(Solver[P]):
         inputs = (state(problem), button("replan", "ocp/replan", held=True))
         return inputs, (plan(problem, columns, stages=stages, label=cls.LABEL, out=True), summary(out=True))
 
-    def start(self) -> None:
-        """Nothing planned."""
-        self._begin: int | None = None
-        self._ticks = 0
-        self._pressed = False
-        self._last: Planned | None = None
+    def setup(self) -> None:
+        """Size and horizon of the problem."""
         self._n = len(self.p.statement().states)
         self._T = self.p.statement().horizon
 
-    def request(self, t: int, *, state: tuple[float, ...], replan: Any = None) -> Request | None:
-        """Ask at the first state, at a press, and each `k_replan` periods."""
-        pressed, self._pressed = replan == (1.0,) and not self._pressed, replan == (1.0,)
-        x = state[: self._n]
-        first = self._begin is None
-        if first:
-            self._begin = t
-        else:
-            self._ticks += 1
-        again = self.p.k_replan > 0 and self._ticks % self.p.k_replan == 0
-        if not (first or again or pressed):
-            return None
-        left = self._T - to_s(t - (self._begin or 0))
-        if not first and left < LEAST * self.p.period * (1.0 - 1e-9):
-            return None
-        return Request(self.p, x, left, self._last.memory if self._last else None)
+    def first(self) -> State:
+        """Nothing planned."""
+        return State()
 
-    def answer(self, t: int, result: Result | None, new: bool) -> Mapping[str, tuple[float, ...]]:
+    def request(
+        self, x: State, t: int, *, state: tuple[float, ...], replan: Any = None
+    ) -> tuple[State, Request | None]:
+        """Ask at the first state, at a press, and each `k_replan` periods."""
+        down = replan == (1.0,)
+        pressed = down and not x.pressed
+        first = x.begin is None
+        begin, ticks = (t, 0) if x.begin is None else (x.begin, x.ticks + 1)
+        x = State(begin, ticks, down, x.last, x.jobs)
+        again = self.p.k_replan > 0 and ticks % self.p.k_replan == 0
+        if not (first or again or pressed):
+            return x, None
+        left = self._T - to_s(t - begin)
+        if not first and left < LEAST * self.p.period * (1.0 - 1e-9):
+            return x, None
+        return x, Request(self.p, state[: self._n], left, x.last.memory if x.last else None)
+
+    def answer(
+        self, x: State, t: int, result: Result | None, new: bool
+    ) -> tuple[State, Mapping[str, tuple[float, ...]]]:
         """Give a new plan once."""
         if not new or result is None:
-            return {}
+            return x, {}
         found: Planned | None = result.answer
         if found is None:
             self.report(Level.ERROR, "limit", "no plan in time: the last one stays")
-            return {}
+            return x, {}
         if not found.accurate or not np.all(np.isfinite(found.values)):
             self.report(Level.ERROR, "no_plan", f"no plan: {found.reason}")
-            return {}
+            return x, {}
         if not found.converged:
             self.report(Level.WARN, "not_converged", f"not converged: {found.reason}")
-        self._last = found
         trusted = float(found.residual < self.p.eps_res)
-        return {
+        return x._replace(last=found), {
             "plan": found.values,
             "summary": (to_s(result.stamp), result.request.horizon, float(found.order), found.J, found.residual,
                         found.end_error, float(found.converged), trusted),
         }  # fmt: skip
 
-    def health(self) -> Mapping[str, str]:
+    def health(self, x: State) -> Mapping[str, str]:
         """Add what is known of the plan in effect."""
-        last = self._last
-        return {**super().health(), **(last.details if last else {})}
+        last = x.last
+        return {**super().health(x), **(last.details if last else {})}

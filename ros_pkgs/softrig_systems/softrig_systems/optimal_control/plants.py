@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 from pydantic import model_validator
 from softrig_core import Compiled, Level, Marker, Plant, Port, executable, param, rk4, state_type
@@ -53,6 +53,8 @@ class OcpPlant(Plant[P]):
     The scalar and the two-state problem can escape in finite time: a state beyond 1000 is what no output may say, and
     ends the run. Its state is the problem's, by its names; with velocities also the command `applied` until now.
     """
+
+    AWAITS_COMMAND: ClassVar[bool] = True
 
     @classmethod
     def drawing(cls) -> Any:

@@ -7,7 +7,20 @@ from typing import Any, Literal, NamedTuple, Self
 
 import numpy as np
 from pydantic import model_validator
-from softrig_core import Level, Port, Result, Solver, SolverParams, Work, array, button, executable, param, scalars
+from softrig_core import (
+    Jobs,
+    Level,
+    Port,
+    Result,
+    Solver,
+    SolverParams,
+    Work,
+    array,
+    button,
+    executable,
+    param,
+    scalars,
+)
 
 from .applicability import NotApplicable
 from .certify import Certificate, Criterion, certified_margin, certify
@@ -99,6 +112,18 @@ class Answer(NamedTuple):
     reason: str
 
 
+class State(NamedTuple):
+    """What is remembered from tick to tick."""
+
+    down: bool = False
+    """Whether the button is."""
+
+    asked: bool = False
+    """Whether it has been asked since the start."""
+
+    jobs: Jobs = Jobs()
+
+
 class CertificateNode(Solver[CertificateParams]):
     """Certifies a delay bound, or searches the largest; what it publishes was checked from the matrices themselves.
 
@@ -129,18 +154,17 @@ class CertificateNode(Solver[CertificateParams]):
         outputs = (params.matrices_port(sporadic=True), verdict) if params.shapes() else (verdict,)
         return (button("certify", "certify", held=True),), outputs
 
-    def start(self) -> None:
+    def first(self) -> State:
         """Not asked yet."""
-        self._down = False
-        self._asked = False
+        return State()
 
-    def request(self, t: int, *, certify: tuple[float, ...] | None = None) -> CertificateParams | None:
+    def request(
+        self, x: State, t: int, *, certify: tuple[float, ...] | None = None
+    ) -> tuple[State, CertificateParams | None]:
         """Ask at the start and when the button goes down."""
         down = certify is not None and certify[0] != 0.0
-        wanted = (down and not self._down) or (self.p.at_start and not self._asked)
-        self._down = down
-        self._asked = True
-        return self.p if wanted else None
+        wanted = (down and not x.down) or (self.p.at_start and not x.asked)
+        return State(down, True, x.jobs), self.p if wanted else None
 
     @staticmethod
     def solve(request: CertificateParams, work: Work) -> Answer:
@@ -161,27 +185,28 @@ class CertificateNode(Solver[CertificateParams]):
             return Answer(None, f"not applicable: {reason}")
         return Answer(found, "" if found is not None and found.valid else "no certificate")
 
-    def answer(self, t: int, result: Result | None, new: bool) -> Mapping[str, Any]:
+    def answer(self, x: State, t: int, result: Result | None, new: bool) -> tuple[State, Mapping[str, Any]]:
         """Publish what is new."""
         if result is None or not new:
-            return {}
+            return x, {}
         found, reason = result.answer if result.answer is not None else (None, "no answer before the limit")
         if reason:
             self.report(Level.WARN, "no_certificate", reason)
         if found is None:
-            return {"verdict": (0.0,) * len(VERDICT)}
+            return x, {"verdict": (0.0,) * len(VERDICT)}
         smallest = min((e.smallest / max(abs(e.largest), 1e-300) for e in found.eigenvalues), default=0.0)
         verdict = (found.h, float(found.valid), found.t, smallest, float(len(found.eigenvalues)))
         if not self.p.shapes():
-            return {"verdict": verdict}
+            return x, {"verdict": verdict}
         if not found.valid:  # never the last iterate
-            return {"verdict": verdict, "matrices": (0.0,) * int(np.prod(self.p.padded()))}
-        return {"verdict": verdict, "matrices": self.p.pad(found.matrices)}
+            return x, {"verdict": verdict, "matrices": (0.0,) * int(np.prod(self.p.padded()))}
+        return x, {"verdict": verdict, "matrices": self.p.pad(found.matrices)}
 
-    def health(self) -> Mapping[str, str]:
+    def health(self, x: State) -> Mapping[str, str]:
         """Tell which matrices are published, and the eigenvalues of the newest certificate."""
-        figures = {**super().health(), "matrices": ", ".join(self.p.shapes())}
-        found = self._result.answer.certificate if self._result is not None and self._result.answer else None
+        figures = {**super().health(x), "matrices": ", ".join(self.p.shapes())}
+        result = x.jobs.result
+        found = result.answer.certificate if result is not None and result.answer else None
         if found is not None:
             figures |= {"status": found.status, "seconds": f"{found.seconds:.3g}", "covers": _covered(found)}
             figures |= {e.name: f"{e.smallest:.4g} to {e.largest:.4g}" for e in found.eigenvalues}

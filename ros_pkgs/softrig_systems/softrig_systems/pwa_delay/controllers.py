@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
-from softrig_core import Block, BlockParams, Level, Port, executable, joint_state, param
-from softrig_core.kit.history import aged, samples_of
+from softrig_core import Block, BlockParams, History, Level, Port, executable, joint_state, param
 
 from .params import DelayParams, law_of_the_tank
 from .ports import INFLOW, LEVEL, SEEN, TORQUE
-from .profiles import Profile, delay_at
+from .profiles import Delay, delay_at
 
 Answer = tuple[Any, Mapping[str, tuple[float, ...]]]
 
@@ -97,18 +95,11 @@ class DelayLineParams(DelayParams, BlockParams):
     unit: str = param("rad", "unit of a position or effort; a velocity is in this per s")
 
 
-@dataclass(frozen=True, eq=False)
-class Delay:
-    """The delay over time; drawn at the seed, so it stands with the state, but it is none of its numbers."""
-
-    profile: Profile
-
-
 class Line(NamedTuple):
-    """The delay over time, and samples of the channels, the newest last; none before the first."""
+    """The delay over time, and the channels of late; None before the first message."""
 
     delay: Delay
-    samples: tuple[tuple[float, ...], ...] = ()
+    past: History | None = None
 
 
 class DelayLine(Block[DelayLineParams]):
@@ -127,9 +118,8 @@ class DelayLine(Block[DelayLineParams]):
         )
 
     def setup(self) -> None:
-        """Size the memory."""
+        """Bound the delay."""
         self._h = min(self.p.delay, self.p.max_delay)
-        self._size = samples_of(self.p.period, self._h)
 
     def first(self) -> Line:
         """Remember nothing."""
@@ -137,19 +127,16 @@ class DelayLine(Block[DelayLineParams]):
 
     def update(self, x: Line, t: int, *, state: tuple[float, ...]) -> Answer:
         """Give the delayed values."""
-        samples = (*x.samples[1:], state) if x.samples else (state,) * self._size
-        return self._out(Line(x.delay, samples), t)
+        past = History(self.p.period, self._h, state) if x.past is None else x.past.put(state)
+        return self._out(x.delay, past, t)
 
     def refused(self, x: Line, t: int) -> tuple[Line, Mapping[str, tuple[float, ...]] | None]:
         """Take the last value again."""
-        if not x.samples:
-            return x, None
-        samples = (*x.samples[1:], x.samples[-1])
-        return self._out(Line(x.delay, samples), t)
+        return (x, None) if x.past is None else self._out(x.delay, x.past.again(), t)
 
-    def _out(self, x: Line, t: int) -> tuple[Line, Mapping[str, tuple[float, ...]]]:
-        back = min(delay_at(x.delay.profile, t / 1e9), self._h)
-        return x, {"delayed": aged(x.samples, back / self.p.period)}
+    def _out(self, delay: Delay, past: History, t: int) -> tuple[Line, Mapping[str, tuple[float, ...]]]:
+        back = min(delay_at(delay.profile, t / 1e9), self._h)
+        return Line(delay, past), {"delayed": past.aged(back / self.p.period)}
 
 
 tank = executable(TankController)

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 from pydantic import model_validator
-from softrig_core import Level, Result, Solver, SolverParams, Work, button, executable, param, scalars
+from softrig_core import Jobs, Level, Result, Solver, SolverParams, Work, button, executable, param, scalars
 
 from .params import SystemParams
 from .profiles import profile
@@ -33,6 +33,18 @@ class MarginSearchParams(SystemParams, SolverParams):
         return self
 
 
+class State(NamedTuple):
+    """What is remembered from tick to tick."""
+
+    down: bool = False
+    """Whether the button is."""
+
+    asked: bool = False
+    """Whether it has been asked since the start."""
+
+    jobs: Jobs = Jobs()
+
+
 class MarginSearch(Solver[MarginSearchParams]):
     """Bisects the growth rate of simulated trajectories over constant delays.
 
@@ -49,18 +61,17 @@ class MarginSearch(Solver[MarginSearchParams]):
         """The system."""
         return params.agreed()
 
-    def start(self) -> None:
+    def first(self) -> State:
         """Not asked yet."""
-        self._down = False
-        self._asked = False
+        return State()
 
-    def request(self, t: int, *, search: tuple[float, ...] | None = None) -> MarginSearchParams | None:
+    def request(
+        self, x: State, t: int, *, search: tuple[float, ...] | None = None
+    ) -> tuple[State, MarginSearchParams | None]:
         """Ask at the start and when the button goes down."""
         down = search is not None and search[0] != 0.0
-        wanted = (down and not self._down) or (self.p.at_start and not self._asked)
-        self._down = down
-        self._asked = True
-        return self.p if wanted else None
+        wanted = (down and not x.down) or (self.p.at_start and not x.asked)
+        return State(down, True, x.jobs), self.p if wanted else None
 
     @staticmethod
     def solve(request: MarginSearchParams, work: Work) -> Margin | str:
@@ -79,15 +90,15 @@ class MarginSearch(Solver[MarginSearchParams]):
         except ValueError as reason:
             return str(reason)
 
-    def answer(self, t: int, result: Result | None, new: bool) -> Mapping[str, Any]:
+    def answer(self, x: State, t: int, result: Result | None, new: bool) -> tuple[State, Mapping[str, Any]]:
         """Publish what is new."""
         if result is None or not new:
-            return {}
+            return x, {}
         found = result.answer
         if not isinstance(found, Margin):
             self.report(Level.WARN, "no_margin", str(found))
-            return {"margin": (0.0, self.p.low, self.p.high, 0.0)}
-        return {"margin": (found.h, found.low, found.high, found.growth.get(found.h, 0.0))}
+            return x, {"margin": (0.0, self.p.low, self.p.high, 0.0)}
+        return x, {"margin": (found.h, found.low, found.high, found.growth.get(found.h, 0.0))}
 
 
 main = executable(MarginSearch)

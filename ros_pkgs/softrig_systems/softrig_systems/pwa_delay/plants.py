@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Literal, NamedTuple, Self
+from typing import Any, Literal, Self
 
 import numpy as np
 from pydantic import model_validator
 from softrig_core import BlockParams, Level, Plant, Port, check_steps, executable, param, state_type
-from softrig_core.kit.dde import trajectory
+from softrig_core.kit.dde import Track, trajectory
 from typing_extensions import TypeVar
 
 from .motion import (
     FREE,
+    SWITCHES,
     PendulumConstants,
     TankConstants,
     constants,
@@ -26,7 +27,7 @@ from .motion import (
 )  # fmt: skip
 from .params import DelayParams, SystemParams, law_of_the_tank
 from .ports import INFLOW, LEVEL, PENDULUM, TORQUE, mode, state
-from .profiles import delay_at
+from .profiles import Delay, Profile, delay_at
 from .system import TANK_C
 
 
@@ -51,52 +52,58 @@ class DelayPlant(Plant[P]):
     A delay beyond `max_delay` is clamped and told; a state beyond 1e6 is what no output may say, and ends the run.
     """
 
+    SHOWN = "state"  # the output that shows the state
     loop: Callable[..., int]
     cell_of: Callable[..., int]
 
     def setup(self) -> None:
-        """Count the steps in a period."""
+        """Count the steps in a period, name the state, and make a past for a plant without a delay."""
         self._steps = max(1, math.ceil(self.p.period / self.p.step - 1e-9))
+        self._rows = self._steps * (SWITCHES + 2)
         self._h = self.p.period / self._steps
         self._nothing = np.empty(0)
+        begin = self.begin()
+        self._size = len(self.names())
+        self._state = state_type(("", (*self.names(), "k", "cell", "delay", "past")))
+        self._unread = Track(trajectory(self._h, 2.0 * self._h, begin))
 
-    def start(self) -> None:
-        """Stand still in the past."""
-        self._profile = self.p.bounded_profile(self)
-        h = self._profile.h
-        self._k = 0
-        self._x = np.array(self.first(), dtype=float)
-        self._past = trajectory(self._h, h + 2.0 * self._h, tuple(self._x), spare=64)
-        self._constants: Any = self.constants()
-        self.switches = 0
-        self._sense()
+    def first(self) -> Any:
+        """Stand still in the past.
 
-    def outputs(self, t: int) -> Mapping[str, tuple[float, ...]]:
+        Beside the state of the paper: periods since the start, the cell in force (-1: not looked up yet), the delay
+        over time, and the steps that lie within it (None without a delay).
+        """
+        profile, begin = self.p.bounded_profile(self), self.begin()
+        past = Track(trajectory(self._h, profile.h + 2.0 * self._h, begin, spare=64)) if profile.h > 0.0 else None
+        return self._state(*begin[: self._size], 0, FREE, Delay(profile, self.constants(profile)), past)
+
+    def outputs(self, x: Any, t: int) -> Mapping[str, tuple[float, ...]]:
         """Give state, cell and delay at t."""
-        return self._answer
+        now, past = x.k * self.p.period, self._unread if x.past is None else x.past
+        cell = int(type(self).cell_of(now, np.array(x[: self._size]), past.open(), x.delay.constants))
+        seen = {self.SHOWN: x[: self._size]}
+        return {**seen, "mode": (float(cell), float(delay_at(x.delay.profile, now)))}
 
-    def move(self) -> None:
-        """Step over one period."""
-        self.switches += type(self).loop(self._past, self._k * self.p.period, self._x, self._h, self._steps,
-                                         self._constants, self._nothing)  # fmt: skip
-        self._k += 1
-        self._sense()
+    def move(self, x: Any, *held: float) -> Any:
+        """Step over one period with the inputs held."""
+        size, p = self._size, x.delay.constants
+        past = (self._unread if x.past is None else x.past).open(self._rows)
+        now = np.array((*x[:size], *held))
+        p.cell[0] = x.cell
+        type(self).loop(past, x.k * self.p.period, now, self._h, self._steps, p, self._nothing)
+        after = None if x.past is None else x.past.after(past)
+        return self._state(*now[:size].tolist(), x.k + 1, int(p.cell[0]), x.delay, after)
 
-    def _sense(self) -> None:
-        t = self._k * self.p.period
-        cell = int(type(self).cell_of(t, self._x, self._past, self._constants))
-        self._answer = {**self.measured(), "mode": (float(cell), float(delay_at(self._profile, t)))}
-
-    def first(self) -> tuple[float, ...]:
-        """Give the state at and before the start."""
+    def names(self) -> Sequence[str]:
+        """Give the names of the state, which comes first in `begin`."""
         raise NotImplementedError
 
-    def constants(self) -> Any:
+    def begin(self) -> tuple[float, ...]:
+        """Give state and held inputs at and before the start."""
+        raise NotImplementedError
+
+    def constants(self, delay: Profile) -> Any:
         """Pack what the native loop needs."""
-        raise NotImplementedError
-
-    def measured(self) -> dict[str, tuple[float, ...]]:
-        """Give the outputs besides cell and delay."""
         raise NotImplementedError
 
 
@@ -135,26 +142,21 @@ class SwitchedDelayPlant(DelayPlant[SwitchedDelayPlantParams]):
         """As many states as the system has."""
         return (), (state(params.states), mode("pwa/mode"))
 
-    def first(self) -> tuple[float, ...]:
+    def names(self) -> Sequence[str]:
+        """x1, x2, ..."""
+        return [f"x{k + 1}" for k in range(self.p.states)]
+
+    def begin(self) -> tuple[float, ...]:
         """x0."""
-        return tuple(self.p.x0)
+        return self.p.x0
 
-    def constants(self) -> Any:
+    def constants(self, delay: Profile) -> Any:
         """Matrices and lines."""
-        return constants(self.p.build(), self._profile)
+        return constants(self.p.build(), delay)
 
-    @property
-    def state(self) -> Any:
-        """Give x1, x2, ... of now; the past beside it counts as well."""
-        return state_type(("", [f"x{k + 1}" for k in range(self._x.size)]))(*self._x.tolist())
-
-    def measured(self) -> dict[str, tuple[float, ...]]:
-        """The state."""
-        return {"state": tuple(self._x.tolist())}
-
-    def advance(self, t: int) -> None:
+    def advance(self, x: Any, t: int) -> Any:
         """Move on by one period."""
-        self.move()
+        return self.move(x)
 
 
 class TankPlantParams(DelayPlantParams):
@@ -174,12 +176,6 @@ class TankPlantParams(DelayPlantParams):
     k_high: float = param(0.1, "gain above it, taken away", "1/s", ge=0.0, le=10.0)
 
 
-class TankState(NamedTuple):
-    """Level, in the unit of the paper."""
-
-    x: float
-
-
 class TankPlant(DelayPlant[TankPlantParams]):
     """x' = -c sqrt(x) + u(t - d)/(A phi): a tank at the end of a pipe; an empty one stays at 0 (DRY, an error).
 
@@ -189,6 +185,7 @@ class TankPlant(DelayPlant[TankPlantParams]):
 
     INPUTS = (INFLOW,)
     OUTPUTS = (LEVEL, mode("tank/mode"))
+    SHOWN = "level"
     loop = run_tank
     cell_of = tank_cell
 
@@ -199,7 +196,11 @@ class TankPlant(DelayPlant[TankPlantParams]):
 
         return Tank
 
-    def first(self) -> tuple[float, ...]:
+    def names(self) -> Sequence[str]:
+        """The level, in the unit of the paper."""
+        return ("x",)
+
+    def begin(self) -> tuple[float, ...]:
         """The level, and what the law gives for it."""
         p, x = self.p, self.p.x0
         return x, x * (p.k_low if x < p.switch else -p.k_high)
@@ -212,28 +213,17 @@ class TankPlant(DelayPlant[TankPlantParams]):
         return {**law, **worth, "tank/c": params.c, "tank/x0": params.x0, "tank/model": params.model,
                 "tank/delay": min(params.delay, params.max_delay)}  # fmt: skip
 
-    def constants(self) -> Any:
+    def constants(self, delay: Profile) -> Any:
         """The tank with the inflow as a command."""
         p = self.p
-        return TankConstants(
-            p.c, p.switch, p.k_low, p.k_high, 0.0, float(p.model == "pwa"), np.array([FREE]), self._profile
-        )
+        return TankConstants(p.c, p.switch, p.k_low, p.k_high, 0.0, float(p.model == "pwa"), np.array([FREE]), delay)
 
-    @property
-    def state(self) -> TankState:
-        """Give the level; the inflow under way in the pipe counts as well."""
-        return TankState(float(self._x[0]))
-
-    def measured(self) -> dict[str, tuple[float, ...]]:
-        """The level."""
-        return {"level": (float(self._x[0]),)}
-
-    def advance(self, t: int, *, inflow: tuple[float, ...]) -> None:
+    def advance(self, x: Any, t: int, *, inflow: tuple[float, ...]) -> Any:
         """Hold the command for one period; it arrives a delay later."""
-        self._x[1] = inflow[0] / (self.p.A * self.p.phi)
-        self.move()
-        if self._x[0] <= 0.0:
+        x = self.move(x, inflow[0] / (self.p.A * self.p.phi))
+        if x.x <= 0.0:
             self.report(Level.ERROR, "dry", "the tank is DRY: its level stays at 0")
+        return x
 
 
 class PendulumPlantParams(DelayPlantParams):
@@ -243,13 +233,6 @@ class PendulumPlantParams(DelayPlantParams):
     step: float = param(0.001, "largest integration step", "s", gt=0.0, le=1.0)
     x0: tuple[float, ...] = param((1.0, 0.0), "angle and speed at the start", min_length=2, max_length=2)
     model: Literal["pwa", "nonlinear"] = param("pwa", "two slopes, or sin(theta)")
-
-
-class PendulumState(NamedTuple):
-    """Angle (rad) and speed (rad/s)."""
-
-    theta: float
-    omega: float
 
 
 class PendulumPlant(DelayPlant[PendulumPlantParams]):
@@ -267,37 +250,26 @@ class PendulumPlant(DelayPlant[PendulumPlantParams]):
 
         return Pendulum
 
-    def first(self) -> tuple[float, ...]:
+    def names(self) -> Sequence[str]:
+        """Angle (rad) and speed (rad/s)."""
+        return "theta", "omega"
+
+    def begin(self) -> tuple[float, ...]:
         """Angle, speed, no torque."""
         return (*self.p.x0, 0.0)
 
-    def constants(self) -> Any:
+    def constants(self, delay: Profile) -> Any:
         """The pendulum with the torque as a command."""
-        return PendulumConstants(float(self.p.model == "nonlinear"), 0.0, np.array([FREE]), self._profile)
+        return PendulumConstants(float(self.p.model == "nonlinear"), 0.0, np.array([FREE]), delay)
 
     @classmethod
     def agreed(cls, params: PendulumPlantParams) -> Mapping[str, Any]:
         """Which pendulum."""
         return {"pendulum/model": params.model}
 
-    @property
-    def state(self) -> PendulumState:
-        """Give angle and speed."""
-        return PendulumState(float(self._x[0]), float(self._x[1]))
-
-    def put(self, state: Sequence[float]) -> None:
-        """Go on from another state; the pendulum itself has no delay."""
-        self._x[:2] = state
-        self._sense()
-
-    def measured(self) -> dict[str, tuple[float, ...]]:
-        """Angle and speed."""
-        return {"state": (float(self._x[0]), float(self._x[1]))}
-
-    def advance(self, t: int, *, torque: tuple[float, ...]) -> None:
+    def advance(self, x: Any, t: int, *, torque: tuple[float, ...]) -> Any:
         """Hold the torque for one period."""
-        self._x[2] = torque[0]
-        self.move()
+        return self.move(x, torque[0])
 
 
 switched = executable(SwitchedDelayPlant)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from softrig_core import jit
 
@@ -55,6 +56,22 @@ def profile(kind: Kind, h: float, mu: float = 0.0, *, seed: int | Sequence[int] 
         count = int(horizon / (4.0 * h) * 1.5) + 20
         changes = np.cumsum(np.random.default_rng(seed).exponential(4.0 * h, count))
     return Profile(KINDS[kind], h, mu, changes)
+
+
+@dataclass(frozen=True, eq=False)
+class Delay:
+    """The delay over time, drawn at the seed: it stands with what a block remembers, but is none of its numbers."""
+
+    profile: Profile
+    constants: Any = None  # what a native loop reads, the profile with it
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Delay):
+            return NotImplemented
+        mine, theirs = self.profile, other.profile
+        return mine[:3] == theirs[:3] and mine.changes.tolist() == theirs.changes.tolist()
+
+    __hash__ = None  # type: ignore[assignment]
 
 
 @jit

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple, Self
 
 from pydantic import model_validator
-from softrig_core import Block, BlockParams, Level, executable, param, to_ns
-from softrig_core.kit.history import aged, samples_of
+from softrig_core import Block, BlockParams, History, Level, executable, param, to_ns
 
 from .laws import INTEGRAL, LAWS, Gains, LawName, Measured
 from .model import Bottleneck, phi, psi
@@ -59,7 +58,7 @@ SILENCE = Said()
 
 
 class State(NamedTuple):
-    """Integral of e (packet s), set point q_d and last e (packets), (window, round trip) before, the newest last.
+    """Integral of e (packet s), set point q_d and last e (packets), window and round trip of late.
 
     Besides the ticks in a row without a valid state, and the last answer.
     """
@@ -67,7 +66,7 @@ class State(NamedTuple):
     integral: float
     q_d: float
     e: float | None = None
-    line: tuple[tuple[float, ...], ...] = ()
+    past: History | None = None
     silent: int = 0
     said: Said = SILENCE
 
@@ -106,7 +105,6 @@ class AqmController(Block[AqmControllerParams]):
         self._rate = 1.0 / p.period
         self._period = to_ns(p.period)
         self._stale = STALE * self._period
-        self._size = samples_of(p.period, p.history)
 
     def first(self) -> State:
         """Know nothing, drop nothing."""
@@ -120,12 +118,12 @@ class AqmController(Block[AqmControllerParams]):
 
     def update(self, x: State, t: int, *, state: tuple[float, ...], reference: tuple[float, ...] | None) -> Answer:
         """Give the drop probability."""
-        integral, q_d, e_before, line, silent, said = x
+        integral, q_d, e_before, past, silent, said = x
         age = self.age("state") or 0
         if age > self._stale:
             self.report(Level.WARN, "stale", f"the state is older than {STALE} periods: the last command is held")
             silent = max(silent, age // self._period - 1)
-            return self._hold(State(integral, q_d, e_before, line, silent, said))
+            return self._hold(State(integral, q_d, e_before, past, silent, said))
         w, q, R = state
         if w <= 0.0 or q < 0.0 or R <= 0.0:
             self.report(Level.ERROR, "bad_state", f"state window {w:g}, queue {q:g}, rtt {R:g}: impossible, the last "
@@ -133,9 +131,9 @@ class AqmController(Block[AqmControllerParams]):
             return self._hold(x)
         if reference is not None and reference[0] != q_d:
             q_d, e_before = self._aim(q_d, e_before, reference[0])
-        line = (*line[1:], (w, R)) if line else ((w, R),) * self._size
-        w_R, R_R = self._look_back(line, R)
         p = self.p
+        past = History(p.period, p.history, (w, R)) if past is None else past.put((w, R))
+        w_R, R_R = self._look_back(past, R)
         e = q - q_d
         m = Measured(
             e,
@@ -150,21 +148,21 @@ class AqmController(Block[AqmControllerParams]):
         if not (self._freezes and ((u > 1.0 and e > 0.0) or (u < 0.0 and e < 0.0))):
             integral += e * p.period
         said = Said((drop,), (s, integral, float(drop != u)))
-        return State(integral, q_d, e, line, 0, said), said.values()
+        return State(integral, q_d, e, past, 0, said), said.values()
 
     def refused(self, x: State, t: int) -> Answer:
         """Hold the last command; after 50 ticks give 0."""
         return self._hold(x)
 
     def _hold(self, x: State) -> Answer:
-        integral, q_d, e, line, silent, said = x
+        integral, q_d, e, past, silent, said = x
         silent += 1
-        if line:
-            line = (*line[1:], line[-1])  # the record has one entry a tick
+        if past is not None:
+            past = past.again()  # the record has one entry a tick
         if silent >= HOLD:
             self.report(Level.ERROR, "no_state", f"no valid state for {HOLD} ticks: nothing is dropped")
             said = Said(health=said.health)
-        return State(integral, q_d, e, line, silent, said), said.values()
+        return State(integral, q_d, e, past, silent, said), said.values()
 
     def _aim(self, q_d: float, e: float | None, wanted: float) -> tuple[float, float | None]:
         """Give set point and last e, so that the derivative gets no kick."""
@@ -174,13 +172,13 @@ class AqmController(Block[AqmControllerParams]):
                     f"{self.p.q_max:g}; {q_d:g} stays")  # fmt: skip
         return q_d, e
 
-    def _look_back(self, line: tuple[tuple[float, ...], ...], R: float) -> tuple[float, ...]:
+    def _look_back(self, past: History, R: float) -> tuple[float, ...]:
         """Give window and round trip time of one round trip ago."""
         back = R
         if back > self.p.history:
             self.report(Level.WARN, "deep", f"round trip {R:g} s is beyond the record of {self.p.history:g} s")
             back = self.p.history
-        return aged(line, back * self._rate)
+        return past.aged(back * self._rate)
 
 
 main = executable(AqmController)

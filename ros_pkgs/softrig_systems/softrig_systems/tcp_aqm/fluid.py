@@ -78,17 +78,6 @@ advance = integrator(slopes, limit)
 
 
 @jit
-def look_back(past: Trajectory, t: float, x: Array, c: Constants) -> tuple[float, float, float, float, float]:
-    """Give window, queue and packets served of x at t, and window and queue one round trip before."""
-    then = t - x[QUEUE] / c.C - c.tau_p
-    return x[WINDOW], x[QUEUE], x[SERVED], delayed(past, then, WINDOW), delayed(past, then, QUEUE)
-
-
-@jit
-def period(
-    past: Trajectory, t: float, x: Array, h: float, n: int, p: float, c: Constants
-) -> tuple[float, float, float, float, float]:
-    """Hold the drop probability p for n steps of h seconds from t; give what `look_back` gives at their end."""
-    x[DROP] = p
-    advance(past, t, x, h, n, c)
-    return look_back(past, t + n * h, x, c)
+def look_back(past: Trajectory, then: float) -> tuple[float, float]:
+    """Give window and queue at a time, s."""
+    return delayed(past, then, WINDOW), delayed(past, then, QUEUE)

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 from pydantic import model_validator
 from softrig_core import Level, check_steps, executable, param
-from softrig_core.kit.dde import trajectory
+from softrig_core.kit.dde import Track, trajectory
 
-from .fluid import QUEUE, Constants, look_back, period
-from .network import Network, NetworkParams
+from .fluid import Constants, advance, look_back
+from .network import Net, Network, NetworkParams, Seen
 
 
 class TcpFluidParams(NetworkParams):
@@ -31,6 +31,17 @@ class TcpFluidParams(NetworkParams):
         return self
 
 
+class State(NamedTuple):
+    """Window and queue (packets), packets served so far; steps so far, the network, and the past of all that."""
+
+    w: float
+    q: float
+    served: float
+    step: int
+    net: Net
+    past: Track
+
+
 class TcpFluid(Network[TcpFluidParams]):
     """Fluid model of Misra, Gong and Towsley (2000), eq. (1)-(5) of the paper; see `fluid.slopes`.
 
@@ -43,36 +54,42 @@ class TcpFluid(Network[TcpFluidParams]):
         p = self.p
         self._steps = round(p.period / p.h)
         self._h = p.period / self._steps
+        super().setup()
 
-    def begin(self) -> None:
+    def begin(self, net: Net) -> State:
         """A constant past."""
         p = self.p
-        self._x = np.array([p.w0, p.q0, p.p0, 0.0])
-        self._past = trajectory(self._h, p.history, tuple(self._x))
-        self._step = 0
-        self.changed()
+        return State(p.w0, p.q0, 0.0, 0, net, Track(trajectory(self._h, p.history, (p.w0, p.q0, p.p0, 0.0))))
 
-    def move(self, steps: int, p: float) -> None:
+    def seen(self, x: State) -> Seen:
+        """Look back one round trip."""
+        w, q, served, step, net, past = x
+        k = step - self._change
+        k = k if 0 <= k < self._steps else self._steps
+        now = (step - k) * self._h + k * self._h  # rounded as `advance` has come there
+        then = now - q / net.capacity - net.propagation
+        return Seen(w, q, served, *look_back(past.open(), then))
+
+    def moved(self, x: State, steps: int, p: float) -> State:
         """Integrate."""
-        self._take(period(self._past, self._step * self._h, self._x, self._h, steps, p, self._constants))
-        c = self._constants
-        if c.N * self.window + c.d * (self.queue / c.C + c.tau_p) >= 2.0 * (self.queue + c.C * c.tau_p):
+        w, q, served, step, net, track = x
+        given = self.p
+        c = Constants(float(net.flows), net.capacity, net.propagation, given.q_max, given.w_min, given.w_max, net.rate,
+                      float(given.input_delay))  # fmt: skip
+        past, now = track.open(steps), np.array((w, q, p, served))
+        advance(past, step * self._h, now, self._h, steps, c)
+        w, q, _, served = now.tolist()
+        if c.N * w + c.d * (q / c.C + c.tau_p) >= 2.0 * (q + c.C * c.tau_p):
             self.report(Level.WARN, "fast_delay", "the delay grows as fast as time or faster, N w/R >= 2 C")
+        return State(w, q, served, step + steps, net, track.after(past))
 
-    def jump(self, packets: float) -> None:
+    def jumped(self, x: State, packets: float) -> State:
         """Raise the queue, within its bounds."""
-        self._x[QUEUE] = min(max(self._x[QUEUE] + packets, 0.0), self.p.q_max)
-        self.changed()
+        return x._replace(q=min(max(x.q + packets, 0.0), self.p.q_max))
 
-    def changed(self) -> None:
-        """Take the constants of the network as they are now."""
-        p = self.p
-        self._constants = Constants(float(self.flows), self.capacity, self.propagation, p.q_max, p.w_min, p.w_max,
-                                    self.rate, float(p.input_delay))  # fmt: skip
-        self._take(look_back(self._past, self._step * self._h, self._x, self._constants))
-
-    def _take(self, found: tuple[float, float, float, float, float]) -> None:
-        self.window, self.queue, self.served, self.window_delayed, self.queue_delayed = found
+    def changed(self, x: State, net: Net) -> State:
+        """Take the network as it is now."""
+        return x._replace(net=net)
 
 
 main = executable(TcpFluid)

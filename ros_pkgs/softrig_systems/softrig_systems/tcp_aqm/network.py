@@ -45,12 +45,28 @@ class NetworkParams(Bottleneck, BlockParams):
         return self
 
 
-class State(NamedTuple):
-    """Window (packets; of packets the mean over the sources), queue (packets), packets served so far."""
+class Net(NamedTuple):
+    """What the network is made of now: flows, capacity (packet/s), propagation (s), traffic of nobody (packet/s).
 
-    w: float
-    q: float
+    Besides by how much the queue is measured too high (packets), and the events taken last.
+    """
+
+    flows: int
+    capacity: float
+    propagation: float
+    rate: float = 0.0
+    offset: float = 0.0
+    events: tuple[float, ...] | None = None
+
+
+class Seen(NamedTuple):
+    """Window (of packets the mean over the sources), queue, packets served so far; both first one round trip before."""
+
+    window: float
+    queue: float
     served: float
+    window_delayed: float
+    queue_delayed: float
 
 
 P = TypeVar("P", bound=NetworkParams, default=NetworkParams)
@@ -61,6 +77,8 @@ class Network(Plant[P]):
 
     The command is held for one period; outside [0, 1] it is clipped. Disturbances and events act at the internal step
     nearest to their time. What the network is made of changes by events on its topic; the parameters are the start.
+
+    What it remembers has the fields `step`, the number of internal steps so far, and `net`, a `Net`.
     """
 
     OUTPUTS = (STATE, TRUTH)
@@ -83,44 +101,36 @@ class Network(Plant[P]):
         now = (float(params.N), params.C, params.tau_p, 0.0)
         return (COMMAND, events(now)), cls.OUTPUTS
 
-    def start(self) -> None:
+    def setup(self) -> None:
+        """Find the internal step of the disturbance."""
+        p = self.p
+        self._change = -1 if p.disturbance == "none" else round(p.disturbance_time / self._h)
+
+    def first(self) -> Any:
         """Begin with the given window and queue, which have been so for ever."""
         p = self.p
-        self.flows, self.capacity, self.propagation, self.rate = p.N, p.C, p.tau_p, 0.0
-        self._events: tuple[float, ...] | None = None
-        self._step = 0
-        self._p = p.p0
-        self._offset = 0.0
-        self._change = -1 if p.disturbance == "none" else round(p.disturbance_time / self._h)
-        self.begin()
-        if self._change == 0:
-            self._disturb()
-        self._sense()
+        x = self.begin(Net(p.N, p.C, p.tau_p))
+        return self._disturbed(x) if self._change == 0 else x
 
-    @property
-    def state(self) -> State:
-        """Give the true state of now; what is under way in the network counts as well."""
-        return State(self.window, self.queue, self.served)
-
-    def outputs(self, t: int) -> Mapping[str, tuple[float, ...]]:
+    def outputs(self, x: Any, t: int) -> Mapping[str, tuple[float, ...]]:
         """Give the measured state and the truth at t."""
-        return self._answer
+        w, q, served, w_R, q_R = self.seen(x)
+        C, tau_p, offset = x.net.capacity, x.net.propagation, x.net.offset
+        measured = q + offset
+        return {
+            "state": (w, measured, measured / C + tau_p),
+            "truth": (w, q, q / C + tau_p, w_R, q_R / C + tau_p, served),
+        }
 
-    def advance(self, t: int, *, command: tuple[float, ...], events: tuple[float, ...] | None = None) -> None:
+    def advance(self, x: Any, t: int, *, command: tuple[float, ...], events: tuple[float, ...] | None = None) -> Any:
         """Hold the drop probability for one period."""
-        if events is not None and events != self._events:
-            self._events = events
-            self._happen(*events)
+        if events is not None and events != x.net.events:
+            x = self._happened(x, *events)
         p = self._accept(command[0])
-        end = self._step + self._steps
-        if self._step < self._change <= end:
-            self.move(self._change - self._step, p)
-            self._step = self._change
-            self._disturb()
-        if end > self._step:
-            self.move(end - self._step, p)
-            self._step = end
-        self._sense()
+        end = x.step + self._steps
+        if x.step < self._change <= end:
+            x = self._disturbed(self.moved(x, self._change - x.step, p))
+        return self.moved(x, end - x.step, p) if end > x.step else x
 
     def _accept(self, p: float) -> float:
         if not 0.0 <= p <= 1.0:
@@ -128,59 +138,47 @@ class Network(Plant[P]):
             return 0.0 if p < 0.0 else 1.0
         return p
 
-    def _disturb(self) -> None:
+    def _disturbed(self, x: Any) -> Any:
         p = self.p
+        if p.disturbance == "queue_jump":
+            return self.jumped(x, p.disturbance_value)
         if p.disturbance == "sensor_offset":
-            self._offset = p.disturbance_value
-        elif p.disturbance == "queue_jump":
-            self.jump(p.disturbance_value)
-        else:
-            self.rate += p.disturbance_value
-            self.changed()
+            return self.changed(x, x.net._replace(offset=p.disturbance_value))
+        return self.changed(x, x.net._replace(rate=x.net.rate + p.disturbance_value))
 
-    def _happen(self, flows: float, capacity: float, propagation: float, rate: float) -> None:
+    def _happened(self, x: Any, flows: float, capacity: float, propagation: float, rate: float) -> Any:
         """Take new constants of the network, unless they are impossible."""
-        count = round(flows)
+        net, count = x.net._replace(events=(flows, capacity, propagation, rate)), round(flows)
         possible = 1 <= count <= self.most_flows and capacity > 0.0 and propagation > 0.0
-        if not possible or self.p.q_max / capacity + propagation > self.p.history or 4.0 * self._h > propagation:
+        if possible and self.p.q_max / capacity + propagation <= self.p.history and 4.0 * self._h <= propagation:
+            net = net._replace(flows=count, capacity=capacity, propagation=propagation, rate=rate)
+        else:
             self.report(Level.ERROR, "impossible_event", f"event flows {flows:g}, capacity {capacity:g}, propagation "
                         f"{propagation:g}: impossible, or its delay is beyond the history; ignored")  # fmt: skip
-            return
-        self.flows, self.capacity, self.propagation = count, capacity, propagation
-        self.rate = rate
-        self.changed()
-
-    def _sense(self) -> None:
-        C, tau_p = self.capacity, self.propagation
-        measured = self.queue + self._offset
-        self._answer = {
-            "state": (self.window, measured, measured / C + tau_p),
-            "truth": (self.window, self.queue, self.queue / C + tau_p, self.window_delayed,
-                      self.queue_delayed / C + tau_p, self.served),
-        }  # fmt: skip
+        return self.changed(x, net)
 
     # what a subclass has ----------------------------------------------------------------------------------------
 
-    window: float
-    queue: float
-    served: float
-    window_delayed: float
-    queue_delayed: float
-    _h: float
-    _steps: int
+    _h: float  # internal step, s
+    _steps: int  # of them in a period
     most_flows: int = 2000
 
-    def begin(self) -> None:
-        """Set the state to the start."""
+    def begin(self, net: Net) -> Any:
+        """Give the state at the start."""
         raise NotImplementedError
 
-    def move(self, steps: int, p: float) -> None:
-        """Take internal steps of size `_h` from number `_step` on with the drop probability p."""
+    def seen(self, x: Any) -> Seen:
+        """Give what its outputs show."""
         raise NotImplementedError
 
-    def jump(self, packets: float) -> None:
+    def moved(self, x: Any, steps: int, p: float) -> Any:
+        """Take internal steps of size `_h` with the drop probability p."""
+        raise NotImplementedError
+
+    def jumped(self, x: Any, packets: float) -> Any:
         """Put packets into the queue at once."""
         raise NotImplementedError
 
-    def changed(self) -> None:
-        """React to new `flows`, `capacity`, `propagation` or `rate`."""
+    def changed(self, x: Any, net: Net) -> Any:
+        """Go on in another network."""
+        raise NotImplementedError

@@ -26,13 +26,17 @@ class Agenda(NamedTuple):
 
 
 class Sources(NamedTuple):
-    """Per flow: window, packets on the way, propagation time, time of the last halving, and whether it sends."""
+    """Per flow: window, packets on the way, propagation time, time of the last halving, and whether it sends.
+
+    Besides its propagation time as a part of the nominal one.
+    """
 
     window: Floats
     on_the_way: Ints
     propagation: Floats
     halved: Floats
     active: Ints
+    spread: Floats
 
 
 class Fifo(NamedTuple):
@@ -43,25 +47,77 @@ class Fifo(NamedTuple):
     sent: Floats
 
 
-class Counts(NamedTuple):
-    """What changes from event to event, each an array of one number."""
+# places in `Inside.counts`: events that wait and the most that ever did, head of the ring and packets in it, packets
+# served and lost, whether packets of nobody arrive, and random numbers drawn
+EVENTS, MOST_EVENTS, HEAD, WAITING, SERVED, LOST, CROSSING, DRAWN = range(8)
 
-    events: Ints
-    most_events: Ints
-    head: Ints
-    waiting: Ints
-    served: Ints
-    lost: Ints
-    crossing: Ints
+
+class Inside(NamedTuple):
+    """All that is under way, as native code changes it; `counts` has the places above."""
+
+    sources: Sources
+    agenda: Agenda
+    fifo: Fifo
+    counts: Ints
+
+
+class Rules(NamedTuple):
+    """What holds in a period: probability p, packets of nobody per second (evenly spaced), capacity C, room.
+
+    Bounds of a window, and whether the queue drops instead of marking.
+    """
+
+    p: float
+    rate: float
+    C: float
+    room: int
+    w_min: float
+    w_max: float
+    drop: bool
+
+
+class Traffic:
+    """All that is under way, a value: who goes on from it changes a copy.
+
+    Parameters
+    ----------
+    inside : Inside
+        Nobody writes it from now on.
+    """
+
+    __slots__ = ("inside",)
+
+    def __init__(self, inside: Inside) -> None:
+        self.inside = inside
+
+    def copy(self) -> Inside:
+        """Give it to be changed."""
+        sources, agenda, fifo, counts = self.inside
+        heap, size = Agenda._make([np.empty_like(a) for a in agenda]), counts[EVENTS]
+        for new, old in zip(heap, agenda, strict=True):
+            new[:size] = old[:size]
+        mine = [a.copy() for a in sources[:-1]]
+        return Inside(Sources._make([*mine, sources.spread]), heap, Fifo._make([a.copy() for a in fifo]), counts.copy())
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Traffic):
+            return NotImplemented
+        return self._all() == other._all()
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def _all(self) -> list[list[float]]:
+        sources, agenda, fifo, counts = self.inside
+        return [a.tolist() for a in (*sources, *fifo, counts, *(a[: counts[EVENTS]] for a in agenda))]
 
 
 @jit
-def schedule(agenda: Agenda, counts: Counts, t: float, kind: int, flow: int, marked: int, sent: float) -> None:
+def schedule(agenda: Agenda, counts: Ints, t: float, kind: int, flow: int, marked: int, sent: float) -> None:
     """Put an event on the heap."""
-    place = counts.events[0]
-    counts.events[0] = place + 1
-    if place + 1 > counts.most_events[0]:
-        counts.most_events[0] = place + 1
+    place = counts[EVENTS]
+    counts[EVENTS] = place + 1
+    if place + 1 > counts[MOST_EVENTS]:
+        counts[MOST_EVENTS] = place + 1
     while place > 0:
         above = (place - 1) // 2
         if agenda.time[above] <= t:
@@ -76,10 +132,10 @@ def schedule(agenda: Agenda, counts: Counts, t: float, kind: int, flow: int, mar
 
 
 @jit
-def remove_first(agenda: Agenda, counts: Counts) -> None:
+def remove_first(agenda: Agenda, counts: Ints) -> None:
     """Take the earliest event off the heap."""
-    size = counts.events[0] - 1
-    counts.events[0] = size
+    size = counts[EVENTS] - 1
+    counts[EVENTS] = size
     t = agenda.time[size]
     place = 0
     while True:
@@ -100,25 +156,23 @@ def remove_first(agenda: Agenda, counts: Counts) -> None:
 
 
 @jit
-def arrive(agenda: Agenda, fifo: Fifo, counts: Counts, now: float, flow: int, marked: int, C: float, room: int) -> bool:
+def arrive(inside: Inside, now: float, flow: int, marked: int, C: float, room: int) -> bool:
     """Let a packet into the queue; false when there is no room."""
-    waiting = counts.waiting[0]
+    _, agenda, fifo, counts = inside
+    waiting = counts[WAITING]
     if waiting >= room:
-        counts.lost[0] += 1
+        counts[LOST] += 1
         return False
-    place = (counts.head[0] + waiting) % fifo.flow.size
+    place = (counts[HEAD] + waiting) % fifo.flow.size
     fifo.flow[place], fifo.marked[place], fifo.sent[place] = flow, marked, now
-    counts.waiting[0] = waiting + 1
+    counts[WAITING] = waiting + 1
     if waiting == 0:
         schedule(agenda, counts, now + 1.0 / C, SERVICE, NOBODY, 0, 0.0)
     return True
 
 
 @jit
-def run_until(
-    end: float, p: float, rate: float, C: float, room: int, w_min: float, w_max: float, drop: bool,
-    rng: np.random.Generator, sources: Sources, agenda: Agenda, fifo: Fifo, counts: Counts,
-) -> None:  # fmt: skip
+def run_until(end: float, rules: Rules, rng: np.random.Generator, inside: Inside) -> None:
     """Let everything up to `end` (s) happen.
 
     Congestion avoidance: an acknowledgement without a mark makes w + 1/w, one with a mark w/2 (floor `w_min`), at
@@ -129,25 +183,30 @@ def run_until(
 
     Parameters
     ----------
-    rate : float
-        Packets of nobody per second, evenly spaced.
-    room : int
-        Largest number of packets that wait or are served.
+    end : float
+        s.
+    rules : Rules
+    rng : numpy.random.Generator
+        Draws one number for each packet that is sent.
+    inside : Inside
+        Is changed.
     """
-    if rate > 0.0 and counts.crossing[0] == 0:
-        counts.crossing[0] = 1
+    sources, agenda, fifo, counts = inside
+    rate, C = rules.rate, rules.C
+    if rate > 0.0 and counts[CROSSING] == 0:
+        counts[CROSSING] = 1
         schedule(agenda, counts, end, CROSS, NOBODY, 0, 0.0)
-    while counts.events[0] > 0 and agenda.time[0] <= end:
+    while counts[EVENTS] > 0 and agenda.time[0] <= end:
         now, kind, flow = agenda.time[0], agenda.kind[0], agenda.flow[0]
         marked, sent = agenda.marked[0], agenda.sent[0]
         remove_first(agenda, counts)
         if kind == SERVICE:
-            head = counts.head[0]
+            head = counts[HEAD]
             flow = fifo.flow[head]
-            counts.head[0] = (head + 1) % fifo.flow.size
-            counts.waiting[0] -= 1
-            counts.served[0] += 1
-            if counts.waiting[0] > 0:
+            counts[HEAD] = (head + 1) % fifo.flow.size
+            counts[WAITING] -= 1
+            counts[SERVED] += 1
+            if counts[WAITING] > 0:
                 schedule(agenda, counts, now + 1.0 / C, SERVICE, NOBODY, 0, 0.0)
             if flow != NOBODY:
                 arrives = now + sources.propagation[flow]
@@ -155,25 +214,26 @@ def run_until(
             continue
         if kind == CROSS:
             if rate > 0.0:
-                arrive(agenda, fifo, counts, now, NOBODY, 0, C, room)
+                arrive(inside, now, NOBODY, 0, C, rules.room)
                 schedule(agenda, counts, now + 1.0 / rate, CROSS, NOBODY, 0, 0.0)
             else:
-                counts.crossing[0] = 0
+                counts[CROSSING] = 0
             continue
         if kind != START:
             sources.on_the_way[flow] -= 1
             if marked == 0:
-                sources.window[flow] = min(sources.window[flow] + 1.0 / sources.window[flow], w_max)
+                sources.window[flow] = min(sources.window[flow] + 1.0 / sources.window[flow], rules.w_max)
             elif sent >= sources.halved[flow]:
-                sources.window[flow] = max(0.5 * sources.window[flow], w_min)
+                sources.window[flow] = max(0.5 * sources.window[flow], rules.w_min)
                 sources.halved[flow] = now
         while sources.active[flow] == 1 and sources.on_the_way[flow] < int(sources.window[flow]):
             sources.on_the_way[flow] += 1
-            hit = 1 if rng.random() < p else 0
-            lost = drop and hit == 1
+            counts[DRAWN] += 1
+            hit = 1 if rng.random() < rules.p else 0
+            lost = rules.drop and hit == 1
             if lost:
-                counts.lost[0] += 1
-            elif not arrive(agenda, fifo, counts, now, flow, hit, C, room):
+                counts[LOST] += 1
+            elif not arrive(inside, now, flow, hit, C, rules.room):
                 lost = True
             if lost:
                 schedule(agenda, counts, now + sources.propagation[flow], LOSS, flow, 1, now)

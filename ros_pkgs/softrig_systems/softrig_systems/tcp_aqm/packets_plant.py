@@ -2,14 +2,32 @@
 
 from __future__ import annotations
 
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 from pydantic import model_validator
 from softrig_core import History, Level, executable, param
+from softrig_core.kit.draws import Stream
 
-from .network import Network, NetworkParams
-from .packets import NOBODY, START, Agenda, Counts, Fifo, Sources, arrive, mean_window, run_until, schedule
+from .network import Net, Network, NetworkParams, Seen
+from .packets import (
+    DRAWN,
+    MOST_EVENTS,
+    NOBODY,
+    SERVED,
+    START,
+    WAITING,
+    Agenda,
+    Fifo,
+    Inside,
+    Rules,
+    Sources,
+    Traffic,
+    arrive,
+    mean_window,
+    run_until,
+    schedule,
+)
 
 
 class TcpPacketsParams(NetworkParams):
@@ -29,6 +47,16 @@ class TcpPacketsParams(NetworkParams):
         return self
 
 
+class State(NamedTuple):
+    """Steps so far, the network, packets and events under way; mean window and queue of late, random numbers."""
+
+    step: int
+    net: Net
+    traffic: Traffic
+    past: History
+    random: Stream
+
+
 class TcpPackets(Network[TcpPacketsParams]):
     """N sources in congestion avoidance on one FIFO queue; see `packets.run_until` for the rules.
 
@@ -37,84 +65,83 @@ class TcpPackets(Network[TcpPacketsParams]):
     """
 
     def setup(self) -> None:
-        """Make room for the past and for twice the flows, which events may start."""
+        """Make room for twice the flows, which events may start."""
         p = self.p
         self._h, self._steps = p.period, 1
-        self._history = History(p.period, p.history)
         self._room = int(p.q_max)
         self.most_flows = 2 * p.N
+        super().setup()
 
-    def begin(self) -> None:
+    def begin(self, net: Net) -> State:
         """Draw propagation and starting times; let the first packets wait."""
-        p = self.p
-        self._random = np.random.default_rng([p.seed, int(self.rng.integers(2**32))])
-        most, room = self.most_flows, self._room
-        self._nominal = 1.0 + p.spread * (2.0 * self._random.random(most) - 1.0)
+        p, most, room = self.p, self.most_flows, self._room
+        stream = Stream(np.random.default_rng([p.seed, int(self.generator().integers(2**32))]))
+        draw = stream.at(0)
+        spread = 1.0 + p.spread * (2.0 * draw.random(most) - 1.0)
         active = np.zeros(most, np.int64)
         active[: p.N] = 1
-        self._sources = Sources(np.full(most, p.w0), np.zeros(most, np.int64), p.tau_p * self._nominal,
-                                np.full(most, -1.0), active)  # fmt: skip
+        sources = Sources(np.full(most, p.w0), np.zeros(most, np.int64), p.tau_p * spread, np.full(most, -1.0), active,
+                          spread)  # fmt: skip
         events = most * (int(p.w_max) + 1) + room + 4
-        self._agenda = Agenda(np.zeros(events), np.zeros(events, np.int64), np.zeros(events, np.int64),
-                              np.zeros(events, np.int64), np.zeros(events))  # fmt: skip
-        self._fifo = Fifo(np.zeros(room + 1, np.int64), np.zeros(room + 1, np.int64), np.zeros(room + 1))
-        self._counts = Counts(*(np.zeros(1, np.int64) for _ in Counts._fields))
+        agenda = Agenda(np.zeros(events), np.zeros(events, np.int64), np.zeros(events, np.int64),
+                        np.zeros(events, np.int64), np.zeros(events))  # fmt: skip
+        fifo = Fifo(np.zeros(room + 1, np.int64), np.zeros(room + 1, np.int64), np.zeros(room + 1))
+        counts = np.zeros(8, np.int64)
         for flow in range(p.N):
-            schedule(self._agenda, self._counts, p.tau_p * self._random.random(), START, flow, 0, 0.0)
-        self.jump(p.q0)
-        self._history.reset((self.window, self.queue))
-        self._look_back()
+            schedule(agenda, counts, p.tau_p * draw.random(), START, flow, 0, 0.0)
+        counts[DRAWN] = stream.drawn(most + p.N)
+        inside = Inside(sources, agenda, fifo, counts)
+        self._fill(inside, 0.0, p.q0, net.capacity)
+        return State(0, net, Traffic(inside), History(p.period, p.history, _mean(inside)), stream)
 
-    def move(self, steps: int, p: float) -> None:
+    def seen(self, x: State) -> Seen:
+        """Give the mean window, and look back one round trip."""
+        inside, net = x.traffic.inside, x.net
+        window, queue = _mean(inside)
+        return Seen(window, queue, float(inside.counts[SERVED]), *x.past.at(queue / net.capacity + net.propagation))
+
+    def moved(self, x: State, steps: int, p: float) -> State:
         """Let the events of the period happen."""
-        c = self.p
-        for step in range(self._step + 1, self._step + steps + 1):
-            run_until(step * self._h, p, self.rate, self.capacity, self._room, c.w_min, c.w_max, not c.ecn,
-                      self._random, self._sources, self._agenda, self._fifo, self._counts)  # fmt: skip
-            self._count()
-            self._history.put((self.window, self.queue))
-        self._look_back()
-        bound = self.flows * c.w_max + c.q_max
-        if self.most_events > bound:
-            self.report(
-                Level.WARN, "events", f"{self.most_events} events at once, more than N w_max + q_max = {bound:g}"
-            )
+        c, (step, net, traffic, past, stream) = self.p, x
+        inside = traffic.copy()
+        counts = inside.counts
+        rules = Rules(p, net.rate, net.capacity, self._room, c.w_min, c.w_max, not c.ecn)
+        for k in range(step + 1, step + steps + 1):
+            run_until(k * self._h, rules, stream.at(int(counts[DRAWN])), inside)
+            stream.drawn(int(counts[DRAWN]))
+            past = past.put(_mean(inside))
+        most, bound = int(counts[MOST_EVENTS]), net.flows * c.w_max + c.q_max
+        if most > bound:
+            self.report(Level.WARN, "events", f"{most} events at once, more than N w_max + q_max = {bound:g}")
+        return State(step + steps, net, Traffic(inside), past, stream)
 
-    @property
-    def most_events(self) -> int:
-        """Largest number of events that waited at once."""
-        return int(self._counts.most_events[0])
-
-    @property
-    def lost(self) -> int:
-        """Packets lost so far."""
-        return int(self._counts.lost[0])
-
-    def _count(self) -> None:
-        self.window = mean_window(self._sources)
-        self.queue = float(self._counts.waiting[0])
-        self.served = float(self._counts.served[0])
-
-    def _look_back(self) -> None:
-        self.window_delayed, self.queue_delayed = self._history.at(self.queue / self.capacity + self.propagation)
-
-    def jump(self, packets: float) -> None:
+    def jumped(self, x: State, packets: float) -> State:
         """Let packets of nobody arrive at once; what finds no room is lost."""
-        now = self._step * self._h
-        for _ in range(round(packets)):
-            arrive(self._agenda, self._fifo, self._counts, now, NOBODY, 0, self.capacity, self._room)
-        self._count()
+        inside = x.traffic.copy()
+        self._fill(inside, x.step * self._h, packets, x.net.capacity)
+        return x._replace(traffic=Traffic(inside))
 
-    def changed(self) -> None:
+    def _fill(self, inside: Inside, now: float, packets: float, capacity: float) -> None:
+        for _ in range(round(packets)):
+            arrive(inside, now, NOBODY, 0, capacity, self._room)
+
+    def changed(self, x: State, net: Net) -> State:
         """Start or end flows; new propagation times hold for what leaves the queue from now on."""
-        s, now = self._sources, self._step * self._h
-        s.propagation[:] = self.propagation * self._nominal
+        inside, now = x.traffic.copy(), x.step * self._h
+        s, agenda, _, counts = inside
+        s.propagation[:] = net.propagation * s.spread
         for flow in range(self.most_flows):
-            wanted = int(flow < self.flows)
+            wanted = int(flow < net.flows)
             if wanted and not s.active[flow]:
                 s.window[flow] = self.p.w_min
-                schedule(self._agenda, self._counts, now, START, flow, 0, 0.0)
+                schedule(agenda, counts, now, START, flow, 0, 0.0)
             s.active[flow] = wanted
+        return x._replace(net=net, traffic=Traffic(inside))
+
+
+def _mean(inside: Inside) -> tuple[float, float]:
+    """Give mean window and queue, packets."""
+    return mean_window(inside.sources), float(inside.counts[WAITING])
 
 
 main = executable(TcpPackets)

@@ -49,7 +49,8 @@ class Drive(Protocol):
     status_every: int
 
     @property
-    def t(self) -> int: ...  # noqa: D102
+    def t(self) -> int:
+        """Time of the tick under way, ns."""
 
     def row(self, port: Port) -> Input:
         """Make the row of an input in the table of senders."""
@@ -341,6 +342,7 @@ class Adapter:
             "waits_for": self.waits_for, "lacking": self.lacking, "epoch": self.epoch, "refused": refused,
             "reports": {key: [int(level), text, n] for key, (level, text, n) in self.block.reports.items()},
             "busy": self.drive.busy(), "held": self.hold.held, "cpu_s": round(time.process_time(), 3),
+            "prompt": self.middleware.prompt,
         }  # fmt: skip
         status |= self.drive.counts()
         if self.lacking:

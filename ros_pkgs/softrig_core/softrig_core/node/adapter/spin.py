@@ -27,9 +27,12 @@ def spin(node: Node, adapter: Adapter) -> int:
         executor.add_node(node)
         gc.collect()
         gc.freeze()
-        while rclpy.ok() and not finished.done():
-            # without a timeout this executor never delivers anything (rclpy 7.1)
-            executor.spin_until_future_complete(finished, 5.0)
+        try:
+            while rclpy.ok() and not finished.done():
+                # without a timeout this executor never delivers anything (rclpy 7.1)
+                executor.spin_until_future_complete(finished, 5.0)
+        finally:
+            adapter.middleware.close()
         if adapter.state == "done":
             adapter.middleware.drain()
         stopped = not finished.done()

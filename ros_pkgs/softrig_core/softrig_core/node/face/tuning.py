@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from rcl_interfaces.msg import SetParametersResult
-from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from ...block.params import ParameterError, flatten
 from ..adapter.adapter import Adapter
-from ..ros.ros import plain
+from ..ros.ros import ServingNode, plain
 
 
 class Tuning:
@@ -18,13 +17,13 @@ class Tuning:
 
     Parameters
     ----------
-    node : rclpy.node.Node
+    node : ServingNode
         Whose parameters are declared.
     adapter : Adapter
     """
 
-    def __init__(self, node: Node, adapter: Adapter) -> None:
-        self._adapter = adapter
+    def __init__(self, node: ServingNode, adapter: Adapter) -> None:
+        self._node, self._adapter = node, adapter
         self._own = flatten(adapter.block.p).keys()
         node.add_on_set_parameters_callback(self._set)
 
@@ -37,8 +36,9 @@ class Tuning:
             removed = [p.name for p in parameters if p.name in values and p.type_ == Parameter.Type.NOT_SET]
             if removed:
                 raise ParameterError(f"parameter {removed[0]} has no value, expected one")
-            if values:
-                adapter.step.set(values)
+            replaced = adapter.step.set(values) if values else []
         except ParameterError as error:
             return SetParametersResult(successful=False, reason=str(error))
+        if replaced:
+            self._node.remark = f"in place of {', '.join(replaced)} that was set before and had not come into effect"
         return SetParametersResult(successful=True)

@@ -95,14 +95,15 @@ class Lockstep:
         busy = hear_busy(node.middleware, max(1, len(solvers)), self._patient)  # an outside node may be one, too
         awaited += [(busy, name) for name in solvers]
         if isinstance(node.block, Solver):
-            self._solving = Solving(node.middleware, node.block, self._turn)
-            node.step.respond = lambda x, t, **inputs: (x, node.block.end(t))  # type: ignore[attr-defined]
+            self._solving = Solving(node.middleware, node.step, self._turn)
         if not senders.rows and self._solving is None:
             # all that it needs is said in this process
             node.step.lacks = node.hold.holds if links.owns_clock else None  # type: ignore[attr-defined]
         self.handshake = Handshake(node, awaited, wanted, local)
         self._stalls.handshake = self.handshake
         self._begin = begin
+        if self._solving is None:  # whose timers belong to the executor's thread
+            node.middleware.be_prompt()
         self._starter = node.middleware.timer(CHECK, self._start)
 
     # peers -----------------------------------------------------------------------------------------------------
@@ -166,8 +167,7 @@ class Lockstep:
             senders.await_tick(t)
         if senders.missing or self._solving is None:
             return senders.missing > 0 or self.node.hold.holds(t)
-        step = self.node.step
-        return not self._solving.finished(t, None if step.bad else step.values)
+        return not self._solving.finished(t)
 
     def _send(self, t: int, rows: Rows) -> None:
         """Publish an answer; note when a plant has spoken."""
@@ -198,7 +198,7 @@ class Lockstep:
 
     def busy(self) -> bool:
         """Whether a solver is at work, or somebody holds the run."""
-        return self.node.hold.held or (self._solving is not None and self._solving.block.working)
+        return self.node.hold.held or (self._solving is not None and self._solving.working)
 
     def counts(self) -> dict[str, int]:
         """Nothing is ever late."""

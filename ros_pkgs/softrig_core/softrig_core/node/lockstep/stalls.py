@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from ...block.block import Level
 from ...timebase import SECOND
 from ..adapter.handshake import Handshake
 from ..seam.endpoint import Input
 from .paired import PairedSenders
 
 GONE_AFTER = 0.5  # s without the awaited message after its only sender has vanished
+GOODBYE = 2.0  # s: who vanishes within them has taken leave; the graph keeps the dead for longer (a lease of 3 s)
 
 
 class Stalls:
@@ -67,6 +69,8 @@ class Stalls:
             return True
         # a source of an outside plant says t = 0 unasked
         others = [row for row in self._senders.rows if not row.earlier]
+        if not self._senders.rows:  # all that it waits for is in its own process
+            return True
         return any(row.have for row in others) or (node.ticks > 0 and bool(others))
 
     def _name(self, item: Input, waited: float) -> None:
@@ -85,6 +89,12 @@ class Stalls:
         if node.ticks <= 1:  # somebody in the rig may not have begun: as long as he may take for that
             limit = max(limit, node.options.start_timeout)
         if lacking and (waited > limit or (gone and waited > GONE_AFTER)):
+            if gone and waited < min(limit, GOODBYE) and not (node.options.links or node.options.duration):
+                names = ", ".join(row.port.topic for row in gone)
+                text = f"{names}: the sender has left at t = {node.t / SECOND:.9g} s, and this node with it"
+                node.middleware.log(Level.OK, text)
+                node.finish()
+                return
             lacking = gone or lacking
             what = ", ".join(
                 f"{row.port.topic} from {row.who}{' (gone)' if row in gone else ''}"

@@ -13,7 +13,7 @@ from functools import partial
 from typing import Any
 
 from ...block.answer import Row
-from ...block.block import Level
+from ...block.block import Level, Plant
 from ...block.port import Port
 from ...block.schedule import Schedule
 from ...block.step import Rows
@@ -65,6 +65,8 @@ class Realtime:
         node.step.send = node.publish
         node.begin(self)
         self._commands = [f for f in self.senders.rows if f.awaited and node.is_plant]
+        block = node.block
+        self._idle = isinstance(block, Plant) and block.AWAITS_COMMAND and not node.options.links
         self.senders.take, self.senders.excuse, self.senders.act = self._take, self._excuse, lambda: None
         self._answering: Answering | None = None
         self._paired: list[Live] = []  # what it takes by stamp; a law does when it answers
@@ -124,6 +126,9 @@ class Realtime:
             self.node.block.note(Level.WARN, "clock", text)
         self.node.epoch = epoch
         self.node.state = "running"
+        if self._idle:
+            topics = ", ".join(row.port.topic for row in self._commands)
+            self.node.middleware.log(Level.OK, f"stays at t = 0 until it is commanded on {topics}")
         assert self._begun is not None
         self._begun()
 
@@ -137,8 +142,8 @@ class Realtime:
             for row in sorted(self.senders.rows, key=lambda row: row.name):
                 if row.name in self.senders.stale:
                     node.middleware.log(Level.ERROR, node.block.reports[f"stale {row.port.topic}"][1])
-        end = node.schedule.end
-        if end is not None and node.state == "running" and self.now() > (node.epoch or self._started) + end + END_GRACE:
+        end, begun = node.schedule.end, self._started if self._idle else node.epoch or self._started
+        if end is not None and node.state == "running" and self.now() > begun + end + END_GRACE:
             node.finish()
 
     def now(self) -> int:
@@ -225,6 +230,9 @@ class Realtime:
         now = self.clock()
         # The first tick is the next point of the grid, or the common start that the runner gave.
         node.epoch = node.epoch or schedule.next(now)
+        self._idle = self._idle and any(row.stamp is None for row in self._commands)
+        if self._idle:  # what it says at t = 0, again and again
+            node.epoch, self.tick_number = schedule.held(now), -1
         due = newest(self._timer, schedule, now - node.epoch)
         self.tick(schedule.tick(due), due, now)
 

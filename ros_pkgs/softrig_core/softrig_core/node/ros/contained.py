@@ -62,6 +62,9 @@ class ContainedMiddleware(RosMiddleware):
 
         super().subscribe(topic, msgtype, lambda data: exchange.hand(receive, data), count)
 
+    def be_prompt(self) -> None:
+        """The exchange takes what has come: its loop does not sleep."""
+
     def post(self, call: Callable[[], object]) -> None:
         """Call a function when whatever is under way has returned."""
         self._exchange.post(call)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from copy import copy
 from functools import wraps
 from typing import Any, ParamSpec
@@ -24,7 +24,11 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions, QoSPolicyKind
 
 from ...block.block import Level
+from ...errors import RunError
 from ..seam.middleware import Matched, Middleware, Peer, Receive
+from ..seam.monitor import Monitor
+from .arrival import Arrival, library
+from .garbage import Garbage
 from .messages import message_class
 
 # Depth 10: in lockstep at most two messages of a topic are ever under way; outside readers get some slack.
@@ -35,9 +39,39 @@ POLICIES = (
     QoSPolicyKind.LIFESPAN, QoSPolicyKind.DEADLINE,
 )  # fmt: skip
 
+LOOK = 20_000_000  # ns: between two looks at who writes
+SEARCH = 250_000_000  # ns: between two looks for garbage that a tick may have left
+PATIENCE = 2.0  # s: for a tick under way in another thread at the end
+
 PAUSE = 1_000_000  # ns: this executor looks at no other timer while one is always due
 
 SEVERITY = {Level.OK: LoggingSeverity.INFO, Level.WARN: LoggingSeverity.WARN, Level.ERROR: LoggingSeverity.ERROR}
+
+
+class Credit:
+    """Wall-clock time that sets of parameters may still take: a share of what passes, at most some in a row."""
+
+    SHARE, MOST = 0.2, 2.0  # s; a timeout of a rig is longer
+
+    def __init__(self) -> None:
+        self.left, self._since = self.MOST, time.monotonic()
+
+    def wanting(self) -> float:
+        """Give how long to wait until there is some again, s; zero if there is."""
+        now = time.monotonic()
+        self.left = min(self.MOST, self.left + self.SHARE * (now - self._since))
+        self._since = now
+        return max(0.0, -self.left / self.SHARE)
+
+    @contextmanager
+    def spent(self) -> Iterator[None]:
+        """Take off what the block within takes."""
+        start = time.monotonic()
+        try:
+            yield
+        finally:
+            self._since = time.monotonic()
+            self.left = max(-self.MOST, self.left - (self._since - start))
 
 
 class ServingNode(Node):  # type: ignore[misc]
@@ -45,17 +79,42 @@ class ServingNode(Node):  # type: ignore[misc]
 
     What is set together is taken together where all of it fits, each by itself where not all does (`ros2 param load` of
     a whole file); a whole number stands for a real one, and what a read-only parameter is already may be set again.
+    The ticks of the nodes go first: who sets more than fits beside them is refused and told when to come back.
+
+    Attributes
+    ----------
+    remark : str
+        What whoever takes a set has to say of it: rclpy tells the reason of a refusal only.
+    monitor : Monitor
+        Of whatever calls the node: no service is answered while a tick is under way.
     """
+
+    remark = ""
+    _credit = Credit()  # one for all nodes of a process
+
+    def __init__(self, *names: Any, **options: Any) -> None:
+        self.monitor = Monitor(self._wake)
+        super().__init__(*names, **options)
+
+    def _wake(self) -> None:
+        if (executor := self.executor) is not None:
+            executor.create_task(self.monitor.serve)
 
     def create_service(self, srv_type: Any, srv_name: str, callback: Callable[[Any, Any], Any], **options: Any) -> Any:
         """Offer a service; a call that fails is refused with the reason."""
 
         def answer(request: Any, response: Any) -> Any:
+            with self.monitor:
+                return answered(request, response)
+
+        def answered(request: Any, response: Any) -> Any:
             try:
                 if srv_type is SetParameters:
-                    response.results = self._set(request.parameters)
+                    with self._credit.spent():
+                        response.results = self._set(request.parameters)
                 elif srv_type is SetParametersAtomically:
-                    response.result = self._set_together([self._meant(p) for p in request.parameters])
+                    with self._credit.spent():
+                        response.result = self._set_together([self._meant(p) for p in request.parameters])
                 else:
                     return callback(request, response)
                 return response
@@ -78,9 +137,15 @@ class ServingNode(Node):  # type: ignore[misc]
         return [self._set_together([one]) for one in wanted]
 
     def _set_together(self, wanted: Sequence[Parameter]) -> SetParametersResult:
+        if wait := self._credit.wanting():
+            text = f"more is set than fits between the ticks, expected a pause of {wait:.1f} s"
+            return SetParametersResult(successful=False, reason=text)
         now = {p.name: self._parameters[p.name] for p in wanted if p.name in self._parameters}
         new = [p for p in wanted if p.name not in now or now[p.name].type_ != p.type_ or plain(now[p.name]) != plain(p)]
-        return self.set_parameters_atomically(new) if new else SetParametersResult(successful=True)
+        self.remark = ""
+        result = self.set_parameters_atomically(new) if new else SetParametersResult(successful=True)
+        result.reason = result.reason or self.remark
+        return result
 
     def _meant(self, message: Any) -> Parameter:
         """Give what is to be set, a whole number as a real one where that is expected."""
@@ -138,10 +203,18 @@ class _RosTimer:
 
 
 class RosMiddleware(Middleware):
-    """One rclpy node; see `Middleware` for the methods."""
+    """One rclpy node; see `Middleware` for the methods.
 
-    def __init__(self, node: Node) -> None:
+    Parameters
+    ----------
+    node : ServingNode
+    """
+
+    def __init__(self, node: ServingNode) -> None:
         self.node = node
+        self.monitor = node.monitor
+        self._read: list[tuple[Any, Receive, Matched]] = []  # subscriptions
+        self._arrivals: list[Arrival] = []
         self.name: str = node.get_name()
         self.full_name: str = node.get_fully_qualified_name()
         self._posted: list[Callable[[], object]] = []
@@ -155,19 +228,90 @@ class RosMiddleware(Middleware):
 
     def publisher(self, topic: str, msgtype: str, matched: Matched) -> Callable[[bytes], None]:
         """Offer a topic."""
-        events = PublisherEventCallbacks(matched=lambda status: matched(status.current_count))
-        made = self.node.create_publisher(message_class(msgtype), topic, copy(QOS), event_callbacks=events,
-                                          qos_overriding_options=self._overrides(topic))  # fmt: skip
+        events = PublisherEventCallbacks(matched=self._counting(matched))
+        with self._deaf():
+            made = self.node.create_publisher(message_class(msgtype), topic, copy(QOS), event_callbacks=events,
+                                              qos_overriding_options=self._overrides(topic))  # fmt: skip
         # what publish(bytes) ends in, without its type checks: worth 5 % of a lockstep loop
         publish: Callable[[bytes], None] = made.handle.publish_raw
         return publish
 
     def subscribe(self, topic: str, msgtype: str, receive: Receive, matched: Matched) -> None:
         """Read the bytes of a topic."""
-        events = SubscriptionEventCallbacks(matched=lambda status: matched(status.current_count))
-        take = quiet_after_shutdown(receive)
-        self.node.create_subscription(message_class(msgtype), topic, take, copy(QOS), raw=True, event_callbacks=events,
-                                      qos_overriding_options=self._overrides(topic))  # fmt: skip
+        events = SubscriptionEventCallbacks(matched=self._counting(matched))
+        take = self._in_turn(receive)
+        with self._deaf():
+            made = self.node.create_subscription(
+                message_class(msgtype), topic, take, copy(QOS), raw=True, event_callbacks=events,
+                qos_overriding_options=self._overrides(topic),
+            )  # fmt: skip
+        self._read.append((made, receive, matched))
+
+    def _counting(self, matched: Matched) -> Callable[[Any], None]:
+        """Give what takes news of who is matched."""
+        call = self._in_turn(matched)
+        return lambda status: call(status.current_count)
+
+    def _in_turn(self, callback: Callable[Arguments, None]) -> Callable[Arguments, None]:
+        """Have a callback of the executor's wait for the end of a tick in another thread."""
+
+        @wraps(callback)
+        def call(*data: Arguments.args, **named: Arguments.kwargs) -> None:
+            with self.monitor:
+                callback(*data, **named)
+
+        return quiet_after_shutdown(call)
+
+    # answers where messages arrive -------------------------------------------------------------------------------
+
+    def be_prompt(self) -> None:
+        """Take the messages of what is subscribed so far in the thread that receives them."""
+        rcl = library()
+        if rcl is None:
+            return
+        own = {p.topic_name for p in self.node.publishers}  # what one says to oneself arrives while it is published
+        for subscription, receive, matched in self._read:
+            if subscription.topic_name in own:
+                continue
+            self.node._subscriptions.remove(subscription)  # the executor would ask for its messages and events, too
+            for handler in subscription.event_handlers:
+                self.node.remove_waitable(handler)
+            self._arrivals.append(
+                Arrival(rcl, subscription, quiet_after_shutdown(receive), matched, self.monitor.arrive)
+            )
+        self.prompt = bool(self._arrivals)
+        if self.prompt:
+            self.timer(LOOK, self._look)
+            self.timer(SEARCH, Garbage(off=True).step)
+        for arrival in self._arrivals:
+            arrival.begin()
+
+    def _look(self) -> None:
+        for arrival in self._arrivals:
+            arrival.look()
+
+    @contextmanager
+    def _deaf(self) -> Iterator[None]:
+        """Be told of no message for the length of a ``with`` block: see `arrival` for why."""
+        for arrival in self._arrivals:
+            arrival.end()
+        try:
+            yield
+        finally:
+            for arrival in self._arrivals:
+                arrival.begin()
+
+    def close(self) -> None:
+        """Hand over nothing more; a RunError when a tick does not come to its end."""
+        if not self.monitor.close(PATIENCE):
+            raise RunError(f"a tick has not come to its end within {PATIENCE:g} s")
+        while self._arrivals:
+            arrival = self._arrivals.pop()
+            arrival.end()
+            self.node._subscriptions.append(arrival.subscription)
+            for handler in arrival.subscription.event_handlers:
+                self.node.add_waitable(handler)
+        self.monitor.serve()
 
     def _overrides(self, topic: str) -> QoSOverridingOptions | None:
         """Have rclpy read what is given of a topic's profile, into the profile that it got: a copy is made for each.
@@ -194,7 +338,7 @@ class RosMiddleware(Middleware):
 
     def timer(self, ns: int, callback: Callable[[], None]) -> _RosTimer:
         """Call back every `ns`."""
-        fire = quiet_after_shutdown(callback)
+        fire = self._in_turn(callback)
         return _RosTimer(self.node.create_timer(ns / 1e9, fire, clock=self._steady))
 
     def now(self) -> int:

@@ -44,18 +44,22 @@ class Timer(Protocol):
 class Middleware(Protocol):
     """What one node needs of the world.
 
-    No method calls back before it returns: a message that a node sends reaches a reader, be it in the same process,
-    only after `publish` has returned. That is what keeps a tick from running inside another one.
+    No method calls back before it returns: a message that is sent reaches its reader, be it in the same process, only
+    after whatever is under way in the reader's node has returned. That is what keeps a tick from running inside
+    another one.
 
     Attributes
     ----------
     mute : bool
         Whether what is published goes nowhere while the number of readers that `matched` has got is 0.
+    prompt : bool
+        Whether messages are taken in the thread that receives them (see `be_prompt`).
     """
 
     name: str
     full_name: str
     mute: bool = False
+    prompt: bool = False
 
     def resolve(self, topic: str) -> str:
         """Give the full name of a topic, remapping applied."""
@@ -65,6 +69,12 @@ class Middleware(Protocol):
 
     def subscribe(self, topic: str, msgtype: str, receive: Receive, matched: Matched) -> None:
         """Read a topic; `matched` gets the number of writers at each change."""
+
+    def be_prompt(self) -> None:
+        """Take messages of what is subscribed so far where they arrive, if that is possible; for ticks of some us.
+
+        They come one at a time, and never while anything else calls the node.
+        """
 
     def sender(self, topic: str, layout: Layout, matched: Matched) -> Send:
         """Offer a topic all of whose messages have one layout."""
@@ -97,6 +107,9 @@ class Middleware(Protocol):
 
     def log(self, level: Level, text: str) -> None:
         """Say something to whoever operates the node."""
+
+    def close(self) -> None:
+        """Hand over nothing more; what is under way returns first, or a RunError. Raises what nobody has seen yet."""
 
     def drain(self) -> None:
         """Wait, in bounded time, until every reader has what was sent."""

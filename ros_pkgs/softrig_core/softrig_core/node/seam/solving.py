@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from typing import Any
+from collections.abc import Callable
 
 from ...block.port import Port
+from ...block.step import Step
 from ...solver.solver import Solver
 from .endpoint import Input
 from .middleware import Middleware
@@ -22,13 +22,16 @@ class Solving:
     Parameters
     ----------
     middleware : Middleware
-    block : Solver
+    step : Step
+        Of the solver: its x holds the requests that a tick has begun.
     resume : callable
         Called when the answer that was waited for is there.
     """
 
-    def __init__(self, middleware: Middleware, block: Solver, resume: Callable[[], object]) -> None:
-        self.block = block
+    def __init__(self, middleware: Middleware, step: Step, resume: Callable[[], object]) -> None:
+        assert isinstance(step.block, Solver)
+        self._step, self._block = step, step.block
+        step.respond = lambda x, t, **inputs: self._block.end(x, t)
         self._middleware = middleware
         self._header = TickWriter()(0, [middleware.full_name])
         self._publish = middleware.publisher(BUSY, TICK, lambda count: None)
@@ -39,23 +42,18 @@ class Solving:
         self._timer.cancel()
         self._waits = False
 
-    def finished(self, t: int, inputs: Mapping[str, Any] | None) -> bool:
-        """Begin a tick if that is not done; tell whether its answer can be given.
+    @property
+    def working(self) -> bool:
+        """Whether a request is under way or waits."""
+        return self._block.working(self._step.x)
 
-        Parameters
-        ----------
-        t : int
-            ns.
-        inputs : mapping or None
-            None when one of them was refused.
-        """
+    def finished(self, t: int) -> bool:
+        """Begin a tick (ns) if that is not done; tell whether its answer can be given."""
+        step, block = self._step, self._block
         if self._tick != t:
             self._tick = t
-            if inputs is None:
-                self.block.carry_on(t)
-            else:
-                self.block.begin(t, **inputs)
-        if self.block.ready(t):
+            step.x = block.carry_on(step.x, t) if step.bad else block.begin(step.x, t, **step.values)
+        if block.ready(step.x, t):
             self._rest()
             return True
         if not self._waits:
@@ -70,7 +68,7 @@ class Solving:
 
     def _look(self) -> None:
         assert self._tick is not None
-        if self.block.ready(self._tick):
+        if self._block.ready(self._step.x, self._tick):
             self._rest()
             self._resume()
         elif self._middleware.steady() - self._told > TOLD_EVERY:

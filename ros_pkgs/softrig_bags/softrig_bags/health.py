@@ -1,0 +1,68 @@
+"""What an outside recorder has of a run beside its signals: descriptions, health of the nodes, figures of observers.
+
+As they stood at the end, from what the nodes have said of themselves: equal runs still give equal bags.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from softrig_core import Recording
+
+from .scenery import STRING, add, header, make
+
+ARRAY = "diagnostic_msgs/msg/DiagnosticArray"
+
+
+def with_health(recording: Recording, texts: Mapping[str, str], status: Mapping[str, Mapping[str, Any]]) -> Recording:
+    """Give a recording with what the nodes say beside their signals.
+
+    Parameters
+    ----------
+    recording : Recording
+    texts : mapping of str to str
+        Topic to what is latched there, as ``robot_description``; what is recorded already stays as it is.
+    status : mapping of str to mapping
+        Of each node: ``reports`` (key to level, text and count), ``figures`` of an observer (name to value and unit).
+
+    Returns
+    -------
+    Recording
+        The same messages, the texts at the first stamp, and at the last one ``diagnostics`` (a status a node) and
+        ``NODE/metrics`` of each observer.
+    """
+    times = [t for topic in recording.topics.values() for t in (*topic.times[:1], *topic.times[-1:])]
+    if not times:
+        return recording
+    texts = {topic: text for topic, text in texts.items() if topic not in recording.topics}
+    observers = {f"{name}/metrics": s["figures"] for name, s in status.items() if s.get("figures")}
+    found = Recording([*((t.name, t.msgtype) for t in recording.topics.values()), *((topic, STRING) for topic in texts),
+                       ("diagnostics", ARRAY), *((topic, ARRAY) for topic in observers)])  # fmt: skip
+    for name, old in recording.topics.items():
+        found.topics[name].times.extend(old.times)
+        found.topics[name].data.extend(old.data)
+    for topic, text in texts.items():
+        add(found, topic, STRING, min(times), data=text)
+    end = max(times)
+    health = [_status(name, s) for name, s in sorted(status.items())]
+    add(found, "diagnostics", ARRAY, end, header=header(end, "world"), status=health)
+    for topic, figures in observers.items():
+        values = {name: f"{value:.9g} {unit}".strip() for name, (value, unit) in figures.items()}
+        said = _message(topic.removesuffix("/metrics"), 0, "", values)
+        add(found, topic, ARRAY, end, header=header(end, "world"), status=[said])
+    return found
+
+
+def _status(name: str, status: Mapping[str, Any]) -> Any:
+    reports = status.get("reports", {})
+    level = max((level for level, _, _ in reports.values()), default=0)
+    values = {key: f"{count} x {text}" for key, (_, text, count) in reports.items()}
+    values |= {f"refused {topic}": str(count) for topic, (count, _) in status.get("refused", {}).items()}
+    return _message(f"/{name}", level, status.get("error") or "done", values)
+
+
+def _message(name: str, level: int, text: str, values: Mapping[str, str]) -> Any:
+    pairs = [make("diagnostic_msgs/msg/KeyValue", key=key, value=value) for key, value in values.items()]
+    return make("diagnostic_msgs/msg/DiagnosticStatus", level=level, name=name, message=text, hardware_id="",
+                values=pairs)  # fmt: skip

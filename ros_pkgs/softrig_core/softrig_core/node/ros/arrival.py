@@ -1,0 +1,139 @@
+"""Messages heard of in the thread of the middleware that has received them, which rclpy has no way to.
+
+The functions are those of rcl that rclpy itself is linked with, called through ctypes, which lets go of Python's lock
+meanwhile: the thread that has received a message holds the lock of its reader in Fast DDS while it waits for Python's.
+For the same reason nothing may take messages or events of such a reader, make, or destroy an endpoint under Python's
+lock; rclpy does all of that so.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import threading
+from collections.abc import Callable
+from typing import Any
+
+import rclpy
+from rclpy._rclpy_pybind11 import RCLError
+from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
+
+RMW = "rmw_fastrtps_cpp"  # whose locks are known: what may be called while it tells of a message
+NAMES = (
+    "rcl_subscription_set_on_new_message_callback", "rcl_take_serialized_message", "rcutils_reset_error",
+    "rcl_subscription_get_publisher_count", "rcutils_get_default_allocator", "rcutils_uint8_array_init",
+)  # fmt: skip
+TAKE_FAILED = 401  # RCL_RET_SUBSCRIPTION_TAKE_FAILED: nothing there
+SIZE = 4096  # bytes of a message to begin with; a longer one makes it grow
+
+
+class _Allocator(ctypes.Structure):
+    _fields_ = tuple((f"function_{k}", ctypes.c_void_p) for k in range(5))  # the last is a state
+
+
+class _Bytes(ctypes.Structure):
+    """rcl_serialized_message_t."""
+
+    _fields_ = (
+        ("buffer", ctypes.c_void_p), ("length", ctypes.c_size_t), ("capacity", ctypes.c_size_t),
+        ("allocator", _Allocator),
+    )  # fmt: skip
+
+
+_Heard = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_size_t)
+
+
+def library() -> Any:
+    """Give what `Arrival` calls, or None where it is not known to be safe or not there."""
+    if rclpy.get_rmw_implementation_identifier() != RMW:
+        return None
+    try:
+        found = ctypes.CDLL(_rclpy.__file__)  # with it, all that it is linked with: no second rcl
+        for name in NAMES:
+            getattr(found, name)
+    except (OSError, AttributeError):
+        return None
+    found.rcutils_get_default_allocator.restype = _Allocator
+    return found
+
+
+class Arrival:
+    """Tells of the messages of one subscription where they arrive.
+
+    Parameters
+    ----------
+    rcl : ctypes.CDLL
+        From `library`.
+    subscription : rclpy.subscription.Subscription
+        One that no executor knows.
+    receive : callable
+        Gets the bytes of a message.
+    matched : callable
+        Gets the number of writers when that has changed.
+    arrive : callable
+        Gets, for each new message and in a thread of the middleware, what hands it to `receive`; raises nothing.
+    """
+
+    def __init__(
+        self, rcl: Any, subscription: Any, receive: Callable[[bytes], object], matched: Callable[[int], object],
+        arrive: Callable[[Callable[[], object]], object],
+    ) -> None:  # fmt: skip
+        self._rcl = rcl
+        self.subscription = subscription  # lives as long as this
+        self._reader = ctypes.c_void_p(subscription.handle.pointer)
+        self._bytes = _Bytes()
+        self._where = ctypes.byref(self._bytes)
+        allocator = rcl.rcutils_get_default_allocator()
+        if rcl.rcutils_uint8_array_init(self._where, ctypes.c_size_t(SIZE), ctypes.byref(allocator)):
+            raise MemoryError(f"{SIZE} bytes for messages on {subscription.topic_name}")
+        self._take = rcl.rcl_take_serialized_message
+        self._receive, self._matched = receive, matched
+        self._writers, self._counted = 0, ctypes.c_size_t()
+        known: set[int] = set()
+        hand_over = self.hand_over
+
+        def call(nothing: int, count: int) -> None:
+            if (thread := threading.get_ident()) not in known:
+                # once more than is let go of: else all that Python knows of this thread is made anew at each message
+                ctypes.pythonapi.PyGILState_Ensure()
+                known.add(thread)
+            for _ in range(count):
+                arrive(hand_over)
+
+        self._call = _Heard(call)
+
+    def begin(self) -> None:
+        """Tell from now on, of what is there already as well."""
+        self._set(self._call)
+
+    def end(self) -> None:
+        """Tell of nothing more; what is under way returns first."""
+        self._set(_Heard())
+
+    def _set(self, call: Any) -> None:
+        if self._rcl.rcl_subscription_set_on_new_message_callback(self._reader, call, None):
+            self._rcl.rcutils_reset_error()
+            raise RCLError(f"{self.subscription.topic_name}: cannot be told of its messages")
+
+    def look(self) -> None:
+        """Tell of the writers, if they are more or less than at the last look."""
+        if self._rcl.rcl_subscription_get_publisher_count(self._reader, ctypes.byref(self._counted)):
+            self._rcl.rcutils_reset_error()
+        elif self._counted.value != self._writers:
+            self._writers = self._counted.value
+            self._matched(self._writers)
+
+    def take(self) -> bytes | None:
+        """Give the bytes of the oldest message; None when there is none."""
+        found = self._take(self._reader, self._where, None, None)
+        if not found:
+            return ctypes.string_at(self._bytes.buffer, self._bytes.length)
+        if found != TAKE_FAILED:
+            self._rcl.rcutils_reset_error()
+            raise RCLError(f"{self.subscription.topic_name}: a message cannot be taken (rcl says {found})")
+        return None
+
+    def hand_over(self) -> None:
+        """Take a message and hand it to who receives it."""
+        data = self.take()
+        if data is not None:  # else a newer one has replaced it in a queue that was full
+            self._receive(data)

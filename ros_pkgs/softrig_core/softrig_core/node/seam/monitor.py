@@ -1,0 +1,115 @@
+"""A monitor (Hoare): of all that calls a node, one thing at a time, whatever thread it comes from.
+
+A message may be worked on in the thread that has received it, which saves the hand-over to another one: half of what a
+tick between two processes costs. That thread must not wait for anything: it holds locks of the middleware. So it works
+when nobody is at it, and else leaves what has come to whoever is. All else (timers, services, who is matched) comes
+from the executor's thread, which waits for its turn and goes before the messages.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from typing import Self
+
+LONG = 5_000_000  # ns: work that takes longer is for the executor; meanwhile the receiving thread hears nothing else
+SHORT_ONES = 20  # in a row, after which messages are worked on where they come again
+
+
+class Monitor:
+    """Guards the state of one node.
+
+    As a context manager it is for the executor's thread alone, and not to be entered twice.
+
+    Parameters
+    ----------
+    wake : callable
+        Has the executor's thread call `serve` soon; called from any thread.
+    clock : callable
+        Gives ns.
+
+    Attributes
+    ----------
+    closed : bool
+        Whether nothing that has come is worked on any more: it is over, or something was raised.
+    """
+
+    def __init__(self, wake: Callable[[], object], clock: Callable[[], int] = time.perf_counter_ns) -> None:
+        self._wake, self._clock = wake, clock
+        self._lock = threading.Lock()
+        self._came: deque[Callable[[], object]] = deque()
+        self._asked = False  # the executor's thread wants it or has it
+        self._short = 0  # pieces of work in a row
+        self._error: BaseException | None = None
+        self.closed = False
+
+    def arrive(self, work: Callable[[], object]) -> None:
+        """Do some work, now or when whatever is under way has returned; for any thread, which is never held up.
+
+        Parameters
+        ----------
+        work : callable
+            Takes a message and does what follows from it. What it raises comes out of `serve`.
+        """
+        came, lock = self._came, self._lock
+        came.append(work)
+        if self._short < SHORT_ONES:
+            if not self._asked:
+                self._wake()
+            return
+        while came and not self._asked and lock.acquire(blocking=False):
+            try:
+                while came and not self._asked and self._short >= SHORT_ONES:
+                    self._do(came.popleft())
+            except BaseException as error:
+                self._error, self.closed = error, True
+                came.clear()
+            finally:
+                lock.release()
+            if self._error is not None or self._short < SHORT_ONES:
+                self._wake()
+                return
+
+    def _do(self, work: Callable[[], object]) -> None:
+        if self.closed:
+            return
+        begun = self._clock()
+        work()
+        self._short = self._short + 1 if self._clock() - begun < LONG else 0
+
+    def serve(self) -> None:
+        """Do what has come; raises what work in another thread has raised."""
+        with self:
+            pass
+
+    def __enter__(self) -> Self:
+        self._asked = True
+        self._lock.acquire()
+        return self
+
+    def __exit__(self, kind: object, *failed: object) -> None:
+        self.closed = self.closed or kind is not None
+        try:
+            self._asked = False  # before the look at what has come: from here on who brings something looks himself
+            for _ in range(len(self._came)):
+                self._do(self._came.popleft())
+        except BaseException:
+            self.closed = True
+            raise
+        finally:
+            self._lock.release()
+        if self._error is not None:
+            error, self._error = self._error, None
+            raise error
+        if self._came:
+            self._wake()
+
+    def close(self, patience: float) -> bool:
+        """Work on nothing any more; whether what was under way has returned within `patience` s."""
+        self.closed = True
+        if not self._lock.acquire(timeout=patience):
+            return False
+        self._lock.release()
+        return True

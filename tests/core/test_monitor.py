@@ -1,0 +1,200 @@
+"""One thing of a node at a time, whatever thread it comes from; nothing that has come is lost."""
+
+import queue
+import sys
+import threading
+from itertools import cycle
+
+import pytest
+from softrig_core.node.seam.monitor import LONG, SHORT_ONES, Monitor
+
+
+class Executor:
+    """Serves a monitor in this thread, when woken."""
+
+    def __init__(self, clock=lambda: 0):
+        self.woken = queue.SimpleQueue()
+        self.monitor = Monitor(lambda: self.woken.put(None), clock)
+
+    def turn(self, until):
+        while not until():
+            self.woken.get(timeout=10)
+            self.monitor.serve()
+
+    def warm(self):
+        for _ in range(SHORT_ONES):
+            self.monitor.arrive(lambda: None)
+        self.monitor.serve()
+        return self
+
+
+def elsewhere(call):
+    thread = threading.Thread(target=call)
+    thread.start()
+    thread.join(10)
+    assert not thread.is_alive()
+
+
+def test_short_work_is_done_where_it_arrives_long_work_by_the_executor():
+    where, times = [], [0]
+    executor = Executor(lambda: times[0])
+
+    def work(takes):
+        where.append(threading.get_ident())
+        times[0] += takes
+
+    def arrive(takes):
+        elsewhere(lambda: executor.monitor.arrive(lambda: work(takes)))
+
+    here = threading.get_ident()
+    for k in range(SHORT_ONES):
+        arrive(1000)
+        assert len(where) == k  # nothing is known of it yet
+        executor.turn(lambda n=k: len(where) > n)
+    assert set(where) == {here}
+    arrive(LONG)
+    assert where.pop() != here
+    arrive(0)
+    executor.turn(lambda: len(where) > SHORT_ONES)
+    assert set(where) == {here}
+
+
+@pytest.mark.parametrize("warm", [False, True])
+def test_what_arrives_while_something_is_under_way_comes_after_it(warm):
+    executor = Executor()
+    monitor = executor.warm().monitor if warm else executor.monitor
+    seen = []
+
+    def outer():
+        seen.append("in")
+        monitor.arrive(lambda: seen.append("inner"))
+        elsewhere(lambda: monitor.arrive(lambda: seen.append("other")))
+        seen.append("out")
+
+    monitor.arrive(outer)
+    executor.turn(lambda: len(seen) == 4)
+    assert seen == ["in", "out", "inner", "other"]
+    with monitor:
+        elsewhere(lambda: monitor.arrive(lambda: seen.append("then")))
+        seen.append("first")
+    assert seen[4:] == ["first", "then"]
+
+
+class LateLock:
+    """A lock before whose first release something more arrives, as in another thread."""
+
+    def __init__(self, late):
+        self._lock, self._late = threading.Lock(), [late]
+        self.acquire = self._lock.acquire
+
+    def release(self):
+        while self._late:
+            elsewhere(self._late.pop())
+        self._lock.release()
+
+
+@pytest.mark.parametrize("by_executor", [False, True])
+def test_what_arrives_just_before_the_end_is_not_forgotten(by_executor):
+    executor = Executor().warm()
+    while not executor.woken.empty():
+        executor.woken.get()
+    monitor, seen = executor.monitor, []
+    monitor._lock = LateLock(lambda: monitor.arrive(lambda: seen.append(1)))
+    if by_executor:
+        monitor.serve()
+        executor.turn(lambda: seen)
+    else:
+        monitor.arrive(lambda: None)
+    assert seen == [1]
+
+
+@pytest.fixture
+def restless():
+    """Threads that take turns as often as Python has them."""
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+    yield
+    sys.setswitchinterval(before)
+
+
+@pytest.mark.parametrize("pattern", [(0,), (0, LONG), (0,) * 70 + (LONG,)])
+def test_threads_never_meet_and_nothing_is_lost(pattern, restless):
+    """Four threads and the executor's; the clock has them change between the two ways."""
+    takes = cycle(pattern)
+    now = [0]
+
+    def clock():
+        now[0] += next(takes)
+        return now[0]
+
+    executor = Executor(clock)
+    monitor, busy, done, seen = executor.monitor, threading.Lock(), [], {k: [] for k in range(5)}
+
+    def work(who, number):
+        assert busy.acquire(blocking=False)
+        seen[who].append(number)
+        busy.release()
+
+    def bring(who):
+        for k in range(1000):
+            monitor.arrive(lambda k=k: work(who, k))
+        done.append(who)
+
+    threads = [threading.Thread(target=bring, args=(who,)) for who in range(4)]
+    for thread in threads:
+        thread.start()
+    for k in range(1000):
+        with monitor:
+            work(4, k)
+        monitor.serve()
+    for thread in threads:
+        thread.join(10)
+    assert sorted(done) == [0, 1, 2, 3]
+    executor.turn(lambda: all(len(s) == 1000 for s in seen.values()))
+    assert all(s == sorted(s) for s in seen.values())
+
+
+def test_an_error_in_another_thread_comes_out_at_the_executors():
+    executor = Executor().warm()
+    seen = []
+
+    def fail():
+        raise ValueError("no")
+
+    elsewhere(lambda: executor.monitor.arrive(fail))
+    executor.monitor.arrive(lambda: seen.append(1))
+    with pytest.raises(ValueError, match="no"):
+        executor.turn(lambda: False)
+    executor.monitor.serve()
+    assert not seen  # the node has failed
+
+
+def test_after_an_error_of_the_executors_nothing_is_worked_on():
+    monitor, seen = Executor().warm().monitor, []
+
+    def fail():
+        with monitor:
+            monitor.arrive(lambda: seen.append(1))
+            raise ValueError("no")
+
+    with pytest.raises(ValueError, match="no"):
+        fail()
+    monitor.arrive(lambda: seen.append(2))
+    assert not seen
+    assert monitor.closed
+
+
+def test_the_end_waits_for_what_is_under_way_but_not_for_ever():
+    executor = Executor().warm()
+    monitor, begun, free = executor.monitor, threading.Event(), threading.Event()
+    thread = threading.Thread(target=lambda: monitor.arrive(lambda: (begun.set(), free.wait(10))))
+    thread.start()
+    assert begun.wait(10)
+    assert not monitor.close(0.01)
+    free.set()
+    assert monitor.close(10)
+    thread.join(10)
+    seen = []
+    monitor.arrive(lambda: seen.append(1))
+    monitor.serve()
+    assert not seen
