@@ -93,7 +93,8 @@ def test_a_state_is_all_that_counts_of_the_past(name):
 
 
 def test_a_plant_with_a_past_says_that_it_cannot_be_put():
-    with pytest.raises(NotImplementedError, match="TcpFluid cannot be put into a state"):
+    """Its state has the past in it: three numbers are not all."""
+    with pytest.raises(ValueError, match=r"^3 numbers, expected the \d+ of the state"):
         Sampled(PLANTS["tcp_fluid"]()).linearise((1.0, 0.0, 0.0), (0.0, *(0.0,) * 4))
 
 
