@@ -125,7 +125,7 @@ class Compiled:
 
     @property
     def address(self) -> int:
-        """Where the compiled code is, as a C function of `casadi_real** arg, res, casadi_int* iw, casadi_real* w, mem`."""
+        """Where the compiled code is, a C function of (casadi_real** arg, res, casadi_int* iw, casadi_real* w, mem)."""
         found = getattr(ctypes.CDLL(str(self._library)), self._function.name())
         return ctypes.cast(found, ctypes.c_void_p).value or 0
 

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import lru_cache
 from typing import Any
 
-import numpy as np
-
 from ..kit.compiled import Compiled
-from ..kit.jit import Jit, _constant, _numba, power
+from ..kit.jit import _constant, _numba
 from .rig_text import RigText
 
 
@@ -51,6 +49,18 @@ def compiled(made: RigText) -> Callable[..., Any]:
     return found  # type: ignore[no-any-return]
 
 
+def plain(made: RigText) -> Callable[..., Any]:
+    """Give the function of a rig in Python, for tests: what the text says, without what numba makes of it."""
+    names = made.program.names
+    scope: dict[str, Any] = {"math": math, "same_": same, "float_nan": math.nan, "float_inf": math.inf,
+                             "float_less": -math.inf, **names}  # fmt: skip
+    exec(compile(made.text, "<native text>", "exec"), scope)
+    for name, thing in names.items():
+        if isinstance(thing, Compiled):
+            scope[name.removesuffix("_there")] = lambda s, *values, thing=thing: thing(values)
+    return scope["rig"]  # type: ignore[no-any-return]
+
+
 def same(before: Any, after: Any) -> Any:
     """Give a state, which must be of the type of the one before."""
     return after
@@ -74,4 +84,4 @@ def _external(numba: Any, compiled: Compiled) -> Any:
 
     binding.add_symbol(compiled.symbol, compiled.address)
     place = types.uintp
-    return types.ExternalFunction(compiled.symbol, types.int32(place, place, place, place, types.int64))
+    return types.ExternalFunction(str(compiled.symbol), types.int32(place, place, place, place, types.int64))

@@ -71,22 +71,21 @@ class Engine:
     ----------
     steps : sequence of Step
         As for `Runner`; wired, none of them waits for anything.
-    record : callable, optional
-        Says of a step whether its answers are wanted, by default whether it sends them.
+    make : callable
+        Makes the function of a text.
 
     Attributes
     ----------
     native : Native
     """
 
-    def __init__(self, steps: Sequence[Step], record: Callable[[Step], bool] | None = None) -> None:
-        self.steps = tuple(steps)
+    def __init__(self, steps: Sequence[Step], make: Callable[[RigText], Callable[..., Any]] = compiled) -> None:
+        self.steps, self._make = tuple(steps), make
         self.runner = Runner(self.steps)
         self.native = Native()
         watchers = [s for s in self.steps if isinstance(s.block, Observer) and not s.readers and not s.doubters]
         self._watchers = watchers
         self._core = [s for s in self.steps if s not in watchers]
-        self._wanted = record or (lambda s: s.send_all is not None)
         stride = math.gcd(*(s.schedule.every for s in self.steps))
         self._every = {id(s): s.schedule.every // stride for s in self.steps}
         self._time = self.runner.schedule.time
@@ -117,7 +116,11 @@ class Engine:
             until = min(last, k + go, self._next_change(k)) if k else 0
             if until > k:
                 started = time.perf_counter()
-                reached = self._go(k, until)
+                try:
+                    reached = self._go(k, until)
+                except NotNative as reason:
+                    self.native = Native(reason=str(reason))
+                    break
                 if reached == until and until == k + go:
                     took = time.perf_counter() - started
                     go = min(LONGEST, go * 2) if took < GO / 2 else max(SHORTEST, go // 2) if took > GO else go
@@ -131,7 +134,7 @@ class Engine:
                     if self._often():
                         self.native.reason = "many ticks are given up"
                         break
-            fresh = fresh or bool(k) and self._next_change(k) <= k
+            fresh = fresh or (bool(k) and self._next_change(k) <= k)
             yield self._python(k)
             k += 1
         if k <= last:
@@ -158,14 +161,14 @@ class Engine:
         """Find or make the text for the blocks as they are now; whether there is one."""
         core = self._core
         roots = [s.block for s in core]
-        recorded = [s for s in core if s.outputs and (self._wanted(s) or self._watched(s))]
+        recorded = [s for s in core if s.outputs and (s.send_all is not None or self._watched(s))]
         if any(not s.plain or s.doubters or s.lacks is not None for s in core):
             odd = next(s for s in core if not s.plain or s.doubters or s.lacks is not None)
             self.native.reason = f"{odd.name}: its messages do not come at each tick, or are spoilt"
             return False
         kinds = (*((type(s.block), s.name, s.schedule.every, s.schedule.clock, s.schedule.ticks,
                     tuple(map(_form, s.values.values())), _form(s.x)) for s in core),
-                 tuple(s.name for s in recorded))  # fmt: skip
+                 tuple(s.name for s in recorded), self._make)  # fmt: skip
         try:
             kept = next((n for n in _texts if n.kinds == kinds and not n.text.program.differs(roots)), None)
             if kept is None:
@@ -173,7 +176,7 @@ class Engine:
                     self.native.reason = "what is varied chooses another text each time"
                     return False
                 text = rig_text(core, recorded)
-                kept = _Kept(kinds, text, compiled(text))
+                kept = _Kept(kinds, text, self._make(text))
                 _texts.insert(0, kept)
                 del _texts[KEPT:]
             self._text, self._function = kept.text, kept.function
@@ -241,6 +244,11 @@ class Engine:
                     return first, None, {}
                 last = int(n[0])
                 continue
+            except Exception as error:
+                if type(error).__module__.partition(".")[0] != "numba":
+                    raise
+                _texts[:] = [kept for kept in _texts if kept.text is not self._text]
+                raise NotNative(f"numba: {' '.join(str(error).split())[:300]}") from None
             return last, after, rows
 
     def _take(self, first: int, last: int, after: Any, rows: dict[int, NDArray[np.float64]]) -> None:
@@ -320,7 +328,7 @@ def pays(steps: Sequence[Step], runs: int = 1) -> bool:
         return False
     ticks = sum((s.schedule.ticks or 0) // s.schedule.every for s in steps)
     kinds = tuple(type(s.block) for s in steps if not isinstance(s.block, Observer))
-    known = any(kinds == tuple(k[0] for k in kept.kinds[:-1]) for kept in _texts)
+    known = any(kinds == tuple(k[0] for k in kept.kinds[:-2]) for kept in _texts)
     return ticks > (QUICK if known else WORTH // max(1, runs))
 
 

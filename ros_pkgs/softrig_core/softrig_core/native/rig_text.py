@@ -11,7 +11,7 @@ from typing import Any
 from ..block.step import Step
 from .translate import GIVEN_UP, LONGEST, Program, made
 from .twins import packed
-from .value import Dynamic, Group, NotNative, Static, Value
+from .value import Dynamic, Group, NotNative, Record, Static, Value
 from .words import TEXTS
 from .writer import Writer
 
@@ -58,7 +58,7 @@ def rig_text(steps: Sequence[Step], recorded: Sequence[Step]) -> RigText:
         What of them native code does not know.
     """
     numbers = {id(s): k for k, s in enumerate(steps)}
-    program = Program([s.block for s in steps], _ages(steps))
+    program = Program([s.block for s in steps], Writer, _ages(steps))
     stride = math.gcd(*(s.schedule.every for s in steps))
     arrays: set[str] = set()
     inputs = [_inputs(s, steps, numbers) for s in steps]
@@ -151,9 +151,7 @@ def _inputs(step: Step, steps: Sequence[Step], numbers: Mapping[int, int]) -> di
     return found
 
 
-def _asked(
-    program: Program, step: Step, k: int, name: str, inputs: Mapping[str, Value], arrays: set[str]
-) -> Value:
+def _asked(program: Program, step: Step, k: int, name: str, inputs: Mapping[str, Value], arrays: set[str]) -> Value:
     method = getattr(type(step.block), name)
     state: Value = Dynamic(f"x{k}", packed(step.x))
     return made(program, method, [Static(step.block, (k,)), state, Dynamic("t", step.t or 1)], inputs, arrays)
@@ -172,8 +170,9 @@ def _answered(
         if isinstance(value, Dynamic) and value.keys is not None:
             value = writer._unfolded(value)
         numbers: list[str] = []
+        found: Any = value.items if isinstance(value, Record) else {}
         for port in step.outputs:
-            row = writer.parts(value.items[port.name], _NOWHERE)  # type: ignore[union-attr]
+            row = writer.parts(found[port.name], _NOWHERE)
             if len(row) != port.size:
                 raise NotNative(f"{port.name} has {len(row)} values, expected {port.size}")
             for one in row:

@@ -15,12 +15,13 @@ import textwrap
 import types
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
 
 from ..kit.compiled import Compiled
+from ..kit.jit import Jit
 from .value import UNKNOWN, Dynamic, Group, NotNative, Path, Record, Static, Value
 
 LONGEST = 64  # parts of a tuple that is written out, or indexed
@@ -60,11 +61,14 @@ class Program:
     ----------
     roots : sequence
         Blocks; paths begin with their numbers.
+    writer : callable
+        Gives the `Writer` of a function.
     ages : mapping of (number of a block, input) to int or None
         What `Block.age` answers, where it is always the same.
     """
 
     roots: Sequence[Any]
+    writer: Callable[..., Any]
     ages: Mapping[tuple[int, str], int | None] = field(default_factory=dict)
     functions: list[str] = field(default_factory=list)
     names: dict[str, Any] = field(default_factory=dict)
@@ -169,19 +173,40 @@ def written(path: Path) -> str:
     return "".join(f".{key}" if kind == "attr" else f"[{key!r}]" for kind, key in path[1:]).lstrip(".")
 
 
-def signature(value: Any) -> Any:
-    """Give what must be equal of a value that chooses the text: numbers and texts themselves, of objects the type."""
+@dataclass(frozen=True, eq=False)
+class Same:
+    """An object that must be the same one."""
+
+    thing: Any
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Same) and other.thing is self.thing
+
+    __hash__ = None  # type: ignore[assignment]
+
+
+def signature(value: Any, inside: bool = False) -> Any:
+    """Give what must be equal of a value that chooses the text: numbers and texts themselves, of objects the type.
+
+    What is `inside` of another value has no path of its own: it must be the same object.
+    """
     if isinstance(value, (*NUMBERS, str, bytes, type(None), type)):
         return type(value).__name__, value
     if isinstance(value, (tuple, list)):
-        return type(value).__name__, tuple(signature(v) for v in value)
+        return type(value).__name__, tuple(signature(v, True) for v in value)
     if isinstance(value, Mapping):
-        return "mapping", tuple((k, signature(v)) for k, v in value.items())
+        return "mapping", tuple((k, signature(v, True)) for k, v in value.items())
     if isinstance(value, types.MethodType):
-        return "method", value.__func__
+        return "method", value.__func__, *((Same(value.__self__),) if inside else ())
     if isinstance(value, (types.FunctionType, types.BuiltinFunctionType)):
         return "function", value
-    return "object", type(value)
+    if isinstance(value, partial):
+        return "partial", value.func, signature(value.args), signature(value.keywords)
+    if isinstance(value, Compiled):
+        return "compiled", value.symbol
+    if isinstance(value, Jit):
+        return "jit", value
+    return ("object", Same(value)) if inside else ("object", type(value))
 
 
 def shape(value: Any) -> Any:
@@ -210,7 +235,7 @@ def as_slot(value: Any) -> Any:
     raise NotNative(f"{type(value).__name__} among its constants")
 
 
-@lru_cache(maxsize=None)
+@cache
 def _parsed(function: types.FunctionType) -> ast.FunctionDef:
     try:
         text = textwrap.dedent(inspect.getsource(function))
@@ -275,9 +300,9 @@ def made(
             return Dynamic(f"v_{name}", value.sample, value.sure, value.keys, value.parts)
         if isinstance(value, Group):
             key.append((name, "group", len(value.items)))
-            return Group(tuple(handed(v, f"{name}_{k}") for k, v in enumerate(value.items)))
+            return Group(tuple(handed(v, f"{name}__{k}") for k, v in enumerate(value.items)))
         key.append((name, "record", tuple(value.items)))
-        return Record({k: handed(v, f"{name}_{k}") for k, v in value.items.items()})
+        return Record({k: handed(v, f"{name}__{k}") for k, v in value.items.items()})
 
     for name, value in arguments.items():
         inner[name] = handed(value, name)
@@ -305,16 +330,16 @@ def _slotted(value: Any) -> bool:
 def _specialised(
     program: Program, function: types.FunctionType, inner: dict[str, Value], parameters: list[str]
 ) -> Made:
-    from .writer import Writer
-
     tree = _parsed(function)
-    writer = Writer(program, function, inner)
+    writer = program.writer(program, function, inner)
     lines = writer.body(tree.body)
     result = writer.result()
     if not isinstance(result, Dynamic):
         return Made("", (), result)
     arrays = tuple(sorted(writer.arrays))
     name = f"f{len(program.functions)}_{function.__name__.strip('_')}"
-    head = f"def {name}({', '.join(['c', 'n', *arrays, *parameters])}):  # {function.__module__}.{function.__qualname__}"
+    head = (
+        f"def {name}({', '.join(['c', 'n', *arrays, *parameters])}):  # {function.__module__}.{function.__qualname__}"
+    )
     program.functions.append("\n".join([head, *(f"    {line}" for line in lines)]))
     return Made(name, arrays, result)

@@ -5,10 +5,11 @@ from __future__ import annotations
 import dataclasses
 import importlib
 from collections import namedtuple
-from functools import lru_cache
+from functools import cache
 from typing import Any
 
 MARK = "__"
+OF = "twin_of_"  # attribute of a twin: its dataclass
 
 
 def is_twinned(kind: type) -> bool:
@@ -17,12 +18,13 @@ def is_twinned(kind: type) -> bool:
     return frozen and "<" not in kind.__qualname__ and "." not in kind.__qualname__
 
 
-@lru_cache(maxsize=None)
+@cache
 def twin(kind: type) -> Any:
     """Give the named tuple of a dataclass."""
     name = f"{kind.__module__.replace('.', MARK)}{MARK}{kind.__qualname__}"
     found: Any = namedtuple(name, [f.name for f in dataclasses.fields(kind)])  # type: ignore[misc]
-    found.__module__, found.twin_of_ = __name__, kind
+    found.__module__ = __name__
+    setattr(found, OF, kind)
     return found
 
 
@@ -39,7 +41,8 @@ def packed(value: Any) -> Any:
         parts = [packed(v) for v in value]
         return type(value)(*parts) if hasattr(value, "_fields") else tuple(parts)
     if is_twinned(type(value)):
-        return twin(type(value))(*(packed(getattr(value, f.name)) for f in dataclasses.fields(value)))
+        kind: Any = type(value)
+        return twin(kind)(*(packed(getattr(value, f.name)) for f in dataclasses.fields(value)))
     return value
 
 
@@ -47,9 +50,8 @@ def unpacked(value: Any) -> Any:
     """Give a state with its dataclasses again."""
     if isinstance(value, tuple):
         parts = [unpacked(v) for v in value]
-        kind = getattr(type(value), "twin_of_", None)
+        kind = getattr(type(value), OF, None)
         if kind is not None:
             return kind(*parts)
         return type(value)(*parts) if hasattr(value, "_fields") else tuple(parts)
     return value
-

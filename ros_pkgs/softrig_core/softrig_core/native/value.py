@@ -71,8 +71,7 @@ def sample_of(value: Value) -> Any:
     if isinstance(value, Dynamic):
         return value.sample
     parts = value.items.values() if isinstance(value, Record) else value.items
-    found = tuple(sample_of(v) for v in parts)
-    return found
+    return tuple(sample_of(v) for v in parts)
 
 
 def is_sure(value: Value) -> bool:

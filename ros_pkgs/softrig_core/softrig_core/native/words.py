@@ -20,7 +20,11 @@ _LARGE = (
     "    return y\n"
 )
 _CUT = (
-    "def {name}(x):\n    if not -" + WHOLE + " < x < " + WHOLE + ":\n        raise OverflowError\n    return {call}(x)\n"
+    "def {name}(x):\n    if not -"
+    + WHOLE
+    + " < x < "
+    + WHOLE
+    + ":\n        raise OverflowError\n    return {call}(x)\n"
 )
 
 TEXTS: dict[str, str] = {

@@ -17,10 +17,10 @@ import numpy as np
 from ..block.block import Block
 from ..kit.compiled import Compiled
 from ..kit.draws import Draws
-from ..kit.jit import NUMPY, Jit, power
+from ..kit.jit import Jit, power
 from .translate import BINARY, COMPARE, GIVEN_UP, LONGEST, NUMBERS, SMALL, TURNS, UNARY, Program, as_slot, made
+from .twins import OF, is_twinned, twin
 from .value import UNKNOWN, Dynamic, Group, NotNative, Record, Static, Value, computed, is_sure, sample_of
-from .twins import is_twinned, twin
 from .words import TEXTS, word
 
 NONE = Static(None)
@@ -46,6 +46,7 @@ class Writer:
         self.ended = False  # what follows is never reached
         self._temporaries = 0
         self._inside = 0  # loops of native code
+        self.sampled: Any = UNKNOWN  # what the test read last was, by the samples
 
     # the whole ----------------------------------------------------------------------------------------------------
 
@@ -135,7 +136,9 @@ class Writer:
         if found is None or isinstance(found, (bool, int)):
             return repr(found)
         if isinstance(found, float):
-            return repr(float(found)) if math.isfinite(found) else f"float_{'nan' if found != found else 'inf' if found > 0 else 'less'}"  # fmt: skip
+            if math.isfinite(found):
+                return repr(float(found))
+            return "float_nan" if found != found else "float_inf" if found > 0 else "float_less"
         if isinstance(found, complex):
             return f"complex({float(found.real)!r}, {float(found.imag)!r})"
         if isinstance(found, (tuple, list)):
@@ -180,8 +183,11 @@ class Writer:
         if isinstance(node.value, ast.Constant):
             return
         call = node.value
-        if isinstance(call, ast.Call) and isinstance(call.func, ast.Attribute) and call.func.attr == "append" and (
-            isinstance(call.func.value, ast.Name) and call.func.value.id in self.env
+        if (
+            isinstance(call, ast.Call)
+            and isinstance(call.func, ast.Attribute)
+            and call.func.attr == "append"
+            and (isinstance(call.func.value, ast.Name) and call.func.value.id in self.env)
         ):  # a list is written as a tuple: with one more it is another
             before = self.parts(self.env[call.func.value.id], node)
             self.assign(ast.Name(call.func.value.id, ast.Store()),
@@ -239,10 +245,10 @@ class Writer:
         left = self.value(ast.Name(node.target.id, ast.Load()))
         self.assign(node.target, self.binary(node.op, left, self.value(node.value), node))
 
-    def assign(self, target: ast.expr, value: Value) -> None:
-        """Bind a value to a name or to names."""
+    def assign(self, target: ast.expr, value: Value, apart: bool = False) -> None:
+        """Bind a value to a name or to names; `apart`: to names of a list, which are not those around it."""
         if isinstance(target, ast.Name):
-            self.env[target.id] = self._bound(f"v_{target.id}", value)
+            self.env[target.id] = self._held(value) if apart else self._bound(f"v_{target.id}", value)
         elif isinstance(target, (ast.Tuple, ast.List)):
             parts = self.parts(value, target)
             starred = [k for k, t in enumerate(target.elts) if isinstance(t, ast.Starred)]
@@ -253,7 +259,7 @@ class Writer:
                 raise self.unknown(f"{len(parts)} values for {len(target.elts)} names", target)
             parts = [self._held(p) for p in parts]
             for one, part in zip(target.elts, parts, strict=True):
-                self.assign(one.value if isinstance(one, ast.Starred) else one, part)
+                self.assign(one.value if isinstance(one, ast.Starred) else one, part, apart)
         else:
             raise self.unknown("an assignment to a part of something", target)
 
@@ -274,14 +280,14 @@ class Writer:
                 return value
             return value
         if isinstance(value, Record):
-            return Record({k: self._bound(f"{name}_{k}", v) for k, v in self._each(value).items()})
+            return Record({k: self._bound(f"{name}__{k}", v) for k, v in self._each(value).items()})
         if isinstance(value, Group):
             try:
                 found = self._described(value)
             except NotNative:
-                return Group(tuple(self._bound(f"{name}_{k}", v) for k, v in enumerate(value.items)))
+                return Group(tuple(self._bound(f"{name}__{k}", v) for k, v in enumerate(value.items)))
             if found.parts:
-                return Group(tuple(self._bound(f"{name}_{k}", v) for k, v in enumerate(value.items)))
+                return Group(tuple(self._bound(f"{name}__{k}", v) for k, v in enumerate(value.items)))
             value = found
         self.emit(f"{name} = {value.code}")
         return Dynamic(name, value.sample, value.sure, value.keys, value.parts)
@@ -352,11 +358,11 @@ class Writer:
         if a is b or a == b or (isinstance(a, Static) and isinstance(b, Static) and a.value is b.value):
             return a
         if isinstance(a, Group) and isinstance(b, Group) and len(a.items) == len(b.items):
-            parts = [self._join(f"{name}_{k}", x, y, then, orelse, taken)
+            parts = [self._join(f"{name}__{k}", x, y, then, orelse, taken)
                      for k, (x, y) in enumerate(zip(a.items, b.items, strict=True))]  # fmt: skip
             return None if None in parts else Group(tuple(p for p in parts if p is not None))
         if isinstance(a, Record) and isinstance(b, Record) and a.items.keys() == b.items.keys():
-            items = {k: self._join(f"{name}_{k}", a.items[k], b.items[k], then, orelse, taken) for k in a.items}
+            items = {k: self._join(f"{name}__{k}", a.items[k], b.items[k], then, orelse, taken) for k in a.items}
             return None if None in items.values() else Record({k: v for k, v in items.items() if v is not None})
         values = []
         for value, lines in ((a, then), (b, orelse)):
@@ -389,7 +395,7 @@ class Writer:
         leaves = any(isinstance(n, (ast.Break, ast.Continue)) for one in node.body for n in ast.walk(one))
         values = None if leaves else self.listed(node.iter)
         if values is not None:
-            for value in values:
+            for value in [self._held(v) for v in values]:
                 self.assign(node.target, value)
                 self.run(node.body)
                 if self.ended:
@@ -599,7 +605,7 @@ class Writer:
             if values is None:
                 raise self.unknown("a list of no fixed length", node)
             for value in values:
-                self.assign(part.target, value)
+                self.assign(part.target, value, apart=True)
                 tests = [self.test(t) for t in part.ifs]
                 if any(isinstance(t, str) for t in tests):
                     raise self.unknown("a list whose length is computed", node)
@@ -766,14 +772,18 @@ class Writer:
                 return Static(function(*(self.program.guard(v) for v in both)))
             except Exception as error:
                 raise self.unknown(f"{type(error).__name__}: {error}", node) from None
-        if isinstance(op, ast.Pow) and isinstance(sample_of(left), float) and isinstance(sample_of(right), (int, float)):
+        if (
+            isinstance(op, ast.Pow)
+            and isinstance(sample_of(left), float)
+            and isinstance(sample_of(right), (int, float))
+        ):
             self.program.words.add("power_")
             self.program.names["power"] = power
             x, y = self.dynamic(left), self.dynamic(right)
             sample = computed(pow, x.sample, y.sample)
             return Dynamic(f"power_({x.code}, float({y.code}))", x.sample if sample is UNKNOWN else sample)
         if type(op) not in BINARY:
-            raise self.unknown({ast.Pow: "** of whole or complex numbers"}.get(type(op), "an operation on bits"),
+            raise self.unknown("** of whole or complex numbers" if isinstance(op, ast.Pow) else "an operation on bits",
                                node)  # fmt: skip
         a, b = sample_of(left), sample_of(right)
         if isinstance(a, (tuple, list)) or isinstance(b, (tuple, list)):
@@ -835,9 +845,9 @@ class Writer:
                 self.emit(f"{name} = bool({found})")
             return found if isinstance(found, bool) else self.sampled
 
-        ways = [lambda: self.emit(f"{name} = {stop}"), long]
-        found = self._fork(first, sampled, *(ways if stop else ways[::-1]))
-        self.sampled = self._either(stop, sampled, found[1] if stop else found[0])
+        ways: list[Callable[[], Any]] = [lambda: self.emit(f"{name} = {stop}"), long]
+        pair = self._fork(first, sampled, ways[not stop], ways[stop])
+        self.sampled = self._either(stop, sampled, pair[1] if stop else pair[0])
         return name
 
     @staticmethod
@@ -862,8 +872,8 @@ class Writer:
         sampled, first = self.sampled, self.simple(self.dynamic(left))
         test = self.truth(first)
         assert isinstance(test, str)
-        return self._chosen(test, sampled, *((lambda: first, lambda: self.value(rest)) if stop
-                                             else (lambda: self.value(rest), lambda: first)), node)  # fmt: skip
+        ways: list[Callable[[], Value]] = [lambda: first, lambda: self.value(rest)]
+        return self._chosen(test, sampled, ways[not stop], ways[stop], node)
 
     def _chosen(
         self, test: str, taken: Any, one: Callable[[], Value], other: Callable[[], Value], node: ast.AST
@@ -964,11 +974,11 @@ class Writer:
 
     def truth(self, value: Value) -> bool | str:
         """Give whether a value is true, or the text that tells; `sampled` is then what it was."""
-        self.sampled: Any = UNKNOWN
+        self.sampled = UNKNOWN
         if isinstance(value, Static):
-            if value.path is not None and isinstance(value.value, (float, complex)):
-                value = self.program.slot(value)
-            elif value.path is not None and isinstance(value.value, int) and abs(value.value) > SMALL:
+            if (value.path is not None and isinstance(value.value, (float, complex))) or (
+                value.path is not None and isinstance(value.value, int) and abs(value.value) > SMALL
+            ):
                 value = self.program.slot(value)
             else:
                 return bool(self.program.guard(value))
@@ -1103,13 +1113,16 @@ class Writer:
             path = None if function.path is None else function.path[:-1]
             if isinstance(own, Mapping) and called.__name__ == "get":
                 return self._looked_up(Static(own, path), given[0], node)
-            if path is not None and function.path is not None and function.path[-1][0] == "attr" and own is not _before(
-                self.program.roots, function.path
+            if (
+                path is not None
+                and function.path is not None
+                and function.path[-1][0] == "attr"
+                and own is not _before(self.program.roots, function.path)
             ):  # a method that another object has lent
                 path = (*function.path, ("attr", "__self__"))
             if isinstance(own, type):
                 path = None
-            return made(self.program, called.__func__, [Static(own, path), *given], words, self.arrays)
+            return made(self.program, called.__func__, [Static(own, path), *given], words, self.arrays)  # type: ignore[arg-type]
         if isinstance(called, types.BuiltinMethodType) and isinstance(called.__self__, Mapping):
             table = Static(called.__self__, None if function.path is None else function.path[:-1])
             if called.__name__ in ("items", "values", "keys"):
@@ -1123,16 +1136,18 @@ class Writer:
         if isinstance(called, type) and is_twinned(called):
             called = twin(called)
         if isinstance(called, type) and issubclass(called, tuple) and hasattr(called, "_fields"):
-            defaults = {k: Static(v) for k, v in called._field_defaults.items()}
+            defaults = {k: Static(v) for k, v in called._field_defaults.items()}  # type: ignore[attr-defined]
             bound = dict(zip(called._fields, given, strict=False)) | dict(words)
             try:
                 return self._named(called, [bound[f] if f in bound else defaults[f] for f in called._fields], node)
             except KeyError as error:
                 raise self.unknown(f"{called.__name__} without {error}", node) from None
-        if callable(called) and not isinstance(called, (type, types.BuiltinFunctionType)) and isinstance(
-            getattr(type(called), "__call__", None), types.FunctionType
+        if (
+            callable(called)
+            and not isinstance(called, (type, types.BuiltinFunctionType))
+            and isinstance(getattr(type(called), "__call__", None), types.FunctionType)  # noqa: B004 - its function
         ):
-            return made(self.program, type(called).__call__, [function, *given], words, self.arrays)
+            return made(self.program, type(called).__call__, [function, *given], words, self.arrays)  # type: ignore[arg-type]
         return self._builtin(called, list(given), words, node)
 
     def _written(self, name: str, function: Callable[..., Any], given: Sequence[Value]) -> Dynamic:
@@ -1229,7 +1244,7 @@ class Writer:
             if name in TEXTS:
                 self.program.words.add(name)
             return self._written(name, called, given)
-        if isinstance(called, types.BuiltinFunctionType) and getattr(called, "__module__", "") == "numpy" or (
+        if (isinstance(called, types.BuiltinFunctionType) and getattr(called, "__module__", "") == "numpy") or (
             isinstance(called, np.ufunc)
         ):
             raise self.unknown(f"numpy.{called.__name__}", node)
@@ -1263,7 +1278,7 @@ def _before(roots: Sequence[Any], path: Any) -> Any:
 def _class(sample: Any) -> type | None:
     """Give the class of a named tuple, or the dataclass that it stands for."""
     kind = type(sample)
-    return getattr(kind, "twin_of_", kind) if hasattr(kind, "_fields") else None
+    return getattr(kind, OF, kind) if hasattr(kind, "_fields") else None
 
 
 def _reports(node: ast.stmt) -> bool:

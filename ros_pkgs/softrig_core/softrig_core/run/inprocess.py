@@ -59,13 +59,13 @@ def run_inprocess(
     steps = wired(rig, {m.name: m.block(seed) for m in rig.members if m.name not in idle})
     if sink is not None:
         record(rig, steps, sink)
-    due = 0
+    due, end = 0, rig.clock.schedule.end or 0
     try:
         with _searched_seldom():
             for t in _ticks(list(steps.values()), runs):
-                if progress is not None and t is not None and (t >= due or t == rig.clock.schedule.end):
+                if progress is not None and t is not None and (t >= due or t == end):
                     progress(t)
-                    due = t + rig.clock.schedule.end // 100
+                    due = t + end // 100
     finally:
         for step in steps.values():
             if isinstance(step.block, Solver):
