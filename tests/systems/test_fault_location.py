@@ -13,7 +13,7 @@ from conftest import replay
 from softrig_bags.read import read_bag
 from softrig_bags.write import write_bag
 from softrig_bringup.cli import main
-from softrig_core import Level, ParameterError, Recording, feed, run_processes, simulate
+from softrig_core import ByHand, Level, ParameterError, Recording, feed, run_processes, simulate
 from softrig_core.block.params import build
 from softrig_power.fault_location import pictures, study, study_tool
 from softrig_power.fault_location.cases import PUBLISHED, RESISTANCES, Case
@@ -776,7 +776,7 @@ def test_markers(runs):
     assert set(drawn) == {"conductor", "towers", "fault"}
     assert drawn["fault"].points[0][0] == pytest.approx(4.998, abs=1e-3)
     assert marker.status()["x"] == (runs["streams"].signals["location/0"].x[0], "km")
-    assert {m.name for m in LocationMarker().markers()} == {"conductor", "towers"}
+    assert {m.name for m in ByHand(LocationMarker()).markers()} == {"conductor", "towers"}
 
 
 # COMTRADE ------------------------------------------------------------------------------------------------------------
