@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections import deque
 from collections.abc import Mapping
-from typing import Any, Literal, Self
+from typing import Any, Literal, NamedTuple, Self
 
 import numpy as np
 from pydantic import model_validator
@@ -17,6 +16,7 @@ from .location import Location, Locator
 from .objective import LocatorParams, check_travel
 from .ports import LOCATION, OBJECTIVE, VERDICT, location_port, record_port, streams
 from .record import COLUMNS, GROUPS, Record, RecordError, Status
+from .rows import Rows
 
 Answer = Mapping[str, "tuple[float, ...] | None"]
 NO_BUDGET = ErrorBudget(sync_us=0.0, ratio=0.0, reactance=0.0, resistance=0.0)
@@ -37,6 +37,16 @@ class FaultLocatorParams(LocatorParams, BlockParams):
         except RecordError as error:
             raise ValueError(str(error)) from None
         return self
+
+
+class State(NamedTuple):
+    """What has come, and what was made of it."""
+
+    rows: Rows  # streams: t (s) and the twelve channels (V, A) of the newest samples
+    record: tuple[float, ...]  # or the whole record that has come last
+    pressed: bool = False  # whether `locate` was
+    answers: int = 0  # given so far: each has random numbers of its own
+    result: Location | None = None  # the last one
 
 
 class FaultLocator(Block[FaultLocatorParams]):
@@ -71,33 +81,35 @@ class FaultLocator(Block[FaultLocatorParams]):
         reach = int(self.p.line.aerial.tau * rate) + TAPS
         objectives(line, np.zeros((4, 2 * reach + 1)), rate, reach, 1, np.zeros(1), np.empty(1))
 
-    def start(self) -> None:
+    def first(self) -> State:
         """No samples yet."""
-        self._rows: deque[tuple[float, ...]] = deque(maxlen=self.p.samples)
-        self._record: tuple[float, ...] = ()
-        self._pressed = False
-        self.result: Location | None = None
+        return State(Rows(self.p.samples), ())
 
-    def update(self, t: int, locate: tuple[float, ...] | None, **inputs: tuple[float, ...]) -> Answer:
+    def update(
+        self, x: State, t: int, *, locate: tuple[float, ...] | None, **inputs: tuple[float, ...]
+    ) -> tuple[State, Answer]:
         """Take a sample or a record in; answer when the button goes down."""
-        self._take(t, inputs)
         pressed = locate is not None and locate[0] != 0.0
-        down, self._pressed = pressed and not self._pressed, pressed
-        return self._answer() if down else {}
+        down = pressed and not x.pressed
+        x = self._take(x, t, inputs, pressed)
+        return self._answer(x) if down else (x, {})
 
-    def finish(self, t: int, locate: tuple[float, ...] | None, **inputs: tuple[float, ...]) -> Answer:
+    def finish(
+        self, x: State, t: int, *, locate: tuple[float, ...] | None, **inputs: tuple[float, ...]
+    ) -> tuple[State, Answer]:
         """Take the last sample in and answer."""
-        self._take(t, inputs)
-        return self._answer()
+        return self._answer(self._take(x, t, inputs, x.pressed))
 
-    def _take(self, t: int, inputs: Mapping[str, tuple[float, ...]]) -> None:
+    def _take(self, x: State, t: int, inputs: Mapping[str, tuple[float, ...]], pressed: bool) -> State:
+        rows, record = x.rows, x.record
         if self.p.form == "record":
             if self.age("record") == 0:
-                self._record = inputs["record"]
+                record = inputs["record"]
         else:
-            self._rows.append((t / 1e9, *(x for name in GROUPS for x in inputs[name])))
+            rows = rows.put((t / 1e9, *(value for name in GROUPS for value in inputs[name])))
+        return State(rows, record, pressed, x.answers, x.result)
 
-    def read(self) -> Record:
+    def read(self, x: State) -> Record:
         """Give the record so far.
 
         Raises
@@ -105,31 +117,30 @@ class FaultLocator(Block[FaultLocatorParams]):
         RecordError
             It is unfit.
         """
-        if self.p.form == "record":
-            return Record.from_table(np.array(self._record).reshape(-1, len(COLUMNS)))
-        table = np.array(self._rows).reshape(-1, len(COLUMNS))
-        return Record.from_table(table)
+        table = x.record if self.p.form == "record" else x.rows.newest()
+        return Record.from_table(np.array(table).reshape(-1, len(COLUMNS)))
 
-    def _answer(self) -> Answer:
+    def _answer(self, x: State) -> tuple[State, Answer]:
         begin = time.process_time()
         work = None
         try:
-            drawn = np.random.default_rng([self.p.seed, int(self.rng.integers(2**32))])
-            work = Locator(self.read(), self.p, drawn)
+            drawn = int(self.generator().integers(2**32, size=x.answers + 1)[-1])
+            work = Locator(self.read(x), self.p, np.random.default_rng([self.p.seed, drawn]))
             found = work.locate()
         except RecordError as error:
             found = Location(error.status, text=str(error))
         spent = time.process_time() - begin
-        self.result = found
+        x = x._replace(answers=x.answers + 1, result=found)
         self._tell(found, work, spent)
         verdict = (float(found.status), float(found.mode), 0.0 if work is None else found.f_max)
         if work is None or found.x_km is None:
-            return {"verdict": verdict}
+            return x, {"verdict": verdict}
         scatter = confidence(work.record, self.p, found, NO_BUDGET).scatter_km
         values = {"x_km": found.x_km, "f_min": found.f_min, "f_max": found.f_max, "mode": float(found.mode),
                   "n_eval": float(found.evaluations), "scatter_km": scatter}  # fmt: skip
         objective = (*work.grid.tolist(), *work.curves.ravel().tolist())
-        return {"verdict": verdict, "location": tuple(values[name] for name in LOCATION), "objective": objective}
+        place = tuple(values[name] for name in LOCATION)
+        return x, {"verdict": verdict, "location": place, "objective": objective}
 
     def _tell(self, found: Location, work: Locator | None, spent: float) -> None:
         good = found.status in (Status.OK, Status.NO_FAULT)

@@ -3,19 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Self
+from functools import lru_cache
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from pydantic import model_validator
-from softrig_core import BlockParams, Level, Plant, Port, button, executable, param, state_type, vector3
+from softrig_core import BlockParams, Level, Plant, Port, button, executable, param, vector3
+from softrig_core.kit.draws import Draws
 
+from ..lines.modal import CLARKE
 from .parameters import RATES, RigParams
 from .ports import record_port, streams
 from .record import GROUPS
-from .simulation import FaultedLine
+from .rows import Rows
+from .simulation import CHANNELS, FaultedLine, State as LineState, advance
 
-ENDS = [f"{end}_{mode}" for end in "SR" for mode in ("0", "alpha", "beta")]
-STATE = state_type(("i", ENDS), ("v", ENDS))  # of the sources, in modes: currents (A), voltages across impedances (V)
+
+class State(NamedTuple):
+    """The line at a sample of a record."""
+
+    line: LineState  # of the network and the instruments; never written
+    k: int  # sample of the record
+    number: int  # of the record, from 0 on
+    seed: int  # of its noise
+    rows: Rows  # its samples before this one
+    pressed: bool  # whether `run` was
 
 
 class LinePlantParams(RigParams, BlockParams):
@@ -75,54 +87,60 @@ class LinePlant(Plant[LinePlantParams]):
         return (button("run", "line/run", held=True),), (*outputs, *((record_port(params.samples),) * params.record))
 
     def setup(self) -> None:
-        """Prepare the network; compile the step before the first tick."""
-        self.line = FaultedLine(self.p)
-        self.line.advance(1)
+        """Prepare the network in its steady state, and its noise; compile the step before the first tick."""
+        p = self.p
+        self._line = FaultedLine(p)
+        self._begin = _copied(self._line.state)
+        self._line.advance(1)
+        self._level = self._line.noise_level().tolist()
+        # by what seeds it: nothing but those numbers decides it
+        self._noise = lru_cache(maxsize=2)(
+            lambda seed: Draws(lambda: np.random.default_rng([p.measurement.seed, seed]), "standard_normal")
+        )
 
-    def start(self) -> None:
+    def first(self) -> State:
         """Begin a record in the steady state."""
-        self._pressed = False
-        self._begin()
+        return self._new(0, pressed=False)
 
-    def _begin(self) -> None:
-        self.line.reset()
-        self._noise = np.random.default_rng([self.p.measurement.seed, int(self.rng.integers(2**32))])
-        self._rows: list[tuple[float, ...]] = []
-        self._sample()
+    def _new(self, number: int, *, pressed: bool) -> State:
+        seed = int(self.generator().integers(2**32, size=number + 1)[-1])
+        return State(self._begin, 0, number, seed, Rows(self.p.samples), pressed)
 
-    def _sample(self) -> None:
-        """Read the instruments; as long as the record is not full, keep what they say."""
-        self._now = tuple((self.line.state.measured + self.line.noise(self._noise, 1)[0]).tolist())
-        self._new = len(self._rows) < self.p.samples
-        if self._new:
-            self._rows.append((len(self._rows) / RATES[self.p.measurement.profile], *self._now))
+    def _read(self, x: State) -> tuple[float, ...]:
+        """Read the instruments."""
+        measured: list[float] = (x.line.measured + 0.0).tolist()
+        if self.p.measurement.noise_snr_db is None:
+            return tuple(measured)
+        normal, at = self._noise(x.seed), CHANNELS * x.k
+        return tuple([u + s * normal(at + c) for c, (u, s) in enumerate(zip(measured, self._level, strict=True))])
 
-    @property
-    def state(self) -> Any:
-        """Give the sources' currents and voltages of now; the waves on the line count as well."""
-        now = self.line.state
-        return STATE(*now.source_current.ravel().tolist(), *now.source_voltage.ravel().tolist())
+    def _row(self, x: State) -> tuple[float, ...]:
+        return (x.k / RATES[self.p.measurement.profile], *self._read(x))
 
-    def outputs(self, t: int) -> Mapping[str, tuple[float, ...] | None]:
+    def outputs(self, x: State, t: int) -> Mapping[str, tuple[float, ...] | None]:
         """Give the samples; with the last one of a record the record."""
-        found: dict[str, tuple[float, ...] | None] = {
-            name: self._now[3 * k : 3 * k + 3] for k, name in enumerate(GROUPS)
-        }
-        found["fault_current"] = tuple(self.line.state.fault_current.tolist())
-        if self._new and len(self._rows) == self.p.samples:
-            found["record"] = tuple(x for row in self._rows for x in row)
+        row = self._row(x)
+        found: dict[str, tuple[float, ...] | None] = {name: row[3 * k + 1 : 3 * k + 4] for k, name in enumerate(GROUPS)}
+        found["fault_current"] = tuple(x.line.fault_current.tolist())
+        if x.k == self.p.samples - 1:
+            found["record"] = tuple(value for row in x.rows.put(row).newest() for value in row)
         return found
 
-    def advance(self, t: int, run: tuple[float, ...] | None) -> None:
+    def advance(self, x: State, t: int, *, run: tuple[float, ...] | None) -> State:
         """Move by one sampling period, or begin anew."""
         pressed = run is not None and run[0] != 0.0
-        if pressed and not self._pressed:
+        if pressed and not x.pressed:
             self.report(Level.OK, "run", "a new record begins")
-            self._begin()
-        else:
-            self.line.advance(self.p.decimation)
-            self._sample()
-        self._pressed = pressed
+            return self._new(x.number + 1, pressed=True)
+        line, steps = _copied(x.line), self.p.decimation
+        advance(self._line.net, self._line.chain, CLARKE, line, x.k * steps, steps)
+        # as long as the record is not full, what the instruments say is kept
+        rows = x.rows.put(self._row(x)) if x.k < self.p.samples - 1 else x.rows
+        return State(line, x.k + 1, x.number, x.seed, rows, pressed)
+
+
+def _copied(line: LineState) -> LineState:
+    return LineState._make(part.copy() for part in line)
 
 
 main = executable(LinePlant)

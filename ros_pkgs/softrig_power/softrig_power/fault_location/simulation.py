@@ -29,7 +29,7 @@ class State(NamedTuple):
     source_voltage: Array  # (2, 3) across the impedance
     fault_current: Array  # (3,) phases
     phase: NDArray[np.int64]  # (3,) 0 not yet, 1 closed, 2 opened
-    opened: Array  # (3,) s, when a phase opened
+    opened: Array  # (3,) s, when a phase opened; 0: it has not
     peak: Array  # (3,) A, largest |fault current| of each phase
     filters: Array  # (12, sections, 2)
     late: Array  # (12, n) the newest filtered values, for terminals whose clock is late
@@ -196,7 +196,7 @@ class FaultedLine:
         self.prefault_rms = np.hypot(filtered.real, filtered.imag) / math.sqrt(2.0) * np.repeat(self.chain.ratio, 3)
         self.state = State(
             line_history(p, found, self.net.lines), source_current, source_voltage, np.zeros(3),
-            np.array([0 if ph in phases(p.fault.type) else 2 for ph in range(3)]), np.full(3, np.inf), np.zeros(3),
+            np.array([0 if ph in phases(p.fault.type) else 2 for ph in range(3)]), np.zeros(3), np.zeros(3),
             filters, np.ascontiguousarray(late), measured * np.repeat(self.chain.ratio, 3),
         )  # fmt: skip
 
@@ -213,11 +213,14 @@ class FaultedLine:
         self.k = (samples - 1) * self.p.decimation
         return out
 
+    def noise_level(self) -> Array:
+        """Give the standard deviation of the noise of each channel (V, A), shape (12,)."""
+        snr = self.p.measurement.noise_snr_db
+        return np.zeros(CHANNELS) if snr is None else self.prefault_rms * 10.0 ** (-snr / 20.0)
+
     def noise(self, rng: Any, samples: int) -> Array:
         """Draw the noise of a number of samples, shape (samples, 12); drawn one by one they are the same."""
-        snr = self.p.measurement.noise_snr_db
-        if snr is None:
+        if self.p.measurement.noise_snr_db is None:
             return np.zeros((samples, CHANNELS))
-        scale = self.prefault_rms * 10.0 ** (-snr / 20.0)
-        found: Array = scale * rng.standard_normal((samples, CHANNELS))
+        found: Array = self.noise_level() * rng.standard_normal((samples, CHANNELS))
         return found
