@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from conftest import PATIENCE
 from softrig_core import History, jit
-from softrig_core.kit.dde import between, delayed, integrator, trajectory
+from softrig_core.kit.dde import Track, between, delayed, integrator, trajectory
 
 
 def polynomial(c, t):
@@ -69,6 +69,43 @@ def test_jump_stays_in_its_interval_when_linear():
     values = [line.at(0.1 * k)[0] for k in range(9)]
     assert values == [1.0] * 5 + [0.0] * 4
     assert line.at(0.45)[0] == pytest.approx(0.5)
+
+
+def test_histories_that_share_rows_are_values():
+    """Who goes on from an older one does not change what the newer one says, over many fillings."""
+    line = History(0.1, 1.0)
+    old, kept = line, []
+    for k in range(60):
+        line = line.put((float(k),))
+        kept.append((line, line.at(0.55), line.numbers().tolist()))
+    other = old.put((-1.0,))
+    assert other.at(0.0) == (-1.0,)
+    assert kept[10][0].put((99.0,)).at(0.1) == (10.0,)
+    assert all((h.at(0.55), h.numbers().tolist()) == (at, row) for h, at, row in kept)
+    assert kept[5][0].with_numbers(kept[5][0].numbers()) == kept[5][0] != kept[6][0]
+
+
+def test_tracks_that_share_rows_are_values():
+    advance = integrator(linear_rhs)
+
+    def step(track, x, k):
+        past, now = track.open(1), np.array([x])
+        advance(past, 0.1 * k, now, 0.1, 1, (1.0, 1.0))
+        return track.after(past), float(now[0])
+
+    track, x, ring, alone = Track(trajectory(0.1, 1.0, 1.0)), 1.0, trajectory(0.1, 1.0, 1.0), np.array([1.0])
+    kept = [(track, x)]
+    for k in range(60):
+        track, x = step(track, x, k)
+        kept.append((track, x))
+        advance(ring, 0.1 * k, alone, 0.1, 1, (1.0, 1.0))
+        assert x == alone[0]
+    for k in (3, 20, 40):
+        before = kept[k][0].numbers().tolist()
+        assert step(kept[k][0], 7.0, k)[1] != kept[k + 1][1]
+        assert kept[k][0].numbers().tolist() == before
+        assert step(*kept[k], k) == kept[k + 1]
+        assert kept[k][0].with_numbers(kept[k][0].numbers()) == kept[k][0] != kept[k + 1][0]
 
 
 @pytest.mark.parametrize(

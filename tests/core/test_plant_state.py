@@ -71,7 +71,8 @@ def test_every_plant_names_its_state(name):
 
 
 def test_a_state_of_another_length_is_refused():
-    with pytest.raises(ValueError, match=r"3 numbers, expected the \d+ of the state"):
+    """The state of a plant with a past has the past in it: three numbers are not all."""
+    with pytest.raises(ValueError, match=r"^3 numbers, expected the \d+ of the state"):
         Sampled(PLANTS["tcp_fluid"]()).linearise((1.0, 0.0, 0.0), (0.0, *(0.0,) * 4))
 
 

@@ -62,6 +62,8 @@ OWN = {  # generators that are not made of a rig's seed, by file: how many, and 
     "softrig_systems/pwa_delay/applicability.py": (1, "points at which a region is looked at, always the same"),
     "softrig_systems/pwa_delay/system.py": (3, "points at which a region is looked at, always the same"),
     "softrig_core/drawing/robot.py": (1, "poses by which a picture is framed, always the same"),
+    "softrig_optim/optimiser.py": (1, "of a search that is made to check its parameters, and is not run"),
+    "softrig_power/pv/mppt.py": (1, "of a search that is made to check its parameters, and is not run"),
     "softrig_bringup/falsify/search.py": (2, "of the search over rigs, --seed"),
     "softrig_bringup/study/draw.py": (2, "of the draws of a study, which names it"),
 }

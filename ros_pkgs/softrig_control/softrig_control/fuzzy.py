@@ -81,7 +81,8 @@ class TakagiSugeno:
             w_00, w_01, w_10, w_11 = x_low * y_low, x_low * y_high, x_high * y_low, x_high * y_high
         else:
             w_00, w_01, w_10, w_11 = min(x_low, y_low), min(x_low, y_high), min(x_high, y_low), min(x_high, y_high)
-        (c_00, c_01), (c_10, c_11) = self._rules[i][j : j + 2], self._rules[i + 1][j : j + 2]
+        low, high = self._rules[i], self._rules[i + 1]
+        c_00, c_01, c_10, c_11 = low[j], low[j + 1], high[j], high[j + 1]
         # The outer and the inner pair change places when both inputs change sign: the sums stay the same to the bit.
         weighted = (w_00 * c_00 + w_11 * c_11) + (w_01 * c_01 + w_10 * c_10)
         return weighted / ((w_00 + w_11) + (w_01 + w_10))

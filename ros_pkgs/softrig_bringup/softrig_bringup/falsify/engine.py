@@ -139,7 +139,7 @@ def falsify(
                 first = len(asked)
                 asked.extend(points)
                 numbers = range(first, len(asked))
-                trials = [Trial(n, space.scenario, space.overrides(asked[n]), names) for n in numbers]
+                trials = [Trial(n, space.scenario, space.overrides(asked[n]), names, task.budget) for n in numbers]
                 todo = [trial for trial in trials if not log.knows(trial.case)]
                 for _, row in stream(run, todo, workers=workers, scheduler=scheduler) if todo else ():
                     log.add(row)

@@ -23,12 +23,15 @@ class Trial(NamedTuple):
     overrides : dict
     requirements : tuple of str
         Whose margins are wanted: requirements, and figures of which a bound is expected.
+    runs : int
+        So many of its kind are to come, at most.
     """
 
     number: int
     scenario: Scenario
     overrides: dict[str, Any]
     requirements: tuple[str, ...]
+    runs: int = 1
 
     @property
     def case(self) -> Case:
@@ -44,7 +47,7 @@ def run(trial: Trial) -> dict[str, Any]:
     started = time.perf_counter()
     row = trial.case._asdict() | {"figures": dict.fromkeys(trial.requirements), "passed": False, "error": ""}
     try:
-        done = simulate(trial.scenario, overrides=trial.overrides)
+        done = simulate(trial.scenario, overrides=trial.overrides, runs=trial.runs)
     except (RunError, ScenarioError) as error:
         return row | {"error": str(error), "wall_s": time.perf_counter() - started}
     found = {r.name: r for r in done.results}

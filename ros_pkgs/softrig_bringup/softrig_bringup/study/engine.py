@@ -81,7 +81,12 @@ def _run(study: Study, log: Log, workers: int | None, scheduler: str) -> Log:
 def _work(study: Study, case: Case) -> Work:
     sought = (study.search.figure, *study.search.subject_to) if study.search and study.figures else ()
     return Work(
-        case, study.duration, tuple(dict.fromkeys((*study.figures, *sought))), tuple(study.signals), study.samples
+        case,
+        study.duration,
+        tuple(dict.fromkeys((*study.figures, *sought))),
+        tuple(study.signals),
+        study.samples,
+        count(study) // max(1, len(study.cases)),
     )
 
 

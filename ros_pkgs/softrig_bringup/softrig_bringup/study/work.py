@@ -25,6 +25,7 @@ class Work(NamedTuple):
     figures: tuple[str, ...]
     signals: tuple[str, ...]
     samples: int
+    runs: int = 1  # so many of the kind are to come, in all workers
 
 
 @lru_cache(maxsize=64)
@@ -46,7 +47,8 @@ def run(work: Work) -> dict[str, Any]:
                            "overrides": case.overrides, "figures": {}, "passed": False, "error": ""}  # fmt: skip
     started = time.perf_counter()
     try:
-        done = simulate(case.scenario, seed=seed, duration=work.duration, overrides=case.overrides)
+        done = simulate(case.scenario, seed=seed, duration=work.duration, overrides=case.overrides,
+                        runs=work.runs)  # fmt: skip
     except RunError as error:
         return row | {"error": str(error), "wall_s": time.perf_counter() - started}
     wanted = [r for r in done.results if not work.figures or r.name in work.figures]

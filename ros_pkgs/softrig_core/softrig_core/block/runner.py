@@ -28,7 +28,7 @@ class Runner:
         schedule = steps[0].schedule
         stride = math.gcd(*(s.schedule.every for s in steps))  # of the clock's ticks, those at which anybody is due
         self.ticks = None if schedule.ticks is None else schedule.ticks // stride
-        self._time = Schedule(schedule.clock * stride).time
+        self.schedule = Schedule(schedule.clock * stride)
         self._members = [(s, s.schedule.every // stride) for s in self.steps]
         self._again = math.lcm(*(every for _, every in self._members))  # ticks after which the same are due
         self._known: dict[int, tuple[list[tuple[Step, int]], list[Step]]] = {}
@@ -51,7 +51,7 @@ class Runner:
         RunError
             A block failed, or gave what may not leave it.
         """
-        ticks, time, known, again = self.ticks, self._time, self._known, self._again
+        ticks, time, known, again = self.ticks, self.schedule.time, self._known, self._again
         for k in count(first) if ticks is None else range(first, ticks + 1):
             t = time(k)
             plants, others = known.get(k % again) or self._due(k)

@@ -10,8 +10,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from fractions import Fraction
+from typing import TYPE_CHECKING
 
 from ..timebase import SECOND
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
 
 
 def rational(seconds: float | str | Fraction) -> Fraction:
@@ -132,6 +137,14 @@ class Schedule:
             self.ticks = ticks
             self.end = (self if self.every == 1 else Schedule(self.clock)).time(ticks)
             self.last = self.time((ticks if self.at_end else ticks - 1) // self.every)
+
+    def times(self, first: int, last: int) -> NDArray[np.int64]:
+        """Give the times of ticks first to last - 1, ns, shape (last - first,)."""
+        import numpy as np
+
+        if 2 * last * self._n + self._d < 1 << 62:
+            return (2 * np.arange(first, last, dtype=np.int64) * self._n + self._d) // (2 * self._d)
+        return np.array([self.time(k) for k in range(first, last)], np.int64)
 
     def _tick(self, t: int) -> int:
         return (2 * t * self._d + self._n) // (2 * self._n)

@@ -60,6 +60,8 @@ class Step(Held):
         Gets t, ns, and by choice the values of the inputs: moves a plant from t over one period, or a RunError.
     send : callable or None
         Gets (t, rows) of each answer: what carries it out of this process, or records it.
+    send_all : callable or None
+        Gets (times, numbers) of many answers at once, shapes (n,) and (n, size); see `send`.
     lacks : callable or None
         Gets t, the tick that is to be answered: whether something that it needs has not come; None: never.
     moved : callable or None
@@ -69,6 +71,7 @@ class Step(Held):
     """
 
     send: Callable[[int, Rows], object] | None = None
+    send_all: Callable[[Any, Any], object] | None = None
     lacks: Callable[[int], bool] | None = None
     moved: Callable[[], object] | None = None
     changed: Callable[[int, Mapping[str, Any]], object] | None = None

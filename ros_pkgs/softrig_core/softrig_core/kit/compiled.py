@@ -8,6 +8,7 @@ same operations in the same order, only slower.
 
 from __future__ import annotations
 
+import ctypes
 import errno
 import hashlib
 import os
@@ -19,11 +20,14 @@ import tempfile
 import warnings
 from collections.abc import Sequence
 from contextlib import suppress
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     import casadi as ca
+    import numpy as np
+    from numpy.typing import NDArray
 
 # No contraction into fused multiply-adds: the numbers must not depend on the processor.
 FLAGS = ("-O2", "-fPIC", "-shared", "-ffp-contract=off")
@@ -42,6 +46,10 @@ class Compiled:
     ----------
     native : bool
         Whether compiled code runs; False in casadi's virtual machine.
+    n_in, n_out : int
+        Number of all inputs, of all outputs.
+    symbol : str or None
+        A name for the compiled code that no other code has.
 
     Examples
     --------
@@ -58,14 +66,17 @@ class Compiled:
                 raise ValueError(f"output {function.name_out(i)} of {function.name()} is sparse, expected dense")
         library = build(function)
         self.native = library is not None
+        self.n_in, self.n_out = function.nnz_in(), function.nnz_out()
+        self.symbol = None if library is None else library.stem.replace("-", "_")
         if library is not None:
             import casadi as ca
 
             function = ca.external(function.name(), str(library))
-        n_in, n_out = function.nnz_in(), function.nnz_out()
+        n_in, n_out = self.n_in, self.n_out
         self._arguments = bytearray(8 * n_in)
         self._results = bytearray(8 * n_out)
         self._pack = struct.Struct(f"{n_in}d").pack_into
+        self._library = library
         self._unpack = struct.Struct(f"{n_out}d").unpack
         self._function, (self._buffer, self._run) = function, function.buffer()
         # casadi keeps bare addresses: the memoryviews must live as long as the buffer
@@ -102,6 +113,35 @@ class Compiled:
         self._pack(self._arguments, 0, *values)
         self._run()
         return self._unpack(self._results)
+
+    @cached_property
+    def places(self) -> tuple[int, int, int, int]:
+        """Where its four tables begin in `scratch`, in numbers: arguments, results, whole numbers, numbers."""
+        f = self._function
+        arguments = self.n_in + self.n_out
+        results = arguments + f.sz_arg()
+        whole = results + f.sz_res()
+        return arguments, results, whole, whole + f.sz_iw()
+
+    @property
+    def address(self) -> int:
+        """Where the compiled code is, a C function of (casadi_real** arg, res, casadi_int* iw, casadi_real* w, mem)."""
+        found = getattr(ctypes.CDLL(str(self._library)), self._function.name())
+        return ctypes.cast(found, ctypes.c_void_p).value or 0
+
+    def scratch(self) -> NDArray[np.float64]:
+        """Give memory for calls from native code: inputs, outputs, then what `places` says, addresses filled in."""
+        import numpy as np
+
+        f, places = self._function, self.places
+        memory = np.zeros(places[3] + max(1, f.sz_w()))
+        words, base = memory.view(np.int64), memory.ctypes.data
+        at = 0
+        for count, size, place in ((f.n_in(), f.nnz_in, places[0]), (f.n_out(), f.nnz_out, places[1])):
+            for k in range(count):
+                words[place + k] = base + 8 * at
+                at += size(k)
+        return memory
 
 
 def cache_folder() -> Path:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 if TYPE_CHECKING:
     import numpy as np
+    from numpy.typing import NDArray
 
 SIZE = 4096  # numbers drawn at once
 KEPT = 4  # such rows at hand
@@ -59,6 +60,7 @@ class Draws:
     """
 
     def __init__(self, stream: Callable[[], np.random.Generator], kind: Literal["standard_normal", "random"]) -> None:
+        self._stream, self._kind = stream, kind
         self._generator = stream()
         self._draw: Callable[[int], Any] = getattr(self._generator, kind)
         self._before = [self._generator.bit_generator.state]
@@ -68,6 +70,11 @@ class Draws:
         """Give the k-th number, from 0 on."""
         row = self._rows.get(k // SIZE)
         return (self._drawn(k // SIZE) if row is None else row)[k % SIZE]
+
+    def first(self, count: int) -> NDArray[np.float64]:
+        """Give the first `count` numbers, shape (count,)."""
+        found: NDArray[np.float64] = getattr(self._stream(), self._kind)(count)
+        return found
 
     def _drawn(self, n: int) -> list[float]:
         """Draw row n, and on the way there those that nobody has asked for yet."""

@@ -190,6 +190,7 @@ def simulate(
     duration: float | None = None,
     overrides: Mapping[str, Any] | None = None,
     progress: Callable[[int], object] | bool | None = None,
+    runs: int = 1,
 ) -> Run:
     """Run a scenario or rig in this process: the same numbers and bytes as with nodes over DDS.
 
@@ -204,6 +205,9 @@ def simulate(
     progress : callable or bool, optional
         Called with the time in ns about a hundred times. True: a bar on a terminal or in a notebook, drawn by
         softrig_bringup.
+    runs : int
+        So many runs of this kind are to come: many, or one that is very long, go by native code. ``SOFTRIG_JIT=0``
+        keeps them all in Python; the numbers and bytes are the same.
 
     Raises
     ------
@@ -226,5 +230,5 @@ def simulate(
     started = time.perf_counter()
     bar = _view("progress")(rig.scenario.name, rig.scenario.duration) if progress is True else nullcontext(progress)
     with bar as tell:
-        blocks = run_inprocess(rig, number, recording, tell or None)
+        blocks = run_inprocess(rig, number, recording, tell or None, runs)
     return Run(rig, number, recording, time.perf_counter() - started, blocks=blocks)

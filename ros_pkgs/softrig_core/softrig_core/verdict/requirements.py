@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..block.schedule import Schedule
 from ..errors import ScenarioError
@@ -62,7 +63,7 @@ class Judge:
         for name in variables(self.tree):
             condition = self.conditions.get(name)
             times, values = found[condition.signal if condition else name]
-            at = np.searchsorted(np.rint(times * SECOND), grid, side="right") - 1  # the newest at each tick
+            at = _newest(np.rint(times * SECOND), grid)
             now = np.where(at < 0, 0.0, values[at]) if len(values) else np.zeros(len(grid))
             if condition:
                 truths[name] = truth(condition, now, np.concatenate((now[:1], now[:-1])))
@@ -75,7 +76,14 @@ class Judge:
 def _grid(clock: Schedule, end: float) -> Array:
     """Ticks of the clock up to the record's end, ns."""
     last = clock.tick(clock.held(round(end * SECOND)))
-    return np.array([clock.time(k) for k in range(last + 1)], dtype=np.float64)
+    return clock.times(0, last + 1).astype(np.float64)
+
+
+def _newest(times: Array, grid: Array) -> NDArray[np.intp]:
+    """Give for each tick which of the messages, at these times, is the newest; -1 before the first."""
+    if len(times) >= len(grid) and np.array_equal(times[: len(grid)], grid):  # one a tick
+        return np.arange(len(grid))
+    return np.searchsorted(times, grid, side="right") - 1
 
 
 def names_of(rig: Members, units: Mapping[str, str]) -> tuple[dict[str, float], dict[str, str]]:

@@ -44,6 +44,9 @@ class Sink(Protocol):
             By number of the topic; arrays are numbered in the order of the calls.
         """
 
+    def rows(self, layouts: Mapping[int, Layout]) -> Callable[[NDArray[np.int64], NDArray[np.float64]], object]:
+        """Give what appends many such rows: their times in ns, shape (n,), and their numbers, (n, size of all)."""
+
     def note(self, t: int, data: bytes) -> None:
         """Append a change of parameters (`parameter_event`), which took effect at tick time `t` (ns)."""
 
@@ -226,6 +229,19 @@ class Recording:
 
         for topic, _ in topics:
             topic.settle = settle
+        return add
+
+    def rows(self, layouts: Mapping[int, Layout]) -> Callable[[NDArray[np.int64], NDArray[np.float64]], object]:
+        """Give what appends many such rows, after all that came before them."""
+        topics = [(self._order[number], layout) for number, layout in layouts.items()]
+
+        def add(times: NDArray[np.int64], values: NDArray[np.float64]) -> None:
+            first = 0
+            for topic, layout in topics:
+                topic.settle()
+                topic.add_columns(Columns(times, values[:, first : first + layout.size], layout))
+                first += layout.size
+
         return add
 
     def note(self, t: int, data: bytes) -> None:

@@ -92,8 +92,8 @@ class State(NamedTuple):
     """The certificate; samples of state, slope and V, the newest last."""
 
     certificate: Certificate = NONE
-    rows: tuple[Array, ...] = ()
-    slopes: tuple[Array, ...] = ()
+    rows: tuple[tuple[float, ...], ...] = ()
+    slopes: tuple[tuple[float, ...], ...] = ()
     values: tuple[float, ...] = ()
 
 
@@ -145,12 +145,12 @@ class LyapunovMonitor(Block[LyapunovMonitorParams]):
         h = m * self.p.period
         share = min(mode[1] / h, 1.0)
         now = np.array(state)
-        rows = (*rows, now)[-4 * m - 1 :]
+        rows = (*rows, state)[-4 * m - 1 :]
         back = round(mode[1] / self.p.period)
-        then = rows[-1 - back] if len(rows) > back else rows[0]
+        then = np.array(rows[-1 - back] if len(rows) > back else rows[0])
         cell = self._system.cell(now, then)
         slope = h * (product(self._system.A[cell], now) + product(self._system.Ad[cell], then))
-        slopes = (*slopes, slope)[-4 * m - 1 :]
+        slopes = (*slopes, tuple(slope.tolist()))[-4 * m - 1 :]
         if len(slopes) <= m + min(back, 3 * m):
             return State(known, rows, slopes, values), {}
         value = functional(self._system, known.matrices, np.array(rows[-m - 1 :]), np.array(slopes[-m - 1 :]), share)

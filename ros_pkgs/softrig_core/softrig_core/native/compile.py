@@ -1,0 +1,87 @@
+"""Text to native code: numba, kept in the cache of `jit` by content."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Callable
+from functools import lru_cache
+from typing import Any
+
+from ..kit.compiled import Compiled
+from ..kit.jit import _constant, _numba
+from .rig_text import RigText
+
+
+def compiled(made: RigText) -> Callable[..., Any]:
+    """Give the function of a rig; compiled at its first call, or found in the cache.
+
+    Returns
+    -------
+    callable
+        ``rig(first, last, n, c, s, *arrays) -> s``: answers the ticks of the clock from `first` up to `last`; n[0] is
+        the one under way. What it raises gives that tick up.
+    """
+    numba = _numba()
+    _teach(numba)
+    names = made.program.names
+    scope: dict[str, Any] = {"math": math, "same_": same, "float_nan": math.nan, "float_inf": math.inf,
+                             "float_less": -math.inf}  # fmt: skip
+    content = hashlib.sha256(made.text.encode())
+    for name, thing in names.items():
+        content.update(f"\0{name}\0".encode())
+        if isinstance(thing, Compiled):
+            scope[f"{name}"] = _external(numba, thing)
+            content.update(str(thing.symbol).encode())
+            continue
+        scope[name] = thing
+        for token in _constant(thing, set()):
+            content.update(token.encode())
+    exec(compile(made.text, f"<native {hashlib.sha256(made.text.encode()).hexdigest()[:12]}>", "exec"), scope)
+    wrap = numba.njit(error_model="python", boundscheck=True, nogil=True)
+    for name, thing in list(scope.items()):
+        if callable(thing) and getattr(thing, "__globals__", None) is scope:
+            scope[name] = wrap(thing)
+    from ..kit._jit_cache import Cache
+
+    found: Any = scope["rig"]
+    found._cache = Cache("rig", content.hexdigest())
+    return found  # type: ignore[no-any-return]
+
+
+def plain(made: RigText) -> Callable[..., Any]:
+    """Give the function of a rig in Python, for tests: what the text says, without what numba makes of it."""
+    names = made.program.names
+    scope: dict[str, Any] = {"math": math, "same_": same, "float_nan": math.nan, "float_inf": math.inf,
+                             "float_less": -math.inf, **names}  # fmt: skip
+    exec(compile(made.text, "<native text>", "exec"), scope)
+    for name, thing in names.items():
+        if isinstance(thing, Compiled):
+            scope[name.removesuffix("_there")] = lambda s, *values, thing=thing: thing(values)
+    return scope["rig"]  # type: ignore[no-any-return]
+
+
+def same(before: Any, after: Any) -> Any:
+    """Give a state, which must be of the type of the one before."""
+    return after
+
+
+@lru_cache(maxsize=1)
+def _teach(numba: Any) -> None:
+    from numba.core.errors import TypingError
+    from numba.extending import overload
+
+    @overload(same)
+    def _same(before, after):  # type: ignore[no-untyped-def]
+        if before != after:
+            raise TypingError(f"a state that changes its type, from {before} to {after}")
+        return lambda before, after: after
+
+
+def _external(numba: Any, compiled: Compiled) -> Any:
+    from llvmlite import binding
+    from numba.core import types
+
+    binding.add_symbol(compiled.symbol, compiled.address)
+    place = types.uintp
+    return types.ExternalFunction(str(compiled.symbol), types.int32(place, place, place, place, types.int64))

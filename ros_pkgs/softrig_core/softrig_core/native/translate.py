@@ -1,0 +1,345 @@
+"""The text of a block's methods, specialised to the block, in the part of Python that numba compiles.
+
+A method is read with the values that its block has now. What is fixed chooses the text (texts, switches, whole
+numbers) or becomes a constant that is handed in (numbers, tables: *slots*), so that one text serves all variants of a
+block; what was used to choose is kept as a *guard*. Objects and methods are followed to the functions that they mean.
+What is not understood is refused by `NotNative`; `report` and `raise` give the tick up.
+"""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import operator
+import textwrap
+import types
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cache, partial
+from typing import Any
+
+import numpy as np
+
+from ..kit.compiled import Compiled
+from ..kit.jit import Jit
+from .value import UNKNOWN, Dynamic, Group, NotNative, Path, Record, Static, Value
+
+LONGEST = 64  # parts of a tuple that is written out, or indexed
+TURNS = 16  # of a loop that is written out
+SMALL = 4096  # whole numbers beyond it are slots: times in ns
+GIVEN_UP = "raise RuntimeError"
+
+BINARY: dict[type, tuple[str, Callable[[Any, Any], Any]]] = {
+    ast.Add: ("+", operator.add), ast.Sub: ("-", operator.sub), ast.Mult: ("*", operator.mul),
+    ast.Div: ("/", operator.truediv), ast.FloorDiv: ("//", operator.floordiv), ast.Mod: ("%", operator.mod),
+    ast.BitAnd: ("&", operator.and_), ast.BitOr: ("|", operator.or_), ast.BitXor: ("^", operator.xor),
+}  # fmt: skip
+COMPARE: dict[type, tuple[str, Callable[[Any, Any], Any]]] = {
+    ast.Eq: ("==", operator.eq), ast.NotEq: ("!=", operator.ne), ast.Lt: ("<", operator.lt),
+    ast.LtE: ("<=", operator.le), ast.Gt: (">", operator.gt), ast.GtE: (">=", operator.ge),
+}  # fmt: skip
+UNARY: dict[type, tuple[str, Callable[[Any], Any]]] = {
+    ast.UAdd: ("+", operator.pos), ast.USub: ("-", operator.neg), ast.Invert: ("~", operator.invert),
+}  # fmt: skip
+NUMBERS = (int, float, complex, bool)
+
+
+@dataclass(frozen=True)
+class Made:
+    """A specialised function: its name, the arrays that it needs beside its arguments, and what it gives."""
+
+    name: str
+    arrays: tuple[str, ...]
+    result: Value
+
+
+@dataclass
+class Program:
+    """The text that is being made for a rig: functions, what they name, slots and guards.
+
+    Parameters
+    ----------
+    roots : sequence
+        Blocks; paths begin with their numbers.
+    writer : callable
+        Gives the `Writer` of a function.
+    ages : mapping of (number of a block, input) to int or None
+        What `Block.age` answers, where it is always the same.
+    """
+
+    roots: Sequence[Any]
+    writer: Callable[..., Any]
+    ages: Mapping[tuple[int, str], int | None] = field(default_factory=dict)
+    functions: list[str] = field(default_factory=list)
+    names: dict[str, Any] = field(default_factory=dict)
+    words: set[str] = field(default_factory=set)
+    slots: dict[Path, int] = field(default_factory=dict)
+    shapes: dict[Path, Any] = field(default_factory=dict)
+    arrays: dict[Path, str] = field(default_factory=dict)
+    draws: dict[Path, str] = field(default_factory=dict)
+    guards: dict[Path, Any] = field(default_factory=dict)
+    scratches: dict[Path, str] = field(default_factory=dict)
+    callers: dict[str, str] = field(default_factory=dict)
+    known: dict[Any, Made] = field(default_factory=dict)
+    seldom: list[str] = field(default_factory=list)
+    under_way: set[Any] = field(default_factory=set)
+
+    def name(self, thing: Any, hint: str) -> str:
+        """Give the name by which the text calls a thing of Python."""
+        for name, known in self.names.items():
+            if known is thing:
+                return name
+        name = f"{hint}_{len(self.names)}"
+        self.names[name] = thing
+        return name
+
+    def age(self, block: Any, name: str | None) -> int | None:
+        """Give what `Block.age` answers at each tick."""
+        number = next(k for k, root in enumerate(self.roots) if root is block)
+        if name is None or (number, name) not in self.ages:
+            raise NotNative(f"{block.name}: the age of {name}, which comes more seldom than its ticks")
+        return self.ages[number, name]
+
+    def guard(self, value: Static) -> Any:
+        """Give a fixed value that chooses the text."""
+        if value.path is not None:
+            self.guards[value.path] = signature(value.value)
+        return value.value
+
+    def slot(self, value: Static) -> Dynamic:
+        """Give a fixed number, or table of numbers, as a constant that is handed in."""
+        assert value.path is not None
+        if isinstance(value.value, np.ndarray):
+            name = self.arrays.setdefault(value.path, f"a{len(self.arrays)}")
+            return Dynamic(name, value.value)
+        found = as_slot(value.value)
+        number = self.slots.setdefault(value.path, len(self.slots))
+        self.shapes[value.path] = shape(found)
+        return Dynamic(f"c[{number}]", found)
+
+    def scratch(self, path: Path) -> str:
+        """Give the name of the memory in which a compiled casadi function works."""
+        return self.scratches.setdefault(path, f"s{len(self.scratches)}")
+
+    def caller(self, compiled: Compiled) -> str:
+        """Give the name of the function that calls one."""
+        symbol = compiled.symbol
+        assert symbol is not None
+        if symbol not in self.callers:
+            self.callers[symbol] = name = f"call{len(self.callers)}"
+            self.names[f"{name}_there"] = compiled
+            arguments = ", ".join(f"v{k}" for k in range(compiled.n_in))
+            lines = [f"def {name}(s, {arguments}):", *(f"    s[{k}] = v{k}" for k in range(compiled.n_in)),
+                     "    p = s.ctypes.data",
+                     f"    {name}_there({', '.join(f'p + {8 * at}' for at in compiled.places)}, 0)",
+                     f"    return ({''.join(f's[{compiled.n_in + k}], ' for k in range(compiled.n_out))})"]  # fmt: skip
+            self.functions.append("\n".join(lines))
+        return self.callers[symbol]
+
+    def constants(self, roots: Sequence[Any]) -> tuple[Any, ...]:
+        """Give the slots of blocks of the same text."""
+        return tuple(as_slot(follow(path, roots)) for path in self.slots)
+
+    def tables(self, roots: Sequence[Any]) -> tuple[Any, ...]:
+        """Give their arrays."""
+        return tuple(np.ascontiguousarray(follow(path, roots)) for path in self.arrays)
+
+    def differs(self, roots: Sequence[Any]) -> str:
+        """Say what of other blocks would need another text; nothing where the text serves them."""
+        for path, wanted in self.guards.items():
+            try:
+                value = follow(path, roots)
+                found = ("keys", tuple(sorted(value))) if wanted[0] == "keys" else signature(value)
+            except (AttributeError, LookupError, TypeError):
+                return written(path)
+            if found != wanted:
+                return written(path)
+        for path, wanted in self.shapes.items():
+            if shape(as_slot(follow(path, roots))) != wanted:
+                return written(path)
+        return ""
+
+
+def follow(path: Path, roots: Sequence[Any]) -> Any:
+    """Give what a path leads to."""
+    value = roots[path[0]]
+    for kind, key in path[1:]:
+        value = getattr(value, key) if kind == "attr" else len(value) if kind == "len" else value[key]
+    return value
+
+
+def written(path: Path) -> str:
+    """Write a path as a person would."""
+    return "".join(f".{key}" if kind == "attr" else f"[{key!r}]" for kind, key in path[1:]).lstrip(".")
+
+
+@dataclass(frozen=True, eq=False)
+class Same:
+    """An object that must be the same one."""
+
+    thing: Any
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Same) and other.thing is self.thing
+
+    __hash__ = None  # type: ignore[assignment]
+
+
+def signature(value: Any, inside: bool = False) -> Any:
+    """Give what must be equal of a value that chooses the text: numbers and texts themselves, of objects the type.
+
+    What is `inside` of another value has no path of its own: it must be the same object.
+    """
+    if isinstance(value, (*NUMBERS, str, bytes, type(None), type)):
+        return type(value).__name__, value
+    if isinstance(value, (tuple, list)):
+        return type(value).__name__, tuple(signature(v, True) for v in value)
+    if isinstance(value, Mapping):
+        return "mapping", tuple((k, signature(v, True)) for k, v in value.items())
+    if isinstance(value, types.MethodType):
+        return "method", value.__func__, *((Same(value.__self__),) if inside else ())
+    if isinstance(value, (types.FunctionType, types.BuiltinFunctionType)):
+        return "function", value
+    if isinstance(value, partial):
+        return "partial", value.func, signature(value.args), signature(value.keywords)
+    if isinstance(value, Compiled):
+        return "compiled", value.symbol
+    if isinstance(value, Jit):
+        return "jit", value
+    return ("object", Same(value)) if inside else ("object", type(value))
+
+
+def shape(value: Any) -> Any:
+    """Give the types of a constant, to its leaves."""
+    return tuple(shape(v) for v in value) if isinstance(value, tuple) else type(value)
+
+
+def as_slot(value: Any) -> Any:
+    """Give a number or table as native code takes it: lists as tuples.
+
+    Raises
+    ------
+    NotNative
+        Something else, or a table that is too long.
+    """
+    if isinstance(value, (bool, complex, int)):
+        return value
+    if isinstance(value, (float, np.floating)):
+        return float(value)
+    if isinstance(value, (tuple, list)):
+        if len(value) > LONGEST:
+            raise NotNative(f"a table of {len(value)}, expected at most {LONGEST} values, or an array")
+        return tuple(as_slot(v) for v in value)
+    if isinstance(value, Mapping):
+        return tuple(as_slot(value[key]) for key in sorted(value))
+    raise NotNative(f"{type(value).__name__} among its constants")
+
+
+@cache
+def _parsed(function: types.FunctionType) -> ast.FunctionDef:
+    try:
+        text = textwrap.dedent(inspect.getsource(function))
+        tree = ast.parse(text).body[0]
+    except (OSError, TypeError, SyntaxError):
+        raise NotNative(f"{function.__qualname__}: its source cannot be read") from None
+    if not isinstance(tree, ast.FunctionDef):
+        raise NotNative(f"{function.__qualname__} is no plain function")
+    return tree
+
+
+def made(
+    program: Program, function: types.FunctionType, given: Sequence[Value], words: Mapping[str, Value], arrays: set[str]
+) -> Value:
+    """Call a function of Python with values: specialise it to those that are fixed, and give the call.
+
+    Parameters
+    ----------
+    program : Program
+    function : function
+    given, words : sequence and mapping of Value
+        Its arguments by place and by name.
+    arrays : set of str
+        Takes the names of the arrays that the call hands on.
+    """
+    try:
+        bound = inspect.signature(function).bind(*given, **words)
+    except TypeError as error:
+        raise NotNative(f"{function.__qualname__}: {error}") from None
+    arguments: dict[str, Value] = {}
+    for name, parameter in inspect.signature(function).parameters.items():
+        if name in bound.arguments:
+            found = bound.arguments[name]
+            if parameter.kind is parameter.VAR_POSITIONAL:
+                found = Group(tuple(found))
+            elif parameter.kind is parameter.VAR_KEYWORD:
+                found = Record(found)
+            arguments[name] = found
+        elif parameter.kind is parameter.VAR_POSITIONAL:
+            arguments[name] = Group(())
+        elif parameter.kind is parameter.VAR_KEYWORD:
+            arguments[name] = Record({})
+        else:
+            arguments[name] = Static(parameter.default)
+    inner: dict[str, Value] = {}
+    outer: list[str] = []
+    key: list[Any] = [function]
+    parameters: list[str] = []
+
+    def handed(value: Value, name: str) -> Value:
+        """Make what is known inside of an argument; what is computed becomes a parameter."""
+        if isinstance(value, Static):
+            if value.path is not None and _slotted(value.value):
+                return handed(program.slot(value), name)
+            key.append((name, "static", value.path if value.path is not None else id(value.value), repr(value.value)
+                        if isinstance(value.value, (*NUMBERS, str)) else ""))  # fmt: skip
+            return value
+        if isinstance(value, Dynamic):
+            outer.append(value.code)
+            parameters.append(f"v_{name}")
+            key.append((name, shape(value.sample) if value.sample is not UNKNOWN else None, value.sure, value.keys))
+            return Dynamic(f"v_{name}", value.sample, value.sure, value.keys, value.parts)
+        if isinstance(value, Group):
+            key.append((name, "group", len(value.items)))
+            return Group(tuple(handed(v, f"{name}__{k}") for k, v in enumerate(value.items)))
+        key.append((name, "record", tuple(value.items)))
+        return Record({k: handed(v, f"{name}__{k}") for k, v in value.items.items()})
+
+    for name, value in arguments.items():
+        inner[name] = handed(value, name)
+    whole = tuple(key)
+    if whole in program.under_way:
+        raise NotNative(f"{function.__qualname__} calls itself")
+    if whole not in program.known:
+        program.under_way.add(whole)
+        try:
+            program.known[whole] = _specialised(program, function, inner, parameters)
+        finally:
+            program.under_way.discard(whole)
+    done = program.known[whole]
+    if not isinstance(done.result, Dynamic):
+        return done.result
+    arrays.update(done.arrays)
+    code = f"{done.name}({', '.join(['c', 'n', *done.arrays, *outer])})"
+    return Dynamic(code, done.result.sample, done.result.sure, done.result.keys, done.result.parts)
+
+
+def _slotted(value: Any) -> bool:
+    return isinstance(value, (float, complex)) or (isinstance(value, int) and abs(value) > SMALL)
+
+
+def _specialised(
+    program: Program, function: types.FunctionType, inner: dict[str, Value], parameters: list[str]
+) -> Made:
+    tree = _parsed(function)
+    writer = program.writer(program, function, inner)
+    lines = writer.body(tree.body)
+    result = writer.result()
+    if not isinstance(result, Dynamic):
+        return Made("", (), result)
+    arrays = tuple(sorted(writer.arrays))
+    name = f"f{len(program.functions)}_{function.__name__.strip('_')}"
+    head = (
+        f"def {name}({', '.join(['c', 'n', *arrays, *parameters])}):  # {function.__module__}.{function.__qualname__}"
+    )
+    program.functions.append("\n".join([head, *(f"    {line}" for line in lines)]))
+    return Made(name, arrays, result)

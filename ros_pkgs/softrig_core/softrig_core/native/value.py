@@ -1,0 +1,98 @@
+"""What the translation knows of a value: that it is fixed, how it is written, what it was in the tick before."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+Path = tuple[Any, ...]  # number of a block, then ("attr", name) or ("item", key) each
+UNKNOWN: Any = type("Unknown", (), {"__repr__": lambda self: "unknown"})()  # a sample that nobody has
+
+
+class NotNative(Exception):
+    """Something that native code does not know; says what and where."""
+
+
+@dataclass(frozen=True)
+class Static:
+    """A value that stays the same in a run; `path` leads to it from a block, None: part of the program."""
+
+    value: Any
+    path: Path | None = None
+
+
+@dataclass(frozen=True)
+class Dynamic:
+    """A value that a tick computes.
+
+    Parameters
+    ----------
+    code : str
+        How native code writes it.
+    sample : object
+        What it was when the tick before was computed, which tells its type; `UNKNOWN` where nobody knows.
+    sure : bool
+        Whether it always has the type of the sample: it is then known to be None or not, and how long it is.
+    keys : tuple of str, or None
+        Of a mapping, which native code writes as a tuple.
+    parts : tuple of Dynamic-like, or None
+        Of a tuple or mapping some of whose parts are mappings: what is known of each.
+    """
+
+    code: str
+    sample: Any = UNKNOWN
+    sure: bool = True
+    keys: tuple[str, ...] | None = None
+    parts: tuple[Any, ...] | None = None
+
+
+@dataclass(frozen=True)
+class Group:
+    """A tuple written out: its parts."""
+
+    items: tuple[Any, ...]
+
+
+@dataclass(frozen=True)
+class Record:
+    """A mapping written out, by its keys."""
+
+    items: Mapping[str, Any] = field(default_factory=dict)
+
+
+Value = Static | Dynamic | Group | Record
+
+
+def sample_of(value: Value) -> Any:
+    """Give the sample of a value, of a group as a tuple."""
+    if isinstance(value, Static):
+        return value.value
+    if isinstance(value, Dynamic):
+        return value.sample
+    parts = value.items.values() if isinstance(value, Record) else value.items
+    return tuple(sample_of(v) for v in parts)
+
+
+def is_sure(value: Value) -> bool:
+    """Whether a value's type is that of its sample, all through."""
+    if isinstance(value, Static):
+        return True
+    if isinstance(value, Dynamic):
+        return value.sure and value.sample is not UNKNOWN
+    parts = value.items.values() if isinstance(value, Record) else value.items
+    return all(is_sure(v) for v in parts)
+
+
+def computed(function: Callable[..., Any], *values: Any) -> Any:
+    """Compute a sample; `UNKNOWN` where an operand is, or where it cannot be computed."""
+    if any(_unknown(v) for v in values):
+        return UNKNOWN
+    try:
+        return function(*values)
+    except Exception:  # in a branch that was not taken
+        return UNKNOWN
+
+
+def _unknown(value: Any) -> bool:
+    return value is UNKNOWN or (type(value) is tuple and any(_unknown(v) for v in value))

@@ -1,0 +1,70 @@
+"""The words of Python that native code says otherwise: with the same bits, and giving the tick up where Python raises.
+
+Each is a function of its own in the text that is compiled. What raises there gives the tick up: Python computes it
+again, with its own error, text and type.
+"""
+
+from __future__ import annotations
+
+import builtins
+import math
+from collections.abc import Callable
+from typing import Any
+
+WHOLE = "4e18"  # beyond it a whole number is no int64
+
+_BELOW = "def {name}(x):\n    if x {wrong}:\n        raise ValueError\n    return math.{name}(x)\n"
+_FINITE = "def {name}(x):\n    if x - x != 0.0 and x == x:\n        raise ValueError\n    return math.{name}(x)\n"
+_LARGE = (
+    "def {name}(x):\n    y = math.{name}(x)\n    if y - y != 0.0 and x - x == 0.0:\n        raise OverflowError\n"
+    "    return y\n"
+)
+_CUT = (
+    "def {name}(x):\n    if not -"
+    + WHOLE
+    + " < x < "
+    + WHOLE
+    + ":\n        raise OverflowError\n    return {call}(x)\n"
+)
+
+TEXTS: dict[str, str] = {
+    **{n: _BELOW.format(name=n, wrong="< 0.0") for n in ("sqrt",)},
+    **{n: _BELOW.format(name=n, wrong="<= 0.0") for n in ("log", "log2", "log10")},
+    "log1p": _BELOW.format(name="log1p", wrong="<= -1.0"),
+    **{n: _BELOW.format(name=n, wrong="< -1.0 or x > 1.0") for n in ("asin", "acos")},
+    **{n: _FINITE.format(name=n) for n in ("sin", "cos", "tan")},
+    **{n: _LARGE.format(name=n) for n in ("exp", "expm1", "sinh", "cosh")},
+    **{n: _CUT.format(name=n, call=f"math.{n}") for n in ("floor", "ceil", "trunc")},
+    **{f"{n}_": _CUT.format(name=f"{n}_", call=n) for n in ("int", "round")},
+    "fmod": "def fmod(x, y):\n    if y == 0.0 or (x - x != 0.0 and x == x):\n        raise ValueError\n"
+            "    return math.fmod(x, y)\n",
+    "power_": "def power_(x, y):\n    if (x < 0.0 and y != math.floor(y)) or (x == 0.0 and y < 0.0):\n"
+              "        raise ValueError\n    z = power(x, y)\n"
+              "    if z - z != 0.0 and x - x == 0.0 and y - y == 0.0:\n        raise OverflowError\n    return z\n",
+    "times_": "def times_(x, y):\n    if not (-3000000000 < x < 3000000000 and -3000000000 < y < 3000000000):\n"
+              "        raise OverflowError\n    return x * y\n",
+    "bisect_right": "def bisect_right(a, x):\n    low, high = 0, len(a)\n    while low < high:\n"
+                    "        middle = (low + high) // 2\n        if x < a[middle]:\n            high = middle\n"
+                    "        else:\n            low = middle + 1\n    return low\n",
+    "bisect_left": "def bisect_left(a, x):\n    low, high = 0, len(a)\n    while low < high:\n"
+                   "        middle = (low + high) // 2\n        if a[middle] < x:\n            low = middle + 1\n"
+                   "        else:\n            high = middle\n    return low\n",
+    "drawn_": "def drawn_(row, n, k):\n    if k >= len(row):\n        n[1] = k + 1\n        raise IndexError\n"
+              "    return row[k]\n",
+}  # fmt: skip
+PLAIN = {name: f"math.{name}" for name in ("atan", "atan2", "tanh", "copysign", "fabs", "isfinite", "isnan", "isinf",
+                                           "radians", "degrees", "asinh")}  # fmt: skip
+
+
+def word(function: Callable[..., Any]) -> str | None:
+    """Give the name under which native code has a function of the standard library; None: it has none."""
+    import bisect
+
+    if function in (bisect.bisect_right, bisect.bisect_left):
+        return function.__name__
+    name = getattr(function, "__name__", "")
+    if function is getattr(math, name, None):
+        return name if name in TEXTS else PLAIN.get(name)
+    if function in (builtins.int, builtins.round):
+        return f"{name}_"
+    return None

@@ -1,0 +1,259 @@
+"""Native code gives what Python gives: messages, reports, errors, states; and says what it does not know."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import pytest
+from softrig_core import Block, BlockParams, Level, Observer, Plant, Recording, Rig, RunError, param, rig_of, scalars
+from softrig_core.native import engine
+from softrig_core.native.compile import plain
+from softrig_core.native.engine import Engine, Native
+from softrig_core.native.rig_text import rig_text
+from softrig_core.native.value import NotNative
+from softrig_core.run import inprocess
+
+# one for each kind of block that native code knows, as short as its ticks allow
+KNOWN = {
+    "dc_motor_smc": 0.02, "dc_motor_smc_b2": 2.0, "dc_motor_smc_b6_pid": 1.0, "dc_motor_smc_stretch_b": 0.5,
+    "induction_dtc": 0.03, "lsrm_fuzzy": 0.01, "lsrm_fuzzy_mrac": 0.01, "lsrm_fuzzy_b5": 0.01,
+    "manipulator_adsmc": 0.2, "manipulator_adsmc_s3": 0.1,
+}  # fmt: skip
+
+
+def ran(rig: Rig, monkeypatch: pytest.MonkeyPatch, make: Any = None) -> tuple[Recording, Any, str, Native]:
+    """Run a rig in Python, or as `make` makes its text; give messages, steps, error and what was native."""
+    engines: list[Engine] = []
+
+    def build(steps: Any) -> Engine:
+        engines.append(Engine(steps, make))
+        return engines[-1]
+
+    monkeypatch.setattr(inprocess, "pays", lambda steps, runs: make is not None)
+    monkeypatch.setattr(inprocess, "Engine", build)
+    recording = Recording((topic, port.msgtype) for topic, port in rig.topics.items())
+    steps, error = {}, ""
+    try:
+        steps = inprocess.run_inprocess(rig, rig.scenario.seed, recording)
+    except RunError as broken:
+        error = str(broken)
+    return recording, steps, error, engines[0].native if engines else Native()
+
+
+def the_same(rig: Any, monkeypatch: pytest.MonkeyPatch, make: Any = plain) -> Native:
+    """Hold both against each other."""
+    wanted, steps, error, _ = ran(rig(), monkeypatch)
+    found, others, other_error, native = ran(rig(), monkeypatch, make)
+    assert other_error == error
+    assert found.topics == wanted.topics
+    for name, step in steps.items():
+        other = others[name]
+        assert repr(other.x) == repr(step.x)
+        assert (other.reports, other.t, repr(other.values), repr(other.said)) == (
+            step.reports, step.t, repr(step.values), repr(step.said))  # fmt: skip
+    return native
+
+
+@pytest.mark.parametrize("name", KNOWN)
+def test_scenarios_are_what_they_are_in_python(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    native = the_same(lambda: rig_of(name, duration=KNOWN[name]), monkeypatch)
+    assert native.members
+    assert native.ticks > native.given_up
+
+
+def test_numba_gives_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    native = the_same(lambda: rig_of("dc_motor_smc_c1", duration=1.0), monkeypatch, engine.compiled)
+    assert native.ticks == 99
+
+
+SIGNAL = scalars("signal", "signal", {"x": "", "y": ""})
+PUSH = scalars("push", "push", {"u": ""})
+
+
+class Turning(NamedTuple):
+    """Two numbers, and how often."""
+
+    a: float = 1.0
+    b: float = 0.5
+    k: int = 0
+
+
+class OscillatorParams(BlockParams):
+    """Of a test."""
+
+    period: float = param(0.001, "period", "s", gt=0.0)
+    rate: float = param(0.25, "turn a tick", live=True)
+    growth: float = param(1.0, "factor a tick", live=True)
+
+
+class Oscillator(Plant[OscillatorParams]):
+    """A rotation that grows, written with all that is easily misread."""
+
+    INPUTS = (PUSH,)
+    OUTPUTS = (SIGNAL,)
+
+    def setup(self) -> None:
+        """Constants."""
+        self._turn = (self.p.rate, -self.p.rate)
+
+    def first(self) -> Turning:
+        """Begin."""
+        return Turning()
+
+    def outputs(self, x: Turning, t: int) -> Mapping[str, tuple[float, ...]]:
+        """Give both."""
+        a, b = x.a, x.b
+        a, b = b, a  # read before it is written
+        x = x._replace(a=a)
+        return {"signal": (b, x.a)}
+
+    def advance(self, x: Turning, t: int, *, push: tuple[float, ...]) -> Turning:
+        """Turn."""
+        a, b, k = x
+        both = (a, b)
+        both = tuple(a + rate * part for a, rate, part in zip(both, self._turn, (b, a), strict=True))
+        for part in both:
+            both = (both[0], both[1] + 0.0 * part)  # goes through the one before
+        left = 3
+        while left > 0:
+            left -= 1
+            if left == 1 and k % 7 == 3:
+                continue
+            a = a * 0.5
+        if k % 50 == 49:
+            self.report(Level.WARN, "fifty", f"{k} ticks")
+        return Turning(both[0] * self.p.growth + 1e-3 * push[0] + 0.0 * a, both[1] * self.p.growth, k + 1)
+
+
+class Pushing(NamedTuple):
+    """Newest value; None before the first."""
+
+    last: float | None = None
+
+
+class Pusher(Block[OscillatorParams]):
+    """Pushes against it, every other tick."""
+
+    INPUTS = (SIGNAL,)
+    OUTPUTS = (PUSH,)
+
+    def first(self) -> Pushing:
+        """Nothing yet."""
+        return Pushing()
+
+    def update(self, x: Pushing, t: int, *, signal: tuple[float, ...]) -> tuple[Pushing, Mapping[str, Any]]:
+        """Answer."""
+        last = signal[0] if x.last is None else x.last
+        u = 1.0 / (signal[0] - last) if t % 40_000_000 == 0 and signal[0] != last else (signal[1] or 1.0) ** 3
+        return Pushing(signal[0]), {"push": (min(max(u, -1.0), 1.0),)}
+
+
+class Watcher(Observer[OscillatorParams]):
+    """Counts, and fails where it is told to."""
+
+    INPUTS = (SIGNAL,)
+    FAILS = 10**18
+
+    def first(self) -> tuple[int, ...]:
+        """Nothing seen."""
+        return (0,)
+
+    def update(self, x: Any, t: int, *, signal: tuple[float, ...]) -> tuple[Any, Mapping[str, Any]]:
+        """Count."""
+        if t >= self.FAILS:
+            raise ValueError(f"seen {x[0]}")
+        return (x[0] + (signal[0] > 0.0),), {}
+
+    def status(self, x: Any) -> Mapping[str, tuple[float, str]]:
+        """Tell."""
+        return {"seen": (float(x[0]), "")}
+
+
+def rig(duration: float = 0.5, watcher: type[Watcher] = Watcher, changes: Any = (), **values: float) -> Rig:
+    blocks = {"plant": Oscillator(**values), "law": Pusher(period=0.002), "watcher": watcher()}
+    return Rig.from_blocks(blocks, duration, changes=list(changes))
+
+
+def test_text_that_is_easily_misread(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ticks that report are Python's: 10 of 500."""
+    assert the_same(rig, monkeypatch).given_up == 10
+
+
+def test_changes_while_it_runs(monkeypatch: pytest.MonkeyPatch) -> None:
+    changes = [{"at": 0.1005, "set": {"plant.rate": 0.1}}, {"at": 0.2, "set": {"law.rate": 1.0}}]
+    native = the_same(lambda: rig(changes=changes), monkeypatch)
+    assert native.ticks > 450
+
+
+class Failing(Watcher):
+    FAILS = 123_000_000
+
+
+@pytest.mark.parametrize("how", [{"growth": 1.05}, {"watcher": Failing}])
+def test_a_run_that_breaks_says_what_python_says(how: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    native = the_same(lambda: rig(**how), monkeypatch)
+    assert native.ticks > 100
+    assert ran(rig(**how), monkeypatch, plain)[2]
+
+
+def core(made: Rig) -> list[Any]:
+    """Give the steps of plant and law after a tick."""
+    steps = inprocess.wired(made, {m.name: m.block(1) for m in made.members if m.name != "watcher"})
+    found = list(steps.values())
+    next(iter(inprocess.Runner(found).run()))
+    return found
+
+
+def test_variants_share_a_text_and_others_do_not() -> None:
+    first, second = core(rig()), core(rig(rate=0.125, growth=0.5))
+    program = rig_text(first, []).program
+    assert program.differs([s.block for s in second]) == ""
+    assert program.constants([s.block for s in first]) != program.constants([s.block for s in second])
+    other = [Watcher(), *(s.block for s in second[1:])]
+    assert program.differs(other)
+
+
+def test_other_equations_are_another_text() -> None:
+    """Their constants are in the C code."""
+
+    def blocks(name: str) -> list[Any]:
+        made = rig_of(name)
+        steps = inprocess.wired(made, {m.name: m.block(1) for m in made.members if "evaluator" not in m.name})
+        next(iter(inprocess.Runner(list(steps.values())).run()))
+        return list(steps.values())
+
+    program = rig_text(blocks("optimal_control_mvim_a4"), []).program
+    assert program.differs([s.block for s in blocks("optimal_control_mvim_a4")]) == ""
+    assert program.differs([s.block for s in blocks("optimal_control_mvim_a4_inertia")])
+
+
+class Texts(Pusher):
+    """Writes a text at each tick."""
+
+    def update(self, x: Pushing, t: int, *, signal: tuple[float, ...]) -> tuple[Pushing, Mapping[str, Any]]:
+        """Answer."""
+        return x, {"push": (float(len(str(signal[0]))),)}
+
+
+def test_what_is_not_known_is_named() -> None:
+    blocks = {"plant": Oscillator(), "law": Texts()}
+    with pytest.raises(NotNative, match=r"test_native\.Texts\.update, line \d+: str"):
+        rig_text(core(Rig.from_blocks(blocks, 0.1)), [])
+
+
+def test_a_rig_that_gives_up_often_stays_in_python(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Complaining(Pusher):
+        pass
+
+    monkeypatch.setattr(engine, "PATIENCE", 3)
+    monkeypatch.setattr(engine, "SELDOM", 100)
+    native = the_same(rig, monkeypatch)
+    assert native.given_up == 4
+    assert native.reason == "many ticks are given up"
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", KNOWN)
+def test_scenarios_by_numba(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    the_same(lambda: rig_of(name, duration=KNOWN[name]), monkeypatch, engine.compiled)
