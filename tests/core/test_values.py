@@ -146,3 +146,11 @@ def test_the_floats_of_a_state():
     assert put(x, split(x, numbers(x))) is x
     other = put(x, split(x, numbers(x) + 1.0))
     assert (other.r, other.w, other.wd) == (11.0, None, 1.0)
+
+
+def test_a_block_that_takes_no_state_is_refused_where_it_is_written():
+    with pytest.raises(TypeError, match=r"Old\.update\(self, t, \.\.\.\): expected update\(self, x, t, \.\.\.\)"):
+
+        class Old(Block):
+            def update(self, t, **inputs):
+                return {}
