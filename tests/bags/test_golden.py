@@ -124,7 +124,9 @@ def test_python_decides_where_a_block_is_not_ours(monkeypatch, there, same):
     recipe = golden.recipe.model_copy(update={"made_with": now | {"python": there}})
     golden = type(golden)(golden.folder, recipe, golden.rig)
     assert golden.made_here
-    monkeypatch.setattr(golden.rig.members[-1].block_class, "__module__", "my_laws.law")
+    member = golden.rig.members[-1]
+    own = type("Own", (member.block_class,), {"__module__": "my_laws.law"})
+    monkeypatch.setattr(member, "block_class", own)
     assert golden.made_here == same
     assert golden.others == ({} if same else {"python": (there, "3.13.0")})
 

@@ -60,7 +60,6 @@ EXEMPT = {
     "softrig_power.fault_location.ends._least": SCALAR,
     "softrig_power.fault_location.locator.FaultLocator.setup": SCALAR,
     "softrig_power.fault_location.search.brent": SCALAR,
-    "softrig_robots.driven_robot.DrivenRobot": COUNT,
     "softrig_robots.driven_robot._equations": CASADI,
     "softrig_robots.rehab.stability": CHECK,
     "softrig_robots.rigid_body": CASADI + "; moments of inertia are checked",

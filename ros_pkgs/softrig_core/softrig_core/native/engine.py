@@ -326,7 +326,9 @@ def pays(steps: Sequence[Step], runs: int = 1) -> bool:
     """
     if os.environ.get("SOFTRIG_JIT", "1") == "0" or importlib.util.find_spec("numba") is None:
         return False
-    ticks = sum((s.schedule.ticks or 0) // s.schedule.every for s in steps)
+    ticks = 0
+    for step in steps:
+        ticks += (step.schedule.ticks or 0) // step.schedule.every
     kinds = tuple(type(s.block) for s in steps if not isinstance(s.block, Observer))
     known = any(kinds == tuple(k[0] for k in kept.kinds[:-2]) for kept in _texts)
     return ticks > (QUICK if known else WORTH // max(1, runs))

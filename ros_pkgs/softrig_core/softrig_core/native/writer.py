@@ -9,7 +9,7 @@ import math
 import operator
 import types
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
+from functools import partial, reduce
 from typing import Any
 
 import numpy as np
@@ -1190,7 +1190,9 @@ class Writer:
             samples = [sample_of(v) for v in values]
             if any(not isinstance(s, int) for s in samples):
                 raise self.unknown("sum of numbers that are no whole ones", node)
-            return Dynamic(f"({' + '.join(['0', *(f'int({self.code(v)})' for v in values)])})", sum(samples))
+            return Dynamic(
+                f"({' + '.join(['0', *(f'int({self.code(v)})' for v in values)])})", reduce(operator.add, samples, 0)
+            )
         tests = [self.truth(v) for v in values]
         stop = function is any
         if any(t is stop for t in tests):
