@@ -354,7 +354,7 @@ def test_anti_windup(solver):
     assert found["command"] == (3.0,)
     assert found["health"][0] == 1.0
     fresh.update(0, measured=(100.0,), reference=None)
-    assert law.law.law.move(law.x.law, 400.0) == pytest.approx(fresh.law.law.move(fresh.x.law, 400.0), abs=1e-9)
+    assert law.block.law.move(law.x.law, 400.0) == pytest.approx(fresh.block.law.move(fresh.x.law, 400.0), abs=1e-9)
     back = [[x.update(k, measured=(500.0,), reference=None)["command"][0] for k in range(5)] for x in (law, fresh)]
     assert back[0] == pytest.approx(back[1], abs=1e-9)
     assert back[0][0] < 3.0
