@@ -91,7 +91,6 @@ def test_each_package_stands_alone_with_licence_and_configuration(folder):
     root = ElementTree.parse(folder / "package.xml").getroot()
     assert root.find("license").attrib == {"file": "LICENSE"}
     assert (folder / "LICENSE").read_text() == (ROOT / "LICENSE").read_text()
-    assert {url.get("type") for url in root.iter("url")} == {"repository", "bugtracker"}
     config = configparser.ConfigParser()
     config.read(folder / "setup.cfg")
     assert int(config["flake8"]["max-line-length"]) == LENGTH
