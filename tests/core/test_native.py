@@ -243,9 +243,6 @@ def test_what_is_not_known_is_named() -> None:
 
 
 def test_a_rig_that_gives_up_often_stays_in_python(monkeypatch: pytest.MonkeyPatch) -> None:
-    class Complaining(Pusher):
-        pass
-
     monkeypatch.setattr(engine, "PATIENCE", 3)
     monkeypatch.setattr(engine, "SELDOM", 100)
     native = the_same(rig, monkeypatch)

@@ -12,6 +12,9 @@ from ..kit.compiled import Compiled
 from ..kit.jit import _constant, _numba
 from .rig_text import RigText
 
+# what every text may name
+BASE: dict[str, Any] = {"math": math, "float_nan": math.nan, "float_inf": math.inf, "float_less": -math.inf}
+
 
 def compiled(made: RigText) -> Callable[..., Any]:
     """Give the function of a rig; compiled at its first call, or found in the cache.
@@ -25,19 +28,18 @@ def compiled(made: RigText) -> Callable[..., Any]:
     numba = _numba()
     _teach(numba)
     names = made.program.names
-    scope: dict[str, Any] = {"math": math, "same_": same, "float_nan": math.nan, "float_inf": math.inf,
-                             "float_less": -math.inf}  # fmt: skip
+    scope = {"same_": same, **BASE}
     content = hashlib.sha256(made.text.encode())
     for name, thing in names.items():
         content.update(f"\0{name}\0".encode())
         if isinstance(thing, Compiled):
-            scope[f"{name}"] = _external(numba, thing)
+            scope[name] = _external(numba, thing)
             content.update(str(thing.symbol).encode())
             continue
         scope[name] = thing
         for token in _constant(thing, set()):
             content.update(token.encode())
-    exec(compile(made.text, f"<native {hashlib.sha256(made.text.encode()).hexdigest()[:12]}>", "exec"), scope)
+    exec(compile(made.text, "<native text>", "exec"), scope)
     wrap = numba.njit(error_model="python", boundscheck=True, nogil=True)
     for name, thing in list(scope.items()):
         if callable(thing) and getattr(thing, "__globals__", None) is scope:
@@ -52,8 +54,7 @@ def compiled(made: RigText) -> Callable[..., Any]:
 def plain(made: RigText) -> Callable[..., Any]:
     """Give the function of a rig in Python, for tests: what the text says, without what numba makes of it."""
     names = made.program.names
-    scope: dict[str, Any] = {"math": math, "same_": same, "float_nan": math.nan, "float_inf": math.inf,
-                             "float_less": -math.inf, **names}  # fmt: skip
+    scope = {"same_": same, **BASE, **names}
     exec(compile(made.text, "<native text>", "exec"), scope)
     for name, thing in names.items():
         if isinstance(thing, Compiled):

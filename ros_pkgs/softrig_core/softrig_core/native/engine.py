@@ -162,8 +162,8 @@ class Engine:
         core = self._core
         roots = [s.block for s in core]
         recorded = [s for s in core if s.outputs and (s.send_all is not None or self._watched(s))]
-        if any(not s.plain or s.doubters or s.lacks is not None for s in core):
-            odd = next(s for s in core if not s.plain or s.doubters or s.lacks is not None)
+        odd = next((s for s in core if not s.plain or s.doubters or s.lacks is not None), None)
+        if odd is not None:
             self.native.reason = f"{odd.name}: its messages do not come at each tick, or are spoilt"
             return False
         kinds = (*((type(s.block), s.name, s.schedule.every, s.schedule.clock, s.schedule.ticks,
@@ -228,9 +228,7 @@ class Engine:
             n = np.zeros(2, np.int64)
             rows = {}
             for s in self._recorded:
-                every = self._every[id(s)]
-                count = (last + every - 1) // every - (first + every - 1) // every
-                rows[id(s)] = np.empty((count, len(s.numbers)))
+                rows[id(s)] = np.empty((len(self._own(s, first, last)), len(s.numbers)))
             named = self._tables | {f"o{self._core.index(s)}": rows[id(s)] for s in self._recorded}
             handed = [named[name] for name in self._text.arrays]
             try:
@@ -251,16 +249,20 @@ class Engine:
                 raise NotNative(f"numba: {' '.join(str(error).split())[:300]}") from None
             return last, after, rows
 
+    def _own(self, step: Step, first: int, last: int) -> range:
+        """Give the ticks of a step among those of the clock from `first` up to `last`, by its own numbers."""
+        every = self._every[id(step)]
+        return range((first + every - 1) // every, (last + every - 1) // every)
+
     def _take(self, first: int, last: int, after: Any, rows: dict[int, NDArray[np.float64]]) -> None:
         """Make what native code has found that of the steps."""
         count = len(self._core)
         for k, s in enumerate(self._core):
-            every = self._every[id(s)]
-            begin, end = (first + every - 1) // every, (last + every - 1) // every
-            if begin == end:
+            own = self._own(s, first, last)
+            if not own:
                 continue
             s.x, numbers = unpacked(after[k]), after[count + k]
-            s.t = self._time((end - 1) * every)
+            s.t = s.schedule.time(own[-1])
             at = 0
             said = {}
             for p in s.outputs:
@@ -272,7 +274,7 @@ class Engine:
                 row = said[s.outputs[j].name]
                 values[name] = row if take is None else take(row)
             if s.send_all is not None:
-                times = s.schedule.times(begin, end)
+                times = s.schedule.times(own.start, own.stop)
                 s.send_all(times, rows[id(s)] if s.outputs else np.empty((len(times), 0)))
 
     def _watch(self, first: int, last: int, rows: dict[int, NDArray[np.float64]]) -> None:
@@ -288,7 +290,7 @@ class Engine:
             readers = [(values, name, take, at[j], at[j + 1]) for w in self._watchers
                        for j, values, name, take in s.readers if values is w.values]  # fmt: skip
             if readers:
-                told.append((s, every, (first + every - 1) // every, listed, readers))
+                told.append((s, every, self._own(s, first, last).start, listed, readers))
         watchers = [(w, self._every[id(w)]) for w in self._watchers]
         for k in range(first, last):
             t = self._time(k)

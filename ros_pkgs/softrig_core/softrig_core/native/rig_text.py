@@ -28,17 +28,12 @@ class RigText:
     ----------
     text : str
     program : Program
-    steps : tuple of Step
-        Those that it answers.
-    arrays, draws, scratches : tuple of str
-        What it is handed beside its state, in order.
-    first : int
-        The tick of the clock from which on it may go.
+    arrays : tuple of str
+        What it is handed beside its state, in order: tables, random numbers, memory for calls, places for answers.
     """
 
     text: str
     program: Program
-    steps: tuple[Step, ...]
     arrays: tuple[str, ...]
 
 
@@ -90,7 +85,7 @@ def rig_text(steps: Sequence[Step], recorded: Sequence[Step]) -> RigText:
     rig = "\n".join([*head, *(f"        {line}" for line in body), f"    return ({state},)"])
     words = [TEXTS[w] for w in sorted(program.words)]
     text = "\n\n".join([*words, *_reached(program.functions, rig), rig]) + "\n"
-    return RigText(text, program, tuple(steps), tuple(handed))
+    return RigText(text, program, tuple(handed))
 
 
 def _reached(functions: Sequence[str], rig: str) -> list[str]:

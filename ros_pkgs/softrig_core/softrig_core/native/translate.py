@@ -288,7 +288,7 @@ def made(
     def handed(value: Value, name: str) -> Value:
         """Make what is known inside of an argument; what is computed becomes a parameter."""
         if isinstance(value, Static):
-            if value.path is not None and _slotted(value.value):
+            if value.path is not None and is_number_slot(value.value):
                 return handed(program.slot(value), name)
             key.append((name, "static", value.path if value.path is not None else id(value.value), repr(value.value)
                         if isinstance(value.value, (*NUMBERS, str)) else ""))  # fmt: skip
@@ -323,7 +323,8 @@ def made(
     return Dynamic(code, done.result.sample, done.result.sure, done.result.keys, done.result.parts)
 
 
-def _slotted(value: Any) -> bool:
+def is_number_slot(value: Any) -> bool:
+    """Whether a fixed number is handed in, not written into the text."""
     return isinstance(value, (float, complex)) or (isinstance(value, int) and abs(value) > SMALL)
 
 

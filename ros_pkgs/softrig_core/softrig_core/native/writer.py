@@ -18,13 +18,27 @@ from ..block.block import Block
 from ..kit.compiled import Compiled
 from ..kit.draws import Draws
 from ..kit.jit import Jit, power
-from .translate import BINARY, COMPARE, GIVEN_UP, LONGEST, NUMBERS, SMALL, TURNS, UNARY, Program, as_slot, made
+from .translate import (
+    BINARY,
+    COMPARE,
+    GIVEN_UP,
+    LONGEST,
+    NUMBERS,
+    SMALL,
+    TURNS,
+    UNARY,
+    Program,
+    as_slot,
+    follow,
+    is_number_slot,
+    made,
+    shape,
+)
 from .twins import OF, is_twinned, twin
 from .value import UNKNOWN, Dynamic, Group, NotNative, Record, Static, Value, computed, is_sure, sample_of
 from .words import TEXTS, word
 
 NONE = Static(None)
-ITERATED = (zip, enumerate, reversed, map, range)
 
 
 class Writer:
@@ -276,8 +290,6 @@ class Writer:
 
     def _bound(self, name: str, value: Value) -> Value:
         if isinstance(value, Static):
-            if value.path is not None or not isinstance(value.value, (*NUMBERS, type(None))):
-                return value
             return value
         if isinstance(value, Record):
             return Record({k: self._bound(f"{name}__{k}", v) for k, v in self._each(value).items()})
@@ -708,7 +720,7 @@ class Writer:
         table, at = self.dynamic(base), self.dynamic(index)
         if table.parts or table.sample is UNKNOWN:
             raise self.unknown("an item of something that is not a table", node)
-        if isinstance(table.sample, tuple) and len({_form(v) for v in table.sample}) != 1:
+        if isinstance(table.sample, tuple) and len({shape(v) for v in table.sample}) != 1:
             raise self.unknown("an item of a tuple of several types", node)
         sample = computed(lambda a, k: a[k], table.sample, at.sample)
         if sample is UNKNOWN and isinstance(table.sample, tuple) and table.sample:
@@ -765,7 +777,7 @@ class Writer:
     def binary(self, op: ast.operator, left: Value, right: Value, node: ast.AST) -> Value:
         """Compute with two values."""
         both = [v for v in (left, right) if isinstance(v, Static)]
-        folded = len(both) == 2 and not any(v.path is not None and _number_slot(v.value) for v in both)
+        folded = len(both) == 2 and not any(v.path is not None and is_number_slot(v.value) for v in both)
         if folded and type(op) in (*BINARY, ast.Pow, ast.LShift, ast.RShift):
             function = BINARY[type(op)][1] if type(op) in BINARY else FOLDED[type(op)]
             try:
@@ -964,7 +976,7 @@ class Writer:
             return Dynamic(f"({code})" if isinstance(op, ast.In) else f"(not ({code}))", sample)
         text, function = COMPARE[type(op)]
         if isinstance(left, Static) and isinstance(right, Static):
-            slots = [v for v in (left, right) if v.path is not None and _number_slot(v.value)]
+            slots = [v for v in (left, right) if v.path is not None and is_number_slot(v.value)]
             if not slots:
                 return Static(bool(function(self.program.guard(left), self.program.guard(right))))
         x, y = self.dynamic(left), self.dynamic(right)
@@ -1117,7 +1129,7 @@ class Writer:
                 path is not None
                 and function.path is not None
                 and function.path[-1][0] == "attr"
-                and own is not _before(self.program.roots, function.path)
+                and own is not follow(function.path[:-1], self.program.roots)
             ):  # a method that another object has lent
                 path = (*function.path, ("attr", "__self__"))
             if isinstance(own, type):
@@ -1220,7 +1232,7 @@ class Writer:
         if called is getattr and isinstance(given[0], Static) and isinstance(given[1], Static):
             return self.attribute(given[0], given[1].value, node)
         fixed = [v for v in given if isinstance(v, Static)]
-        if len(fixed) == len(given) and not any(v.path is not None and _number_slot(v.value) for v in fixed):
+        if len(fixed) == len(given) and not any(v.path is not None and is_number_slot(v.value) for v in fixed):
             try:
                 return Static(called(*(self.program.guard(v) for v in fixed)))
             except Exception as error:
@@ -1271,12 +1283,6 @@ FOLDED: dict[type, Callable[[Any, Any], Any]] = {
 }  # fmt: skip
 
 
-def _before(roots: Sequence[Any], path: Any) -> Any:
-    from .translate import follow
-
-    return follow(path[:-1], roots)
-
-
 def _class(sample: Any) -> type | None:
     """Give the class of a named tuple, or the dataclass that it stands for."""
     kind = type(sample)
@@ -1302,10 +1308,6 @@ def _is_super(node: ast.expr) -> bool:
     return isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "super"
 
 
-def _number_slot(value: Any) -> bool:
-    return isinstance(value, (float, complex)) or (isinstance(value, int) and abs(value) > SMALL)
-
-
 def _plain(value: Any) -> Any:
     try:
         return as_slot(value)
@@ -1321,12 +1323,8 @@ def _numbers(value: Any) -> Any:
     return value
 
 
-def _form(value: Any) -> Any:
-    return tuple(_form(v) for v in value) if isinstance(value, tuple) else type(value)
-
-
 def _alike(a: Any, b: Any) -> bool:
-    return a is not UNKNOWN and b is not UNKNOWN and _form(a) == _form(b) and type(a) is type(b)
+    return a is not UNKNOWN and b is not UNKNOWN and shape(a) == shape(b) and type(a) is type(b)
 
 
 def _shapes(value: Dynamic) -> Any:
