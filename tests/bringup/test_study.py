@@ -22,13 +22,14 @@ from conftest import PATIENCE, until
 from softrig_bringup.cli import main
 from softrig_bringup.folder import STUDY, ResultsFolder
 from softrig_bringup.study import pictures
+from softrig_bringup.study.batch import Log
 from softrig_bringup.study.definition import list_studies, load_study, make_study
 from softrig_bringup.study.draw import cases, count, draw
 from softrig_bringup.study.engine import _check, run_study
 from softrig_bringup.study.options import _values
 from softrig_bringup.study.page import best
 from softrig_bringup.study.table import summarise, without_signals
-from softrig_bringup.study.work import Log, absent
+from softrig_bringup.study.work import absent
 from softrig_core import ScenarioError
 
 LAG = """

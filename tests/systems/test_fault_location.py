@@ -1013,9 +1013,8 @@ PERCENT = {  # of the line: mean and largest error over the 48 cases
 @pytest.mark.long
 def test_48_cases_with_all_six_methods(tmp_path):
     """On all cores; the swarms beside Brent, the baselines in their class."""
-    seen = []
-    rows = study.run(study.published_jobs(), progress=lambda done, total: seen.append((done, total)))
-    assert seen == [(k, 288) for k in range(1, 289)]
+    rows = study.run(study.published_jobs())
+    assert len(rows) == 288
     errors = {m: np.array([r.error_m for r in rows if r.method == m]) for m in study.METHODS}
     for method, (mean, largest) in PERCENT.items():
         off = np.abs(errors[method]) / 1200.0

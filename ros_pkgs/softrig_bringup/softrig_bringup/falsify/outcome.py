@@ -17,11 +17,11 @@ from ..folder import FALSIFICATION, ResultsFolder, replace
 from ..report.report import write_report
 from ..run.run import checked, execute, illustrate, save, summary
 from ..study.options import pair
+from ..study.work import LARGE
 from .definition import Falsification, falsification_of, list_falsifications
 from .engine import Outcome, falsify, prepare
 from .picture import draw_worst
 from .shrink import Case
-from .trial import LARGE
 
 PICTURE = "worst.png"
 

@@ -130,9 +130,8 @@ def _judge(verb: Verb) -> None:
     golden.add_argument("--duration", type=float, metavar="S", help="another length of the golden run")
     golden.add_argument("--seed", type=int, metavar="N", help="another seed")
     golden.add_argument("--bags", type=Path, default=Path("bags"), metavar="DIR", help="where they are")
-    for parser in (check, results):
-        parser.add_argument("--workers", type=Number(int, 1), metavar="N", help="processes (default: all cores)")
     for parser in (check, results, golden):
+        parser.add_argument("--workers", type=Number(int, 1), metavar="N", help="processes (default: all cores)")
         parser.add_argument("--junit", type=Path, metavar="FILE", help="report as JUnit XML")
         parser.add_argument("--json", type=Path, metavar="FILE", help="report as JSON")
 
