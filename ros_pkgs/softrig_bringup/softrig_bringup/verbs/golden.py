@@ -259,12 +259,16 @@ def load(folder: Path, **changes: Any) -> Golden:
     ScenarioError
         golden.yaml is missing or wrong; names file and key.
     """
+    recipe = _read(folder, changes)
+    return Golden(folder, recipe, _rig(recipe))
+
+
+def _read(folder: Path, changes: dict[str, Any]) -> Recipe:
     file = folder / "golden.yaml"
     if not file.is_file():
         raise ScenarioError(f"{folder} has no golden.yaml; --bags DIR says where golden bags are")
     content = read_yaml(file.read_text(errors="replace"), str(file))
-    recipe = _recipe(file, content | changes if isinstance(content, dict) else content)
-    return Golden(folder, recipe, _rig(recipe))
+    return _recipe(file, content | changes if isinstance(content, dict) else content)
 
 
 def create(folder: Path, scenario: str, duration: float | None = None, seed: int = 0) -> Golden:
@@ -329,6 +333,8 @@ def remade(names: Sequence[str], folder: Path, *, duration: float | None, seed: 
         raise ScenarioError(f"{folder} has no golden bags yet; name the scenarios to make them of")
     suites, content = [], []
     differing: set[str] = set()
+    for name in chosen if check else ():  # what is wrong with a recipe is said before the first run
+        _read(folder / name, changes)
     works = [(folder / name, changes, check) for name in chosen]
     for row, new, others in sweep(_one, works, title="golden bags", workers=workers if check else 1):
         name, length = row["bag"], f"{row['duration_s']:g} s"
