@@ -81,7 +81,7 @@ def test_ranges_are_met_at_both_ends_and_in_between():
     [
         ("plant.R", "3..1", "3 is above 1"),
         ("plant.R", "log -1..1", "a logarithm needs a range above 0"),
-        ("plant.R", "1", r"expected a\.\.b"),
+        ("plant.R", "1", r"expected LOW\.\.HIGH"),
         ("motor/state/shaft/velocity", "0..1", "a signal takes a profile, such as 0..1.6"),
         ("plant.load_torques", "0..1*0", "expected 1 to 50 numbers, got 0"),
         ("plant.R+", "0..1", "only to signals can be added"),
@@ -240,7 +240,7 @@ def test_where_nothing_violates_it_says_what_came_nearest(file, tmp_path, capsys
         (["--over", "dc_motor_plant.R=2..1"], "2 is above 1"),
         (["--over", "dc_motor_plant.R=1..2", "--budget", "0"], "--budget"),
         (["--over", "dc_motor_plant.R=1..2", "--requirement", "trackin"], "did you mean 'tracking'"),
-        (["--over", "nonsense"], "expected NODE.PARAM"),
+        (["--over", "nonsense"], "--over 'nonsense': expected NAME=LOW..HIGH"),
     ],
 )
 def test_bad_input_is_one_line_before_the_first_run(file, arguments, reason, tmp_path, capsys):

@@ -715,10 +715,9 @@ def test_an_address_without_a_scheduler_is_named(monkeypatch):
 def test_sweep_on_a_local_cluster():
     import distributed
 
-    with distributed.LocalCluster(n_workers=1, threads_per_worker=2, processes=False, dashboard_address=None) as local:
-        with Workers(scheduler=local.scheduler_address) as workers:
-            clients = []
-            for _ in range(2):
-                assert workers.map(operator.neg, range(5)) == [0, -1, -2, -3, -4]
-                clients.append(workers._client)
-            assert clients[0] is clients[1]
+    local = distributed.LocalCluster(n_workers=1, threads_per_worker=2, processes=False, dashboard_address=None)
+    with local, Workers(scheduler=local.scheduler_address) as workers:
+        assert workers.map(operator.neg, range(5)) == [0, -1, -2, -3, -4]
+        first = workers._client
+        assert workers.map(abs, [-1]) == [1]
+        assert workers._client is first

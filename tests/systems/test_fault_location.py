@@ -942,7 +942,7 @@ def test_command_line(record, tmp_path, capsys):
     assert (tmp_path / "waveforms.png").stat().st_size > 10_000
     assert main(["locate", str(tmp_path / "bag"), "--window", "0.021", "0.0395", "--line", "paper"]) == 0
     assert capsys.readouterr().out.startswith("fault at 49.990 km from S (70.010 km from R)")
-    assert main(["locate", *files, "--set", "algorithm=integer_grid", "line.r1=0.03"]) == 0
+    assert main(["locate", *files, "--set", "algorithm=integer_grid", "--set", "line.r1=0.03"]) == 0
     capsys.readouterr()
     assert main(["locate", *files, "--set", "line.l1=-1", "--set", "line.r1=0.03"]) == 2
     assert "line.l1" in capsys.readouterr().err
