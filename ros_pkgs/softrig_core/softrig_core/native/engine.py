@@ -364,7 +364,10 @@ def writes(steps: Sequence[Step]) -> bool:
 
 
 def _answers(steps: Sequence[Step]) -> int:
-    return sum((step.schedule.ticks or 0) // step.schedule.every for step in steps)
+    answers = 0
+    for step in steps:
+        answers += (step.schedule.ticks or 0) // step.schedule.every
+    return answers
 
 
 def unwanted(steps: Sequence[Step], runs: int = 1) -> str:
