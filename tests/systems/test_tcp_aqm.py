@@ -19,6 +19,7 @@ from softrig_core import (
     load_scenario,
     rig_of,
     run_processes,
+    simulate,
 )
 from softrig_core.verdict.findings import findings, values
 from softrig_systems.tcp_aqm.controller import HOLD, AqmController
