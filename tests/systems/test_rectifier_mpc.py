@@ -10,7 +10,6 @@ from functools import cache
 import mpmath
 import numpy as np
 import pytest
-from conftest import differences
 from hypothesis import given, strategies as st
 from pages.drawn import rectifier_mpc as pictures
 from scipy import linalg, signal
@@ -32,8 +31,6 @@ from softrig_core import (
     Refused,
     list_scenarios,
     load_scenario,
-    rig_of,
-    run_processes,
     scalars,
     simulate,
 )
@@ -765,16 +762,6 @@ def test_native_and_plain_code_give_the_same_bits(monkeypatch):
     monkeypatch.setenv("SOFTRIG_JIT", "0")
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     assert [tuple(x) for x in json.loads(out)] == [moving(plant) for plant in native]
-
-
-@pytest.mark.long  # daily in a container
-@pytest.mark.processes
-@pytest.mark.parametrize("name", ["rectifier_mpc", "rectifier_mpc_n1_qp2"])
-def test_processes_give_the_same_bytes(name, tmp_path):
-    rig = rig_of(name, duration=0.25)
-    outcome = run_processes(rig, rig.scenario.seed, tmp_path)
-    assert not outcome.error
-    assert differences(simulate(rig).recording, outcome.recording) == []
 
 
 def test_certificate_node_answers_a_press_once():

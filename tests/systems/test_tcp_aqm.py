@@ -18,7 +18,6 @@ from softrig_core import (
     list_scenarios,
     load_scenario,
     rig_of,
-    run_processes,
     simulate,
 )
 from softrig_core.verdict.findings import findings, values
@@ -542,15 +541,3 @@ def test_native_and_plain_python_give_the_same_bits():
 
 
 # Through processes
-
-
-@pytest.mark.processes
-@pytest.mark.parametrize(
-    "name",
-    ["tcp_aqm_smc_s4", *(pytest.param(n, marks=pytest.mark.long) for n in ("tcp_aqm_smc", "tcp_aqm_smc_10ms"))],
-)
-def test_processes_give_the_bits_of_in_process(name, tmp_path):
-    rig = rig_of(load_scenario(name).model_copy(update={"duration": 3.0 if name.endswith("s4") else 0.5}))
-    outcome = run_processes(rig, 1, tmp_path)
-    assert outcome.error == ""
-    assert differences(in_process(rig, 1), outcome.recording) == []
