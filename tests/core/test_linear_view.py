@@ -247,8 +247,8 @@ def test_a_loop_that_cannot_be_seen_is_told():
     motor = {"overrides": {"period": T}, "at": 1.0}
     with pytest.raises(RunError, match=r"motor_reference hears nothing of what motor/reference/.* does: no loop"):
         linear_view("dc_motor_smc", "motor/reference/shaft", **motor)
-    with pytest.raises(RunError, match=r"effort by 0\.0312 comes back there at 0\.1 s, within 10 periods, a smaller one "
-                                       "does not: .* in steps"):  # fmt: skip
+    with pytest.raises(RunError, match=r"effort by 0\.0312 comes back there at 0\.1 s, within 10 periods, a smaller "
+                                       "one does not: .* in steps"):  # fmt: skip
         linear_view("dc_motor_smc_b2", at=0.1)
     with pytest.raises(ScenarioError, match="no signal 'volt'"):
         linear_view("dc_motor_smc", "volt", **motor)
