@@ -2,6 +2,7 @@
 
 import fcntl
 import json
+import mmap
 import os
 import signal
 import subprocess
@@ -21,7 +22,7 @@ from softrig_core.processes.domain import free_domain
 from softrig_core.processes.executables import environment, find_executable
 from softrig_core.processes.fork_server import start_node
 from softrig_core.processes.placement import Listener, Placement
-from softrig_core.processes.shared_memory import MADE, clear_ports, remove_leftovers
+from softrig_core.processes.shared_memory import MADE, Ears, clear_ports, remove_leftovers
 from softrig_core.processes.spawning import node_parameters, parameter_file
 from softrig_core.processes.stopping import Stopped, stoppable
 
@@ -102,6 +103,26 @@ def test_a_node_waits_for_a_port_that_is_being_made_and_removes_one_whose_maker_
     clear_ports(1, tmp_path)
     assert ports[0].read_bytes() == MADE
     assert {p.name for p in tmp_path.iterdir()} == {p.name for p in (*ports, other)} - {ports[1].name}
+
+
+def test_a_port_whose_name_another_file_has_is_lost(tmp_path, monkeypatch):
+    """Who has it mapped and reads it hears nobody who opens it by its name."""
+    monkeypatch.setattr(Ears, "PATIENCE", 0.0)
+    port, lock, foreign = (tmp_path / f"fastrtps_port{name}" for name in ("7661", "7661_el", "7663"))
+    for file in (port, foreign):
+        file.write_bytes(bytes(8))
+    with port.open("r+b") as file, lock.open("w"), mmap.mmap(file.fileno(), 8):
+        ears = Ears()
+        assert ears.lost() == ""
+        foreign.unlink()  # of a peer
+        assert ears.lost() == ""
+        port.unlink()
+        assert ears.lost() == port.name
+        port.write_bytes(bytes(8))
+        assert ears.lost() == port.name
+        with port.open("r+b") as new, mmap.mmap(new.fileno(), 8):
+            assert ears.lost() == ""  # opened anew, as Fast DDS does where one is damaged
+    assert Ears().lost() == ""
 
 
 def test_ctrl_c_cannot_be_swallowed_while_a_node_starts():
