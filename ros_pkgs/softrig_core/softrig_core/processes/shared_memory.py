@@ -12,6 +12,7 @@ from .ports import FLOWS, of_domain
 
 FOLDER = Path("/dev/shm")
 AGE = 2.0  # s: between making a segment and locking it pass some microseconds
+SIZE = 1_250_000  # bytes that the segments and ports of a node take
 MADE = b"\2\0\0\0"  # how a segment begins that its maker has finished (Boost.Interprocess)
 
 
@@ -74,6 +75,18 @@ def clear_ports(domain: int, folder: Path = FOLDER) -> None:
         if not unfinished:
             return
         time.sleep(0.02)
+
+
+def lacking(processes: int, folder: Path = FOLDER) -> str:
+    """Say why messages of so many nodes will not all go by shared memory; empty where they will."""
+    try:
+        left = os.statvfs(folder)
+    except OSError as error:
+        return f"{folder}: {error.strerror}"
+    if not os.access(folder, os.W_OK):
+        return f"{folder} cannot be written"
+    free, needed = left.f_bavail * left.f_frsize, processes * SIZE
+    return "" if free >= needed else f"{folder} has {free / 1e6:.1f} MB left, {processes} nodes take {needed / 1e6:.1f}"
 
 
 def domain_id() -> int:
