@@ -209,6 +209,23 @@ def test_an_overlay_sourced_before_is_honoured(user, package):
 
 
 @pytest.mark.long
+def test_a_run_of_an_own_package_goes_to_a_colleague(user, package):
+    command = f"'{SOFTRIG}' --workspace heater"
+    user(f"{command} run heater --mode inprocess --no-plots --set heater_controller.r=0.1 --out mine")
+    user(f"{command} pack mine --out sent.zip && '{SOFTRIG}' --workspace none list heater")
+    away = package.with_name("away")
+    package.rename(away)
+    try:
+        _, said = user(f"'{SOFTRIG}' run --like sent.zip --no-plots --out again")  # through processes
+        assert "sent.zip brings heater: code of who has made it runs here" in said
+        assert "repeats sent.zip number for number: 1001 messages on 2 topics" in said.splitlines()[-1]
+        _, said = user(f"'{SOFTRIG}' run --like mine --no-plots", status=2)
+        assert "it needs package heater, not installed here" in said
+    finally:
+        away.rename(package)
+
+
+@pytest.mark.long
 @pytest.mark.processes
 def test_an_own_law_stands_beside_the_papers(user, package):
     (user.folder / "beside.yaml").write_text(BESIDE)

@@ -24,6 +24,10 @@ def verbs(verb: Verb) -> None:
     new = verb("new", "verbs.new:main", "write a package with a plant, a law, a scenario and tests, to begin with")
     new.add_argument("name", metavar="NAME", help="of the package: lower-case letters, digits and _")
     new.add_argument("--into", type=Path, default=Path(), metavar="DIR", help="where its folder is made (here)")
+    pack = verb("pack", "verbs.pack:main", "a run as one file, your own packages in it: `run --like FILE` elsewhere")
+    pack.add_argument("run", type=Path, metavar="RUN", help="its folder, or its bag")
+    pack.add_argument("--out", type=Path, metavar="FILE", help="the new file (SCENARIO.softrig.zip, here)")
+    pack.add_argument("--no-bag", action="store_true", help="without what was recorded: digests are compared")
     env = verb("env", "cli:env", 'an environment for your shell: eval "$(scripts/softrig env)"; `env COMMAND` runs one '
                "command in it, colcon too; `env --completion`: completion of our words")  # fmt: skip
     env.add_argument("--completion", nargs="?", const="bash", choices=("bash", "zsh", "fish"))
