@@ -286,6 +286,24 @@ def test_a_name_that_cannot_be_a_package_is_refused(tmp_path, name):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize("name", ["dc_motor_smc", "dc_motor_smc_b2_delta1"])
+def test_a_name_of_which_a_scenario_would_run_in_its_place_is_refused(tmp_path, name):
+    with pytest.raises(ScenarioError, match=rf"`run {name}` is a scenario already \(dc_motor_smc"):
+        new_package(name, tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("kind", ["law", "plant"])
+def test_a_law_or_a_plant_alone_runs_as_it_is_written(user, kind):
+    name = f"alone_{kind}"
+    assert f"--workspace {name} run {name}" in user(f"'{SOFTRIG}' new {name} --only {kind}")[0]
+    user(f"'{SOFTRIG}' --workspace {name} run {name} --mode inprocess --no-plots --strict")
+    out, _ = user(f"'{SOFTRIG}' --workspace {name} python -m pytest -q {name}/test")
+    assert "passed" in out
+    assert "failed" not in out
+
+
 def test_nothing_is_written_over(tmp_path, capsys):
     (tmp_path / "heater").mkdir()
     assert main(["new", "heater", "--into", str(tmp_path)]) == 2
