@@ -94,7 +94,7 @@ def _vary(verb: Verb) -> None:
     study.add_argument("--duration", type=float, metavar="S", help="instead of the scenario's")
     study.add_argument("--figures", nargs="+", default=[], metavar="FIGURE", help="only these")
     study.add_argument("--signals", nargs="+", default=[], metavar="SIGNAL", help="keep and draw these")
-    study.add_argument("--out", type=Path, metavar="DIR", help="results go here (default runs/study_NAME)")
+    study.add_argument("--out", type=Path, metavar="DIR", help="results go here (runs/study_NAME and what is varied)")
     _workers(study)
     falsify = verb(
         "falsify", "falsify.outcome:main", "look for the run that violates a requirement, made small and kept"
