@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument("scenario", nargs="?", default="", help="name or YAML file")
-    parser.add_argument("--like", type=Path, metavar="RUN", help="instead of a scenario: that run (its folder "
-                        "or bag) once more, with all that was changed while it ran")  # fmt: skip
+    parser.add_argument("--like", type=Path, metavar="RUN", help="instead of a scenario: that run (its folder, "
+                        "bag, or file of `pack`) once more, with all that was changed while it ran")  # fmt: skip
     parser.add_argument("--mode", choices=("processes", "container", "inprocess"), default="processes", type=_mode,
                         help="where the nodes live")  # fmt: skip
     parser.add_argument("--realtime", action="store_true", help="against the wall clock, not in lockstep")
