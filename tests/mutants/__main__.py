@@ -74,7 +74,7 @@ def _run(tree: Path, arguments: list[str], limit: float | None = None, **variabl
     """Run pytest in the worktree; status, None when it took too long, and the end of what it said."""
     command = ["nice", "scripts/softrig", "python", "-m", "pytest", "-q", "-p", "no:cacheprovider", *arguments]
     process = subprocess.Popen(command, cwd=tree, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
-                               stdin=subprocess.DEVNULL, env={**os.environ, **variables}, start_new_session=True)  # fmt: skip
+                               stdin=subprocess.DEVNULL, env=os.environ | variables, process_group=0)  # fmt: skip
     try:
         said = process.communicate(timeout=limit)[0]
     except subprocess.TimeoutExpired:
