@@ -27,11 +27,13 @@ class Hold:
     Attributes
     ----------
     held : bool
+    steps : int
+        That it may take all the same.
     """
 
     def __init__(self, held: bool = False) -> None:
         self.held = held
-        self._steps = 0  # that it may take all the same
+        self.steps = 0
         self._turn: Callable[[], object] | None = None
         self._tells = False
 
@@ -52,13 +54,13 @@ class Hold:
 
     def holds(self, t: int) -> bool:
         """Whether the step from tick `t` to the next one has to wait; a single step is used up by it."""
-        if self.held and self._steps:
-            self._steps -= 1
+        if self.held and self.steps:
+            self.steps -= 1
             return False
         return self.held
 
-    def ask(self, what: str) -> tuple[bool, str]:
-        """Pause, resume or take a step; gives whether that could be done, and what to say."""
+    def ask(self, what: str, steps: int = 1) -> tuple[bool, str]:
+        """Pause, resume or take steps; gives whether that could be done, and what to say."""
         if self._turn is None:
             return False, "this node has not begun"
         if what == "pause":
@@ -68,9 +70,9 @@ class Hold:
         if what == "step":
             if not self.held:
                 return False, "it runs: pause it first"
-            self._steps += 1
+            self.steps += steps
         else:
-            self.held, self._steps = False, 0
+            self.held, self.steps = False, 0
         self._middleware.post(self._turn)
         return True, "one step" if what == "step" else "goes on"
 
