@@ -198,7 +198,8 @@ class Lockstep:
 
     def busy(self) -> bool:
         """Whether a solver is at work, or somebody holds the run."""
-        return self.node.hold.held or (self._solving is not None and self._solving.working)
+        hold = self.node.hold
+        return hold.held or hold.waits or (self._solving is not None and self._solving.working)
 
     def counts(self) -> dict[str, int]:
         """Nothing is ever late."""
