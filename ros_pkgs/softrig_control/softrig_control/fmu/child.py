@@ -116,42 +116,49 @@ def main() -> None:
     parent = int(sys.argv[2])
     os.dup2(2, 1)  # an FMU that prints does so on the terminal, not in what a program may read
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the caller's; it ends us
-    signal.signal(signal.SIGTERM, _ended)
+    # Waited for and never handled: of a caller that is killed we see the FMU's end first, and then this signal
+    awaited = {signal.SIGTERM, signal.SIGCHLD}
+    signal.pthread_sigmask(signal.SIG_BLOCK, awaited)
     prctl = ctypes.CDLL(None).prctl
     prctl(PR_SET_CHILD_SUBREAPER, 1)  # what the FMU starts is ours when the FMU has gone
     prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
     if os.getppid() != parent:
         os._exit(0)
-    keeper, status = os.getpid(), 0
-    try:
-        fmu = os.fork()
-        if not fmu:
-            signal.signal(signal.SIGTERM, signal.SIG_DFL)
-            prctl(PR_SET_PDEATHSIG, signal.SIGKILL)  # also while a call of the FMU hangs
-            if os.getppid() == keeper:
-                _answer(Connection(int(sys.argv[1])))
-            os._exit(0)
-        os.close(int(sys.argv[1]))
-        while (ended := os.wait())[0] != fmu:
-            pass
-        status = ended[1]
-    except _Ended:
-        pass
-    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    keeper = os.getpid()
+    fmu = os.fork()
+    if not fmu:
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, awaited)
+        prctl(PR_SET_PDEATHSIG, signal.SIGKILL)  # also while a call of the FMU hangs
+        if os.getppid() == keeper:
+            _answer(Connection(int(sys.argv[1])))
+        os._exit(0)
+    os.close(int(sys.argv[1]))
+    status = None
+    while status is None and signal.sigwait(awaited) != signal.SIGTERM:
+        status = _reaped(fmu)
     _sweep()
+    if status is None:
+        os._exit(0)
     if os.WIFSIGNALED(status):  # end as it did
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
         signal.signal(os.WTERMSIG(status), signal.SIG_DFL)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, awaited)
         os.kill(keeper, os.WTERMSIG(status))
     os._exit(os.waitstatus_to_exitcode(status) if os.WIFEXITED(status) else 1)
 
 
-class _Ended(BaseException):
-    """Our caller has ended, or wants us to."""
-
-
-def _ended(*_: object) -> None:
-    raise _Ended
+def _reaped(fmu: int) -> int | None:
+    """Take leave of all children that have ended; the status of the FMU where it is one of them."""
+    status = None
+    while True:
+        try:
+            child, ended = os.waitpid(-1, os.WNOHANG)
+        except ChildProcessError:
+            return status
+        if not child:
+            return status
+        if child == fmu:
+            status = ended
 
 
 def _sweep() -> None:
