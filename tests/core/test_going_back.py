@@ -41,8 +41,7 @@ def same(a: Any, b: Any) -> bool:
         )
     if type(a).__eq__ is not object.__eq__ or a is b:
         return bool(a == b)
-    inside = [dict(o.__getstate__() or {}) if hasattr(o, "__dict__") else o for o in (a, b)]
-    return type(a) is type(b) and inside[0] is not a and same(*inside)
+    return type(a) is type(b) and same(a.__getstate__(), b.__getstate__())
 
 
 def held_against(one: Session, other: Session) -> None:

@@ -7,17 +7,15 @@ from typing import Any
 
 from ..errors import ScenarioError
 from ..rig.rig import Rig
-from ..scenario.scenario import Scenario
 from ..timebase import SECOND, to_ns
 from ..wire.parameter_event import TOPIC as EVENTS, recorded
 from ..wire.recording import Recording
 
 
 def branched(
-    rig: Rig, recording: Recording, at: float, values: Mapping[str, Any], *, epoch: int = 0,
-    duration: float | None = None,
-) -> Scenario:  # fmt: skip
-    """Give the scenario of a run that is a recorded one up to a time, and goes on from there with other parameters.
+    rig: Rig, recording: Recording, at: float, values: Mapping[str, Any], epoch: int = 0
+) -> list[dict[str, Any]]:  # fmt: skip
+    """Give the changes of a run that is a recorded one up to a time, and goes on from there with other parameters.
 
     Who changed what before that time has done it here, too; what people did from there on has not happened. The changes
     that the scenario itself makes stay.
@@ -33,30 +31,28 @@ def branched(
         ``node.parameter`` to value from then on; of parameters that may change while running.
     epoch : int
         What the stamps of the recording count from, ns.
-    duration : float, optional
-        In s, in place of the recorded run's.
+
+    Returns
+    -------
+    list of dict
+        For the key ``changes`` of its scenario.
 
     Raises
     ------
     ScenarioError
-        The run did not come so far, or `values` cannot be.
+        The run did not come so far.
     """
     reached = max((topic.times[-1] for topic in recording.topics.values() if topic.times), default=epoch) - epoch
     start = to_ns(at) if at >= 0.0 else -1
     if not 0 <= start <= reached:
         raise ScenarioError(f"t = {at:.9g} s: expected a time that the run has come to, 0 to {reached / SECOND:.9g} s")
-    changes: list[dict[str, Any]] = [
-        {"at": t / SECOND, "set": {f"{node}.{name}": value for name, value in own.items()}}
-        for t, node, own in recorded(recording, epoch) if t < start
+    found = [(t, node, own) for t, node, own in recorded(recording, epoch) if t < start]
+    found += [
+        (change.at, member.name, dict(change.values))
+        for member in rig.members for change in member.changes if member.schedule.next(change.at - 1) >= start
     ]  # fmt: skip
-    for member in rig.members:
-        changes += [
-            {"at": change.at / SECOND, "set": {f"{member.name}.{name}": v for name, v in change.values.items()}}
-            for change in member.changes if member.schedule.next(change.at - 1) >= start
-        ]  # fmt: skip
-    changes += [{"at": start / SECOND, "set": dict(values)}] if values else []
-    scenario = rig.scenario.having(changes=changes)
-    return scenario if duration is None else scenario.changed(duration=duration)
+    changes = [{"at": t / SECOND, "set": {f"{node}.{k}": v for k, v in own.items()}} for t, node, own in found]
+    return changes + ([{"at": start / SECOND, "set": dict(values)}] if values else [])
 
 
 def parted(before: Recording, after: Recording, at: float) -> str:

@@ -189,8 +189,10 @@ class Run:
 
         Parameters
         ----------
-        at, values, duration
+        at, values
             See `softrig_core.run.branch.branched`.
+        duration : float, optional
+            In s, in place of this run's.
         progress, runs
             See `simulate`.
 
@@ -212,13 +214,13 @@ class Run:
         >>> softer = run.branch(0.5, {"dc_motor_smc.delta": 0.5})
         """
         begun = self.begun or self.rig
-        length = self.rig.scenario.duration if duration is None else duration
-        scenario = branched(begun, self.recording, at, values, epoch=self.epoch, duration=length)
+        scenario = begun.scenario.having(changes=branched(begun, self.recording, at, values, self.epoch))
+        scenario = scenario.changed(duration=self.rig.scenario.duration if duration is None else duration)
         rig = rig_of(scenario, classes={m.name: m.block_class for m in self.rig.members})
         found = simulate(rig, seed=self.seed, progress=progress, runs=runs)
-        found.begun = begun
         if where := "" if self.epoch else parted(self.recording, found.recording, at):
             raise RunError(f"{rig.scenario.name}: what ran up to t = {at:.9g} s is not what had run, first {where}")
+        found.begun = begun
         return found
 
     @property
