@@ -59,6 +59,7 @@ class _Kept:
     kinds: tuple[Any, ...]
     text: RigText
     function: Callable[..., Any] = field(repr=False)
+    go: int = SHORTEST  # ticks that are answered in one go
 
 
 _texts: list[_Kept] = []
@@ -90,7 +91,7 @@ class Engine:
         stride = math.gcd(*(s.schedule.every for s in self.steps))
         self._every = {id(s): s.schedule.every // stride for s in self.steps}
         self._time = self.runner.schedule.time
-        self._text: RigText | None = None
+        self._kept: _Kept | None = None
 
     def run(self) -> Iterator[int]:
         """Answer all ticks of a run that has an end; then the steps know what of them was native.
@@ -110,19 +111,20 @@ class Engine:
         finally:
             given_up = self.native.given_up
             reason = self.native.reason or (f"{given_up} of its ticks were given up" if given_up else "")
-            for s in self.steps:
+            for s in self.steps if self._typed else ():
                 s.native = s.native[0], "it watches what is recorded" if s in self._watchers else reason
 
     def _run(self) -> Iterator[int]:
         assert self.runner.ticks is not None
         last = self.runner.ticks
-        k, go = 0, SHORTEST
+        k = 0
         fresh = True  # whether the text is to be looked at again
         while k <= last:
             if k and fresh:
                 fresh = False
                 if not self._fitted():
                     break
+            go = self._kept.go if self._kept else SHORTEST
             until = min(last, k + go, self._next_change(k)) if k else 0
             if until > k:
                 started = time.perf_counter()
@@ -131,9 +133,12 @@ class Engine:
                 except NotNative as reason:
                     self.native = Native(reason=str(reason))
                     break
-                if reached == until and until == k + go:
+                if self._kept and reached == until and until == k + go:
                     took = time.perf_counter() - started
-                    go = min(LONGEST, go * 2) if took < GO / 2 else max(SHORTEST, go // 2) if took > GO else go
+                    if took < GO / 2:
+                        self._kept.go = min(LONGEST, go * 2)
+                    elif took > GO:
+                        self._kept.go = max(SHORTEST, go // 2)
                 self.native.ticks += reached - k
                 k = reached
                 yield self._time(k - 1) if k else 0
@@ -189,7 +194,7 @@ class Engine:
                 kept = _Kept(kinds, text, self._make(text))
                 _texts.insert(0, kept)
                 del _texts[KEPT:]
-            self._text, self._function = kept.text, kept.function
+            self._kept = kept
             program = kept.text.program
             self._constants = program.constants(roots)
             tables: dict[str, Any] = dict(zip(program.arrays.values(), program.tables(roots), strict=True))
@@ -237,16 +242,17 @@ class Engine:
         return reached
 
     def _called(self, first: int, last: int, before: Any) -> tuple[int, Any, dict[int, Any]]:
-        assert self._text is not None
+        kept = self._kept
+        assert kept is not None
         while True:
             n: Any = np.zeros(2, np.int64) if self._typed else [0, 0]
             rows: dict[int, Any] = {id(s): [] for s in self._recorded}
             if self._typed:
                 rows = {id(s): np.empty((len(self._own(s, first, last)), len(s.numbers))) for s in self._recorded}
             named = self._tables | {f"o{self._core.index(s)}": rows[id(s)] for s in self._recorded}
-            handed = [named[name] for name in self._text.arrays]
+            handed = [named[name] for name in kept.text.arrays]
             try:
-                after = self._function(first, last, n, self._constants, before, *handed)
+                after = kept.function(first, last, n, self._constants, before, *handed)
             except NATIVE:
                 if n[1]:
                     for name, draws in self._sources.items():
@@ -259,7 +265,7 @@ class Engine:
             except Exception as error:
                 if type(error).__module__.partition(".")[0] != "numba":
                     raise
-                _texts[:] = [kept for kept in _texts if kept.text is not self._text]
+                _texts[:] = [other for other in _texts if other is not kept]
                 raise NotNative(f"numba: {' '.join(str(error).split())[:300]}") from None
             return last, after, rows
 
@@ -277,7 +283,8 @@ class Engine:
                 continue
             s.x, numbers = unpacked(after[k]), after[count + k]
             s.t = s.schedule.time(own[-1])
-            s.native = s.native[0] + len(own), ""
+            if self._typed:
+                s.native = s.native[0] + len(own), ""
             at = 0
             said = {}
             for p in s.outputs:
