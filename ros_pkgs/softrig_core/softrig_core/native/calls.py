@@ -6,6 +6,7 @@ import ast
 import operator
 import types
 from collections.abc import Callable, Mapping, Sequence
+from copy import deepcopy
 from functools import partial, reduce
 from typing import Any
 
@@ -17,6 +18,8 @@ from ..kit.draws import Draws
 from ..kit.jit import Jit, power
 from .expressions import Expressions
 from .translate import (
+    GIVEN_UP,
+    LONGEST,
     TURNS,
     follow,
     is_number_slot,
@@ -179,6 +182,13 @@ class Calls(Expressions):
             return self._named(type(sample), parts, node)
         if name == "conjugate" and isinstance(sample, complex) and isinstance(base, Dynamic):
             return Dynamic(f"{base.code}.conjugate()", sample.conjugate())
+        if name == "tolist" and isinstance(base, Dynamic) and isinstance(sample, np.ndarray) and sample.ndim == 1:
+            if len(sample) > LONGEST:
+                raise self.unknown(f"an array of {len(sample)} as a list, expected at most {LONGEST}", node)
+            simple = self.simple(base)
+            self.emit(f"if len({simple.code}) != {len(sample)}:")
+            self.emit(f"    {GIVEN_UP}")
+            return Group(tuple(self.item(simple, Static(k), node) for k in range(len(sample))))
         if name == "get" and isinstance(base, Record):
             return base.items.get(self.program.guard(self.value(node.args[0])), NONE)  # type: ignore[arg-type]
         own = class_of(sample)
@@ -265,7 +275,7 @@ class Calls(Expressions):
 
     def _native(self, function: Jit, given: Sequence[Value], node: ast.AST) -> Dynamic:
         values = [self.dynamic(v) for v in given]
-        samples = [np.copy(v.sample) if isinstance(v.sample, np.ndarray) else v.sample for v in values]
+        samples = deepcopy([v.sample for v in values])
         sample = computed(function.py_func, *samples)
         name = self.program.name(function, "jit")
         return Dynamic(f"{name}({', '.join(v.code for v in values)})", _numbers(sample), sample is not UNKNOWN)
@@ -312,6 +322,12 @@ class Calls(Expressions):
     def _builtin(self, called: Any, given: list[Value], words: Mapping[str, Value], node: ast.AST) -> Value:
         if words:
             raise self.unknown(f"{getattr(called, '__name__', called)} with words", node)
+        if called is np.array and len(given) == 1:
+            numbers = [self.dynamic(v) for v in self.parts(given[0], node)]
+            if not all(isinstance(v.sample, (float, int)) for v in numbers):
+                raise self.unknown("an array of something else than numbers", node)
+            return Dynamic(f"array_(({''.join(f'float({v.code}), ' for v in numbers)}))",
+                           np.array([float(v.sample) for v in numbers]))  # fmt: skip
         if called in (min, max) and len(given) == 1:
             given = self.parts(given[0], node)
         if called is len:

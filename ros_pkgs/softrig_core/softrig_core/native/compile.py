@@ -8,12 +8,20 @@ from collections.abc import Callable
 from functools import lru_cache
 from typing import Any
 
+import numpy as np
+
 from ..kit.compiled import Compiled
 from ..kit.jit import _constant, _numba
 from .rig_text import RigText
 
 # what every text may name
-BASE: dict[str, Any] = {"math": math, "float_nan": math.nan, "float_inf": math.inf, "float_less": -math.inf}
+BASE: dict[str, Any] = {
+    "math": math,
+    "array_": np.array,
+    "float_nan": math.nan,
+    "float_inf": math.inf,
+    "float_less": -math.inf,
+}
 
 
 def compiled(made: RigText) -> Callable[..., Any]:

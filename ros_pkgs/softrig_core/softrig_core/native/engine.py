@@ -204,8 +204,7 @@ class Engine:
 
     def _go(self, first: int, last: int) -> int:
         """Answer ticks of the clock from `first` up to `last`, or as far as native code goes; give how far that is."""
-        before = (*(packed(s.x) for s in self._core), *(tuple(map(float, s.numbers)) for s in self._core))
-        reached, after, rows = self._called(first, last, before)
+        reached, after, rows = self._called(first, last)
         if after is None:
             return first
         begun = [w.save() for w in self._watchers]
@@ -216,15 +215,16 @@ class Engine:
             for watcher, saved in zip(self._watchers, begun, strict=True):
                 watcher.load(saved)
             if reached > first:
-                _, after, rows = self._called(first, reached, before)
+                _, after, rows = self._called(first, reached)
                 self._watch(first, reached, rows)
         if reached > first:
             self._take(first, reached, after, rows)
         return reached
 
-    def _called(self, first: int, last: int, before: Any) -> tuple[int, Any, dict[int, NDArray[np.float64]]]:
+    def _called(self, first: int, last: int) -> tuple[int, Any, dict[int, NDArray[np.float64]]]:
         assert self._text is not None
         while True:
+            before = (*(packed(s.x) for s in self._core), *(tuple(map(float, s.numbers)) for s in self._core))
             n = np.zeros(2, np.int64)
             rows = {}
             for s in self._recorded:
