@@ -30,7 +30,7 @@ def ran(rig: Rig, monkeypatch: pytest.MonkeyPatch, make: Any = None) -> tuple[Re
         engines.append(Engine(steps, make))
         return engines[-1]
 
-    monkeypatch.setattr(inprocess, "pays", lambda steps, runs: make is not None)
+    monkeypatch.setattr(inprocess, "unwanted", lambda steps, runs: "" if make else "a test")
     monkeypatch.setattr(inprocess, "Engine", build)
     recording = Recording((topic, port.msgtype) for topic, port in rig.topics.items())
     steps, error = {}, ""
@@ -178,6 +178,24 @@ def rig(duration: float = 0.5, watcher: type[Watcher] = Watcher, changes: Any = 
 def test_text_that_is_easily_misread(monkeypatch: pytest.MonkeyPatch) -> None:
     """Ticks that report are Python's: 10 of 500."""
     assert the_same(rig, monkeypatch).given_up == 10
+
+
+def test_steps_know_what_was_native_and_why_not_the_rest(monkeypatch: pytest.MonkeyPatch) -> None:
+    steps = ran(rig(), monkeypatch, plain)[1]
+    assert {name: step.native for name, step in steps.items()} == {
+        "plant": (489, "10 of its ticks were given up"), "law": (249, "10 of its ticks were given up"),
+        "watcher": (0, "it watches what is recorded"),
+    }  # fmt: skip
+    assert {step.native for step in ran(rig(), monkeypatch)[1].values()} == {(0, "a test")}
+
+
+def test_why_native_code_is_not_worth_its_making(monkeypatch: pytest.MonkeyPatch) -> None:
+    steps = core(rig())
+    monkeypatch.setattr(engine, "_texts", [])
+    assert engine.unwanted(steps) == "750 answers a run, native code is worth its making from 4,000,000 on"
+    assert engine.unwanted(steps, 10_000) == ""
+    monkeypatch.setenv("SOFTRIG_JIT", "0")
+    assert engine.unwanted(steps, 10_000) == "SOFTRIG_JIT=0"
 
 
 def test_changes_while_it_runs(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -92,7 +92,7 @@ class Engine:
         self._text: RigText | None = None
 
     def run(self) -> Iterator[int]:
-        """Answer all ticks of a run that has an end.
+        """Answer all ticks of a run that has an end; then the steps know what of them was native.
 
         Yields
         ------
@@ -104,6 +104,15 @@ class Engine:
         RunError
             As `Runner.run`.
         """
+        try:
+            yield from self._run()
+        finally:
+            given_up = self.native.given_up
+            reason = self.native.reason or (f"{given_up} of its ticks were given up" if given_up else "")
+            for s in self.steps:
+                s.native = s.native[0], "it watches what is recorded" if s in self._watchers else reason
+
+    def _run(self) -> Iterator[int]:
         assert self.runner.ticks is not None
         last = self.runner.ticks
         k, go = 0, SHORTEST
@@ -263,6 +272,7 @@ class Engine:
                 continue
             s.x, numbers = unpacked(after[k]), after[count + k]
             s.t = s.schedule.time(own[-1])
+            s.native = s.native[0] + len(own), ""
             at = 0
             said = {}
             for p in s.outputs:
@@ -317,8 +327,8 @@ def _worth_another(kinds: Any) -> bool:
     return worth
 
 
-def pays(steps: Sequence[Step], runs: int = 1) -> bool:
-    """Whether native code is worth its making: seconds, once; ``SOFTRIG_JIT=0`` forbids it.
+def unwanted(steps: Sequence[Step], runs: int = 1) -> str:
+    """Say why native code is not worth its making, which takes seconds, once; empty where it is.
 
     Parameters
     ----------
@@ -326,14 +336,17 @@ def pays(steps: Sequence[Step], runs: int = 1) -> bool:
     runs : int
         So many such runs are to come.
     """
-    if os.environ.get("SOFTRIG_JIT", "1") == "0" or importlib.util.find_spec("numba") is None:
-        return False
+    if os.environ.get("SOFTRIG_JIT", "1") == "0":
+        return "SOFTRIG_JIT=0"
+    if importlib.util.find_spec("numba") is None:
+        return "numba is not installed"
     ticks = 0
     for step in steps:
         ticks += (step.schedule.ticks or 0) // step.schedule.every
     kinds = tuple(type(s.block) for s in steps if not isinstance(s.block, Observer))
     known = any(kinds == tuple(k[0] for k in kept.kinds[:-2]) for kept in _texts)
-    return ticks > (QUICK if known else WORTH // max(1, runs))
+    least = QUICK if known else WORTH // max(1, runs)
+    return "" if ticks > least else f"{ticks:,} answers a run, native code is worth its making from {least:,} on"
 
 
 def _form(value: Any) -> Any:

@@ -13,7 +13,7 @@ from ..block.port import CLOCK, Port, Sample
 from ..block.runner import YOUNG, Runner
 from ..block.step import Rows, Step
 from ..errors import ScenarioError
-from ..native.engine import Engine, pays
+from ..native.engine import Engine, unwanted
 from ..rig.members import Member
 from ..rig.rig import Rig
 from ..solver.solver import Solver
@@ -75,8 +75,11 @@ def run_inprocess(
 
 def _ticks(steps: list[Step], runs: int) -> Iterator[int | None]:
     """Answer all ticks of a run, natively where that pays."""
-    if pays(steps, runs):
+    reason = unwanted(steps, runs)
+    if not reason:
         return Engine(steps).run()
+    for step in steps:
+        step.native = 0, reason
     return Runner(steps).run()
 
 
