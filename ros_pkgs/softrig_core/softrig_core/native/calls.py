@@ -352,6 +352,8 @@ class Calls(Expressions):
             return self._extreme(called, given, node)
         if called is abs and isinstance(samples[0], (float, int)):
             return self._written("abs", abs, given)
+        if called is float and isinstance(samples[0], bool):
+            return Dynamic(f"(1.0 if {self.code(given[0])} else 0.0)", float(samples[0]))
         if called is float and isinstance(samples[0], (float, int)):
             return self._written("float", float, given)
         if called is bool:
