@@ -226,6 +226,8 @@ class Calls(Expressions):
                              {k: Static(v) for k, v in called.keywords.items()} | dict(words), node)  # fmt: skip
         if isinstance(called, types.MethodType):
             own = called.__self__
+            if called.__name__ == "_make" and isinstance(own, type) and hasattr(own, "_fields"):
+                return self._named(own, self.parts(given[0], node), node)
             path = None if function.path is None else function.path[:-1]
             if isinstance(own, Mapping) and called.__name__ == "get":
                 return self._looked_up(Static(own, path), given[0], node)

@@ -302,15 +302,15 @@ class Engine:
             if readers:
                 told.append((s, every, self._own(s, first, last).start, listed, readers))
         watchers = [(w, self._every[id(w)]) for w in self._watchers]
-        for k in range(first, last):
-            t = self._time(k)
+        for k in sorted({k for _, every in watchers for k in range(-(-first // every) * every, last, every)}):
             for s, every, begin, listed, readers in told:
-                if k % every == 0:
+                if k // every >= begin:
                     row = listed[k // every - begin]
-                    s.t = t
+                    s.t = s.schedule.time(k // every)
                     for values, name, take, low, high in readers:
                         part = tuple(row[low:high])
                         values[name] = part if take is None else take(part)
+            t = self._time(k)
             for w, every in watchers:
                 if k % every == 0:
                     w.say(t)
