@@ -8,12 +8,14 @@ import os
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..block.answer import Row
 from ..block.block import Observer
+from ..block.port import Sample
 from ..block.runner import Runner
 from ..block.step import Step
 from ..errors import RunError
@@ -170,8 +172,8 @@ class Engine:
         """Find or make the text for the blocks as they are now; whether there is one."""
         core = self._core
         roots = [s.block for s in core]
-        recorded = [s for s in core if s.outputs and (s.send_all is not None or self._watched(s))]
-        odd = next((s for s in core if not s.plain or s.doubters or s.lacks is not None), None)
+        recorded = [s for s in core if s.outputs and (s.send is not None or s.send_all is not None or self._watched(s))]
+        odd = next((s for s in core if any(p.sporadic for p in s.outputs) or s.doubters or s.lacks is not None), None)
         if odd is not None:
             self.native.reason = f"{odd.name}: its messages do not come at each tick, or are spoilt"
             return False
@@ -230,15 +232,18 @@ class Engine:
             self._take(first, reached, after, rows)
         return reached
 
-    def _called(self, first: int, last: int) -> tuple[int, Any, dict[int, NDArray[np.float64]]]:
+    def _called(self, first: int, last: int) -> tuple[int, Any, dict[int, Answers]]:
         assert self._text is not None
         while True:
-            before = (*(packed(s.x) for s in self._core), *(tuple(map(float, s.numbers)) for s in self._core))
+            before = (*(packed(s.x) for s in self._core), *(_numbers(s) for s in self._core),
+                      *(_stamps(self._core[k]) for k in self._text.stamped))  # fmt: skip
             n = np.zeros(2, np.int64)
-            rows = {}
+            rows, named = {}, dict(self._tables)
             for s in self._recorded:
-                rows[id(s)] = np.empty((len(self._own(s, first, last)), len(s.numbers)))
-            named = self._tables | {f"o{self._core.index(s)}": rows[id(s)] for s in self._recorded}
+                k, count = self._core.index(s), len(self._own(s, first, last))
+                rows[id(s)] = Answers(np.empty((count, sum(p.size for p in s.outputs))),
+                                      np.empty((count, sum(p.delayed for p in s.outputs)), np.int64))  # fmt: skip
+                named[f"o{k}"], named[f"p{k}"] = rows[id(s)]
             handed = [named[name] for name in self._text.arrays]
             try:
                 after = self._function(first, last, n, self._constants, before, *handed)
@@ -263,9 +268,11 @@ class Engine:
         every = self._every[id(step)]
         return range((first + every - 1) // every, (last + every - 1) // every)
 
-    def _take(self, first: int, last: int, after: Any, rows: dict[int, NDArray[np.float64]]) -> None:
+    def _take(self, first: int, last: int, after: Any, rows: dict[int, Answers]) -> None:
         """Make what native code has found that of the steps."""
+        assert self._text is not None
         count = len(self._core)
+        stamps = dict(zip(self._text.stamped, after[2 * count :], strict=True))
         for k, s in enumerate(self._core):
             own = self._own(s, first, last)
             if not own:
@@ -273,47 +280,74 @@ class Engine:
             s.x, numbers = unpacked(after[k]), after[count + k]
             s.t = s.schedule.time(own[-1])
             s.native = s.native[0] + len(own), ""
-            at = 0
-            said = {}
-            for p in s.outputs:
-                said[p.name] = numbers[at : at + p.size]
-                at += p.size
+            said = _parted(s, numbers, stamps.get(k, ()))
             if s.outputs:
-                s.said, s.numbers = said, numbers
+                s.said = said
+                s.numbers = numbers if s.plain else ()
+                s.spoken = [s.t] * len(s.outputs) if not s.plain else s.spoken
             for j, values, name, take in s.readers:
                 row = said[s.outputs[j].name]
                 values[name] = row if take is None else take(row)
             if s.send_all is not None:
                 times = s.schedule.times(own.start, own.stop)
-                s.send_all(times, rows[id(s)] if s.outputs else np.empty((len(times), 0)))
+                s.send_all(times, rows[id(s)].numbers if s.outputs else np.empty((len(times), 0)))
+            elif s.send is not None and s.outputs:
+                for number, row, at in zip(own, *map(np.ndarray.tolist, rows[id(s)]), strict=True):
+                    s.send(s.schedule.time(number), tuple(_parted(s, tuple(row), at).values()))
 
-    def _watch(self, first: int, last: int, rows: dict[int, NDArray[np.float64]]) -> None:
+    def _watch(self, first: int, last: int, rows: dict[int, Answers]) -> None:
         """Let those who only watch see what was said, tick after tick."""
         if not self._watchers:
             return
         told = []
         for s in self._recorded:
-            every, listed = self._every[id(s)], rows[id(s)].tolist()
-            at = [0]
-            for p in s.outputs:
-                at.append(at[-1] + p.size)
-            readers = [(values, name, take, at[j], at[j + 1]) for w in self._watchers
+            numbers, stamps = map(np.ndarray.tolist, rows[id(s)])
+            readers = [(values, name, take, s.outputs[j].name) for w in self._watchers
                        for j, values, name, take in s.readers if values is w.values]  # fmt: skip
             if readers:
-                told.append((s, every, self._own(s, first, last).start, listed, readers))
+                told.append((s, self._every[id(s)], self._own(s, first, last).start, numbers, stamps, readers))
         watchers = [(w, self._every[id(w)]) for w in self._watchers]
         for k in sorted({k for _, every in watchers for k in range(-(-first // every) * every, last, every)}):
-            for s, every, begin, listed, readers in told:
-                if k // every >= begin:
-                    row = listed[k // every - begin]
+            for s, every, begin, numbers, stamps, readers in told:
+                if (at := k // every - begin) >= 0:
+                    said = _parted(s, tuple(numbers[at]), stamps[at])
                     s.t = s.schedule.time(k // every)
-                    for values, name, take, low, high in readers:
-                        part = tuple(row[low:high])
-                        values[name] = part if take is None else take(part)
+                    for values, name, take, output in readers:
+                        values[name] = said[output] if take is None else take(said[output])
             t = self._time(k)
             for w, every in watchers:
                 if k % every == 0:
                     w.say(t)
+
+
+class Answers(NamedTuple):
+    """What a step has said in some ticks: numbers, shape (n, size), and stamps of its delayed outputs, (n, count)."""
+
+    numbers: NDArray[np.float64]
+    stamps: NDArray[np.int64]
+
+
+def _parted(step: Step, numbers: tuple[float, ...], stamps: Sequence[int]) -> dict[str, Row]:
+    """Give what each output says."""
+    found: dict[str, Row] = {}
+    at, left = 0, iter(stamps)
+    for p in step.outputs:
+        row = numbers[at : at + p.size]
+        found[p.name] = Sample(next(left), row) if p.delayed else row
+        at += p.size
+    return found
+
+
+def _numbers(step: Step) -> tuple[float, ...]:
+    """Give all that the newest answer of a step says."""
+    if step.plain:
+        return tuple(map(float, step.numbers))
+    rows = [step.said[p.name] for p in step.outputs]
+    return tuple(float(v) for row in rows for v in (row.data if isinstance(row, Sample) else row))
+
+
+def _stamps(step: Step) -> tuple[int, ...]:
+    return tuple(step.said[p.name].stamp for p in step.outputs if p.delayed)
 
 
 NATIVE = (RuntimeError, ArithmeticError, ValueError, LookupError, TypeError)  # what gives a tick up
