@@ -84,12 +84,30 @@ class Calls(Expressions):
         return self.parts(value, node)
 
     def _value_listcomp(self, node: ast.ListComp | ast.GeneratorExp) -> Value:
+        items = self._turns(node, lambda: self.value(node.elt))
+        if all(isinstance(v, Static) and v.path is None for v in items):
+            return Static(tuple(v.value for v in items if isinstance(v, Static)))
+        return Group(tuple(items))
+
+    def _value_dictcomp(self, node: ast.DictComp) -> Value:
+        pairs = self._turns(node, lambda: Group((self.value(node.key), self.value(node.value))))
+        found: dict[str, Value] = {}
+        for pair in pairs:
+            assert isinstance(pair, Group)
+            key, value = pair.items
+            if not isinstance(key, Static) or not isinstance(key.value, str):
+                raise self.unknown("a mapping whose keys are computed", node)
+            found[self.program.guard(key)] = value
+        return Record(found)
+
+    def _turns(self, node: ast.ListComp | ast.GeneratorExp | ast.DictComp, read: Callable[[], Value]) -> list[Value]:
+        """Go through what a list or mapping is made of; `read` gives one of its parts."""
         items: list[Value] = []
         outer = dict(self.env)
 
         def turn(level: int) -> None:
             if level == len(node.generators):
-                items.append(self._held(self.value(node.elt)) if self._inside else self.value(node.elt))
+                items.append(self._held(read()) if self._inside else read())
                 return
             part = node.generators[level]
             values = self.listed(part.iter)
@@ -108,9 +126,7 @@ class Calls(Expressions):
 
         turn(0)
         self.env = outer
-        if all(isinstance(v, Static) and v.path is None for v in items):
-            return Static(tuple(v.value for v in items if isinstance(v, Static)))
-        return Group(tuple(items))
+        return items
 
     _value_generatorexp = _value_listcomp
 
@@ -226,6 +242,9 @@ class Calls(Expressions):
                              {k: Static(v) for k, v in called.keywords.items()} | dict(words), node)  # fmt: skip
         if isinstance(called, types.MethodType):
             own = called.__self__
+            if isinstance(own, Block) and called.__func__ is Block.report:
+                self._give_up()
+                return NONE
             if called.__name__ == "_make" and isinstance(own, type) and hasattr(own, "_fields"):
                 return self._named(own, self.parts(given[0], node), node)
             path = None if function.path is None else function.path[:-1]
@@ -244,8 +263,14 @@ class Calls(Expressions):
         if isinstance(called, types.BuiltinMethodType) and isinstance(called.__self__, Mapping):
             table = Static(called.__self__, None if function.path is None else function.path[:-1])
             if called.__name__ in ("items", "values", "keys"):
-                self.program.guard(table)
-                return Static(tuple(called()))
+                keys = tuple(table.value)
+                values = [Static(table.value[k], None if table.path is None else (*table.path, ("item", k)))
+                          for k in keys]  # fmt: skip
+                if table.path is not None:
+                    self.program.guards[table.path] = ("keys", tuple(sorted(keys)))
+                if called.__name__ == "items":
+                    return Group(tuple(Group((Static(k), v)) for k, v in zip(keys, values, strict=True)))
+                return Group(tuple(values)) if called.__name__ == "values" else Static(keys)
             if isinstance(given[0], Static):
                 return Static(self.program.guard(table).get(*(self.program.guard(v) for v in given)))  # type: ignore[arg-type]
             return self._looked_up(table, given[0], node)

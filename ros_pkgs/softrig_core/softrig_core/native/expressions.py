@@ -188,6 +188,8 @@ class Expressions(Ways):
         code = f"{self.simple(table).code}[{at.code}]"
         if isinstance(sample, np.floating):
             code, sample = f"float({code})", float(sample)
+        if isinstance(sample, np.integer):
+            code, sample = f"int({code})", int(sample)
         return Dynamic(code, sample, True, keys)
 
     def _looked_up(self, table: Static, key: Value, node: ast.AST) -> Dynamic:
