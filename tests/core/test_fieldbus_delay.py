@@ -69,6 +69,8 @@ def test_a_long_line_is_a_sorted_list(spread):
     assert line == row.python() == line.native().python()
     assert line != line.put(t, t, (0.0,))
     assert len(plain) > 4 * BLOCK
+    assert line.numbers().tolist() == [message[0] for _, _, message in plain]
+    assert line.with_numbers(line.numbers()) == line != line.with_numbers(line.numbers() + 1.0)
 
 
 def test_stamps_never_go_back():

@@ -103,6 +103,18 @@ class Line:
             dues[k], stamps[k], values[k] = item
         return LineRow((0.0,) * self._size, 0, len(items), dues, stamps, values.ravel())
 
+    def numbers(self) -> NDArray[np.float64]:
+        """Give the numbers of all messages in one row: what a linear view takes for states."""
+        from softrig_core.kit import floats
+
+        return floats.numbers(self._blocks)
+
+    def with_numbers(self, row: NDArray[np.float64]) -> Line:
+        """Give it with other numbers, in the order of `numbers`."""
+        from softrig_core.kit import floats
+
+        return Line(self._size, floats.put(self._blocks, floats.split(self._blocks, row)))
+
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Line):
             return NotImplemented

@@ -193,9 +193,9 @@ class TrackRing(NamedTuple):
         """Give it as Python has it."""
         import numpy as np
 
-        *rows, meta = self.past
-        newest = np.arange(meta[0] - self.capacity, meta[0]) % len(self.past.begin)
-        return Track(Trajectory(*(r[newest] for r in rows), np.array([self.capacity, 0])))
+        past, size = self.past, self.capacity
+        newest = np.arange(past.meta[0] - size, past.meta[0]) % len(past.begin)
+        return Track(Trajectory._make([*(rows[newest] for rows in past[:-1]), np.array([size, 0])]))
 
 
 class _Shared:

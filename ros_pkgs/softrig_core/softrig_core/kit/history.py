@@ -176,7 +176,7 @@ class HistoryRing(NamedTuple):
     step: float
     longest: float
     size: int
-    count: int
+    written: int
     newest: Row
     ring: NDArray[np.float64]
 
@@ -185,8 +185,8 @@ class HistoryRing(NamedTuple):
         if len(values) != len(self.newest):
             raise ValueError(f"{len(values)} values, expected {len(self.newest)}")
         row = tuple([float(v) for v in values])
-        _write(self.ring, self.count % (2 * self.size) * len(self.newest), row)
-        return self._replace(count=self.count + 1, newest=row)
+        _write(self.ring, self.written % (2 * self.size) * len(self.newest), row)
+        return self._replace(written=self.written + 1, newest=row)
 
     def again(self) -> HistoryRing:
         """See `History.again`."""
@@ -202,7 +202,7 @@ class HistoryRing(NamedTuple):
         """See `History.aged`."""
         back = min(int(age), self.size - 2)
         part = min(age, self.size - 1.0) - back
-        place, room, width = self.count - 1 - back, 2 * self.size, len(self.newest)
+        place, room, width = self.written - 1 - back, 2 * self.size, len(self.newest)
         newer = tuple([self.ring[place % room * width + k] for k, _ in enumerate(self.newest)])
         if part == 0.0:
             return newer
@@ -213,7 +213,7 @@ class HistoryRing(NamedTuple):
         """Give it as Python has it."""
         new, size, width = _new(History), self.size, len(self.newest)
         table = self.ring.reshape(2 * size, width).tolist()
-        rows = [tuple(table[k % (2 * size)]) for k in range(self.count - size, self.count)]
+        rows = [tuple(table[k % (2 * size)]) for k in range(self.written - size, self.written)]
         new._line, new._count = _Line(self.step, self.longest, size, rows), size
         return new
 

@@ -207,6 +207,14 @@ class Calls(Expressions):
             return Group(tuple(self.item(simple, Static(k), node) for k in range(len(sample))))
         if name == "get" and isinstance(base, Record):
             return base.items.get(self.program.guard(self.value(node.args[0])), NONE)  # type: ignore[arg-type]
+        if not self.program.typed and isinstance(base, Dynamic) and hasattr(sample, "native"):
+            # an object that is a value, in Python: of arguments of the same types, always the same
+            given = [self.dynamic(self.value(a)) for a in node.args]
+            samples = [v.sample for v in given]
+            if node.keywords or not all(map(is_sure, given)) or None in samples:
+                raise self.unknown(f".{name}() of {kind_of(base)} with what may be None", node)
+            found = computed(getattr(sample, name), *samples)
+            return Dynamic(f"{base.code}.{name}({', '.join(v.code for v in given)})", found, found is not UNKNOWN)
         own = class_of(sample)
         method = getattr(own, name, None) if own is not None else None
         if isinstance(method, types.FunctionType):

@@ -6,12 +6,12 @@ import importlib.util
 import math
 import os
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import accumulate
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..block.answer import Row
 from ..block.block import Observer
@@ -19,7 +19,7 @@ from ..block.port import Sample
 from ..block.runner import Runner
 from ..block.step import Step
 from ..errors import RunError
-from .compile import compiled
+from .compile import compiled, form, plain
 from .rig_text import RigText, rig_text
 from .translate import follow
 from .twins import packed, unpacked
@@ -31,7 +31,10 @@ SELDOM = 16  # at least so many ticks are native for each that is given up, or t
 PATIENCE = 64  # given up before that is judged
 WORTH = 4_000_000  # answers of members, which take Python some 2 us each: longer than native code is made
 QUICK = 2_000  # the same where it is there already
+WRITTEN = 20_000  # the same for a text that Python runs as it is: longer than it is written
 RUNS_A_TEXT = 20  # that ask in vain for each text beyond the first
+LATEST = 256  # ticks up to which a state may become what it stays: None until something has come
+TRIES = 3
 KEPT = 8  # texts that are kept for rigs to come
 
 
@@ -74,7 +77,7 @@ class Engine:
     steps : sequence of Step
         As for `Runner`; wired, none of them waits for anything.
     make : callable
-        Makes the function of a text.
+        Makes the function of a text: `compiled` or `plain`.
 
     Attributes
     ----------
@@ -82,7 +85,7 @@ class Engine:
     """
 
     def __init__(self, steps: Sequence[Step], make: Callable[[RigText], Callable[..., Any]] = compiled) -> None:
-        self.steps, self._make = tuple(steps), make
+        self.steps, self._make, self._typed = tuple(steps), make, make is not plain
         self.runner = Runner(self.steps)
         self.native = Native()
         watchers = [s for s in self.steps if isinstance(s.block, Observer) and not s.readers and not s.doubters]
@@ -92,6 +95,7 @@ class Engine:
         self._every = {id(s): s.schedule.every // stride for s in self.steps}
         self._time = self.runner.schedule.time
         self._text: RigText | None = None
+        self._fits: list[Any] = []
 
     def run(self) -> Iterator[int]:
         """Answer all ticks of a run that has an end; then the steps know what of them was native.
@@ -117,21 +121,23 @@ class Engine:
     def _run(self) -> Iterator[int]:
         assert self.runner.ticks is not None
         last = self.runner.ticks
-        k, go = 0, SHORTEST
-        fresh = True  # whether the text is to be looked at again
+        k, go, failures = 0, SHORTEST, 0
+        fits, fresh = False, True  # whether there is a text, and it is to be looked at again
         while k <= last:
             if k and fresh:
-                fresh = False
-                if not self._fitted():
-                    break
-            until = min(last, k + go, self._next_change(k)) if k else 0
+                fits, fresh = self._fitted(), False
+                failures += not fits
+            if k and not fits and (k > LATEST or failures > TRIES):
+                break
+            until = min(last, k + go, self._next_change(k)) if fits else 0
             if until > k:
                 started = time.perf_counter()
                 try:
                     reached = self._go(k, until)
                 except NotNative as reason:
                     self.native = Native(reason=str(reason))
-                    break
+                    fits, failures = False, failures + 1
+                    continue
                 if reached == until and until == k + go:
                     took = time.perf_counter() - started
                     go = min(LONGEST, go * 2) if took < GO / 2 else max(SHORTEST, go // 2) if took > GO else go
@@ -148,6 +154,7 @@ class Engine:
             fresh = fresh or (bool(k) and self._next_change(k) <= k)
             yield self._python(k)
             k += 1
+            fresh = fresh or self._forms() != self._fits
         if k <= last:
             for t in self.runner.run(k):
                 yield t or 0
@@ -171,14 +178,15 @@ class Engine:
     def _fitted(self) -> bool:
         """Find or make the text for the blocks as they are now; whether there is one."""
         core = self._core
+        self._fits = self._forms()
         roots = [s.block for s in core]
         recorded = [s for s in core if s.outputs and (s.send is not None or s.send_all is not None or self._watched(s))]
         odd = next((s for s in core if any(p.sporadic for p in s.outputs) or s.doubters or s.lacks is not None), None)
         if odd is not None:
             self.native.reason = f"{odd.name}: its messages do not come at each tick, or are spoilt"
             return False
-        kinds = (*((type(s.block), s.name, s.schedule.every, s.schedule.clock, s.schedule.ticks,
-                    tuple(map(_form, s.values.values())), _form(s.x)) for s in core),
+        kinds = (*((type(s.block), s.name, s.schedule.every, s.schedule.clock, s.schedule.ticks, *form)
+                   for s, form in zip(core, self._fits, strict=True)),
                  tuple(s.name for s in recorded), self._make)  # fmt: skip
         try:
             kept = next((n for n in _texts if n.kinds == kinds and not n.text.program.differs(roots)), None)
@@ -186,7 +194,7 @@ class Engine:
                 if not _worth_another(kinds):
                     self.native.reason = "what is varied chooses another text each time"
                     return False
-                text = rig_text(core, recorded)
+                text = rig_text(core, recorded, self._typed)
                 kept = _Kept(kinds, text, self._make(text))
                 _texts.insert(0, kept)
                 del _texts[KEPT:]
@@ -196,14 +204,22 @@ class Engine:
             tables: dict[str, Any] = dict(zip(program.arrays.values(), program.tables(roots), strict=True))
             tables |= {name: follow(path, roots).scratch() for path, name in program.scratches.items()}
             self._sources = {name: follow(path, roots) for path, name in program.draws.items()}
-            tables |= {name: draws.first(self._guess()) for name, draws in self._sources.items()}
+            tables |= {name: self._drawn(draws, self._guess()) for name, draws in self._sources.items()}
         except NotNative as reason:
             self.native.reason = str(reason)
             return False
         self._tables = tables
         self._recorded = recorded
-        self.native.members = tuple(s.name for s in core)
+        self.native.members, self.native.reason = tuple(s.name for s in core), ""
         return True
+
+    def _forms(self) -> list[Any]:
+        """Give the types of what each member remembers and holds: a text is for these."""
+        return [(tuple(map(form, s.values.values())), form(s.x)) for s in self._core]
+
+    def _drawn(self, draws: Any, count: int) -> Any:
+        found = draws.first(count)
+        return found if self._typed else found.tolist()
 
     def _guess(self) -> int:
         return min(1 << 20, 2 * (self.runner.ticks or 0) + (1 << 13))
@@ -235,14 +251,16 @@ class Engine:
     def _called(self, first: int, last: int) -> tuple[int, Any, dict[int, Answers]]:
         assert self._text is not None
         while True:
-            before = (*(packed(s.x) for s in self._core), *(_numbers(s) for s in self._core),
+            before = (*(packed(s.x, self._typed) for s in self._core), *(_numbers(s) for s in self._core),
                       *(_stamps(self._core[k]) for k in self._text.stamped))  # fmt: skip
-            n = np.zeros(2, np.int64)
+            n: Any = np.zeros(2, np.int64) if self._typed else [0, 0]
             rows, named = {}, dict(self._tables)
             for s in self._recorded:
                 k, count = self._core.index(s), len(self._own(s, first, last))
-                rows[id(s)] = Answers(np.empty((count, sum(p.size for p in s.outputs))),
-                                      np.empty((count, sum(p.delayed for p in s.outputs)), np.int64))  # fmt: skip
+                rows[id(s)] = Answers([], [])
+                if self._typed:
+                    rows[id(s)] = Answers(np.empty((count, sum(p.size for p in s.outputs))),
+                                          np.empty((count, sum(p.delayed for p in s.outputs)), np.int64))  # fmt: skip
                 named[f"o{k}"], named[f"p{k}"] = rows[id(s)]
             handed = [named[name] for name in self._text.arrays]
             try:
@@ -250,7 +268,7 @@ class Engine:
             except NATIVE:
                 if n[1]:
                     for name, draws in self._sources.items():
-                        self._tables[name] = draws.first(max(int(n[1]), 2 * len(self._tables[name])))
+                        self._tables[name] = self._drawn(draws, max(int(n[1]), 2 * len(self._tables[name])))
                     continue
                 if n[0] <= first:
                     return first, None, {}
@@ -282,60 +300,104 @@ class Engine:
             s.native = s.native[0] + len(own), ""
             said = _parted(s, numbers, stamps.get(k, ()))
             if s.outputs:
-                s.said = said
-                s.numbers = numbers if s.plain else ()
-                s.spoken = [s.t] * len(s.outputs) if not s.plain else s.spoken
+                s.said, s.numbers = said, numbers if s.plain else ()
+                s.spoken = s.spoken if s.plain else [s.t] * len(s.outputs)
             for j, values, name, take in s.readers:
                 row = said[s.outputs[j].name]
                 values[name] = row if take is None else take(row)
             if s.send_all is not None:
                 times = s.schedule.times(own.start, own.stop)
-                s.send_all(times, rows[id(s)].numbers if s.outputs else np.empty((len(times), 0)))
+                s.send_all(times, np.asarray(rows[id(s)].numbers) if s.outputs else np.empty((len(times), 0)))
             elif s.send is not None and s.outputs:
-                for number, row, at in zip(own, *map(np.ndarray.tolist, rows[id(s)]), strict=True):
-                    s.send(s.schedule.time(number), tuple(_parted(s, tuple(row), at).values()))
+                for number, row, z in zip(own, *rows[id(s)].listed(), strict=True):
+                    s.send(s.schedule.time(number), tuple(_parted(s, tuple(row), z).values()))
 
     def _watch(self, first: int, last: int, rows: dict[int, Answers]) -> None:
         """Let those who only watch see what was said, tick after tick."""
         if not self._watchers:
             return
+        said = {id(s): rows[id(s)].listed() for s in self._recorded}
+        watchers = [(w, self._every[id(w)]) for w in self._watchers if not self._at_once(w, first, last, said)]
         told = []
         for s in self._recorded:
-            numbers, stamps = map(np.ndarray.tolist, rows[id(s)])
-            readers = [(values, name, take, s.outputs[j].name) for w in self._watchers
-                       for j, values, name, take in s.readers if values is w.values]  # fmt: skip
+            readers = [read for w, _ in watchers for read in _readings(s, w)]
             if readers:
-                told.append((s, self._every[id(s)], self._own(s, first, last).start, numbers, stamps, readers))
-        watchers = [(w, self._every[id(w)]) for w in self._watchers]
+                told.append((s, self._every[id(s)], self._own(s, first, last).start, said[id(s)], readers))
         for k in sorted({k for _, every in watchers for k in range(-(-first // every) * every, last, every)}):
-            for s, every, begin, numbers, stamps, readers in told:
-                if (at := k // every - begin) >= 0:
-                    said = _parted(s, tuple(numbers[at]), stamps[at])
-                    s.t = s.schedule.time(k // every)
-                    for values, name, take, output in readers:
-                        values[name] = said[output] if take is None else take(said[output])
             t = self._time(k)
+            for s, every, begin, (numbers, stamps), readers in told:
+                if (at := k // every - begin) >= 0:
+                    s.t = s.schedule.time(k // every)
+                    for values, name, take, where in readers:
+                        part = _part(numbers[at], stamps[at], where)
+                        values[name] = part if take is None else take(part)
             for w, every in watchers:
                 if k % every == 0:
                     w.say(t)
 
+    def _at_once(self, watcher: Step, first: int, last: int, said: Mapping[int, Any]) -> bool:
+        """Let one who watches have all that its ticks see, if it takes that so."""
+        ticks, every = self._own(watcher, first, last), self._every[id(watcher)]
+        if not ticks:
+            return True
+        messages: dict[str, list[tuple[int, Any]]] = {}
+        for s in self._recorded:
+            readings, own = _readings(s, watcher), self._own(s, first, last)
+            if readings and max(every, self._every[id(s)]) % min(every, self._every[id(s)]):
+                return False
+            step = max(1, every // self._every[id(s)])  # of its messages, one is seen
+            begin = -own.start % step
+            stamps = s.schedule.times(own.start, own.stop)[begin::step].tolist() if readings else []
+            for _, name, take, where in readings:
+                parts = [_part(row, z, where) for row, z in list(zip(*said[id(s)], strict=True))[begin::step]]
+                messages[name] = list(zip(stamps, parts if take is None else map(take, parts), strict=True))
+        t = watcher.schedule.time(ticks[-1])
+        x = watcher.block.at_once(watcher.x, t, messages)  # type: ignore[attr-defined]
+        if x is None:
+            return False
+        watcher.x, watcher.t = x, t
+        return True
 
-class Answers(NamedTuple):
-    """What a step has said in some ticks: numbers, shape (n, size), and stamps of its delayed outputs, (n, count)."""
 
-    numbers: NDArray[np.float64]
-    stamps: NDArray[np.int64]
+Where = tuple[int, int, int | None]  # numbers of an output: from, to; which stamp, of a delayed one
+
+
+def _readings(source: Step, reader: Step) -> list[tuple[dict[str, Any], str, Any, Where]]:
+    """Give what of a step's answers another one reads: where to, by which name, how, and which part (`_part`)."""
+    at = [0, *accumulate(p.size for p in source.outputs)]
+    stamp = [0, *accumulate(p.delayed for p in source.outputs)]
+    return [(values, name, take, (at[j], at[j + 1], stamp[j] if source.outputs[j].delayed else None))
+            for j, values, name, take in source.readers if values is reader.values]  # fmt: skip
+
+
+def _part(numbers: Sequence[float], stamps: Sequence[int], where: Where) -> Row:
+    """Give what one output says, of all that a step says at a tick."""
+    low, high, stamp = where
+    row = tuple(numbers[low:high])
+    return row if stamp is None else Sample(stamps[stamp], row)
 
 
 def _parted(step: Step, numbers: tuple[float, ...], stamps: Sequence[int]) -> dict[str, Row]:
     """Give what each output says."""
     found: dict[str, Row] = {}
-    at, left = 0, iter(stamps)
+    low = stamp = 0
     for p in step.outputs:
-        row = numbers[at : at + p.size]
-        found[p.name] = Sample(next(left), row) if p.delayed else row
-        at += p.size
+        found[p.name] = _part(numbers, stamps, (low, low + p.size, stamp if p.delayed else None))
+        low, stamp = low + p.size, stamp + p.delayed
     return found
+
+
+class Answers(NamedTuple):
+    """What a step has said in some ticks: numbers, (n, size), and stamps of its delayed outputs, (n, count)."""
+
+    numbers: Any
+    stamps: Any
+
+    def listed(self) -> tuple[list[Any], list[Any]]:
+        """Give both as lists of rows."""
+        if isinstance(self.numbers, list):
+            return self.numbers, self.stamps or [()] * len(self.numbers)
+        return self.numbers.tolist(), self.stamps.tolist()
 
 
 def _numbers(step: Step) -> tuple[float, ...]:
@@ -361,6 +423,18 @@ def _worth_another(kinds: Any) -> bool:
     return worth
 
 
+def writes(steps: Sequence[Step]) -> bool:
+    """Whether a run is long enough for one text of all its members that Python runs; ``SOFTRIG_JIT=0`` forbids it."""
+    return os.environ.get("SOFTRIG_JIT", "1") != "0" and _answers(steps) > WRITTEN
+
+
+def _answers(steps: Sequence[Step]) -> int:
+    answers = 0
+    for step in steps:
+        answers += (step.schedule.ticks or 0) // step.schedule.every
+    return answers
+
+
 def unwanted(steps: Sequence[Step], runs: int = 1) -> str:
     """Say why native code is not worth its making, which takes seconds, once; empty where it is.
 
@@ -374,17 +448,8 @@ def unwanted(steps: Sequence[Step], runs: int = 1) -> str:
         return "SOFTRIG_JIT=0"
     if importlib.util.find_spec("numba") is None:
         return "numba is not installed"
-    ticks = 0
-    for step in steps:
-        ticks += (step.schedule.ticks or 0) // step.schedule.every
+    ticks = _answers(steps)
     kinds = tuple(type(s.block) for s in steps if not isinstance(s.block, Observer))
-    known = any(kinds == tuple(k[0] for k in kept.kinds[:-2]) for kept in _texts)
+    known = any(kinds == tuple(k[0] for k in kept.kinds[:-2]) for kept in _texts if kept.kinds[-1] is compiled)
     least = QUICK if known else WORTH // max(1, runs)
     return "" if ticks > least else f"{ticks:,} answers a run, native code is worth its making from {least:,} on"
-
-
-def _form(value: Any) -> Any:
-    """Give the types of a state, to its leaves."""
-    if isinstance(value, tuple):
-        return type(value), tuple(map(_form, value))
-    return type(value)

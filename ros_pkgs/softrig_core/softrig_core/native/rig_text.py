@@ -5,14 +5,15 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from ..block.port import Sample
 from ..block.step import Step
 from .translate import GIVEN_UP, LONGEST, Program, made
 from .twins import packed
-from .value import Dynamic, Group, NotNative, Record, Static, Value
+from .value import Dynamic, Group, NotNative, Record, Static, Value, is_sure
+from .ways import alike
 from .words import TEXTS
 from .writer import Writer
 
@@ -41,7 +42,7 @@ class RigText:
     stamped: tuple[int, ...]
 
 
-def rig_text(steps: Sequence[Step], recorded: Sequence[Step]) -> RigText:
+def rig_text(steps: Sequence[Step], recorded: Sequence[Step], typed: bool = True) -> RigText:
     """Make the text of the members that are native.
 
     Parameters
@@ -50,6 +51,8 @@ def rig_text(steps: Sequence[Step], recorded: Sequence[Step]) -> RigText:
         Plants first, then the others, each after those that it reads; each has answered a tick.
     recorded : sequence of Step
         Those whose answers are written into tables.
+    typed : bool
+        Whether a state keeps its type and a table its shape, as numba needs it; else tables are lists of rows.
 
     Raises
     ------
@@ -57,7 +60,7 @@ def rig_text(steps: Sequence[Step], recorded: Sequence[Step]) -> RigText:
         What of them native code does not know.
     """
     numbers = {id(s): k for k, s in enumerate(steps)}
-    program = Program([s.block for s in steps], Writer, _ages(steps))
+    program = Program([s.block for s in steps], Writer, _ages(steps), typed)
     stride = math.gcd(*(s.schedule.every for s in steps))
     arrays: set[str] = set()
     time = steps[0].schedule
@@ -68,15 +71,15 @@ def rig_text(steps: Sequence[Step], recorded: Sequence[Step]) -> RigText:
     body: list[str] = []
     for k in plants:
         value = _asked(program, steps[k], k, "outputs", {}, arrays)
-        body += _due(steps[k], stride, _answered(program, steps[k], k, value, None, recorded, stride))
+        body += _due(steps[k], stride, _answered(program, steps[k], k, value, None, recorded, stride, typed))
     for k in others:
         value = _asked(program, steps[k], k, "update", inputs[k], arrays)
-        body += _due(steps[k], stride, _answered(program, steps[k], k, value, f"x{k}", recorded, stride))
+        body += _due(steps[k], stride, _answered(program, steps[k], k, value, f"x{k}", recorded, stride, typed))
     for k in plants:
         value = _asked(program, steps[k], k, "advance", inputs[k], arrays)
         if not isinstance(value, Dynamic):
             raise NotNative(f"{steps[k].name}: its state stays as it is")
-        body += _due(steps[k], stride, [f"x{k} = same_(x{k}, {value.code})"])
+        body += _due(steps[k], stride, [_kept(f"x{k}", value, steps[k], typed)])
     stamped = tuple(k for k, s in enumerate(steps) if any(p.delayed for p in s.outputs))
     state = ", ".join([*(f"x{k}" for k, _ in enumerate(steps)), *(f"r{k}" for k, _ in enumerate(steps)),
                        *(f"z{k}" for k in stamped)])  # fmt: skip
@@ -174,19 +177,27 @@ def _inputs(
 
 def _asked(program: Program, step: Step, k: int, name: str, inputs: Mapping[str, Value], arrays: set[str]) -> Value:
     method = getattr(type(step.block), name)
-    state: Value = Dynamic(f"x{k}", packed(step.x))
+    state: Value = Dynamic(f"x{k}", packed(step.x, program.typed))
     return made(program, method, [Static(step.block, (k,)), state, Dynamic("t", step.t or 1)], inputs, arrays)
 
 
 def _answered(
-    program: Program, step: Step, k: int, value: Value, state: str | None, recorded: Sequence[Step], stride: int
+    program: Program,
+    step: Step,
+    k: int,
+    value: Value,
+    state: str | None,
+    recorded: Sequence[Step],
+    stride: int,
+    typed: bool,
 ) -> list[str]:
     """Take an answer: its state, its numbers checked, written into the table."""
     writer = Writer(program, _answered, {})  # type: ignore[arg-type]
+    x = Dynamic("")
     try:
         if state is not None:
-            x, value = writer.parts(value, _NOWHERE)
-            x = writer.dynamic(x)
+            first, value = writer.parts(value, _NOWHERE)
+            x = writer.dynamic(first)
             writer.emit(f"y{k} = {x.code}")
         if isinstance(value, Dynamic) and value.keys is not None:
             value = writer._unfolded(value)
@@ -214,12 +225,20 @@ def _answered(
     if stamps:
         lines.append(f"z{k} = ({''.join(f'{z}, ' for z in stamps)})")
     if state is not None:
-        lines.append(f"{state} = same_({state}, y{k})")
-    if any(s is step for s in recorded):
+        lines.append(_kept(state, replace(x, code=f"y{k}"), step, typed))
+    if any(s is step for s in recorded) and not typed:
+        lines += [f"o{k}.append(q{k})", *([f"p{k}.append(z{k})"] if stamps else [])]
+    elif any(s is step for s in recorded):
         at = f"k // {step.schedule.every // stride} - e{k}"
         lines += [f"o{k}[{at}, {i}] = q{k}[{i}]" for i, _ in enumerate(numbers)]
         lines += [f"p{k}[{at}, {i}] = z{k}[{i}]" for i, _ in enumerate(stamps)]
     return lines
+
+
+def _kept(state: str, value: Dynamic, step: Step, typed: bool) -> str:
+    """Take a state, which must be of the type of the one before."""
+    known = not typed and is_sure(value) and alike(value.sample, packed(step.x, typed))
+    return f"{state} = {value.code}" if known else f"{state} = same_({state}, {value.code})"
 
 
 class _Nowhere:

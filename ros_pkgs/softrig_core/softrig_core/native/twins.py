@@ -40,15 +40,15 @@ def __getattr__(name: str) -> Any:  # native code in the cache names its types b
     return twin(getattr(importlib.import_module(module.replace(MARK, ".")), kind))
 
 
-def packed(value: Any) -> Any:
-    """Give a state as native code takes it; arrays in it are copies."""
+def packed(value: Any, typed: bool = True) -> Any:
+    """Give a state as native code takes it, where arrays are copies; `typed` false: objects as Python has them."""
     if isinstance(value, tuple):
-        parts = [packed(v) for v in value]
+        parts = [packed(v, typed) for v in value]
         return type(value)(*parts) if hasattr(value, "_fields") else tuple(parts)
     if is_twinned(type(value)):
         kind: Any = type(value)
-        return twin(kind)(*(packed(getattr(value, f.name)) for f in dataclasses.fields(value)))
-    return value.native() if hasattr(value, "native") else value
+        return twin(kind)(*(packed(getattr(value, f.name), typed) for f in dataclasses.fields(value)))
+    return value.native() if typed and hasattr(value, "native") else value
 
 
 def unpacked(value: Any) -> Any:

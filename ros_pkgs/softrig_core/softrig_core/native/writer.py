@@ -179,9 +179,7 @@ class Writer(Calls):
         assumed: dict[str, Any] = {}  # tuples that are as long after a turn as before it
         for name in names:
             was_sure = (known := self.env.get(name)) is not None and is_sure(known)
-            if known is not None and not (
-                isinstance(known, Dynamic) and known.code == f"v_{name}"
-            ):
+            if known is not None and not (isinstance(known, Dynamic) and known.code == f"v_{name}"):
                 try:
                     found = self.dynamic(known)
                 except NotNative:
