@@ -95,7 +95,7 @@ class Line:
             return self
         import numpy as np
 
-        items = [item for block in self._blocks for item in block]
+        items = self._messages()
         room = 2 * len(items) + BLOCK
         dues, stamps = np.zeros(room, np.int64), np.zeros(room, np.int64)
         values = np.zeros((room, self._size))
@@ -115,15 +115,18 @@ class Line:
 
         return Line(self._size, floats.put(self._blocks, floats.split(self._blocks, row)))
 
+    def _messages(self) -> list[tuple[int, int, Any]]:
+        return [item for block in self._blocks for item in block]
+
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Line):
             return NotImplemented
-        return sum(self._blocks, ()) == sum(other._blocks, ())
+        return self._messages() == other._messages()
 
     __hash__ = None  # type: ignore[assignment]
 
     def __repr__(self) -> str:
-        return f"Line({self._size}, {sum(self._blocks, ())})"
+        return f"Line({self._size}, {tuple(self._messages())})"
 
 
 class LineRow(NamedTuple):

@@ -259,8 +259,8 @@ class Engine:
                 k, count = self._core.index(s), len(self._own(s, first, last))
                 rows[id(s)] = Answers([], [])
                 if self._typed:
-                    rows[id(s)] = Answers(np.empty((count, sum(p.size for p in s.outputs))),
-                                          np.empty((count, sum(p.delayed for p in s.outputs)), np.int64))  # fmt: skip
+                    size, stamps = len(_numbers(s)), len(_stamps(s))
+                    rows[id(s)] = Answers(np.empty((count, size)), np.empty((count, stamps), np.int64))
                 named[f"o{k}"], named[f"p{k}"] = rows[id(s)]
             handed = [named[name] for name in self._text.arrays]
             try:

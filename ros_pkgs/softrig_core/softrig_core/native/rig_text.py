@@ -166,7 +166,7 @@ def _inputs(
             found[port.name] = Group(tuple(row))
             continue
         every = s.schedule.every // stride
-        stamp = (f"z{numbers[id(s)]}[{sum(p.delayed for p in s.outputs[:j])}]" if delayed
+        stamp = (f"z{numbers[id(s)]}[{len([p for p in s.outputs[:j] if p.delayed])}]" if delayed
                  else _time(f"(k - k % {every})" if every > 1 else "k", ns))  # fmt: skip
         found[port.name] = Dynamic(
             f"{program.name(Sample, 'Sample')}({stamp}, ({''.join(f'{v.code}, ' for v in row)}))",
