@@ -189,7 +189,7 @@ def _keep(options: argparse.Namespace, done: Run, folder: ResultsFolder | None) 
         if options.origin is not None:
             from ..options.branch import began_as
 
-            same, told = began_as(options.recalled, done, options.origin[1])
+            same, told = began_as(options.recalled, done, options.origin[1], content)
             content["from"] = begun(options)
         elif options.like is not None:
             from ..options.like import compared

@@ -57,6 +57,7 @@ class Lockstep:
         self.solving: Solving | None = None
         self._comeback: Comeback | None = None
         self._stood = -1  # ticks at the last look at its progress
+        self._shake: Callable[[], Handshake]  # asks who is there, as it was asked when it joined
         step = node.step
         step.send, step.lacks = self._send, self._lacks
         if node.is_plant:
