@@ -13,7 +13,7 @@ from ..errors import ScenarioError
 from ..rig.rig import Rig
 from ..wire.recording import Recording
 from .children import Child, last_line, read_status, stop
-from .domain import free_domain, require_loopback
+from .domain import DOMAINS, free_domain, holders, require_loopback
 from .executables import environment
 from .guests import Guests
 from .peers import starter
@@ -92,6 +92,8 @@ def run_processes(
     with ExitStack() as stack:
         own_domain = domain is None
         domain = stack.enter_context(free_domain()) if domain is None else domain
+        if own_domain and domain not in DOMAINS and listener.announce is not None:
+            listener.announce(f"domain {domain}: {DOMAINS[0]} to {DOMAINS[-1]} are taken{holders(DOMAINS)}")
         remove_leftovers(domain if own_domain else None)
         members = groups(rig, placement.shared(rig), only)
         if listener.announce is not None and (why := lacking(len(members))):

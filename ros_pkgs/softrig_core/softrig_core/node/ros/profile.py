@@ -74,7 +74,7 @@ def own(profile: bytes, *, exclusive: bool = False) -> bytes:
         rtps = _within(participant, f"{space}rtps")
         if rtps.find(f"{space}port") is None:
             ports = ElementTree.SubElement(rtps, f"{space}port")
-            for name, number in chosen().items():
+            for name, number in chosen(domain_id()).items():
                 ElementTree.SubElement(ports, space + name).text = str(number)
         if exclusive:
             properties = _within(_within(rtps, f"{space}propertiesPolicy"), f"{space}properties")
