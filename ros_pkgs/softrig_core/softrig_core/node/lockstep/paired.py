@@ -245,10 +245,15 @@ class Paired(Sender):
 
     def _accept(self, stamp: int, values: tuple[float, ...], position: int, data: bytes) -> None:
         if position == self.want and not self.have and not self.said and not self.silent:  # nearly always
-            self.record(self.node.t, data)
-            self.node.values[self.name] = self.value(stamp, values)
+            node, table = self.node, self.table
+            if self._number is not None:
+                self.record(node.t, data)
+            node.values[self.name] = self.value(stamp, values) if self._valued else values
             self.stamp = self.used = position
-            self._arrived()
+            self.have = True
+            table.missing -= 1
+            if not table.missing:
+                table.turn()
         elif self._may_come(position):
             self.table.heard += 1
             self._put(position, (self.value(stamp, values), data))
