@@ -6,7 +6,20 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import pytest
-from softrig_core import Block, BlockParams, Level, Observer, Plant, Recording, Rig, RunError, param, rig_of, scalars
+from softrig_core import (
+    Block,
+    BlockParams,
+    Level,
+    Observer,
+    Plant,
+    Recording,
+    Rig,
+    RunError,
+    Watch,
+    param,
+    rig_of,
+    scalars,
+)
 from softrig_core.native import engine
 from softrig_core.native.compile import plain
 from softrig_core.native.engine import Engine, Native
@@ -31,6 +44,7 @@ def ran(rig: Rig, monkeypatch: pytest.MonkeyPatch, make: Any = None) -> tuple[Re
         return engines[-1]
 
     monkeypatch.setattr(inprocess, "unwanted", lambda steps, runs: "" if make else "a test")
+    monkeypatch.setattr(inprocess, "writes", lambda steps: False)
     monkeypatch.setattr(inprocess, "Engine", build)
     recording = Recording((topic, port.msgtype) for topic, port in rig.topics.items())
     steps, error = {}, ""
@@ -272,3 +286,34 @@ def test_a_rig_that_gives_up_often_stays_in_python(monkeypatch: pytest.MonkeyPat
 @pytest.mark.parametrize("name", KNOWN)
 def test_scenarios_by_numba(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     the_same(lambda: rig_of(name, duration=KNOWN[name]), monkeypatch, engine.compiled)
+
+
+@pytest.mark.parametrize(("window", "period", "asked"), [
+    (0.15, 1e-4, 2),  # forgets, message after message
+    (0.15, 5e-4, 2),  # does not see all
+    (0.02, 1e-4, 3001),  # forgets all of the reference between two of its messages: tick after tick
+    (60.0, 1e-4, 2),
+])  # fmt: skip
+def test_who_watches_takes_at_once_what_it_would_have_seen(window, period, asked, monkeypatch):
+    calls: list[int] = []
+
+    def counted(self, x, t, *, told=Watch.update, **inputs):
+        calls.append(t)
+        return told(self, x, t, **inputs)
+
+    monkeypatch.setattr(Watch, "update", counted)
+    about = {"dc_motor_metrics.window": window, "dc_motor_metrics.period": period}
+    native = the_same(lambda: rig_of("dc_motor_smc", duration=0.3, overrides=about), monkeypatch)
+    assert native.ticks == 2999
+    assert len(calls) == round(0.3 / period) + 1 + asked
+
+
+def test_long_runs_go_by_one_text_and_short_ones_one_by_one(monkeypatch):
+    made: list[Any] = []
+    monkeypatch.setattr(inprocess, "Engine", lambda steps, make=None: made.append(make) or Engine(steps, make))
+    monkeypatch.setattr(engine, "WRITTEN", 1_000)
+    for duration in (0.02, 0.05):
+        inprocess.run_inprocess(rig_of("dc_motor_smc", duration=duration), 0)
+    monkeypatch.setenv("SOFTRIG_JIT", "0")
+    inprocess.run_inprocess(rig_of("dc_motor_smc", duration=0.05), 0)
+    assert made == [plain]

@@ -36,6 +36,8 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--only", action="append", default=[], metavar="NODE",
                         help="start this one here, the others on another machine; needs --domain")  # fmt: skip
     parser.add_argument("--wait", type=Number(float, 0), metavar="S", help="limit of the wait for them (default: none)")
+    parser.add_argument("--restart", type=Number(int, 0), default=0, metavar="N", help="lockstep, --mode processes: "
+                        "a node that was killed is started again where it was, up to N times")  # fmt: skip
     parser.add_argument("--domain", type=int, metavar="N", help="ROS_DOMAIN_ID (default: a free one)")
     parser.add_argument(
         "--out", type=Path, metavar="DIR", help="results go here (default runs/SCENARIO and what was changed)"
@@ -79,6 +81,8 @@ def scenario_of(options: argparse.Namespace) -> Scenario:
     from softrig_core import ScenarioError, load_scenario
     from softrig_core.scenario.scenario import merge
 
+    from .grammar import settings
+
     if options.like is not None or options.origin is not None:
         return _repeated(options)
     if not options.scenario:
@@ -88,7 +92,7 @@ def scenario_of(options: argparse.Namespace) -> Scenario:
         from .params_file import params_of
 
         given = params_of(options.params_file, load_scenario(options.scenario).nodes)
-    scenario = load_scenario(options.scenario, given | dict(assignment(text) for text in options.set))
+    scenario = load_scenario(options.scenario, given | settings(options.set))
     changes: dict[str, Any] = {}
     for key in ("duration", "seed"):
         if getattr(options, key) is not None:
@@ -105,6 +109,7 @@ def _repeated(options: argparse.Namespace) -> Scenario:
     from softrig_core import ScenarioError
 
     from .branch import continued
+    from .grammar import settings
     from .like import recall, repeated
 
     word, free = ("--like", ()) if options.origin is None else ("--from", ("set", "duration"))
@@ -122,7 +127,7 @@ def _repeated(options: argparse.Namespace) -> Scenario:
         run = options.recalled = recall(path, parser.parse_args)
     except ScenarioError as error:
         raise ScenarioError(str(error).replace("--like", word, 1)) from None
-    scenario = continued(scenario_of(run.options), run, at, dict(assignment(text) for text in options.set))
+    scenario = continued(scenario_of(run.options), run, at, settings(options.set))
     return scenario if options.duration is None else _changed(scenario, {"duration": options.duration})
 
 
@@ -139,7 +144,7 @@ def placement_of(options: argparse.Namespace) -> Placement:
     from softrig_core.processes.placement import Placement
 
     return Placement(options.mode, "realtime" if options.realtime else "lockstep", options.domain, only=options.only,
-                     wait=options.wait, paused=options.paused)  # fmt: skip
+                     wait=options.wait, paused=options.paused, restart=options.restart)  # fmt: skip
 
 
 def changed_words(options: argparse.Namespace) -> list[str]:
@@ -179,17 +184,6 @@ def repeat(options: argparse.Namespace) -> list[str]:
         if getattr(options, name) not in (None, ""):
             arguments += [f"--{name}", str(getattr(options, name))]
     return arguments + (["--out", str(options.out.absolute())] if options.out else [])
-
-
-def assignment(text: str) -> tuple[str, Any]:
-    """Read ``NAME=VALUE``; a ScenarioError says what is wrong with it."""
-    from softrig_core import ScenarioError
-    from softrig_core.scenario.yaml_file import read_yaml
-
-    key, separator, value = text.partition("=")
-    if not separator:
-        raise ScenarioError(f"--set {text!r}: expected node.parameter=value, or shared_value=value")
-    return key, read_yaml(value, f"--set {text!r}")
 
 
 def _changed(scenario: Scenario, changes: dict[str, Any]) -> Scenario:

@@ -30,6 +30,8 @@ class Placement:
         In lockstep: the run is held at t = 0 until its clock is told to resume.
     record : bool
         Whether nodes record what they publish; without, the recording is empty.
+    restart : int
+        In lockstep, of nodes that have a process each: how often one that was killed is started again.
     """
 
     mode: Literal["processes", "container", "inprocess"] = "processes"
@@ -40,6 +42,7 @@ class Placement:
     wait: float | None = None
     paused: bool = False
     record: bool = True
+    restart: int = 0
 
     def __str__(self) -> str:
         """Say in one word or two where nodes live and what they go by."""

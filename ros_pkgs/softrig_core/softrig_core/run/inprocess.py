@@ -13,7 +13,8 @@ from ..block.port import CLOCK, Port, Sample
 from ..block.runner import YOUNG, Runner
 from ..block.step import Rows, Step
 from ..errors import ScenarioError
-from ..native.engine import Engine, unwanted
+from ..native.compile import plain
+from ..native.engine import Engine, unwanted, writes
 from ..rig.members import Member
 from ..rig.rig import Rig
 from ..solver.solver import Solver
@@ -79,13 +80,13 @@ def check_here(rig: Rig) -> None:
 
 
 def _ticks(steps: list[Step], runs: int) -> Iterator[int | None]:
-    """Answer all ticks of a run, natively where that pays."""
+    """Answer all ticks of a run: natively or by one text of its members where that pays, else one by one."""
     reason = unwanted(steps, runs)
     if not reason:
         return Engine(steps).run()
     for step in steps:
         step.native = 0, reason
-    return Runner(steps).run()
+    return Engine(steps, plain).run() if writes(steps) else Runner(steps).run()
 
 
 @contextmanager

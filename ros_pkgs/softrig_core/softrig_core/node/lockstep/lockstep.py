@@ -111,8 +111,11 @@ class Lockstep:
             node.step.lacks = node.hold.holds if links.owns_clock else None  # type: ignore[attr-defined]
         if self._comeback is not None:
             self._comeback.go(ticks)
-        self._shake = lambda: Handshake(node, awaited, wanted, {*local, *gone})
-        self.handshake = self._shake()
+
+        def shake() -> Handshake:
+            return Handshake(node, awaited, wanted, {*local, *gone})
+
+        self.handshake, self._shake = shake(), shake
         self._stalls.handshake = self.handshake
         self._begin = begin
         if self.solving is None:  # whose timers belong to the executor's thread
@@ -240,5 +243,5 @@ class Lockstep:
             if stands and self.ready:
                 self.spoken.again()
             if stands and self._comeback is not None and self._comeback.look():
-                self.handshake = self._shake()  # without those who have left
+                self._stalls.handshake = self.handshake = self._shake()  # without those who have left
         self._stalls.look()
