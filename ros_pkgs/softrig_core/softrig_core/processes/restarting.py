@@ -77,7 +77,7 @@ class Restarts:
             code = child.process.poll()
             if code in (None, 0):
                 continue
-            if code > 0 or _counted(child.member) or self.counts.get(child.member.name, 0) >= self.most:
+            if code > 0 or counted(child.member) or self.counts.get(child.member.name, 0) >= self.most:
                 lost.append(child)
             elif self._stand(child, children):
                 self._restart(children, k, code)
@@ -89,10 +89,12 @@ class Restarts:
         for child in children:
             with suppress(OSError):
                 if child.process.poll() is None:
-                    written, ticks = child.status.stat().st_mtime_ns, read_status(child.status).get("ticks", 0)
+                    written, status = child.status.stat().st_mtime_ns, read_status(child.status)
+                    ticks = status.get("ticks", 0)
                     old = looks.setdefault(child.member.name, _Look(written, ticks, False))
                     if old.written != written:
-                        looks[child.member.name] = _Look(written, ticks, ticks == old.ticks)
+                        stood = ticks == old.ticks and not status.get("busy")
+                        looks[child.member.name] = _Look(written, ticks, stood)
                 else:
                     looks.pop(child.member.name, None)
         return all(look.stood for look in looks.values())
@@ -112,11 +114,11 @@ class Restarts:
         """Say why a node that was killed is not started again; empty where none is."""
         if not self.most:
             return ""
-        if _counted(member):
-            return "; it cannot come back: what it says is counted, not stamped with its ticks"
+        if counted(member):
+            return "; it cannot come back: it says or reads messages with acquisition times, which are counted"
         return f"; it was started again {self.counts.get(member.name, 0)} of {self.most} times"
 
 
-def _counted(member: Member) -> bool:
-    """Whether nobody could tell what a member says again from what it says next."""
-    return any(port.delayed for port in member.outputs)
+def counted(member: Member) -> bool:
+    """Whether a member says or hears what is counted: nobody could tell what is said again from what is said next."""
+    return any(port.delayed for port in member.outputs) or any(link.port.delayed for link in member.links.values())

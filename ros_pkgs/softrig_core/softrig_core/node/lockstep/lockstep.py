@@ -97,11 +97,7 @@ class Lockstep:
         awaited: list[tuple[Input, str]] = [(row, row.who) for row in [*senders.rows, *senders.unpaced]]
         # a node by itself hears itself, one in a container does not
         here = {*local, node.middleware.name} if local else set()
-        gone: Set[str] = set()
-        if node.files is not None:
-            self._comeback = Comeback(self, node.files)
-            gone = self._comeback.gone
-        solvers = [name for name in links.solvers if name not in here and name not in gone]
+        solvers = [name for name in links.solvers if name not in here]
         busy = hear_busy(node.middleware, max(1, len(solvers)), self._patient)  # an outside node may be one, too
         awaited += [(busy, name) for name in solvers]
         if isinstance(node.block, Solver):
@@ -109,11 +105,14 @@ class Lockstep:
         if not senders.rows and self.solving is None:
             # all that it needs is said in this process
             node.step.lacks = node.hold.holds if links.owns_clock else None  # type: ignore[attr-defined]
-        if self._comeback is not None:
+        gone: Set[str] = set()
+        if node.files is not None:
+            self._comeback = Comeback(self, node.files)
             self._comeback.go(ticks)
+            gone = self._comeback.gone
 
         def shake() -> Handshake:
-            return Handshake(node, awaited, wanted, {*local, *gone})
+            return Handshake(node, [(i, who) for i, who in awaited if who not in gone], wanted, {*local, *gone})
 
         self.handshake, self._shake = shake(), shake
         self._stalls.handshake = self.handshake
