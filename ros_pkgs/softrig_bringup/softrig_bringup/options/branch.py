@@ -30,10 +30,10 @@ def continued(scenario: Scenario, run: Recalled, at: float, values: Mapping[str,
     return scenario.having(nodes={**scenario.nodes, **(tape(rig, run, at) if at else {})}, changes=changes)
 
 
-def began_as(before: Recalled, run: Run, at: float) -> tuple[bool, list[str]]:
-    """Tell whether a run was the recorded one before it went on otherwise, at a time (s); in words."""
+def began_as(before: Recalled, run: Run, at: float, made_with: Mapping[str, Any]) -> tuple[bool, list[str]]:
+    """Tell whether a run was the recorded one before it went on otherwise, at a time (s); in words, as `compared`."""
     if not at:
         return True, []
     old = replace(before, recording=before.recording.before(before.epoch + to_ns(at)))
-    same, told = compared(old, replace(run, recording=run.recording.before(run.epoch + to_ns(at))))
+    same, told = compared(old, replace(run, recording=run.recording.before(run.epoch + to_ns(at))), made_with)
     return same, [f"up to t = {at:.9g} s: {line}" for line in told]

@@ -19,8 +19,8 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument("scenario", nargs="?", default="", help="name or YAML file")
     kind = parser.add_mutually_exclusive_group()
-    kind.add_argument("--like", type=Path, metavar="RUN", help="instead of a scenario: that run (its folder "
-                        "or bag) once more, with all that was changed while it ran")  # fmt: skip
+    kind.add_argument("--like", type=Path, metavar="RUN", help="instead of a scenario: that run (its folder, "
+                        "bag, or file of `pack`) once more, with all that was changed while it ran")  # fmt: skip
     kind.add_argument("--from", type=_moment, dest="origin", metavar="RUN@T", help="instead of a scenario: that run up "
                         "to T (s), and on from there with what --set changes")  # fmt: skip
     parser.add_argument("--mode", choices=("processes", "container", "inprocess"), default="processes", type=_mode,

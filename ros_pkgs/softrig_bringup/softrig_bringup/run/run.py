@@ -314,7 +314,7 @@ def _scenes(rig: Rig) -> dict[str, Scene]:
 
 
 def _provenance(run: Run, content: Mapping[str, Any]) -> dict[str, str]:
-    keys = ("scenario", "mode", "seed", "versions", "command")
+    keys = ("scenario", "mode", "seed", "versions", "code", "command")
     from ..options.like import lateness
 
     epoch = {"epoch": str(run.epoch)} if run.epoch else {}  # of the stamps of a run in real time

@@ -203,6 +203,11 @@ class Step(Held):
             known = flatten(revised)
             self.changed(t, {name: known[name] for name in taken})
 
+    def let_go(self) -> None:
+        """Keep nothing of what carried its answers away or recorded them; it may go on without."""
+        self.send = self.send_all = self.changed = None
+        self.say, self.advance = self._first_say, self._first_advance
+
     # its parts ----------------------------------------------------------------------------------------------------
 
     def _finish_or_update(self, x: Any, t: int, **inputs: Any) -> Any:

@@ -102,7 +102,8 @@ def run_processes(
         variables = environment(
             domain, directory, discovery="SUBNET" if only else "LOCALHOST", silence=rig.scenario.timeout
         )
-        options = {"run.mode": placement.clock, "run.start_timeout": wait, "run.paused": placement.paused}
+        options = {"run.mode": placement.clock, "run.start_timeout": wait, "run.paused": placement.paused,
+                   "run.pace": placement.pace}  # fmt: skip
 
         def begin(group: list[Member], again: bool = False) -> list[Child]:
             # A signal waits until it is known who has been started; what Python does at a fork would swallow it with

@@ -67,6 +67,7 @@ def run_inprocess(
                     due = t + end // 100
     finally:
         for step in steps.values():
+            step.let_go()
             if isinstance(step.block, Solver):
                 step.block.rest()
     return steps

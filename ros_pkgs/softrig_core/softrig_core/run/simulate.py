@@ -20,7 +20,7 @@ from ..rig.members import signal_units
 from ..rig.rig import Rig
 from ..scenario.scenario import Scenario
 from ..timebase import SECOND
-from ..verdict.figures import Result, evaluate, figures_of
+from ..verdict.figures import Figure, Result, evaluate, figures_of
 from ..verdict.findings import Finding, findings, values
 from ..wire.recording import Recording
 from ..wire.signals import Signals
@@ -63,6 +63,8 @@ class Run:
         The blocks with their final states, after a run in process.
     begun : Rig or None
         Of a run that `branch` gave: the rig of the first one, whose changes are the scenario's own.
+    wanted : list of Figure, optional
+        What `figures_of` gives of the rig, where that is known.
     """
 
     rig: Rig
@@ -76,6 +78,7 @@ class Run:
     stopped: int = 0
     blocks: Mapping[str, Held] = field(default_factory=dict)
     begun: Rig | None = None
+    wanted: list[Figure] | None = None
 
     @property
     def stopped_at(self) -> str:
@@ -98,7 +101,7 @@ class Run:
     @cached_property
     def results(self) -> list[Result]:
         """The figures of the scenario, measured and judged; a run that was stopped cannot say "never"."""
-        found = evaluate(self.rig, self.signals)
+        found = evaluate(self.rig, self.signals, self.wanted)
         if not self.stopped:
             return found
         late = f"not until {self.reached_s:.9g} s, when the run was stopped"
@@ -270,11 +273,13 @@ def simulate(
     >>> t, speed = run.signals["motor/state/shaft/velocity"]
     """
     rig = rig_of(what, duration=duration, overrides=overrides)
-    figures_of(rig)  # what does not fit is found before the run, not after it
     number = rig.scenario.seed if seed is None else seed
     recording = Recording((topic, port.msgtype) for topic, port in rig.topics.items())
+    wanted = figures_of(rig)  # what does not fit is found before the run, not after it
+    run = Run(rig, number, recording, wanted=wanted)
     started = time.perf_counter()
     bar = _view("progress")(rig.scenario.name, rig.scenario.duration) if progress is True else nullcontext(progress)
     with bar as tell:
-        blocks = run_inprocess(rig, number, recording, tell or None, runs)
-    return Run(rig, number, recording, time.perf_counter() - started, blocks=blocks)
+        run.blocks = run_inprocess(rig, number, recording, tell or None, runs)
+    run.wall_s = time.perf_counter() - started
+    return run

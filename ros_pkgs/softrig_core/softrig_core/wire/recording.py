@@ -5,6 +5,7 @@ from __future__ import annotations
 import heapq
 import json
 import struct
+import weakref
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from operator import itemgetter
@@ -175,19 +176,22 @@ class Topic:
         self._made = len(self._columns)
         return self._data
 
-    def columns(self) -> Columns | None:
-        """Give all messages as numbers; None when some came as bytes or may have been changed."""
+    def parts(self) -> Sequence[Columns]:
+        """Give all messages as numbers, in one or several parts of one layout; none as `columns`."""
         self.settle()
         known = self._columns
         number = sum(len(c.times) for c in known)
         if not number or self._data or (self._timed and len(self.times) != number):
-            return None
-        if any(c.layout.form != known[0].layout.form for c in known):
-            return None
+            return ()
+        return () if any(c.layout.form != known[0].layout.form for c in known) else known
+
+    def columns(self) -> Columns | None:
+        """Give all messages as numbers; None when some came as bytes or may have been changed."""
+        known = self.parts()
         if len(known) > 1:
             times, values = (np.concatenate([c[k] for c in known]) for k in (0, 1))
             self._columns, self._timed = [Columns(times, values, known[0].layout)], min(1, self._timed)
-        return self._columns[0]
+        return self._columns[0] if known else None
 
     def before(self, t: int) -> Topic:
         """Give its messages that are earlier than t, ns."""
@@ -236,7 +240,8 @@ class Recording:
     def row(self, layouts: Mapping[int, Layout]) -> Callable[[int, Sequence[float]], object]:
         """Give what appends one message of each of some topics; their bytes are made when somebody asks for them."""
         buffer, pack = bytearray(), _row_packer(layouts.values())
-        topics = [(self._order[number], layout) for number, layout in layouts.items()]
+        # weak: what a topic calls must not keep it, or memory stays taken until Python looks for cycles
+        topics = [(weakref.proxy(self._order[number]), layout) for number, layout in layouts.items()]
 
         def settle() -> None:
             if buffer:

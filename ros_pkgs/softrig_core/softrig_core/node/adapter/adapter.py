@@ -137,7 +137,7 @@ class Adapter:
         self._open_record(sink)
         self._unread = False  # whether nothing of what it says is read in another process, in which case it stays here
         self.buttons = Buttons(self.values, self._record_press)
-        self.hold = Hold(options.paused and options.mode == "lockstep" and self.links.owns_clock)
+        self.hold = Hold(options.paused, options.pace) if self._owns_clock else Hold()
         self.step.changed = self._record_change
 
     def begin(self, drive: Drive) -> None:
@@ -353,7 +353,8 @@ class Adapter:
             "state": self.state, "t": self.t, "ticks": self.ticks, "error": str(self.error) if self.error else "",
             "waits_for": self.waits_for, "lacking": self.lacking, "epoch": self.epoch, "refused": refused,
             "reports": {key: [int(level), text, n] for key, (level, text, n) in self.block.reports.items()},
-            "busy": self.drive.busy(), "held": self.hold.held, "cpu_s": round(time.process_time(), 3),
+            "busy": self.drive.busy(), "held": self.hold.held, "pace": self.hold.pace,
+            "cpu_s": round(time.process_time(), 3),
             "prompt": self.middleware.prompt,
         }  # fmt: skip
         status |= self.drive.counts()

@@ -57,6 +57,7 @@ class Lockstep:
         self.solving: Solving | None = None
         self._comeback: Comeback | None = None
         self._stood = -1  # ticks at the last look at its progress
+        self._shake: Callable[[], Handshake]  # asks who is there, as it was asked when it joined
         step = node.step
         step.send, step.lacks = self._send, self._lacks
         if node.is_plant:
@@ -223,7 +224,8 @@ class Lockstep:
 
     def busy(self) -> bool:
         """Whether a solver is at work, or somebody holds the run."""
-        return self.node.hold.held or (self.solving is not None and self.solving.working)
+        hold = self.node.hold
+        return hold.held or hold.waits or (self.solving is not None and self.solving.working)
 
     def counts(self) -> dict[str, int]:
         """Nothing is ever late."""
