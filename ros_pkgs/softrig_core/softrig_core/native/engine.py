@@ -248,7 +248,8 @@ class Engine:
             n: Any = np.zeros(2, np.int64) if self._typed else [0, 0]
             rows: dict[int, Any] = {id(s): [] for s in self._recorded}
             if self._typed:
-                rows = {id(s): np.empty((len(self._own(s, first, last)), len(s.numbers))) for s in self._recorded}
+                # column after column in memory: so they are read
+                rows = {id(s): np.empty((len(s.numbers), len(self._own(s, first, last)))).T for s in self._recorded}
             named = self._tables | {f"o{self._core.index(s)}": rows[id(s)] for s in self._recorded}
             handed = [named[name] for name in kept.text.arrays]
             try:
