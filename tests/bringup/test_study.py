@@ -27,7 +27,7 @@ from softrig_bringup.study.batch import Log
 from softrig_bringup.study.definition import list_studies, load_study, make_study
 from softrig_bringup.study.draw import cases, count, draw
 from softrig_bringup.study.engine import _check, run_study
-from softrig_bringup.study.options import study_of
+from softrig_bringup.study.options import folder_name, study_of
 from softrig_bringup.study.page import best
 from softrig_bringup.study.table import summarise, without_signals
 from softrig_bringup.study.work import absent
@@ -107,6 +107,27 @@ def test_a_latin_hypercube_has_one_point_in_each_slice():
     draws = study(draws={"count": 50, "parameters": {"u": {"uniform": [0, 1]}, "w": {"uniform": [0, 1]}}}).draws
     for name in "uw":
         assert sorted(int(p[name] * 50) for p in draw(draws)) == list(range(50))
+
+
+@pytest.mark.parametrize(
+    ("words", "name"),
+    [
+        ("", "study_lag"),
+        ("--grid gain.k=1,2 --grid plant.T=0.1:0.3:0.1 --seeds 5", "study_lag-gain.k=1,2-plant.T=0.1:0.3:0.1-seeds_5"),
+        ("--draw gain.k=1..2 --draws 7", "study_lag-gain.k=1..2-latin_hypercube_7"),
+        ("--draw gain.k=1..2 --search last --maximise --subject-to last<=5",
+         "study_lag-gain.k=1..2-latin_hypercube_100-max_last-last_=5"),
+    ],
+)  # fmt: skip
+def test_a_folder_is_named_by_what_is_varied(words, name):
+    assert folder_name("lag", make_parser().parse_args(["study", "lag", *words.split()])) == name
+
+
+def test_long_names_of_folders_stay_apart():
+    names = {folder_name("lag", make_parser().parse_args(["study", "lag", "--grid", f"gain.k={'1,' * 99}{k}"]))
+             for k in range(3)}  # fmt: skip
+    assert len(names) == 3
+    assert max(map(len, names)) < 140
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,6 @@ BAND = 0.02  # of the reference, smaller swings do not count
 class Swinging(NamedTuple):
     """What is remembered of the measured signal of a loop, in its unit; times in samples."""
 
-    ASIDE = True  # only a warning depends on it
     reference: float = 0.0
     turn: float = 0.0
     """At the newest turning point."""
@@ -35,6 +34,11 @@ class Swinging(NamedTuple):
 
     spans: tuple[int, ...] = ()
     """How long each took."""
+
+    @property
+    def aside(self) -> str:
+        """No state of a linear view: the reason."""
+        return "only a warning depends on it"
 
 
 def limit_cycle(x: Swinging, y: float, reference: float) -> tuple[Swinging, float]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
 from argparse import Namespace
 from os.path import isfile
@@ -15,6 +16,8 @@ from softrig_core.scenario.yaml_file import read_yaml
 
 from ..options.grammar import NUMBER, span, values
 from .definition import Study, list_studies, load_study, make_study
+
+LONGEST = 120  # letters of a folder's name
 
 
 def study_of(options: Namespace) -> Study:
@@ -37,6 +40,16 @@ def study_of(options: Namespace) -> Study:
         )
     slug = locate(name)[0]
     return make_study({"name": slug, "title": f"Study of {slug}", "scenario": name} | changes)
+
+
+def folder_name(name: str, options: Namespace) -> str:
+    """Name the folder of a study by what is varied, so that studies that differ do not meet in one."""
+    draws = [f"{options.method}_{options.draws}"] if options.draw else []
+    search = [f"{'max' if options.maximise else 'min'}_{options.search}", *options.subject_to] if options.search else []
+    parts = [f"study_{name}", *options.grid, *options.draw, *draws, *search]
+    parts += [f"{key}_{value}" for key in ("seeds", "duration") if (value := getattr(options, key)) is not None]
+    found = re.sub(r"[^A-Za-z0-9_.,:=+-]+", "_", "-".join(parts))
+    return found if len(found) <= LONGEST else f"{found[:LONGEST]}-{hashlib.sha256(found.encode()).hexdigest()[:8]}"
 
 
 def _changes(options: Namespace) -> dict[str, Any]:

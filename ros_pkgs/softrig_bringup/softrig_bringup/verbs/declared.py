@@ -21,9 +21,14 @@ def verbs(verb: Verb) -> None:
     _judge(verb)
     _analyse(verb)
     _ros(verb)
-    new = verb("new", "verbs.new:main", "write a package with a plant, a law, a scenario and tests, to begin with")
+    new = verb("new", "verbs.new:main", "write a package with a plant, a law or both, a scenario and tests")
     new.add_argument("name", metavar="NAME", help="of the package: lower-case letters, digits and _")
+    new.add_argument("--only", choices=("law", "plant"), help="a law for a plant that is there, or a plant by itself")
     new.add_argument("--into", type=Path, default=Path(), metavar="DIR", help="where its folder is made (here)")
+    pack = verb("pack", "verbs.pack:main", "a run as one file, your own packages in it: `run --like FILE` elsewhere")
+    pack.add_argument("run", type=Path, metavar="RUN", help="its folder, or its bag")
+    pack.add_argument("--out", type=Path, metavar="FILE", help="the new file (SCENARIO.softrig.zip, here)")
+    pack.add_argument("--no-bag", action="store_true", help="without what was recorded: digests are compared")
     env = verb("env", "cli:env", 'an environment for your shell: eval "$(scripts/softrig env)"; `env COMMAND` runs one '
                "command in it, colcon too; `env --completion`: completion of our words")  # fmt: skip
     env.add_argument("--completion", nargs="?", const="bash", choices=("bash", "zsh", "fish"))
@@ -88,7 +93,7 @@ def _vary(verb: Verb) -> None:
     study.add_argument("--duration", type=float, metavar="S", help="instead of the scenario's")
     study.add_argument("--figures", nargs="+", default=[], metavar="FIGURE", help="only these")
     study.add_argument("--signals", nargs="+", default=[], metavar="SIGNAL", help="keep and draw these")
-    study.add_argument("--out", type=Path, metavar="DIR", help="results go here (default runs/study_NAME)")
+    study.add_argument("--out", type=Path, metavar="DIR", help="results go here (runs/study_NAME and what is varied)")
     _workers(study)
     falsify = verb(
         "falsify", "falsify.outcome:main", "look for the run that violates a requirement, made small and kept"

@@ -8,12 +8,20 @@ from collections.abc import Callable
 from functools import lru_cache
 from typing import Any
 
+import numpy as np
+
 from ..kit.compiled import Compiled
 from ..kit.jit import Jit, our_numba, tokens_of
 from .rig_text import RigText
 
 # what every text may name
-BASE: dict[str, Any] = {"math": math, "float_nan": math.nan, "float_inf": math.inf, "float_less": -math.inf}
+BASE: dict[str, Any] = {
+    "math": math,
+    "array_": np.array,
+    "float_nan": math.nan,
+    "float_inf": math.inf,
+    "float_less": -math.inf,
+}
 
 
 def compiled(made: RigText) -> Callable[..., Any]:
@@ -72,7 +80,16 @@ def plain(made: RigText) -> Callable[..., Any]:
 
 def same(before: Any, after: Any) -> Any:
     """Give a state, which must be of the type of the one before."""
+    if form(before) != form(after):
+        raise TypeError("a state that changes its type")
     return after
+
+
+def form(value: Any) -> Any:
+    """Give the types of a state, to its leaves."""
+    if isinstance(value, tuple):
+        return type(value), tuple(map(form, value))
+    return type(value)
 
 
 @lru_cache(maxsize=1)

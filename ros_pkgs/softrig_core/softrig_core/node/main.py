@@ -31,7 +31,7 @@ from .ros.ros import RosMiddleware, ServingNode
 from .seam.middleware import Middleware
 
 # read by a node and no parameters of it afterwards: what `ros2 param dump` gives is to fit another run
-RUNNERS = ("run.shard", "run.status", "run.links", "run.changes")
+RUNNERS = ("run.shard", "run.status", "run.links", "run.changes", "run.again")
 ARRAYS = {float: Parameter.Type.DOUBLE_ARRAY, int: Parameter.Type.INTEGER_ARRAY, bool: Parameter.Type.BOOL_ARRAY,
           str: Parameter.Type.STRING_ARRAY}  # fmt: skip
 

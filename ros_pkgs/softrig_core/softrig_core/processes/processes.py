@@ -106,7 +106,8 @@ def run_processes(
             with stoppable() as stopping:
                 try:
                     guests.invite(domain)
-                    options = {"run.mode": placement.clock, "run.start_timeout": wait, "run.paused": placement.paused}
+                    options = {"run.mode": placement.clock, "run.start_timeout": wait, "run.paused": placement.paused,
+                               "run.pace": placement.pace}  # fmt: skip
                     for group in members:
                         # A signal waits until it is known who has been started; what Python does at a fork would
                         # swallow it with a traceback, besides.

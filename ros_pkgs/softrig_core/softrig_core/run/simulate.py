@@ -13,7 +13,7 @@ from functools import cached_property
 from typing import Any
 
 from ..block.held import Held
-from ..errors import ScenarioError
+from ..errors import RunError, ScenarioError
 from ..extras import need
 from ..judge.claims import NEVER
 from ..rig.members import signal_units
@@ -24,6 +24,7 @@ from ..verdict.figures import Figure, Result, evaluate, figures_of
 from ..verdict.findings import Finding, findings, values
 from ..wire.recording import Recording
 from ..wire.signals import Signals
+from .branch import branched, parted
 from .expand import rig_of
 from .inprocess import run_inprocess
 
@@ -60,6 +61,8 @@ class Run:
         Number of the signal that ended it before its time; 0 when none did.
     blocks : dict of str to Held
         The blocks with their final states, after a run in process.
+    begun : Rig or None
+        Of a run that `branch` gave: the rig of the first one, whose changes are the scenario's own.
     wanted : list of Figure, optional
         What `figures_of` gives of the rig, where that is known.
     """
@@ -74,6 +77,7 @@ class Run:
     error: str = ""
     stopped: int = 0
     blocks: Mapping[str, Held] = field(default_factory=dict)
+    begun: Rig | None = None
     wanted: list[Figure] | None = None
 
     @property
@@ -179,6 +183,48 @@ class Run:
         frame = pandas.DataFrame(columns).rename_axis("t, s").ffill()
         frame.attrs["units"] = {name: units.get(name, "") for name in columns}
         return frame
+
+    def branch(
+        self, at: float, values: Mapping[str, Any], *, duration: float | None = None,
+        progress: Callable[[int], object] | bool | None = None, runs: int = 1,
+    ) -> Run:  # fmt: skip
+        """Go back to a time, and on from there with other parameters.
+
+        Parameters
+        ----------
+        at, values
+            See `softrig_core.run.branch.branched`.
+        duration : float, optional
+            In s, in place of this run's.
+        progress, runs
+            See `simulate`.
+
+        Returns
+        -------
+        Run
+            Whole, from t = 0: before `at` its messages are those of this run.
+
+        Raises
+        ------
+        ScenarioError
+            This run did not come so far, or a parameter may not change while running.
+        RunError
+            The new run broke, or was another one before `at`: names the topic and the time.
+
+        Examples
+        --------
+        >>> run = simulate("dc_motor_smc")
+        >>> softer = run.branch(0.5, {"dc_motor_smc.delta": 0.5})
+        """
+        begun = self.begun or self.rig
+        scenario = begun.scenario.having(changes=branched(begun, self.recording, at, values, self.epoch))
+        scenario = scenario.changed(duration=self.rig.scenario.duration if duration is None else duration)
+        rig = rig_of(scenario, classes={m.name: m.block_class for m in self.rig.members})
+        found = simulate(rig, seed=self.seed, progress=progress, runs=runs)
+        if where := "" if self.epoch else parted(self.recording, found.recording, at):
+            raise RunError(f"{rig.scenario.name}: what ran up to t = {at:.9g} s is not what had run, first {where}")
+        found.begun = begun
+        return found
 
     @property
     def missed(self) -> list[Result]:

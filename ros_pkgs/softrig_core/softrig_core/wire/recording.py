@@ -6,7 +6,7 @@ import heapq
 import json
 import struct
 import weakref
-from bisect import bisect_right
+from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from operator import itemgetter
 from pathlib import Path
@@ -193,6 +193,17 @@ class Topic:
             self._columns, self._timed = [Columns(times, values, known[0].layout)], min(1, self._timed)
         return self._columns[0] if known else None
 
+    def before(self, t: int) -> Topic:
+        """Give its messages that are earlier than t, ns."""
+        found, whole = Topic(self.name, self.msgtype), self.columns()
+        if whole is not None:
+            n = int(whole.times.searchsorted(t))
+            found._columns = [whole.part(0, n)] if n else []
+        else:
+            n = bisect_left(self.times, t)
+            found._times, found._data = self.times[:n], self.data[:n]
+        return found
+
     def stream(self) -> Iterator[tuple[int, bytes]]:
         """Give time and bytes of each message; what stands as numbers is not kept as bytes."""
         whole = self.columns()
@@ -210,6 +221,15 @@ class Recording:
     def __init__(self, topics: Iterable[tuple[str, str]]) -> None:
         self.topics = {name: Topic(name, msgtype) for name, msgtype in topics}
         self._order = list(self.topics.values())
+
+    def before(self, t: int) -> Recording:
+        """Give what was recorded before t, ns; what is added to one of the two is not in the other."""
+        found = Recording(())
+        found.topics = {name: topic.before(t) for name, topic in self.topics.items()}
+        if EVENTS in found.topics and not found.topics[EVENTS].times:  # there with the first change
+            del found.topics[EVENTS]
+        found._order = list(found.topics.values())
+        return found
 
     def add(self, topic: int, t: int, data: bytes) -> None:
         """Append one message."""
