@@ -22,7 +22,7 @@ import numpy as np
 
 from ..kit.compiled import Compiled
 from ..kit.jit import Jit
-from .value import UNKNOWN, Dynamic, Group, NotNative, Path, Record, Static, Value
+from .value import UNKNOWN, Dynamic, GivesUp, Group, NotNative, Path, Record, Static, Value
 
 LONGEST = 64  # parts of a tuple that is written out, or indexed
 TURNS = 16  # of a loop that is written out
@@ -51,6 +51,9 @@ class Made:
     name: str
     arrays: tuple[str, ...]
     result: Value
+
+
+NEVER = Made("", (), Dynamic("", UNKNOWN, False))  # of a function that always gives the tick up
 
 
 @dataclass
@@ -319,6 +322,8 @@ def made(
         finally:
             program.under_way.discard(whole)
     done = program.known[whole]
+    if done is NEVER:
+        raise GivesUp(f"{function.__qualname__} gives each tick up")
     if not isinstance(done.result, Dynamic):
         return done.result
     arrays.update(done.arrays)
@@ -337,6 +342,8 @@ def _specialised(
     tree = _parsed(function)
     writer = program.writer(program, function, inner)
     lines = writer.body(tree.body)
+    if not writer.returned:
+        return NEVER
     result = writer.result()
     if not isinstance(result, Dynamic):
         return Made("", (), result)

@@ -23,6 +23,7 @@ from .value import (
     NONE,
     UNKNOWN,
     Dynamic,
+    GivesUp,
     Group,
     NotNative,
     Record,
@@ -246,6 +247,9 @@ class Ways:
             self.env, self.lines, self.ended = dict(before), [], False
             try:
                 found.append(way())
+            except GivesUp:
+                found.append(None)
+                self._give_up()
             except NotNative as reason:
                 if taken is UNKNOWN or bool(taken) is wanted:  # the way that is gone, as far as anybody knows
                     raise
