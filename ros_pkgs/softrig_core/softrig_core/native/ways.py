@@ -201,8 +201,21 @@ class Ways:
             parts = [self._held(p) for p in parts]
             for one, part in zip(target.elts, parts, strict=True):
                 self.assign(one.value if isinstance(one, ast.Starred) else one, part, apart)
+        elif isinstance(target, ast.Subscript):
+            self._written_into(target, value)
         else:
             raise self.unknown("an assignment to a part of something", target)
+
+    def _written_into(self, target: ast.Subscript, value: Value) -> None:
+        """Write into an array; what was read of it before stands under names of its own."""
+        table, at = self.value(target.value), self.dynamic(self.value(target.slice))
+        if not isinstance(table, Dynamic) or not isinstance(table.sample, np.ndarray) or table.sample.ndim != 1:
+            raise self.unknown("an assignment to a part of something", target)
+        self.emit(f"{self.simple(table).code}[{at.code}] = {self.code(value)}")
+
+    def value(self, node: ast.expr) -> Value:
+        """Read an expression."""
+        raise NotImplementedError
 
     def _held(self, value: Value) -> Value:
         """Give a value that stays as it is while names are bound anew."""
