@@ -118,6 +118,9 @@ class Program:
         if isinstance(value.value, np.ndarray):
             name = self.arrays.setdefault(value.path, f"a{len(self.arrays)}")
             return Dynamic(name, value.value)
+        if isinstance(value.value, list) and len(value.value) > TURNS and {type(v) for v in value.value} == {float}:
+            name = self.arrays.setdefault(value.path, f"a{len(self.arrays)}")
+            return Dynamic(name, np.array(value.value))
         found = as_slot(value.value)
         number = self.slots.setdefault(value.path, len(self.slots))
         self.shapes[value.path] = shape(found)
@@ -147,8 +150,9 @@ class Program:
         return tuple(as_slot(follow(path, roots)) for path in self.slots)
 
     def tables(self, roots: Sequence[Any]) -> tuple[Any, ...]:
-        """Give their arrays."""
-        return tuple(np.ascontiguousarray(follow(path, roots)) for path in self.arrays)
+        """Give their arrays; lists where nothing is typed."""
+        found = (follow(path, roots) for path in self.arrays)
+        return tuple(v if isinstance(v, list) and not self.typed else np.ascontiguousarray(v) for v in found)
 
     def differs(self, roots: Sequence[Any]) -> str:
         """Say what of other blocks would need another text; nothing where the text serves them."""

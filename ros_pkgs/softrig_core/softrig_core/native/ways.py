@@ -92,7 +92,8 @@ class Ways:
         if isinstance(value, Dynamic):
             return value
         if isinstance(value, Static):
-            return Dynamic(self.code(value), _plain(value.value))
+            code = self.code(value)
+            return Dynamic(code, np.array(value.value) if code in self.arrays else _plain(value.value))
         if isinstance(value, Record):
             keys = tuple(sorted(value.items))
             parts = tuple(self._described(value.items[k]) for k in keys)
@@ -113,7 +114,7 @@ class Ways:
                 slot = self.program.slot(value)
             except NotNative as error:
                 raise self.unknown(str(error)) from None
-            if isinstance(found, np.ndarray):
+            if isinstance(slot.sample, np.ndarray):
                 self.arrays.add(slot.code)
             return slot.code
         self.program.guard(value)
