@@ -21,7 +21,7 @@ KINDS = {
         "How-to guides",
         "You know what you want to do; here is how.",
         ("set_up", "distribution", "workspace", "node", "two_machines", "continuous_integration", "python", "notebooks",
-         "studies", "learning", "linear_view", "view", "bags", "bags_pandas", "reports", "paper_figures",
+         "studies", "send", "learning", "linear_view", "view", "bags", "bags_pandas", "reports", "paper_figures",
          "outside_tools"),
     ),
     "notebooks": (

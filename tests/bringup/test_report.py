@@ -428,7 +428,8 @@ def test_report_shows_parameters_with_units_versions_and_command(make_run):
 
 STATUS = {
     "drive": {"state": "done", "t": 7, "ticks": 200, "error": "", "waits_for": [], "cpu_s": 0.5,
-              "round_trip_p99_ms": 0.1234, "refused": {"drive/command": [2, "phase/effort is nan"]}, "reports": {}},
+              "round_trip_p99_ms": 0.1234, "refused": {"drive/command": [2, "phase/effort is nan"]}, "reports": {},
+              "native": [150, "50 of its ticks were given up"]},
     "law": {"state": "failed", "t": 7, "ticks": 199, "error": "no answer", "waits_for": [], "refused": {},
             "reports": {"clip": [1, "command clipped to 8 V", 12]}},
 }  # fmt: skip
@@ -445,6 +446,7 @@ def test_report_shows_what_nodes_refused_and_how_slow_they_were(make_run):
         "no answer",
         "The run broke: node law died",
         "✗ broke",
+        "Answered by native code: drive 150 ticks (50 of its ticks were given up)",
     ):
         assert text in page.text
 

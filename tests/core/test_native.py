@@ -6,7 +6,20 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import pytest
-from softrig_core import Block, BlockParams, Level, Observer, Plant, Recording, Rig, RunError, param, rig_of, scalars
+from softrig_core import (
+    Block,
+    BlockParams,
+    Level,
+    Observer,
+    Plant,
+    Recording,
+    Rig,
+    RunError,
+    Watch,
+    param,
+    rig_of,
+    scalars,
+)
 from softrig_core.native import engine
 from softrig_core.native.compile import plain
 from softrig_core.native.engine import Engine, Native
@@ -30,7 +43,8 @@ def ran(rig: Rig, monkeypatch: pytest.MonkeyPatch, make: Any = None) -> tuple[Re
         engines.append(Engine(steps, make))
         return engines[-1]
 
-    monkeypatch.setattr(inprocess, "pays", lambda steps, runs: make is not None)
+    monkeypatch.setattr(inprocess, "unwanted", lambda steps, runs: "" if make else "a test")
+    monkeypatch.setattr(inprocess, "writes", lambda steps: False)
     monkeypatch.setattr(inprocess, "Engine", build)
     recording = Recording((topic, port.msgtype) for topic, port in rig.topics.items())
     steps, error = {}, ""
@@ -180,6 +194,24 @@ def test_text_that_is_easily_misread(monkeypatch: pytest.MonkeyPatch) -> None:
     assert the_same(rig, monkeypatch).given_up == 10
 
 
+def test_steps_know_what_was_native_and_why_not_the_rest(monkeypatch: pytest.MonkeyPatch) -> None:
+    steps = ran(rig(), monkeypatch, plain)[1]
+    assert {name: step.native for name, step in steps.items()} == {
+        "plant": (489, "10 of its ticks were given up"), "law": (249, "10 of its ticks were given up"),
+        "watcher": (0, "it watches what is recorded"),
+    }  # fmt: skip
+    assert {step.native for step in ran(rig(), monkeypatch)[1].values()} == {(0, "a test")}
+
+
+def test_why_native_code_is_not_worth_its_making(monkeypatch: pytest.MonkeyPatch) -> None:
+    steps = core(rig())
+    monkeypatch.setattr(engine, "_texts", [])
+    assert engine.unwanted(steps) == "750 answers a run, native code is worth its making from 4,000,000 on"
+    assert engine.unwanted(steps, 10_000) == ""
+    monkeypatch.setenv("SOFTRIG_JIT", "0")
+    assert engine.unwanted(steps, 10_000) == "SOFTRIG_JIT=0"
+
+
 def test_changes_while_it_runs(monkeypatch: pytest.MonkeyPatch) -> None:
     changes = [{"at": 0.1005, "set": {"plant.rate": 0.1}}, {"at": 0.2, "set": {"law.rate": 1.0}}]
     native = the_same(lambda: rig(changes=changes), monkeypatch)
@@ -254,3 +286,34 @@ def test_a_rig_that_gives_up_often_stays_in_python(monkeypatch: pytest.MonkeyPat
 @pytest.mark.parametrize("name", KNOWN)
 def test_scenarios_by_numba(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     the_same(lambda: rig_of(name, duration=KNOWN[name]), monkeypatch, engine.compiled)
+
+
+@pytest.mark.parametrize(("window", "period", "asked"), [
+    (0.15, 1e-4, 2),  # forgets, message after message
+    (0.15, 5e-4, 2),  # does not see all
+    (0.02, 1e-4, 3001),  # forgets all of the reference between two of its messages: tick after tick
+    (60.0, 1e-4, 2),
+])  # fmt: skip
+def test_who_watches_takes_at_once_what_it_would_have_seen(window, period, asked, monkeypatch):
+    calls: list[int] = []
+
+    def counted(self, x, t, *, told=Watch.update, **inputs):
+        calls.append(t)
+        return told(self, x, t, **inputs)
+
+    monkeypatch.setattr(Watch, "update", counted)
+    about = {"dc_motor_metrics.window": window, "dc_motor_metrics.period": period}
+    native = the_same(lambda: rig_of("dc_motor_smc", duration=0.3, overrides=about), monkeypatch)
+    assert native.ticks == 2999
+    assert len(calls) == round(0.3 / period) + 1 + asked
+
+
+def test_long_runs_go_by_one_text_and_short_ones_one_by_one(monkeypatch):
+    made: list[Any] = []
+    monkeypatch.setattr(inprocess, "Engine", lambda steps, make=None: made.append(make) or Engine(steps, make))
+    monkeypatch.setattr(engine, "WRITTEN", 1_000)
+    for duration in (0.02, 0.05):
+        inprocess.run_inprocess(rig_of("dc_motor_smc", duration=duration), 0)
+    monkeypatch.setenv("SOFTRIG_JIT", "0")
+    inprocess.run_inprocess(rig_of("dc_motor_smc", duration=0.05), 0)
+    assert made == [plain]

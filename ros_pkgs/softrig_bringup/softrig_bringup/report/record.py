@@ -23,6 +23,7 @@ class _Status(BaseModel):
     error: str = ""
     reports: dict[str, tuple[int, str, int]] = {}
     refused: dict[str, tuple[int, str]] = {}
+    native: tuple[int, str] = (0, "")
 
 
 class _Changed(BaseModel):

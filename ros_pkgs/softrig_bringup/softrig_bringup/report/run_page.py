@@ -221,6 +221,11 @@ def _nodes(run: RunRecord) -> Iterator[Element]:
         if status.get("error"):
             said.append(status["error"])
         yield from (e("p", e("code", node), f": {text}") for text in said)
+    native = {node: status["native"] for node, status in run.nodes.items() if "native" in status}
+    if any(ticks for ticks, _ in native.values()):
+        parts = [node + (f" {ticks} ticks" if ticks else " none") + (f" ({why})" if why else "")
+                 for node, (ticks, why) in native.items()]  # fmt: skip
+        yield e("p", f"Answered by native code: {', '.join(parts)}", class_="note")
 
 
 def _plain(status: Mapping[str, Any]) -> dict[str, Any]:

@@ -32,9 +32,9 @@ from softrig_core import (
     run_processes,
 )
 from softrig_core.bits import blas_core, math_digest, simd_level
-from softrig_core.block.held import Held
 from softrig_core.block.params import declarations, flatten
 from softrig_core.block.port import CLOCK
+from softrig_core.block.step import Step
 from softrig_core.guard import naming
 from softrig_core.processes.placement import NOBODY, Listener, Placement
 from softrig_core.processes.stopping import signal_of, stoppable, unstopped
@@ -67,8 +67,8 @@ def execute(rig: Rig, placement: Placement, directory: Path, listener: Listener 
     if placement.mode == "inprocess":
         try:
             with stoppable():
-                run.blocks = run_inprocess(rig, seed, run.recording, listener.progress)
-            run.status = {name: _status(held) for name, held in run.blocks.items()}
+                steps = run_inprocess(rig, seed, run.recording, listener.progress)
+            run.blocks, run.status = steps, {name: _status(step) for name, step in steps.items()}
         except RunError as broken:
             run.error = str(broken)
         except KeyboardInterrupt as interrupt:
@@ -83,11 +83,12 @@ def execute(rig: Rig, placement: Placement, directory: Path, listener: Listener 
     return run
 
 
-def _status(held: Held) -> dict[str, Any]:
+def _status(step: Step) -> dict[str, Any]:
     """What a block says of itself at the end of a run in process, as a node's status file does."""
-    status: dict[str, Any] = {"reports": {k: [int(level), text, n] for k, (level, text, n) in held.reports.items()}}
-    if isinstance(held.block, Observer):
-        status["figures"] = {k: [v, unit] for k, (v, unit) in held.status().items() if math.isfinite(v)}
+    status: dict[str, Any] = {"reports": {k: [int(level), text, n] for k, (level, text, n) in step.reports.items()},
+                              "native": step.native}  # fmt: skip
+    if isinstance(step.block, Observer):
+        status["figures"] = {k: [v, unit] for k, (v, unit) in step.status().items() if math.isfinite(v)}
     return status
 
 
@@ -313,7 +314,7 @@ def _scenes(rig: Rig) -> dict[str, Scene]:
 
 
 def _provenance(run: Run, content: Mapping[str, Any]) -> dict[str, str]:
-    keys = ("scenario", "mode", "seed", "versions", "command")
+    keys = ("scenario", "mode", "seed", "versions", "code", "command")
     from ..options.like import lateness
 
     epoch = {"epoch": str(run.epoch)} if run.epoch else {}  # of the stamps of a run in real time

@@ -40,6 +40,7 @@ def _run_reserved(options: argparse.Namespace) -> int:
     from softrig_core.processes.fork_server import prepare
     from softrig_core.processes.placement import Listener
 
+    from ..options import packed
     from ..run.run import checked, execute
     from ..terminal.progress import progress
     from ..view.beside import page
@@ -48,6 +49,8 @@ def _run_reserved(options: argparse.Namespace) -> int:
         raise ScenarioError("--realtime: blocks in process know no wall clock; expected --mode processes or container")
     if options.view:
         _check_view(options)
+    if options.like is not None and packed.is_pack(options.like):
+        packed.opened(options.like)  # what it brings has to be there before any process is
     if options.mode != "inprocess":
         prepare(environment(0, Path()))  # on another core, while this one reads and checks the scenario
     scenario = scenario_of(options)
@@ -184,7 +187,7 @@ def _keep(options: argparse.Namespace, done: Run, folder: ResultsFolder | None) 
         if options.like is not None:
             from ..options.like import compared
 
-            same, told = compared(options.recalled, done)
+            same, told = compared(options.recalled, done, content)
             content["repeats"] = told
             same = same or bool(options.recalled.late) or bool(done.epoch)
         if folder is not None:

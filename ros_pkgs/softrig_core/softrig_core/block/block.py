@@ -344,3 +344,22 @@ class Observer(Block[P]):
     def status(self, *x: Any) -> Mapping[str, tuple[float, str]]:
         """Give name to (value, unit) of the figures so far; gets x."""
         raise NotImplementedError
+
+    def at_once(self, x: Any, t: int, messages: Mapping[str, Sequence[tuple[int, Any]]]) -> Any:
+        """Take all that its ticks have seen since the last one, for runs that need not go tick by tick.
+
+        Parameters
+        ----------
+        x : named tuple
+        t : int
+            Its newest tick, ns.
+        messages : mapping of str to sequence of (int, values)
+            By input: stamp in ns and values of each message that its ticks have seen, the oldest first; inputs that
+            nobody fills are missing.
+
+        Returns
+        -------
+        named tuple or None
+            What `update` would have made of x, tick after tick; None, the default: it has to be asked at each.
+        """
+        return None

@@ -66,6 +66,8 @@ class Step(Held):
         Gets t, the tick that is to be answered: whether something that it needs has not come; None: never.
     moved : callable or None
         Called when a plant has moved on.
+    native : (int, str)
+        How many of its ticks native code answered, and why Python answered the others.
     changed : callable or None
         Gets (t, values by name) of each tick before which parameters were changed, and how.
     """
@@ -75,6 +77,7 @@ class Step(Held):
     lacks: Callable[[int], bool] | None = None
     moved: Callable[[], object] | None = None
     changed: Callable[[int, Mapping[str, Any]], object] | None = None
+    native: tuple[int, str] = (0, "")
 
     say: Callable[[int], None]
     advance: Callable[..., None]

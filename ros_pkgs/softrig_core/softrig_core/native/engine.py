@@ -6,18 +6,18 @@ import importlib.util
 import math
 import os
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import accumulate
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..block.block import Observer
 from ..block.runner import Runner
 from ..block.step import Step
 from ..errors import RunError
-from .compile import compiled
+from .compile import compiled, plain
 from .rig_text import RigText, rig_text
 from .translate import follow
 from .twins import packed, unpacked
@@ -29,6 +29,7 @@ SELDOM = 16  # at least so many ticks are native for each that is given up, or t
 PATIENCE = 64  # given up before that is judged
 WORTH = 4_000_000  # answers of members, which take Python some 2 us each: longer than native code is made
 QUICK = 2_000  # the same where it is there already
+WRITTEN = 20_000  # the same for a text that Python runs as it is: longer than it is written
 RUNS_A_TEXT = 20  # that ask in vain for each text beyond the first
 KEPT = 8  # texts that are kept for rigs to come
 
@@ -72,7 +73,7 @@ class Engine:
     steps : sequence of Step
         As for `Runner`; wired, none of them waits for anything.
     make : callable
-        Makes the function of a text.
+        Makes the function of a text: `compiled` or `plain`.
 
     Attributes
     ----------
@@ -80,7 +81,7 @@ class Engine:
     """
 
     def __init__(self, steps: Sequence[Step], make: Callable[[RigText], Callable[..., Any]] = compiled) -> None:
-        self.steps, self._make = tuple(steps), make
+        self.steps, self._make, self._typed = tuple(steps), make, make is not plain
         self.runner = Runner(self.steps)
         self.native = Native()
         watchers = [s for s in self.steps if isinstance(s.block, Observer) and not s.readers and not s.doubters]
@@ -92,7 +93,7 @@ class Engine:
         self._text: RigText | None = None
 
     def run(self) -> Iterator[int]:
-        """Answer all ticks of a run that has an end.
+        """Answer all ticks of a run that has an end; then the steps know what of them was native.
 
         Yields
         ------
@@ -104,6 +105,15 @@ class Engine:
         RunError
             As `Runner.run`.
         """
+        try:
+            yield from self._run()
+        finally:
+            given_up = self.native.given_up
+            reason = self.native.reason or (f"{given_up} of its ticks were given up" if given_up else "")
+            for s in self.steps:
+                s.native = s.native[0], "it watches what is recorded" if s in self._watchers else reason
+
+    def _run(self) -> Iterator[int]:
         assert self.runner.ticks is not None
         last = self.runner.ticks
         k, go = 0, SHORTEST
@@ -175,7 +185,7 @@ class Engine:
                 if not _worth_another(kinds):
                     self.native.reason = "what is varied chooses another text each time"
                     return False
-                text = rig_text(core, recorded)
+                text = rig_text(core, recorded, self._typed)
                 kept = _Kept(kinds, text, self._make(text))
                 _texts.insert(0, kept)
                 del _texts[KEPT:]
@@ -185,7 +195,7 @@ class Engine:
             tables: dict[str, Any] = dict(zip(program.arrays.values(), program.tables(roots), strict=True))
             tables |= {name: follow(path, roots).scratch() for path, name in program.scratches.items()}
             self._sources = {name: follow(path, roots) for path, name in program.draws.items()}
-            tables |= {name: draws.first(self._guess()) for name, draws in self._sources.items()}
+            tables |= {name: self._drawn(draws, self._guess()) for name, draws in self._sources.items()}
         except NotNative as reason:
             self.native.reason = str(reason)
             return False
@@ -193,6 +203,10 @@ class Engine:
         self._recorded = recorded
         self.native.members = tuple(s.name for s in core)
         return True
+
+    def _drawn(self, draws: Any, count: int) -> Any:
+        found = draws.first(count)
+        return found if self._typed else found.tolist()
 
     def _guess(self) -> int:
         return min(1 << 20, 2 * (self.runner.ticks or 0) + (1 << 13))
@@ -222,13 +236,13 @@ class Engine:
             self._take(first, reached, after, rows)
         return reached
 
-    def _called(self, first: int, last: int, before: Any) -> tuple[int, Any, dict[int, NDArray[np.float64]]]:
+    def _called(self, first: int, last: int, before: Any) -> tuple[int, Any, dict[int, Any]]:
         assert self._text is not None
         while True:
-            n = np.zeros(2, np.int64)
-            rows = {}
-            for s in self._recorded:
-                rows[id(s)] = np.empty((len(self._own(s, first, last)), len(s.numbers)))
+            n: Any = np.zeros(2, np.int64) if self._typed else [0, 0]
+            rows: dict[int, Any] = {id(s): [] for s in self._recorded}
+            if self._typed:
+                rows = {id(s): np.empty((len(self._own(s, first, last)), len(s.numbers))) for s in self._recorded}
             named = self._tables | {f"o{self._core.index(s)}": rows[id(s)] for s in self._recorded}
             handed = [named[name] for name in self._text.arrays]
             try:
@@ -236,7 +250,7 @@ class Engine:
             except NATIVE:
                 if n[1]:
                     for name, draws in self._sources.items():
-                        self._tables[name] = draws.first(max(int(n[1]), 2 * len(self._tables[name])))
+                        self._tables[name] = self._drawn(draws, max(int(n[1]), 2 * len(self._tables[name])))
                     continue
                 if n[0] <= first:
                     return first, None, {}
@@ -254,7 +268,7 @@ class Engine:
         every = self._every[id(step)]
         return range((first + every - 1) // every, (last + every - 1) // every)
 
-    def _take(self, first: int, last: int, after: Any, rows: dict[int, NDArray[np.float64]]) -> None:
+    def _take(self, first: int, last: int, after: Any, rows: dict[int, Any]) -> None:
         """Make what native code has found that of the steps."""
         count = len(self._core)
         for k, s in enumerate(self._core):
@@ -263,6 +277,7 @@ class Engine:
                 continue
             s.x, numbers = unpacked(after[k]), after[count + k]
             s.t = s.schedule.time(own[-1])
+            s.native = s.native[0] + len(own), ""
             at = 0
             said = {}
             for p in s.outputs:
@@ -275,24 +290,20 @@ class Engine:
                 values[name] = row if take is None else take(row)
             if s.send_all is not None:
                 times = s.schedule.times(own.start, own.stop)
-                s.send_all(times, rows[id(s)] if s.outputs else np.empty((len(times), 0)))
+                s.send_all(times, np.asarray(rows[id(s)]) if s.outputs else np.empty((len(times), 0)))
 
-    def _watch(self, first: int, last: int, rows: dict[int, NDArray[np.float64]]) -> None:
+    def _watch(self, first: int, last: int, rows: dict[int, Any]) -> None:
         """Let those who only watch see what was said, tick after tick."""
         if not self._watchers:
             return
+        said = {id(s): rows[id(s)].tolist() if self._typed else rows[id(s)] for s in self._recorded}
+        watchers = [(w, self._every[id(w)]) for w in self._watchers if not self._at_once(w, first, last, said)]
         told = []
         for s in self._recorded:
-            every, listed = self._every[id(s)], rows[id(s)].tolist()
-            at = [0]
-            for p in s.outputs:
-                at.append(at[-1] + p.size)
-            readers = [(values, name, take, at[j], at[j + 1]) for w in self._watchers
-                       for j, values, name, take in s.readers if values is w.values]  # fmt: skip
+            readers = [read for w, _ in watchers for read in _readings(s, w)]
             if readers:
-                told.append((s, every, self._own(s, first, last).start, listed, readers))
-        watchers = [(w, self._every[id(w)]) for w in self._watchers]
-        for k in range(first, last):
+                told.append((s, self._every[id(s)], self._own(s, first, last).start, said[id(s)], readers))
+        for k in range(first, last) if watchers else ():
             t = self._time(k)
             for s, every, begin, listed, readers in told:
                 if k % every == 0:
@@ -304,6 +315,36 @@ class Engine:
             for w, every in watchers:
                 if k % every == 0:
                     w.say(t)
+
+    def _at_once(self, watcher: Step, first: int, last: int, said: Mapping[int, Any]) -> bool:
+        """Let one who watches have all that its ticks see, if it takes that so."""
+        ticks, every = self._own(watcher, first, last), self._every[id(watcher)]
+        if not ticks:
+            return True
+        messages: dict[str, list[tuple[int, Any]]] = {}
+        for s in self._recorded:
+            readings, own = _readings(s, watcher), self._own(s, first, last)
+            if readings and max(every, self._every[id(s)]) % min(every, self._every[id(s)]):
+                return False
+            step = max(1, every // self._every[id(s)])  # of its messages, one is seen
+            begin = -own.start % step
+            stamps = s.schedule.times(own.start, own.stop)[begin::step].tolist() if readings else []
+            for _, name, take, low, high in readings:
+                parts = [tuple(row[low:high]) for row in said[id(s)][begin::step]]
+                messages[name] = list(zip(stamps, parts if take is None else map(take, parts), strict=True))
+        t = watcher.schedule.time(ticks[-1])
+        x = watcher.block.at_once(watcher.x, t, messages)  # type: ignore[attr-defined]
+        if x is None:
+            return False
+        watcher.x, watcher.t = x, t
+        return True
+
+
+def _readings(source: Step, reader: Step) -> list[tuple[dict[str, Any], str, Any, int, int]]:
+    """Give what of a step's numbers another one reads: where to, by which name, how, from which one to which."""
+    at = [0, *accumulate(p.size for p in source.outputs)]
+    return [(values, name, take, at[j], at[j + 1]) for j, values, name, take in source.readers
+            if values is reader.values]  # fmt: skip
 
 
 NATIVE = (RuntimeError, ArithmeticError, ValueError, LookupError, TypeError)  # what gives a tick up
@@ -317,8 +358,20 @@ def _worth_another(kinds: Any) -> bool:
     return worth
 
 
-def pays(steps: Sequence[Step], runs: int = 1) -> bool:
-    """Whether native code is worth its making: seconds, once; ``SOFTRIG_JIT=0`` forbids it.
+def writes(steps: Sequence[Step]) -> bool:
+    """Whether a run is long enough for one text of all its members that Python runs; ``SOFTRIG_JIT=0`` forbids it."""
+    return os.environ.get("SOFTRIG_JIT", "1") != "0" and _answers(steps) > WRITTEN
+
+
+def _answers(steps: Sequence[Step]) -> int:
+    answers = 0
+    for step in steps:
+        answers += (step.schedule.ticks or 0) // step.schedule.every
+    return answers
+
+
+def unwanted(steps: Sequence[Step], runs: int = 1) -> str:
+    """Say why native code is not worth its making, which takes seconds, once; empty where it is.
 
     Parameters
     ----------
@@ -326,14 +379,15 @@ def pays(steps: Sequence[Step], runs: int = 1) -> bool:
     runs : int
         So many such runs are to come.
     """
-    if os.environ.get("SOFTRIG_JIT", "1") == "0" or importlib.util.find_spec("numba") is None:
-        return False
-    ticks = 0
-    for step in steps:
-        ticks += (step.schedule.ticks or 0) // step.schedule.every
+    if os.environ.get("SOFTRIG_JIT", "1") == "0":
+        return "SOFTRIG_JIT=0"
+    if importlib.util.find_spec("numba") is None:
+        return "numba is not installed"
+    ticks = _answers(steps)
     kinds = tuple(type(s.block) for s in steps if not isinstance(s.block, Observer))
-    known = any(kinds == tuple(k[0] for k in kept.kinds[:-2]) for kept in _texts)
-    return ticks > (QUICK if known else WORTH // max(1, runs))
+    known = any(kinds == tuple(k[0] for k in kept.kinds[:-2]) for kept in _texts if kept.kinds[-1] is compiled)
+    least = QUICK if known else WORTH // max(1, runs)
+    return "" if ticks > least else f"{ticks:,} answers a run, native code is worth its making from {least:,} on"
 
 
 def _form(value: Any) -> Any:

@@ -37,7 +37,7 @@ class RigText:
     arrays: tuple[str, ...]
 
 
-def rig_text(steps: Sequence[Step], recorded: Sequence[Step]) -> RigText:
+def rig_text(steps: Sequence[Step], recorded: Sequence[Step], typed: bool = True) -> RigText:
     """Make the text of the members that are native.
 
     Parameters
@@ -46,6 +46,8 @@ def rig_text(steps: Sequence[Step], recorded: Sequence[Step]) -> RigText:
         Plants first, then the others, each after those that it reads; each has answered a tick.
     recorded : sequence of Step
         Those whose answers are written into tables.
+    typed : bool
+        Whether a state keeps its type and a table its shape, as numba needs it; else tables are lists of rows.
 
     Raises
     ------
@@ -62,15 +64,15 @@ def rig_text(steps: Sequence[Step], recorded: Sequence[Step]) -> RigText:
     body: list[str] = []
     for k in plants:
         value = _asked(program, steps[k], k, "outputs", {}, arrays)
-        body += _due(steps[k], stride, _answered(program, steps[k], k, value, None, recorded, stride))
+        body += _due(steps[k], stride, _answered(program, steps[k], k, value, None, recorded, stride, typed))
     for k in others:
         value = _asked(program, steps[k], k, "update", inputs[k], arrays)
-        body += _due(steps[k], stride, _answered(program, steps[k], k, value, f"x{k}", recorded, stride))
+        body += _due(steps[k], stride, _answered(program, steps[k], k, value, f"x{k}", recorded, stride, typed))
     for k in plants:
         value = _asked(program, steps[k], k, "advance", inputs[k], arrays)
         if not isinstance(value, Dynamic):
             raise NotNative(f"{steps[k].name}: its state stays as it is")
-        body += _due(steps[k], stride, [f"x{k} = same_(x{k}, {value.code})"])
+        body += _due(steps[k], stride, [_kept(f"x{k}", value.code, typed)])
     state = ", ".join([*(f"x{k}" for k, _ in enumerate(steps)), *(f"r{k}" for k, _ in enumerate(steps))])
     handed = [*sorted(arrays), *(f"o{numbers[id(s)]}" for s in recorded)]
     time = steps[0].schedule
@@ -153,7 +155,14 @@ def _asked(program: Program, step: Step, k: int, name: str, inputs: Mapping[str,
 
 
 def _answered(
-    program: Program, step: Step, k: int, value: Value, state: str | None, recorded: Sequence[Step], stride: int
+    program: Program,
+    step: Step,
+    k: int,
+    value: Value,
+    state: str | None,
+    recorded: Sequence[Step],
+    stride: int,
+    typed: bool,
 ) -> list[str]:
     """Take an answer: its state, its numbers checked, written into the table."""
     writer = Writer(program, _answered, {})  # type: ignore[arg-type]
@@ -181,10 +190,16 @@ def _answered(
         squares = " + ".join(f"q{k}[{i}] * q{k}[{i}]" for i, _ in enumerate(numbers))
         lines += [f"if not ({squares} <= {bound!r}):", f"    {GIVEN_UP}", f"r{k} = q{k}"]
     if state is not None:
-        lines.append(f"{state} = same_({state}, y{k})")
-    if any(s is step for s in recorded):
+        lines.append(_kept(state, f"y{k}", typed))
+    if any(s is step for s in recorded) and not typed:
+        lines.append(f"o{k}.append(q{k})")
+    elif any(s is step for s in recorded):
         lines += [f"o{k}[k // {step.schedule.every // stride} - e{k}, {i}] = q{k}[{i}]" for i, _ in enumerate(numbers)]
     return lines
+
+
+def _kept(state: str, code: str, typed: bool) -> str:
+    return f"{state} = same_({state}, {code})" if typed else f"{state} = {code}"
 
 
 class _Nowhere:

@@ -55,3 +55,9 @@ def unpacked(value: Any) -> Any:
             return kind(*parts)
         return type(value)(*parts) if hasattr(value, "_fields") else tuple(parts)
     return value
+
+
+def class_of(sample: Any) -> type | None:
+    """Give the class of a named tuple, or the dataclass that it stands for."""
+    kind = type(sample)
+    return getattr(kind, OF, kind) if hasattr(kind, "_fields") else None

@@ -62,6 +62,7 @@ class Record:
 
 
 Value = Static | Dynamic | Group | Record
+NONE = Static(None)
 
 
 def sample_of(value: Value) -> Any:
@@ -96,3 +97,13 @@ def computed(function: Callable[..., Any], *values: Any) -> Any:
 
 def _unknown(value: Any) -> bool:
     return value is UNKNOWN or (type(value) is tuple and any(_unknown(v) for v in value))
+
+
+def forms(value: Dynamic) -> Any:
+    """Give the keys of what is inside of a value, to its leaves."""
+    return None if value.parts is None else tuple((p.keys, forms(p)) for p in value.parts)
+
+
+def kind_of(value: Value) -> str:
+    """Give the name of a value's type, for a person."""
+    return type(sample_of(value)).__name__

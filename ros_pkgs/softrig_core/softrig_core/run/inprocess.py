@@ -13,7 +13,8 @@ from ..block.port import CLOCK, Port, Sample
 from ..block.runner import YOUNG, Runner
 from ..block.step import Rows, Step
 from ..errors import ScenarioError
-from ..native.engine import Engine, pays
+from ..native.compile import plain
+from ..native.engine import Engine, unwanted, writes
 from ..rig.members import Member
 from ..rig.rig import Rig
 from ..solver.solver import Solver
@@ -74,10 +75,13 @@ def run_inprocess(
 
 
 def _ticks(steps: list[Step], runs: int) -> Iterator[int | None]:
-    """Answer all ticks of a run, natively where that pays."""
-    if pays(steps, runs):
+    """Answer all ticks of a run: natively or by one text of its members where that pays, else one by one."""
+    reason = unwanted(steps, runs)
+    if not reason:
         return Engine(steps).run()
-    return Runner(steps).run()
+    for step in steps:
+        step.native = 0, reason
+    return Engine(steps, plain).run() if writes(steps) else Runner(steps).run()
 
 
 @contextmanager

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Container, Iterable, Iterator, Mapping
-from itertools import chain, islice
+from bisect import bisect_left
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
+from itertools import chain, islice, pairwise
+from operator import itemgetter
 from types import MappingProxyType
 from typing import Any, NamedTuple, TypeVar
 
@@ -66,6 +68,21 @@ class Kept(NamedTuple):
                 oldest = blocks[0] if blocks else newest
         return Kept(blocks, newest, begin, forgot)
 
+    def taken_at_once(self, messages: Sequence[tuple[int, Any]], since: int) -> Kept:
+        """Take new messages in, the oldest first; what `taken` would give that gets one after the other.
+
+        No two of them, nor the newest that is kept, are further apart than what is kept reaches back from `since` on.
+        """
+        filled = [*self.newest, *messages]
+        whole = max(0, len(filled) - 1) // BLOCK * BLOCK
+        blocks = [*self.blocks, *(tuple(filled[k : k + BLOCK]) for k in range(0, whole, BLOCK)), tuple(filled[whole:])]
+        gone = 0
+        while blocks[gone] and blocks[gone][-1][0] < since:
+            gone += 1
+        begin = 0 if gone else self.begin
+        after = bisect_left(blocks[gone], since, begin, key=itemgetter(0))
+        return Kept(tuple(blocks[gone:-1]), blocks[-1], after, self.forgot or after > self.begin or gone > 0)
+
 
 class Window(NamedTuple):
     """What was seen: of each input, in the order of the ports. The first field of what a subclass remembers."""
@@ -106,6 +123,22 @@ class Watch(Observer[W]):
             values = inputs.get(name)
             found.append(kept if values is None else kept.taken(t - (age(name) or 0), values, since))
         return tuple(found)
+
+    def at_once(self, x: Any, t: int, messages: Mapping[str, Sequence[tuple[int, Any]]]) -> Any:
+        """See `Observer.at_once`."""
+        if type(self).update is not Watch.update:
+            return None
+        found, since = [], t - self._reach
+        for name, kept in zip(self._ports, x.seen, strict=True):
+            new = messages.get(name)
+            if new is None:
+                found.append(kept)
+                continue
+            stamps = [*(m[0] for m in kept.newest[-1:]), *(m[0] for m in new), t]
+            if any(after - before > self._reach for before, after in pairwise(stamps)):
+                return None
+            found.append(kept.taken_at_once(new, since))
+        return Window(tuple(found))
 
     def figure(self, name: str, function: Function, arguments: Mapping[str, Any] = NONE) -> Figure:
         """Make a figure, in the unit that its function and its signal give it."""

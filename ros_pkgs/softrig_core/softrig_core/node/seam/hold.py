@@ -31,6 +31,8 @@ class Hold:
     Attributes
     ----------
     held : bool
+    steps : int
+        That it may take all the same.
     pace : float
     waits : bool
         Whether a tick waits for the wall clock.
@@ -38,7 +40,7 @@ class Hold:
 
     def __init__(self, held: bool = False, pace: float = 0.0) -> None:
         self.held, self.pace, self.waits = held, pace, False
-        self._steps = 0  # that it may take all the same
+        self.steps = 0
         self._turn: Callable[[], object] | None = None
         self._tells = False
         self._mark: tuple[float, int] | None = None  # s of the wall, ns of the run, which the pace counts from
@@ -86,7 +88,7 @@ class Hold:
     def holds(self, t: int) -> bool:
         """Whether the step from tick `t` (ns) to the next one has to wait; a single step is used up by it."""
         if self.held:
-            self._steps -= (single := self._steps > 0)
+            self.steps -= (single := self.steps > 0)
             return not single
         if not self.pace or t < self._until:
             return False
@@ -101,8 +103,8 @@ class Hold:
         self._until = reached
         return False
 
-    def ask(self, what: str) -> tuple[bool, str]:
-        """Pause, resume or take a step; gives whether that could be done, and what to say."""
+    def ask(self, what: str, steps: int = 1) -> tuple[bool, str]:
+        """Pause, resume or take steps; gives whether that could be done, and what to say."""
         if self._turn is None:
             return False, "this node has not begun"
         if what == "pause":
@@ -112,9 +114,9 @@ class Hold:
         if what == "step":
             if not self.held:
                 return False, "it runs: pause it first"
-            self._steps += 1
+            self.steps += steps
         else:
-            self.held, self._steps, self._mark, self._until = False, 0, None, 0
+            self.held, self.steps, self._mark, self._until = False, 0, None, 0
         self._middleware.post(self._turn)
         return True, "one step" if what == "step" else "goes on"
 

@@ -1,0 +1,384 @@
+"""Calls in a function: of its own kind, of what is made in `setup`, of the standard library."""
+
+from __future__ import annotations
+
+import ast
+import operator
+import types
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial, reduce
+from typing import Any
+
+import numpy as np
+
+from ..block.block import Block
+from ..kit.compiled import Compiled
+from ..kit.draws import Draws
+from ..kit.jit import Jit, power
+from .expressions import Expressions
+from .translate import (
+    TURNS,
+    follow,
+    is_number_slot,
+    made,
+)
+from .twins import class_of, is_twinned, twin
+from .value import (
+    NONE,
+    UNKNOWN,
+    Dynamic,
+    Group,
+    Record,
+    Static,
+    Value,
+    computed,
+    is_sure,
+    kind_of,
+    sample_of,
+)
+from .words import TEXTS, word
+
+
+class Calls(Expressions):
+    """Reads calls, and lists whose parts are gone through; see `Ways`."""
+
+    def listed(self, node: ast.expr) -> list[Value] | None:
+        """Give the values that a loop goes through, where their number is fixed; None where it is not."""
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id not in self.env:
+            name = node.func.id
+            if name == "range":
+                ends = [self.value(a) for a in node.args]
+                if all(isinstance(v, Static) for v in ends):
+                    turns = range(*(self.program.guard(v) for v in ends if isinstance(v, Static)))
+                    return [Static(k) for k in turns] if len(turns) <= TURNS else None
+                return None
+            if name == "zip":
+                rows: list[list[Value] | None] = []
+                for a in node.args:
+                    if isinstance(a, ast.Starred):
+                        outer = self.listed(a.value)
+                        rows += [None] if outer is None else [self.parts(v, node) for v in outer]
+                    else:
+                        rows.append(self.listed(a))
+                if any(r is None for r in rows):
+                    return None
+                return [Group(tuple(parts)) for parts in zip(*(r for r in rows if r is not None), strict=False)]
+            if name in ("enumerate", "reversed") and len(node.args) == 1:
+                found = self.listed(node.args[0])
+                if found is None or name == "reversed":
+                    return found and found[::-1]
+                return [Group((Static(k), v)) for k, v in enumerate(found)]
+            if name == "map" and len(node.args) == 2:
+                found = self.listed(node.args[1])
+                function = self.value(node.args[0])
+                return None if found is None else [self.call(function, [v], {}, node) for v in found]
+        if isinstance(node, (ast.ListComp, ast.GeneratorExp)):
+            group = self._value_listcomp(node)
+            return list(group.items) if isinstance(group, Group) else self.parts(group, node)
+        value = self.value(node)
+        if isinstance(value, Dynamic) and isinstance(value.sample, np.ndarray):
+            return None
+        return self.parts(value, node)
+
+    def _value_listcomp(self, node: ast.ListComp | ast.GeneratorExp) -> Value:
+        items: list[Value] = []
+        outer = dict(self.env)
+
+        def turn(level: int) -> None:
+            if level == len(node.generators):
+                items.append(self._held(self.value(node.elt)) if self._inside else self.value(node.elt))
+                return
+            part = node.generators[level]
+            values = self.listed(part.iter)
+            if values is None:
+                raise self.unknown("a list of no fixed length", node)
+            for value in values:
+                self.assign(part.target, value, apart=True)
+                tests = [self.test(t) for t in part.ifs]
+                if any(isinstance(t, str) for t in tests):
+                    raise self.unknown("a list whose length is computed", node)
+                if all(tests):
+                    # what the target is bound to is bound anew in the next turn
+                    before = len(items)
+                    turn(level + 1)
+                    items[before:] = [self._held(v) for v in items[before:]]
+
+        turn(0)
+        self.env = outer
+        if all(isinstance(v, Static) and v.path is None for v in items):
+            return Static(tuple(v.value for v in items if isinstance(v, Static)))
+        return Group(tuple(items))
+
+    _value_generatorexp = _value_listcomp
+
+    def _value_call(self, node: ast.Call) -> Value:
+        if isinstance(node.func, ast.Attribute):
+            if _is_super(node.func.value):
+                return self._of_base(node)
+            base = self.value(node.func.value)
+            if isinstance(base, Static) and isinstance(base.value, Block) and node.func.attr == "report":
+                self._give_up()
+                return NONE
+            if not isinstance(base, Static):
+                return self._method(base, node)
+            if isinstance(base.value, Block) and node.func.attr == "age" and base.value.ages is not None:
+                wanted = self.value(node.args[0])
+                name = self.program.guard(wanted) if isinstance(wanted, Static) else None
+                return Static(self.program.age(base.value, name))
+            function: Value = self.attribute(base, node.func.attr, node)
+        else:
+            function = self.value(node.func)
+        if isinstance(function, Static) and function.value in (tuple, list, any, all, sum) and len(node.args) == 1:
+            values = self.listed(node.args[0])
+            if values is None:
+                raise self.unknown("something of no fixed length", node)
+            return self._over(function.value, values, node)
+        if isinstance(function, Static) and function.value in (zip, enumerate, reversed, map):
+            values = self.listed(node)
+            assert values is not None
+            return Group(tuple(values))
+        given: list[Value] = []
+        for one in node.args:
+            if isinstance(one, ast.Starred):
+                listed = self.listed(one.value)
+                if listed is None:
+                    raise self.unknown("something of no fixed length", node)
+                given += listed
+            else:
+                given.append(self.value(one))
+        words: dict[str, Value] = {}
+        for word_ in node.keywords:
+            if word_.arg is None:
+                more = self.value(word_.value)
+                if not isinstance(more, Record):
+                    raise self.unknown("** of something that is not written out", node)
+                words |= more.items
+            else:
+                words[word_.arg] = self.value(word_.value)
+        return self.call(function, given, words, node)
+
+    def _of_base(self, node: ast.Call) -> Value:
+        """Call a method of a base class."""
+        assert isinstance(node.func, ast.Attribute)
+        owner, own = self.outer("__class__", node), self.env[self.function.__code__.co_varnames[0]]
+        if not isinstance(own, Static):
+            raise self.unknown("super() of something that is computed", node)
+        found = getattr(super(owner, own.value), node.func.attr)
+        given = [own, *(self.value(a) for a in node.args)]
+        words = {str(k.arg): self.value(k.value) for k in node.keywords}
+        return made(self.program, found.__func__, given, words, self.arrays)
+
+    def _method(self, base: Value, node: ast.Call) -> Value:
+        assert isinstance(node.func, ast.Attribute)
+        name, sample = node.func.attr, sample_of(base)
+        if name == "_replace" and isinstance(base, Dynamic) and hasattr(type(sample), "_fields"):
+            simple = self.simple(base)
+            changed = {str(k.arg): self.value(k.value) for k in node.keywords}
+            parts = [changed.get(f) or Dynamic(f"{simple.code}.{f}", getattr(sample, f), base.sure)
+                     for f in type(sample)._fields]  # fmt: skip
+            return self._named(type(sample), parts, node)
+        if name == "conjugate" and isinstance(sample, complex) and isinstance(base, Dynamic):
+            return Dynamic(f"{base.code}.conjugate()", sample.conjugate())
+        if name == "get" and isinstance(base, Record):
+            return base.items.get(self.program.guard(self.value(node.args[0])), NONE)  # type: ignore[arg-type]
+        own = class_of(sample)
+        method = getattr(own, name, None) if own is not None else None
+        if isinstance(method, types.FunctionType):
+            words = {str(k.arg): self.value(k.value) for k in node.keywords}
+            return made(self.program, method, [base, *(self.value(a) for a in node.args)], words, self.arrays)
+        raise self.unknown(f".{name}() of {kind_of(base)}", node)
+
+    def _named(self, kind: Any, parts: Sequence[Value], node: ast.AST) -> Dynamic:
+        values = [self.dynamic(p) for p in parts]
+        if any(v.keys or v.parts for v in values):
+            raise self.unknown("a mapping in a state", node)
+        sample = UNKNOWN if any(v.sample is UNKNOWN for v in values) else kind(*(v.sample for v in values))
+        name = self.program.name(kind, kind.__name__)
+        return Dynamic(f"{name}({', '.join(v.code for v in values)})", sample, all(is_sure(v) for v in values))
+
+    def call(self, function: Value, given: Sequence[Value], words: Mapping[str, Value], node: ast.AST) -> Value:
+        """Call something."""
+        if not isinstance(function, Static):
+            raise self.unknown("a call of something that is computed", node)
+        called = function.value
+        if function.path is not None and not isinstance(called, types.MethodType):
+            self.program.guard(function)
+        if isinstance(called, Jit):
+            return self._native(called, given, node)
+        if called is power:
+            return self._written("power", power, given)
+        if isinstance(called, Draws):
+            return self._drawn(function, given[0])
+        if isinstance(called, Compiled):
+            return self._compiled(function, given, node)
+        if isinstance(called, partial):
+            return self.call(Static(called.func), [*map(Static, called.args), *given],
+                             {k: Static(v) for k, v in called.keywords.items()} | dict(words), node)  # fmt: skip
+        if isinstance(called, types.MethodType):
+            own = called.__self__
+            path = None if function.path is None else function.path[:-1]
+            if isinstance(own, Mapping) and called.__name__ == "get":
+                return self._looked_up(Static(own, path), given[0], node)
+            if (
+                path is not None
+                and function.path is not None
+                and function.path[-1][0] == "attr"
+                and own is not follow(function.path[:-1], self.program.roots)
+            ):  # a method that another object has lent
+                path = (*function.path, ("attr", "__self__"))
+            if isinstance(own, type):
+                path = None
+            return made(self.program, called.__func__, [Static(own, path), *given], words, self.arrays)  # type: ignore[arg-type]
+        if isinstance(called, types.BuiltinMethodType) and isinstance(called.__self__, Mapping):
+            table = Static(called.__self__, None if function.path is None else function.path[:-1])
+            if called.__name__ in ("items", "values", "keys"):
+                self.program.guard(table)
+                return Static(tuple(called()))
+            if isinstance(given[0], Static):
+                return Static(self.program.guard(table).get(*(self.program.guard(v) for v in given)))  # type: ignore[arg-type]
+            return self._looked_up(table, given[0], node)
+        if isinstance(called, types.FunctionType):
+            return made(self.program, called, given, words, self.arrays)
+        if isinstance(called, type) and is_twinned(called):
+            called = twin(called)
+        if isinstance(called, type) and issubclass(called, tuple) and hasattr(called, "_fields"):
+            defaults = {k: Static(v) for k, v in called._field_defaults.items()}  # type: ignore[attr-defined]
+            bound = dict(zip(called._fields, given, strict=False)) | dict(words)
+            try:
+                return self._named(called, [bound[f] if f in bound else defaults[f] for f in called._fields], node)
+            except KeyError as error:
+                raise self.unknown(f"{called.__name__} without {error}", node) from None
+        if (
+            callable(called)
+            and not isinstance(called, (type, types.BuiltinFunctionType))
+            and isinstance(getattr(type(called), "__call__", None), types.FunctionType)  # noqa: B004 - its function
+        ):
+            return made(self.program, type(called).__call__, [function, *given], words, self.arrays)  # type: ignore[arg-type]
+        return self._builtin(called, list(given), words, node)
+
+    def _written(self, name: str, function: Callable[..., Any], given: Sequence[Value]) -> Dynamic:
+        values = [self.dynamic(v) for v in given]
+        if name == "power":
+            self.program.names["power"] = power
+        code = f"{name}({', '.join(v.code for v in values)})"
+        return Dynamic(code, computed(function, *(v.sample for v in values)))
+
+    def _native(self, function: Jit, given: Sequence[Value], node: ast.AST) -> Dynamic:
+        values = [self.dynamic(v) for v in given]
+        samples = [np.copy(v.sample) if isinstance(v.sample, np.ndarray) else v.sample for v in values]
+        sample = computed(function.py_func, *samples)
+        name = self.program.name(function, "jit")
+        return Dynamic(f"{name}({', '.join(v.code for v in values)})", _numbers(sample), sample is not UNKNOWN)
+
+    def _drawn(self, draws: Static, k: Value) -> Dynamic:
+        assert draws.path is not None
+        name = self.program.draws.setdefault(draws.path, f"d{len(self.program.draws)}")
+        self.program.words.add("drawn_")
+        self.arrays.add(name)
+        return Dynamic(f"drawn_({name}, n, {self.dynamic(k).code})", 0.5)
+
+    def _compiled(self, function: Static, given: Sequence[Value], node: ast.AST) -> Dynamic:
+        called = function.value
+        if len(given) != 1 or called.symbol is None or function.path is None:
+            raise self.unknown("a casadi function that is not compiled", node)
+        values = [self.dynamic(v) for v in self.parts(given[0], node)]
+        name = self.program.scratch(function.path)
+        self.arrays.add(name)
+        results = computed(called, tuple(v.sample for v in values))
+        sample = (0.0,) * called.n_out if results is UNKNOWN else results
+        code = f"{self.program.caller(called)}({', '.join([name, *(v.code for v in values)])})"
+        return Dynamic(code, sample)
+
+    def _over(self, function: Any, values: Sequence[Value], node: ast.AST) -> Value:
+        if function in (tuple, list):
+            return Group(tuple(values))
+        if function is sum:
+            samples = [sample_of(v) for v in values]
+            if any(not isinstance(s, int) for s in samples):
+                raise self.unknown("sum of numbers that are no whole ones", node)
+            return Dynamic(
+                f"({' + '.join(['0', *(f'int({self.code(v)})' for v in values)])})", reduce(operator.add, samples, 0)
+            )
+        tests = [self.truth(v) for v in values]
+        stop = function is any
+        if any(t is stop for t in tests):
+            return Static(stop)
+        left = [t for t in tests if isinstance(t, str)]
+        if not left:
+            return Static(not stop)
+        return Dynamic(f"({(' or ' if stop else ' and ').join(left)})",
+                       computed(lambda *s: function(s), *(sample_of(v) for v in values)))  # fmt: skip
+
+    def _builtin(self, called: Any, given: list[Value], words: Mapping[str, Value], node: ast.AST) -> Value:
+        if words:
+            raise self.unknown(f"{getattr(called, '__name__', called)} with words", node)
+        if called in (min, max) and len(given) == 1:
+            given = self.parts(given[0], node)
+        if called is len:
+            base = given[0]
+            if isinstance(base, Dynamic) and isinstance(base.sample, np.ndarray):
+                return Dynamic(f"len({base.code})", len(base.sample))
+            return Static(len(self.parts(base, node)))
+        if called is isinstance:
+            if not isinstance(given[0], Static) and not is_sure(given[0]):
+                raise self.unknown("isinstance of something that is computed", node)
+            return Static(isinstance(sample_of(given[0]), sample_of(given[1])))
+        if called is getattr and isinstance(given[0], Static) and isinstance(given[1], Static):
+            return self.attribute(given[0], given[1].value, node)
+        fixed = [v for v in given if isinstance(v, Static)]
+        if len(fixed) == len(given) and not any(v.path is not None and is_number_slot(v.value) for v in fixed):
+            try:
+                return Static(called(*(self.program.guard(v) for v in fixed)))
+            except Exception as error:
+                raise self.unknown(f"{type(error).__name__}: {error}", node) from None
+        samples = [sample_of(v) for v in given]
+        if called in (min, max):
+            return self._extreme(called, given, node)
+        if called is abs and isinstance(samples[0], (float, int)):
+            return self._written("abs", abs, given)
+        if called is float and isinstance(samples[0], (float, int)):
+            return self._written("float", float, given)
+        if called is bool:
+            test = self.truth(given[0])
+            return Static(test) if isinstance(test, bool) else Dynamic(f"({test})", self.sampled)
+        if called is complex:
+            return self._written("complex", complex, given)
+        if called is round and len(given) > 1:
+            raise self.unknown("round to digits", node)
+        if called is int and isinstance(samples[0], bool):
+            return self._written("int", int, given)
+        name = word(called) if isinstance(called, (types.BuiltinFunctionType, type)) else None
+        if name is not None:
+            if name in TEXTS:
+                self.program.words.add(name)
+            return self._written(name, called, given)
+        if (isinstance(called, types.BuiltinFunctionType) and getattr(called, "__module__", "") == "numpy") or (
+            isinstance(called, np.ufunc)
+        ):
+            raise self.unknown(f"numpy.{called.__name__}", node)
+        raise self.unknown(f"{getattr(called, '__qualname__', type(called).__name__)}()", node)
+
+    def _extreme(self, called: Any, given: Sequence[Value], node: ast.AST) -> Value:
+        """Write min and max out: the first of equal ones, as Python has it, NaN included."""
+        values = [self.simple(self.dynamic(v)) for v in given]
+        best = values[0]
+        sign = "<" if called is min else ">"
+        for one in values[1:]:
+            sample = computed(called, best.sample, one.sample)
+            if isinstance(sample, int) and not all(isinstance(v.sample, int) for v in (best, one)):
+                sample = float(sample)
+            code = f"({one.code} if {one.code} {sign} {best.code} else {best.code})"
+            best = self.simple(Dynamic(code, sample)) if one is not values[-1] else Dynamic(code, sample)
+        return best
+
+
+def _is_super(node: ast.expr) -> bool:
+    return isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "super"
+
+
+def _numbers(value: Any) -> Any:
+    if isinstance(value, tuple) and not hasattr(value, "_fields"):
+        return tuple(_numbers(v) for v in value)
+    if isinstance(value, np.generic):
+        return value.item()
+    return value

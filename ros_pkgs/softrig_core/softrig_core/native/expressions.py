@@ -1,0 +1,436 @@
+"""Expressions of a function, read as what is known of their values."""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import operator
+import types
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from ..kit.jit import power
+from .translate import (
+    BINARY,
+    COMPARE,
+    GIVEN_UP,
+    LONGEST,
+    SMALL,
+    UNARY,
+    is_number_slot,
+    made,
+    shape,
+)
+from .twins import class_of
+from .value import (
+    NONE,
+    UNKNOWN,
+    Dynamic,
+    Group,
+    NotNative,
+    Record,
+    Static,
+    Value,
+    computed,
+    is_sure,
+    kind_of,
+    sample_of,
+)
+from .ways import Ways
+
+
+class Expressions(Ways):
+    """Reads expressions that call nothing; see `Ways`."""
+
+    def value(self, node: ast.expr) -> Value:
+        """Read an expression."""
+        method = getattr(self, f"_value_{type(node).__name__.lower()}", None)
+        if method is None:
+            raise self.unknown(f"{type(node).__name__.lower()}", node)
+        found: Value = method(node)
+        return found
+
+    def _value_constant(self, node: ast.Constant) -> Value:
+        return Static(node.value)
+
+    def _value_joinedstr(self, node: ast.JoinedStr) -> Value:
+        return Static("")
+
+    def _value_name(self, node: ast.Name) -> Value:
+        if node.id in self.env:
+            return self.env[node.id]
+        if node.id in self.function.__code__.co_varnames:
+            raise self.unknown(f"{node.id} is not known on every way", node)
+        return Static(self.outer(node.id, node))
+
+    def _value_tuple(self, node: ast.Tuple | ast.List) -> Value:
+        items: list[Value] = []
+        for one in node.elts:
+            if isinstance(one, ast.Starred):
+                items += self.parts(self.value(one.value), one)
+            else:
+                items.append(self.value(one))
+        if items and all(isinstance(v, Static) and v.path is None for v in items):
+            return Static(tuple(v.value for v in items if isinstance(v, Static)))
+        return Group(tuple(items))
+
+    _value_list = _value_tuple
+
+    def _value_dict(self, node: ast.Dict) -> Value:
+        items: dict[str, Value] = {}
+        for key, one in zip(node.keys, node.values, strict=True):
+            if key is None:
+                more = self.value(one)
+                if isinstance(more, Dynamic) and more.keys is not None:
+                    more = self._unfolded(more)
+                if not isinstance(more, Record):
+                    raise self.unknown("a mapping that is not written out", node)
+                items |= more.items
+                continue
+            name = self.value(key)
+            if not isinstance(name, Static) or not isinstance(name.value, str):
+                raise self.unknown("a mapping whose keys are computed", node)
+            items[self.program.guard(name)] = self.value(one)
+        return Record(items)
+
+    def _value_namedexpr(self, node: ast.NamedExpr) -> Value:
+        self.assign(node.target, self.value(node.value))
+        return self.env[node.target.id]
+
+    def _value_attribute(self, node: ast.Attribute) -> Value:
+        return self.attribute(self.value(node.value), node.attr, node)
+
+    def attribute(self, base: Value, name: str, node: ast.AST) -> Value:
+        """Read an attribute."""
+        if isinstance(base, Static):
+            try:
+                found = getattr(base.value, name)
+            except AttributeError as error:
+                raise self.unknown(str(error), node) from None
+            if base.path is None:
+                return Static(found)
+            return Static(found, (*base.path, ("attr", name)))
+        if isinstance(base, Dynamic):
+            fields = getattr(type(base.sample), "_fields", ())
+            if name in fields and base.keys is None:
+                base = self.simple(base)
+                found = getattr(base.sample, name)
+                return Dynamic(f"{base.code}.{name}", found, base.sure)
+            own = class_of(base.sample)
+            if own is not None and base.keys is None and hasattr(own, name):
+                found = inspect.getattr_static(own, name)
+                if isinstance(found, property) and isinstance(found.fget, types.FunctionType):
+                    return made(self.program, found.fget, [base], {}, self.arrays)
+                if not callable(found):
+                    return Static(getattr(own, name))
+            if name in ("real", "imag") and isinstance(base.sample, (complex, float)):
+                return Dynamic(f"{self.simple(base).code}.{name}", getattr(base.sample, name))
+            if name in ("shape", "size") and isinstance(base.sample, np.ndarray):
+                return Dynamic(f"{base.code}.{name}", getattr(base.sample, name), False)
+        if isinstance(base, Group) and name in ("real", "imag"):
+            raise self.unknown(f".{name} of a tuple", node)
+        raise self.unknown(f".{name} of {kind_of(base)}", node)
+
+    def _value_subscript(self, node: ast.Subscript) -> Value:
+        base = self.value(node.value)
+        if isinstance(node.slice, ast.Slice):
+            return self._sliced(base, node.slice, node)
+        index = self.value(node.slice)
+        return self.item(base, index, node)
+
+    def item(self, base: Value, index: Value, node: ast.AST) -> Value:
+        """Read an item."""
+        if isinstance(base, Dynamic) and base.keys is not None:
+            base = self._unfolded(base)
+        if isinstance(index, Static):
+            key = index.value
+            if isinstance(base, Record):
+                if key not in base.items:
+                    raise self.unknown(f"no {key!r} in a mapping", node)
+                return base.items[self.program.guard(index)]
+            if isinstance(base, Group) and isinstance(key, int):
+                self.program.guard(index)
+                return base.items[key]
+            if isinstance(base, Static):
+                self.program.guard(index)
+                try:
+                    found = base.value[key]
+                except (LookupError, TypeError) as error:
+                    raise self.unknown(f"{error!r}", node) from None
+                if isinstance(base.value, np.ndarray):
+                    base = self.dynamic(base)
+                else:
+                    return Static(found, None if base.path is None else (*base.path, ("item", key)))
+            if isinstance(base, Dynamic) and isinstance(base.sample, tuple) and isinstance(key, int):
+                self.program.guard(index)
+                simple = self.simple(base)
+                if not -len(base.sample) <= key < len(base.sample):
+                    raise self.unknown(f"no item {key} of {len(base.sample)}", node)
+                return self._part(simple, key % len(base.sample))
+        if isinstance(base, Static) and isinstance(base.value, Mapping):
+            return self._looked_up(base, index, node)
+        keys = None
+        if isinstance(base, Static) and isinstance(base.value, (list, tuple)):
+            kinds = {tuple(sorted(v)) if isinstance(v, Mapping) else None for v in base.value}
+            keys = kinds.pop() if len(kinds) == 1 else None
+            if keys is not None and base.path is not None:
+                self.program.guards[(*base.path, ("item", 0))] = ("keys", keys)
+        table, at = self.dynamic(base), self.dynamic(index)
+        if table.parts or table.sample is UNKNOWN:
+            raise self.unknown("an item of something that is not a table", node)
+        if isinstance(table.sample, tuple) and len({shape(v) for v in table.sample}) != 1:
+            raise self.unknown("an item of a tuple of several types", node)
+        sample = computed(lambda a, k: a[k], table.sample, at.sample)
+        if sample is UNKNOWN and isinstance(table.sample, tuple) and table.sample:
+            sample = table.sample[0]
+        if isinstance(sample, np.floating):
+            sample = float(sample)
+        return Dynamic(f"{self.simple(table).code}[{at.code}]", sample, True, keys)
+
+    def _looked_up(self, table: Static, key: Value, node: ast.AST) -> Dynamic:
+        """Look a computed key up in a fixed mapping; without it the tick is given up."""
+        entries = list(table.value.items())
+        if len(entries) > LONGEST:
+            raise self.unknown(f"a mapping of {len(entries)}, expected at most {LONGEST}", node)
+        if table.path is not None:
+            self.program.guard(table)
+        at = self.simple(self.dynamic(key))
+        name = f"look{len(self.program.functions)}"
+        lines = [f"def {name}(k):"]
+        for k, v in entries:
+            parts = [f"k[{i}] == {p!r}" for i, p in enumerate(k)] if isinstance(k, tuple) else [f"k == {k!r}"]
+            lines += [f"    if {' and '.join(parts)}:", f"        return {self.code(Static(v))}"]
+        self.program.functions.append("\n".join([*lines, f"    {GIVEN_UP}"]))
+        sample = computed(lambda k: table.value[k], at.sample)
+        return Dynamic(f"{name}({at.code})", entries[0][1] if sample is UNKNOWN else sample)
+
+    def _sliced(self, base: Value, part: ast.Slice, node: ast.AST) -> Value:
+        ends = []
+        for end in (part.lower, part.upper, part.step):
+            value = NONE if end is None else self.value(end)
+            if not isinstance(value, Static):
+                raise self.unknown("a part whose ends are computed", node)
+            ends.append(self.program.guard(value))
+        return Group(tuple(self.parts(base, node)[slice(*ends)]))
+
+    def _value_starred(self, node: ast.Starred) -> Value:
+        raise self.unknown("* here", node)
+
+    def _value_unaryop(self, node: ast.UnaryOp) -> Value:
+        if isinstance(node.op, ast.Not):
+            test = self.test(node)
+            return Static(test) if isinstance(test, bool) else Dynamic(test, self.sampled)
+        value = self.value(node.operand)
+        text, function = UNARY[type(node.op)]
+        if isinstance(value, Static) and value.path is None:
+            return Static(function(value.value))
+        if isinstance(value, Static) and isinstance(value.value, int) and abs(value.value) <= SMALL:
+            return Static(function(self.program.guard(value)))
+        value = self.dynamic(value)
+        return Dynamic(f"({text}{value.code})", computed(function, value.sample), value.sure)
+
+    def _value_binop(self, node: ast.BinOp) -> Value:
+        return self.binary(node.op, self.value(node.left), self.value(node.right), node)
+
+    def binary(self, op: ast.operator, left: Value, right: Value, node: ast.AST) -> Value:
+        """Compute with two values."""
+        both = [v for v in (left, right) if isinstance(v, Static)]
+        folded = len(both) == 2 and not any(v.path is not None and is_number_slot(v.value) for v in both)
+        if folded and type(op) in (*BINARY, ast.Pow, ast.LShift, ast.RShift):
+            function = BINARY[type(op)][1] if type(op) in BINARY else FOLDED[type(op)]
+            try:
+                return Static(function(*(self.program.guard(v) for v in both)))
+            except Exception as error:
+                raise self.unknown(f"{type(error).__name__}: {error}", node) from None
+        if (
+            isinstance(op, ast.Pow)
+            and isinstance(sample_of(left), float)
+            and isinstance(sample_of(right), (int, float))
+        ):
+            self.program.words.add("power_")
+            self.program.names["power"] = power
+            x, y = self.dynamic(left), self.dynamic(right)
+            sample = computed(pow, x.sample, y.sample)
+            return Dynamic(f"power_({x.code}, float({y.code}))", x.sample if sample is UNKNOWN else sample)
+        if type(op) not in BINARY:
+            raise self.unknown("** of whole or complex numbers" if isinstance(op, ast.Pow) else "an operation on bits",
+                               node)  # fmt: skip
+        a, b = sample_of(left), sample_of(right)
+        if isinstance(a, (tuple, list)) or isinstance(b, (tuple, list)):
+            return self._joined_tuples(op, left, right, node)
+        if isinstance(a, str) or isinstance(b, str):
+            raise self.unknown("a text that is computed", node)
+        text, function = BINARY[type(op)]
+        x, y = self.dynamic(left), self.dynamic(right)
+        sample = computed(function, x.sample, y.sample)
+        if sample is UNKNOWN and isinstance(x.sample, float) and isinstance(y.sample, (float, int)):
+            sample = x.sample
+        if isinstance(sample, np.ndarray):
+            raise self.unknown("arithmetic of whole arrays", node)
+        if text == "*" and all(isinstance(v, int) and not isinstance(v, bool) for v in (x.sample, y.sample)):
+            self.program.words.add("times_")
+            return Dynamic(f"times_({x.code}, {y.code})", sample)
+        return Dynamic(f"({x.code} {text} {y.code})", sample, is_sure(x) and is_sure(y))
+
+    def _joined_tuples(self, op: ast.operator, left: Value, right: Value, node: ast.AST) -> Value:
+        if isinstance(op, ast.Add):
+            return Group((*self.parts(left, node), *self.parts(right, node)))
+        if isinstance(op, ast.Mult) and isinstance(right, Static) and isinstance(right.value, int):
+            return Group(tuple(self.parts(left, node)) * self.program.guard(right))
+        raise self.unknown("arithmetic of tuples", node)
+
+    def test(self, node: ast.expr) -> bool | str:
+        """Read an expression of which only the truth is asked for; see `truth`."""
+        if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not):
+            found = self.test(node.operand)
+            if isinstance(found, bool):
+                return not found
+            self.sampled = computed(operator.not_, self.sampled)
+            return f"(not {found})"
+        if not isinstance(node, ast.BoolOp):
+            return self.truth(self.value(node))
+        stop = isinstance(node.op, ast.Or)
+        first = self.test(node.values[0])
+        rest = node.values[1] if len(node.values) == 2 else ast.BoolOp(node.op, node.values[1:])
+        if isinstance(first, bool):
+            return stop if first is stop else self.test(rest)
+        sampled, at, before = self.sampled, len(self.lines), dict(self.env)
+        try:
+            other: bool | str | None = self.test(rest)
+        except NotNative:
+            other = None
+        if other is not None and len(self.lines) == at and not self.ended:  # nothing to be computed before it
+            if isinstance(other, bool):
+                self.sampled = sampled
+                return stop if other is stop else first
+            self.sampled = self._either(stop, sampled, self.sampled)
+            return f"({first} {'or' if stop else 'and'} {other})"
+        del self.lines[at:]
+        self.env, self.ended = before, False
+        name = self._fresh()
+
+        def long() -> Any:
+            found = self.test(rest)
+            if not self.ended:
+                self.emit(f"{name} = bool({found})")
+            return found if isinstance(found, bool) else self.sampled
+
+        ways: list[Callable[[], Any]] = [lambda: self.emit(f"{name} = {stop}"), long]
+        pair = self._fork(first, sampled, ways[not stop], ways[stop])
+        self.sampled = self._either(stop, sampled, pair[1] if stop else pair[0])
+        return name
+
+    @staticmethod
+    def _either(stop: bool, one: Any, other: Any) -> Any:
+        if one is not UNKNOWN and bool(one) is stop:
+            return stop
+        return computed(bool, other) if one is not UNKNOWN else UNKNOWN
+
+    def _value_boolop(self, node: ast.BoolOp) -> Value:
+        stop = isinstance(node.op, ast.Or)
+        left = self.value(node.values[0])
+        if isinstance(left, Dynamic) and isinstance(left.sample, bool):
+            left = self.simple(left)
+        test = self.truth(left)
+        rest = node.values[1] if len(node.values) == 2 else ast.BoolOp(node.op, node.values[1:])
+        if isinstance(test, bool):
+            return left if test is stop else self.value(rest)
+        sampled, first = self.sampled, self.simple(self.dynamic(left))
+        test = self.truth(first)
+        assert isinstance(test, str)
+        ways: list[Callable[[], Value]] = [lambda: first, lambda: self.value(rest)]
+        return self._chosen(test, sampled, ways[not stop], ways[stop], node)
+
+    def _value_compare(self, node: ast.Compare) -> Value:
+        left = self.value(node.left)
+        found: Value | None = None
+        for op, right_node in zip(node.ops, node.comparators, strict=True):
+            right = self.value(right_node)
+            if len(node.ops) > 1 and isinstance(right, Dynamic):
+                right = self.simple(right)
+            one = self._compared(op, left, right, node)
+            if found is None or (isinstance(found, Static) and found.value is True):
+                found = one
+            elif isinstance(found, Static):
+                return found
+            elif isinstance(one, Static):
+                if one.value is False:
+                    return one
+            else:
+                a, b = self.dynamic(found), self.dynamic(one)
+                found = Dynamic(f"({a.code} and {b.code})", computed(lambda p, q: p and q, a.sample, b.sample))
+            left = right
+        assert found is not None
+        return found
+
+    def _compared(self, op: ast.cmpop, left: Value, right: Value, node: ast.AST) -> Value:
+        if isinstance(op, (ast.Is, ast.IsNot)):
+            wanted = isinstance(op, ast.Is)
+            if isinstance(right, Static) and right.value is None:
+                if isinstance(left, Static):
+                    self.program.guard(left)
+                    return Static((left.value is None) is wanted)
+                if not isinstance(left, Dynamic):
+                    return Static(not wanted)
+                if is_sure(left):
+                    return Static((left.sample is None) is wanted)
+                return Dynamic(f"({left.code} is {'' if wanted else 'not '}None)",
+                               computed(lambda a: (a is None) is wanted, left.sample))  # fmt: skip
+            if isinstance(left, Static) and isinstance(right, Static):
+                return Static((self.program.guard(left) is self.program.guard(right)) is wanted)
+            raise self.unknown("`is` of something other than None", node)
+        if isinstance(op, (ast.In, ast.NotIn)):
+            if isinstance(left, Static) and isinstance(right, Static):
+                hit = self.program.guard(left) in self.program.guard(right)
+                return Static(hit is isinstance(op, ast.In))
+            tests = [self._compared(ast.Eq(), left, v, node) for v in self.parts(right, node)]
+            code = " or ".join(self.code(t) for t in tests)
+            sample = computed(lambda *s: any(s), *map(sample_of, tests))
+            return Dynamic(f"({code})" if isinstance(op, ast.In) else f"(not ({code}))", sample)
+        text, function = COMPARE[type(op)]
+        if isinstance(left, Static) and isinstance(right, Static):
+            slots = [v for v in (left, right) if v.path is not None and is_number_slot(v.value)]
+            if not slots:
+                return Static(bool(function(self.program.guard(left), self.program.guard(right))))
+        x, y = self.dynamic(left), self.dynamic(right)
+        if x.sample is None or y.sample is None:
+            raise self.unknown("a comparison with None", node)
+        return Dynamic(f"({x.code} {text} {y.code})", computed(lambda a, b: bool(function(a, b)), x.sample, y.sample))
+
+    def truth(self, value: Value) -> bool | str:
+        """Give whether a value is true, or the text that tells; `sampled` is then what it was."""
+        self.sampled = UNKNOWN
+        if isinstance(value, Static):
+            if (value.path is not None and isinstance(value.value, (float, complex))) or (
+                value.path is not None and isinstance(value.value, int) and abs(value.value) > SMALL
+            ):
+                value = self.program.slot(value)
+            else:
+                return bool(self.program.guard(value))
+        if isinstance(value, (Group, Record)):
+            return bool(value.items)
+        if isinstance(value.sample, tuple) and value.keys is None:
+            if not is_sure(value):
+                raise self.unknown("whether there is anything in something of no fixed length")
+            return bool(value.sample)
+        if value.sample is None and is_sure(value):
+            return False
+        self.sampled = computed(bool, value.sample)
+        if isinstance(value.sample, bool):
+            return value.code
+        if isinstance(value.sample, (int, float, complex)) or value.sample is UNKNOWN:
+            return f"({value.code} != 0)"
+        raise self.unknown(f"whether {kind_of(value)} is true")
+
+    def _value_ifexp(self, node: ast.IfExp) -> Value:
+        test = self.test(node.test)
+        if isinstance(test, bool):
+            return self.value(node.body if test else node.orelse)
+        return self._chosen(test, self.sampled, lambda: self.value(node.body), lambda: self.value(node.orelse), node)
+
+
+FOLDED: dict[type, Callable[[Any, Any], Any]] = {
+    ast.Pow: lambda a, b: a**b, ast.LShift: lambda a, b: a << b, ast.RShift: lambda a, b: a >> b,
+}  # fmt: skip

@@ -1,0 +1,370 @@
+"""What a function's text is at a line: names, values as text, and the ways that a test parts and joins."""
+
+from __future__ import annotations
+
+import ast
+import builtins
+import math
+import types
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from .translate import (
+    GIVEN_UP,
+    LONGEST,
+    SMALL,
+    Program,
+    as_slot,
+    shape,
+)
+from .value import (
+    NONE,
+    UNKNOWN,
+    Dynamic,
+    Group,
+    NotNative,
+    Record,
+    Static,
+    Value,
+    forms,
+    is_sure,
+)
+
+
+class Ways:
+    """Writes a function of Python as one of native code.
+
+    Parameters
+    ----------
+    program : Program
+    function : function
+    env : dict of str to Value
+        Its arguments.
+    """
+
+    def __init__(self, program: Program, function: types.FunctionType, env: dict[str, Value]) -> None:
+        self.program, self.function, self.env = program, function, env
+        self.lines: list[str] = []
+        self.arrays: set[str] = set()
+        self.returned: list[Value] = []
+        self.ended = False  # what follows is never reached
+        self._temporaries = 0
+        self._inside = 0  # loops of native code
+        self.sampled: Any = UNKNOWN  # what the test read last was, by the samples
+
+    def unknown(self, what: str, node: ast.AST | None = None) -> NotNative:
+        """Say what native code does not know, and where."""
+        line = self.function.__code__.co_firstlineno + getattr(node, "lineno", 1) - 1
+        return NotNative(f"{self.function.__module__}.{self.function.__qualname__}, line {line}: {what}")
+
+    def emit(self, line: str) -> None:
+        """Add a line."""
+        self.lines.append(line)
+
+    def _fresh(self) -> str:
+        self._temporaries += 1
+        return f"t{self._temporaries - 1}_"
+
+    def temporary(self, code: str) -> str:
+        """Give a value a name."""
+        name = self._fresh()
+        self.emit(f"{name} = {code}")
+        return name
+
+    def code(self, value: Value) -> str:
+        """Write a value."""
+        if isinstance(value, Dynamic):
+            return value.code
+        if isinstance(value, Group):
+            return f"({''.join(f'{self.code(v)}, ' for v in value.items)})"
+        if isinstance(value, Record):
+            return f"({''.join(f'{self.code(value.items[k])}, ' for k in sorted(value.items))})"
+        return self._literal(value)
+
+    def dynamic(self, value: Value) -> Dynamic:
+        """Give a value as one that is computed."""
+        return value if isinstance(value, Dynamic) else self._described(value)
+
+    def _described(self, value: Value) -> Dynamic:
+        if isinstance(value, Dynamic):
+            return value
+        if isinstance(value, Static):
+            return Dynamic(self.code(value), _plain(value.value))
+        if isinstance(value, Record):
+            keys = tuple(sorted(value.items))
+            parts = tuple(self._described(value.items[k]) for k in keys)
+        else:
+            keys, parts = None, tuple(self._described(v) for v in value.items)
+        nested = keys is not None or any(p.keys or p.parts for p in parts)
+        sample = tuple(p.sample for p in parts)
+        return Dynamic(self.code(value), sample, is_sure(value), keys, parts if nested else None)
+
+    def _literal(self, value: Static) -> str:
+        found = value.value
+        if value.path is not None and (
+            isinstance(found, (float, complex, np.ndarray, np.floating, list))
+            or (isinstance(found, tuple) and found)
+            or (isinstance(found, int) and abs(found) > SMALL)
+        ):
+            try:
+                slot = self.program.slot(value)
+            except NotNative as error:
+                raise self.unknown(str(error)) from None
+            if isinstance(found, np.ndarray):
+                self.arrays.add(slot.code)
+            return slot.code
+        self.program.guard(value)
+        if found is None or isinstance(found, (bool, int)):
+            return repr(found)
+        if isinstance(found, float):
+            if math.isfinite(found):
+                return repr(float(found))
+            return "float_nan" if found != found else "float_inf" if found > 0 else "float_less"
+        if isinstance(found, complex):
+            return f"complex({float(found.real)!r}, {float(found.imag)!r})"
+        if isinstance(found, (tuple, list)):
+            try:
+                return self.program.name(as_slot(found), "table") if found else "()"
+            except NotNative as error:
+                raise self.unknown(str(error)) from None
+        if isinstance(found, np.ndarray):
+            return self.program.name(found, "array")
+        raise self.unknown(f"{type(found).__name__} as a value")
+
+    def simple(self, value: Dynamic) -> Dynamic:
+        """Give a value by a name, so that it is computed once."""
+        if value.code.replace("_", "").replace(".", "").replace("[", "").replace("]", "").isalnum():
+            return value
+        name = self.temporary(value.code)
+        return Dynamic(name, value.sample, value.sure, value.keys, value.parts)
+
+    def outer(self, name: str, node: ast.AST | None = None) -> Any:
+        """Give what the function finds under a name outside of itself."""
+        cells = dict(zip(self.function.__code__.co_freevars, self.function.__closure__ or (), strict=True))
+        if name in cells:
+            return cells[name].cell_contents
+        if name in self.function.__globals__:
+            return self.function.__globals__[name]
+        if hasattr(builtins, name):
+            return getattr(builtins, name)
+        raise self.unknown(f"{name} is not known", node)
+
+    def _unfolded(self, value: Dynamic) -> Record:
+        """Give a mapping that a function has answered by its parts."""
+        assert value.keys is not None
+        base = self.simple(value)
+        return Record({key: self._part(base, k) for k, key in enumerate(value.keys)})
+
+    def _part(self, base: Dynamic, k: int) -> Dynamic:
+        code = f"{base.code}[{k}]"
+        if base.parts is not None:
+            part = base.parts[k]
+            return Dynamic(code, part.sample, part.sure and base.sure, part.keys, part.parts)
+        sample = base.sample[k] if base.sample is not UNKNOWN else UNKNOWN
+        return Dynamic(code, sample, base.sure)
+
+    def parts(self, value: Value, node: ast.AST) -> list[Value]:
+        """Give the parts of a value of fixed length."""
+        if isinstance(value, Group):
+            return list(value.items)
+        if isinstance(value, Static) and isinstance(value.value, (tuple, list)):
+            if value.path is not None:
+                self.program.guards[(*value.path, ("len", None))] = ("int", len(value.value))
+            return [Static(v, None if value.path is None else (*value.path, ("item", k)))
+                    for k, v in enumerate(value.value)]  # fmt: skip
+        if isinstance(value, Static) and isinstance(value.value, (Mapping, range)):
+            if value.path is not None:
+                self.program.guard(value)
+            return [Static(k) for k in value.value]
+        if isinstance(value, Dynamic) and value.keys is None and isinstance(value.sample, tuple) and value.sure:
+            if len(value.sample) > LONGEST:
+                raise self.unknown(f"a tuple of {len(value.sample)}, expected at most {LONGEST}", node)
+            base = self.simple(value)
+            return [self._part(base, k) for k in range(len(value.sample))]
+        raise self.unknown("something whose length is not fixed", node)
+
+    def assign(self, target: ast.expr, value: Value, apart: bool = False) -> None:
+        """Bind a value to a name or to names; `apart`: to names of a list, which are not those around it."""
+        if isinstance(target, ast.Name):
+            self.env[target.id] = self._held(value) if apart else self._bound(f"v_{target.id}", value)
+        elif isinstance(target, (ast.Tuple, ast.List)):
+            parts = self.parts(value, target)
+            starred = [k for k, t in enumerate(target.elts) if isinstance(t, ast.Starred)]
+            if starred:
+                at, after = starred[0], len(target.elts) - starred[0] - 1
+                parts = [*parts[:at], Group(tuple(parts[at : len(parts) - after])), *parts[len(parts) - after :]]
+            if len(parts) != len(target.elts):
+                raise self.unknown(f"{len(parts)} values for {len(target.elts)} names", target)
+            parts = [self._held(p) for p in parts]
+            for one, part in zip(target.elts, parts, strict=True):
+                self.assign(one.value if isinstance(one, ast.Starred) else one, part, apart)
+        else:
+            raise self.unknown("an assignment to a part of something", target)
+
+    def _held(self, value: Value) -> Value:
+        """Give a value that stays as it is while names are bound anew."""
+        if isinstance(value, Dynamic):
+            name = self.temporary(value.code)
+            return Dynamic(name, value.sample, value.sure, value.keys, value.parts)
+        if isinstance(value, Group):
+            return Group(tuple(self._held(v) for v in value.items))
+        if isinstance(value, Record):
+            return Record({k: self._held(v) for k, v in value.items.items()})
+        return value
+
+    def _bound(self, name: str, value: Value) -> Value:
+        if isinstance(value, Static):
+            return value
+        if isinstance(value, Record):
+            return Record({k: self._bound(f"{name}__{k}", v) for k, v in self._each(value).items()})
+        if isinstance(value, Group):
+            try:
+                found = self._described(value)
+            except NotNative:
+                return Group(tuple(self._bound(f"{name}__{k}", v) for k, v in enumerate(value.items)))
+            if found.parts:
+                return Group(tuple(self._bound(f"{name}__{k}", v) for k, v in enumerate(value.items)))
+            value = found
+        self.emit(f"{name} = {value.code}")
+        return Dynamic(name, value.sample, value.sure, value.keys, value.parts)
+
+    def _each(self, value: Record) -> dict[str, Value]:
+        return {k: self._held(v) for k, v in value.items.items()}
+
+    def _give_up(self) -> None:
+        self.emit(GIVEN_UP)
+        self.ended = True
+
+    def _fork(self, test: str, taken: Any, one: Callable[[], Any], other: Callable[[], Any]) -> tuple[Any, Any]:
+        """Write both ways of a test, and join what is known after them."""
+        before, lines = dict(self.env), self.lines
+        ways: list[tuple[list[str], dict[str, Value], bool]] = []
+        found = []
+        for way, wanted in ((one, True), (other, False)):
+            self.env, self.lines, self.ended = dict(before), [], False
+            try:
+                found.append(way())
+            except NotNative as reason:
+                if taken is UNKNOWN or bool(taken) is wanted:  # the way that is gone, as far as anybody knows
+                    raise
+                self.program.seldom.append(str(reason))
+                self.env, self.lines = dict(before), []
+                found.append(None)
+                self._give_up()
+            ways.append((self.lines, self.env, self.ended))
+        (then, env_then, over_then), (orelse, env_else, over_else) = ways
+        if over_then and over_else:
+            env = env_then
+        elif over_then or over_else:
+            env = env_else if over_then else env_then
+        else:
+            env = self._joined(env_then, env_else, then, orelse, taken)
+        self.lines, self.env, self.ended = lines, env, over_then and over_else
+        self.emit(f"if {test}:")
+        self.lines += [f"    {line}" for line in then or ["pass"]]
+        if orelse:
+            self.emit("else:")
+            self.lines += [f"    {line}" for line in orelse]
+        return found[0], found[1]
+
+    def _joined(
+        self, one: dict[str, Value], other: dict[str, Value], then: list[str], orelse: list[str], taken: Any
+    ) -> dict[str, Value]:
+        env: dict[str, Value] = {}
+        for name in {**one, **other}:
+            a, b = one.get(name), other.get(name)
+            if a is None or b is None:
+                found = a or b
+                assert found is not None
+                if isinstance(found, Dynamic):
+                    env[name] = Dynamic(found.code, found.sample, False, found.keys, found.parts)
+                continue
+            joined = self._join(f"v_{name}", a, b, then, orelse, taken)
+            if joined is not None:
+                env[name] = joined
+        return env
+
+    def _join(self, name: str, a: Value, b: Value, then: list[str], orelse: list[str], taken: Any) -> Value | None:
+        if a is b or a == b or (isinstance(a, Static) and isinstance(b, Static) and a.value is b.value):
+            return a
+        if isinstance(a, Group) and isinstance(b, Group) and len(a.items) == len(b.items):
+            parts = [self._join(f"{name}__{k}", x, y, then, orelse, taken)
+                     for k, (x, y) in enumerate(zip(a.items, b.items, strict=True))]  # fmt: skip
+            return None if None in parts else Group(tuple(p for p in parts if p is not None))
+        if isinstance(a, Record) and isinstance(b, Record) and a.items.keys() == b.items.keys():
+            items = {k: self._join(f"{name}__{k}", a.items[k], b.items[k], then, orelse, taken) for k in a.items}
+            return None if None in items.values() else Record({k: v for k, v in items.items() if v is not None})
+        values = []
+        for value, lines in ((a, then), (b, orelse)):
+            kept, self.lines = self.lines, lines
+            try:
+                found = self.dynamic(value)
+            except NotNative:
+                return None
+            finally:
+                self.lines = kept
+            if found.code != name:
+                lines.append(f"{name} = {found.code}")
+            values.append(found)
+        x, y = values
+        if (x.keys, forms(x)) != (y.keys, forms(y)):
+            return None
+        first = y if taken is False else x
+        sample = first.sample if first.sample is not UNKNOWN else (x if first is y else y).sample
+        sure = is_sure(x) and is_sure(y) and alike(x.sample, y.sample)
+        return Dynamic(name, sample, sure, x.keys, x.parts)
+
+    def _one_of(self, code: str, x: Dynamic, y: Dynamic, taken: Any, node: ast.AST) -> Dynamic:
+        if (x.keys, forms(x)) != (y.keys, forms(y)):
+            raise self.unknown("answers of several forms", node)
+        first, second = (y, x) if taken is False else (x, y)
+        sample = second.sample if first.sample is UNKNOWN else first.sample
+        return Dynamic(code, sample, is_sure(x) and is_sure(y) and alike(x.sample, y.sample), first.keys, first.parts)
+
+    def _chosen(
+        self, test: str, taken: Any, one: Callable[[], Value], other: Callable[[], Value], node: ast.AST
+    ) -> Value:
+        """Write a choice of two values, of which only the one that is wanted is computed."""
+        at, before = len(self.lines), dict(self.env)
+        try:
+            a: Value | None = one()
+            b = other() if not self.ended else None
+        except NotNative:  # of one way: told by `_fork` whether that is the one that is gone
+            a = b = None
+        if a is not None and b is not None and not self.ended and len(self.lines) == at:
+            if isinstance(a, Static) and isinstance(b, Static) and a == b:
+                return a
+            x, y = self.dynamic(a), self.dynamic(b)
+            if len(self.lines) == at:
+                return self._one_of(f"({x.code} if {test} else {y.code})", x, y, taken, node)
+        del self.lines[at:]
+        self.env, self.ended = before, False
+        name = self._fresh()
+
+        def way(read: Callable[[], Value]) -> Dynamic | None:
+            found = read()
+            if self.ended:
+                return None
+            done = self.dynamic(found)
+            self.emit(f"{name} = {done.code}")
+            return done
+
+        x_, y_ = self._fork(test, taken, lambda: way(one), lambda: way(other))
+        if x_ is None or y_ is None:
+            done = x_ or y_
+            return NONE if done is None else Dynamic(name, done.sample, done.sure, done.keys, done.parts)
+        return self._one_of(name, x_, y_, taken, node)
+
+
+def _plain(value: Any) -> Any:
+    try:
+        return as_slot(value)
+    except NotNative:
+        return value
+
+
+def alike(a: Any, b: Any) -> bool:
+    """Whether two samples are known, and of the same type to their leaves."""
+    return a is not UNKNOWN and b is not UNKNOWN and shape(a) == shape(b) and type(a) is type(b)
