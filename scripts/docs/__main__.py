@@ -36,6 +36,7 @@ def build(out: Path, sources_only: bool = False) -> int:
     from . import collect, gallery, reference
 
     source = out / "source"
+    _say("pages and their sources")
     shutil.rmtree(source, ignore_errors=True)
     collect.collect(source)
     gallery.write(source)
@@ -49,13 +50,19 @@ def build(out: Path, sources_only: bool = False) -> int:
 
     from .notebooks import execute
 
+    _say("notebooks")
     execute(source)
+    _say("the site, by Sphinx: some minutes")
     shutil.rmtree(out / "html", ignore_errors=True)
     options = ["-q", "-W", "--keep-going", "-b", "html", "-c", str(Path(__file__).parent), "-d", str(out / "doctrees")]
     status = sphinx([*options, str(source), str(out / "html")])
     print("there are warnings: see above" if status else f"wrote {out / 'html' / 'index.html'}",
           file=sys.stderr if status else sys.stdout)  # fmt: skip
     return 1 if status else 0
+
+
+def _say(what: str) -> None:
+    print(f"softrig: docs: {what}", file=sys.stderr, flush=True)
 
 
 def serve(folder: Path, port: int) -> None:

@@ -10,7 +10,7 @@ import shlex
 import signal
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, redirect_stdout, suppress
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ from .errors import RunError, ScenarioError
 # of terminals, all but tab and new line, and those that turn the direction of writing
 _CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069]")
 LINE = 1000  # characters of a failure that are shown
+_quiet = False
 # the caller has named what cannot be read or written: bad input, nothing that broke
 _NAMED = (FileNotFoundError, PermissionError, IsADirectoryError, NotADirectoryError, FileExistsError)
 
@@ -67,6 +68,23 @@ def guarded(work: Callable[[], int]) -> int:
         say(f"error of softrig itself: {type(error).__name__}: {error}; the traceback is in "
             f"{vars(error).get('log') or keep_traceback()}")  # fmt: skip
         return 4
+
+
+@contextmanager
+def quietly() -> Iterator[None]:
+    """Print nothing on the standard output, and no progress; what goes wrong is said all the same."""
+    global _quiet
+    with open(os.devnull, "w") as nowhere, redirect_stdout(nowhere):
+        _quiet = True
+        try:
+            yield
+        finally:
+            _quiet = False
+
+
+def is_quiet() -> bool:
+    """Whether nobody wants to read of progress (`quietly`)."""
+    return _quiet
 
 
 def say(what: object) -> None:
