@@ -9,7 +9,6 @@ import os
 import re
 import shlex
 import sys
-from collections.abc import Mapping
 from importlib.resources import files
 from pathlib import Path
 from string import Template
@@ -27,7 +26,7 @@ class Kind(NamedTuple):
     """What a package can be: in words, further files, packages that it needs, what a first change of it is."""
 
     what: str
-    files: Mapping[str, str]
+    files: dict[str, str]
     depends: tuple[str, ...]
     change: str
 
