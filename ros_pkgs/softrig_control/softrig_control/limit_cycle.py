@@ -16,6 +16,7 @@ BAND = 0.02  # of the reference, smaller swings do not count
 class Swinging(NamedTuple):
     """What is remembered of the measured signal of a loop, in its unit; times in samples."""
 
+    ASIDE = True  # only a warning depends on it
     reference: float = 0.0
     turn: float = 0.0
     """At the newest turning point."""

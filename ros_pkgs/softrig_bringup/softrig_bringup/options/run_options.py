@@ -63,6 +63,8 @@ def scenario_of(options: argparse.Namespace) -> Scenario:
     from softrig_core import ScenarioError, load_scenario
     from softrig_core.scenario.scenario import merge
 
+    from .grammar import settings
+
     if options.like is not None:
         return _repeated(options)
     if not options.scenario:
@@ -72,7 +74,7 @@ def scenario_of(options: argparse.Namespace) -> Scenario:
         from .params_file import params_of
 
         given = params_of(options.params_file, load_scenario(options.scenario).nodes)
-    scenario = load_scenario(options.scenario, given | dict(assignment(text) for text in options.set))
+    scenario = load_scenario(options.scenario, given | settings(options.set))
     changes: dict[str, Any] = {}
     for key in ("duration", "seed"):
         if getattr(options, key) is not None:
@@ -141,17 +143,6 @@ def repeat(options: argparse.Namespace) -> list[str]:
         if getattr(options, name) not in (None, ""):
             arguments += [f"--{name}", str(getattr(options, name))]
     return arguments + (["--out", str(options.out.absolute())] if options.out else [])
-
-
-def assignment(text: str) -> tuple[str, Any]:
-    """Read ``NAME=VALUE``; a ScenarioError says what is wrong with it."""
-    from softrig_core import ScenarioError
-    from softrig_core.scenario.yaml_file import read_yaml
-
-    key, separator, value = text.partition("=")
-    if not separator:
-        raise ScenarioError(f"--set {text!r}: expected node.parameter=value, or shared_value=value")
-    return key, read_yaml(value, f"--set {text!r}")
 
 
 def _changed(scenario: Scenario, changes: dict[str, Any]) -> Scenario:

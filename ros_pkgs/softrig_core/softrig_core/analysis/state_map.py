@@ -32,6 +32,9 @@ LONGEST = 20_000  # ticks that one period of the whole may have
 LOOKS = 20  # times before that are looked at to see how large states are
 
 
+HEARD = "heard "  # before the names of inputs: a state may be called as an input is
+
+
 class Place(NamedTuple):
     """Where a signal is said: by whom, at which output, as which of its values."""
 
@@ -206,7 +209,7 @@ class StateMap:
         self._saved = self._save()
         self.names, self.start = self._read()
         self._labels = {
-            f"{n}.{p.name}{'.data' if p.delayed else ''}" + (f"[{k}]" if p.size > 1 else ""): f"{n}.{p.name}.{label}"
+            f"{n}.{HEARD}{p.name}{'.data' * p.delayed}" + (f"[{k}]" if p.size > 1 else ""): f"{n}.{p.name}.{label}"
             for n, s in self._steps.items() for p in s.inputs for k, label in enumerate(p.labels)
         }  # fmt: skip
         last: dict[str, float] = {}
@@ -240,7 +243,7 @@ class StateMap:
         names: list[str] = []
         rows: list[Array] = [np.empty(0)]
         for name, step in self._steps.items():
-            parts = [read(step.x), *(read(value, port) for port, value in step.values.items())]
+            parts = [read(step.x), *(read(value, HEARD + port) for port, value in step.values.items())]
             for path, row in (pair for part in parts for pair in part):
                 own = f"{name}.{path}" if path else name
                 names.extend([own] if len(row) == 1 else [f"{own}[{k}]" for k in range(len(row))])

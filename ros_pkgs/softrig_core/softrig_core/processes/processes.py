@@ -18,7 +18,7 @@ from .executables import environment
 from .guests import Guests
 from .peers import starter
 from .placement import NOBODY, PROCESSES, Listener, Placement
-from .shared_memory import remove_leftovers
+from .shared_memory import lacking, remove_leftovers
 from .spawning import groups, start
 from .stopping import signal_of, stoppable, undisturbed, unstopped
 from .supervision import supervise
@@ -93,6 +93,9 @@ def run_processes(
         own_domain = domain is None
         domain = stack.enter_context(free_domain()) if domain is None else domain
         remove_leftovers(domain if own_domain else None)
+        members = groups(rig, placement.shared(rig), only)
+        if listener.announce is not None and (why := lacking(len(members))):
+            listener.announce(f"{why}: what does not fit goes by UDP, which takes longer")
         variables = environment(
             domain, directory, discovery="SUBNET" if only else "LOCALHOST", silence=rig.scenario.timeout
         )
@@ -104,7 +107,7 @@ def run_processes(
                 try:
                     guests.invite(domain)
                     options = {"run.mode": placement.clock, "run.start_timeout": wait, "run.paused": placement.paused}
-                    for group in groups(rig, placement.shared(rig), only):
+                    for group in members:
                         # A signal waits until it is known who has been started; what Python does at a fork would
                         # swallow it with a traceback, besides.
                         with unstopped():

@@ -30,7 +30,7 @@ from ..seam.hold import Hold
 from ..seam.middleware import Matched, Middleware, other_types
 from ..seam.tick import TICK, TickWriter
 
-LOOK_EVERY = 4  # watches between two looks at the types of topics on which nothing comes
+LOOK_EVERY = 4  # watches between two looks at whether messages can arrive: by their types, and at all
 WATCH_PERIOD = SECOND // 4  # ns: progress check, status file, flush of the shard
 CLOCK_LAYOUT = Layout(CLOCK.msgtype)
 
@@ -325,6 +325,8 @@ class Adapter:
         self.drive.progress()
         if self._watches % LOOK_EVERY == 0:
             self._notice_types()
+            if (why := self.middleware.deaf()) and self.state in ("starting", "running"):
+                self.fail(why)
         self._watches += 1
         if self._watches % self.drive.status_every == 0 or self.state != "running":
             self.write_status()
