@@ -101,8 +101,8 @@ def _plot(found: Mapping[str, Signal], curves: list[tuple[str, float, str, str]]
     for name, factor, role, text in reversed(curves):
         times, values = found[name]
         wanted = np.linspace(START, END, 241)
-        y = factor * values[np.maximum(np.searchsorted(times, wanted + 1e-9, side="right") - 1, 0)]
-        track = tuple(place(a, b) for a, b in zip(wanted.tolist(), y.tolist(), strict=True))
+        shown = factor * values[np.maximum(np.searchsorted(times, wanted + 1e-9, side="right") - 1, 0)]
+        track = tuple(place(a, b) for a, b in zip(wanted.tolist(), shown.tolist(), strict=True))
         dashed = " d" if role == "reference" else ""
         faint = e("polyline", points=points(track), fill="none", class_=f"s-{role}{dashed}", opacity="0.25")
         line = e("polyline", points=points(track), fill="none", class_=f"s-{role}{dashed}",
