@@ -20,8 +20,8 @@ KINDS = {
     "how-to": (
         "How-to guides",
         "You know what you want to do; here is how.",
-        ("set_up", "distribution", "workspace", "node", "two_machines", "continuous_integration", "python", "notebooks",
-         "studies", "learning", "linear_view", "view", "bags", "bags_pandas", "reports", "paper_figures",
+        ("set_up", "wheel", "distribution", "workspace", "node", "two_machines", "continuous_integration", "python",
+         "notebooks", "studies", "learning", "linear_view", "view", "bags", "bags_pandas", "reports", "paper_figures",
          "outside_tools"),
     ),
     "notebooks": (
@@ -34,7 +34,11 @@ KINDS = {
         "Why it is as it is, and what you can rely on.",
         ("idea", "lockstep", "tick", "house", "placements", "bits", "verdicts", "solver"),
     ),
-    "reference": ("Reference", "Everything by name; most of it is made from the code.", ("scenario_file", "model_kit")),
+    "reference": (
+        "Reference",
+        "Everything by name; most of it is made from the code.",
+        ("scenario_file", "model_kit", "licences"),
+    ),
 }  # fmt: skip
 
 

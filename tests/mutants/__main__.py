@@ -3,7 +3,7 @@
 First the tests given (files or folders; all of them is an hour) are run once and told line by line which of them runs
 what: `--lines FILE` keeps that, or reads it when FILE is there. Then mutants are drawn among the lines that were run,
 the kind first, and each is run against its tests, the quickest first, until one fails. All this happens in a worktree
-of HEAD, at low priority. What survives is either equivalent, which a person says, or a hole.
+of HEAD, or of the commit that FILE is of, at low priority. What survives is equivalent, which a person says, or a hole.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class Tests:
         self.seconds: dict[str, float] = {}
         self.of_line: dict[str, dict[int, list[str]]] = defaultdict(lambda: defaultdict(list))
         self.failed: list[str] = []
-        for text in file.read_text().splitlines():
+        for text in file.read_text().splitlines()[1:]:
             told = json.loads(text)
             if told["outcome"] != "passed":
                 self.failed += [told["test"]] if told["outcome"] == "failed" else []
@@ -85,7 +85,8 @@ def _run(tree: Path, arguments: list[str], limit: float | None = None, **variabl
 
 
 def trace(tree: Path, what: list[str], out: Path) -> None:
-    """Run tests once; a line of JSON each goes to `out`."""
+    """Run tests once; a line of JSON each goes to `out`, behind one that says of which commit they are."""
+    out.write_text(f"{_head(tree)}\n")
     with tempfile.TemporaryDirectory() as folder:
         paths = f"{tree / TRACED}:{os.environ.get('PYTHONPATH', '')}"
         status, said = _run(tree, ["-p", "lines_of_tests", *what], PYTHONPATH=paths, SOFTRIG_TRACED=folder,
@@ -94,13 +95,19 @@ def trace(tree: Path, what: list[str], out: Path) -> None:
         raise SystemExit(f"the tests could not be run:\n{said[-2000:]}")
 
 
-def met(tree: Path, known: Tests, under: str) -> dict[str, list[tuple[str, Mutant]]]:
+def _head(tree: Path) -> str:
+    return subprocess.run(["git", "rev-parse", "HEAD"], cwd=tree, check=True, capture_output=True, text=True).stdout[
+        :-1
+    ]
+
+
+def met(tree: Path, known: Tests, under: tuple[str, ...]) -> dict[str, list[tuple[str, Mutant]]]:
     """Mutants that a test meets, by kind."""
     found = defaultdict(list)
     for place in sorted(known.of_line):
-        if place.startswith(f"ros_pkgs/{under}") and "/test/" not in place:
+        if place.startswith(under) and "/test/" not in place:
             for mutant in mutants((tree / place).read_text()):
-                if known.meeting(place, mutant):
+                if any(line in known.of_line[place] for line in mutant.runs or (0, *known.of_line[place])):
                     found[mutant.kind].append((place, mutant))
     return found
 
@@ -113,12 +120,13 @@ def main() -> int:
     parser.add_argument("--count", type=int, default=80)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--minutes", type=float, default=30.0, help="begin no further mutant after")
-    parser.add_argument("--under", default="", metavar="softrig_X/...", help="mutants of these files only")
+    parser.add_argument("--under", nargs="+", default=["ros_pkgs/"], metavar="PATH", help="mutants of these files only")
     parser.add_argument("--seconds", type=float, default=60.0, help="of tests a mutant, the quickest first")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="mutants") as folder:
         tree, lines = Path(folder) / "tree", options.lines or Path(folder) / "lines.jsonl"
-        subprocess.run(["git", "worktree", "add", "--detach", tree, "HEAD"], cwd=ROOT, check=True, capture_output=True)
+        commit = lines.read_text().split("\n", 1)[0] if lines.exists() else "HEAD"
+        subprocess.run(["git", "worktree", "add", "--detach", tree, commit], cwd=ROOT, check=True, capture_output=True)
         try:
             subprocess.run(["nice", "scripts/softrig", "setup", "test"], cwd=tree, check=True, capture_output=True)
             if not lines.exists():
@@ -135,7 +143,7 @@ def main() -> int:
 
 
 def _campaign(tree: Path, known: Tests, options: argparse.Namespace) -> int:
-    all_of = met(tree, known, options.under)
+    all_of = met(tree, known, tuple(options.under))
     generator, tally, started = random.Random(options.seed), Counter(), time.monotonic()
     done = set()
     while tally["killed"] + tally["survived"] < options.count and time.monotonic() - started < 60 * options.minutes:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import ScenarioError
+from ..guard import need_ros
 from ..rig.rig import Rig
 from ..wire.recording import Recording
 from .children import Child, last_line, read_status, stop
@@ -78,8 +79,9 @@ def run_processes(
     Raises
     ------
     ScenarioError
-        A node refused its parameters.
+        A node refused its parameters, or there is no ROS 2.
     """
+    need_ros()
     directory.mkdir(parents=True, exist_ok=True)
     domain, only, wait = placement.domain, placement.only, placement.wait
     if not only:  # parts on several hosts find each other over their network
