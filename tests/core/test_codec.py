@@ -188,9 +188,8 @@ def test_a_damaged_message_is_refused_or_finite(data):
     end = data.draw(st.just(len(whole)) | st.integers(0, len(whole)))
     try:
         _, values = Decoder(port)(bytes(whole[:end]))
-    except Refused as refusal:
+    except Refused:
         event("refused")
-        assert str(refusal)
         return
     event("taken")
     assert all(math.isfinite(v) for v in values)
