@@ -13,11 +13,13 @@ import ast
 import json
 import os
 import random
+import signal
 import subprocess
 import sys
 import tempfile
 import time
 from collections import Counter, defaultdict
+from contextlib import suppress
 from pathlib import Path
 
 from draw import KINDS, Mutant, mutants
@@ -78,9 +80,11 @@ def _run(tree: Path, arguments: list[str], limit: float | None = None, **variabl
     try:
         said = process.communicate(timeout=limit)[0]
     except subprocess.TimeoutExpired:
-        os.killpg(process.pid, 9)
-        process.communicate()
         return None, "took too long"
+    finally:
+        with suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
     return process.returncode, said
 
 
@@ -123,6 +127,7 @@ def main() -> int:
     parser.add_argument("--under", nargs="+", default=["ros_pkgs/"], metavar="PATH", help="mutants of these files only")
     parser.add_argument("--seconds", type=float, default=60.0, help="of tests a mutant, the quickest first")
     options = parser.parse_args()
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # the worktree goes then, too
     with tempfile.TemporaryDirectory(prefix="mutants") as folder:
         tree, lines = Path(folder) / "tree", options.lines or Path(folder) / "lines.jsonl"
         commit = lines.read_text().split("\n", 1)[0] if lines.exists() else "HEAD"
@@ -159,6 +164,7 @@ def _campaign(tree: Path, known: Tests, options: argparse.Namespace) -> int:
             continue
         outcome, said = _tried(tree, known, place, mutant, options.seconds)
         tally[outcome] += 1
+        print(f"{sum(tally.values())}: {outcome} {place}:{mutant.start[0]} {mutant.kind}", file=sys.stderr, flush=True)
         if outcome != "killed":
             print(f"{outcome}: {place}:{mutant.start[0]} {mutant.told(source)} ({said})", flush=True)
     total = tally["killed"] + tally["survived"]
