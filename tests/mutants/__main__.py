@@ -19,7 +19,6 @@ import sys
 import tempfile
 import time
 from collections import Counter, defaultdict
-from contextlib import suppress
 from pathlib import Path
 
 from draw import KINDS, Mutant, mutants
@@ -72,20 +71,18 @@ def _asserting(source: str) -> set[int]:
     return found
 
 
-def _run(tree: Path, arguments: list[str], limit: float | None = None, **variables: str) -> tuple[int | None, str]:
-    """Run pytest in the worktree; status, None when it took too long, and the end of what it said."""
-    command = ["nice", "scripts/softrig", "python", "-m", "pytest", "-q", "-p", "no:cacheprovider", *arguments]
-    process = subprocess.Popen(command, cwd=tree, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
-                               stdin=subprocess.DEVNULL, env=os.environ | variables, process_group=0)  # fmt: skip
-    try:
-        said = process.communicate(timeout=limit)[0]
-    except subprocess.TimeoutExpired:
-        return None, "took too long"
-    finally:
-        with suppress(ProcessLookupError):
-            os.killpg(process.pid, signal.SIGKILL)
-        process.wait()
-    return process.returncode, said
+class Warm:
+    """Runs pytest in a worktree, again and again, without importing everything each time."""
+
+    def __init__(self, tree: Path) -> None:
+        command = ["nice", "scripts/softrig", "python", str(Path(__file__).with_name("warm.py"))]
+        self._process = subprocess.Popen(command, cwd=tree, text=True, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+
+    def __call__(self, arguments: list[str], limit: float) -> int | None:
+        """Give pytest's exit status; None when it took more than `limit` s."""
+        self._process.stdin.write(json.dumps([arguments, limit]) + "\n")
+        self._process.stdin.flush()
+        return json.loads(self._process.stdout.readline())
 
 
 def trace(tree: Path, what: list[str], out: Path) -> None:
@@ -93,10 +90,11 @@ def trace(tree: Path, what: list[str], out: Path) -> None:
     out.write_text(f"{_head(tree)}\n")
     with tempfile.TemporaryDirectory() as folder:
         paths = f"{tree / TRACED}:{os.environ.get('PYTHONPATH', '')}"
-        status, said = _run(tree, ["-p", "lines_of_tests", *what], PYTHONPATH=paths, SOFTRIG_TRACED=folder,
-                            SOFTRIG_TRACED_TESTS=str(out.resolve()))  # fmt: skip
+        found = {"PYTHONPATH": paths, "SOFTRIG_TRACED": folder, "SOFTRIG_TRACED_TESTS": str(out.resolve())}
+        command = ["nice", "scripts/softrig", "python", "-m", "pytest", "-q", "-p", "lines_of_tests", *what]
+        status = subprocess.run(command, cwd=tree, env=os.environ | found, stdout=sys.stderr, check=False).returncode
     if status not in (0, 1):
-        raise SystemExit(f"the tests could not be run:\n{said[-2000:]}")
+        raise SystemExit("the tests could not be run")
 
 
 def _head(tree: Path) -> str:
@@ -150,7 +148,7 @@ def main() -> int:
 def _campaign(tree: Path, known: Tests, options: argparse.Namespace) -> int:
     all_of = met(tree, known, tuple(options.under))
     generator, tally, started = random.Random(options.seed), Counter(), time.monotonic()
-    done = set()
+    done, run = set(), Warm(tree)
     while tally["killed"] + tally["survived"] < options.count and time.monotonic() - started < 60 * options.minutes:
         kind = generator.choice([kind for kind in KINDS if all_of[kind]])
         place, mutant = generator.choice(all_of[kind])
@@ -162,7 +160,7 @@ def _campaign(tree: Path, known: Tests, options: argparse.Namespace) -> int:
             compile(mutant.applied(source), place, "exec")
         except SyntaxError:
             continue
-        outcome, said = _tried(tree, known, place, mutant, options.seconds)
+        outcome, said = _tried(tree, run, known, place, mutant, options.seconds)
         tally[outcome] += 1
         print(f"{sum(tally.values())}: {outcome} {place}:{mutant.start[0]} {mutant.kind}", file=sys.stderr, flush=True)
         if outcome != "killed":
@@ -173,7 +171,9 @@ def _campaign(tree: Path, known: Tests, options: argparse.Namespace) -> int:
     return int(tally["survived"] > 0)
 
 
-def _tried(tree: Path, known: Tests, place: str, mutant: Mutant, most: float) -> tuple[str, str]:
+def _tried(
+    tree: Path, run: Warm, known: Tests, place: str, mutant: Mutant, most: float
+) -> tuple[str, str]:  # fmt: skip
     """Run the tests of a mutant; whether one killed it, and how many there were."""
     tests = known.meeting(place, mutant)
     chosen, seconds = [], 0.0
@@ -188,10 +188,10 @@ def _tried(tree: Path, known: Tests, place: str, mutant: Mutant, most: float) ->
     asked.write_text("\n".join(chosen))
     try:
         file.write_text(mutant.applied(source))
-        status, _ = _run(tree, ["-x", f"@{asked}"], 120.0 + 10.0 * seconds)
+        status = run(["-x", f"@{asked}"], 120.0 + 10.0 * seconds)
     finally:
         file.write_text(source)
-    if status == 4 and _run(tree, ["--collect-only", f"@{asked}"])[0]:  # not because the mutant cannot be imported
+    if status == 4 and run(["--collect-only", f"@{asked}"], 120.0):  # not because the mutant cannot be imported
         return "not tried", "pytest does not find these tests by their names"
     return "survived" if status == 0 else "killed", f"{len(chosen)} of {len(tests)} tests, {seconds:.0f} s"
 
