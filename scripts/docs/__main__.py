@@ -9,6 +9,7 @@ from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
+from softrig_core.errors import ScenarioError
 from softrig_core.extras import need
 from softrig_core.guard import guarded
 
@@ -60,7 +61,11 @@ def build(out: Path, sources_only: bool = False) -> int:
 
 def serve(folder: Path, port: int) -> None:
     """Show a folder on the loopback address until Ctrl-C."""
-    with ThreadingHTTPServer(("127.0.0.1", port), partial(SimpleHTTPRequestHandler, directory=folder)) as server:
+    try:
+        made = ThreadingHTTPServer(("127.0.0.1", port), partial(SimpleHTTPRequestHandler, directory=folder))
+    except OSError as error:
+        raise ScenarioError(f"--serve {port}: {error.strerror}; 0 takes a port that is free") from None
+    with made as server:
         print(f"http://127.0.0.1:{server.server_port} (Ctrl-C ends it)", flush=True)
         try:
             server.serve_forever()
