@@ -21,7 +21,8 @@ KINDS = {
         "How-to guides",
         "You know what you want to do; here is how.",
         ("set_up", "wheel", "distribution", "workspace", "node", "two_machines", "continuous_integration", "python",
-         "notebooks", "studies", "learning", "linear_view", "view", "bags", "bags_pandas", "reports", "paper_figures",
+         "notebooks", "studies", "send", "learning", "linear_view", "view", "bags", "bags_pandas", "reports",
+         "paper_figures",
          "outside_tools"),
     ),
     "notebooks": (

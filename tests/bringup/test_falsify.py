@@ -11,8 +11,8 @@ from softrig_bringup.cli import main
 from softrig_bringup.falsify.search import search
 from softrig_bringup.falsify.shrink import shrink
 from softrig_bringup.falsify.space import parse, space_of
-from softrig_bringup.falsify.trial import Trial, run
 from softrig_bringup.run.run import checked
+from softrig_bringup.study.work import run, trial
 from softrig_core import Scenario, ScenarioError, load_scenario, rig_of, simulate
 
 PIECES, PERIOD, LOAD = 15, 0.01, 1e-3
@@ -38,7 +38,7 @@ def loop(torques, times=None):
 
 def measure_of(space, name):
     return lambda points: [
-        run(Trial(0, space.scenario, space.overrides(p), (name,)))["figures"][name] for p in points
+        run(trial(space.scenario, space.overrides(p), (name,)))["figures"][name] for p in points
     ]  # fmt: skip
 
 
@@ -81,7 +81,7 @@ def test_ranges_are_met_at_both_ends_and_in_between():
     [
         ("plant.R", "3..1", "3 is above 1"),
         ("plant.R", "log -1..1", "a logarithm needs a range above 0"),
-        ("plant.R", "1", r"expected a\.\.b"),
+        ("plant.R", "1", r"expected LOW\.\.HIGH"),
         ("motor/state/shaft/velocity", "0..1", "a signal takes a profile, such as 0..1.6"),
         ("plant.load_torques", "0..1*0", "expected 1 to 50 numbers, got 0"),
         ("plant.R+", "0..1", "only to signals can be added"),
@@ -106,10 +106,10 @@ def test_a_violation_is_made_small_parameter_by_parameter_fault_by_fault_step_by
     overs = [parse("plant.load_torques", "-0.01..0.01*4"), parse("pid.kp", "0.5..2"), parse("noise.value", "0..0.01*1")]
     space = space_of(scenario, overs)
     worst = space.overrides([1.0, 0.0, 1.0, 1.0, 0.0, 1.0])
-    limit = 1.0 - run(Trial(0, space.scenario, worst, ("deviation",)))["figures"]["deviation"]
+    limit = 1.0 - run(trial(space.scenario, worst, ("deviation",)))["figures"]["deviation"]
 
     def violates(case):
-        return 1.0 - run(Trial(0, *case, ("deviation",)))["figures"]["deviation"] > 0.4 * limit
+        return 1.0 - run(trial(*case, ("deviation",)))["figures"]["deviation"] > 0.4 * limit
 
     (small, changes), runs = shrink(space, worst, violates, 100)
     assert violates((small, changes))
@@ -123,13 +123,13 @@ def test_the_limit_that_one_parameter_crosses_is_found_by_halving():
     scenario = loop([LOAD])
     scenario = Scenario.model_validate({**dict(scenario), "requirements": {"deviation": "always abs(speed) <= 0.7"}})
     space = space_of(scenario, [parse("plant.load_torques", f"{LOAD}..{LOAD}*1"), parse("pid.kp", "0.01..1")])
-    nominal = run(Trial(0, space.scenario, {}, ("deviation",)))["figures"]["deviation"]
+    nominal = run(trial(space.scenario, {}, ("deviation",)))["figures"]["deviation"]
     worst = space.overrides([0.0, 0.0])
-    case, _ = shrink(space, worst, lambda c: run(Trial(0, *c, ("deviation",)))["figures"]["deviation"] < 0.0, 60)
+    case, _ = shrink(space, worst, lambda c: run(trial(*c, ("deviation",)))["figures"]["deviation"] < 0.0, 60)
     assert nominal > 0.0
     gain = case[1]["pid.kp"]
-    inside = run(Trial(0, space.scenario, case[1] | {"pid.kp": gain + 1e-3}, ("deviation",)))["figures"]["deviation"]
-    at = run(Trial(0, space.scenario, case[1], ("deviation",)))["figures"]["deviation"]
+    inside = run(trial(space.scenario, case[1] | {"pid.kp": gain + 1e-3}, ("deviation",)))["figures"]["deviation"]
+    at = run(trial(space.scenario, case[1], ("deviation",)))["figures"]["deviation"]
     assert at < 0.0 < inside
 
 
@@ -240,7 +240,7 @@ def test_where_nothing_violates_it_says_what_came_nearest(file, tmp_path, capsys
         (["--over", "dc_motor_plant.R=2..1"], "2 is above 1"),
         (["--over", "dc_motor_plant.R=1..2", "--budget", "0"], "--budget"),
         (["--over", "dc_motor_plant.R=1..2", "--requirement", "trackin"], "did you mean 'tracking'"),
-        (["--over", "nonsense"], "expected NODE.PARAM"),
+        (["--over", "nonsense"], "--over 'nonsense': expected NAME=LOW..HIGH"),
     ],
 )
 def test_bad_input_is_one_line_before_the_first_run(file, arguments, reason, tmp_path, capsys):

@@ -209,6 +209,23 @@ def test_an_overlay_sourced_before_is_honoured(user, package):
 
 
 @pytest.mark.long
+def test_a_run_of_an_own_package_goes_to_a_colleague(user, package):
+    command = f"'{SOFTRIG}' --workspace heater"
+    user(f"{command} run heater --mode inprocess --no-plots --set heater_controller.r=0.1 --out mine")
+    user(f"{command} pack mine --out sent.zip && '{SOFTRIG}' --workspace none list heater")
+    away = package.with_name("away")
+    package.rename(away)
+    try:
+        _, said = user(f"'{SOFTRIG}' run --like sent.zip --no-plots --out again")  # through processes
+        assert "sent.zip brings heater: code of who has made it runs here" in said
+        assert "repeats sent.zip number for number: 1001 messages on 2 topics" in said.splitlines()[-1]
+        _, said = user(f"'{SOFTRIG}' run --like mine --no-plots", status=2)
+        assert "it needs package heater, not installed here" in said
+    finally:
+        away.rename(package)
+
+
+@pytest.mark.long
 @pytest.mark.processes
 def test_an_own_law_stands_beside_the_papers(user, package):
     (user.folder / "beside.yaml").write_text(BESIDE)
@@ -267,6 +284,24 @@ def test_a_name_that_cannot_be_a_package_is_refused(tmp_path, name):
     with pytest.raises(ScenarioError, match="package name"):
         new_package(name, tmp_path)
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("name", ["dc_motor_smc", "dc_motor_smc_b2_delta1"])
+def test_a_name_of_which_a_scenario_would_run_in_its_place_is_refused(tmp_path, name):
+    with pytest.raises(ScenarioError, match=rf"`run {name}` is a scenario already \(dc_motor_smc"):
+        new_package(name, tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("kind", ["law", "plant"])
+def test_a_law_or_a_plant_alone_runs_as_it_is_written(user, kind):
+    name = f"alone_{kind}"
+    assert f"--workspace {name} run {name}" in user(f"'{SOFTRIG}' new {name} --only {kind}")[0]
+    user(f"'{SOFTRIG}' --workspace {name} run {name} --mode inprocess --no-plots --strict")
+    out, _ = user(f"'{SOFTRIG}' --workspace {name} python -m pytest -q {name}/test")
+    assert "passed" in out
+    assert "failed" not in out
 
 
 def test_nothing_is_written_over(tmp_path, capsys):

@@ -19,16 +19,18 @@ import numpy as np
 import pyarrow.parquet
 import pytest
 from conftest import PATIENCE, until
-from softrig_bringup.cli import main
+from softrig_bringup.cli import main, make_parser
 from softrig_bringup.folder import STUDY, ResultsFolder
+from softrig_bringup.options.grammar import values
 from softrig_bringup.study import pictures
+from softrig_bringup.study.batch import Log
 from softrig_bringup.study.definition import list_studies, load_study, make_study
 from softrig_bringup.study.draw import cases, count, draw
 from softrig_bringup.study.engine import _check, run_study
-from softrig_bringup.study.options import _values
+from softrig_bringup.study.options import folder_name, study_of
 from softrig_bringup.study.page import best
 from softrig_bringup.study.table import summarise, without_signals
-from softrig_bringup.study.work import Log, absent
+from softrig_bringup.study.work import absent
 from softrig_core import ScenarioError
 
 LAG = """
@@ -105,6 +107,27 @@ def test_a_latin_hypercube_has_one_point_in_each_slice():
     draws = study(draws={"count": 50, "parameters": {"u": {"uniform": [0, 1]}, "w": {"uniform": [0, 1]}}}).draws
     for name in "uw":
         assert sorted(int(p[name] * 50) for p in draw(draws)) == list(range(50))
+
+
+@pytest.mark.parametrize(
+    ("words", "name"),
+    [
+        ("", "study_lag"),
+        ("--grid gain.k=1,2 --grid plant.T=0.1:0.3:0.1 --seeds 5", "study_lag-gain.k=1,2-plant.T=0.1:0.3:0.1-seeds_5"),
+        ("--draw gain.k=1..2 --draws 7", "study_lag-gain.k=1..2-latin_hypercube_7"),
+        ("--draw gain.k=1..2 --search last --maximise --subject-to last<=5",
+         "study_lag-gain.k=1..2-latin_hypercube_100-max_last-last_=5"),
+    ],
+)  # fmt: skip
+def test_a_folder_is_named_by_what_is_varied(words, name):
+    assert folder_name("lag", make_parser().parse_args(["study", "lag", *words.split()])) == name
+
+
+def test_long_names_of_folders_stay_apart():
+    names = {folder_name("lag", make_parser().parse_args(["study", "lag", "--grid", f"gain.k={'1,' * 99}{k}"]))
+             for k in range(3)}  # fmt: skip
+    assert len(names) == 3
+    assert max(map(len, names)) < 140
 
 
 @pytest.mark.parametrize(
@@ -373,7 +396,10 @@ def test_runs_without_a_value_are_marked_counted_and_make_the_median_no_better()
 
 
 def test_a_study_says_never_where_a_figure_never_comes(folder, capsys, undrawn):
-    assert main(["study", "lag", "--grid", "gain.k=1:3", "plant.gain=1,2", "--out", "out", "--workers", "1"]) == 0
+    assert (
+        main(["study", "lag", "--grid", "gain.k=1:3", "--grid", "plant.gain=1,2", "--out", "out", "--workers", "1"])
+        == 0
+    )
     out = capsys.readouterr().out
     assert out.count("never") == 1 + 6  # the head, and a row a run
     assert "None" not in out
@@ -390,13 +416,13 @@ def test_a_study_says_never_where_a_figure_never_comes(folder, capsys, undrawn):
      ("a,b", ["a", "b"]), ("[1, 2],[3, 4]", [[1, 2], [3, 4]])],
 )  # fmt: skip
 def test_ranges_have_both_ends(text, found):
-    assert _values("gain.k", text) == found
+    assert values("gain.k", text) == found
 
 
 @pytest.mark.parametrize("text", ["1:5:0", "1:0:1", "0:1:1e-9"])
 def test_ranges_of_nothing_or_without_end_are_refused(text):
     with pytest.raises(ScenarioError, match="at least one and at most"):
-        _values("gain.k", text)
+        values("gain.k", text)
 
 
 def test_a_search_keeps_to_its_limits_and_its_best_is_no_lucky_seed(folder, capsys, undrawn):
@@ -459,9 +485,33 @@ def test_pictures_follow_from_the_form(folder, request, keys, pictures):
 
 
 def test_an_unknown_name_or_option_is_one_line(capsys):
-    for arguments in (["leg"], ["lag", "--grid", "k"], ["lag", "--draw", "gain.k=1"], ["lag", "--grid", "gain.k=[1"]):
-        assert main(["study", *arguments, "--workers", "1"]) == 2
-        assert len(capsys.readouterr().err.splitlines()) == 1
+    for arguments, reason in {
+        "leg": "neither a study nor a scenario",
+        "lag --grid k": "--grid 'k': expected NAME=A,B,C or LOW:HIGH:STEP",
+        "lag --grid gain.k=": "--grid 'gain.k=': expected NAME=",
+        "lag --draw gain.k=1": "gain.k=1: expected LOW..HIGH",
+        "lag --draw gain.k=3..1": "gain.k=3..1: 3 is above 1",
+        "lag --draw gain.k=0..1~3": "gain.k=0..1~3: a parameter has no course",
+        "lag --grid gain.k=[1": "gain.k=[1: not valid YAML",
+        "lag --grid gain.k=1 plant.gain=2": "unexpected argument 'plant.gain=2'; each NAME=... has its own option",
+    }.items():
+        assert main(["study", *arguments.split(), "--workers", "1"]) == 2
+        error = capsys.readouterr().err
+        assert reason in error
+        assert len(error.splitlines()) == 1
+
+
+def test_what_is_drawn_has_the_forms_that_the_page_lists_and_no_option_swallows_the_name():
+    given = {"gain.k": "log 0.1..10", "plant.gain": "1..2*2", "plant.limit": "1,2:4"}
+    words = [part for name, text in given.items() for part in ("--draw", f"{name}={text}")]
+    options = make_parser().parse_args(["study", *words, "--grid", "source.value=1,2", "lag"])
+    found = study_of(options)
+    assert found.scenario == "lag"
+    assert found.grid == {"source.value": [1, 2]}
+    assert {k: d.model_dump(exclude_none=True) for k, d in found.draws.parameters.items()} == {
+        "gain.k": {"log_uniform": (0.1, 10.0)}, "plant.gain": {"uniform": ([1.0, 1.0], [2.0, 2.0])},
+        "plant.limit": {"choice": [1, 2, 3, 4]},
+    }  # fmt: skip
 
 
 def test_every_shipped_study_can_run(monkeypatch):

@@ -14,7 +14,8 @@ from softrig_bringup.cli import FOREIGN, SCRIPT, make_parser
 from softrig_core import simulate
 from softrig_core.processes.domain import free_domain
 
-TUTORIALS = (*KINDS["tutorials"][2], "bags_pandas", "paper_figures")  # and guides whose steps follow each other
+GUIDES = ("bags_pandas", "linear_view", "paper_figures", "reports", "send", "studies")  # whose steps follow each other
+TUTORIALS = (*KINDS["tutorials"][2], *GUIDES)
 _BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$|(?<=\n\n)((?:    [^\n]*\n)+)", re.S | re.M)
 _COMMAND = re.compile(r"((?:scripts/)?softrig|ls|sed|export|cd|kill|python)\b")
 MARK = "@@ block"

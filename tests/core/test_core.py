@@ -114,6 +114,8 @@ def test_scenarios_extend_and_vary(folder):
          "bad.yaml, line 4: nodes.plant.parametrs: unknown key (did you mean 'parameters'?)"),
         ("extends: base\nvariants:\n  low: {title: x,\n    nodes: {plant: {packages: x}}}\n", "bad_low",
          "bad.yaml, line 4: nodes.plant.packages: unknown key (did you mean 'package'?), got 'x'"),
+        ("extends: base\nfigures:\n  f: {signal: a, unit: s}\n", "bad",
+         "line 3: figures.f.signal: unknown key; what its function takes belongs below arguments: {signal: ...}"),
         ("extends: base\nplots:\n- title: x\n  signals: {a: a}\n- {title: y,\n   signal: {a: a}}\n", "bad",
          "bad.yaml, line 5: plots.1.signals: Field required (and 1 more)"),
         ("title: [", "bad", "bad.yaml: not valid YAML"),

@@ -11,6 +11,7 @@ import control
 import numpy as np
 import pytest
 from softrig_bringup.cli import main
+from softrig_control.limit_cycle import Swinging
 from softrig_core import (
     Block,
     NoOperatingPoint,
@@ -26,6 +27,7 @@ from softrig_core import (
     steady,
 )
 from softrig_core.analysis.steady import _move
+from softrig_core.kit.floats import put, read
 from softrig_drives.dc_motor.model import state_space
 from softrig_drives.dc_motor.pid import DcMotorPid
 from softrig_drives.dc_motor.plant import DcMotorPlant
@@ -243,8 +245,11 @@ def test_the_speed_loop_of_the_lsrm_is_near_that_of_a_rigid_mass():
 
 def test_a_loop_that_cannot_be_seen_is_told():
     motor = {"overrides": {"period": T}, "at": 1.0}
-    with pytest.raises(RunError, match="does not come back there: no loop"):
+    with pytest.raises(RunError, match=r"motor_reference hears nothing of what motor/reference/.* does: no loop"):
         linear_view("dc_motor_smc", "motor/reference/shaft", **motor)
+    with pytest.raises(RunError, match=r"effort by 0\.0312 comes back there at 0\.1 s, within 10 periods, a smaller "
+                                       "one does not: .* in steps"):  # fmt: skip
+        linear_view("dc_motor_smc_b2", at=0.1)
     with pytest.raises(ScenarioError, match="no signal 'volt'"):
         linear_view("dc_motor_smc", "volt", **motor)
     with pytest.raises(ScenarioError, match=r"said every 0.0001 s, the rig repeats itself every 0.001 s only; open the "
@@ -254,6 +259,14 @@ def test_a_loop_that_cannot_be_seen_is_told():
         linear_view("dc_motor_smc", overrides={"dc_motor_smc.period": 0.0123457, "dc_motor_plant.period": 1e-7}, at=0.0)
     with pytest.raises(ScenarioError, match="at = -1 s: expected 0 or more"):
         linear_view("dc_motor_smc", at=-1.0)
+
+
+def test_a_state_may_be_called_as_an_input_is_and_what_only_a_warning_reads_is_none():
+    view = linear_view("induction_dtc", at=0.05)  # its speed law's state and input are both `reference`
+    assert "im_plant.omega" in view.states
+    swinging = Swinging(400.0, 401.0, 399.0, swings=(2.0, 2.0))
+    assert [name for name, _ in read((1.0, swinging, (2.0,)))] == ["[0]", "[2]"]
+    assert put((1.0, swinging, (2.0,)), [np.array([3.0]), np.array([2.0])]) == (3.0, swinging, (2.0,))
 
 
 class Outside(Shift):

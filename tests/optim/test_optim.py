@@ -13,7 +13,7 @@ from pathlib import Path
 import faultrig
 import numpy as np
 import pytest
-from conftest import PATIENCE, make_scenario
+from conftest import PATIENCE, make_scenario, until
 from hypothesis import given, settings, strategies as st
 from scipy import stats
 from scipy.optimize import differential_evolution, minimize_scalar
@@ -30,7 +30,7 @@ from softrig_optim.pso import ParticleSwarm
 from softrig_optim.salp import ImprovedSalpSwarm, SalpSwarm
 from softrig_optim.scan import Scan
 from softrig_optim.search import run
-from softrig_optim.sweep import sweep
+from softrig_optim.sweep import Workers, sweep
 from softrig_optim.whale import Whale
 from softrig_optim.wolf import GreyWolf
 
@@ -627,6 +627,15 @@ def test_sweep_keeps_the_order_on_any_number_of_workers():
     assert os.getpid() not in {pid for _, pid in there}
 
 
+def test_workers_stay_from_one_batch_to_the_next_and_go_with_the_block():
+    with Workers(2) as workers:
+        pids = [{pid for _, pid in workers.map(double, range(12))} for _ in range(3)]
+        started = set(workers._pool._processes)
+    assert set.union(*pids) <= started
+    assert len(started) <= 2
+    until(lambda: not any(Path(f"/proc/{pid}").exists() for pid in started))
+
+
 def test_sweep_hands_on_the_failure():
     with pytest.raises(ZeroDivisionError, match="case 3"):
         sweep(fail, [3], workers=1)
@@ -697,7 +706,7 @@ def test_sweep_names_the_missing_package(monkeypatch):
     with pytest.raises(
         ScenarioError, match=r"tcp://nowhere:1 needs the package 'distributed': pip install 'softrig\[dask\]'"
     ):
-        sweep(double, [1], scheduler="tcp://nowhere:1")
+        Workers(scheduler="tcp://nowhere:1").map(double, [1])
 
 
 def test_an_address_without_a_scheduler_is_named(monkeypatch):
@@ -710,11 +719,15 @@ def test_an_address_without_a_scheduler_is_named(monkeypatch):
     with dask.config.set({"distributed.comm.timeouts.connect": "100ms"}):
         for address in ("nonsense", "tcp://127.0.0.1:1", "what://is", ":", "tcp://127.0.0.1:1"):
             with pytest.raises(ScenarioError, match=rf"--scheduler {address}: no Dask scheduler there"):
-                sweep(abs, [1], scheduler=address)
+                Workers(scheduler=address).map(abs, [1])
 
 
 def test_sweep_on_a_local_cluster():
     import distributed
 
-    with distributed.LocalCluster(n_workers=1, threads_per_worker=2, processes=False, dashboard_address=None) as local:
-        assert sweep(operator.neg, range(5), scheduler=local.scheduler_address) == [0, -1, -2, -3, -4]
+    local = distributed.LocalCluster(n_workers=1, threads_per_worker=2, processes=False, dashboard_address=None)
+    with local, Workers(scheduler=local.scheduler_address) as workers:
+        assert workers.map(operator.neg, range(5)) == [0, -1, -2, -3, -4]
+        first = workers._client
+        assert workers.map(abs, [-1]) == [1]
+        assert workers._client is first

@@ -15,12 +15,13 @@ import pytest
 from conftest import PATIENCE, PRESS, differences, fork, in_process, make_scenario, no_process_left, until
 from outside import script
 from softrig_core import Recording, Signals, list_scenarios, rig_of, run_processes
-from softrig_core.node.ros.profile import PROPERTY, VARIABLE, exclusive, with_property
+from softrig_core.node.ros.profile import PROPERTY, VARIABLE, joining, own
 from softrig_core.node.seam.exchange import BURST, Exchange
 from softrig_core.processes.domain import free_domain
 from softrig_core.processes.executables import environment, find_executable
 from softrig_core.processes.fork_server import start_node
 from softrig_core.processes.placement import NOBODY, Listener, Placement
+from softrig_core.processes.ports import chosen
 from test_processes import BASIC, OUTSIDE, RIGS, params, rig
 
 pytestmark = pytest.mark.processes
@@ -381,24 +382,44 @@ def test_a_timer_that_moves_or_ends_itself_is_obeyed():
 # the profile -------------------------------------------------------------------------------------------------------
 
 
-def test_a_profile_keeps_what_it_says_and_gets_the_property(tmp_path, monkeypatch):
+def test_a_profile_keeps_what_it_says_and_gets_ports_and_the_property(tmp_path, monkeypatch):
     mine = tmp_path / "mine.xml"
     mine.write_text('<?xml version="1.0"?><profiles xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles">'
                     '<participant profile_name="a" is_default_profile="true"><rtps><name>mine</name></rtps>'
                     "</participant></profiles>")  # fmt: skip
     monkeypatch.setenv(VARIABLE, str(mine))
-    with exclusive():
-        text = Path(os.environ[VARIABLE]).read_text()
-        assert "<name>mine</name>" in text
-        assert f"<name>{PROPERTY}</name><value>true</value>" in text
-        assert "ns0:" not in text
-    assert os.environ[VARIABLE] == str(mine)
+    for exclusive in (True, False):
+        with joining(exclusive=exclusive):
+            text = Path(os.environ[VARIABLE]).read_text()
+            assert "<name>mine</name>" in text
+            assert (f"<name>{PROPERTY}</name><value>true</value>" in text) == exclusive
+            assert "ns0:" not in text
+            assert text.count("<port><portBase>") == 1
+        assert os.environ[VARIABLE] == str(mine)
+    given = mine.read_bytes().replace(b"<rtps>", b"<rtps><port><portBase>7000</portBase></port>")
+    assert own(given).count(b"<portBase>") == 1
+
+
+def test_the_well_known_ports_stay_and_the_others_change():
+    """With the standard ones at 7400 + 250 * domain, no port is that of another participant or of a dead one."""
+    seen = set()
+    for k in range(40):
+        ports = chosen(1e6 + 0.45 * k)
+        base = ports["portBase"]
+        assert {name: base + ports[name] for name in ("offsetd0", "offsetd1", "offsetd2")} == {
+            "offsetd0": 7400, "offsetd1": 7410, "offsetd2": 7401,
+        }  # fmt: skip
+        user, unique = base + ports["offsetd3"] - 7400, base - 400
+        assert 11 + 2 * 32 < user < 250 - 2 * 31
+        assert 6200 <= unique < 6600
+        seen.add((user, unique))
+    assert len({user for user, _ in seen}) == len({unique for _, unique in seen}) == 40
 
 
 @pytest.mark.parametrize(("text", "why"), [(b"<a", "not XML"), (b"<profiles/>", "no participant")])
 def test_a_profile_without_a_participant_is_refused(text, why):
     with pytest.raises(ValueError, match=why):
-        with_property(text)
+        own(text)
 
 
 def test_a_container_without_nodes_says_how_it_is_used(tmp_path):

@@ -2,6 +2,7 @@
 
 import fcntl
 import json
+import mmap
 import os
 import signal
 import subprocess
@@ -13,7 +14,8 @@ from pathlib import Path
 
 import pytest
 from conftest import PATIENCE, differences, in_process, make_scenario, no_process_left, processes_of, until
-from softrig_core import rig_of, run_inprocess, run_processes
+from softrig_bags.read import read_bag
+from softrig_core import Signals, rig_of, run_inprocess, run_processes
 from softrig_core.node.seam import health
 from softrig_core.processes import spawning
 from softrig_core.processes.children import read_status
@@ -21,7 +23,7 @@ from softrig_core.processes.domain import free_domain
 from softrig_core.processes.executables import environment, find_executable
 from softrig_core.processes.fork_server import start_node
 from softrig_core.processes.placement import Listener, Placement
-from softrig_core.processes.shared_memory import MADE, clear_ports, remove_leftovers
+from softrig_core.processes.shared_memory import MADE, Ears, clear_ports, lacking, remove_leftovers
 from softrig_core.processes.spawning import node_parameters, parameter_file
 from softrig_core.processes.stopping import Stopped, stoppable
 
@@ -102,6 +104,54 @@ def test_a_node_waits_for_a_port_that_is_being_made_and_removes_one_whose_maker_
     clear_ports(1, tmp_path)
     assert ports[0].read_bytes() == MADE
     assert {p.name for p in tmp_path.iterdir()} == {p.name for p in (*ports, other)} - {ports[1].name}
+
+
+def test_what_shared_memory_lacks_is_said(tmp_path, monkeypatch):
+    assert lacking(4, tmp_path / "none") == f"{tmp_path}/none: No such file or directory"
+    assert lacking(0, tmp_path) == ""
+    assert lacking(10**12, tmp_path).startswith(f"{tmp_path} has ")
+    monkeypatch.setattr(os, "access", lambda folder, mode: False)  # root may write anywhere but in what is mounted so
+    assert lacking(0, tmp_path) == f"{tmp_path} cannot be written"
+
+
+SMALL = """mount -t tmpfs -o "$1" none /dev/shm || exit 77
+shift
+exec "$@"
+"""
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("how", ["size=64k", "size=1300k", "size=2600k", "ro"])
+def test_a_run_with_no_room_in_shared_memory_goes_by_udp_and_says_so(how, tmp_path):
+    command = [sys.executable, "-m", "softrig_bringup", "run", "dc_motor_smc", "--duration", "0.1", "--no-plots",
+               "--mode", "processes", "--out", str(tmp_path / "run")]  # fmt: skip
+    done = subprocess.run(["unshare", "-m", "sh", "-c", SMALL, "sh", how, *command], capture_output=True, text=True)
+    if done.returncode in (1, 77) and ("unshare" in done.stderr or "mount" in done.stderr):
+        pytest.skip("mounts are not permitted here")
+    assert done.returncode == 0, done.stderr
+    assert "/dev/shm " in done.stderr
+    assert "goes by UDP" in done.stderr
+    assert len(Signals(read_bag(tmp_path / "run/bag"))["motor/state/shaft/position"].x) == 1001
+
+
+def test_a_port_whose_name_another_file_has_is_lost(tmp_path, monkeypatch):
+    """Who has it mapped and reads it hears nobody who opens it by its name."""
+    monkeypatch.setattr(Ears, "PATIENCE", 0.0)
+    port, lock, foreign = (tmp_path / f"fastrtps_port{name}" for name in ("7661", "7661_el", "7663"))
+    for file in (port, foreign):
+        file.write_bytes(bytes(8))
+    with port.open("r+b") as file, lock.open("w"), mmap.mmap(file.fileno(), 8):
+        ears = Ears()
+        assert ears.lost() == ""
+        foreign.unlink()  # of a peer
+        assert ears.lost() == ""
+        port.unlink()
+        assert ears.lost() == port.name
+        port.write_bytes(bytes(8))
+        assert ears.lost() == port.name
+        with port.open("r+b") as new, mmap.mmap(new.fileno(), 8):
+            assert ears.lost() == ""  # opened anew, as Fast DDS does where one is damaged
+    assert Ears().lost() == ""
 
 
 def test_ctrl_c_cannot_be_swallowed_while_a_node_starts():

@@ -1,5 +1,9 @@
 """Nodes against the wall clock, started one by one as a user does: watchdog, recovery, rivals, bad input."""
 
+import os
+import re
+from pathlib import Path
+
 import pytest
 from conftest import PRESS, make_scenario
 from outside import SPIN, go, outside
@@ -39,14 +43,33 @@ def test_a_lost_controller_brings_the_safe_input_and_a_new_one_takes_over(bench)
     bench.start("source", "source")
     bench.start("gain", "gain")
     bench.wait(lambda: bench.status("gain")["ticks"] > 30)
+    ports = ears(bench.nodes["gain"])
     bench.kill("gain")
     bench.wait(lambda: "stale lag/command" in bench.status("plant")["reports"])
     ticks = bench.status("plant")["ticks"]
     bench.wait(lambda: bench.status("plant")["ticks"] > ticks + 20)
     bench.wait(lambda: bench.signal("plant", "lag/applied/u/effort").x[-1] == 0.0)
     bench.start("gain", "gain")
+    bench.wait(lambda: ears(bench.nodes["gain"]))
+    assert ports.isdisjoint(ears(bench.nodes["gain"]))  # to those of the dead one others still send
     bench.wait(lambda: "recovered lag/command" in bench.status("plant")["reports"])
     bench.wait(lambda: bench.signal("plant", "lag/applied/u/effort").x[-1] != 0.0)
+
+
+@pytest.mark.long
+def test_a_node_whose_port_is_taken_away_ends_by_name(bench):
+    bench.start("plant", "plant")
+    bench.wait(lambda: bench.status("plant")["ticks"] > 30)
+    for port in ears(bench.nodes["plant"]):
+        port.unlink()
+    assert bench.ends("plant") == 3
+    assert "hears nobody any more: its port fastrtps_port" in bench.status("plant")["error"]
+
+
+def ears(process):
+    """Ports in shared memory on which a process listens."""
+    opened = {Path(os.path.realpath(f)) for f in Path(f"/proc/{process.pid}/fd").iterdir()}
+    return {f.with_name(f.name.removesuffix("_el")) for f in opened if re.fullmatch(r"fastrtps_port\d+_el", f.name)}
 
 
 PUBLISHER = (

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Collection, Iterator
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+from mcap.exceptions import McapError
+from mcap.reader import make_reader
 from rosbags.interfaces import Connection, ConnectionExtRosbag2, MessageDefinitionFormat
 from rosbags.rosbag2 import Reader, ReaderError
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
@@ -16,7 +19,7 @@ from rosbags.typesys.store import Typestore
 from .compressed import SUFFIXES, plain
 from .errors import BagError
 from .mcap_recover import check_sizes
-from .topics import BagTopic, typestore
+from .topics import BagTopic, custom_data, typestore
 
 METADATA_LIMIT = 1 << 24
 
@@ -111,7 +114,9 @@ class BagReader:
 
     @property
     def custom_data(self) -> dict[str, str]:
-        """Give what the writer left in the metadata."""
+        """Give what the writer left in the metadata; a single MCAP file has a copy of it."""
+        if self.path.suffix == ".mcap" and self.path.is_file():
+            return _of_mcap(self.path)
         return self._reader.storage.metadata.custom or {}
 
     @property
@@ -157,6 +162,15 @@ class BagReader:
                 except Exception as error:  # a damaged text makes the parser raise whatever it leads to
                     raise BagError(f"{self.path}: the definition of {msgtype} cannot be read: {error}") from error
         return typestore() if BagTopic.known("", msgtype).definition else None
+
+
+def _of_mcap(path: Path) -> dict[str, str]:
+    found: dict[str, str] = {}
+    with path.open("rb") as file, suppress(McapError, EOFError, ValueError, struct.error):
+        for record in make_reader(file).iter_metadata():
+            if record.name == "rosbag2":
+                found = custom_data(record.metadata.get("serialized_metadata", "")) or found
+    return found
 
 
 def _check_number(name: str, number: object) -> None:

@@ -13,7 +13,6 @@ from typing import Any
 
 from mcap.records import Channel, Footer, Message, Metadata, Schema
 from rosbags.rosbag2.metadata import parse_qos
-from ruamel.yaml import YAML
 from softrig_core import Recording
 from softrig_core.wire.recording import shard_topics
 
@@ -22,7 +21,7 @@ from .compressed import expanded, expanded_message, plain, storage_files
 from .errors import BagError
 from .mcap_recover import Recovery
 from .reader import BagReader
-from .topics import BagTopic
+from .topics import BagTopic, custom_data
 from .write import write_bag
 
 
@@ -180,7 +179,7 @@ def _recover_mcap(path: Path, report: FileReport) -> Iterator[tuple[BagTopic, in
         elif isinstance(record, Message) and record.channel_id in topics:
             yield topics[record.channel_id], record.log_time, record.data
         elif isinstance(record, Metadata) and record.name == "rosbag2":
-            report.custom_data = _custom_data(record.metadata.get("serialized_metadata", "")) or report.custom_data
+            report.custom_data = custom_data(record.metadata.get("serialized_metadata", "")) or report.custom_data
         elif isinstance(record, Footer):
             report.indexed = True
     report.lost += recovery.lost
@@ -203,15 +202,6 @@ def _topic(name: str, msgtype: str, text: str, encoding: str, digest: str, offer
     return BagTopic(name, msgtype, text, known.digest, known.offered, encoding) if text else known
 
 
-def _custom_data(text: str) -> dict[str, str]:
-    try:
-        found = YAML(typ="safe").load(str(text or ""))
-    except Exception:  # damaged text makes the parser raise whatever it leads to
-        return {}
-    found = found.get("custom_data") if isinstance(found, dict) else None
-    return {str(k): str(v) for k, v in found.items()} if isinstance(found, dict) else {}
-
-
 _SQLITE_ERRORS = (sqlite3.Error, UnicodeDecodeError)  # the latter when SQLite's own words quote damaged names
 
 
@@ -220,7 +210,7 @@ def _recover_sqlite3(path: Path, report: FileReport, scratch: Path) -> Iterator[
         database = sqlite3.connect(_whole_copy(path, Path(directory)))  # undoes a commit that was cut off
         with suppress(*_SQLITE_ERRORS):  # older schemas have no such table
             for (text,) in database.execute("SELECT metadata FROM metadata ORDER BY id"):
-                report.custom_data = _custom_data(text) or report.custom_data
+                report.custom_data = custom_data(text) or report.custom_data
         try:
             topics = _sqlite3_topics(database)
             report.topics = list(topics.values())

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import signal
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
@@ -24,7 +23,7 @@ from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, Qo
 from softrig_core import SECOND
 from softrig_core.block.params import Declaration
 from softrig_core.node.ros.messages import range_descriptor
-from softrig_core.processes.executables import PROFILE
+from softrig_core.node.ros.profile import joining
 
 from .errors import BagError
 from .topics import BagTopic
@@ -60,16 +59,19 @@ class Session:
     opened: ClassVar[Session | None] = None
 
     def __init__(self, name: str, argv: Sequence[str], parameters: Sequence[tuple[Declaration, Any]] = ()) -> None:
-        os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(PROFILE))
         self.stopped = False
         self._stop: Future[None] = Future()
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, self._signalled)
         try:
-            rclpy.init(args=list(argv), signal_handler_options=SignalHandlerOptions.NO)
-        except RuntimeError as error:
-            raise BagError(f"ROS arguments {' '.join(argv)}: {str(error).splitlines()[0]}") from None
-        self.node = Node(name, enable_rosout=False, automatically_declare_parameters_from_overrides=True)
+            with joining():
+                try:
+                    rclpy.init(args=list(argv), signal_handler_options=SignalHandlerOptions.NO)
+                except RuntimeError as error:
+                    raise BagError(f"ROS arguments {' '.join(argv)}: {str(error).splitlines()[0]}") from None
+                self.node = Node(name, enable_rosout=False, automatically_declare_parameters_from_overrides=True)
+        except ValueError as error:  # of the profile
+            raise BagError(str(error)) from None
         Session.opened = self
         for given in self.node.get_parameters_by_prefix(""):
             if given not in _OF_ROS and not given.startswith("qos_overrides."):

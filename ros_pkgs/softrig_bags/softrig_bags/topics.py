@@ -87,6 +87,16 @@ def qos_dicts(offered: Sequence[Qos]) -> list[dict[str, Any]]:
     ]
 
 
+def custom_data(text: str) -> dict[str, str]:
+    """Read what the writer of a bag left in its metadata, YAML that may be damaged."""
+    try:
+        found = YAML(typ="safe").load(str(text or ""))
+    except Exception:  # damaged text makes the parser raise whatever it leads to
+        return {}
+    found = found.get("custom_data") if isinstance(found, dict) else None
+    return {str(k): str(v) for k, v in found.items()} if isinstance(found, dict) else {}
+
+
 def to_yaml(content: Any) -> str:
     """Write plain data as YAML 1.2 in block style, keys in their order."""
     text: str = yaml.dump(content, Dumper=_Dumper, default_flow_style=False, sort_keys=False, width=_WIDTH)

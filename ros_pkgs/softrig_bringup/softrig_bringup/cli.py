@@ -47,7 +47,7 @@ GROUPS = {
     "judge": ("check", "results", "golden"),
     "analyse": ("linearise", "steady"),
     "ROS and bags": ("node", "set", "bag"),
-    "own work": ("new", "export", "locate"),
+    "own work": ("new", "export", "pack", "locate"),
     "set-up": ("setup", "env", "python", "docs", "bench"),
 }
 # before 0.2: what a word has become

@@ -35,6 +35,11 @@ class Swinging(NamedTuple):
     spans: tuple[int, ...] = ()
     """How long each took."""
 
+    @property
+    def aside(self) -> str:
+        """No state of a linear view: the reason."""
+        return "only a warning depends on it"
+
 
 def limit_cycle(x: Swinging, y: float, reference: float) -> tuple[Swinging, float]:
     """Take one sample in; give the mean swing (peak to peak), 0 while there is none that lasts.

@@ -45,6 +45,14 @@ class Number:
         raise argparse.ArgumentTypeError(f"expected {what} {bound}, got {text!r}")
 
 
+def named(text: str, option: str, form: str) -> tuple[str, str]:
+    """Split what an option gives, ``NAME=...``; a ScenarioError says the form that is expected."""
+    name, _, given = text.partition("=")
+    if not (name and given):
+        raise ScenarioError(f"{option} {text!r}: expected NAME={form}")
+    return name, given
+
+
 def without_ros(arguments: Sequence[str]) -> list[str]:
     """Leave out ``--ros-args ... --``, which launch gives to every executable, of a tool that is no node."""
     rest, ros = [], False
@@ -76,7 +84,8 @@ class Parser(argparse.ArgumentParser):
         if rest:
             options = [o for a in self._actions for o in a.option_strings]
             what = "option" if rest[0].startswith("-") else "argument"
-            self.error(f"unexpected {what} {rest[0]!r}{closest(rest[0].partition('=')[0], options)}")
+            more = "; each NAME=... has its own option before it" if "=" in rest[0] and what == "argument" else ""
+            self.error(f"unexpected {what} {rest[0]!r}{closest(rest[0].partition('=')[0], options)}{more}")
         return found, rest
 
     def error(self, message: str) -> NoReturn:

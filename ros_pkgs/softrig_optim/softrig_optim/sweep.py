@@ -13,6 +13,7 @@ from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, Thr
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from itertools import islice
+from multiprocessing import get_context
 from typing import Any, TypeVar
 
 from softrig_core import ScenarioError
@@ -25,93 +26,89 @@ ATTEMPTS = 3  # of a case whose worker died under it
 AHEAD = 3  # cases handed to each worker at a time: none idles, and memory stays bounded
 
 
-def sweep(
-    function: Callable[[C], R],
-    cases: Sequence[C],
-    *,
-    title: str = "cases",
-    workers: int | None = None,
-    scheduler: str = "",
-) -> list[R]:
-    """Evaluate a function for every case, in parallel, with a progress bar when the error output is a terminal.
+class Workers:
+    """Processes of this machine, or a Dask cluster, that evaluate functions; they stay from batch to batch.
+
+    They start with the first case. What one has imported or compiled serves all that follow; when the block that they
+    are used in ends with an exception, so do they, whatever they work on.
 
     Parameters
     ----------
-    function : callable
-        Importable by name, like everything in the cases and results; must depend on its case only.
-    cases : sequence
-    title : str
-        Text beside the progress bar.
-    workers : int, optional
+    count : int, optional
         Processes on this machine; all cores when absent, 1 stays in this process.
     scheduler : str
         Address of a Dask scheduler (``tcp://host:8786``); its workers need this package installed.
-
-    Returns
-    -------
-    list
-        One result a case, in the order of the cases, whatever the number of workers.
-
-    Raises
-    ------
-    ScenarioError
-        A scheduler is given, but `distributed` is not installed and could not be added.
     """
-    found: dict[int, R] = {}
-    with progress(title, len(cases)) as advance:
-        for k, result in stream(function, cases, workers=workers, scheduler=scheduler):
+
+    def __init__(self, count: int | None = None, scheduler: str = "") -> None:
+        self._count, self._scheduler = count or cores(), scheduler
+        self._pool: ProcessPoolExecutor | None = None
+        self._client: Any = None
+
+    def __enter__(self) -> Workers:
+        return self
+
+    def __exit__(self, kind: object, *_: object) -> None:
+        if self._client is not None:
+            self._client.close()
+        if self._pool is not None:
+            for process in list((self._pool._processes or {}).values()) if kind is not None else ():
+                process.kill()  # nobody wants what it works on
+            self._pool.shutdown(wait=False, cancel_futures=True)
+
+    def stream(self, function: Callable[[C], R], cases: Iterable[C]) -> Iterator[tuple[int, R]]:
+        """Evaluate a function for every case and give each result with its case's number as soon as it is there.
+
+        Only a few cases a worker are taken from `cases` ahead of time. A worker that is killed costs time, not
+        results: the processes are made anew and what was under way is done again.
+
+        Parameters
+        ----------
+        function : callable
+            Importable by name, like everything in the cases and results; must depend on its case only.
+        cases : iterable
+            May be as long as one likes.
+
+        Raises
+        ------
+        ScenarioError
+            There is no such scheduler, or `distributed` is not installed and could not be added.
+        RuntimeError
+            The worker of the same case died `ATTEMPTS` times.
+        """
+        numbered = enumerate(cases)
+        if self._scheduler:
+            yield from self._on_cluster(function, numbered)
+        elif self._count == 1:
+            for k, case in numbered:
+                yield k, function(case)
+        else:
+            yield from self._on_cores(function, numbered)
+
+    def map(self, function: Callable[[C], R], cases: Sequence[C], done: Callable[[], object] = bool) -> list[R]:
+        """Evaluate a function for every case; gives the results in the order of the cases. See `stream`.
+
+        Parameters
+        ----------
+        function, cases
+        done : callable
+            Called after each.
+        """
+        found: dict[int, R] = {}
+        for k, result in self.stream(function, cases):
             found[k] = result
-            advance()
-    return [found[k] for k in range(len(cases))]
+            done()
+        return [found[k] for k in range(len(cases))]
 
-
-def stream(
-    function: Callable[[C], R], cases: Iterable[C], *, workers: int | None = None, scheduler: str = ""
-) -> Iterator[tuple[int, R]]:
-    """Evaluate a function for every case and give each result with its case's number as soon as it is there.
-
-    Only a few cases a worker are taken from `cases` ahead of time. A worker that is killed costs time, not results:
-    the pool is made anew and what was under way is done again.
-
-    Parameters
-    ----------
-    function, workers, scheduler
-        See `sweep`.
-    cases : iterable
-        May be as long as one likes.
-
-    Raises
-    ------
-    RuntimeError
-        The worker of the same case died `ATTEMPTS` times.
-    """
-    numbered = enumerate(cases)
-    if scheduler:
-        yield from _on_cluster(function, numbered, scheduler)
-    elif workers == 1:
-        for k, case in numbered:
-            yield k, function(case)
-    else:
-        with _own_imports():
-            yield from _on_cores(function, numbered, workers or cores())
-
-
-def cores() -> int:
-    """Number of cores that this process may use."""
-    return len(os.sched_getaffinity(0))
-
-
-def _on_cores(function: Callable[[C], R], cases: Iterator[tuple[int, C]], workers: int) -> Iterator[tuple[int, R]]:
-    waiting: list[tuple[int, C, int]] = []  # number, case, how often its worker died
-    open_: dict[Future[R], tuple[int, C, int]] = {}
-    pool = _pool(workers)
-    try:
+    def _on_cores(self, function: Callable[[C], R], cases: Iterator[tuple[int, C]]) -> Iterator[tuple[int, R]]:
+        waiting: list[tuple[int, C, int]] = []  # number, case, how often its worker died
+        open_: dict[Future[R], tuple[int, C, int]] = {}
         while True:
-            room = workers * AHEAD - len(open_) - len(waiting)
+            room = self._count * AHEAD - len(open_) - len(waiting)
             waiting += [(k, case, 0) for k, case in islice(cases, max(0, room))]
             try:
                 while waiting:
-                    open_[pool.submit(function, waiting[0][1])] = waiting[0]
+                    open_[self._submit(function, waiting[0][1])] = waiting[0]
                     waiting.pop(0)
                 if not open_:
                     return
@@ -127,18 +124,62 @@ def _on_cores(function: Callable[[C], R], cases: Iterator[tuple[int, C]], worker
                     raise RuntimeError(f"the worker of case {k} died {worst} times") from None
                 waiting = again + waiting
                 open_.clear()
-                pool.shutdown(wait=False)
-                pool = _pool(workers)
-    except BaseException:
-        for process in list((pool._processes or {}).values()):  # nobody wants what they work on
-            process.kill()
-        raise
-    finally:
-        pool.shutdown(wait=False, cancel_futures=True)
+                if self._pool is not None:
+                    self._pool.shutdown(wait=False)
+                self._pool = None
+
+    def _submit(self, function: Callable[[C], R], case: C) -> Future[R]:
+        with _own_imports():
+            if self._pool is None:
+                self._pool = ProcessPoolExecutor(self._count, get_context("spawn"), _end_with_parent)
+            return self._pool.submit(function, case)
+
+    def _on_cluster(self, function: Callable[[C], R], cases: Iterator[tuple[int, C]]) -> Iterator[tuple[int, R]]:
+        need("distributed", f"scheduler {self._scheduler}")
+        import distributed
+
+        self._client = client = self._client or _connected(self._scheduler)
+        numbers: dict[Any, int] = {}
+        size = max(1, sum(client.nthreads().values())) * AHEAD
+        done = distributed.as_completed()
+        for k, case in islice(cases, size):
+            future = client.submit(function, case, pure=False)
+            numbers[future.key] = k
+            done.add(future)
+        for future in done:
+            yield numbers.pop(future.key), future.result()
+            for k, case in islice(cases, 1):
+                new = client.submit(function, case, pure=False)
+                numbers[new.key] = k
+                done.add(new)
 
 
-def _pool(workers: int) -> ProcessPoolExecutor:
-    return ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), _end_with_parent)
+def sweep(
+    function: Callable[[C], R], cases: Sequence[C], *, title: str = "cases", workers: int | None = None
+) -> list[R]:
+    """Evaluate a function for every case, in parallel, with a progress bar when the error output is a terminal.
+
+    Parameters
+    ----------
+    function, cases
+        See `Workers.stream`.
+    title : str
+        Text beside the progress bar.
+    workers : int, optional
+        See `Workers`; no more than there are cases.
+
+    Returns
+    -------
+    list
+        One result a case, in the order of the cases, whatever the number of workers.
+    """
+    with Workers(min(workers or cores(), max(1, len(cases)))) as pool, progress(title, len(cases)) as advance:
+        return pool.map(function, cases, advance)
+
+
+def cores() -> int:
+    """Number of cores that this process may use."""
+    return len(os.sched_getaffinity(0))
 
 
 @contextmanager
@@ -167,8 +208,8 @@ def _end_with_parent() -> None:
     threading.Thread(target=wait_for_its_end, daemon=True).start()
 
 
-def _on_cluster(function: Callable[[C], R], cases: Iterator[tuple[int, C]], scheduler: str) -> Iterator[tuple[int, R]]:
-    need("distributed", f"scheduler {scheduler}")
+def _connected(scheduler: str) -> Any:
+    """Give a client of a Dask scheduler."""
     import distributed
     from distributed.comm import connect
 
@@ -184,20 +225,7 @@ def _on_cluster(function: Callable[[C], R], cases: Iterator[tuple[int, C]], sche
     except (OSError, ValueError, TypeError) as error:  # TypeError: its own, of an address that is a word
         raise ScenarioError(f"--scheduler {scheduler}: no Dask scheduler there, expected an address as "
                             f"tcp://127.0.0.1:8786: {error}") from None  # fmt: skip
-    with distributed.Client(scheduler) as client:
-        numbers: dict[Any, int] = {}
-        size = max(1, sum(client.nthreads().values())) * AHEAD
-        done = distributed.as_completed()
-        for k, case in islice(cases, size):
-            future = client.submit(function, case, pure=False)
-            numbers[future.key] = k
-            done.add(future)
-        for future in done:
-            yield numbers.pop(future.key), future.result()
-            for k, case in islice(cases, 1):
-                new = client.submit(function, case, pure=False)
-                numbers[new.key] = k
-                done.add(new)
+    return distributed.Client(scheduler)
 
 
 @contextmanager

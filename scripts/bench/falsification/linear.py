@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from softrig_bringup.falsify.search import Point
 from softrig_bringup.falsify.space import parse, space_of
-from softrig_bringup.falsify.trial import Trial, run
+from softrig_bringup.study.work import run, trial
 from softrig_core import Scenario, simulate
 
 from .methods import Problem
@@ -40,7 +40,7 @@ def worst_linear_loop() -> Problem:
                      [parse("plant.load_torques", f"{-LOAD}..{LOAD}*{PIECES}")])  # fmt: skip
 
     def margin(point: Point) -> float:
-        row = run(Trial(0, space.scenario, space.overrides(point), ("deviation",)))
+        row = run(trial(space.scenario, space.overrides(point), ("deviation",)))
         return float(row["figures"]["deviation"])
 
     return Problem("linear", margin, (PIECES,))

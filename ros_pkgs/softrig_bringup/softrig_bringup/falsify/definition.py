@@ -82,7 +82,7 @@ def falsification_of(what: str, changes: dict[str, Any]) -> Falsification:
     raw["over"] = {**raw.get("over", {}), **changes.pop("over", {})}
     if not raw["over"]:
         raise ScenarioError(
-            f"{where}: over what? --over NODE.PARAM=a..b, --over FAULT.PARAM=a..b or --over SIGNAL=a..b*6"
+            f"{where}: over what? --over NAME=LOW..HIGH of a node or a fault, or --over SIGNAL=LOW..HIGH*6"
         )
     try:
         return Falsification.model_validate(raw | changes)

@@ -11,16 +11,15 @@ from typing import Any, NamedTuple
 from softrig_core import Scenario, ScenarioError, load_scenario
 from softrig_core.errors import closest
 from softrig_core.extras import need
-from softrig_optim.sweep import progress, stream
 
 from ..folder import replace
+from ..study.batch import Batch, Log
 from ..study.engine import same
-from ..study.work import Log
+from ..study.work import LARGE, run, trial
 from .definition import Falsification
 from .search import Found, Point, needs, search
 from .shrink import Case, shrink
 from .space import Space, parse, space_of
-from .trial import LARGE, Trial, run
 
 SHRINKING = 100  # runs that a violation is made small with
 
@@ -101,7 +100,7 @@ def prepare(task: Falsification) -> Prepared:
     content = task.model_dump(mode="json", exclude=free) | {"content": scenario.model_dump(mode="json")}
     if package := needs(task.sampler, space.size):
         need(package, "falsify")
-    nominal = run(Trial(-1, scenario, {}, names))
+    nominal = run(trial(scenario, {}, names))
     if nominal["error"]:
         raise ScenarioError(f"{task.scenario}: the run without changes cannot be judged: {nominal['error']}")
     return Prepared(space, names, nominal["figures"], content)
@@ -120,7 +119,7 @@ def falsify(
     out : Path
         Gets ``falsification.json`` and ``rows.jsonl``; the runs that an earlier call left there are not run again.
     workers, scheduler
-        See `softrig_optim.sweep.stream`.
+        See `softrig_optim.sweep.Workers`.
 
     Raises
     ------
@@ -130,44 +129,36 @@ def falsify(
     space, names, nominal, content = prepared
     replace(out / "falsification.json", same(content, out / "falsification.json", "falsification"))
     sizes = _sizes(nominal)
-    log = Log(out / "rows.jsonl", task.budget)
-    rows = {row["number"]: row for row in log.rows()}
-    try:
-        with progress(task.name, task.budget) as advance:
+    asked: list[Point] = []
+    rows: list[dict[str, Any]] = []
+    with Batch(task.name, Log(out / "rows.jsonl", task.budget), workers, scheduler) as batch:
 
-            def measure(points: Sequence[Point]) -> list[float]:
-                first = len(asked)
-                asked.extend(points)
-                numbers = range(first, len(asked))
-                trials = [Trial(n, space.scenario, space.overrides(asked[n]), names, task.budget) for n in numbers]
-                todo = [trial for trial in trials if not log.knows(trial.case)]
-                for _, row in stream(run, todo, workers=workers, scheduler=scheduler) if todo else ():
-                    log.add(row)
-                    rows[row["number"]] = row
-                for _ in numbers:
-                    advance()
-                return [margin(rows[n]["figures"], sizes) for n in numbers]
+        def measure(points: Sequence[Point]) -> list[float]:
+            works = [
+                trial(space.scenario, space.overrides(point), names, number, task.budget)
+                for number, point in enumerate(points, len(asked))
+            ]
+            new = batch.rows(works)
+            asked.extend(points)
+            rows.extend(new)
+            return [margin(row["figures"], sizes) for row in new]
 
-            asked: list[Point] = []
-            enough = 0.0 if task.first else -math.inf
-            found = search(
-                [over.size for over in space.overs],
-                measure,
-                task.budget,
-                seed=task.seed,
-                sampler=task.sampler,
-                enough=enough,
-            )
-    finally:
-        log.close()
-    broken = [(rows[n]["overrides"], rows[n]["error"]) for n in range(found.runs) if rows[n]["error"]]
-    worst = next((r for n in range(found.runs) if (r := rows[n]) and asked[n] == found.point), None)
+        found = search(
+            [over.size for over in space.overs],
+            measure,
+            task.budget,
+            seed=task.seed,
+            sampler=task.sampler,
+            enough=0.0 if task.first else -math.inf,
+        )
+    broken = [(row["overrides"], row["error"]) for row in rows if row["error"]]
+    worst = next((row for row, point in zip(rows, asked, strict=True) if point == found.point), None)
     case = None if worst is None else (space.scenario, dict(worst["overrides"]))
     small, small_margins, runs = None, {}, 0
     if worst is not None and case is not None and found.least < 0.0:
         violated = tuple(n for n, m in worst["figures"].items() if m is not None and m < 0.0)
         small, runs = shrink(space, case[1], lambda c: _violates(c, violated), SHRINKING)
-        small_margins = run(Trial(-1, *small, names))["figures"]
+        small_margins = run(trial(*small, names))["figures"]
     margins = worst["figures"] if worst is not None else {}
     return Outcome(space, names, nominal, margins, found, case, small, small_margins, runs, broken)
 
@@ -199,5 +190,5 @@ def margin(margins: Mapping[str, float | None], sizes: Mapping[str, float]) -> f
 
 
 def _violates(case: Case, names: tuple[str, ...]) -> bool:
-    margins = run(Trial(-1, *case, names))["figures"]
+    margins = run(trial(*case, names))["figures"]
     return any(m is not None and m < 0.0 for m in margins.values())

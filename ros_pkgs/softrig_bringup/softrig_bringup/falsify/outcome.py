@@ -11,17 +11,17 @@ from typing import Any
 
 import yaml
 from softrig_core import Run, Scenario, figures_of, list_scenarios, load_scenario, rig_of
+from softrig_core.command_line import named
 from softrig_core.processes.placement import Placement
 
 from ..folder import FALSIFICATION, ResultsFolder, replace
 from ..report.report import write_report
 from ..run.run import checked, execute, illustrate, save, summary
-from ..study.options import pair
+from ..study.work import LARGE
 from .definition import Falsification, falsification_of, list_falsifications
 from .engine import Outcome, falsify, prepare
 from .picture import draw_worst
 from .shrink import Case
-from .trial import LARGE
 
 PICTURE = "worst.png"
 
@@ -34,7 +34,7 @@ def main(options: argparse.Namespace) -> int:
     keys = ("budget", "seed", "sampler", "duration", "first")
     changes = {k: v for k in keys if (v := getattr(options, k)) is not None}
     changes |= {"requirements": options.requirement} if options.requirement else {}
-    changes["over"] = dict(pair(text, "--over", "NODE.PARAM=a..b or SIGNAL=a..b*6") for text in options.over)
+    changes["over"] = dict(named(text, "--over", "LOW..HIGH") for text in options.over)
     task = falsification_of(options.what, changes)
     out = options.out or Path("runs") / f"falsify_{task.name}"
     folder = ResultsFolder(out, FALSIFICATION)

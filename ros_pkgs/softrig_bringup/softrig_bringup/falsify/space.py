@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 from softrig_core import Rig, Scenario, ScenarioError, rig_of
@@ -15,35 +14,22 @@ from softrig_core.rig.members import signal_units
 from softrig_core.scenario.references import pick
 from softrig_core.wire.signals import topic_of
 
-_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
-_RANGE = re.compile(rf"(log )?\s*({_NUMBER})\.\.({_NUMBER})(?:([*~])(\d+))?")
-FORMS = "expected a..b, 'log a..b', for lists and signals a..b*N (steps), for signals also a..b~N (lines)"
-MANY = 50  # numbers of one profile or list: a search over more finds nothing in its budget
+from ..options.grammar import FORMS, Span, span
 
 
 @dataclass(frozen=True)
-class Over:
-    """One thing that the search may change.
+class Over(Span):
+    """One thing that the search may change: within which range, and what.
 
     Parameters
     ----------
     key : str
         ``node.parameter``, ``fault.parameter``, or the name of a signal.
-    low, high : float
-    log : bool
-        Whether its logarithm is searched.
-    count : int
-        Numbers of a list or profile; 0: a single number.
-    linear, adds : bool
-        Of a profile on a signal: joined by lines; added to what is sent instead of replacing it.
+    adds : bool
+        Of a profile on a signal: added to what is sent instead of replacing it.
     """
 
-    key: str
-    low: float
-    high: float
-    log: bool = False
-    count: int = 0
-    linear: bool = False
+    key: str = ""
     adds: bool = False
 
     @property
@@ -83,22 +69,12 @@ def parse(key: str, given: str) -> Over:
     """
     key = key.strip()
     adds, key = key.endswith("+"), key.removesuffix("+").strip()
-    found = _RANGE.fullmatch(str(given).strip())
-    if not found:
-        raise ScenarioError(f"{key} = {given!r}: {FORMS}")
-    low, high = float(found[2]), float(found[3])
-    count = int(found[5] or 0)
-    if low > high:
-        raise ScenarioError(f"{key} = {given}: {low:g} is above {high:g}")
-    if found[1] and low <= 0.0:
-        raise ScenarioError(f"{key} = {given}: a logarithm needs a range above 0")
-    if found[4] and not 1 <= count <= MANY:
-        raise ScenarioError(f"{key} = {given}: expected 1 to {MANY} numbers, got {count}")
-    if "/" in key and not count:
-        raise ScenarioError(f"{key} = {given}: a signal takes a profile, such as {low:g}..{high:g}*6")
-    if adds and "/" not in key:
-        raise ScenarioError(f"{key}+ = {given}: only to signals can be added")
-    return Over(key, low, high, bool(found[1]), count, found[4] == "~", adds)
+    over = Over(**asdict(span(key, given)), key=key, adds=adds)
+    if over.on_signal and not over.count:
+        raise ScenarioError(f"{key}={given}: a signal takes a profile, such as {over.low:g}..{over.high:g}*6")
+    if adds and not over.on_signal:
+        raise ScenarioError(f"{key}+={given}: only to signals can be added")
+    return over
 
 
 @dataclass(frozen=True)

@@ -3,20 +3,30 @@
 from __future__ import annotations
 
 import argparse
+import hashlib
 import json
 import shlex
+import struct
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from softrig_core import Port, Recording, Rig, Run, Scenario, ScenarioError, rig_of
 from softrig_core.block.codec import Decoder
 from softrig_core.block.port import Refused
+from softrig_core.rig.code import LETTERS
+from softrig_core.rig.members import Member
 from softrig_core.timebase import SECOND
 from softrig_core.wire.parameter_event import recorded
 from softrig_core.wire.recording import Topic
 
+from .packed import METRICS, SCENARIO, Digest, about, is_pack, need_packages, opened
+
+#: Of the versions of a run, what decides its bits, the likeliest first.
+DECIDE = ("math", "casadi", "pin", "numpy", "scipy", "machine", "blas", "simd", "libc", "python")
+MADE_WITH = ("versions", "code", "contents")
 TAPE = "recorded_inputs"  # node that says what came from outside
 #: What a node in real time counts when a tick is not what it would be in lockstep, in words.
 LATE = {
@@ -39,10 +49,15 @@ class Recalled:
         Of its command.
     bag : Path
     recording : Recording
+        Empty where the bag was left out of a pack.
     epoch : int
         What its stamps count from, ns; 0 of a run in lockstep.
     late : mapping of str to mapping
         By node, of a run in real time: see `LATE`.
+    made_with : mapping of str to mapping
+        ``versions``, ``code`` and ``contents`` as ``metrics.json`` has them; a bag alone may know less.
+    digests : mapping of str to Digest
+        By topic, in place of the recording.
     """
 
     path: Path
@@ -51,6 +66,8 @@ class Recalled:
     recording: Recording
     epoch: int
     late: Mapping[str, Mapping[str, int]]
+    made_with: Mapping[str, Mapping[str, Any]]
+    digests: Mapping[str, Digest] = MappingProxyType({})
 
 
 def _reached(recording: Recording, epoch: int) -> int:
@@ -65,43 +82,74 @@ def lateness(status: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, int
 
 
 def recall(path: Path, parse: Callable[[list[str]], argparse.Namespace]) -> Recalled:
-    """Find out what a run was, from its bag alone.
+    """Find out what a run was, from its bag alone or from what `softrig pack` has made of it.
 
     Parameters
     ----------
     path : Path
-        Directory of the run, or its bag.
+        Directory of the run, its bag, a single .mcap file of it, or a pack.
     parse : callable
         Gives the options of what follows ``softrig run``.
 
     Raises
     ------
     ScenarioError
-        No such run, or it has no bag, which alone knows what was changed while it ran.
+        No such run, it has no bag, which alone knows what was changed while it ran, or a package that it needs is not
+        installed here.
     """
     from softrig_bags.errors import BagError
     from softrig_bags.read import read_bag
     from softrig_bags.reader import BagReader
 
+    if is_pack(path):
+        return _unpacked(path, parse)
     bag = path / "bag" if (path / "bag").is_dir() else path
-    if bag is path and (path / "metrics.json").is_file():
+    if bag is path and (path / METRICS).is_file():
         raise ScenarioError(f"--like {path}: that run kept no bag: nobody knows what was changed while it ran")
     try:
         with BagReader(bag) as reader:
-            about = reader.custom_data
-        command = shlex.split(about.get("command", "") or _command(bag.absolute().parent / "metrics.json"))
-        late = json.loads(about.get("late", "{}"))
-        epoch = int(about.get("epoch", "0"))
+            data = reader.custom_data
+        content = _content(bag.absolute().parent / METRICS)
+        begun = json.loads(data.get("from", "{}")).get("command", "")  # of one that went on from another
+        command = shlex.split(begun or data.get("command", "") or str(content["command"]))
+        late = json.loads(data.get("late", "{}"))
+        made_with = {key: json.loads(data[key]) for key in MADE_WITH if key in data}
+        made_with = {key: dict(content[key]) for key in MADE_WITH if key in content} | made_with
+        epoch = int(data.get("epoch", "0"))
         options = parse(command[command.index("run") + 1 :])
-        return Recalled(path, options, bag.absolute(), read_bag(bag), epoch, late)
+        recording = read_bag(bag)
     except (BagError, OSError, ValueError, KeyError, TypeError):
-        raise ScenarioError(f"--like {path}: expected the directory of a run, or the bag of one that says how it was "
-                            "made") from None  # fmt: skip
+        raise ScenarioError(f"--like {path}: expected the directory of a run, the bag of one that says how it was "
+                            "made, or a file of `softrig pack`") from None  # fmt: skip
+    need_packages(f"--like {path}", made_with.get("code", ()))
+    return Recalled(path, options, bag.absolute(), recording, epoch, late, made_with)
 
 
-def _command(metrics: Path) -> str:
-    """Of a bag that does not say it."""
-    return str(json.loads(metrics.read_text())["command"])
+def _unpacked(path: Path, parse: Callable[[list[str]], argparse.Namespace]) -> Recalled:
+    """Recall a run from a pack."""
+    from softrig_bags.read import read_bag
+    from softrig_bags.reader import BagReader
+
+    folder = opened(path)
+    said = about(folder)
+    need_packages(f"--like {path}", [*said.packages, *said.code])
+    options = parse([str(folder / SCENARIO / f"{said.scenario}.yaml")])
+    made_with = said.model_dump(include=set(MADE_WITH))
+    bag = folder / "bag"
+    if not bag.is_dir():
+        return Recalled(path, options, bag, Recording(()), 0, {}, made_with, said.digests)
+    with BagReader(bag) as reader:
+        late, epoch = json.loads(reader.custom_data.get("late", "{}")), int(reader.custom_data.get("epoch", "0"))
+    return Recalled(path, options, bag, read_bag(bag), epoch, late, made_with)
+
+
+def _content(metrics: Path) -> Mapping[str, Any]:
+    """Read what stands beside a bag, which may be there by itself."""
+    try:
+        content = json.loads(metrics.read_text())
+    except (OSError, ValueError):
+        return {}
+    return content if isinstance(content, dict) else {}
 
 
 def repeated(scenario: Scenario, run: Recalled) -> Scenario:
@@ -112,6 +160,8 @@ def repeated(scenario: Scenario, run: Recalled) -> Scenario:
     ScenarioError
         Somebody else's plant: it alone knows what it does.
     """
+    if run.digests:
+        return scenario  # its file has them
     by_time: dict[float, dict[str, Any]] = {}
     for t, node, values in recorded(run.recording, run.epoch):
         by_time.setdefault(t / SECOND, {}).update({f"{node}.{name}": value for name, value in values.items()})
@@ -119,13 +169,17 @@ def repeated(scenario: Scenario, run: Recalled) -> Scenario:
     if rig.clock.external:
         raise ScenarioError(f"--like {run.path}: {rig.clock.name} was outside, and gave the ticks: it alone can repeat "
                             "them")  # fmt: skip
-    inputs = from_outside(rig, run.recording)
     nodes: dict[str, Any] = {name: entry for name, entry in scenario.nodes.items() if not entry.external}
-    if inputs:
-        parameters = {"period": str(rig.clock.schedule.period), "bag": str(run.bag),
-                      "inputs": [_text(port) for port in inputs]}  # fmt: skip
-        nodes |= {TAPE: {"package": "softrig_bags", "executable": "tape", "parameters": parameters}}
+    nodes |= tape(rig, run)
     return scenario.having(nodes=nodes, changes=[{"at": at, "set": values} for at, values in by_time.items()])
+
+
+def tape(rig: Rig, run: Recalled, until: float = 0.0) -> dict[str, Any]:
+    """Give the node that says what came from outside, up to a time (s; 0: all), if anything has."""
+    inputs = from_outside(rig, run.recording)
+    parameters = {"period": str(rig.clock.schedule.period), "bag": str(run.bag), "until": until,
+                  "inputs": [_text(port) for port in inputs]}  # fmt: skip
+    return {TAPE: {"package": "softrig_bags", "executable": "tape", "parameters": parameters}} if inputs else {}
 
 
 def from_outside(rig: Rig, recording: Recording) -> list[Port]:
@@ -149,40 +203,101 @@ def _text(port: Port) -> str:
 # what a repetition has brought -----------------------------------------------------------------------------------
 
 
-def compared(before: Recalled, run: Run) -> tuple[bool, list[str]]:
+def compared(before: Recalled, run: Run, made_with: Mapping[str, Any]) -> tuple[bool, list[str]]:
     """Hold a repetition against the run: whether all nodes said the same numbers at the same ticks; in words.
 
     The end counts as far as both have come: in real time the last tick may be over before all have answered it.
+
+    Parameters
+    ----------
+    before : Recalled
+    run : Run
+    made_with : mapping
+        What has made the repetition, as ``metrics.json`` has it.
+
+    Returns
+    -------
+    same : bool
+    told : list of str
+        The last line says whether it repeats, and if not, which version differs first.
     """
-    lines, messages, topics = [], 0, 0
-    for member in run.rig.members:
-        for port in member.outputs:
-            old = before.recording.topics.get(port.topic)
-            if old is None or member.name == TAPE:
-                continue
-            topics += 1
-            new = run.recording.topics[port.topic]
-            a, b = list(_values(port, old, before.epoch)), list(_values(port, new, run.epoch))
-            common = min(a[-1][0], b[-1][0]) if a and b else -1
-            if port.sporadic:  # its last message may be long ago
-                common = min(
-                    _reached(before.recording, before.epoch), _reached(run.recording, run.epoch)
-                ) - member.schedule.time(2)
-            a, b = ([row for row in rows if row[0] <= common] for rows in (a, b))
-            messages += len(a)
-            k = next((k for k, (x, y) in enumerate(zip(a, b, strict=False)) if x != y), min(len(a), len(b)))
-            if a != b:
-                at = min([rows[k][0] for rows in (a, b) if k < len(rows)], default=0)
-                lines.append(f"{port.topic} from t = {at / SECOND:.9g} s")
+    lines, messages, topics = _differences(before, run)
     same = not lines and messages > 0
-    told = [f"repeats {before.path} number for number: {messages} messages on {topics} topics"]
+    late = [f"that run was late: {words(before.late)}"] if before.late else []
     if not messages:
-        told = [f"nothing of {before.path} could be compared: no message of any node that runs here"]
-    if lines:
-        told = [f"differs from {before.path}: {', '.join(lines)}"]
-    if before.late:
-        told.append(f"that run was late: {words(before.late)}")
-    return same, told
+        return same, [*late, f"nothing of {before.path} could be compared: no message of any node that runs here"]
+    if same:
+        return same, [*late, f"repeats {before.path} number for number: {messages} messages on {topics} topics"]
+    return same, [
+        *late,
+        f"differs from {before.path}: {', '.join(lines)}; {first_version(before.made_with, made_with)}",
+    ]
+
+
+def _differences(before: Recalled, run: Run) -> tuple[list[str], int, int]:
+    """Say where topics begin to differ; how many messages on how many topics were compared."""
+    lines, messages, topics = [], 0, 0
+    for topic, digest in digests(run).items() if before.digests else ():
+        if (old := before.digests.get(topic)) is not None:
+            topics, messages = topics + 1, messages + old.messages
+            lines += [topic] if old != digest else []
+    for member, port in _said(run):
+        old_topic = before.recording.topics.get(port.topic)
+        if old_topic is None:
+            continue
+        topics += 1
+        a = list(_values(port, old_topic, before.epoch))
+        b = list(_values(port, run.recording.topics[port.topic], run.epoch))
+        common = min(a[-1][0], b[-1][0]) if a and b else -1
+        if port.sporadic:  # its last message may be long ago
+            common = min(
+                _reached(before.recording, before.epoch), _reached(run.recording, run.epoch)
+            ) - member.schedule.time(2)
+        a, b = ([row for row in rows if row[0] <= common] for rows in (a, b))
+        messages += len(a)
+        k = next((k for k, (x, y) in enumerate(zip(a, b, strict=False)) if x != y), min(len(a), len(b)))
+        if a != b:
+            at = min([rows[k][0] for rows in (a, b) if k < len(rows)], default=0)
+            lines.append(f"{port.topic} from t = {at / SECOND:.9g} s")
+    return lines, messages, topics
+
+
+def _said(run: Run) -> Iterable[tuple[Member, Port]]:
+    """Give what nodes say, the one that says what came from outside left out."""
+    return ((m, port) for m in run.rig.members if m.name != TAPE for port in m.outputs)
+
+
+def digests(run: Run) -> dict[str, Digest]:
+    """Give the digest of each topic that a node of a run has spoken on."""
+    found = {}
+    for _, port in _said(run):
+        rows = list(_values(port, run.recording.topics[port.topic], run.epoch))
+        hashed = hashlib.sha256()
+        for t, stamp, values in rows:
+            hashed.update(struct.pack(f"<qq{len(values)}d", t, stamp, *(v + 0.0 for v in values)))  # -0 equals 0
+        found[port.topic] = Digest(messages=len(rows), sha256=hashed.hexdigest()[:32])
+    return found
+
+
+def first_version(there: Mapping[str, Any], here: Mapping[str, Any]) -> str:
+    """Say what of what makes two runs differs first: code of people's own, of softrig, files, libraries."""
+
+    def pairs(key: str, names: Iterable[str]) -> Iterable[tuple[str, Any, Any]]:
+        a, b = there.get(key, {}), here.get(key, {})
+        return ((name, a[name], b.get(name, "none")) for name in names if name in a and a[name] != b.get(name, "none"))
+
+    own = sorted(there.get("code", ()), key=lambda name: (name.startswith("softrig_"), name))
+    rest = [name for name in there.get("versions", ()) if name not in (*DECIDE, "commit", "run.lock")]
+    for what, found in (
+        ("the code of ", pairs("code", own)), ("the files of ", pairs("contents", there.get("contents", ()))),
+        ("", pairs("versions", [*DECIDE, *rest])),
+    ):  # fmt: skip
+        for name, a, b in found:
+            commits = [str(w.get("versions", {}).get("commit", ""))[:LETTERS] for w in (there, here)]
+            of = f" (commit {commits[0]} there, {commits[1]} here)" if what == "the code of " and all(commits) else ""
+            shown = f"{a} there, {b} here" if what != "the files of " else "other hashes"
+            return f"the first version that differs is {what}{name}: {shown}{of}"
+    return "no version differs" if there.get("versions") else "its versions are not known"
 
 
 def words(late: Mapping[str, Mapping[str, int]]) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections import deque
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Literal
@@ -12,15 +13,14 @@ import numpy as np
 from softrig_core import ScenarioError, figures_of, rig_of
 from softrig_core.errors import closest
 from softrig_core.extras import need
-from softrig_core.guard import say
 from softrig_core.judge.expectation import Expectation
 from softrig_core.wire.signals import full_name
-from softrig_optim.sweep import progress, stream
 
 from ..folder import STUDY, ResultsFolder, replace
+from .batch import Batch, Log
 from .definition import Search, Study
 from .draw import Case, cases, count
-from .work import Log, Work, run, value_of
+from .work import Work, value_of
 
 
 def run_study(study: Study, out: Path, *, workers: int | None = None, scheduler: str = "") -> Log:
@@ -32,7 +32,7 @@ def run_study(study: Study, out: Path, *, workers: int | None = None, scheduler:
     out : Path
         Gets ``study.json`` and ``rows.jsonl``; what an earlier call left there is kept and not run again.
     workers, scheduler
-        See `softrig_optim.sweep.stream`.
+        See `softrig_optim.sweep.Workers`.
 
     Returns
     -------
@@ -51,31 +51,16 @@ def run_study(study: Study, out: Path, *, workers: int | None = None, scheduler:
     _check(study)
     with folder.alone():
         replace(out / "study.json", content)
+        log = Log(out / "rows.jsonl", count(study), None if study.search else cases(study))
         try:
-            return _run(study, Log(out / "rows.jsonl", count(study), None if study.search else cases(study)), workers,
-                        scheduler)  # fmt: skip
+            with Batch(study.name, log, workers, scheduler) as batch:
+                if study.search:
+                    _search(study, study.search, batch)
+                else:
+                    deque(batch.run(_work(study, case) for case in cases(study)), 0)
+            return log
         finally:
             folder.close()
-
-
-def _run(study: Study, log: Log, workers: int | None, scheduler: str) -> Log:
-    if log.passed_over:
-        say(f"{log.path}: {log.passed_over} of its lines are no rows of this study (cut off, damaged, doubled); they "
-            "are passed over, and what is missing is run")  # fmt: skip
-    try:
-        with progress(study.name, count(study)) as advance:
-            for _ in range(len(log)):
-                advance()
-            if study.search:
-                _search(study, study.search, log, workers, scheduler, advance)
-            else:
-                todo = (_work(study, case) for case in cases(study) if not log.knows(case))
-                for _, row in stream(run, todo, workers=workers, scheduler=scheduler):
-                    log.add(row)
-                    advance()
-    finally:
-        log.close()
-    return log
 
 
 def _work(study: Study, case: Case) -> Work:
@@ -140,7 +125,7 @@ def _suggest_middle(d: Any) -> Any:
     return _values(d, np.array([0.5]))[0]
 
 
-def _search(study: Study, search: Search, log: Log, workers: int | None, scheduler: str, advance: Any) -> None:
+def _search(study: Study, search: Search, batch: Batch) -> None:
     """Ask and tell in batches; rows that are there already are told again in the same order."""
     need("optuna", f"{study.name}: its search")
     import optuna
@@ -153,22 +138,17 @@ def _search(study: Study, search: Search, log: Log, workers: int | None, schedul
     direction: Literal["minimize", "maximize"] = "minimize" if search.aim == "minimise" else "maximize"
     asked = optuna.create_study(direction=direction, sampler=samplers[search.sampler]())
     space = {name: _optuna(name, d) for name, d in search.parameters.items()}
-    rows = {row["number"]: row for row in log.rows()}
     seeds: list[int | None] = [*study.seeds] if study.seeds else [None]
     worst = math.inf if search.aim == "minimise" else -math.inf
     for start in range(0, search.count, search.batch):
         trials = [asked.ask(space) for _ in range(min(search.batch, search.count - start))]
-        batch = [
-            Case((start + i) * len(seeds) + k, study.scenario, "", dict(trial.params), seed)
+        works = [
+            _work(study, Case((start + i) * len(seeds) + k, study.scenario, "", dict(trial.params), seed))
             for i, trial in enumerate(trials) for k, seed in enumerate(seeds)
         ]  # fmt: skip
-        todo = [_work(study, case) for case in batch if not log.knows(case)]
-        for _, row in stream(run, todo, workers=workers, scheduler=scheduler) if todo else ():
-            log.add(row)
-            rows[row["number"]] = row
-            advance()
+        rows = batch.rows(works)
         for i, trial in enumerate(trials):
-            own = [rows[(start + i) * len(seeds) + k] for k in range(len(seeds))]
+            own = rows[i * len(seeds) : (i + 1) * len(seeds)]
             mine = [row["figures"].get(search.figure) for row in own]
             value = worst if None in mine else float(np.mean(mine))
             for name, limits in search.subject_to.items():

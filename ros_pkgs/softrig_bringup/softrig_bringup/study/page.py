@@ -25,7 +25,7 @@ from ..page.html import NONE, e, mark, picture, table, write_page
 from ..page.wording import NEVER, accepted, short
 from .definition import Study, list_studies
 from .engine import beyond, run_study
-from .options import study_of
+from .options import folder_name, study_of
 from .pictures import chosen, draw_study, in_short, label
 from .table import Row, claims, command, results, without_signals, write_table
 from .work import absent, value_of
@@ -40,7 +40,7 @@ def main(options: argparse.Namespace) -> int:
         print("\n".join(sorted(list_studies())))
         return 0
     study = study_of(options)
-    out = options.out or Path("runs") / f"study_{study.name}"
+    out = options.out or Path("runs") / folder_name(study.name, options)
     need("pyarrow", "the table of a study")  # before hours of runs, not after
     log = run_study(study, out, workers=options.workers, scheduler=options.scheduler)
     rows = without_signals(log.rows())

@@ -10,7 +10,7 @@ from softrig_core import Run, RunError, ScenarioError, figures_of, load_scenario
 from softrig_core.guard import say
 from softrig_core.verdict.figures import Result
 from softrig_core.verdict.findings import Finding
-from softrig_optim.sweep import progress, stream
+from softrig_optim.sweep import sweep
 
 from ..page.junit import Case, Suite, write_reports
 from ..page.wording import NEVER, accepted, spans
@@ -24,12 +24,7 @@ def main(options: argparse.Namespace) -> int:
     for path in (options.junit, options.json):
         if path is not None and not path.absolute().parent.is_dir():
             raise ScenarioError(f"{path}: there is no folder {path.absolute().parent}")
-    found: dict[int, dict[str, Any]] = {}
-    with progress("check", len(names)) as advance:
-        for k, outcome in stream(judge, names, workers=options.workers):
-            found[k] = outcome
-            advance()
-    outcomes = [found[k] for k in range(len(names))]
+    outcomes = sweep(judge, names, title="check", workers=options.workers)
     suites = [suite_of(outcome) for outcome in outcomes]
     for suite in suites:
         bad = len(suite.failures)

@@ -21,9 +21,14 @@ def verbs(verb: Verb) -> None:
     _judge(verb)
     _analyse(verb)
     _ros(verb)
-    new = verb("new", "verbs.new:main", "write a package with a plant, a law, a scenario and tests, to begin with")
+    new = verb("new", "verbs.new:main", "write a package with a plant, a law or both, a scenario and tests")
     new.add_argument("name", metavar="NAME", help="of the package: lower-case letters, digits and _")
+    new.add_argument("--only", choices=("law", "plant"), help="a law for a plant that is there, or a plant by itself")
     new.add_argument("--into", type=Path, default=Path(), metavar="DIR", help="where its folder is made (here)")
+    pack = verb("pack", "verbs.pack:main", "a run as one file, your own packages in it: `run --like FILE` elsewhere")
+    pack.add_argument("run", type=Path, metavar="RUN", help="its folder, or its bag")
+    pack.add_argument("--out", type=Path, metavar="FILE", help="the new file (SCENARIO.softrig.zip, here)")
+    pack.add_argument("--no-bag", action="store_true", help="without what was recorded: digests are compared")
     env = verb("env", "cli:env", 'an environment for your shell: eval "$(scripts/softrig env)"; `env COMMAND` runs one '
                "command in it, colcon too; `env --completion`: completion of our words")  # fmt: skip
     env.add_argument("--completion", nargs="?", const="bash", choices=("bash", "zsh", "fish"))
@@ -74,11 +79,10 @@ def _vary(verb: Verb) -> None:
     study = verb("study", "study.page:main",
                  "a scenario over grids, draws, seeds or a search; interrupted, the next call goes on")  # fmt: skip
     study.add_argument("study", help="name or file of a study, or a scenario; `study list` shows the studies")
-    study.add_argument("--grid", action="extend", nargs="+", default=[], metavar="NODE.PARAM=A,B,C",
+    study.add_argument("--grid", action="append", default=[], metavar="NAME=A,B,C",
                        help="every combination; also LOW:HIGH:STEP with both ends")  # fmt: skip
-    study.add_argument(
-        "--draw", action="extend", nargs="+", default=[], metavar="NODE.PARAM=LOW..HIGH", help="drawn uniformly"
-    )
+    study.add_argument("--draw", action="append", default=[], metavar="NAME=LOW..HIGH",
+                       help="drawn uniformly; also 'log LOW..HIGH', of a list LOW..HIGH*N, one of A,B,C")  # fmt: skip
     study.add_argument("--draws", type=Number(int, 1), default=100, metavar="N", help="how many points are drawn (100)")
     study.add_argument("--method", choices=("random", "latin_hypercube"), default="latin_hypercube")
     study.add_argument("--search", metavar="FIGURE", help="minimise this figure over what --draw names")
@@ -89,16 +93,16 @@ def _vary(verb: Verb) -> None:
     study.add_argument("--duration", type=float, metavar="S", help="instead of the scenario's")
     study.add_argument("--figures", nargs="+", default=[], metavar="FIGURE", help="only these")
     study.add_argument("--signals", nargs="+", default=[], metavar="SIGNAL", help="keep and draw these")
-    study.add_argument("--out", type=Path, metavar="DIR", help="results go here (default runs/study_NAME)")
+    study.add_argument("--out", type=Path, metavar="DIR", help="results go here (runs/study_NAME and what is varied)")
     _workers(study)
     falsify = verb(
         "falsify", "falsify.outcome:main", "look for the run that violates a requirement, made small and kept"
     )
     falsify.add_argument("what", metavar="SCENARIO", help="or the name of a falsification in config/studies; `list`")
     falsify.add_argument("--requirement", action="append", default=[], metavar="NAME", help="default: all")
-    falsify.add_argument("--over", action="append", default=[], metavar="KEY=A..B",
-                         help="NODE.PARAM=a..b, FAULT.PARAM=a..b, 'log a..b', a list or SIGNAL=a..b*6 (steps), "
-                              "SIGNAL=a..b~6 (lines), SIGNAL+=a..b*6 (added to it)")  # fmt: skip
+    falsify.add_argument("--over", action="append", default=[], metavar="NAME=LOW..HIGH",
+                         help="of a node, fault or signal; 'log LOW..HIGH', list or signal: LOW..HIGH*N (steps), of "
+                              "a signal LOW..HIGH~N (lines), SIGNAL+=LOW..HIGH*N (added to it)")  # fmt: skip
     falsify.add_argument("--budget", type=Number(int, 1), metavar="N", help="runs (200)")
     falsify.add_argument("--seed", type=Number(int, 0), metavar="N", help="of the search (0)")
     falsify.add_argument("--sampler", choices=("cmaes", "tpe", "random"), help="after the corners (cmaes)")
@@ -130,9 +134,8 @@ def _judge(verb: Verb) -> None:
     golden.add_argument("--duration", type=float, metavar="S", help="another length of the golden run")
     golden.add_argument("--seed", type=int, metavar="N", help="another seed")
     golden.add_argument("--bags", type=Path, default=Path("bags"), metavar="DIR", help="where they are")
-    for parser in (check, results):
-        parser.add_argument("--workers", type=Number(int, 1), metavar="N", help="processes (default: all cores)")
     for parser in (check, results, golden):
+        parser.add_argument("--workers", type=Number(int, 1), metavar="N", help="processes (default: all cores)")
         parser.add_argument("--junit", type=Path, metavar="FILE", help="report as JUnit XML")
         parser.add_argument("--json", type=Path, metavar="FILE", help="report as JSON")
 
@@ -149,7 +152,7 @@ def _analyse(verb: Verb) -> None:
         sub.add_argument("scenario", help="name or YAML file")
         sub.add_argument("--at", type=Number(float, 0), metavar="S", help="when (the scenario's end)")
         sub.add_argument("--output", action="append", metavar="SIGNAL", help="signal that counts (what plants say)")
-        sub.add_argument("--set", action="append", default=[], metavar="NODE.PARAM=VALUE", help="as in run")
+        sub.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="as in run")
 
 
 def _ros(verb: Verb) -> None:

@@ -24,6 +24,7 @@ from softrig_core.block.params import flatten
 from softrig_core.scenario.places import explain
 from softrig_core.scenario.yaml_file import read_yaml
 from softrig_core.wire.signals import topic_of
+from softrig_optim.sweep import sweep
 
 from ..folder import replace
 from ..page.junit import Case, Suite, write_reports
@@ -258,12 +259,16 @@ def load(folder: Path, **changes: Any) -> Golden:
     ScenarioError
         golden.yaml is missing or wrong; names file and key.
     """
+    recipe = _read(folder, changes)
+    return Golden(folder, recipe, _rig(recipe))
+
+
+def _read(folder: Path, changes: dict[str, Any]) -> Recipe:
     file = folder / "golden.yaml"
     if not file.is_file():
         raise ScenarioError(f"{folder} has no golden.yaml; --bags DIR says where golden bags are")
     content = read_yaml(file.read_text(errors="replace"), str(file))
-    recipe = _recipe(file, content | changes if isinstance(content, dict) else content)
-    return Golden(folder, recipe, _rig(recipe))
+    return _recipe(file, content | changes if isinstance(content, dict) else content)
 
 
 def create(folder: Path, scenario: str, duration: float | None = None, seed: int = 0) -> Golden:
@@ -306,11 +311,11 @@ def _write(file: Path, recipe: Recipe) -> None:
 def main(options: argparse.Namespace) -> int:
     """Do what the command line says; gives the exit status."""
     return remade(options.names, options.bags, duration=options.duration, seed=options.seed, check=options.check,
-                  junit=options.junit, as_json=options.json)  # fmt: skip
+                  junit=options.junit, as_json=options.json, workers=options.workers)  # fmt: skip
 
 
 def remade(names: Sequence[str], folder: Path, *, duration: float | None, seed: int | None, check: bool,
-         junit: Path | None = None, as_json: Path | None = None) -> int:  # fmt: skip
+           junit: Path | None = None, as_json: Path | None = None, workers: int | None = 1) -> int:  # fmt: skip
     """Regenerate golden bags (all of the folder when none is named), or only check them.
 
     A duration or seed changes the recipes that are there and leaves the rest of them, which was edited by hand.
@@ -326,28 +331,21 @@ def remade(names: Sequence[str], folder: Path, *, duration: float | None, seed: 
     chosen = list(names) or sorted(p.parent.name for p in folder.glob("*/golden.yaml"))
     if not chosen:
         raise ScenarioError(f"{folder} has no golden bags yet; name the scenarios to make them of")
-    status, suites, content = 0, [], []
+    suites, content = [], []
     differing: set[str] = set()
-    for name in chosen:
-        there = (folder / name / "golden.yaml").is_file()
-        golden = load(folder / name, **changes) if there or check else create(folder / name, name, **changes)
-        how = golden.how if golden.bag.exists() else ""
-        differing |= golden.others.keys()
-        try:
-            result = golden.compare(golden.rerun()) if check else golden.make()
-        except RunError as error:
-            raise RunError(f"{name}: {error}") from error
-        size = sum(f.stat().st_size for f in golden.bag.glob("*")) / 1e3
-        print(f"{name}: {golden.recipe.duration:g} s, {size:.0f} kB, "
-              + ("new" if result is None else f"{'agrees' if result.equal else 'DIFFERS'} {how}"))  # fmt: skip
-        if result is not None and not result.equal:
-            print(result)
-            status = 1 if check else status
-        differs = "" if result is None or result.equal else str(result)
-        suites.append(Suite(name, 0.0, [Case("bag", differs, f"{golden.recipe.duration:g} s")]))
-        content.append({"bag": name, "scenario": golden.recipe.scenario, "duration_s": golden.recipe.duration,
-                        "seed": golden.recipe.seed, "pass": not differs, "compared": how,
-                        "differs": differs})  # fmt: skip
+    for name in chosen if check else ():  # what is wrong with a recipe is said before the first run
+        _read(folder / name, changes)
+    works = [(folder / name, changes, check) for name in chosen]
+    for row, new, others in sweep(_one, works, title="golden bags", workers=workers if check else 1):
+        name, length = row["bag"], f"{row['duration_s']:g} s"
+        size = sum(f.stat().st_size for f in (folder / name / "bag").glob("*")) / 1e3
+        print(f"{name}: {length}, {size:.0f} kB, "
+              + ("new" if new else f"{'agrees' if row['pass'] else 'DIFFERS'} {row['compared']}"))  # fmt: skip
+        if not row["pass"]:
+            print(row["differs"])
+        suites.append(Suite(name, 0.0, [Case("bag", row["differs"], length)]))
+        content.append(row)
+        differing |= others
     write_reports(junit, suites, as_json, content)
     if check:
         now = versions()
@@ -355,4 +353,20 @@ def remade(names: Sequence[str], folder: Path, *, duration: float | None, seed: 
             f"{now['machine']}, CPython {now['python']}, {now.get('libc') or 'unknown C library'}, math {now['math']}"
         )
         print(f'{here}: in bits.md the line "{line(differing)}"')
-    return status
+    return 1 if check and not all(row["pass"] for row in content) else 0
+
+
+def _one(work: tuple[Path, dict[str, Any], bool]) -> tuple[dict[str, Any], bool, set[str]]:
+    """Make or check a golden bag: give what is to be said of it, whether there was none before, its `others`."""
+    folder, changes, check = work
+    there = check or (folder / "golden.yaml").is_file()
+    golden = load(folder, **changes) if there else create(folder, folder.name, **changes)
+    how, others = golden.how if golden.bag.exists() else "", set(golden.others)
+    try:
+        result = golden.compare(golden.rerun()) if check else golden.make()
+    except RunError as error:
+        raise RunError(f"{folder.name}: {error}") from error
+    differs = "" if result is None or result.equal else str(result)
+    return {"bag": folder.name, "scenario": golden.recipe.scenario, "duration_s": golden.recipe.duration,
+            "seed": golden.recipe.seed, "pass": not differs, "compared": how,
+            "differs": differs}, result is None, others  # fmt: skip

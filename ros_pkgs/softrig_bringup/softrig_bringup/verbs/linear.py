@@ -10,15 +10,11 @@ from typing import Any
 
 from softrig_core import LinearView, NoOperatingPoint, linear_view, steady
 
-from ..options.run_options import assignment
+from ..options.grammar import settings
 from ..terminal.listing import console
 
 DEGREES = 180.0 / math.pi
 SHOWN = 8  # modes
-
-
-def _overrides(options: argparse.Namespace) -> dict[str, Any]:
-    return dict(assignment(text) for text in options.set)
 
 
 def numbers(view: LinearView) -> dict[str, Any]:
@@ -50,7 +46,7 @@ def linearise(options: argparse.Namespace) -> int:
     """Print poles and margins; with ``--out``, write numbers and pictures."""
     view = linear_view(
         options.scenario, options.open, at=options.at, inputs=options.input, outputs=options.output,
-        overrides=_overrides(options),
+        overrides=settings(options.set),
     )  # fmt: skip
     out = console()
     out.print(f"{view.rig}, t = {view.at:.6g} s: {len(view.states)} states, period {view.period:g} s")
@@ -97,7 +93,7 @@ def _states(shares: dict[str, float]) -> str:
 def print_steady(options: argparse.Namespace) -> int:
     """Print an operating point; status 1 when there is none."""
     try:
-        point = steady(options.scenario, at=options.at, outputs=options.output, overrides=_overrides(options))
+        point = steady(options.scenario, at=options.at, outputs=options.output, overrides=settings(options.set))
     except NoOperatingPoint as error:
         print(f"softrig: {error}", file=sys.stderr)
         return 1

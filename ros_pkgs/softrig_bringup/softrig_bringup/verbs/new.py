@@ -1,4 +1,4 @@
-"""A package to begin with: a plant, a law, their scenario and tests, which builds and runs as it is."""
+"""A package to begin with: a plant, a law or both, a scenario and tests, which builds and runs as it is."""
 
 from __future__ import annotations
 
@@ -12,21 +12,32 @@ import sys
 from importlib.resources import files
 from pathlib import Path
 from string import Template
+from typing import NamedTuple
 
 from softrig_core import ScenarioError
+from softrig_core.scenario.scenario_file import find
 
 # template, and where it goes; $name below stands for the package's name
-FILES = {
-    "package.xml": "package.xml",
-    "setup.py": "setup.py",
-    "setup.cfg": "setup.cfg",
-    "README.md": "README.md",
-    "plant.py": "$name/plant.py",
-    "controller.py": "$name/controller.py",
-    "scenario.yaml": "scenarios/$name.yaml",
-    "test.py": "test/test_$name.py",
-}
+FILES = {"package.xml": "package.xml", "setup.py": "setup.py", "setup.cfg": "setup.cfg", "README.md": "README.md"}
 EMPTY = ("$name/__init__.py", "resource/$name")
+
+
+class Kind(NamedTuple):
+    """What a package can be: in words, further files, packages that it needs, what a first change of it is."""
+
+    what: str
+    files: dict[str, str]
+    depends: tuple[str, ...]
+    change: str
+
+
+PLANT, LAW = "$name/plant.py", "$name/controller.py"
+KINDS = {
+    "both": Kind("a plant and its control law", {"plant.py": PLANT, "controller.py": LAW}, ("softrig_control",),
+                 "${name}_controller.r=0.1"),
+    "law": Kind("a control law for a plant that is there", {"law.py": LAW}, ("softrig_drives",), "dc_motor_smc.kp=1.5"),
+    "plant": Kind("a plant", {"plant.py": PLANT}, ("softrig_control",), "${name}_plant.m=0.3"),
+}  # fmt: skip
 
 
 def command() -> str:
@@ -40,7 +51,7 @@ def first(place: str) -> str:
     return f"{command()} --workspace {place}" if checkout else f"pip install ./{place} && softrig"
 
 
-def new_package(name: str, parent: Path) -> Path:
+def new_package(name: str, parent: Path, kind: str = "both") -> Path:
     """Write a package.
 
     Parameters
@@ -49,6 +60,8 @@ def new_package(name: str, parent: Path) -> Path:
         Of the package: lower-case letters, digits and _.
     parent : Path
         The folder in which its own folder is made.
+    kind : str
+        ``both``, ``law`` or ``plant``; see `KINDS`.
 
     Returns
     -------
@@ -58,20 +71,34 @@ def new_package(name: str, parent: Path) -> Path:
     Raises
     ------
     ScenarioError
-        Not a name for a package, one that is taken, or a folder that is there already.
+        Not a name for a package, one that is taken by a package or a scenario, or a folder that is there already.
     """
     if not re.fullmatch(r"[a-z]([a-z0-9_]*[a-z0-9])?", name) or "__" in name:
         raise ScenarioError(f"package name {name!r}: expected lower-case letters, digits and single _, as in my_rig")
     taken = name in sys.stdlib_module_names or keyword.iskeyword(name) or name == "test"
     if taken or any(d.name.replace("-", "_").lower() == name for d in importlib.metadata.distributions()):
         raise ScenarioError(f"package name {name!r}: taken by a Python package that is installed here")
+    if (there := find(name)) is not None:
+        raise ScenarioError(f"package name {name!r}: `run {name}` is a scenario already ({there.name}); choose another")
     folder = parent / name
     if folder.exists() or folder.is_symlink():
         raise ScenarioError(f"{folder} is there already; choose another name or --into DIR")
-    values = {"name": name, "softrig": command(), "first": first(".")}
+    made = KINDS[kind]
+    files_of = (
+        FILES | made.files | {f"{kind}_scenario.yaml": "scenarios/$name.yaml", f"{kind}_test.py": "test/test_$name.py"}
+    )
+    modules = [Path(place).stem for place in made.files.values()]
+    values = {
+        "name": name, "softrig": command(), "first": first("."), "What": made.what.capitalize(),
+        "modules": ", ".join(f"`{name}/{module}.py`" for module in modules),
+        "executables": "\n".join(f"    {name}_{module} = {name}.{module}:main" for module in sorted(modules)),
+        "executable": f"{name}_{modules[0]}",
+        "depends": "\n".join(f"  <exec_depend>{package}</exec_depend>" for package in made.depends),
+        "change": Template(made.change).substitute(name=name),
+    }  # fmt: skip
     source = files("softrig_bringup") / "template"
     texts = {Template(to).substitute(values): Template((source / f"{file}.template").read_text(encoding="utf-8"))
-             for file, to in FILES.items()}  # fmt: skip
+             for file, to in files_of.items()}  # fmt: skip
     for to, text in texts.items():
         _write(folder / to, text.substitute(values))
     for to in EMPTY:
@@ -86,8 +113,9 @@ def _write(path: Path, text: str) -> None:
 
 def main(options: argparse.Namespace) -> int:
     """Write a package and say what to do with it."""
-    folder = new_package(options.name, options.into)
+    folder = new_package(options.name, options.into, options.only or "both")
     shown = shlex.quote(os.path.relpath(folder))
-    print(f"wrote {shown}: a plant, a law, their scenario, tests, README.md; now:")
+    others = "; `--only law` or `--only plant` writes that alone" if not options.only else ""
+    print(f"wrote {shown}: {KINDS[options.only or 'both'].what}, a scenario, tests, README.md{others}; now:")
     print(f"  {first(shown)} run {options.name}")
     return 0

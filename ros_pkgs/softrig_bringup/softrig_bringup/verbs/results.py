@@ -24,7 +24,7 @@ from softrig_core import (
 from softrig_core.guard import say
 from softrig_core.rig.code import fingerprints
 from softrig_core.verdict.findings import Finding, findings, needed, values
-from softrig_optim.sweep import progress, stream
+from softrig_optim.sweep import sweep
 
 from ..folder import ResultsFolder, replace
 from ..page.junit import Case, Suite, write_reports
@@ -146,11 +146,8 @@ def gather(
     """
     scenarios = list(scenarios)
     names = sorted(set().union(*(needed(s) for s in scenarios)))
-    measured: dict[str, Measured] = {}
-    with progress("scenarios", len(names)) as advance:
-        for _, found in stream(measure, [(name, keep) for name in names], workers=workers):
-            measured[found.name] = found
-            advance()
+    runs = sweep(measure, [(name, keep) for name in names], title="scenarios", workers=workers)
+    measured = {found.name: found for found in runs}
 
     def figures(name: str) -> dict[str, float] | None:
         found = measured.get(name)

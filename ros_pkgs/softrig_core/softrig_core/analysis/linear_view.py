@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
@@ -440,8 +441,7 @@ class Differences:
             column, direct = self.columns[self.link]
             b, c, d = column[kept], C[-1], float(direct[-1])
             if not c.any() or not b.any():
-                raise RunError(f"{m.rig.scenario.name}: what is added to {self.link} at {m.t:g} s does not come back "
-                               "there: no loop")  # fmt: skip
+                raise RunError(f"{m.rig.scenario.name}: {self._no_loop()}")
             A = a + np.outer(b, c) / (1.0 - d)
             B = B + np.outer(b, D[-1]) / (1.0 - d)
             C, D = C + np.outer(direct, c) / (1.0 - d), D + np.outer(direct, D[-1]) / (1.0 - d)
@@ -457,6 +457,30 @@ class Differences:
             self.errors.get(worst, 0.0), m.names[worst] if isinstance(worst, int) else worst,
             self._variation(kept, A),
         )  # fmt: skip
+
+    def _no_loop(self) -> str:
+        """Say why nothing small that is added at the link comes back there."""
+        m, link = self.map, self.link
+        member, port, _ = m.places[link]
+        readers = {
+            r.name for r in upstream(member).values()
+            for k in r.links.values() if (k.source.name, k.port.name) == (member.name, port.name)
+        }  # fmt: skip
+        if not readers:
+            return f"{member.name} hears nothing of what {link} does: no loop"
+        size = _power(abs(self.said[link]) or 1.0)
+
+        def back(height: float) -> list[float]:
+            return [said[link] for _, said in m.go_on(m.start, CHECKED, {link: height}, self.fixed)]
+
+        begun, after = back(0.0), f"at {m.t:g} s, within {CHECKED} periods"
+        for n in range(-20, 4):
+            with suppress(RunError):  # too far: a limit, a domain
+                if any(back(sign * size * 2.0**n) != begun for sign in (1.0, -1.0)):
+                    return (f"a change of {link} by {size * 2.0**n:.3g} comes back there {after}, a smaller one does "
+                            "not: on the way something goes in steps (a quantised sensor, a switch, a search), and "
+                            "that has no linear view; take the steps away, or another link")  # fmt: skip
+        return f"no change of {link} comes back there {after}: on the way something rests on a limit, or waits"
 
     def _signal(self, name: str) -> None:
         size = _power(abs(self.said[name]) or 1.0)

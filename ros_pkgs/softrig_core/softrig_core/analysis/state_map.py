@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..block.moment import keep, put_back
 from ..block.port import Port, Sample
 from ..block.runner import Runner
 from ..block.step import Step
@@ -30,6 +31,9 @@ from ..wire.signals import full_name
 Array = NDArray[np.float64]
 LONGEST = 20_000  # ticks that one period of the whole may have
 LOOKS = 20  # times before that are looked at to see how large states are
+
+
+HEARD = "heard "  # before the names of inputs: a state may be called as an input is
 
 
 class Place(NamedTuple):
@@ -203,10 +207,10 @@ class StateMap:
                     looks.append(self._read())
                 if k == self._first - 1:
                     break
-        self._saved = self._save()
+        self._saved = keep(self._steps.values())
         self.names, self.start = self._read()
         self._labels = {
-            f"{n}.{p.name}{'.data' if p.delayed else ''}" + (f"[{k}]" if p.size > 1 else ""): f"{n}.{p.name}.{label}"
+            f"{n}.{HEARD}{p.name}{'.data' * p.delayed}" + (f"[{k}]" if p.size > 1 else ""): f"{n}.{p.name}.{label}"
             for n, s in self._steps.items() for p in s.inputs for k, label in enumerate(p.labels)
         }  # fmt: skip
         last: dict[str, float] = {}
@@ -240,7 +244,7 @@ class StateMap:
         names: list[str] = []
         rows: list[Array] = [np.empty(0)]
         for name, step in self._steps.items():
-            parts = [read(step.x), *(read(value, port) for port, value in step.values.items())]
+            parts = [read(step.x), *(read(value, HEARD + port) for port, value in step.values.items())]
             for path, row in (pair for part in parts for pair in part):
                 own = f"{name}.{path}" if path else name
                 names.extend([own] if len(row) == 1 else [f"{own}[{k}]" for k in range(len(row))])
@@ -256,20 +260,6 @@ class StateMap:
             step.x, inputs = put(whole, split(whole, numbers[at : at + size]))
             step.values.update(zip(step.values, inputs, strict=True))
             at += size
-
-    def _save(self) -> Any:
-        return [
-            (s, s.save(), dict(s.values), s.t, s.bad, list(s.spoken), s.said, list(s._changes), s.change_at)
-            for s in self._steps.values()
-        ]
-
-    def _restore(self) -> None:
-        for step, held, values, t, bad, spoken, said, changes, change_at in self._saved:
-            step.load(held)
-            step.values.update(values)
-            step.t, step.bad, step.spoken, step.said, step.change_at = t, bad, list(spoken), said, change_at
-            step._changes.clear()
-            step._changes.extend(changes)
 
     def __call__(
         self, numbers: Array, added: Mapping[str, float], fixed: Mapping[str, float] | None = None
@@ -299,7 +289,7 @@ class StateMap:
         fixed: Mapping[str, float] | None = None,
     ) -> Iterator[tuple[Array, dict[str, float]]]:  # fmt: skip
         """Go some periods on; gives what `__call__` gives after each of them."""
-        self._restore()
+        put_back(self._steps.values(), self._saved)
         self._write(numbers)
         added, fixed = added or {}, fixed or {}
         for name, probe in self.probes.items():

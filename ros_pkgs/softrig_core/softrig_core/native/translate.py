@@ -65,11 +65,14 @@ class Program:
         Gives the `Writer` of a function.
     ages : mapping of (number of a block, input) to int or None
         What `Block.age` answers, where it is always the same.
+    typed : bool
+        Whether objects in a state are as native code takes them (`twins.packed`).
     """
 
     roots: Sequence[Any]
     writer: Callable[..., Any]
     ages: Mapping[tuple[int, str], int | None] = field(default_factory=dict)
+    typed: bool = True
     functions: list[str] = field(default_factory=list)
     names: dict[str, Any] = field(default_factory=dict)
     words: set[str] = field(default_factory=set)

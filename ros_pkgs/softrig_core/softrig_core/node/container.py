@@ -21,7 +21,6 @@ from rclpy.node import Node
 from ..errors import RunError
 from ..guard import secure_streams, tell
 from ..interrupt import interrupt
-from ..processes.shared_memory import clear_ports, domain_id
 from ..rig.installed import load_block
 from ..timebase import SECOND
 from .adapter.adapter import Adapter
@@ -31,7 +30,7 @@ from .main import make_adapter
 from .ros.contained import ContainedMiddleware
 from .ros.garbage import Garbage
 from .ros.leave import leave
-from .ros.profile import exclusive
+from .ros.profile import joining
 from .ros.ros import ServingNode
 from .seam.exchange import Exchange
 
@@ -137,8 +136,7 @@ def main(args: Sequence[str] | None = None) -> NoReturn:
     container = Container()
     where = "container"
     try:
-        with exclusive():
-            clear_ports(domain_id())
+        with joining(exclusive=True):
             rclpy.init(args=[])
             interrupt.early = False
             if "fastrtps" not in (rmw := rclpy.get_rmw_implementation_identifier()):

@@ -17,7 +17,6 @@ from ..block.block import Block, Plant
 from ..block.params import Declaration, build, declarations, flatten
 from ..guard import secure_streams, tell
 from ..interrupt import interrupt
-from ..processes.shared_memory import clear_ports, domain_id
 from ..rig.options import RunOptions
 from ..solver.rehearsal import rehearse
 from .adapter.adapter import Adapter
@@ -27,11 +26,12 @@ from .face.tuning import Tuning
 from .group import Group
 from .ros.leave import leave
 from .ros.messages import range_descriptor
+from .ros.profile import joining
 from .ros.ros import RosMiddleware, ServingNode
 from .seam.middleware import Middleware
 
 # read by a node and no parameters of it afterwards: what `ros2 param dump` gives is to fit another run
-RUNNERS = ("run.shard", "run.status", "run.links", "run.changes")
+RUNNERS = ("run.shard", "run.status", "run.links", "run.changes", "run.again")
 ARRAYS = {float: Parameter.Type.DOUBLE_ARRAY, int: Parameter.Type.INTEGER_ARRAY, bool: Parameter.Type.BOOL_ARRAY,
           str: Parameter.Type.STRING_ARRAY}  # fmt: skip
 
@@ -49,10 +49,10 @@ def run_node(block_class: type[Block], argv: Sequence[str]) -> NoReturn:
         if stray:
             raise ValueError(f"unexpected argument {stray[0]!r}: expected --ros-args -p NAME:=VALUE and the like; "
                              "--help shows the parameters")  # fmt: skip
-        clear_ports(domain_id())
-        rclpy.init(args=list(argv))
-        interrupt.early = False
-        node = ServingNode(name)
+        with joining():
+            rclpy.init(args=list(argv))
+            interrupt.early = False
+            node = ServingNode(name)
         with interrupt.leaving(partial(leave, [node], 0)):  # to compile takes seconds
             adapter = make_adapter(node, block_class, RosMiddleware(node))
         Group([adapter])

@@ -14,11 +14,11 @@ from pathlib import Path
 
 from ..errors import RunError, ScenarioError
 from ..kit.compiled import cache_folder
+from .ports import BASE, GAIN
 
 DOMAINS = range(1, 101)  # 0 is everybody's default; above 101 the ports of Linux' ephemeral range begin
 HIGHEST = 232  # what DDS can number
 SIOCGIFFLAGS, IFF_UP = 0x8913, 1  # of Linux: <net/if.h>
-PORT_BASE, PORT_GAIN = 7400, 250  # of its UDP ports: the DDSI-RTPS specification, section 9.6.1
 
 
 @contextmanager
@@ -125,7 +125,7 @@ def inhabited() -> set[int]:
         with suppress(OSError):  # not Linux, or no IPv6
             for line in table.read_text().splitlines()[1:]:
                 port = int(line.split()[1].rpartition(":")[2], 16)
-                found.add((port - PORT_BASE) // PORT_GAIN)
+                found.add((port - BASE) // GAIN)
     return found
 
 

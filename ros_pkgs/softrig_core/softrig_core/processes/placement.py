@@ -28,6 +28,8 @@ class Placement:
         Limit in s of the wait for all nodes, 0 for none; by default the scenario's, and none for external nodes.
     paused : bool
         In lockstep: the run is held at t = 0 until its clock is told to resume.
+    pace : float
+        In lockstep: simulated by wall-clock time, 0 for as fast as it goes.
     record : bool
         Whether nodes record what they publish; without, the recording is empty.
     """
@@ -39,6 +41,7 @@ class Placement:
     only: Sequence[str] = ()
     wait: float | None = None
     paused: bool = False
+    pace: float = 0.0
     record: bool = True
 
     def __str__(self) -> str:

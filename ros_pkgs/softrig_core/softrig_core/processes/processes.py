@@ -19,7 +19,7 @@ from .executables import environment
 from .guests import Guests
 from .peers import starter
 from .placement import NOBODY, PROCESSES, Listener, Placement
-from .shared_memory import remove_leftovers
+from .shared_memory import lacking, remove_leftovers
 from .spawning import groups, start
 from .stopping import signal_of, stoppable, undisturbed, unstopped
 from .supervision import supervise
@@ -95,6 +95,9 @@ def run_processes(
         own_domain = domain is None
         domain = stack.enter_context(free_domain()) if domain is None else domain
         remove_leftovers(domain if own_domain else None)
+        members = groups(rig, placement.shared(rig), only)
+        if listener.announce is not None and (why := lacking(len(members))):
+            listener.announce(f"{why}: what does not fit goes by UDP, which takes longer")
         variables = environment(
             domain, directory, discovery="SUBNET" if only else "LOCALHOST", silence=rig.scenario.timeout
         )
@@ -105,8 +108,9 @@ def run_processes(
             with stoppable() as stopping:
                 try:
                     guests.invite(domain)
-                    options = {"run.mode": placement.clock, "run.start_timeout": wait, "run.paused": placement.paused}
-                    for group in groups(rig, placement.shared(rig), only):
+                    options = {"run.mode": placement.clock, "run.start_timeout": wait, "run.paused": placement.paused,
+                               "run.pace": placement.pace}  # fmt: skip
+                    for group in members:
                         # A signal waits until it is known who has been started; what Python does at a fork would
                         # swallow it with a traceback, besides.
                         with unstopped():

@@ -8,8 +8,11 @@ import time
 from contextlib import ExitStack, suppress
 from pathlib import Path
 
+from .ports import FLOWS, of_domain
+
 FOLDER = Path("/dev/shm")
 AGE = 2.0  # s: between making a segment and locking it pass some microseconds
+SIZE = 1_250_000  # bytes that the segments and ports of a node take
 MADE = b"\2\0\0\0"  # how a segment begins that its maker has finished (Boost.Interprocess)
 
 
@@ -19,6 +22,7 @@ def remove_leftovers(domain: int | None = None, folder: Path = FOLDER) -> int:
     As `fastdds shm clean` does: an owner holds a lock on ``NAME_el`` (or, with others, on ``NAME_sl``), which the
     operating system drops when the process ends. What belongs to other users is left alone, and so are the ports of
     other domains: who looks whether a port is locked locks it, and a node that starts in that moment cannot open it.
+    (Of those that are not of a domain it takes the next one then.)
     A port whose maker was killed before it had finished goes in any domain: whoever opens it waits for the maker for
     ever.
 
@@ -32,8 +36,8 @@ def remove_leftovers(domain: int | None = None, folder: Path = FOLDER) -> int:
     locked = {p.name[:-3] for p in (*folder.glob("fastrtps_*_el"), *folder.glob("fastrtps_*_sl"))}
     ports = {p.name for p in folder.glob("fastrtps_port*") if p.name[-3:] not in ("_el", "_sl")}
     stems = {s for s in locked if not s.startswith("fastrtps_port")} | {p for p in ports if _half_made(folder / p)}
-    if domain is not None:
-        stems |= {f"fastrtps_port{n}" for n in _numbers(domain)} & (ports | locked)
+    numbers = [*FLOWS, *(of_domain(domain) if domain is not None else ())]
+    stems |= {f"fastrtps_port{n}" for n in numbers} & (ports | locked)
     for stem in sorted(stems):
         locks = [p for p in (folder / f"{stem}_el", folder / f"{stem}_sl") if p.exists()]
         # the locks last, and held until then: a node that starts now must not take the port meanwhile
@@ -58,7 +62,7 @@ def clear_ports(domain: int, folder: Path = FOLDER) -> None:
         ROS_DOMAIN_ID; others may be in it.
     folder : Path
     """
-    ours = {f"fastrtps_port{n}" for n in _numbers(domain)}
+    ours = {f"fastrtps_port{n}" for n in (*FLOWS, *of_domain(domain))}
     while True:
         there = os.listdir(folder) if folder.is_dir() else []
         unfinished = [folder / name for name in there if name in ours and _unfinished(folder / name)]
@@ -73,16 +77,78 @@ def clear_ports(domain: int, folder: Path = FOLDER) -> None:
         time.sleep(0.02)
 
 
+def lacking(processes: int, folder: Path = FOLDER) -> str:
+    """Say why messages of so many nodes will not all go by shared memory; empty where they will."""
+    try:
+        left = os.statvfs(folder)
+    except OSError as error:
+        return f"{folder}: {error.strerror}"
+    if not os.access(folder, os.W_OK):
+        return f"{folder} cannot be written"
+    free, needed = left.f_bavail * left.f_frsize, processes * SIZE
+    return "" if free >= needed else f"{folder} has {free / 1e6:.1f} MB left, {processes} nodes take {needed / 1e6:.1f}"
+
+
 def domain_id() -> int:
     """Give the ROS_DOMAIN_ID of the environment; what is none is refused by rcl."""
     text = os.environ.get("ROS_DOMAIN_ID", "")
     return int(text) if text.isdecimal() else 0
 
 
-def _numbers(domain: int) -> range:
-    """Give the numbers of a domain's ports."""
-    first = 7400 + 250 * domain  # RTPS 9.6.1
-    return range(first, first + 250)
+class Ears:
+    """The ports of this process, through which it hears of what others send it in shared memory.
+
+    A port is known by its name. One whose file is another by now, or gone, is written to by those who had opened it
+    before, and by nobody else.
+    """
+
+    PATIENCE = 1.0  # s: Fast DDS itself replaces one that is damaged
+
+    def __init__(self) -> None:
+        self._good: dict[Path, int] = {}  # inodes
+        self._since: dict[Path, float] = {}
+
+    def lost(self) -> str:
+        """Name a port of ours that was taken away; empty when there is none."""
+        if self._good and all(_inode(path) == inode for path, inode in self._good.items()):
+            self._since.clear()
+            return ""
+        try:
+            own, mapped = _own(), _mapped()
+        except OSError:  # not Linux
+            return ""
+        self._good = {path: inode for path in own if (inode := _inode(path)) in mapped.get(path, ())}
+        now = time.monotonic()
+        self._since = {path: self._since.get(path, now) for path in own - self._good.keys()}
+        return next((path.name for path, since in self._since.items() if now - since >= self.PATIENCE), "")
+
+
+def _inode(path: Path) -> int:
+    try:
+        return path.stat().st_ino
+    except OSError:
+        return 0
+
+
+def _own() -> set[Path]:
+    """Give the ports on which this process holds the lock of who reads them."""
+    found = set()
+    for entry in Path("/proc/self/fd").iterdir():
+        with suppress(OSError):
+            target = os.readlink(entry).removesuffix(" (deleted)")
+            if "/fastrtps_port" in target and target.endswith("_el"):
+                found.add(Path(target.removesuffix("_el")))
+    return found
+
+
+def _mapped() -> dict[Path, set[int]]:
+    """Give the inodes of the ports that this process has mapped, by the names they had."""
+    found: dict[Path, set[int]] = {}
+    for line in Path("/proc/self/maps").read_text().splitlines():
+        if "/fastrtps_port" in line:
+            *_, inode, name = line.removesuffix(" (deleted)").split(maxsplit=5)
+            found.setdefault(Path(name), set()).add(int(inode))
+    return found
 
 
 def _half_made(path: Path) -> bool:

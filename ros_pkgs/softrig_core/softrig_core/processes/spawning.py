@@ -30,7 +30,7 @@ def groups(rig: Rig, containers: Iterable[Sequence[str]], only: Sequence[str] = 
 
 
 def node_parameters(rig: Rig, member: Member, seed: int, mode: str, *,
-                    recorders: Sequence[str] | None = None) -> dict[str, Any]:  # fmt: skip
+                    recorders: Sequence[str] | None = None, returns: bool = False) -> dict[str, Any]:  # fmt: skip
     """Give the ROS parameters that start a member of a rig: those of its block that differ, and how it runs.
 
     Parameters
@@ -42,10 +42,13 @@ def node_parameters(rig: Rig, member: Member, seed: int, mode: str, *,
     recorders : sequence of str, optional
         Nodes outside the rig that read everything and are awaited, besides those that ask for it; None: the domain is
         the rig's own, nobody else is in it.
+    returns : bool
+        Whether a node that died is started again.
     """
     default = flatten(member.block_class.Params())
     own = {k: v for k, v in flatten(member.params).items() if v != default.get(k)}
-    others = {} if recorders is None else {"public": True, "recorders": list(recorders)}
+    others: dict[str, Any] = {"returns": returns}
+    others |= {} if recorders is None else {"public": True, "recorders": list(recorders)}
     return own | {
         "run.mode": mode,
         "run.seed": seed,

@@ -78,7 +78,10 @@ def explain(error: ValidationError, model: type[BaseModel] | None = None) -> str
     more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
     hint = first["msg"].removeprefix("Value error, ")
     if first["type"] == "extra_forbidden":
-        hint = "unknown key" + closest(str(first["loc"][-1]), _keys(model, first["loc"][:-1]))
+        key, keys = str(first["loc"][-1]), _keys(model, first["loc"][:-1])
+        hint = f"unknown key{closest(key, keys)}"
+        if "arguments" in keys and hint == "unknown key":  # of a figure
+            hint += f"; what its function takes belongs below arguments: {{{key}: ...}}"
     whole = first["type"] == "missing" or isinstance(first["input"], BaseModel | dict)
     given = "" if whole else f", got {first['input']!r}"[:120]
     return f"{where}: {hint}{given}{more}" if where else f"{hint}{more}"

@@ -71,7 +71,7 @@ def locate(name: str) -> tuple[str, Path]:
     path = Path(name)
     if path.suffix in (".yaml", ".yml") and isfile(path):
         return path.stem, path
-    found = _find(name)
+    found = find(name)
     if found is None and (path.suffix in (".yaml", ".yml") or len(path.parts) > 1):
         raise ScenarioError(f"{name}: no such file, expected a scenario's YAML file or its name")
     if found is None:
@@ -245,14 +245,26 @@ def parent_of(path: Path, parent: Any) -> Path:
     if not isinstance(parent, str) or "/" in parent:
         raise ScenarioError(f"{path.name}: extends: expected the name of a scenario, got {parent!r}"[:200])
     beside = path.with_name(f"{parent}.yaml")
-    found = beside if isfile(beside) else _find(parent, path.parent)
+    found = beside if isfile(beside) else find(parent, path.parent)
     if found is None:
         raise ScenarioError(f"{path.name}: extends {parent!r}, which is unknown{closest(parent, list_scenarios())}")
     return found
 
 
-def _find(name: str, first: Path | None = None) -> Path | None:
-    """Find the file of a scenario: that of its own name, else the longest beginning of it that has this variant."""
+def find(name: str, first: Path | None = None) -> Path | None:
+    """Find the file of a scenario: that of its own name, else the longest beginning of it that has this variant.
+
+    Parameters
+    ----------
+    name : str
+    first : Path, optional
+        A folder to look into before those of `scenario_folders`.
+
+    Returns
+    -------
+    Path or None
+        None: there is none of that name.
+    """
     for folder in chain([first] if first else [], scenario_folders()):
         stem = "" if "/" in name else name
         while stem:

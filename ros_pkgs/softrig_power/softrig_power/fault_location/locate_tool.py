@@ -13,6 +13,7 @@ from softrig_bags.read import read_bag
 from softrig_bags.write import write_bag
 from softrig_core import ParameterError, Recording, RunError, ScenarioError, Signals, vector3
 from softrig_core.block.params import build
+from softrig_core.command_line import named
 from softrig_core.wire.cdr import parse
 
 from .comtrade_file import ComtradeFileError, read_comtrade
@@ -94,16 +95,16 @@ def to_bag(record: Record, path: Path) -> None:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="softrig locate", description="Locate a line fault from records of both ends.",
-        epilog="The line's data must be told, by --line or all four by --set line.length=... line.r1=... line.l1=... "
-        "line.c1=...",
+        epilog="The line's data must be told, by --line or all four by --set line.length=... --set line.r1=... --set "
+        "line.l1=... --set line.c1=...",
     )  # fmt: skip
     parser.add_argument("source", nargs="+", type=Path, metavar="FILE",
                         help="a bag, a COMTRADE .cfg with both ends, or two: end S, end R")  # fmt: skip
     parser.add_argument("--line", metavar="FILE",
                         help="YAML: length (km), r1 (ohm/km), l1 (H/km), c1 (F/km); or paper: Table I")  # fmt: skip
-    parser.add_argument("--set", nargs="+", action="extend", default=[], metavar="NAME=VALUE",
+    parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE",
                         help="parameters, see fault_locator")  # fmt: skip
-    parser.add_argument("--error", nargs="+", action="extend", default=[], metavar="NAME=VALUE",
+    parser.add_argument("--error", action="append", default=[], metavar="NAME=VALUE",
                         help="uncertainties: sync_us, ratio, reactance, resistance")  # fmt: skip
     parser.add_argument("--window", nargs=2, type=float, metavar=("START", "END"),
                         help="s in the record; default: found from the fault's inception")  # fmt: skip
@@ -116,12 +117,10 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _assignments(texts: Sequence[str]) -> dict[str, Any]:
+def _named(option: str, texts: Sequence[str]) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for text in texts:
-        name, equals, value = text.partition("=")
-        if not equals:
-            raise ScenarioError(f"{text!r}: expected NAME=VALUE")
+        name, value = named(text, option, "VALUE")
         if name in found:
             raise ScenarioError(f"{text!r}: {name} is {found[name]} already")
         found[name] = value
@@ -129,7 +128,7 @@ def _assignments(texts: Sequence[str]) -> dict[str, Any]:
 
 
 def _params(options: argparse.Namespace) -> LocatorParams:
-    given = _assignments(options.set)
+    given = _named("--set", options.set)
     given |= line_data(options.line, given)
     if options.window is not None:
         given |= {"window_start": options.window[0], "window_end": options.window[1]}
@@ -137,4 +136,4 @@ def _params(options: argparse.Namespace) -> LocatorParams:
 
 
 def _budget(options: argparse.Namespace) -> Any:
-    return build(ErrorBudget, _assignments(options.error))
+    return build(ErrorBudget, _named("--error", options.error))

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import lru_cache
 from typing import Any, get_args
 
 import numpy as np
 from softrig_core.block.params import build
-from softrig_optim.sweep import stream
+from softrig_optim.sweep import sweep
 
 from .cases import PUBLISHED, Case
 from .location import locate
@@ -84,8 +84,7 @@ def run_case(case: Case, rig: Settings, locator: Settings) -> Row:
 Job = tuple[Case, Settings, Settings]
 
 
-def run(jobs: Sequence[Job], processes: int | None = None, progress: Callable[[int, int], object] | None = None
-        ) -> list[Row]:  # fmt: skip
+def run(jobs: Sequence[Job], processes: int | None = None) -> list[Row]:
     """Run jobs on all cores; the rows come in the order of the jobs and do not depend on the number of processes.
 
     Parameters
@@ -93,15 +92,8 @@ def run(jobs: Sequence[Job], processes: int | None = None, progress: Callable[[i
     jobs : sequence of (Case, rig settings, locator settings)
     processes : int, optional
         Worker processes; all cores when absent, 1: in this process.
-    progress : callable, optional
-        Called with how many are done, of how many.
     """
-    rows: dict[int, Row] = {}
-    for k, row in stream(_run_job, jobs, workers=processes):
-        rows[k] = row
-        if progress is not None:
-            progress(len(rows), len(jobs))
-    return [rows[k] for k in range(len(jobs))]
+    return sweep(_run_job, jobs, title="faults", workers=processes)
 
 
 def _run_job(job: Job) -> Row:

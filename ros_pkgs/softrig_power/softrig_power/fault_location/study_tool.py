@@ -17,8 +17,6 @@ from .objective import LocatorParams
 from .parameters import FaultParams, RigParams
 from .study import METHODS, SENSITIVITY, Row, as_csv, published_jobs, run, sensitivity, simulate
 
-WIDTH = 40  # of the progress bar
-
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the study; 0 when it is complete."""
@@ -34,7 +32,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(sensitivity_table(sensitivity(processes=options.processes)))
         return 0
     began = time.monotonic()
-    rows = run(published_jobs(options.methods, options.profile), options.processes, _progress)
+    rows = run(published_jobs(options.methods, options.profile), options.processes)
     print(summary(rows))
     print(f"{len(rows)} locations in {time.monotonic() - began:.0f} s")
     if options.out is not None:
@@ -65,12 +63,6 @@ def sensitivity_table(table: dict[str, list[float]]) -> str:
     lines = ["error in m".ljust(24) + "".join(f"{head:>20}" for head in heads)]
     lines += [name.ljust(24) + "".join(f"{value:>20.1f}" for value in values) for name, values in table.items()]
     return "\n".join(lines)
-
-
-def _progress(done: int, total: int) -> None:
-    if sys.stderr.isatty():
-        bar = "#" * (WIDTH * done // total)
-        print(f"\r[{bar:<{WIDTH}}] {done}/{total}", end="\n" if done == total else "", file=sys.stderr, flush=True)
 
 
 def _save(rows: Sequence[Row], out: Path) -> None:

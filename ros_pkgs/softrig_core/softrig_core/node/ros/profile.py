@@ -1,19 +1,23 @@
-"""A Fast DDS profile whose participant does not match its own writers with its own readers.
+"""How a process of ours joins a domain: with a Fast DDS profile of its own, made of the one that it is given.
 
-What two nodes of one container say to each other goes by memory; DDS would deliver it a second time. With the property
-`fastdds.ignore_local_endpoints` the endpoints stay in the graph and are matched with other processes only.
+Its ports are such that nobody who was killed just now had them (see `processes.ports` for why), and in a container it
+does not match its own writers with its own readers: what two nodes of one process say to each other goes by memory, DDS
+would deliver it a second time. With the property `fastdds.ignore_local_endpoints` the endpoints stay in the graph and
+are matched with other processes only.
 """
 
 from __future__ import annotations
 
 import os
-import tempfile
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from tempfile import NamedTemporaryFile
 
 from ...processes.executables import PROFILE
+from ...processes.ports import chosen
+from ...processes.shared_memory import clear_ports, domain_id
 
 PROPERTY = "fastdds.ignore_local_endpoints"
 VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
@@ -21,21 +25,36 @@ SPACE = "http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles"
 
 
 @contextmanager
-def exclusive() -> Iterator[None]:
-    """Within the block, new participants have the profile of the environment (ours without one) and the property."""
-    given = os.environ.get(VARIABLE, str(PROFILE))
-    with tempfile.TemporaryDirectory(prefix="softrig-") as folder:
-        file = Path(folder) / "profile.xml"
-        file.write_bytes(with_property(Path(given).read_bytes()))
-        os.environ[VARIABLE] = str(file)
+def joining(*, exclusive: bool = False) -> Iterator[None]:
+    """Within the block a participant may begin: no damaged port is in its way, and its profile is made.
+
+    Parameters
+    ----------
+    exclusive : bool
+        Whether its endpoints are matched with other processes only.
+
+    Raises
+    ------
+    OSError
+        The profile of the environment cannot be read.
+    ValueError
+        It is no XML, or has no participant.
+    """
+    clear_ports(domain_id())
+    given = os.environ.get(VARIABLE) or str(PROFILE)
+    profile = own(Path(given).read_bytes(), exclusive=exclusive)
+    with NamedTemporaryFile(prefix="softrig-", suffix=".xml") as file:
+        file.write(profile)
+        file.flush()
+        os.environ[VARIABLE] = file.name
         try:
             yield
         finally:
             os.environ[VARIABLE] = given
 
 
-def with_property(profile: bytes) -> bytes:
-    """Give a profile file with the property in each of its participants.
+def own(profile: bytes, *, exclusive: bool = False) -> bytes:
+    """Give a profile file whose participants have ports, unless it names some, and if `exclusive` the property.
 
     Raises
     ------
@@ -52,11 +71,20 @@ def with_property(profile: bytes) -> bytes:
     if not participants:
         raise ValueError(f"{VARIABLE}: no participant in the profile, expected one")
     for participant in participants:
-        at = participant
-        for tag in ("rtps", "propertiesPolicy", "properties"):
-            found = at.find(space + tag)
-            at = ElementTree.SubElement(at, space + tag) if found is None else found
-        entry = ElementTree.SubElement(at, f"{space}property")
-        ElementTree.SubElement(entry, f"{space}name").text = PROPERTY
-        ElementTree.SubElement(entry, f"{space}value").text = "true"
+        rtps = _within(participant, f"{space}rtps")
+        if rtps.find(f"{space}port") is None:
+            ports = ElementTree.SubElement(rtps, f"{space}port")
+            for name, number in chosen().items():
+                ElementTree.SubElement(ports, space + name).text = str(number)
+        if exclusive:
+            properties = _within(_within(rtps, f"{space}propertiesPolicy"), f"{space}properties")
+            entry = ElementTree.SubElement(properties, f"{space}property")
+            ElementTree.SubElement(entry, f"{space}name").text = PROPERTY
+            ElementTree.SubElement(entry, f"{space}value").text = "true"
     return ElementTree.tostring(root, xml_declaration=True, encoding="UTF-8")
+
+
+def _within(element: ElementTree.Element, tag: str) -> ElementTree.Element:
+    """Give the child of a tag, made where it is not there."""
+    found = element.find(tag)
+    return ElementTree.SubElement(element, tag) if found is None else found

@@ -25,6 +25,7 @@ from rclpy.parameter_client import AsyncParameterClient
 
 from ...guard import secure_streams
 from .messages import message_class
+from .profile import joining
 
 PATIENCE = 10.0  # s: for a node to be there, and again for it to answer
 
@@ -125,9 +126,10 @@ def set_parameters(wanted: Mapping[str, Mapping[str, Any]], patience: float) -> 
         if not done:
             refusals.append(reason if done is None else f"{node} refuses {', '.join(wanted[node])}: {reason}")
 
-    rclpy.init(args=[])
     try:
-        person = Node(f"softrig_set_{os.getpid()}")
+        with joining():
+            rclpy.init(args=[])
+            person = Node(f"softrig_set_{os.getpid()}")
         remote = Remote(person, answer, patience)
         for node, values in wanted.items():
             remote.ask({"id": node, "node": node, "set": values})
@@ -141,8 +143,9 @@ def set_parameters(wanted: Mapping[str, Mapping[str, Any]], patience: float) -> 
 def main() -> None:
     """Serve the lines of the standard input until it ends."""
     secure_streams()
-    rclpy.init(args=["--ros-args", "--disable-external-lib-logs"])  # no files beside those of the run
-    node = Node(f"softrig_view_{os.getpid()}")
+    with joining():
+        rclpy.init(args=["--ros-args", "--disable-external-lib-logs"])  # no files beside those of the run
+        node = Node(f"softrig_view_{os.getpid()}")
     executor = rclpy.get_global_executor()
     executor.add_node(node)
 

@@ -25,6 +25,7 @@ from rclpy.qos_overriding_options import QoSOverridingOptions, QoSPolicyKind
 
 from ...block.block import Level
 from ...errors import RunError
+from ...processes.shared_memory import Ears
 from ..seam.middleware import Matched, Middleware, Peer, Receive
 from ..seam.monitor import Monitor
 from .arrival import Arrival, library
@@ -210,6 +211,8 @@ class RosMiddleware(Middleware):
     node : ServingNode
     """
 
+    _ears = Ears()  # one for all nodes of a process
+
     def __init__(self, node: ServingNode) -> None:
         self.node = node
         self.monitor = node.monitor
@@ -372,6 +375,11 @@ class RosMiddleware(Middleware):
     def topics(self) -> dict[str, list[str]]:
         """Message types under which each topic exists."""
         return dict(self.node.get_topic_names_and_types())
+
+    def deaf(self) -> str:
+        """Say that a port in shared memory was taken away."""
+        lost = self._ears.lost()
+        return f"hears nobody any more: its port {lost} in shared memory was removed by another process" if lost else ""
 
     def log(self, level: Level, text: str) -> None:
         """Log by the node's logger: terminal, log file and /rosout."""

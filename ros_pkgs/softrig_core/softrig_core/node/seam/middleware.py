@@ -105,6 +105,9 @@ class Middleware(Protocol):
     def topics(self) -> dict[str, list[str]]:
         """Message types under which each topic exists, by its full name."""
 
+    def deaf(self) -> str:
+        """Say why what others send cannot arrive any more; empty while it can."""
+
     def log(self, level: Level, text: str) -> None:
         """Say something to whoever operates the node."""
 

@@ -1,0 +1,87 @@
+"""What stands behind ``NODE.PARAMETER=`` on a command line, for every option the same: a value, several, or a range."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+from softrig_core import ScenarioError
+from softrig_core.command_line import named
+from softrig_core.scenario.yaml_file import read_yaml
+
+NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+_SPAN = re.compile(rf"(log )?\s*({NUMBER})\.\.({NUMBER})(?:([*~])(\d+))?")
+FORMS = "expected LOW..HIGH, 'log LOW..HIGH', of lists and signals LOW..HIGH*N (steps), of signals LOW..HIGH~N (lines)"
+MOST = 10_000  # values of a list of them
+MANY = 50  # numbers of one profile or list: a search over more finds nothing in its budget
+
+
+@dataclass(frozen=True)
+class Span:
+    """Numbers from a least to a largest one.
+
+    Parameters
+    ----------
+    low, high : float
+    log : bool
+        Whether their logarithm counts.
+    count : int
+        Numbers of a list or profile; 0: a single number.
+    linear : bool
+        Of a profile: joined by lines.
+    """
+
+    low: float
+    high: float
+    log: bool = False
+    count: int = 0
+    linear: bool = False
+
+
+def settings(texts: Iterable[str], option: str = "--set") -> dict[str, Any]:
+    """Read ``NAME=VALUE`` of several options, VALUE as in a scenario file."""
+    pairs = (named(text, option, "VALUE") for text in texts)
+    return {name: read_yaml(value, f"{option} '{name}={value}'") for name, value in pairs}
+
+
+def values(name: str, text: str) -> list[Any]:
+    """Read ``A,B,C``, ranges ``LOW:HIGH:STEP`` among them with both ends."""
+    given = read_yaml(f"[{text}]", f"{name}={text}")
+    assert isinstance(given, list)
+    return [value for one in given for value in (_steps(name, one) if isinstance(one, str) else [one])]
+
+
+def _steps(name: str, text: str) -> list[Any]:
+    found = re.fullmatch(rf"({NUMBER}):({NUMBER})(?::({NUMBER}))?", text.strip())
+    if found is None:
+        return [text]
+    low, high, step = (float(part) for part in (found[1], found[2], found[3] or "1"))
+    count = math.floor((high - low) / step * (1.0 + 1e-12) + 1e-9) + 1 if step else 0
+    if not 1 <= count <= MOST:
+        raise ScenarioError(f"{name}={text}: expected LOW:HIGH:STEP with at least one and at most {MOST} values")
+    values = [float(f"{low + k * step:.12g}") for k in range(count)]
+    return [int(v) for v in values] if all(re.fullmatch(r"[-+]?\d+", p) for p in found.groups() if p) else values
+
+
+def span(name: str, text: object) -> Span:
+    """Read a range.
+
+    Raises
+    ------
+    ScenarioError
+        Another form, a range upside down, a logarithm of what is not above 0.
+    """
+    found = _SPAN.fullmatch(str(text).strip())
+    if not found:
+        raise ScenarioError(f"{name}={text}: {FORMS}")
+    low, high, count = float(found[2]), float(found[3]), int(found[5] or 0)
+    if low > high:
+        raise ScenarioError(f"{name}={text}: {low:g} is above {high:g}")
+    if found[1] and low <= 0.0:
+        raise ScenarioError(f"{name}={text}: a logarithm needs a range above 0")
+    if found[4] and not 1 <= count <= MANY:
+        raise ScenarioError(f"{name}={text}: expected 1 to {MANY} numbers, got {count}")
+    return Span(low, high, bool(found[1]), count, found[4] == "~")

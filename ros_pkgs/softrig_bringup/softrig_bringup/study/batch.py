@@ -1,0 +1,184 @@
+"""Many runs: on workers that stay from one batch to the next, their rows in a file that survives an interruption."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from softrig_core import ScenarioError
+from softrig_core.guard import naming, say
+from softrig_optim.sweep import Workers, progress
+
+from .draw import Case
+from .work import Work, run, seed_of
+
+
+class Batch:
+    """The runs of a study or search; what an earlier call has left in its log is not run again.
+
+    Parameters
+    ----------
+    title : str
+        Beside the progress bar.
+    log : Log
+        Closed at the end.
+    workers, scheduler
+        See `softrig_optim.sweep.Workers`.
+    """
+
+    def __init__(self, title: str, log: Log, workers: int | None = None, scheduler: str = "") -> None:
+        self.log = log
+        self._open = ExitStack()
+        self._pool = Workers(workers, scheduler)
+        self._progress = progress(title, log.total)
+
+    def __enter__(self) -> Batch:
+        if self.log.passed_over:
+            say(f"{self.log.path}: {self.log.passed_over} of its lines are no rows of this study (cut off, damaged, "
+                "doubled); they are passed over, and what is missing is run")  # fmt: skip
+        self._open.callback(self.log.close)
+        self._open.enter_context(self._pool)
+        self._advance = self._open.enter_context(self._progress)
+        return self
+
+    def __exit__(self, *error: Any) -> None:
+        self._open.__exit__(*error)
+
+    def run(self, works: Iterable[Work]) -> Iterator[dict[str, Any]]:
+        """Give the rows of those that had none, in the order in which they end."""
+
+        def left() -> Iterator[Work]:
+            for work in works:
+                if not self.log.knows(work.case):
+                    yield work
+                else:
+                    self._advance()
+
+        for _, row in self._pool.stream(run, left()):
+            self.log.add(row)
+            self._advance()
+            yield row
+
+    def rows(self, works: Sequence[Work]) -> list[dict[str, Any]]:
+        """Give the rows of all, in their order, those of earlier calls among them."""
+        known = self._known
+        known |= {row["number"]: row for row in self.run(works)}
+        return [known[work.case.number] for work in works]
+
+    @cached_property
+    def _known(self) -> dict[int, dict[str, Any]]:
+        return {row["number"]: row for row in self.log.rows()}
+
+
+class Log:
+    """Rows as they come, a line each, in a file that survives an interruption.
+
+    What is in the file stays there: a line that was cut off or damaged, and one that tells of another run than the
+    study has under that number, is passed over, and its run is done again.
+
+    Parameters
+    ----------
+    path : Path
+        Created when it is not there.
+    total : int
+        Runs of the study.
+    cases : iterable of Case
+        Those runs, where they are known before; a search asks `knows`.
+
+    Attributes
+    ----------
+    path, total
+    passed_over : int
+        Lines of the file that are no rows of this study, or repeat one.
+    """
+
+    def __init__(self, path: Path, total: int, cases: Iterable[Case] | None = None) -> None:
+        self.path, self.total = path, total
+        self._known: dict[int, bytes] = {}
+        self.passed_over = 0
+        if path.is_symlink():
+            raise ScenarioError(f"{path} is a link, expected a file of its own for the rows")
+        lines, whole = 0, True
+        if path.exists():
+            with path.open("rb") as file:
+                for line in file:
+                    lines += 1
+                    whole = line.endswith(b"\n")
+                    if (row := _row(line)) is not None and 0 <= row["number"] < total:
+                        self._known.setdefault(row["number"], _content(row))
+            if cases is not None and self._known:
+                expected = {c.number: _content(c._asdict()) for c in cases if c.number in self._known}
+                self._known = {k: v for k, v in self._known.items() if expected.get(k) == v}
+            self.passed_over = lines - len(self._known)
+        self._file = path.open("ab")
+        if not whole:
+            self._file.write(b"\n")  # the next row is a line of its own
+
+    def __len__(self) -> int:
+        return len(self._known)
+
+    def knows(self, case: Case) -> bool:
+        """Whether the row of a case is there.
+
+        Raises
+        ------
+        ScenarioError
+            The row of that number is of another run.
+        """
+        known = self._known.get(case.number)
+        if known is not None and known != _content(case._asdict()):
+            raise ScenarioError(f"{self.path}: run {case.number} has other parameters than this search asks for (is it "
+                                "by another version of optuna?); choose another --out, or remove it")  # fmt: skip
+        return known is not None
+
+    def add(self, row: dict[str, Any]) -> None:
+        """Write one row to the disk."""
+        with naming(self.path):
+            self._file.write(json.dumps(row, separators=(",", ":")).encode() + b"\n")
+            self._file.flush()
+        self._known[row["number"]] = _content(row)
+
+    def rows(self) -> Iterator[dict[str, Any]]:
+        """Read all rows, one at a time, in the order in which they were written."""
+        told = set()
+        with self.path.open("rb") as file:
+            for line in file:
+                row = _row(line)
+                if row and row["number"] not in told and self._known.get(row["number"]) == _content(row):
+                    told.add(row["number"])
+                    yield row
+
+    def close(self) -> None:
+        """Close the file."""
+        with naming(self.path):
+            self._file.close()
+
+
+_KINDS: dict[str, type | tuple[type, ...]] = {
+    "number": int, "scenario": str, "case": str, "seed": int, "overrides": dict, "figures": dict, "never": list,
+    "passed": bool, "error": str, "wall_s": (int, float), "signals": dict,
+}  # fmt: skip
+
+
+def _row(line: bytes) -> dict[str, Any] | None:
+    """Read a row; nothing when the line is none."""
+    try:
+        row = json.loads(line)
+    except ValueError:
+        return None
+    if not isinstance(row, dict) or not _KINDS.keys() - {"signals", "never"} <= row.keys() <= _KINDS.keys():
+        return None
+    right = all(isinstance(v, _KINDS[k]) for k, v in row.items())
+    return row if right and all(v is None or isinstance(v, float | int) for v in row["figures"].values()) else None
+
+
+def _content(run: Mapping[str, Any]) -> bytes:
+    """Give a digest of what a run is; a case without a seed of its own has that of its scenario."""
+    seed = seed_of(run["scenario"]) if run["seed"] is None else run["seed"]
+    what = json.dumps([run["scenario"], run["case"], seed, run["overrides"]])
+    return hashlib.blake2b(what.encode(), digest_size=16).digest()

@@ -1,0 +1,255 @@
+"""The verb `pack`: a run as one file, which `run --like FILE` repeats anywhere."""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import importlib.metadata
+import json
+import os
+import xml.etree.ElementTree as ElementTree
+import zipfile
+from collections.abc import Iterator, Mapping
+from glob import escape
+from os.path import isfile
+from pathlib import Path
+from typing import Any, NamedTuple
+from urllib.parse import unquote, urlsplit
+
+import yaml
+from softrig_core import Rig, Run, Scenario, ScenarioError, rig_of
+from softrig_core.block.params import flatten
+from softrig_core.guard import say
+from softrig_core.judge import registry
+from softrig_core.rig.code import fingerprints
+
+from ..options import repeat
+from ..options.like import TAPE, Recalled, digests, from_outside, recall, repeated
+from ..options.packed import ABOUT, BAG, FILES, METRICS, MOST, PACKAGES, SCENARIO, SUFFIX, About
+from ..options.run_options import arguments, scenario_of
+from ..page.citations import FILE as REFERENCES
+
+_BUILT = {"__pycache__", "build", "install", "log", "dist", "runs", "node_modules"}  # not sources
+
+
+class _Pack(NamedTuple):
+    """What goes into a file: content by place, what it says of itself, and what it lacks."""
+
+    files: Mapping[str, bytes | Path]
+    about: About
+    lacks: tuple[str, ...]
+
+
+def main(options: argparse.Namespace) -> int:
+    """Write the file and say what is in it; gives the exit status."""
+    packed = collect(options.run, bag=not options.no_bag)
+    out = options.out or Path(packed.about.scenario + SUFFIX)
+    if out.is_dir():
+        raise ScenarioError(f"--out {out}: is a folder, expected a file")
+    write(packed, out)
+    own = [f"package {name} {version}" for name, version in packed.about.packages.items() if name not in packed.lacks]
+    bag = "its bag" if not options.no_bag else f"digests of {len(packed.about.digests)} topics in place of its bag"
+    print(
+        f"wrote {out} ({out.stat().st_size / 1e3:.0f} kB): {', '.join([packed.about.scenario, bag, *own])}; elsewhere:"
+    )
+    print(f"  scripts/softrig run --like {out.name}")
+    for name in packed.lacks:
+        say(
+            f"not in it: package {name}, whose sources are in no workspace here (--workspace DIR); who runs it needs it"
+        )
+    return 0
+
+
+def collect(run: Path, *, bag: bool = True) -> _Pack:
+    """Gather what somebody needs who repeats a run.
+
+    Parameters
+    ----------
+    run : Path
+        Its folder, its bag, or a pack of it.
+    bag : bool
+        Whether the bag is in it; otherwise digests of what was said on each topic.
+
+    Raises
+    ------
+    ScenarioError
+        No run; what it was made of is no longer what it was; its bag alone has what is needed, and is to be left out.
+    """
+    parser = argparse.ArgumentParser(exit_on_error=False)
+    arguments(parser)
+    before = recall(run, parser.parse_args)
+    content = _beside(before.bag)
+    scenario = scenario_of(before.options)
+    scenario = scenario.having(nodes={name: entry for name, entry in scenario.nodes.items() if name != TAPE})
+    rig = rig_of(scenario)
+    _unchanged(run, rig, content)
+    classes = [m.block_class for m in rig.members]
+    measures = {e.function or name for name, e in scenario.figures.items()} & {*registry.registered()}
+    code = fingerprints(classes, (registry.find(name).__module__ for name in sorted(measures)))
+    was = before.made_with.get("code", code)
+    for name in sorted(name for name in code if was.get(name, code[name]) != code[name]):
+        say(f"the code of {name} is no longer that of the run ({was[name]} then, {code[name]} now): it may not repeat")
+    own = [name for name in code if not name.startswith("softrig_")]
+    sources = {name: _sources(name) for name in own}
+    about = About(scenario=scenario.name, packages={name: _version(name) for name in own},
+                  versions=before.made_with.get("versions", {}), code=was,
+                  contents=before.made_with.get("contents", {}),
+                  digests={} if bag else _digests(before, scenario, content))  # fmt: skip
+    files: dict[str, bytes | Path] = {}
+    if not bag:
+        scenario = repeated(scenario, before)
+    text, files_of = standing_alone(scenario)
+    files[f"{SCENARIO}/{scenario.name}.yaml"] = text
+    files |= {f"{SCENARIO}/{place}": path for place, path in files_of.items()}
+    if citations := content.get("citations"):
+        files[f"{SCENARIO}/{REFERENCES}"] = "\n\n".join(c["bibtex"] for c in citations).encode()
+    if content:
+        files[METRICS] = (json.dumps(content | {"command": f"softrig run --like {scenario.name}{SUFFIX}"}, indent=1)
+                          + "\n").encode()  # fmt: skip
+    for name, folder in sources.items():
+        files |= {f"{PACKAGES}/{name}/{file.relative_to(folder)}": file for file in _files(folder)} if folder else {}
+    if bag:
+        places = [before.bag] if before.bag.is_file() else sorted(f for f in before.bag.iterdir() if f.is_file())
+        files |= {f"{BAG}/{file.name}": file for file in places}
+    return _Pack(files, about, tuple(name for name, folder in sources.items() if folder is None))
+
+
+def write(packed: _Pack, out: Path) -> None:
+    """Write a file; the same run gives the same bytes.
+
+    Raises
+    ------
+    ScenarioError
+        It would be larger than who unpacks it takes.
+    """
+    files: dict[str, bytes | Path] = {ABOUT: packed.about.model_dump_json(indent=1).encode() + b"\n", **packed.files}
+    size = sum(len(c) if isinstance(c, bytes) else c.stat().st_size for c in files.values())
+    if len(files) > FILES or size > MOST:
+        raise ScenarioError(f"{len(files)} files of {size} bytes in all, expected at most {FILES} of {MOST}; --no-bag?")
+    part = out.with_name(f".{out.name}.{os.getpid()}.part")
+    try:
+        with zipfile.ZipFile(part, "w") as archive:
+            for place, content in files.items():
+                entry = zipfile.ZipInfo(place)  # of 1980: a file's own time would make every pack another
+                entry.compress_type, entry.external_attr = zipfile.ZIP_DEFLATED, 0o644 << 16
+                with archive.open(entry, "w", force_zip64=True) as into:
+                    if isinstance(content, bytes):
+                        into.write(content)
+                        continue
+                    with content.open("rb") as file:
+                        while block := file.read(1 << 20):
+                            into.write(block)
+        part.replace(out)
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def _beside(bag: Path) -> dict[str, Any]:
+    """Read what is known of a run beside its bag, or beside the one that a file is of."""
+    try:
+        found = json.loads(((bag.parent if bag.is_file() else bag).parent / METRICS).read_text())
+    except (OSError, ValueError):
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
+def _unchanged(run: Path, rig: Rig, content: Mapping[str, Any]) -> None:
+    """Refuse a run whose scenario, parameter file or package says something else by now."""
+    then = content.get("parameters", {})
+    for member in rig.members:
+        now = json.loads(json.dumps(flatten(member.params)))
+        for name, value in now.items() if member.name in then and not member.external else ():
+            if then[member.name].get(name, value) != value:
+                raise ScenarioError(f"{run}: it ran with {member.name}.{name} = {then[member.name][name]!r}, which is "
+                                    f"{value!r} by now: run it again")  # fmt: skip
+
+
+def _digests(before: Recalled, scenario: Scenario, content: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Give the digests that stand for a bag, where scenario and changes alone make it again."""
+    if before.digests:
+        return before.digests
+    rig = rig_of(scenario.having(changes=[]))
+    why = [
+        "in real time" if before.epoch else "",
+        "messages came from outside" if from_outside(rig, before.recording) else "",
+        "it ended early" if content.get("stopped") or content.get("error") else "",
+    ]
+    if any(why):
+        raise ScenarioError(f"--no-bag: {', '.join(filter(None, why))}: that run is in its bag alone")
+    return digests(Run(rig, scenario.seed, before.recording))
+
+
+def standing_alone(scenario: Scenario) -> tuple[bytes, Mapping[str, Path]]:
+    """Write a scenario that needs no other file than those that its nodes name, which lie beside it by their content.
+
+    Parameters
+    ----------
+    scenario : Scenario
+
+    Returns
+    -------
+    bytes
+        The text of its file.
+    dict of str to Path
+        Relative place to file.
+    """
+    found: dict[str, Path] = {}
+
+    def beside(value: Any) -> Any:
+        if isinstance(value, Mapping):
+            return {k: beside(v) for k, v in value.items()}
+        if isinstance(value, list):
+            return [beside(v) for v in value]
+        if not isinstance(value, str) or not Path(value).suffix or not isfile(value):
+            return value
+        path = Path(value)
+        folder = hashlib.sha256(path.read_bytes()).hexdigest()[:12]
+        found.update({f"{folder}/{file.name}": file for file in path.parent.glob(f"{escape(path.stem)}.*")})
+        return f"{folder}/{path.name}"
+
+    content = scenario.model_dump(mode="json", exclude_defaults=True, exclude={"name"})
+    content |= {key: beside(content[key]) for key in ("shared", "nodes") if key in content}
+    return yaml.safe_dump(content, sort_keys=False, width=110, allow_unicode=True).encode(), found
+
+
+def _version(package: str) -> str:
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return "unknown"
+
+
+def _sources(package: str) -> Path | None:
+    """Find the folder of a package's sources: in its workspace, or from where pip has installed it."""
+    places: list[Path] = []
+    if (workspace := repeat.workspace(package)) is not None:
+        places += [workspace]
+    try:
+        told = json.loads(importlib.metadata.distribution(package).read_text("direct_url.json") or "{}")
+        url = urlsplit(str(told.get("url", "")))
+        places += [Path(unquote(url.path))] if url.scheme == "file" else []
+    except (importlib.metadata.PackageNotFoundError, ValueError):
+        pass
+    for place in places:
+        for manifest in (place / "package.xml", *place.glob("*/package.xml"), *place.glob("src/**/package.xml")):
+            if manifest.is_file() and _named(manifest) == package and manifest.with_name("setup.cfg").is_file():
+                return manifest.parent
+    return None
+
+
+def _named(manifest: Path) -> str:
+    try:
+        return (ElementTree.parse(manifest).findtext("name") or "").strip()
+    except (ElementTree.ParseError, OSError):
+        return ""
+
+
+def _files(folder: Path) -> Iterator[Path]:
+    """Give the files of a package: no hidden ones, nothing that was made from the others, no links to elsewhere."""
+    for path in sorted(folder.iterdir()):
+        if path.name.startswith(".") or path.name in _BUILT or path.suffix in (".pyc", ".egg-info"):
+            continue
+        if path.is_dir() and not path.is_symlink():
+            yield from _files(path)
+        elif path.is_file() and path.resolve().is_relative_to(folder.resolve()):
+            yield path

@@ -1,0 +1,39 @@
+"""Port numbers of DDS: those at which a participant is found, and others that nobody has had lately.
+
+Left to itself Fast DDS takes the lowest numbers that are free, so that a node which follows a killed one gets its ports
+in shared memory. But until the lease of the dead one is over the others write to it: each message makes its port anew
+and removes it, from several processes at once, with the mutex that was to keep them apart (Fast DDS 2.14, `~Port`,
+`open_port_internal`). In one of ten cases the port of the new node goes with them: it hears nobody and no error is
+told. So every participant of ours listens at numbers that come round again only after `AROUND`. They are free to
+choose: participants tell each other of them, only the well-known ones of RTPS 9.6.1 have to be where they are expected.
+"""
+
+from __future__ import annotations
+
+import time
+
+BASE, GAIN = 7400, 250  # of the well-known ports: a domain has that many numbers
+WELL_KNOWN = {"offsetd0": 0, "offsetd1": 10, "offsetd2": 1}
+USER = range(76, 188)  # of a domain's numbers, those that no other has, even two further for each of 32 participants
+UNIQUE = 400  # Fast DDS looks for a port of its own for what ROS says of its nodes in so many below the base
+FLOWS = range(BASE - 3 * UNIQUE, BASE - UNIQUE)  # of the whole host; other participants take those above
+AROUND = 18.0  # s; a lease is seldom longer
+
+
+def of_domain(domain: int) -> range:
+    """Give the numbers of a domain."""
+    return range(BASE + GAIN * domain, BASE + GAIN * (domain + 1))
+
+
+def chosen(now: float | None = None) -> dict[str, int]:
+    """Give the port parameters of a participant that begins now, as a Fast DDS profile names them.
+
+    Parameters
+    ----------
+    now : float, optional
+        s, of a clock that all processes of a host share.
+    """
+    turn = (time.monotonic() if now is None else now) / AROUND % 1
+    base = FLOWS[0] + UNIQUE + int(turn * UNIQUE)
+    offsets = WELL_KNOWN | {"offsetd3": USER[int(turn * len(USER))]}
+    return {"portBase": base} | {name: BASE - base + offset for name, offset in offsets.items()}

@@ -1,0 +1,232 @@
+"""A run as one file: it repeats elsewhere, says what differs if it does not, and a stranger's file harms nobody."""
+
+import json
+import os
+import shutil
+import stat
+import zipfile
+from pathlib import Path
+
+import pytest
+from softrig_bags.reader import BagReader
+from softrig_bringup.cli import main
+from softrig_bringup.options import packed
+from softrig_bringup.options.like import first_version
+from softrig_bringup.verbs.pack import standing_alone
+from softrig_core import ScenarioError, load_scenario
+
+TABLE = Path(__file__).parents[2] / "ros_pkgs/softrig_power/softrig_power/dispatch/tables/wood_wollenberg_3.csv"
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    """A run with a changed gain, and a change while it ran."""
+    folder = tmp_path_factory.mktemp("pack")
+    (folder / "mine.yaml").write_text(
+        "title: Mine\nextends: dc_motor_smc_b2\nduration: 1.0\nchanges:\n- {at: 0.5, set: {dc_motor_smc.delta: 3.0}}\n"
+    )
+    assert main(["run", str(folder / "mine.yaml"), "--mode", "inprocess", "--no-plots", "--set",
+                 "dc_motor_smc.delta=2", "--out", str(folder / "run")]) == 0  # fmt: skip
+    (folder / "mine.yaml").rename(folder / "away.yaml")
+    return folder / "run"
+
+
+@pytest.fixture(autouse=True)
+def _elsewhere(tmp_path, monkeypatch):
+    """What is unpacked lies in the test's folder; what `opened` adds to the environment goes with the test."""
+    monkeypatch.setattr(packed, "cache_folder", lambda: tmp_path / "cache")
+    monkeypatch.setenv("SOFTRIG_SCENARIOS", os.environ.get("SOFTRIG_SCENARIOS", ""))
+
+
+def pack(run, out, *options):
+    mine = run.parent / "mine.yaml"
+    shutil.copy(run.parent / "away.yaml", mine)
+    try:
+        assert main(["pack", str(run), "--out", str(out), *options]) == 0
+    finally:
+        mine.unlink()
+    return out
+
+
+def repeat(file, tmp_path, capsys):
+    """Exit status and the last line of a repetition."""
+    status = main(["run", "--like", str(file), "--mode", "inprocess", "--no-plots", "--out", str(tmp_path / "again")])
+    return status, capsys.readouterr().err.splitlines()[-1]
+
+
+@pytest.mark.parametrize("options", [(), ("--no-bag",)])
+def test_a_file_repeats_elsewhere_number_for_number(options, run, tmp_path, capsys):
+    file = pack(run, tmp_path / "sent.zip", *options)
+    status, last = repeat(file, tmp_path, capsys)
+    assert (status, last) == (
+        0, f"softrig: repeats {file} number for number: 704 messages on 7 topics"
+    )  # fmt: skip
+    assert pack(run, tmp_path / "once_more.zip", *options).read_bytes() == file.read_bytes()
+    names = zipfile.ZipFile(file).namelist()
+    assert any(name.startswith("bag/") for name in names) is not bool(options)
+    assert str(run.parent) not in zipfile.ZipFile(file).read("metrics.json").decode()
+
+
+def test_the_last_line_says_which_version_differs_first(run, tmp_path, capsys):
+    file = pack(run, tmp_path / "sent.zip", "--no-bag")
+    other = tmp_path / "other.zip"
+    with zipfile.ZipFile(file) as old, zipfile.ZipFile(other, "w") as new:
+        for name in old.namelist():
+            text = old.read(name).decode()
+            if name == "pack.json":
+                said = json.loads(text)
+                said["code"]["softrig_drives"] = "0123456789ab"
+                text = json.dumps(said)
+            new.writestr(name, text.replace("delta: 3.0", "delta: 3.5"))
+    status, last = repeat(other, tmp_path, capsys)
+    assert status == 1
+    assert f"softrig: differs from {other}: " in last
+    assert "the first version that differs is the code of softrig_drives: 0123456789ab there, " in last
+
+
+def test_versions_are_told_by_what_is_likeliest():
+    there = {"versions": {"numpy": "1", "math": "a", "python": "3"}, "code": {"softrig_core": "x", "mine": "y"}}
+    here = {"versions": {"numpy": "2", "math": "b", "python": "3"}, "code": {"softrig_core": "z", "mine": "z"}}
+    assert "the code of mine: y there, z here" in first_version(there, here)
+    assert "math: a there, b here" in first_version(there, here | {"code": there["code"]})
+    assert first_version(there, there) == "no version differs"
+    assert first_version({}, here) == "its versions are not known"
+
+
+def test_a_single_mcap_file_is_a_run(run, tmp_path, capsys):
+    (file,) = (run / "bag").glob("*.mcap")
+    lone = Path(shutil.copy(file, tmp_path / "lone.mcap"))
+    with BagReader(lone) as one, BagReader(run / "bag") as whole:
+        assert one.custom_data == whole.custom_data != {}
+    shutil.copy(run.parent / "away.yaml", run.parent / "mine.yaml")
+    try:
+        status, last = repeat(lone, tmp_path, capsys)
+    finally:
+        (run.parent / "mine.yaml").unlink()
+    assert (status, "lone.mcap number for number: " in last) == (0, True)
+
+
+def test_a_run_whose_scenario_has_changed_since_is_not_packed(run, tmp_path, capsys):
+    mine = run.parent / "mine.yaml"
+    mine.write_text((run.parent / "away.yaml").read_text() + "nodes: {dc_motor_smc: {parameters: {c: 4.5}}}\n")
+    try:
+        assert main(["pack", str(run), "--out", str(tmp_path / "sent.zip")]) == 2
+    finally:
+        mine.unlink()
+    assert "dc_motor_smc.c" in (said := capsys.readouterr().err)
+    assert "which is 4.5 by now: run it again" in said
+    assert not (tmp_path / "sent.zip").exists()
+
+
+def test_a_package_that_is_not_here_is_named(run, tmp_path, capsys):
+    gone = shutil.copytree(run, tmp_path / "gone")
+    data = gone / "bag" / "metadata.yaml"
+    data.write_text(data.read_text().replace('"softrig_drives":', '"pump_rig":'))
+    for word in ("run", "pack"):
+        arguments = ["run", "--like", str(gone)] if word == "run" else ["pack", str(gone)]
+        assert main(arguments) == 2
+        assert "it needs package pump_rig, not installed here; `softrig pack RUN`" in capsys.readouterr().err
+
+
+def test_files_that_a_scenario_names_travel_with_it(tmp_path):
+    """A table of units that lies beside the scenario, with what has its name and another ending."""
+    here, there = tmp_path / "here", tmp_path / "there"
+    here.mkdir()
+    shutil.copy(TABLE, here / "units.csv")
+    (here / "units.dat").write_text("x")
+    (here / "mine.yaml").write_text("extends: economic_dispatch_wood\nshared: {table: units.csv}\n")
+    scenario = load_scenario(str(here / "mine.yaml"))
+    text, files = standing_alone(scenario)
+    assert str(here).encode() not in text
+    assert sorted(Path(place).name for place in files) == ["units.csv", "units.dat"]
+    for place, content in {"mine.yaml": text, **{k: v.read_bytes() for k, v in files.items()}}.items():
+        (there / place).parent.mkdir(exist_ok=True, parents=True)
+        (there / place).write_bytes(content)
+    shutil.rmtree(here)
+    again = load_scenario(str(there / "mine.yaml"))
+    table = again.nodes["unit_fleet"].parameters["unit_table"]
+    assert Path(table).read_bytes() == TABLE.read_bytes()
+    assert str(scenario.nodes).replace(str(here / "units.csv"), table) == str(again.nodes)
+    assert again.expect == scenario.expect
+
+
+@pytest.mark.parametrize("name", ["dc_motor_smc_faults", "induction_dtc", "pwa_delay_margin", "tcp_aqm_smc"])
+def test_a_scenario_alone_is_the_scenario(name, tmp_path):
+    text, files = standing_alone(scenario := load_scenario(name))
+    (tmp_path / f"{name}.yaml").write_bytes(text)
+    assert load_scenario(str(tmp_path / f"{name}.yaml")).model_dump() == scenario.model_dump()
+    assert not files
+
+
+def zipped(path, *entries, **more):
+    with zipfile.ZipFile(path, "w", **more) as archive:
+        for name, content in entries:
+            archive.writestr(name, content)
+    return path
+
+
+ABOUT = ("pack.json", '{"format": 1, "scenario": "x"}')
+
+
+def link():
+    entry = zipfile.ZipInfo("scenario/link")
+    entry.external_attr = (stat.S_IFLNK | 0o777) << 16
+    return entry, "/etc/passwd"
+
+
+@pytest.mark.parametrize(
+    ("entries", "said"),
+    [
+        ([ABOUT, ("../evil", "")], "expected plain files below"),
+        ([ABOUT, ("scenario/../../evil", "")], "expected plain files below"),
+        ([ABOUT, ("/tmp/evil", "")], "expected plain files below"),
+        ([ABOUT, ("scenario/..\\..\\evil", "")], "expected plain files below"),
+        ([ABOUT, ("evil", "")], "expected plain files below"),
+        ([ABOUT, ("scenario/", "")], "expected plain files below"),
+        ([ABOUT, link()], "expected plain files below"),
+        ([ABOUT, ("scenario/a", ""), ("scenario/a/b", "")], "cannot be unpacked"),
+        ([ABOUT, *((f"scenario/{k}", "") for k in range(packed.FILES))], "expected at most 10000"),
+        ([("scenario/x.yaml", "")], "expected a file that `softrig pack` has written"),
+        ([("pack.json", '{"format": 2, "scenario": "x"}')], "pack.json: format"),
+        ([("pack.json", '{"scenario": "../x"}')], "pack.json: scenario"),
+    ],
+)
+def test_a_strangers_file_writes_nothing_outside_its_folder(entries, said, tmp_path):
+    before = set(tmp_path.rglob("*"))
+    file = zipped(tmp_path / "evil.zip", *entries)
+    with pytest.raises(ScenarioError, match=said):
+        packed.opened(file)
+    left = {p for p in set(tmp_path.rglob("*")) - before if "cache" not in p.parts}
+    assert left == {file}
+    assert not [p for p in (tmp_path / "cache").rglob("*") if p.is_file()]
+
+
+def test_what_unpacks_to_more_than_fits_is_refused(tmp_path, monkeypatch):
+    bomb = zipped(tmp_path / "bomb.zip", ABOUT, ("bag/x", bytes(1 << 20)), compression=zipfile.ZIP_DEFLATED)
+    monkeypatch.setattr(packed, "MOST", 1 << 19)
+    with pytest.raises(ScenarioError, match=r"2 files of \d+ bytes in all, expected at most 10000 of 524288"):
+        packed.unpack(bomb, tmp_path / "new")
+    # a size that is not true gives no more than it says
+    monkeypatch.undo()
+    data = bytearray(bomb.read_bytes())
+    for head in (b"PK\x03\x04", b"PK\x01\x02"):
+        at = data.index(b"bag/x", data.index(head) if head == b"PK\x03\x04" else data.rindex(head))
+        size = at - (30 - 22 if head == b"PK\x03\x04" else 46 - 24)
+        assert int.from_bytes(data[size : size + 4], "little") == 1 << 20
+        data[size : size + 4] = (100).to_bytes(4, "little")
+    bomb.write_bytes(data)
+    with pytest.raises(ScenarioError, match="cannot be unpacked"):
+        packed.unpack(bomb, tmp_path / "other")
+    assert (tmp_path / "other" / "bag" / "x").stat().st_size <= 100
+
+
+def test_a_damaged_file_is_one_line(run, tmp_path, capsys):
+    sent = pack(run, tmp_path / "sent.zip")
+    data = bytearray(sent.read_bytes())
+    data[300] ^= 0xFF
+    sent.write_bytes(data)
+    assert main(["run", "--like", str(sent)]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+    sent.write_bytes(data[:1000])  # no zip at all
+    assert main(["run", "--like", str(sent)]) == 2
+    assert "or a file of `softrig pack`" in capsys.readouterr().err
