@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import ScenarioError
+from ..guard import need_ros
 from ..rig.members import Member
 from ..rig.rig import Rig
 from ..wire.recording import Recording
@@ -80,8 +81,9 @@ def run_processes(
     Raises
     ------
     ScenarioError
-        A node refused its parameters, or nodes of this placement could not be started again.
+        A node refused its parameters, nodes of this placement could not be started again, or there is no ROS 2.
     """
+    need_ros()
     check_restart(rig, placement)
     directory.mkdir(parents=True, exist_ok=True)
     domain, only, wait = placement.domain, placement.only, placement.wait
