@@ -241,20 +241,19 @@ class Recording:
         """Give what appends one message of each of some topics; their bytes are made when somebody asks for them."""
         buffer, pack = bytearray(), _row_packer(layouts.values())
         # weak: what a topic calls must not keep it, or memory stays taken until Python looks for cycles
-        topics = [(self._order[number], layout) for number, layout in layouts.items()]
-        known = [(weakref.ref(topic), layout) for topic, layout in topics]
+        topics = [(weakref.ref(self._order[number]), layout) for number, layout in layouts.items()]
 
         def settle() -> None:
             if buffer:
                 content = bytes(buffer)
                 buffer.clear()
-                _read_rows(memoryview(content), [(topic(), layout) for topic, layout in known])
+                _read_rows(memoryview(content), [(topic(), layout) for topic, layout in topics])
 
         def add(t: int, values: Sequence[float]) -> None:
             buffer.extend(pack(t, _ROW, *values))
 
-        for topic, _ in topics:
-            topic.settle = settle
+        for number in layouts:
+            self._order[number].settle = settle
         return add
 
     def rows(self, layouts: Mapping[int, Layout]) -> Callable[[NDArray[np.int64], NDArray[np.float64]], object]:
@@ -395,13 +394,7 @@ def _row_packer(layouts: Iterable[Layout]) -> Callable[..., bytes]:
 
 
 def _read_rows(content: memoryview, row: Sequence[tuple[Topic | None, Layout]]) -> int:
-    """Add the messages of the whole rows at the beginning of some bytes to the topics that are still there.
-
-    Returns
-    -------
-    int
-        How many bytes that are.
-    """
+    """Add the messages of the whole rows at the beginning of some bytes; gives how many bytes that are."""
     length = _ROW_HEAD.size + 8 * sum(layout.size for _, layout in row)
     block = np.frombuffer(content, dtype=np.uint8)[: len(content) // length * length].reshape(-1, length)
     other = np.flatnonzero((block[:, 8:10] != 0xFF).any(axis=1))
@@ -410,7 +403,7 @@ def _read_rows(content: memoryview, row: Sequence[tuple[Topic | None, Layout]]) 
     values = np.ascontiguousarray(block[:, _ROW_HEAD.size :]).view("<f8")
     first = 0
     for topic, layout in row:
-        if topic is not None:
+        if topic is not None:  # else nobody has it any more
             topic.add_columns(Columns(times, values[:, first : first + layout.size], layout))
         first += layout.size
     return int(block.size)
