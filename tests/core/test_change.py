@@ -254,7 +254,7 @@ def test_run_like_repeats_a_tuned_run_and_its_repetition(tmp_path, capsys):
     assert main(["run", "--like", str(tmp_path)]) == 2
     assert "expected the directory of a run" in capsys.readouterr().err
     assert main(["run"]) == 2
-    assert "expected a scenario, or --like RUN" in capsys.readouterr().err
+    assert "expected a scenario, --like RUN, or --from RUN@T" in capsys.readouterr().err
 
 
 def test_of_nothing_no_repetition_is_said(tmp_path):
