@@ -3,7 +3,6 @@
 import json
 import random
 from argparse import Namespace
-from contextlib import suppress
 from functools import partial
 
 import pytest
@@ -35,6 +34,7 @@ from softrig_core import (
 )
 from softrig_core.block.change import check
 from softrig_core.rig.installed import load_block
+from softrig_core.wire.cdr import CdrError
 from softrig_core.wire.parameter_event import decode, encode, recorded
 
 
@@ -294,7 +294,7 @@ def test_a_recorded_change_is_a_parameter_event_as_ros_has_it(values, t):
 def test_a_recorded_change_that_is_cut_off_is_told():
     data = encode(0, "/node", {"k": 1.0})
     for n in range(len(data)):
-        with suppress(ValueError):  # never another error
+        with pytest.raises(CdrError, match=r"rcl_interfaces/msg/ParameterEvent"):
             decode(data[:n])
 
 

@@ -63,6 +63,7 @@ class _Kept:
     kinds: tuple[Any, ...]
     text: RigText
     function: Callable[..., Any] = field(repr=False)
+    go: int = SHORTEST  # ticks that are answered in one go
 
 
 _texts: list[_Kept] = []
@@ -94,7 +95,7 @@ class Engine:
         stride = math.gcd(*(s.schedule.every for s in self.steps))
         self._every = {id(s): s.schedule.every // stride for s in self.steps}
         self._time = self.runner.schedule.time
-        self._text: RigText | None = None
+        self._kept: _Kept | None = None
         self._fits: list[Any] = []
 
     def run(self) -> Iterator[int]:
@@ -115,13 +116,13 @@ class Engine:
         finally:
             given_up = self.native.given_up
             reason = self.native.reason or (f"{given_up} of its ticks were given up" if given_up else "")
-            for s in self.steps:
+            for s in self.steps if self._typed else ():
                 s.native = s.native[0], "it watches what is recorded" if s in self._watchers else reason
 
     def _run(self) -> Iterator[int]:
         assert self.runner.ticks is not None
         last = self.runner.ticks
-        k, go, failures = 0, SHORTEST, 0
+        k, failures = 0, 0
         fits, fresh = False, True  # whether there is a text, and it is to be looked at again
         while k <= last:
             if k and fresh:
@@ -129,6 +130,7 @@ class Engine:
                 failures += not fits
             if k and not fits and (k > LATEST or failures > TRIES):
                 break
+            go = self._kept.go if self._kept else SHORTEST
             until = min(last, k + go, self._next_change(k)) if fits else 0
             if until > k:
                 started = time.perf_counter()
@@ -138,9 +140,12 @@ class Engine:
                     self.native = Native(reason=str(reason))
                     fits, failures = False, failures + 1
                     continue
-                if reached == until and until == k + go:
+                if self._kept and reached == until and until == k + go:
                     took = time.perf_counter() - started
-                    go = min(LONGEST, go * 2) if took < GO / 2 else max(SHORTEST, go // 2) if took > GO else go
+                    if took < GO / 2:
+                        self._kept.go = min(LONGEST, go * 2)
+                    elif took > GO:
+                        self._kept.go = max(SHORTEST, go // 2)
                 self.native.ticks += reached - k
                 k = reached
                 yield self._time(k - 1) if k else 0
@@ -198,7 +203,7 @@ class Engine:
                 kept = _Kept(kinds, text, self._make(text))
                 _texts.insert(0, kept)
                 del _texts[KEPT:]
-            self._text, self._function = kept.text, kept.function
+            self._kept = kept
             program = kept.text.program
             self._constants = program.constants(roots)
             tables: dict[str, Any] = dict(zip(program.arrays.values(), program.tables(roots), strict=True))
@@ -249,10 +254,11 @@ class Engine:
         return reached
 
     def _called(self, first: int, last: int) -> tuple[int, Any, dict[int, Answers]]:
-        assert self._text is not None
+        kept = self._kept
+        assert kept is not None
         while True:
             before = (*(packed(s.x, self._typed) for s in self._core), *(_numbers(s) for s in self._core),
-                      *(_stamps(self._core[k]) for k in self._text.stamped))  # fmt: skip
+                      *(_stamps(self._core[k]) for k in kept.text.stamped))  # fmt: skip
             n: Any = np.zeros(2, np.int64) if self._typed else [0, 0]
             rows, named = {}, dict(self._tables)
             for s in self._recorded:
@@ -260,11 +266,12 @@ class Engine:
                 rows[id(s)] = Answers([], [])
                 if self._typed:
                     size, stamps = len(_numbers(s)), len(_stamps(s))
-                    rows[id(s)] = Answers(np.empty((count, size)), np.empty((count, stamps), np.int64))
+                    # column after column in memory: so they are read
+                    rows[id(s)] = Answers(np.empty((size, count)).T, np.empty((count, stamps), np.int64))
                 named[f"o{k}"], named[f"p{k}"] = rows[id(s)]
-            handed = [named[name] for name in self._text.arrays]
+            handed = [named[name] for name in kept.text.arrays]
             try:
-                after = self._function(first, last, n, self._constants, before, *handed)
+                after = kept.function(first, last, n, self._constants, before, *handed)
             except NATIVE:
                 if n[1]:
                     for name, draws in self._sources.items():
@@ -277,7 +284,7 @@ class Engine:
             except Exception as error:
                 if type(error).__module__.partition(".")[0] != "numba":
                     raise
-                _texts[:] = [kept for kept in _texts if kept.text is not self._text]
+                _texts[:] = [other for other in _texts if other is not kept]
                 raise NotNative(f"numba: {' '.join(str(error).split())[:300]}") from None
             return last, after, rows
 
@@ -288,16 +295,17 @@ class Engine:
 
     def _take(self, first: int, last: int, after: Any, rows: dict[int, Answers]) -> None:
         """Make what native code has found that of the steps."""
-        assert self._text is not None
+        assert self._kept is not None
         count = len(self._core)
-        stamps = dict(zip(self._text.stamped, after[2 * count :], strict=True))
+        stamps = dict(zip(self._kept.text.stamped, after[2 * count :], strict=True))
         for k, s in enumerate(self._core):
             own = self._own(s, first, last)
             if not own:
                 continue
             s.x, numbers = unpacked(after[k]), after[count + k]
             s.t = s.schedule.time(own[-1])
-            s.native = s.native[0] + len(own), ""
+            if self._typed:
+                s.native = s.native[0] + len(own), ""
             said = _parted(s, numbers, stamps.get(k, ()))
             if s.outputs:
                 s.said, s.numbers = said, numbers if s.plain else ()
@@ -344,6 +352,8 @@ class Engine:
         for s in self._recorded:
             readings, own = _readings(s, watcher), self._own(s, first, last)
             if readings and max(every, self._every[id(s)]) % min(every, self._every[id(s)]):
+                return False
+            if any(stamp is not None for _, _, _, (_, _, stamp) in readings):
                 return False
             step = max(1, every // self._every[id(s)])  # of its messages, one is seen
             begin = -own.start % step
