@@ -10,6 +10,7 @@ from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
+from softrig_core.errors import ScenarioError
 from softrig_core.extras import need
 from softrig_core.guard import guarded
 
@@ -37,6 +38,7 @@ def build(out: Path, sources_only: bool = False) -> int:
     from . import collect, gallery, reference
 
     source = out / "source"
+    _say("pages and their sources")
     shutil.rmtree(source, ignore_errors=True)
     collect.collect(source)
     gallery.write(source)
@@ -52,7 +54,9 @@ def build(out: Path, sources_only: bool = False) -> int:
 
     from .notebooks import execute
 
+    _say("notebooks")
     execute(source)
+    _say("the site, by Sphinx: some minutes")
     shutil.rmtree(out / "html", ignore_errors=True)
     options = ["-q", "-W", "--keep-going", "-b", "html", "-c", str(Path(__file__).parent), "-d", str(out / "doctrees")]
     status = sphinx([*options, str(source), str(out / "html")])
@@ -61,6 +65,10 @@ def build(out: Path, sources_only: bool = False) -> int:
     print("there are warnings: see above" if status else f"wrote {out / 'html' / 'index.html'}",
           file=sys.stderr if status else sys.stdout)  # fmt: skip
     return 1 if status else 0
+
+
+def _say(what: str) -> None:
+    print(f"softrig: docs: {what}", file=sys.stderr, flush=True)
 
 
 def accessible(page: str) -> str:
@@ -79,7 +87,11 @@ def accessible(page: str) -> str:
 
 def serve(folder: Path, port: int) -> None:
     """Show a folder on the loopback address until Ctrl-C."""
-    with ThreadingHTTPServer(("127.0.0.1", port), partial(SimpleHTTPRequestHandler, directory=folder)) as server:
+    try:
+        made = ThreadingHTTPServer(("127.0.0.1", port), partial(SimpleHTTPRequestHandler, directory=folder))
+    except OSError as error:
+        raise ScenarioError(f"--serve {port}: {error.strerror}; 0 takes a port that is free") from None
+    with made as server:
         print(f"http://127.0.0.1:{server.server_port} (Ctrl-C ends it)", flush=True)
         try:
             server.serve_forever()

@@ -20,8 +20,8 @@ KINDS = {
     "how-to": (
         "How-to guides",
         "You know what you want to do; here is how.",
-        ("set_up", "upgrade", "view", "studies", "send", "reports", "continuous_integration", "python", "notebooks",
-         "linear_view", "learning", "bags", "bags_pandas", "paper_figures", "outside_tools", "node", "workspace",
+        ("set_up", "wheel", "upgrade", "view", "studies", "send", "reports", "continuous_integration", "python",
+         "notebooks", "linear_view", "learning", "bags", "bags_pandas", "paper_figures", "outside_tools", "node", "workspace",
          "two_machines", "distribution"),
     ),
     "notebooks": (
@@ -34,7 +34,11 @@ KINDS = {
         "Why it is as it is, and what you can rely on.",
         ("idea", "lockstep", "tick", "house", "placements", "bits", "verdicts", "solver"),
     ),
-    "reference": ("Reference", "Everything by name; most of it is made from the code.", ("scenario_file", "model_kit")),
+    "reference": (
+        "Reference",
+        "Everything by name; most of it is made from the code.",
+        ("scenario_file", "model_kit", "licences"),
+    ),
 }  # fmt: skip
 
 

@@ -1,5 +1,6 @@
 """Recorder and player as real processes over DDS."""
 
+import gc
 import json
 import os
 import re
@@ -8,6 +9,7 @@ import signal
 import subprocess
 import sys
 from contextlib import ExitStack, suppress
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -25,6 +27,7 @@ from softrig_bags.cli import main_bag, main_compare, main_play, main_record
 from softrig_bags.compare import compare
 from softrig_bags.holds import Holds, patience
 from softrig_bags.join import Join
+from softrig_bags.player import LockstepPlayer, Sender, span
 from softrig_bags.read import read_bag, signals
 from softrig_bags.reader import BagReader
 from softrig_bags.recorder import Recorder
@@ -33,7 +36,7 @@ from softrig_bags.ros import publisher_profile
 from softrig_bags.selection import Selection
 from softrig_bags.topics import BagTopic
 from softrig_bags.write import write_bag
-from softrig_core import Recording
+from softrig_core import Recording, RunError
 from softrig_core.node.ros.messages import message_class
 from softrig_core.processes.domain import free_domain
 from softrig_core.processes.executables import PROFILE, environment, find_executable
@@ -385,6 +388,53 @@ def listener(rig, monkeypatch):
     node.turn = lambda: executor.spin_once(timeout_sec=0.05)
     yield node
     context.shutdown()
+
+
+def in_lockstep(listener, bag: BagReader) -> LockstepPlayer:
+    """A player in this process of a plant's state, answered on /command; it takes the listener's turns."""
+    session = SimpleNamespace(node=listener, stopped=False, spin=lambda seconds: listener.turn())
+    session.stop = partial(setattr, session, "stopped", True)
+    played = [t for t in bag.topics if t.name == "/plant/state"]
+    return LockstepPlayer(session, bag, Sender(session, bag, played, {}), ["/command"], {}, span(bag, 0.0, None))
+
+
+@pytest.fixture
+def law(listener):
+    """A node in this process that answers as the bag has it, with the thawing of what a replay froze."""
+    node, kind = Node("law", context=listener.context), message_class(STATE)
+    publisher = node.create_publisher(kind, "/command", 10)
+
+    def answer(message):
+        doubled = kind(header=message.header, name=["a"], effort=[2.0 * message.position[0]])
+        publisher.publish(doubled)
+
+    node.create_subscription(kind, "/plant/state", answer, 10)
+    listener.executor.add_node(node)
+    yield node
+    gc.unfreeze()
+
+
+def test_a_node_of_this_process_answers_a_replay_tick_by_tick(listener, law, tmp_path):
+    write_bag(tmp_path / "bag", small(20, every=1))
+    with BagReader(tmp_path / "bag") as bag:
+        player = in_lockstep(listener, bag)
+        found = player.run()
+    assert player.sent == 20
+    assert found.topics["command"].times == small(20, every=1).topics["command"].times
+    golden = small(20, every=1).topics["command"].data
+    assert [parse(STATE, d) for d in found.topics["command"].data] == [parse(STATE, d) for d in golden]
+
+
+def test_a_replay_is_not_begun_with_two_publishers_of_the_answer(listener, law, tmp_path):
+    other = Node("other", context=listener.context)
+    other.create_publisher(message_class(STATE), "/command", 10)
+    until(lambda: listener.count_publishers("/command") == 2, "second publisher")
+    write_bag(tmp_path / "bag", small())
+    with BagReader(tmp_path / "bag") as bag:
+        player = in_lockstep(listener, bag)
+        with pytest.raises(RunError, match=r"^2 publishers on /command, expected exactly one$"):
+            player.run()
+    assert player.sent == 0
 
 
 def call(node, service: str) -> None:

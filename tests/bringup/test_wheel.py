@@ -11,8 +11,11 @@ import zipfile
 from pathlib import Path
 
 import pytest
+from softrig_bringup.cli import make_parser
+from softrig_core.guard import WITHOUT_ROS
 
 ROOT = Path(__file__).parents[2]
+PAGE = (ROOT / "ros_pkgs/softrig_bringup/doc/wheel.md").read_text()
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 DEPENDENCIES, VERSION = PROJECT["dependencies"], PROJECT["version"]
 PACKAGES = sorted(p.parent.name for p in ROOT.glob("ros_pkgs/*/package.xml"))
@@ -54,6 +57,31 @@ def test_everything_is_in_it_and_nothing_of_this_machine(wheel):
     (metadata,) = (files[name].decode() for name in files if name.endswith(".dist-info/METADATA"))
     lines = [line.partition(": ")[2] for line in metadata.splitlines() if line.startswith("Requires-Dist:")]
     assert names(DEPENDENCIES) == names(line for line in lines if "extra ==" not in line)
+
+    assert metadata.partition("\n\n")[2].strip() == PAGE.strip()
+
+
+def test_its_page_shows_what_it_has():
+    shown = re.findall(r"^    softrig (\w+)", PAGE, re.MULTILINE)
+    assert {"list", "run", "new"} <= set(shown) <= set(make_parser()._subparsers._group_actions[0].choices)
+    assert not {"setup", "docs", "bench", "env"} & set(shown)
+    assert re.findall(r"scripts/softrig (\w+)", PAGE) == ["python", "VERB"]  # how it is made, and what to read instead
+
+
+WITHOUT = """
+import sys
+sys.modules |= dict.fromkeys(["rclpy", "std_msgs", "sensor_msgs", "geometry_msgs", "std_srvs", "rcl_interfaces"])
+from softrig_bringup.cli import main
+run = ["run", "dc_motor_smc_b2", "--no-plots", "--out"]
+for verb in ([*run, "one", "--mode", "inprocess"], ["bag", "info", "one/bag"], [*run, "two"], ["bag", "record"]):
+    print("status", main(verb), flush=True)
+"""
+
+
+def test_without_ros_what_needs_it_says_so_and_the_rest_works(tmp_path):
+    done = subprocess.run([sys.executable, "-c", WITHOUT], cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert re.findall(r"^status (\d)", done.stdout, re.MULTILINE) == ["0", "0", "2", "2"]
+    assert done.stderr.splitlines() == [f"softrig: {WITHOUT_ROS}"] * 2
 
 
 def names(requirements):

@@ -3,10 +3,13 @@
 import json
 import random
 import shutil
+import sqlite3
+from contextlib import closing, suppress
 from functools import cache
 from pathlib import Path
 from tempfile import mkdtemp
 
+import yaml
 from softrig_bags.cli import main_bag, main_compare
 from softrig_bags.reader import BagReader
 from softrig_bags.write import write_bag
@@ -49,6 +52,29 @@ def damaged(content: bytes, chance: random.Random) -> bytes:
     return b""
 
 
+def retyped(victim: Path, chance: random.Random) -> None:
+    """Put values of another kind where a bag's metadata, or a cell of its database, has one."""
+    other = [None, {"a": 1}, ["x"], -1, 2**70, 1.5, "text", "", True, {}]
+    if victim.suffix == ".db3":
+        with closing(sqlite3.connect(victim)) as db:
+            table = chance.choice([row[0] for row in db.execute("SELECT name FROM sqlite_master WHERE type = 'table'")])
+            column = chance.choice([row[1] for row in db.execute(f"PRAGMA table_info({table})")])
+            value = chance.choice([None, -1, 1.5, 2**62, "text", "", b"", b"\xff" * 9])
+            with suppress(sqlite3.Error):  # some columns hold what they are told to
+                db.execute(f"UPDATE {table} SET {column} = ? WHERE rowid % ? = 0", (value, chance.choice((1, 7))))
+            db.commit()
+    elif victim.suffix == ".yaml":
+        content = yaml.safe_load(victim.read_text())
+        places = [(content, key) for key in content]
+        for holder, key in places:  # grows
+            inner = holder[key]
+            places += [(inner, k) for k in (inner if isinstance(inner, dict) else range(len(inner)))] if isinstance(
+                inner, dict | list) else []  # fmt: skip
+        holder, key = chance.choice(places)
+        holder[key] = chance.choice(other)
+        victim.write_text(yaml.safe_dump(content))
+
+
 def attack(seed: int, directory: Path) -> None:
     """Damage a bag, its metadata or its run's metrics.json, and open it with every tool."""
     chance = random.Random(seed)
@@ -60,6 +86,10 @@ def attack(seed: int, directory: Path) -> None:
         if chance.random() < 0.1:
             victim.unlink()
             break
+        if chance.random() < 0.3 and victim.stat().st_size:
+            with suppress(yaml.YAMLError, sqlite3.Error, UnicodeDecodeError, TypeError):  # damaged before
+                retyped(victim, chance)
+            continue
         victim.write_bytes(damaged(victim.read_bytes(), chance))
     copy = directory / "copy"
     shutil.copytree(bag, copy)

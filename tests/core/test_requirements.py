@@ -9,6 +9,7 @@ from softrig_core import ByHand, RunError, ScenarioError, evaluate, figures_of, 
 from softrig_core.judge.expectation import Expectation
 from softrig_core.judge.formula import margin_unit, read, variables
 from softrig_core.judge.robustness import Record
+from softrig_core.wire.signals import Signal
 
 
 def requirement(formula, *, shared=None, duration=1.0, **about):
@@ -63,6 +64,9 @@ def test_a_requirement_is_a_figure_of_a_run_and_passes_where_it_holds():
 def test_units_of_both_sides_must_fit_and_several_need_a_scale():
     with pytest.raises(ScenarioError, match="requirement it: 'm' beside 'N'"):
         figures_of(wired("always state <= command"))
+    with pytest.raises(ScenarioError, match="requirement it: .*a pure number' beside 'N'"):
+        figures_of(wired("always sin(state) <= command"))
+    figures_of(wired("always command <= 10 * sin(level)"))  # a number may stand for anything
     both = "always (state <= 1 and command <= 20)"
     with pytest.raises(ScenarioError, match=r"in N, m.*what counts as one"):
         figures_of(wired(both))
@@ -181,6 +185,25 @@ def test_the_record_goes_to_the_end_though_what_is_asked_of_speaks_seldom():
     for order in (nodes, dict(reversed(nodes.items()))):
         rig = rig_of(make_scenario(order, shared=LIVE, requirements={"it": "always[0, 1] state <= 100"}))
         assert figure_of(rig, simulate(rig).signals).passed
+
+
+def test_a_run_that_was_cut_short_is_judged_to_the_last_message_of_the_fastest():
+    """Two plants are to speak at 1 s. At 0.64 s, where the run breaks, the slow one has spoken last at 0.5 s."""
+    other = {"lag/state": "slow/state", "lag/command": "slow/command"}
+    nodes = {
+        "slow_plant": {"executable": "plant", "parameters": {"period": 0.5},
+                       "remap": {**other, "lag/applied": "slow/applied"}},
+        "slow_gain": {"executable": "gain", "parameters": {"period": 0.5}, "remap": other},
+        "plant": "plant", "source": "source", "gain": "gain",
+    }  # fmt: skip
+    for order in (nodes, dict(reversed(nodes.items()))):
+        rig = rig_of(make_scenario(order, shared=LIVE, requirements={"it": "always[0, 0.64] state <= 100"}))
+        run = simulate(rig)
+        for end, error in ((0.645, ""), (0.635, "not judged: the record ends at 0.63 s")):
+            kept = {name: run.signals[name] for name in run.signals}
+            cut = {name: Signal(s.t[s.t < end], s.x[s.t < end]) for name, s in kept.items()}
+            result = figure_of(rig, cut)
+            assert (result.passed, result.error[: len(error)]) == (not error, error)
 
 
 def test_a_file_whose_requirement_looks_beyond_its_end_is_refused(tmp_path):

@@ -364,8 +364,8 @@ def test_real_time_begins_when_the_outside_controller_has_come(tmp_path):
     _, outcome = with_outside_controller("", tmp_path, 1.0, "realtime", script)
     assert outcome.error == ""
     command = Signals(outcome.recording, outcome.epoch)["lag/command/u/effort"]
-    assert command.t[0] < 0.5
-    assert "stale lag/command" not in outcome.status["plant"]["reports"] or len(command.t) > 20
+    assert 0.0 <= command.t[0] < 0.5
+    assert len(command.t) > 20  # of 101: on a loaded machine some come late
     assert len({s["epoch"] for s in outcome.status.values()}) == 1
 
 

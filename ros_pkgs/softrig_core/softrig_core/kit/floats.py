@@ -17,10 +17,10 @@ def read(x: Any, path: str = "") -> Iterator[tuple[str, Array]]:
     Floats, complex numbers (two each), arrays of them, and tuples of these, also named ones within: ``pid.integral``.
     Whole numbers, words and switches are no part of a linear view; nor are objects, which are opaque, but for those
     that tell their own, by ``numbers()`` and ``with_numbers(row)``: a history. Nor are named tuples whose class says
-    ``ASIDE = True``: nothing that a block says depends on them but its reports.
+    so, by a property ``aside``: nothing that a block says depends on them but its reports.
     """
     kind = type(x)
-    if getattr(kind, "ASIDE", False):
+    if hasattr(kind, "aside"):
         return
     if isinstance(x, float):
         yield path, np.array([x])
@@ -67,7 +67,7 @@ def put(x: Any, rows: Sequence[Array]) -> Any:
 
 def _put(x: Any, rows: Iterator[Array]) -> Any:
     kind = type(x)
-    if getattr(kind, "ASIDE", False):
+    if hasattr(kind, "aside"):
         return x
     if isinstance(x, float):
         new = float(next(rows)[0])

@@ -28,8 +28,12 @@ class Placement:
         Limit in s of the wait for all nodes, 0 for none; by default the scenario's, and none for external nodes.
     paused : bool
         In lockstep: the run is held at t = 0 until its clock is told to resume.
+    pace : float
+        In lockstep: simulated by wall-clock time, 0 for as fast as it goes.
     record : bool
         Whether nodes record what they publish; without, the recording is empty.
+    restart : int
+        In lockstep, of nodes that have a process each: how often one that was killed is started again.
     """
 
     mode: Literal["processes", "container", "inprocess"] = "processes"
@@ -39,7 +43,9 @@ class Placement:
     only: Sequence[str] = ()
     wait: float | None = None
     paused: bool = False
+    pace: float = 0.0
     record: bool = True
+    restart: int = 0
 
     def __str__(self) -> str:
         """Say in one word or two where nodes live and what they go by."""

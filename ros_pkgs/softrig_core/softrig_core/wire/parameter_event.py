@@ -79,7 +79,8 @@ def decode(data: bytes) -> tuple[int, str, dict[str, Any]]:
     reader = Reader(TYPE, data)
     t = reader.one("i") * SECOND + reader.one("I")
     node = reader.text()
-    return t, node, dict(_read(reader) for _ in range(2) for _ in range(reader.one("I")))
+    new, changed, _ = ([_read(reader) for _ in range(reader.one("I"))] for _ in range(3))  # who is deleted has no value
+    return t, node, dict(new + changed)
 
 
 def recorded(recording: Recorded, epoch: int = 0) -> list[tuple[int, str, dict[str, Any]]]:

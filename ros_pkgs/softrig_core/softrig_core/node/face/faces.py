@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import time
+from importlib.util import find_spec
 from typing import Any
 
-from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from ...block.block import Block, Level, Observer
 from ...block.port import Port
 from ..adapter.adapter import WATCH_PERIOD, Adapter
 from ..ros.messages import diagnostic_array, marker_array, message_class
-from ..ros.ros import QOS
+from ..ros.ros import QOS, ServingNode
 from ..seam.hold import offer
 from .frames import Frames
 
@@ -22,11 +22,11 @@ class Faces:
 
     Parameters
     ----------
-    node : rclpy.node.Node
+    node : ServingNode
     adapter : Adapter
     """
 
-    def __init__(self, node: Node, adapter: Adapter) -> None:
+    def __init__(self, node: ServingNode, adapter: Adapter) -> None:
         self._name = node.get_fully_qualified_name()
         self._adapter = adapter
         block = adapter.block
@@ -44,6 +44,10 @@ class Faces:
                 node.create_service(message_class("std_srvs/srv/Trigger"), f"~/{port.name}", self._presser(port))
         if adapter.links.owns_clock and adapter.options.mode == "lockstep":
             offer(node, adapter.hold, message_class("std_srvs/srv/Trigger"))
+            if find_spec("simulation_interfaces") is not None:
+                from .simulation import Simulation  # imports actions, which nothing else here has
+
+                Simulation(node, adapter)
         self._looks = 0
         adapter.middleware.timer(WATCH_PERIOD, self._look)
 
@@ -88,7 +92,7 @@ def _read(publisher: Any) -> bool:
     return bool(publisher.get_subscription_count())
 
 
-def _publish_latched(node: Node, block: Block) -> None:
+def _publish_latched(node: ServingNode, block: Block) -> None:
     """Publish the block's texts for whoever comes, now or later."""
     profile = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
     string = message_class("std_msgs/msg/String")

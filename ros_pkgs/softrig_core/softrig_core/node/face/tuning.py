@@ -29,6 +29,7 @@ class Tuning:
 
     def _set(self, parameters: Sequence[Parameter]) -> SetParametersResult:
         adapter = self._adapter
+        pace = next((plain(p) for p in parameters if p.name == "run.pace"), None)
         values = {p.name: plain(p) for p in parameters if p.name in self._own}
         try:
             if adapter.state in ("done", "failed"):
@@ -36,6 +37,8 @@ class Tuning:
             removed = [p.name for p in parameters if p.name in values and p.type_ == Parameter.Type.NOT_SET]
             if removed:
                 raise ParameterError(f"parameter {removed[0]} has no value, expected one")
+            if pace is not None and not adapter.hold.go_at(pace):
+                raise ParameterError("run.pace is that of the node of the clock, in lockstep, once it has begun")
             replaced = adapter.step.set(values) if values else []
         except ParameterError as error:
             return SetParametersResult(successful=False, reason=str(error))

@@ -27,7 +27,7 @@ def message_class(msgtype: str) -> Any:
     """
     package, kind, name = (*msgtype.split("/"), "", "")[:3]
     index = "share/ament_index/resource_index/rosidl_interfaces"
-    if kind not in ("msg", "srv") or not any((prefix / index / package).is_file() for prefix in prefixes()):
+    if kind not in ("msg", "srv", "action") or not any((prefix / index / package).is_file() for prefix in prefixes()):
         if msgtype == TF:
             return tf_class()
         raise ImportError(f"{msgtype!r}: no installed interface package has this type")

@@ -1,4 +1,4 @@
-"""A lockstep run held by a person: the node of the clock stays at a tick, and all others wait for it as they always do.
+"""A lockstep run held by a person, or slowed to a pace: the node of the clock stays at a tick, all others wait for it.
 
 What is held is only when a tick is taken, never what is in it: the numbers are those of a run that nobody held.
 """
@@ -9,11 +9,13 @@ from collections.abc import Callable
 from typing import Any
 
 from ...timebase import SECOND
-from .middleware import Middleware
+from .middleware import Middleware, Timer
 from .solving import BUSY, TOLD_EVERY
 from .tick import TICK, TickWriter
 
 SERVICES = ("pause", "resume", "step")  # std_srvs/Trigger, below the name of the node
+LOOK = SECOND // 100  # ns between two looks at the wall clock: ticks come in bursts as long as this
+BEHIND = 0.25  # s by which the run may be late and still catch up; what is beyond is forgotten
 
 
 class Hold:
@@ -23,23 +25,56 @@ class Hold:
     ----------
     held : bool
         From the start.
+    pace : float
+        Simulated time by wall-clock time; 0: as fast as it goes.
 
     Attributes
     ----------
     held : bool
+    steps : int
+        That it may take all the same.
+    pace : float
+    waits : bool
+        Whether a tick waits for the wall clock.
     """
 
-    def __init__(self, held: bool = False) -> None:
-        self.held = held
-        self._steps = 0  # that it may take all the same
+    def __init__(self, held: bool = False, pace: float = 0.0) -> None:
+        self.held, self.pace, self.waits = held, pace, False
+        self.steps = 0
         self._turn: Callable[[], object] | None = None
         self._tells = False
+        self._mark: tuple[float, int] | None = None  # s of the wall, ns of the run, which the pace counts from
+        self._until = 0  # ns up to which the wall clock need not be asked
+        self._timer: Timer | None = None
 
     def begin(self, middleware: Middleware, turn: Callable[[], object]) -> None:
         """Serve a node that owns the clock; `turn` has its ticks go on."""
         self._turn, self._middleware = turn, middleware
         if self.held:
             self._tell()
+        self.go_at(self.pace)
+
+    def go_at(self, pace: float) -> bool:
+        """Take another pace from now on; whether this node has one: that of the clock, in lockstep, begun."""
+        if self._turn is None:
+            return False
+        self.pace, self._mark, self._until = pace, None, 0
+        if pace:
+            self._tell()
+            if self._timer is None:
+                self._timer = self._middleware.timer(LOOK, self._look)
+            self._timer.again(LOOK)
+        elif self._timer is not None:
+            self._timer.cancel()
+            self._middleware.post(self._look)
+        return True
+
+    def _look(self) -> None:
+        """Try again what waits for the wall clock."""
+        if self.waits:
+            self.waits = False
+            assert self._turn is not None
+            self._turn()
 
     def _tell(self) -> None:
         """Have the peers be patient while it is held."""
@@ -48,17 +83,28 @@ class Hold:
         self._tells = True
         header = TickWriter()(0, [self._middleware.full_name])
         publish = self._middleware.publisher(BUSY, TICK, lambda count: None)
-        self._middleware.timer(round(TOLD_EVERY * SECOND), lambda: publish(header) if self.held else None)
+        self._middleware.timer(round(TOLD_EVERY * SECOND), lambda: publish(header) if self.held or self.waits else None)
 
     def holds(self, t: int) -> bool:
-        """Whether the step from tick `t` to the next one has to wait; a single step is used up by it."""
-        if self.held and self._steps:
-            self._steps -= 1
+        """Whether the step from tick `t` (ns) to the next one has to wait; a single step is used up by it."""
+        if self.held:
+            self.steps -= (single := self.steps > 0)
+            return not single
+        if not self.pace or t < self._until:
             return False
-        return self.held
+        now, rate = self._middleware.steady(), self.pace * SECOND
+        since, first = self._mark = self._mark or (now, t)
+        reached = first + round((now - since) * rate)
+        if t >= reached:
+            self.waits = True
+            return True
+        if reached - t > BEHIND * rate:
+            self._mark, reached = (now, t), t
+        self._until = reached
+        return False
 
-    def ask(self, what: str) -> tuple[bool, str]:
-        """Pause, resume or take a step; gives whether that could be done, and what to say."""
+    def ask(self, what: str, steps: int = 1) -> tuple[bool, str]:
+        """Pause, resume or take steps; gives whether that could be done, and what to say."""
         if self._turn is None:
             return False, "this node has not begun"
         if what == "pause":
@@ -68,9 +114,9 @@ class Hold:
         if what == "step":
             if not self.held:
                 return False, "it runs: pause it first"
-            self._steps += 1
+            self.steps += steps
         else:
-            self.held, self._steps = False, 0
+            self.held, self.steps, self._mark, self._until = False, 0, None, 0
         self._middleware.post(self._turn)
         return True, "one step" if what == "step" else "goes on"
 

@@ -1,0 +1,200 @@
+"""How strong are the tests? Mutants drawn at random, each against the daily tests that run its line.
+
+First the tests given (files or folders; all of them is an hour) are run once and told line by line which of them runs
+what: `--lines FILE` keeps that, or reads it when FILE is there. Then mutants are drawn among the lines that were run,
+the kind first, and each is run against its tests, the quickest first, until one fails. All this happens in a worktree
+of HEAD, or of the commit that FILE is of, at low priority. What survives is equivalent, which a person says, or a hole.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter, defaultdict
+from pathlib import Path
+
+from draw import KINDS, Mutant, mutants
+
+ROOT = Path(__file__).resolve().parents[2]
+TRACED = "tests/mutants/traced"
+
+
+class Tests:
+    """What is known of the tests: their seconds, and which run a line."""
+
+    def __init__(self, file: Path) -> None:
+        self.seconds: dict[str, float] = {}
+        self.of_line: dict[str, dict[int, list[str]]] = defaultdict(lambda: defaultdict(list))
+        self.failed: list[str] = []
+        for text in file.read_text().splitlines()[1:]:
+            told = json.loads(text)
+            if told["outcome"] != "passed":
+                self.failed += [told["test"]] if told["outcome"] == "failed" else []
+                continue
+            self.seconds[told["test"]] = told["seconds"]
+            for place, lines in told["lines"].items():
+                for line in lines:
+                    self.of_line[place][line].append(told["test"])
+
+    def meeting(self, place: str, mutant: Mutant) -> list[str]:
+        """The tests that a mutant can fail, the quickest first."""
+        lines = self.of_line[place]
+        found = {test for line in mutant.runs or lines for test in lines.get(line, ())}
+        return sorted(found, key=lambda test: (self.seconds[test], test))
+
+    def silent(self, tree: Path) -> list[str]:
+        """Tests in which no line was run that asserts."""
+        places = [place for place in self.of_line if place.startswith("tests/")]
+        asserting = set()
+        for place in places:
+            lines = _asserting((tree / place).read_text())
+            asserting |= {test for line in lines for test in self.of_line[place].get(line, ())}
+        return sorted(set(self.seconds) - asserting)
+
+
+def _asserting(source: str) -> set[int]:
+    """Lines of a test's module at which something is claimed."""
+    claims = ("raises", "warns", "fail", "exit")
+    found = set()
+    for node in ast.walk(ast.parse(source)):
+        name = getattr(getattr(node, "func", None), "attr", getattr(getattr(node, "func", None), "id", ""))
+        if isinstance(node, ast.Assert) or name in claims or name.startswith(("assert_", "check_", "until")):
+            found.add(node.lineno)
+    return found
+
+
+class Warm:
+    """Runs pytest in a worktree, again and again, without importing everything each time."""
+
+    def __init__(self, tree: Path) -> None:
+        command = ["nice", "scripts/softrig", "python", str(Path(__file__).with_name("warm.py"))]
+        self._process = subprocess.Popen(command, cwd=tree, text=True, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+
+    def __call__(self, arguments: list[str], limit: float) -> int | None:
+        """Give pytest's exit status; None when it took more than `limit` s."""
+        self._process.stdin.write(json.dumps([arguments, limit]) + "\n")
+        self._process.stdin.flush()
+        return json.loads(self._process.stdout.readline())
+
+
+def trace(tree: Path, what: list[str], out: Path) -> None:
+    """Run tests once; a line of JSON each goes to `out`, behind one that says of which commit they are."""
+    out.write_text(f"{_head(tree)}\n")
+    with tempfile.TemporaryDirectory() as folder:
+        paths = f"{tree / TRACED}:{os.environ.get('PYTHONPATH', '')}"
+        found = {"PYTHONPATH": paths, "SOFTRIG_TRACED": folder, "SOFTRIG_TRACED_TESTS": str(out.resolve())}
+        command = ["nice", "scripts/softrig", "python", "-m", "pytest", "-q", "-p", "lines_of_tests", *what]
+        status = subprocess.run(command, cwd=tree, env=os.environ | found, stdout=sys.stderr, check=False).returncode
+    if status not in (0, 1):
+        raise SystemExit("the tests could not be run")
+
+
+def _head(tree: Path) -> str:
+    return subprocess.run(["git", "rev-parse", "HEAD"], cwd=tree, check=True, capture_output=True, text=True).stdout[
+        :-1
+    ]
+
+
+def met(tree: Path, known: Tests, under: tuple[str, ...]) -> dict[str, list[tuple[str, Mutant]]]:
+    """Mutants that a test meets, by kind."""
+    found = defaultdict(list)
+    for place in sorted(known.of_line):
+        if place.startswith(under) and "/test/" not in place:
+            for mutant in mutants((tree / place).read_text()):
+                if any(line in known.of_line[place] for line in mutant.runs or (0, *known.of_line[place])):
+                    found[mutant.kind].append((place, mutant))
+    return found
+
+
+def main() -> int:
+    """Draw, run, tell."""
+    parser = argparse.ArgumentParser(prog="scripts/mutants", description=__doc__.splitlines()[0])
+    parser.add_argument("tests", nargs="*", default=["tests/core", "tests/bags"])
+    parser.add_argument("--lines", type=Path, metavar="FILE", help="which test runs which line, kept or read")
+    parser.add_argument("--count", type=int, default=80)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--minutes", type=float, default=30.0, help="begin no further mutant after")
+    parser.add_argument("--under", nargs="+", default=["ros_pkgs/"], metavar="PATH", help="mutants of these files only")
+    parser.add_argument("--seconds", type=float, default=60.0, help="of tests a mutant, the quickest first")
+    options = parser.parse_args()
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # the worktree goes then, too
+    with tempfile.TemporaryDirectory(prefix="mutants") as folder:
+        tree, lines = Path(folder) / "tree", options.lines or Path(folder) / "lines.jsonl"
+        commit = lines.read_text().split("\n", 1)[0] if lines.exists() else "HEAD"
+        subprocess.run(["git", "worktree", "add", "--detach", tree, commit], cwd=ROOT, check=True, capture_output=True)
+        try:
+            subprocess.run(["nice", "scripts/softrig", "setup", "test"], cwd=tree, check=True, capture_output=True)
+            if not lines.exists():
+                trace(tree, options.tests, lines)
+            known = Tests(lines)
+            for test in known.failed:
+                print(f"fails by itself: {test}")
+            for test in known.silent(tree):
+                print(f"asserts nothing: {test}")
+            print(f"{len(known.seconds)} tests, {sum(known.seconds.values()):.0f} s", flush=True)
+            return _campaign(tree, known, options)
+        finally:
+            subprocess.run(["git", "worktree", "remove", "--force", tree], cwd=ROOT, check=False)
+
+
+def _campaign(tree: Path, known: Tests, options: argparse.Namespace) -> int:
+    all_of = met(tree, known, tuple(options.under))
+    generator, tally, started = random.Random(options.seed), Counter(), time.monotonic()
+    done, run = set(), Warm(tree)
+    while tally["killed"] + tally["survived"] < options.count and time.monotonic() - started < 60 * options.minutes:
+        kind = generator.choice([kind for kind in KINDS if all_of[kind]])
+        place, mutant = generator.choice(all_of[kind])
+        if (place, mutant) in done:
+            continue
+        done.add((place, mutant))
+        source = (tree / place).read_text()
+        try:
+            compile(mutant.applied(source), place, "exec")
+        except SyntaxError:
+            continue
+        outcome, said = _tried(tree, run, known, place, mutant, options.seconds)
+        tally[outcome] += 1
+        print(f"{sum(tally.values())}: {outcome} {place}:{mutant.start[0]} {mutant.kind}", file=sys.stderr, flush=True)
+        if outcome != "killed":
+            print(f"{outcome}: {place}:{mutant.start[0]} {mutant.told(source)} ({said})", flush=True)
+    total = tally["killed"] + tally["survived"]
+    print(f"{total} mutants, seed {options.seed}: {tally['killed']} killed, {tally['survived']} survived "
+          f"({100 * tally['killed'] / max(1, total):.0f} %), {(time.monotonic() - started) / 60:.0f} min")  # fmt: skip
+    return int(tally["survived"] > 0)
+
+
+def _tried(
+    tree: Path, run: Warm, known: Tests, place: str, mutant: Mutant, most: float
+) -> tuple[str, str]:  # fmt: skip
+    """Run the tests of a mutant; whether one killed it, and how many there were."""
+    tests = known.meeting(place, mutant)
+    chosen, seconds = [], 0.0
+    for test in tests:
+        if chosen and seconds + known.seconds[test] > most:
+            break
+        chosen.append(test)
+        seconds += known.seconds[test]
+    file = tree / place
+    source = file.read_text()
+    asked = tree / ".ws" / "tests"
+    asked.write_text("\n".join(chosen))
+    try:
+        file.write_text(mutant.applied(source))
+        status = run(["-x", f"@{asked}"], 120.0 + 10.0 * seconds)
+    finally:
+        file.write_text(source)
+    if status == 4 and run(["--collect-only", f"@{asked}"], 120.0):  # not because the mutant cannot be imported
+        return "not tried", "pytest does not find these tests by their names"
+    return "survived" if status == 0 else "killed", f"{len(chosen)} of {len(tests)} tests, {seconds:.0f} s"
+
+
+if __name__ == "__main__":
+    sys.exit(main())
