@@ -16,7 +16,8 @@ from softrig_core.guard import WITHOUT_ROS
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "ros_pkgs/softrig_bringup/doc/wheel.md").read_text()
-DEPENDENCIES = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["dependencies"]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+DEPENDENCIES, VERSION = PROJECT["dependencies"], PROJECT["version"]
 PACKAGES = sorted(p.parent.name for p in ROOT.glob("ros_pkgs/*/package.xml"))
 OURS = ("AMENT_", "PYTHON", "VIRTUAL_ENV", "COLCON_", "SOFTRIG_", "ROS_", "PYTEST_")
 
@@ -96,6 +97,7 @@ def use(prefix, folder, variables):
         assert done.returncode == 0, done.stdout + done.stderr
         return done.stdout
 
+    assert call("bin/softrig", "--version") == f"softrig {VERSION}\n"
     assert "dc_motor_smc_b2" in call("bin/softrig", "list")
     call("bin/softrig", "run", "dc_motor_smc_b2", "--no-plots", "--out", "out")
     metrics = json.loads((folder / "out" / "metrics.json").read_text())
@@ -116,6 +118,24 @@ def test_it_works_beside_the_packages_that_are_here(wheel, tmp_path):
     shared = Path(importlib.metadata.distribution("numpy").locate_file(""))
     (library / "shared.pth").write_text(f"import site; site.addsitedir({str(shared)!r})\n")
     use(prefix, tmp_path, environment(tmp_path, AMENT_PREFIX_PATH=sys.prefix))
+
+
+@pytest.mark.long
+def test_the_sdist_makes_the_same_wheel(wheel, tmp_path):
+    """From a checkout that is set up, where links in .ws lead to the packages once more."""
+    build = f"from hatchling.build import build_sdist; print(build_sdist({str(tmp_path)!r}))"
+    done = subprocess.run([sys.executable, "-c", build], cwd=ROOT, check=True, capture_output=True, text=True)
+    sdist = tmp_path / done.stdout.split()[-1]
+    assert sdist.name == f"softrig-{VERSION}.tar.gz"
+    command = [sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "--no-build-isolation", "-w", tmp_path, sdist]
+    subprocess.run(command, check=True, cwd=tmp_path)
+    (again,) = tmp_path.glob("*.whl")
+    assert contents(again) == contents(wheel)
+
+
+def contents(wheel):
+    with zipfile.ZipFile(wheel) as archive:
+        return {entry.filename: entry.CRC for entry in archive.infolist()}
 
 
 @pytest.mark.long

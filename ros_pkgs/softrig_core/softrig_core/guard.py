@@ -11,7 +11,7 @@ import shlex
 import signal
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, redirect_stdout, suppress
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +25,7 @@ WITHOUT_ROS = (
     "nodes, topics, recording and playing need ROS 2 (rclpy), which is not here: source a Jazzy installation; runs "
     "with --mode inprocess, studies, falsification, reports and bags need none"
 )
+_quiet = False
 # the caller has named what cannot be read or written: bad input, nothing that broke
 _NAMED = (FileNotFoundError, PermissionError, IsADirectoryError, NotADirectoryError, FileExistsError)
 
@@ -94,6 +95,23 @@ def need_ros() -> None:
     """
     if importlib.util.find_spec("rclpy") is None:
         raise ScenarioError(WITHOUT_ROS)
+
+
+@contextmanager
+def quietly() -> Iterator[None]:
+    """Print nothing on the standard output, and no progress; what goes wrong is said all the same."""
+    global _quiet
+    with open(os.devnull, "w") as nowhere, redirect_stdout(nowhere):
+        _quiet = True
+        try:
+            yield
+        finally:
+            _quiet = False
+
+
+def is_quiet() -> bool:
+    """Whether nobody wants to read of progress (`quietly`)."""
+    return _quiet
 
 
 def say(what: object) -> None:
