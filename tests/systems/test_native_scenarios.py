@@ -79,7 +79,11 @@ STAYS: dict[str, int] = {}
 def cause(reason: str) -> str:
     """Give a reason without the line of a file and the name of a node."""
     where, _, what = reason.rpartition(", line ")
-    return f"{where.rpartition('.')[0].rpartition('.')[2]}.{where.rpartition('.')[2]}{what[what.find(':'):]}" if where else reason
+    return (
+        f"{where.rpartition('.')[0].rpartition('.')[2]}.{where.rpartition('.')[2]}{what[what.find(':') :]}"
+        if where
+        else reason
+    )
 
 
 def silent(rig: Rig) -> str:

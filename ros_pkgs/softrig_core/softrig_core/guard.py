@@ -20,12 +20,12 @@ from .errors import RunError, ScenarioError
 # of terminals, all but tab and new line, and those that turn the direction of writing
 _CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069]")
 LINE = 1000  # characters of a failure that are shown
+_quiet = False
 # where its wheels are not to be had (they are for Linux on x86-64), everything else is as it is anywhere
 WITHOUT_ROS = (
     "nodes, topics, recording and playing need ROS 2 (rclpy), which is not here: source a Jazzy installation; runs "
     "with --mode inprocess, studies, falsification, reports and bags need none"
 )
-_quiet = False
 # the caller has named what cannot be read or written: bad input, nothing that broke
 _NAMED = (FileNotFoundError, PermissionError, IsADirectoryError, NotADirectoryError, FileExistsError)
 

@@ -81,7 +81,7 @@ def run_processes(
     Raises
     ------
     ScenarioError
-        A node refused its parameters, there is no ROS 2, or nodes of this placement could not be started again.
+        A node refused its parameters, nodes of this placement could not be started again, or there is no ROS 2.
     """
     need_ros()
     check_restart(rig, placement)
